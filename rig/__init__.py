@@ -7,7 +7,11 @@ from typing import Any
 
 # Each public name and the module it lives in; a module is imported when one of its names is first used, so
 # that `import rig` stays quick (numba alone takes longer to import than a whole impulse test takes to run).
-_HOME: dict[str, str] = {}
+_HOME: dict[str, str] = {
+    "Scene": "rig.scene",
+    "load": "rig.scene_file",
+    "loads": "rig.scene_file",
+}
 
 __all__ = sorted(_HOME)
 

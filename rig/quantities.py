@@ -1,0 +1,214 @@
+"""Quantities with units: what a person writes (`0.98 mm`, `312.4 rad/s`, `10 %`) as a number in SI.
+
+Frequencies become Hz and mean what an engineer means: 312.4 rad/s is 49.72 Hz, 600 rpm is 10 Hz. Pint does
+the arithmetic on units, with a table of units of our own in which the turn is a dimension: with the usual one
+(radian = 1) a frequency in rad/s would pass as that many Hz, and the ambiguous `50 1/s` would pass as well.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cache, lru_cache
+from typing import Any
+
+UNITS = """
+nano- = 1e-9 = n-
+micro- = 1e-6 = u-
+milli- = 1e-3 = m-
+centi- = 1e-2 = c-
+kilo- = 1e3 = k-
+mega- = 1e6 = M-
+turn = [angle] = rev
+radian = 1/6.283185307179586 turn = rad
+degree = 1/360 turn = deg
+second = [time] = s
+minute = 60 second = min
+hour = 3600 second = h
+hertz = turn / second = Hz
+rpm = turn / minute
+metre = [length] = m
+inch = 0.0254 metre
+gram = [mass] = g
+tonne = 1e6 gram = t
+newton = kilogram * metre / second ** 2 = N
+pascal = newton / metre ** 2 = Pa
+joule = newton * metre = J
+watt = joule / second = W
+ampere = [current] = A
+volt = watt / ampere = V
+ohm = volt / ampere = Ω
+siemens = ampere / volt = S
+henry = volt * second / ampere = H
+tesla = volt * second / metre ** 2 = T
+kelvin = [temperature] = K
+standard_gravity = 9.80665 metre / second ** 2 = gn
+percent = 0.01
+ppm = 1e-6
+"""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a quantity measures: how a message names it, its SI unit, and an example of how to write it."""
+
+    noun: str
+    si: str
+    example: str
+
+
+MASS = Kind("a mass", "kg", "74 g")
+STIFFNESS = Kind("a stiffness", "N/m", "6.6 kN/m")
+DASHPOT = Kind("a damping coefficient", "N s/m", "0.5 N s/m")
+LENGTH = Kind("a length", "m", "0.98 mm")
+VELOCITY = Kind("a velocity", "m/s", "0.1 m/s")
+ACCELERATION = Kind("an acceleration", "m/s^2", "9.80665 m/s^2")
+FORCE = Kind("a force", "N", "2.6 N")
+TIME = Kind("a time", "s", "4 ms")
+RATE = Kind("a rate", "1/s", "0.1 1/s")
+FREQUENCY = Kind("a frequency", "Hz", "50 Hz or 312.4 rad/s")
+RATIO = Kind("a ratio", "", "10 %")
+VOLTAGE = Kind("a voltage", "V", "5 V")
+CURRENT = Kind("a current", "A", "2 mA")
+RESISTANCE = Kind("a resistance", "ohm", "2 ohm")
+INDUCTANCE = Kind("an inductance", "H", "0.2 mH")
+FORCE_FACTOR = Kind("a force factor", "N/A", "10 N/A")
+TRANSCONDUCTANCE = Kind("a current per voltage", "A/V", "1 A/V")
+ACCELERATION_SENSITIVITY = Kind("a voltage per acceleration", "V/(m/s^2)", "100 mV/g")
+FORCE_SENSITIVITY = Kind("a voltage per force", "V/N", "2.25 mV/N")
+ACCELERATION_NOISE = Kind("an acceleration noise density", "m/s^2/sqrt(Hz)", "20 ug/sqrt(Hz)")
+FORCE_NOISE = Kind("a force noise density", "N/sqrt(Hz)", "1 mN/sqrt(Hz)")
+VOLTAGE_NOISE = Kind("a voltage noise density", "V/sqrt(Hz)", "50 nV/sqrt(Hz)")
+TEMPERATURE = Kind("a temperature difference", "K", "12 K")
+PER_KELVIN = Kind("a ratio per kelvin", "1/K", "0.05 %/K")
+
+_NUMBER = re.compile(
+    r"([+-]?(?:\d[\d_]{0,39}(?:\.[\d_]{0,40})?|\.\d[\d_]{0,39})(?:[eE][+-]?\d{1,3})?|[+-]?\.inf|[+-]?inf)"
+    r"(?![\d.])\s*(.*)",
+    re.DOTALL | re.IGNORECASE,
+)
+# Names joined by spaces, * / and brackets, with powers of one digit: nothing that takes long to evaluate.
+_UNIT = re.compile(r"(?:1\s*/)?(?:[A-Za-zΩ]+|\((?=[^()]+\))|\)|\s*[*/]\s*|\s+|(?:\^|\*\*)-?\d(?!\d))*")
+_GRAVITY = re.compile(r"(?<![A-Za-z])([num]?)g(?![A-Za-z])")
+
+
+def parse(value: Any, kind: Kind) -> float:
+    """Read a quantity.
+
+    Parameters
+    ----------
+    value : float, int or str
+        A number in SI (frequencies in Hz), or text: a number and a unit. The result is the double nearest to
+        what is written.
+    kind : Kind
+        What it has to be.
+
+    Returns
+    -------
+    float
+        The quantity in the SI unit of its kind; may be infinite, never NaN.
+
+    Raises
+    ------
+    ValueError
+        If the text is no number, the unit is unknown or measures something else, or the value is NaN.
+
+    Examples
+    --------
+    >>> parse("0.98 mm", LENGTH)
+    0.00098
+    >>> round(parse("312.4 rad/s", FREQUENCY), 2)
+    49.72
+    >>> parse("100 mV/g", ACCELERATION_SENSITIVITY) * 9.80665
+    0.1
+    >>> parse("74 g", MASS)
+    0.074
+    """
+    if isinstance(value, str):
+        return _parse_text(value, kind)
+    if isinstance(value, bool) or not hasattr(value, "__float__"):
+        raise ValueError(f"{value!r} is no number")
+    try:
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{value!r} is no number") from None
+    if math.isnan(number):
+        raise ValueError("not a number (NaN)")
+    return number
+
+
+def text(value: float, kind: Kind) -> str:
+    """Write a quantity so that `parse` gives back the very same double.
+
+    >>> text(0.00098, LENGTH)
+    '0.00098 m'
+    """
+    number = repr(value) if math.isfinite(value) else ".inf" if value > 0 else "-.inf"
+    return f"{number} {kind.si}".rstrip()
+
+
+@lru_cache(maxsize=1024)
+def _parse_text(written: str, kind: Kind) -> float:
+    match = _NUMBER.fullmatch(written.strip())
+    if match is None:
+        raise ValueError(f"{written!r} does not begin with a number")
+    number, unit = match.groups()
+    factor = _factor(unit.strip(), kind)
+    number = number.replace("_", "").lower()
+    if "inf" in number:
+        return -math.inf if number.startswith("-") else math.inf
+    try:
+        return float(Fraction(number) * factor)
+    except OverflowError:
+        raise ValueError(f"{written!r} is too large") from None
+
+
+@lru_cache(maxsize=1024)
+def _factor(unit: str, kind: Kind) -> Fraction:
+    """Size of a unit in SI, exactly as far as its definition goes."""
+    if unit in ("", kind.si):
+        return Fraction(1)
+    plain = _spelled_out(unit)
+    # g is the gram or standard gravity, whichever makes the quantity what it has to be (74 g, 100 mV/g).
+    for reading in (plain, _GRAVITY.sub(r"\1gn", plain)):
+        factor = _conversion(reading, _spelled_out(kind.si))
+        if factor is not None:
+            return factor
+    raise ValueError(f"{unit!r} is no unit of {kind.noun.split(' ', 1)[1]}")
+
+
+def _spelled_out(unit: str) -> str:
+    """Bring a unit into the characters that Pint reads, refusing what is no product of powers."""
+    plain = unit.replace("µ", "u").replace("μ", "u").replace("·", "*").replace("²", "^2").replace("³", "^3")
+    plain = plain.replace("%", " percent ").strip()
+    plain = re.sub(r"sqrt\(\s*([A-Za-z]+)\s*\)", r"\1**0.5", plain)
+    if len(plain) > 60 or not _UNIT.fullmatch(plain.replace("**0.5", "")):
+        raise ValueError(f"{unit!r} is no unit")
+    return plain
+
+
+@cache
+def _registry() -> Any:
+    # Imported here: Pint takes longer to import than everything else that loading a scene needs.
+    import pint
+
+    registry: Any = pint.UnitRegistry(None, non_int_type=Fraction)
+    for definition in UNITS.strip().splitlines():
+        registry.define(definition)
+    return registry
+
+
+def _conversion(unit: str, si: str) -> Fraction | None:
+    """Factor from one unit to another; None where the first is unknown or measures something else."""
+    import pint
+
+    registry = _registry()
+    try:
+        source, target = registry.parse_units(unit), registry.parse_units(si)
+        if source.dimensionality != target.dimensionality:
+            return None
+        return Fraction(registry.convert(Fraction(1), source, target))
+    except (pint.errors.PintError, ValueError, TypeError, SyntaxError, ArithmeticError):
+        return None

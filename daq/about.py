@@ -1,0 +1,45 @@
+"""The page of text beside a replay: what was tested, with what, and how to read the drawing."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from daq.recording import Recording
+    from daq.rig_motion import RecordedMotion
+    from daq.rig_view import RigView
+
+
+def about(recording: Recording, motion: RecordedMotion, view: RigView) -> str:
+    """Describe a recording in Markdown."""
+    scene, rate = recording.scene, recording.rate
+    lines = [
+        f"# {scene.name}",
+        f"{recording.samples / rate:.3f} s at {rate:g} Hz, {len(recording.channels)} channels",
+        "",
+        f"## In the drawing, motion is {view.magnification:g} times as large",
+        *[f"- {source.point}: {source.sentence}" for source in motion.sources],
+    ]
+    if scene.dampers:
+        told = "recorded truth" if motion.gaps_known else "not recorded, drawn on their floors"
+        lines.append(f"- dampers: {told}")
+        lines += [
+            "",
+            "## Dampers",
+            "| damper | body | mass | clearance | restitution |",
+            "|---|---|---|---|---|",
+        ]
+        for place, (damper, mass) in enumerate(zip(scene.dampers, view.damper_masses, strict=True), start=1):
+            clearance = "no ceiling" if math.isinf(damper.clearance) else f"{damper.clearance * 1e3:.4g} mm"
+            lines.append(
+                f"| {place} | {damper.body} | {mass * 1e3:.4g} g | {clearance} | {damper.restitution:g} |"
+            )
+    lines += ["", "## Channels", "| channel | at | quantity | unit | V per unit |", "|---|---|---|---|---|"]
+    for name, info in recording.channels.items():
+        lines.append(f"| {name} | {info.at} | {info.quantity} | {info.unit} | {info.sensitivity:.4g} |")
+    if recording.gaps:
+        lost = sum(gap.samples for gap in recording.gaps)
+        lines += ["", f"**{len(recording.gaps)} gaps, {lost} samples lost** (see the markers)"]
+    lines += ["", "## Scene", "```yaml", scene.to_yaml().rstrip(), "```"]
+    return "\n".join(lines) + "\n"

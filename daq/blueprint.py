@@ -1,0 +1,123 @@
+"""Layout of the replay: what stands where on the screen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from daq.palette import BACKGROUND
+
+if TYPE_CHECKING:
+    import rerun.blueprint as rrb
+
+# Natural periods of the lowest mode that the plots around the time cursor show at each side of it.
+PERIODS = 4.0
+TIMELINE = "time"
+
+
+@dataclass(frozen=True)
+class Content:
+    """What there is to lay out.
+
+    Attributes
+    ----------
+    plots : sequence of (str, str)
+        Entity and title of each group of channels, the one to look at first first.
+    dampers : bool
+        Whether gaps and contacts are there.
+    lowest_hz : float
+        Lowest natural frequency; it sets the span of the plots around the time cursor.
+    eye : tuple
+        Where the 3D view is seen from, and what it looks at.
+    speed : float
+        Playback speed, 1 is real time.
+    """
+
+    plots: Sequence[tuple[str, str]]
+    dampers: bool
+    lowest_hz: float
+    eye: tuple[tuple[float, float, float], tuple[float, float, float]]
+    speed: float
+
+
+def layout(content: Content) -> rrb.Blueprint:
+    """Arrange a replay: rig and notes at the left, plots at the right.
+
+    The plot at the top shows the whole recording with the phases of the test under it; the plots below show
+    the surroundings of the time cursor.
+    """
+    import rerun.blueprint as rrb
+
+    around = PERIODS / content.lowest_hz
+    entity, title = content.plots[0]
+    whole = rrb.TimeSeriesView(origin=entity, name=f"{title}, whole recording", plot_legend=_legend())
+    phases = rrb.StateTimelineView(
+        origin="test", contents="test/phase", name="test (grey: settling, green: measuring)"
+    )
+    near = [
+        rrb.TimeSeriesView(
+            origin=entity, name=f"{title} around the cursor", time_ranges=_near(around), plot_legend=_legend()
+        )
+        for entity, title in content.plots
+    ]
+    channels = near[0] if len(near) == 1 else rrb.Tabs(*near, active_tab=0)
+    right: list[rrb.TimeSeriesView | rrb.StateTimelineView | rrb.Tabs] = [whole, phases, channels]
+    if content.dampers:
+        right.append(
+            rrb.TimeSeriesView(
+                origin="dampers/gap_mm", name="damper gap [mm] around the cursor (truth)",
+                time_ranges=_near(around), plot_legend=_legend(),
+            )
+        )  # fmt: skip
+        right.append(
+            rrb.StateTimelineView(
+                origin="dampers/contact",
+                name="contact (truth)",
+                time_view=rrb.TimeAxis(view_range=_around(around)),
+            )
+        )
+    notes = rrb.Tabs(
+        rrb.Spatial2DView(origin="spectrum", name="spectrum"),
+        rrb.TextDocumentView(origin="about", name="recording"),
+        rrb.TextLogView(origin="test", contents="test/marks", name="markers"),
+        active_tab=0,
+    )
+    position, target = content.eye
+    rig = rrb.Spatial3DView(
+        origin="rig", name="rig", background=BACKGROUND, line_grid=False,
+        eye_controls=rrb.EyeControls3D(position=position, look_target=target, eye_up=(0, 0, 1)),
+    )  # fmt: skip
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(rig, notes, row_shares=[1.6, 1.0]),
+            rrb.Vertical(
+                *right, row_shares=[3.0, 1.5, 3.8, 3.0, 2.6] if content.dampers else [3.0, 1.0, 4.5]
+            ),
+            column_shares=[1.0, 1.35],
+        ),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, playback_speed=content.speed, loop_mode="all"),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+    )
+
+
+def _near(seconds: float) -> rrb.VisibleTimeRange:
+    import rerun.blueprint as rrb
+
+    return rrb.VisibleTimeRange(TIMELINE, _around(seconds))
+
+
+def _around(seconds: float) -> rrb.TimeRange:
+    import rerun.blueprint as rrb
+
+    return rrb.TimeRange(
+        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-seconds),
+        end=rrb.TimeRangeBoundary.cursor_relative(seconds=seconds),
+    )
+
+
+def _legend() -> rrb.PlotLegend:
+    import rerun.blueprint as rrb
+
+    return rrb.PlotLegend(rrb.Corner2D.RightTop)

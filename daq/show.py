@@ -1,0 +1,158 @@
+"""Ways to look at a replay: in a window, in a browser, as a picture, or as a file for later."""
+
+from __future__ import annotations
+
+import tempfile
+import webbrowser
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import quote
+from uuid import uuid4
+
+from daq.replay import Progress, Replay
+from daq.viewer import LOOPBACK, can_open_windows, free_port, need_display, picture, viewer
+from rig.errors import RunError, SceneError
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+APPLICATION = "shotrig"
+
+
+def save(replay: Replay, file: Path, progress: Progress | None = None) -> None:
+    """Write a replay to an .rrd file, layout included; `rerun FILE.rrd` opens it.
+
+    Raises
+    ------
+    SceneError
+        If the name does not end in .rrd.
+    RunError
+        If the file cannot be written.
+    """
+    _need_suffix(file, ".rrd", "--save")
+    with _stream(replay) as stream:
+        try:
+            stream.save(file)
+        except (OSError, RuntimeError) as error:
+            raise RunError(f"cannot write {file}: {error}") from error
+        _fill(replay, stream, progress)
+
+
+def photograph(
+    replay: Replay,
+    file: Path,
+    at_s: float | None = None,
+    progress: Progress | None = None,
+    size: tuple[int, int] = (1600, 1000),
+) -> None:
+    """Draw a replay at one instant into a PNG file, without a window.
+
+    Parameters
+    ----------
+    replay : Replay
+        What to draw.
+    file : Path
+        Where the picture goes.
+    at_s : float or None
+        The instant, seconds from the start of the recording; None takes the instant of largest displacement.
+    progress : callable or None
+        Told the share that is done.
+    size : tuple of int
+        Width and height in pixels.
+
+    Raises
+    ------
+    SceneError
+        If the name does not end in .png, or the instant lies outside the replay.
+    RunError
+        If there is no graphics device, a view could not be drawn, or the file cannot be written.
+    """
+    _need_suffix(file, ".png", "--screenshot")
+    rate = replay.recording.rate
+    at = replay.liveliest / rate if at_s is None else at_s
+    if not replay.start / rate <= at <= replay.stop / rate:
+        raise SceneError(
+            f"--at {at:g} s lies outside the replay ({replay.start / rate:g} s to {replay.stop / rate:g} s)"
+        )
+    with tempfile.TemporaryDirectory(prefix="shotrig-") as folder:
+        drawn = Path(folder) / "replay.rrd"
+        save(replay, drawn, progress)
+        png, views = picture(drawn, at - replay.start / rate, size)
+    try:
+        file.write_bytes(png)
+    except OSError as error:
+        raise RunError(f"cannot write {file}: {error.strerror}") from error
+    problems = [f"{view.name}: {report.summary}" for view in views for report in view.reports]
+    if problems:
+        raise RunError(f"{file} is written, but the viewer could not draw all of it: {'; '.join(problems)}")
+
+
+def in_window(replay: Replay, progress: Progress | None = None) -> None:
+    """Show a replay in a window of its own; return when the window is closed.
+
+    Raises
+    ------
+    RunError
+        If there is no display, or the viewer does not start.
+    """
+    need_display()
+    with viewer("--expect-data-soon") as running, _stream(replay) as stream:
+        stream.connect_grpc(running.url)
+        _fill(replay, stream, progress)
+        running.process.wait()
+
+
+def in_browser(replay: Replay, announce: Callable[[str], None], progress: Progress | None = None) -> None:
+    """Serve a replay to browsers on this machine until interrupted.
+
+    Parameters
+    ----------
+    replay : Replay
+        What to show.
+    announce : callable
+        Told the address to open.
+    progress : callable or None
+        Told the share that is done.
+
+    Raises
+    ------
+    RunError
+        If the server does not start.
+    """
+    page = free_port()
+    with viewer("--serve-web", "--web-viewer-port", str(page)) as running, _stream(replay) as stream:
+        stream.connect_grpc(running.url)
+        address = f"http://{LOOPBACK}:{page}/?url={quote(running.url, safe='')}"
+        announce(address)
+        _fill(replay, stream, progress)
+        if can_open_windows():
+            webbrowser.open(address)
+        running.process.wait()
+
+
+@contextmanager
+def _stream(replay: Replay) -> Iterator[rr.RecordingStream]:
+    """Make a stream of its own; on leaving, whatever it still holds goes to its sink."""
+    import rerun as rr
+
+    stream = rr.RecordingStream(APPLICATION, recording_id=uuid4())
+    try:
+        yield stream
+    finally:
+        stream.disconnect()
+
+
+def _fill(replay: Replay, stream: rr.RecordingStream, progress: Progress | None) -> None:
+    # Sent as the active layout: a viewer remembers the layout of an application and would ignore a default.
+    stream.send_blueprint(replay.blueprint(), make_active=True, make_default=True)
+    replay.send(stream, progress)
+    stream.flush()
+
+
+def _need_suffix(file: Path, suffix: str, option: str) -> None:
+    if file.suffix.lower() != suffix:
+        raise SceneError(f"{option} {file}: expected a file name that ends in {suffix}")
+    if not file.parent.is_dir():
+        raise RunError(f"{option} {file}: there is no folder {file.parent}")

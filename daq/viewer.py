@@ -1,0 +1,239 @@
+"""Starting the rerun viewer: in a window, in the browser, or without either for a picture.
+
+The viewer binary itself is started, not the `rerun` script around it: ending the script would leave its
+viewer behind. It listens on 127.0.0.1 only.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
+
+import numpy as np
+
+from rig.errors import RunError
+
+if TYPE_CHECKING:
+    from rerun.experimental import View, ViewerClient, ViewerState
+
+LOOPBACK = "127.0.0.1"
+START_S = 30.0
+LOAD_S = 300.0
+POLL_S = 0.1
+
+
+class Viewer:
+    """A running viewer.
+
+    Attributes
+    ----------
+    process : subprocess.Popen
+        The viewer binary.
+    port : int
+        Where it listens for data and commands.
+    """
+
+    def __init__(self, process: subprocess.Popen[bytes], port: int, log: TextIO) -> None:
+        self.process = process
+        self.port = port
+        self._log = log
+
+    @property
+    def url(self) -> str:
+        """Address for `RecordingStream.connect_grpc` and for `ViewerClient`."""
+        return f"rerun+http://{LOOPBACK}:{self.port}/proxy"
+
+    def said(self) -> str:
+        """Return what the viewer has printed so far."""
+        return Path(self._log.name).read_text(encoding="utf-8", errors="replace")
+
+    def ready(self) -> None:
+        """Return once the viewer accepts connections; raise `RunError` if it does not come up."""
+        deadline = time.monotonic() + START_S
+        while time.monotonic() < deadline:
+            if self.process.poll() is not None:
+                raise RunError(_why_it_ended(self.said()))
+            with socket.socket() as probe:
+                if probe.connect_ex((LOOPBACK, self.port)) == 0:
+                    return
+            time.sleep(POLL_S)
+        raise RunError(
+            f"the rerun viewer did not answer within {START_S:g} s; it said:\n{_tail(self.said())}"
+        )
+
+    def client(self) -> ViewerClient:
+        """Return a connection that drives the viewer, once the viewer answers it."""
+        from rerun.experimental import ViewerClient
+
+        deadline = time.monotonic() + START_S
+        while True:
+            try:
+                client = ViewerClient.connect(self.url)
+                client.get_state()
+                return client
+            except Exception as error:
+                # What the client raises depends on how far the viewer has come; the process decides.
+                if self.process.poll() is not None:
+                    raise RunError(_why_it_ended(self.said())) from error
+                if time.monotonic() > deadline:
+                    raise RunError(f"the rerun viewer does not answer: {error}") from error
+                time.sleep(POLL_S)
+
+
+@contextmanager
+def viewer(*options: str) -> Iterator[Viewer]:
+    """Start a viewer on a free port of the loopback interface and end it on leaving.
+
+    Parameters
+    ----------
+    *options : str
+        Further options and files for the viewer's command line.
+
+    Raises
+    ------
+    RunError
+        If the viewer cannot start.
+    """
+    port = free_port()
+    command = [str(binary()), "--bind", LOOPBACK, "--port", str(port), "--hide-welcome-screen", *options]
+    # The viewer reports its use to its makers unless it runs under CI; an instrument reports to nobody.
+    environment = {**os.environ, "CI": "true", "NO_COLOR": "1"}
+    with (
+        tempfile.TemporaryDirectory(prefix="shotrig-viewer-") as folder,
+        (Path(folder) / "log").open("w", encoding="utf-8") as log,
+    ):
+        process = subprocess.Popen(command, stdout=log, stderr=log, stdin=subprocess.DEVNULL, env=environment)
+        running = Viewer(process, port, log)
+        try:
+            running.ready()
+            yield running
+        finally:
+            process.terminate()
+            try:
+                process.wait(timeout=5.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+def binary() -> Path:
+    """Path of the viewer binary that comes with rerun-sdk.
+
+    Raises
+    ------
+    RunError
+        If the installed rerun-sdk has none.
+    """
+    import rerun_cli
+
+    folder = Path(rerun_cli.__file__).parent
+    for name in ("rerun", "rerun.exe", "Rerun.app/Contents/MacOS/Rerun"):
+        if (folder / name).is_file():
+            return folder / name
+    raise RunError(f"no rerun viewer in {folder}; install rerun-sdk again, or write a file with --save")
+
+
+def free_port() -> int:
+    """Return a port of the loopback interface that nothing listens on."""
+    with socket.socket() as probe:
+        probe.bind((LOOPBACK, 0))
+        return int(probe.getsockname()[1])
+
+
+def can_open_windows() -> bool:
+    """Say whether a window can be opened here."""
+    return not sys.platform.startswith("linux") or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
+
+
+def need_display() -> None:
+    """Raise `RunError` where no window can be opened."""
+    if not can_open_windows():
+        raise RunError(
+            "no display to open the viewer on (neither DISPLAY nor WAYLAND_DISPLAY is set); "
+            "use --web to look with a browser, --screenshot FILE.png for a picture, or --save FILE.rrd"
+        )
+
+
+def picture(
+    file: Path, after_s: float | None, size: tuple[int, int] = (1600, 1000)
+) -> tuple[bytes, list[View]]:
+    """Draw a recording without a window.
+
+    Parameters
+    ----------
+    file : Path
+        An .rrd or .mcap file.
+    after_s : float or None
+        Where to put the time cursor, seconds after the first datum in the file; None leaves it.
+    size : tuple of int
+        Width and height of the picture in points.
+
+    Returns
+    -------
+    bytes
+        The picture, PNG.
+    list of rerun View
+        The views in it with what each could not draw.
+
+    Raises
+    ------
+    RunError
+        If there is no graphics device, or the file does not load.
+    """
+    with viewer("--headless", "--window-size", f"{size[0]}x{size[1]}", str(file.resolve())) as running:
+        client = running.client()
+        state = _loaded(client)
+        recording = state.recordings[0]
+        timeline = next((t for t in recording.timelines if t.name == recording.current_timeline), None)
+        if after_s is not None and timeline is not None and timeline.start is not None:
+            instant = timeline.start + round(after_s * 1e9)
+            if timeline.time_type == "timestamp":
+                client.set_time(timeline.name, timestamp=np.datetime64(instant, "ns"), play_state="paused")
+            else:
+                client.set_time(timeline.name, duration=np.timedelta64(instant, "ns"), play_state="paused")
+        _settled(client)
+        shot = client.take_screenshot()
+        return shot, client.get_state().views
+
+
+def _loaded(client: ViewerClient) -> ViewerState:
+    deadline = time.monotonic() + LOAD_S
+    while time.monotonic() < deadline:
+        state = client.get_state()
+        if state.recordings and not state.loading and any(t.end for t in state.recordings[0].timelines):
+            return state
+        time.sleep(POLL_S)
+    raise RunError(f"the viewer did not load the recording within {LOAD_S:g} s")
+
+
+def _settled(client: ViewerClient) -> None:
+    """Wait until two pictures in a row are the same: fonts, plots and images arrive over several frames."""
+    before = b""
+    deadline = time.monotonic() + START_S
+    while time.monotonic() < deadline:
+        now = client.take_screenshot(max_size=400)
+        if now == before:
+            return
+        before = now
+        time.sleep(POLL_S)
+
+
+def _why_it_ended(said: str) -> str:
+    if "graphics adapter" in said or "render context" in said:
+        return (
+            "the viewer found no graphics device (Vulkan); on Debian and Ubuntu "
+            "`apt-get install mesa-vulkan-drivers libvulkan1` installs one that needs no graphics card"
+        )
+    return f"the rerun viewer ended at once; it said:\n{_tail(said)}"
+
+
+def _tail(text: str, lines: int = 12) -> str:
+    return "\n".join(text.strip().splitlines()[-lines:])

@@ -1,0 +1,53 @@
+"""What a block of drive made the rig do: the motion of its points, and the instants at which it broke."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Motion of all points at the samples of a block, and at the breaks between them.
+
+    A break is an instant at which a velocity or an acceleration jumps: an impact or a separation.
+
+    Attributes
+    ----------
+    first : int
+        Number of the first sample, counted from the start of the run.
+    displacement, velocity, acceleration : ndarray, shape (points, samples)
+        m, m/s and m/s^2; at a sample that coincides with a break, what holds after it.
+    gap : ndarray, shape (dampers, samples)
+        Height of each damper above its floor, m.
+    contact : ndarray of int8, shape (dampers, samples)
+        0 in flight, 1 on the floor, 2 at the ceiling.
+    break_sample : ndarray of int64, shape (breaks,)
+        Number of the sample that ends the interval in which the break lies; in order of time.
+    break_offset : ndarray, shape (breaks,)
+        Time of the break after the sample before that one, s: above 0, at most one sample interval.
+    break_displacement : ndarray, shape (points, breaks)
+        m.
+    break_velocity, break_acceleration : ndarray, shape (2, points, breaks)
+        Before and after the break, m/s and m/s^2.
+    events : structured ndarray
+        The impacts and separations among the breaks, as `rig.simulate` lists them.
+    """
+
+    first: int
+    displacement: Array
+    velocity: Array
+    acceleration: Array
+    gap: Array
+    contact: NDArray[np.int8]
+    break_sample: NDArray[np.int64]
+    break_offset: Array
+    break_displacement: Array
+    break_velocity: Array
+    break_acceleration: Array
+    events: NDArray[Any]

@@ -94,12 +94,8 @@ class Matrices(Settings):
                 values = f"{matrix[row, column]:g} and {matrix[column, row]:g}"
                 where = f"rows and columns {row + 1} and {column + 1}"
                 yield Mistake((key,), f"not symmetric ({values} in {where}); expected a symmetric matrix")
-        lowest = float(np.linalg.eigvalsh((mass + mass.T) / 2)[0])
-        if not lowest > 0.0:
-            yield Mistake(
-                ("mass",),
-                f"not positive definite (lowest eigenvalue {lowest:.3g}); expected kinetic energy in any motion",
-            )
+        if not positive_definite(mass):
+            yield Mistake(("mass",), "not positive definite; expected kinetic energy in every motion")
 
 
 def asymmetry(matrix: NDArray[np.float64]) -> tuple[int, int] | None:
@@ -109,6 +105,16 @@ def asymmetry(matrix: NDArray[np.float64]) -> tuple[int, int] | None:
     if difference[row, column] <= ASYMMETRY * np.abs(matrix).max():
         return None
     return int(row), int(column)
+
+
+def positive_definite(matrix: NDArray[np.float64]) -> bool:
+    """Whether a symmetric matrix (n, n) is positive definite beyond rounding, whatever its scales."""
+    diagonal = np.diag(matrix)
+    if (diagonal <= 0.0).any():
+        return False
+    scale = 1.0 / np.sqrt(diagonal)
+    scaled = (matrix + matrix.T) / 2.0 * scale[:, None] * scale
+    return bool(np.linalg.eigvalsh(scaled)[0] > len(matrix) * np.finfo(float).eps)
 
 
 def _from_file(name: str | Path, folder: Path | None) -> NDArray[Any]:

@@ -25,11 +25,15 @@ def write(scene: Scene) -> str:
     )
 
 
+# In C where PyYAML was built with it: a large structure's matrices take ten times as long otherwise.
+_BASE: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+
 class _Text(str):
     """Free text, quoted so that no reader can take it for anything else."""
 
 
-class _Dumper(yaml.SafeDumper):
+class _Dumper(_BASE):
     def ignore_aliases(self, data: Any) -> bool:
         return True
 

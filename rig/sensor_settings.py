@@ -118,7 +118,7 @@ class Integrator(Settings):
     order : {1, 2}
         1: the output follows the velocity, 2: the displacement.
     corner : float
-        Frequency below which it stops integrating [Hz], one first-order high pass per order; 0: it never does.
+        Frequency below which it stops integrating [Hz], a first-order high pass per order; 0: it never does.
     gain : float
         Output per integral of the input [1/s for order 1, 1/s^2 for order 2].
     noise : float, optional

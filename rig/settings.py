@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any, ClassVar, Self
 
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
-from pydantic_core import InitErrorDetails
+from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler, ValidationError, model_validator
+from pydantic_core import CoreSchema, InitErrorDetails
 
 from rig.quantities import Kind, parse
 from rig.quantity_field import expected, mistake, quantity_of
@@ -60,6 +60,20 @@ class Settings(BaseModel):
     def kind_by_neighbours(cls, given: Mapping[str, Any]) -> Mapping[Place, Kind]:
         """Say which kind a quantity has to be, by its place, where that depends on other keys."""
         return {}
+
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Add what pydantic does not know: keys that exclude each other, and that the kind is named."""
+        reference = handler(schema)
+        known = handler.resolve_ref_schema(reference)
+        known["description"] = str(cls.__doc__).split("\n\n")[0].replace("\n    ", " ")
+        if cls.one_of:
+            known["allOf"] = [{"oneOf": [{"required": [key]} for key in group]} for group in cls.one_of]
+        if "kind" in cls.model_fields:
+            known["required"] = ["kind", *known.get("required", ())]
+        return reference
 
     @model_validator(mode="wrap")
     @classmethod

@@ -69,7 +69,7 @@ def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
     rounding = 10 * len(squares) * np.finfo(float).eps * np.abs(squares).max(initial=0.0)
     if squares[0] < -rounding:
         raise SceneError(
-            f"structure: stiffness not positive semidefinite (lowest squared frequency {squares[0]:.3g} 1/s^2), "
+            f"structure: stiffness not positive semidefinite (squared frequency {squares[0]:.3g} 1/s^2), "
             "so that there are no natural modes; expected springs that hold it"
         )
     # A rigid-body motion comes out as a square of either sign at rounding level.

@@ -1,7 +1,7 @@
 """YAML with line numbers, read so that a scalar is what its key makes of it.
 
 Every plain scalar comes out as the text that stands in the file (`null`, `~` and nothing as None): the
-settings know whether a number, a name or a switch belongs there. So `1e-5` is a number, `name: off` is a name,
+settings know whether a number, a name or a switch belongs there. So `1e-5` is a number, `name: off` a name,
 and nothing is taken for a date or counted to base 60, as YAML 1.1 would have it.
 """
 
@@ -68,8 +68,8 @@ def read(text: str) -> Document:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         context = f" ({error.context})" if error.context else ""
-        message = f"no valid YAML: {error.problem}{context}"
-        document.mistakes.append((mark.line + 1 if mark else 1, Mistake((), message)))
+        line = 1 if mark is None else mark.line + 1
+        document.mistakes.append((line, Mistake((), f"no valid YAML: {error.problem}{context}")))
     except yaml.YAMLError as error:
         document.mistakes.append((1, Mistake((), f"no valid YAML: {str(error).splitlines()[0]}")))
     return document
@@ -90,14 +90,14 @@ class _Reader:
             if isinstance(event, yaml.DocumentStartEvent):
                 documents += 1
                 if documents > 1:
-                    raise _Unreadable(
-                        event.start_mark.line + 1, "a second document; expected one scene in a file"
-                    )
+                    line = _line(event)
+                    raise _Unreadable(line, "a second document; expected one scene in a file")
                 self.document.content = self._node(next(self.events), ())
 
     def _node(self, event: Any, place: Place) -> Any:
-        line = event.start_mark.line + 1
-        self.document.lines.setdefault(place, line)
+        line = _line(event)
+        if line != self.document.line(place):  # a matrix of a thousand rows needs no million of entries
+            self.document.lines[place] = line
         if len(place) > DEEPEST:
             raise _Unreadable(line, f"nested deeper than {DEEPEST} levels; expected a scene")
         if isinstance(event, yaml.AliasEvent):
@@ -105,7 +105,7 @@ class _Reader:
         if event.tag is not None and event.tag != "!":
             raise _Unreadable(line, f"tag {event.tag}; expected plain values without tags")
         if isinstance(event, yaml.ScalarEvent):
-            value: Any = None if event.style is None and event.value in _NULLS else event.value
+            value: Any = None if event.implicit[0] and event.value in _NULLS else event.value
         elif isinstance(event, yaml.SequenceStartEvent):
             value = self._sequence(place)
         else:
@@ -138,18 +138,24 @@ class _Reader:
         for event in self.events:
             if isinstance(event, yaml.MappingEndEvent):
                 break
-            line = event.start_mark.line + 1
+            line = _line(event)
             if not isinstance(event, yaml.ScalarEvent):
                 raise _Unreadable(line, "a key that is no single word; expected key: value")
             key, here = event.value, (*place, event.value)
             if key in values:
-                message = f"given twice, first on line {self.document.lines[here]}; expected each key once"
+                message = f"given twice, first on line {self.document.line(here)}; expected each key once"
                 self.document.mistakes.append((line, Mistake(here, message)))
                 self._node(next(self.events), here)
                 continue
-            self.document.lines[here] = line
+            if line != self.document.line(here):
+                self.document.lines[here] = line
             values[key] = self._node(next(self.events), here)
         return values
+
+
+def _line(event: Any) -> int:
+    """Give the line of the file on which an event starts, from 1."""
+    return int(event.start_mark.line) + 1
 
 
 def _size(value: Any, most: int) -> int:

@@ -1,0 +1,305 @@
+"""Contact laws: landing, rebound, separation, and what they set off in neighbouring dampers.
+
+A damper is in `FLIGHT`, or rides on the `FLOOR` or at the `CEILING` of its cavity. Contact is unilateral: it
+pushes and never pulls. Impulses at an impact and contact forces right after it are the solution of the same
+linear complementarity problem with the matrix
+
+    A_ik = s_i s_k (M^-1)_{b_i b_k} + delta_ik / md_i,      s = +1 floor, -1 ceiling
+
+(b_i the body of damper i). With a diagonal mass matrix A is diagonal and each contact decides for itself; with
+a full mass matrix an impact may lift riding neighbours, and all contacts of the instant are solved together
+(Murty's least-index principal pivoting; A is positive definite, so the solution exists and is unique).
+
+References
+----------
+Pfeiffer, F., Glocker, C., "Multibody Dynamics with Unilateral Contacts", Wiley 1996, chapters 6 and 8 (contact
+laws on acceleration and on impulse level).
+Murty, K. G., "Linear Complementarity, Linear and Nonlinear Programming", Heldermann 1988, chapter 4.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from rig.complementarity import ROUNDING, complementarity, contact_matrix
+from rig.lanes import combine
+
+FLIGHT, FLOOR, CEILING = 0, 1, 2
+#: Event kinds in the log.
+SEPARATION, FLOOR_IMPACT, CEILING_IMPACT = 0, 1, 2
+#: Entries of `State.counters`.
+SLOT, CONFIGURATION, IN_A_ROW, AMBIGUOUS = 0, 1, 2, 3
+
+
+
+class State(NamedTuple):
+    """What changes while a system moves; every field is an array so that the kernel can write into it.
+
+    `multiplicity[j]` counts the leading coefficients of damper j's guard that are exactly zero at this instant:
+    1 after a rebound, 2 after a release, 3 after a separation at zero contact force; negative for the ceiling.
+    """
+
+    z: np.ndarray
+    height: np.ndarray
+    speed: np.ndarray
+    mode: np.ndarray
+    multiplicity: np.ndarray
+    counters: np.ndarray
+
+
+class Log(NamedTuple):
+    """Events and breaks as they happen; `count` holds how many rows of each are filled.
+
+    A break is an instant at which velocities or accelerations jump, with the state before and after it.
+    """
+
+    count: np.ndarray
+    segment: np.ndarray
+    offset: np.ndarray
+    damper: np.ndarray
+    kind: np.ndarray
+    closing: np.ndarray
+    break_segment: np.ndarray
+    break_offset: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    configuration: np.ndarray
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def _note(log, segment, offset, damper, kind, closing):
+    row = log.count[0]
+    log.segment[row] = segment
+    log.offset[row] = offset
+    log.damper[row] = damper
+    log.kind[row] = kind
+    log.closing[row] = closing
+    log.count[0] = row + 1
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def _toggle(flow, state, j):
+    """Damper j changes between riding and flight: so does the configuration, and its table if there is one."""
+    state.counters[CONFIGURATION] ^= 1 << j
+    if state.counters[SLOT] >= 0:
+        state.counters[SLOT] = flow.neighbour[state.counters[SLOT], j]
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def _lift(flow, model, state, j, speed, multiplicity):
+    """Damper j leaves the wall it rides on, with the given velocity."""
+    height = state.z[model.position[j]]
+    if state.mode[j] == CEILING:
+        height += model.clearance[j]
+        multiplicity = -multiplicity
+    state.height[j] = height
+    state.speed[j] = speed
+    state.mode[j] = FLIGHT
+    state.multiplicity[j] = multiplicity
+    _toggle(flow, state, j)
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def separate(flow, model, state, log, segment, offset, j, multiplicity):
+    """Damper j leaves its wall at the velocity of the wall."""
+    _lift(flow, model, state, j, state.z[model.velocity[j]], multiplicity)
+    _note(log, segment, offset, j, SEPARATION, 0.0)
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def _sign(mode):
+    return -1.0 if mode == CEILING else 1.0
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def _forces(model, state, force):
+    """Forces of springs, dashpots and drive on every coordinate, without the dampers in the cavities."""
+    combine(model.force, model.force_constant, 0, state.z, model.force.shape[1], force)
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def _stays(model, state, j, rebound, force):
+    """Whether a rebound is too low to be told from rest on the wall (this ends a Zeno sequence)."""
+    row = model.position[j]
+    pull = _sign(state.mode[j]) * (force[row] * model.inverse_mass[row, row] + model.gravity)
+    size = abs(state.z[row]) + abs(state.height[j])
+    return pull > 0.0 and rebound * rebound < 2.0 * pull * ROUNDING * size
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def _land(flow, model, state, j, rebound, force):
+    """Damper j, in `mode` FLOOR or CEILING by now, has been hit: it rides, or rebounds at the given speed."""
+    sign = _sign(state.mode[j])
+    if rebound > 0.0 and not _stays(model, state, j, rebound, force):
+        height = state.z[model.position[j]]
+        if state.mode[j] == CEILING:
+            height += model.clearance[j]
+        state.height[j] = height
+        state.speed[j] = state.z[model.velocity[j]] + sign * rebound
+        state.mode[j] = FLIGHT
+        state.multiplicity[j] = 1 if sign > 0.0 else -1
+    else:
+        state.multiplicity[j] = 0
+        _toggle(flow, state, j)
+
+
+@njit(cache=True, _nrt=False)
+def _touches(model, state, j):
+    """Wall that a flying damper touches within rounding while closing on it, or FLIGHT."""
+    position = state.z[model.position[j]]
+    gap = state.height[j] - position
+    closing = state.z[model.velocity[j]] - state.speed[j]
+    near = ROUNDING * (abs(position) + abs(state.height[j]))
+    if closing > 0.0 and state.multiplicity[j] <= 0 and gap <= near:
+        return FLOOR
+    if closing < 0.0 and state.multiplicity[j] >= 0 and gap >= model.clearance[j] - near:
+        return CEILING
+    return FLIGHT
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def _impact_alone(flow, model, state, log, segment, offset, j, wall, work):
+    """Impact of damper j where the mass matrix couples it to nobody."""
+    body = model.velocity[j]
+    state.mode[j] = wall
+    sign = _sign(wall)
+    closing = sign * (state.z[body] - state.speed[j])
+    inverse_mass = model.inverse_mass[model.position[j], model.position[j]]
+    impulse = (1.0 + model.restitution[j]) * closing / (inverse_mass + 1.0 / model.mass[j])
+    state.z[body] -= sign * impulse * inverse_mass
+    _note(log, segment, offset, j, wall, closing)
+    _land(flow, model, state, j, model.restitution[j] * closing, work.force)
+
+
+@njit(cache=True, _nrt=False)
+def _impact_together(flow, model, state, log, segment, offset, j, wall, work):
+    """Impact of damper j, with everything in contact or touching at this instant, through a full mass matrix."""
+    count = 0
+    for i in range(model.mass.shape[0]):
+        work.struck[count] = state.mode[i] == FLIGHT
+        if work.struck[count]:
+            contact = wall if i == j else _touches(model, state, i)
+            if contact == FLIGHT:
+                continue
+            state.mode[i] = contact
+        sign = _sign(state.mode[i])
+        work.member[count] = i
+        work.sign[count] = sign
+        work.before[count] = state.z[model.velocity[i]]
+        work.opening[count] = sign * (state.speed[i] - work.before[count]) if work.struck[count] else 0.0
+        work.right[count] = (1.0 + model.restitution[i]) * work.opening[count]
+        count += 1
+    contact_matrix(model, work, count)
+    complementarity(work, count)
+    for a in range(count):
+        column = model.position[work.member[a]]
+        for row in range(model.inverse_mass.shape[0]):
+            change = model.inverse_mass[row, column] * work.sign[a] * work.pressure[a]
+            state.z[model.first_velocity + row] -= change
+    for a in range(count):
+        i = work.member[a]
+        body = state.z[model.velocity[i]]
+        if work.struck[a]:
+            _note(log, segment, offset, i, state.mode[i], -work.opening[a])
+            own = state.speed[i] + work.sign[a] * work.pressure[a] / model.mass[i]
+            rebound = work.sign[a] * (own - body)
+            if model.restitution[i] == 0.0 and work.pressure[a] > 0.0:
+                rebound = 0.0
+            _land(flow, model, state, i, rebound, work.force)
+        elif work.pressure[a] == 0.0:
+            opening = work.sign[a] * (work.before[a] - body)
+            if opening > ROUNDING * (abs(work.before[a]) + abs(body)):
+                _lift(flow, model, state, i, work.before[a], 1)
+                _note(log, segment, offset, i, SEPARATION, 0.0)
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def _release_alone(flow, model, state, log, segment, offset, work):
+    force = work.force
+    for i in range(model.mass.shape[0]):
+        if state.mode[i] == FLIGHT:
+            continue
+        row = model.position[i]
+        pressure = force[row] * model.inverse_mass[row, row] + model.gravity
+        if _sign(state.mode[i]) * pressure >= 0.0:
+            continue
+        size = model.gravity
+        for c in range(model.force.shape[1]):
+            size += abs(model.force[0, c, row] * state.z[c]) * model.inverse_mass[row, row]
+        if abs(pressure) > ROUNDING * size:
+            separate(flow, model, state, log, segment, offset, i, 2)
+
+
+@njit(cache=True, _nrt=False)
+def _release_together(flow, model, state, log, segment, offset, work):
+    """Decide every riding contact at once from the accelerations that the bodies would have without them."""
+    count = 0
+    for i in range(model.mass.shape[0]):
+        if state.mode[i] == FLIGHT:
+            continue
+        row = model.position[i]
+        free = 0.0
+        size = model.gravity
+        for c in range(model.inverse_mass.shape[0]):
+            free += model.inverse_mass[row, c] * work.force[c]
+            for column in range(model.force.shape[1]):
+                size += abs(model.inverse_mass[row, c] * model.force[0, column, c] * state.z[column])
+        work.member[count] = i
+        work.sign[count] = _sign(state.mode[i])
+        work.right[count] = work.sign[count] * (-model.gravity - free)
+        work.before[count] = size
+        count += 1
+    contact_matrix(model, work, count)
+    complementarity(work, count)
+    for a in range(count):
+        if work.pressure[a] == 0.0:
+            acceleration = work.right[a]
+            for b in range(count):
+                acceleration += work.matrix[a, b] * work.pressure[b]
+            if acceleration > ROUNDING * work.before[a]:
+                separate(flow, model, state, log, segment, offset, work.member[a], 2)
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def release_tensile(flow, model, state, log, segment, offset, work):
+    """Let go of every riding damper whose contact would have to pull; zero within rounding is left to the step."""
+    _forces(model, state, work.force)
+    if model.coupled:
+        _release_together(flow, model, state, log, segment, offset, work)
+    else:
+        _release_alone(flow, model, state, log, segment, offset, work)
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def impact(flow, model, state, log, segment, offset, j, wall, work):
+    """Damper j meets a wall; velocities jump, and every contact of the instant is decided anew."""
+    _forces(model, state, work.force)
+    if model.coupled:
+        _impact_together(flow, model, state, log, segment, offset, j, wall, work)
+    else:
+        _impact_alone(flow, model, state, log, segment, offset, j, wall, work)
+    release_tensile(flow, model, state, log, segment, offset, work)
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def open_break(state, log, segment, offset):
+    """Keep the state before the contacts change."""
+    row = log.count[1]
+    log.break_segment[row] = segment
+    log.break_offset[row] = offset
+    log.configuration[row, 0] = state.counters[CONFIGURATION]
+    for i in range(state.z.shape[0]):
+        log.before[row, i] = state.z[i]
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def close_break(state, log):
+    """Keep the state after the contacts have changed."""
+    row = log.count[1]
+    log.configuration[row, 1] = state.counters[CONFIGURATION]
+    for i in range(state.z.shape[0]):
+        log.after[row, i] = state.z[i]
+    log.count[1] = row + 1

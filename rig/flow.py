@@ -1,0 +1,234 @@
+"""Tables of the exact flow, one set per contact configuration, made when a configuration is first visited.
+
+The configuration says which dampers ride. With the drive included as states, z' = A z + b, and
+
+    z(t + tau h) = sum_k tau^k (A h)^k / k! z + ...
+
+converges to rounding at degree `rig.polynomial.DEGREE` because the step is chosen so that h times the fastest
+rate of the system is at most `REACH`. No eigenvectors are formed and no particular solution is subtracted:
+repeated, zero and critically damped eigenvalues, and a drive at exact resonance, are cases like any other.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rig.lanes import padded
+from rig.polynomial import LENGTH
+from rig.system import Drive, System
+
+#: Step length times the fastest rate; 0.7^16 / 16! is below the rounding of float64.
+REACH = 0.7
+#: The matrix exponential itself is summed further than the series that guards use.
+TERMS = 30
+#: Above this size extended precision is too slow for its benefit.
+EXTENDED_UP_TO = 48
+
+
+class Flow(NamedTuple):
+    """Tables by slot; matrices are stored [column, row] with padded rows.
+
+    propagate: z over a full step. series: (A h)^k / k! for every k, in rows. guard: position (flight) or acceleration (riding) of
+    each damper's body. bound: times |z|, bounds h^2/8 times the guard's second derivative over the step.
+    acceleration: of every coordinate. neighbour[slot, j]: slot with damper j toggled, or -1.
+    """
+
+    propagate: np.ndarray
+    propagate_constant: np.ndarray
+    series: np.ndarray
+    series_constant: np.ndarray
+    guard: np.ndarray
+    guard_constant: np.ndarray
+    bound: np.ndarray
+    bound_constant: np.ndarray
+    acceleration: np.ndarray
+    acceleration_constant: np.ndarray
+    neighbour: np.ndarray
+
+
+class Model(NamedTuple):
+    """Constants of a system that the contact laws and the guards need."""
+
+    gravity: float
+    step: float
+    mass: np.ndarray
+    clearance: np.ndarray
+    restitution: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    first_velocity: int
+    inverse_mass: np.ndarray
+    force: np.ndarray
+    force_constant: np.ndarray
+    coupled: bool
+
+
+class FlowTables:
+    """The flow of one system under one kind of drive, for as many configurations as have been visited.
+
+    Parameters
+    ----------
+    system : System
+        The compiled scene.
+    drive : Drive
+        How the inputs evolve inside a segment.
+    step : float
+        Step length h in seconds.
+    """
+
+    def __init__(self, system: System, drive: Drive, step: float) -> None:
+        self.system = system
+        self.drive = drive
+        self.step = step
+        self.size = system.states + drive.states
+        self.slots: dict[int, int] = {}
+        self._precision = np.longdouble if self.size <= EXTENDED_UP_TO else np.float64
+        self.model = self._model()
+        self.flow = self._empty(4)
+
+    def slot(self, configuration: int) -> int:
+        """Slot of a configuration (bit j set: damper j rides), made now if it is new."""
+        known = self.slots.get(configuration)
+        if known is not None:
+            return known
+        slot = len(self.slots)
+        if slot == self.flow.propagate.shape[0]:
+            self._grow()
+        self.slots[configuration] = slot
+        self._fill(slot, configuration)
+        return slot
+
+    def generator(self, configuration: int) -> tuple[np.ndarray, np.ndarray]:
+        """Matrix A (size, size) and vector b (size,) of z' = A z + b in one configuration."""
+        system, drive = self.system, self.drive
+        nq, ns = system.coordinates, system.states
+        kind = self._precision
+        riding = [j for j in range(system.dampers) if configuration >> j & 1]
+        mass = system.mass.astype(kind)
+        constant = system.force_constant.astype(kind)
+        for j in riding:
+            row = system.damper_coordinate[j]
+            mass[row, row] += system.damper_mass[j]
+            constant[row] -= kind(system.damper_mass[j]) * kind(system.gravity)
+        matrix = np.zeros((self.size, self.size), dtype=kind)
+        offset = np.zeros(self.size, dtype=kind)
+        matrix[:nq, nq : 2 * nq] = np.eye(nq, dtype=kind)
+        force = np.zeros((nq, self.size), dtype=kind)
+        force[:, :ns] = system.force_state
+        force[:, ns:] = system.force_drive.astype(kind) @ drive.output.astype(kind)
+        matrix[nq : 2 * nq] = _solve(mass, force)
+        offset[nq : 2 * nq] = _solve(mass, constant[:, None])[:, 0]
+        matrix[2 * nq : ns, :ns] = system.rate_state
+        matrix[2 * nq : ns, ns:] = system.rate_drive.astype(kind) @ drive.output.astype(kind)
+        matrix[ns:, ns:] = drive.generator
+        return matrix, offset
+
+    def _model(self) -> Model:
+        system, drive = self.system, self.drive
+        nq = system.coordinates
+        force = np.zeros((1, self.size, padded(nq)))
+        force[0, : system.states, :nq] = system.force_state.T
+        force[0, system.states :, :nq] = (system.force_drive @ drive.output).T
+        constant = np.zeros((1, padded(nq)))
+        constant[0, :nq] = system.force_constant
+        return Model(
+            gravity=float(system.gravity),
+            step=float(self.step),
+            mass=system.damper_mass.astype(np.float64),
+            clearance=system.clearance.astype(np.float64),
+            restitution=system.restitution.astype(np.float64),
+            position=system.damper_coordinate.astype(np.int64),
+            velocity=system.damper_coordinate.astype(np.int64) + nq,
+            first_velocity=nq,
+            inverse_mass=np.ascontiguousarray(np.linalg.inv(system.mass)),
+            force=force,
+            force_constant=constant,
+            coupled=bool(system.coupled),
+        )
+
+    def _shapes(self) -> dict[str, tuple[int, ...]]:
+        rows, guards, points = padded(self.size), padded(self.system.dampers), padded(self.system.coordinates)
+        shapes: dict[str, tuple[int, ...]] = {}
+        widths = {
+            "propagate": rows,
+            "series": (LENGTH + 1) * rows,
+            "guard": guards,
+            "bound": guards,
+            "acceleration": points,
+        }
+        for name, width in widths.items():
+            shapes[name] = (self.size, width)
+            shapes[f"{name}_constant"] = (width,)
+        return shapes
+
+    def _empty(self, capacity: int) -> Flow:
+        arrays = {name: np.zeros((capacity, *shape)) for name, shape in self._shapes().items()}
+        return Flow(**arrays, neighbour=np.full((capacity, max(1, self.system.dampers)), -1, dtype=np.int64))
+
+    def _grow(self) -> None:
+        old = self.flow
+        self.flow = self._empty(2 * old.propagate.shape[0])
+        for before, after in zip(old, self.flow, strict=True):
+            after[: before.shape[0]] = before
+
+    def _fill(self, slot: int, configuration: int) -> None:
+        flow, system, size = self.flow, self.system, self.size
+        matrix, offset = self.generator(configuration)
+        nq = system.coordinates
+        h = self._precision(self.step)
+        terms = np.empty((TERMS, size, size), dtype=self._precision)
+        constants = np.zeros((TERMS, size), dtype=self._precision)
+        terms[0] = np.eye(size, dtype=self._precision)
+        scaled = matrix * h
+        for k in range(1, TERMS):
+            terms[k] = scaled @ terms[k - 1] / k
+            constants[k] = terms[k - 1] @ offset * h / k
+        rows = slice(0, size)
+        # Small terms first, so that the sum keeps its last bits.
+        flow.propagate[slot][:, rows] = terms[::-1].sum(axis=0).T
+        flow.propagate_constant[slot][rows] = constants[::-1].sum(axis=0)
+        series = flow.series[slot].reshape(size, LENGTH + 1, -1)
+        series[:, :, rows] = terms[: LENGTH + 1].transpose(2, 0, 1)
+        flow.series_constant[slot].reshape(LENGTH + 1, -1)[:, rows] = constants[: LENGTH + 1]
+        flow.acceleration[slot][:, :nq] = matrix[nq : 2 * nq].T
+        flow.acceleration_constant[slot][:nq] = offset[nq : 2 * nq]
+        k = np.arange(TERMS)
+        for j in range(system.dampers):
+            row = int(system.damper_coordinate[j])
+            if configuration >> j & 1:
+                flow.guard[slot][:, j] = matrix[nq + row]
+                flow.guard_constant[slot][j] = offset[nq + row]
+                # The acceleration's series: (k + 1) terms[k + 1] / h.
+                weight = (k * (k - 1) * (k - 2))[:, None] / (8 * h)
+                used, used_constant = terms[:, nq + row], constants[:, nq + row]
+            else:
+                flow.guard[slot][row, j] = 1.0
+                weight = (k * (k - 1))[:, None] / 8
+                used, used_constant = terms[:, row], constants[:, row]
+            flow.bound[slot][:, j] = (weight * np.abs(used)).sum(axis=0)
+            flow.bound_constant[slot][j] = (weight[:, 0] * np.abs(used_constant)).sum()
+            if not configuration >> j & 1:
+                flow.bound_constant[slot][j] += system.gravity * self.step**2 / 8
+        for j in range(system.dampers):
+            other = self.slots.get(configuration ^ (1 << j))
+            if other is not None:
+                flow.neighbour[slot, j] = other
+                flow.neighbour[other, j] = slot
+
+
+def _solve(mass: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solve mass x = right in the precision of the arguments (LAPACK has no extended precision)."""
+    matrix = mass.copy()
+    result = right.copy()
+    count = matrix.shape[0]
+    for i in range(count):
+        for r in range(i + 1, count):
+            factor = matrix[r, i] / matrix[i, i]
+            if factor != 0:
+                matrix[r, i:] -= factor * matrix[i, i:]
+                result[r] -= factor * result[i]
+    for i in range(count - 1, -1, -1):
+        result[i] = (result[i] - matrix[i, i + 1 :] @ result[i + 1 :]) / matrix[i, i]
+    return result

@@ -1,0 +1,279 @@
+"""The one kernel: it advances a compiled system through flights, rides and impacts.
+
+Between contact changes the state z = (coordinates, velocities, coil current, drive) obeys z' = A z + b exactly,
+with A and b of the contact configuration. A step of length h is a matrix product. Every guard (gap, contact
+force) is proven free of zeros over the step, or its first crossing is isolated and the step ends there:
+
+1. chord test: a guard whose values at both ends exceed h^2/8 times a bound of its second derivative has no
+   zero between them;
+2. otherwise its power series over the step goes through `rig.polynomial.first_crossing`.
+
+Everything is float64 and allocates nothing; the tables come from `rig.flow`, the contact laws from
+`rig.contact`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from rig.complementarity import ContactWork, contact_work
+from rig.contact import (
+    AMBIGUOUS,
+    CEILING,
+    CONFIGURATION,
+    FLIGHT,
+    FLOOR,
+    IN_A_ROW,
+    ROUNDING,
+    SLOT,
+    close_break,
+    impact,
+    open_break,
+    separate,
+)
+from rig.flow import Flow
+from rig.lanes import combine
+from rig.polynomial import BERNSTEIN, DEEPEST, LENGTH, NONE, first_crossing
+
+#: Why the kernel came back.
+DONE, NEED_TABLE, LOG_FULL, STUCK = 0, 1, 2, 3
+#: This many events at one instant, per damper, is no motion of the system any more.
+EVENTS_AT_ONE_INSTANT = 100
+#: Guards of a damper.
+FLOOR_GAP, CEILING_GAP, CONTACT_FORCE = 1, 2, 0
+
+
+class Scratch(NamedTuple):
+    """Work space of one running kernel."""
+
+    new: np.ndarray
+    size: np.ndarray
+    tableau: np.ndarray
+    value: np.ndarray
+    value_new: np.ndarray
+    bound: np.ndarray
+    contact: ContactWork
+    series: np.ndarray
+    work: np.ndarray
+    spans: np.ndarray
+    bernstein: np.ndarray
+
+
+def scratch_for(flow: Flow) -> Scratch:
+    """Allocate the work space for a flow."""
+    rows = flow.propagate.shape[2]
+    guards = flow.guard.shape[2]
+    return Scratch(
+        new=np.zeros(rows),
+        size=np.zeros(rows),
+        tableau=np.zeros((LENGTH + 1, rows)),
+        value=np.zeros(guards),
+        value_new=np.zeros(guards),
+        bound=np.zeros(guards),
+        contact=contact_work(flow.neighbour.shape[1], flow.acceleration.shape[2]),
+        series=np.zeros(LENGTH),
+        work=np.zeros((DEEPEST + 3, LENGTH)),
+        spans=np.zeros((DEEPEST + 3, 2)),
+        bernstein=BERNSTEIN,
+    )
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def _expand(flow, slot, z, tableau):
+    """Power series of the state over one step: tableau[k] = (A h)^k z / k!, with what the constant adds."""
+    combine(flow.series, flow.series_constant, slot, z, flow.guard.shape[1], tableau)
+
+
+@njit(cache=True, _nrt=False, forceinline=True, fastmath={"contract"})
+def _sum_series(tableau, tau, out):
+    """State at the fraction tau of the step."""
+    for r in range(0, out.shape[0], 8):
+        for i in range(r, r + 8):
+            out[i] = tableau[LENGTH, i]
+        for k in range(LENGTH - 1, -1, -1):
+            for i in range(r, r + 8):
+                out[i] = out[i] * tau + tableau[k, i]
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def _examine_flight(model, state, scratch, j, length):
+    """First wall that damper j meets in flight: (fraction of the step, wall, ambiguous)."""
+    series = scratch.series
+    row = model.position[j]
+    flown = model.step * length
+    power = 1.0
+    for k in range(LENGTH):
+        series[k] = -scratch.tableau[k, row] * power
+        power *= length
+    series[0] += state.height[j]
+    series[1] += state.speed[j] * flown
+    series[2] -= 0.5 * model.gravity * flown * flown
+    size = abs(state.height[j]) + abs(state.z[row]) + 8.0 * scratch.bound[j]
+    size += flown * (abs(state.speed[j]) + abs(state.z[model.velocity[j]]))
+    tau, ambiguous = first_crossing(
+        series, max(state.multiplicity[j], 0), ROUNDING * size, scratch.work, scratch.spans, scratch.bernstein
+    )
+    wall = FLOOR_GAP
+    clearance = model.clearance[j]
+    if clearance < np.inf:
+        for k in range(LENGTH):
+            series[k] = -series[k]
+        series[0] += clearance
+        tau_ceiling, more = first_crossing(
+            series,
+            max(-state.multiplicity[j], 0),
+            ROUNDING * (size + clearance),
+            scratch.work,
+            scratch.spans,
+            scratch.bernstein,
+        )
+        ambiguous += more
+        if tau_ceiling < tau:
+            tau = tau_ceiling
+            wall = CEILING_GAP
+    return tau, wall, ambiguous
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def _examine_ride(flow, model, state, scratch, slot, j, length):
+    """First instant at which the contact force of damper j falls through zero: (fraction of the step, ambiguous)."""
+    series = scratch.series
+    row = model.velocity[j]
+    sign = 1.0 if state.mode[j] == FLOOR else -1.0
+    power = sign / model.step
+    for k in range(LENGTH):
+        series[k] = (k + 1) * scratch.tableau[k + 1, row] * power
+        power *= length
+    series[0] += sign * model.gravity
+    size = model.gravity + 8.0 * scratch.bound[j]
+    for c in range(flow.guard.shape[1]):
+        size += abs(flow.guard[slot, c, j] * state.z[c])
+    return first_crossing(series, 0, ROUNDING * size, scratch.work, scratch.spans, scratch.bernstein)
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def _first_event(flow, model, state, scratch, slot, length, duration, expanded):
+    """Earliest event of the step over all guards that fail the chord test.
+
+    Returns (fraction of `length` or NONE, damper, guard, whether the tableau has been filled).
+    """
+    first = NONE
+    which = -1
+    what = 0
+    for j in range(model.mass.shape[0]):
+        bound = scratch.bound[j]
+        mode = state.mode[j]
+        if mode == FLIGHT:
+            fallen = duration * (state.speed[j] - 0.5 * model.gravity * duration)
+            gap = state.height[j] - state.z[model.position[j]]
+            gap_new = state.height[j] + fallen - scratch.new[model.position[j]]
+            low = min(gap, gap_new)
+            room = min(low, model.clearance[j] - max(gap, gap_new))
+        elif mode == FLOOR:
+            room = min(scratch.value[j], scratch.value_new[j]) + model.gravity
+        else:
+            room = -max(scratch.value[j], scratch.value_new[j]) - model.gravity
+        if room > bound:
+            continue
+        if not expanded:
+            _expand(flow, slot, state.z, scratch.tableau)
+            expanded = True
+        if mode == FLIGHT:
+            tau, guard, ambiguous = _examine_flight(model, state, scratch, j, length)
+        else:
+            tau, ambiguous = _examine_ride(flow, model, state, scratch, slot, j, length)
+            guard = CONTACT_FORCE
+        state.counters[AMBIGUOUS] += ambiguous
+        if tau < first:
+            first = tau
+            which = j
+            what = guard
+    return first, which, what, expanded
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def _fly(model, state, duration):
+    """Free flight of every damper in the air; the guards' multiplicities end with a motion of any length."""
+    for j in range(model.mass.shape[0]):
+        if state.mode[j] == FLIGHT:
+            state.height[j] += duration * (state.speed[j] - 0.5 * model.gravity * duration)
+            state.speed[j] -= model.gravity * duration
+        state.multiplicity[j] = 0
+
+
+@njit(cache=True, _nrt=False, fastmath={"contract"})
+def advance(flow, model, state, scratch, log, segment, elapsed, steps):
+    """Advance by `steps` step lengths (a real number), or come back earlier.
+
+    Parameters
+    ----------
+    segment, elapsed : int, float
+        Labels for the log: events get `segment` and their time since `elapsed` = 0, in seconds.
+
+    Returns
+    -------
+    status : int
+        DONE, or NEED_TABLE / LOG_FULL / STUCK: call again with what is left when that is seen to.
+    left : float
+        Steps still to go.
+    """
+    columns = flow.guard.shape[1]
+    left = steps
+    known = False
+    while left > 0.0:
+        slot = state.counters[SLOT]
+        if slot < 0:
+            return NEED_TABLE, left
+        if log.count[0] + 4 * model.mass.shape[0] > log.segment.shape[0] or log.count[1] == log.before.shape[0]:
+            return LOG_FULL, left
+        length = min(left, 1.0)
+        duration = length * model.step
+        expanded = False
+        if length == 1.0:
+            combine(flow.propagate, flow.propagate_constant, slot, state.z, columns, scratch.new)
+        else:
+            _expand(flow, slot, state.z, scratch.tableau)
+            expanded = True
+            _sum_series(scratch.tableau, length, scratch.new)
+        for i in range(scratch.size.shape[0]):
+            scratch.size[i] = abs(state.z[i])
+        if not known:
+            combine(flow.guard, flow.guard_constant, slot, state.z, columns, scratch.value)
+        combine(flow.guard, flow.guard_constant, slot, scratch.new, columns, scratch.value_new)
+        combine(flow.bound, flow.bound_constant, slot, scratch.size, columns, scratch.bound)
+        tau, j, guard, expanded = _first_event(
+            flow, model, state, scratch, slot, length, duration, expanded
+        )
+        if tau == NONE:
+            for i in range(state.z.shape[0]):
+                state.z[i] = scratch.new[i]
+            for i in range(scratch.value.shape[0]):
+                scratch.value[i] = scratch.value_new[i]
+            known = True
+            state.counters[IN_A_ROW] = 0
+            _fly(model, state, duration)
+            left -= length
+            continue
+        known = False
+        if tau > 0.0:
+            _sum_series(scratch.tableau, tau * length, scratch.new)
+            for i in range(state.z.shape[0]):
+                state.z[i] = scratch.new[i]
+            _fly(model, state, tau * duration)
+            left -= tau * length
+            state.counters[IN_A_ROW] = 0
+        else:
+            state.counters[IN_A_ROW] += 1
+            if state.counters[IN_A_ROW] > EVENTS_AT_ONE_INSTANT * model.mass.shape[0]:
+                return STUCK, left
+        offset = elapsed + (steps - left) * model.step
+        open_break(state, log, segment, offset)
+        if guard == CONTACT_FORCE:
+            separate(flow, model, state, log, segment, offset, j, 3)
+        else:
+            impact(flow, model, state, log, segment, offset, j, guard, scratch.contact)
+        close_break(state, log)
+    return DONE, 0.0

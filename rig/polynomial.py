@@ -1,0 +1,177 @@
+"""First downward crossing of a guard, isolated in Bernstein form so that no root can be stepped over.
+
+A guard (gap, contact force) is, over one step, a power series in tau = t/h that has converged to rounding at
+degree `DEGREE`. Its Bernstein coefficients on an interval bound it from below and above there; repeated
+halving from the left either proves an interval free of zeros or ends at the first one.
+
+References
+----------
+Farouki, R. T., "The Bernstein polynomial basis: a centennial retrospective", Computer Aided Geometric
+Design 29 (2012) 379-419: conversion, subdivision, and the variation-diminishing property used here.
+"""
+
+from __future__ import annotations
+
+from math import comb
+
+import numpy as np
+from numba import njit
+
+from rig.lanes import combine
+
+DEGREE = 15
+LENGTH = DEGREE + 1
+#: Intervals are halved at most this often; by then they are shorter than the rounding of tau.
+DEEPEST = 56
+NONE = 2.0
+
+
+def _bernstein_matrices() -> np.ndarray:
+    """Power to Bernstein basis on [0, 1] after division by tau^start, stored [start, power, coefficient]."""
+    matrices = np.zeros((LENGTH, LENGTH, LENGTH))
+    for start in range(LENGTH):
+        degree = DEGREE - start
+        for i in range(degree + 1):
+            for k in range(i + 1):
+                matrices[start, start + k, i] = comb(i, k) / comb(degree, k)
+    return matrices
+
+
+BERNSTEIN = _bernstein_matrices()
+ZEROS = np.zeros((LENGTH, LENGTH))
+
+
+@njit(cache=True, _nrt=False, fastmath={"contract"})
+def to_bernstein(series, start, out, bernstein):
+    """Bernstein coefficients of series[start:] (degree DEGREE - start) into out; the lowest is returned."""
+    degree = DEGREE - start
+    combine(bernstein, ZEROS, start, series, LENGTH, out)
+    lowest = out[0]
+    for i in range(1, degree + 1):
+        lowest = min(lowest, out[i])
+    return lowest
+
+
+@njit(cache=True, _nrt=False)
+def _value_and_slope(series, start, tau):
+    value = series[DEGREE]
+    slope = 0.0
+    for k in range(DEGREE - 1, start - 1, -1):
+        slope = slope * tau + value
+        value = value * tau + series[k]
+    return value, slope
+
+
+@njit(cache=True, _nrt=False)
+def _polish(series, start, left, right):
+    """Newton inside a bracket that holds exactly one root (positive at left, negative at right)."""
+    tau = 0.5 * (left + right)
+    for _ in range(60):
+        value, slope = _value_and_slope(series, start, tau)
+        if value > 0.0:
+            left = tau
+        elif value < 0.0:
+            right = tau
+        else:
+            return tau
+        following = tau - value / slope if slope != 0.0 else 0.5 * (left + right)
+        if not (left < following < right):
+            following = 0.5 * (left + right)
+        if abs(following - tau) <= 2e-16 * max(tau, 1e-3 * right):
+            return following
+        tau = following
+    return tau
+
+
+@njit(cache=True, _nrt=False)
+def _changes(coefficients, degree):
+    """Sign changes in a coefficient sequence, zeros ignored."""
+    changes = 0
+    last = coefficients[0]
+    for i in range(1, degree + 1):
+        if coefficients[i] != 0.0:
+            if (coefficients[i] < 0.0) != (last < 0.0) and last != 0.0:
+                changes += 1
+            last = coefficients[i]
+    return changes
+
+
+@njit(cache=True, _nrt=False)
+def _split(work, level, degree):
+    """De Casteljau at the middle: the right half stays in work[level], the left half goes to work[level + 1]."""
+    right = work[level]
+    left = work[level + 1]
+    left[0] = right[0]
+    for i in range(1, degree + 1):
+        for k in range(degree - i + 1):
+            right[k] = 0.5 * (right[k] + right[k + 1])
+        left[i] = right[0]
+    # The triangle leaves right[k] = b_k^(degree - k), which is the k-th coefficient of the right half.
+
+
+@njit(cache=True, _nrt=False)
+def first_crossing(series, start, allowance, work, spans, bernstein):
+    """Find where a guard first falls below zero on (0, 1].
+
+    Parameters
+    ----------
+    series : float64 (LENGTH,)
+        Power-series coefficients in tau of a guard that should stay positive.
+    start : int
+        Number of leading coefficients known to be exactly zero (multiplicity of the root at tau = 0).
+    allowance : float
+        Rounding of the guard: what lies within it cannot be told from zero.
+    work : float64 (DEEPEST + 3, LENGTH), spans : float64 (DEEPEST + 3, 2)
+        Scratch space.
+    bernstein : float64
+        The conversion matrices `BERNSTEIN`.
+
+    Returns
+    -------
+    tau : float
+        The crossing; 0 when the guard is at zero within rounding and falling; `NONE` when there is none.
+    ambiguous : int
+        Number of dips whose depth lies within the allowance; they are decided as no event.
+    """
+    while start < LENGTH and abs(series[start]) <= allowance:
+        start += 1
+    if start == LENGTH:
+        return NONE, 0
+    if series[start] < 0.0:
+        return 0.0, 0
+    degree = DEGREE - start
+    if to_bernstein(series, start, work[0], bernstein) > allowance:
+        return NONE, 0
+    ambiguous = 0
+    spans[0, 0] = 0.0
+    spans[0, 1] = 1.0
+    level = 0
+    while level >= 0:
+        coefficients = work[level]
+        left = spans[level, 0]
+        right = spans[level, 1]
+        lowest = coefficients[0]
+        for i in range(1, degree + 1):
+            lowest = min(lowest, coefficients[i])
+        if lowest > allowance:
+            level -= 1
+            continue
+        # A dip of the deflated guard counts when it is one of the guard itself, tau^start times larger.
+        rounding = allowance / right**start
+        falls = coefficients[degree] < -rounding
+        if falls and coefficients[0] > allowance and _changes(coefficients, degree) == 1:
+            return _polish(series, start, left, right), ambiguous
+        if level >= DEEPEST or right - left < 1e-15 * max(right, 1e-3):
+            if falls:
+                return left, ambiguous
+            if right < 1.0:
+                ambiguous += 1
+            level -= 1
+            continue
+        middle = 0.5 * (left + right)
+        _split(work, level, degree)
+        spans[level, 0] = middle
+        spans[level + 1, 0] = left
+        spans[level + 1, 1] = middle
+        level += 1
+    return NONE, ambiguous

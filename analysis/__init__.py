@@ -6,7 +6,8 @@ from importlib import import_module
 from typing import Any
 
 # Each public name and the module it lives in; a module is imported when one of its names is first used, so
-# that `import analysis` stays quick (numba alone takes longer to import than a whole impulse test takes to run).
+# that `import analysis` stays quick (numba alone takes longer to import than a whole impulse test takes to
+# run).
 _HOME: dict[str, str] = {}
 
 __all__ = sorted(_HOME)

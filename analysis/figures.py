@@ -1,0 +1,108 @@
+"""The look that all figures share, and how they are saved: the same input gives the same bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rig.errors import RunError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Colours that remain apart for every kind of colour blindness (Okabe and Ito's set, the darker ones first).
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#555555", "#000000")
+WIDTH_INCH = 7.2
+
+_STYLE: Any = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "axes.titlesize": 10.0,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 9.0,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "grid.color": "#d9d9d9",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.3,
+    "lines.markersize": 2.6,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "svg.hashsalt": "shotrig",
+    "svg.fonttype": "none",
+    "path.simplify": True,
+}
+
+
+@contextmanager
+def drawing(height: float, width: float = WIDTH_INCH) -> Iterator[Figure]:
+    """Give an empty figure in the common style; draw on it inside the `with`."""
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=(width, height), layout="constrained")
+        FigureCanvasAgg(figure)
+        yield figure
+
+
+def save(figure: Figure, stem: Path) -> list[Path]:
+    """Write `stem`.png and `stem`.svg, without dates or versions inside, and name them."""
+    import matplotlib
+
+    png, svg = stem.with_name(stem.name + ".png"), stem.with_name(stem.name + ".svg")
+    try:
+        stem.parent.mkdir(parents=True, exist_ok=True)
+        with matplotlib.rc_context(_STYLE):
+            figure.savefig(png, dpi=150, metadata={"Software": None})
+            figure.savefig(svg, metadata={"Date": None, "Creator": None})
+    except OSError as error:
+        raise RunError(
+            f"cannot write {png.parent}: {error.strerror}; choose another place with --output"
+        ) from None
+    return [png, svg]
+
+
+def colour(index: int) -> str:
+    """Colour of the curve with this index."""
+    return COLOURS[index % len(COLOURS)]
+
+
+def frequency_axis(axes: Axes, low: float, high: float, labelled: bool) -> None:
+    """Logarithmic frequency axis whose ticks read as plain numbers."""
+    from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
+
+    axes.set_xscale("log")
+    axes.set_xlim(low, high)
+    wide = high / low > 30.0
+    digits = (1, 2, 5) if wide else (1, 1.5, 2, 3, 4, 5, 6, 8)
+    ticks = [d * 10.0**e for e in range(-3, 6) for d in digits if low <= d * 10.0**e <= high]
+    axes.xaxis.set_major_locator(FixedLocator(ticks))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    if labelled:
+        axes.set_xlabel("frequency / Hz")
+    else:
+        axes.tick_params(labelbottom=False)
+
+
+def decades(axes: Axes, values: Any, most: float = 6.0, least: float = 1.0) -> None:
+    """Logarithmic vertical axis around positive values, at most so many decades deep."""
+    import numpy as np
+
+    values = np.concatenate([np.ravel(v) for v in values])
+    values = values[np.isfinite(values) & (values > 0)]
+    axes.set_yscale("log")
+    if values.size:
+        high = values.max() * 1.6
+        low = max(values.min() / 1.6, high / 10.0**most)
+        axes.set_ylim(min(low, high / 10.0**least), high)

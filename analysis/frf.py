@@ -1,0 +1,132 @@
+"""A measured frequency response: values, error bars, coherence, and its conversions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from rig.errors import SceneError
+
+MOTIONS = ("displacement", "velocity", "acceleration")
+_NAMES = {
+    ("displacement", "force"): ("receptance", "m/N"),
+    ("velocity", "force"): ("mobility", "m/(N s)"),
+    ("acceleration", "force"): ("accelerance", "m/(N s²)"),
+    ("displacement", "table"): ("transmissibility", "m/m"),
+    ("velocity", "table"): ("velocity per table displacement", "1/s"),
+    ("acceleration", "table"): ("acceleration per table displacement", "1/s²"),
+}
+
+
+@dataclass(frozen=True)
+class Frf:
+    """Frequency response of one channel, as measured.
+
+    Attributes
+    ----------
+    frequency : ndarray, shape (n,)
+        Hz, in the order in which the points were measured.
+    value : ndarray of complex, shape (n,)
+        Response / reference for motion Re(X e^{iwt}): a lagging response has a negative phase.
+    error : ndarray, shape (n,)
+        Standard deviation of ``abs(value)``, and of either quadrature component; NaN where one average alone
+        gives no scatter to tell it from.
+    coherence : ndarray, shape (n,)
+        Share of the response that repeats with the reference, 0 to 1.
+    degrees : ndarray, shape (n,)
+        Degrees of freedom behind `error` (two for each complex average beyond the mean).
+    response, reference : str
+        Channel of the response; ``"force"`` or ``"table"``.
+    motion : str
+        ``"displacement"``, ``"velocity"`` or ``"acceleration"`` of the response.
+    label : str
+        Scene and setting, for legends.
+    resolution : float
+        Width in Hz over which leakage smears each point: 0 for steady tones, the window's for random.
+    shift : float
+        Decay rate in 1/s that an exponential window added to every mode: the curve is H along s = i w +
+        shift.
+    warnings : tuple of str
+        What a reader of the curve must know, in full sentences.
+    """
+
+    frequency: NDArray[np.float64]
+    value: NDArray[np.complex128]
+    error: NDArray[np.float64]
+    coherence: NDArray[np.float64]
+    degrees: NDArray[np.float64]
+    response: str
+    reference: str = "force"
+    motion: str = "displacement"
+    label: str = ""
+    resolution: float = 0.0
+    shift: float = 0.0
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Name of the ratio: receptance, mobility, accelerance, transmissibility."""
+        return _NAMES[self.motion, self.reference][0]
+
+    @property
+    def unit(self) -> str:
+        """Unit of `value` and `error`."""
+        return _NAMES[self.motion, self.reference][1]
+
+    def to(self, motion: str) -> Frf:
+        """Express the same measurement as displacement, velocity or acceleration per reference.
+
+        Examples
+        --------
+        >>> one = np.ones(1)
+        >>> frf = Frf(one * 10, one * 1e-3j, one * 1e-6, one, one * 38, "body3")
+        >>> frf.to("velocity").name, round(frf.to("velocity").value[0].real, 6)
+        ('mobility', -0.062832)
+        """
+        if motion not in MOTIONS:
+            raise SceneError(f"unknown motion {motion!r}: expected {', '.join(MOTIONS)}")
+        factor = (2j * np.pi * self.frequency) ** (MOTIONS.index(motion) - MOTIONS.index(self.motion))
+        return replace(self, value=self.value * factor, error=self.error * abs(factor), motion=motion)
+
+    def bound(self, confidence: float = 0.95) -> NDArray[np.float64]:
+        """Radius of the circle in the complex plane that holds the true value with the given confidence.
+
+        A complex mean with equal, independent errors in its two components is F-distributed about the
+        truth with 2 and `degrees` degrees of freedom [1]_.
+
+        References
+        ----------
+        .. [1] J. S. Bendat, A. G. Piersol, Random Data, 4th ed., Wiley 2010, section 9.2.
+        """
+        return self.error * np.sqrt(2.0 * stats.f.ppf(confidence, 2.0, np.maximum(self.degrees, 1.0)))
+
+    def band(self, confidence: float = 0.95) -> NDArray[np.float64]:
+        """Half-width of the confidence interval of ``abs(value)``, from Student's t."""
+        return self.error * stats.t.ppf(0.5 + confidence / 2.0, np.maximum(self.degrees, 1.0))
+
+    def sorted(self) -> Frf:
+        """Return the same curve with rising frequency."""
+        order = np.argsort(self.frequency, kind="stable")
+        return replace(
+            self,
+            frequency=self.frequency[order],
+            value=self.value[order],
+            error=self.error[order],
+            coherence=self.coherence[order],
+            degrees=self.degrees[order],
+        )
+
+    def between(self, low: float, high: float) -> Frf:
+        """Keep the points from `low` to `high` in Hz."""
+        keep = (self.frequency >= low) & (self.frequency <= high)
+        return replace(
+            self,
+            frequency=self.frequency[keep],
+            value=self.value[keep],
+            error=self.error[keep],
+            coherence=self.coherence[keep],
+            degrees=self.degrees[keep],
+        )

@@ -1,0 +1,135 @@
+"""Impact test: frequency responses from hits with a force-measuring hammer."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, signal
+
+from analysis.estimators import Averages
+from analysis.ringdown import hits
+from rig.errors import RecordingError
+
+if TYPE_CHECKING:
+    from daq.recording import Recording
+
+Array = NDArray[np.float64]
+
+# What precedes the hit in a block, s; and the part of a response that may be left at a block's end
+# unwindowed.
+PRETRIGGER = 0.02
+_LEFT_OVER = 0.01
+# A rebound is a second peak of at least this part of the first.
+REBOUND = 0.1
+
+
+def rebounds(force: Array, rate: float) -> int:
+    """Count the hits beyond the first in a force signal: peaks above a tenth of the largest, 1 ms apart.
+
+    Examples
+    --------
+    >>> pulse = np.sin(np.linspace(0.0, np.pi, 20))
+    >>> rebounds(np.concatenate([np.zeros(50), pulse, np.zeros(80), 0.3 * pulse, np.zeros(50)]), 5120.0)
+    1
+    """
+    highest = float(force.max())
+    edges = np.concatenate([[0.0], force, [0.0]])
+    peaks, _ = signal.find_peaks(
+        edges, height=REBOUND * highest, prominence=REBOUND * highest, distance=max(1, int(1e-3 * rate))
+    )
+    return max(len(peaks) - 1, 0)
+
+
+def averages(rec: Recording) -> Averages:
+    """Average the spectra of all clean hits.
+
+    A force window keeps the pulse alone; where a response has not died away at the end of a block, an
+    exponential window takes it and the force down to 1 %, and the decay rate that adds to every mode is
+    kept as `shift`. Hits with a rebound are left out while clean ones remain.
+    """
+    names = list(rec.channels)
+    forces = [i for i, name in enumerate(names) if rec.channels[name].quantity == "force"]
+    if not forces:
+        raise RecordingError(
+            "no force channel: an impact test gives a frequency response only with the hammer recorded; "
+            "add {name: hammer, at: hammer} to the scene's channels, or use `analysis decay`"
+        )
+    marked = hits(rec)
+    pre = int(PRETRIGGER * rec.rate)
+    starts = [max(first - pre, 0) for first, _ in marked]
+    length = int(min(np.diff([*starts, rec.samples])))
+    if length < rec.rate * 0.2:
+        raise RecordingError(
+            f"blocks of {length / rec.rate:.3g} s between hits are too short: test: interval"
+        )
+    blocks, notes = [], []
+    for index, (start, (first, last)) in enumerate(zip(starts, marked, strict=True), 1):
+        block = np.stack([rec.read(name, start, start + length) for name in names])
+        if not np.isfinite(block).all():
+            notes.append(f"Hit {index} left out: samples were lost.")
+            continue
+        quiet = max(first - start, 1)
+        block -= block[:, :quiet].mean(axis=1, keepdims=True)
+        again = rebounds(block[forces[0]], rec.rate)
+        if again:
+            notes.append(f"Hit {index} left out: the hammer hit {again + 1} times.")
+            continue
+        _force_window(block, forces, quiet, last - start, rec.rate)
+        blocks.append(block)
+    if not blocks:
+        raise RecordingError("no clean hit: " + " ".join(notes) + " Hit again, more briefly.")
+    data = np.stack(blocks)
+    shift = _exponential(data, forces, rec.rate)
+    if shift:
+        notes.append(
+            f"Exponential window: {shift:.3g} 1/s were added to the decay of every mode (`modes` takes "
+            "them off)."
+        )
+    spectra = fft.rfft(data, axis=2)
+    frequency = fft.rfftfreq(length, 1.0 / rec.rate)
+    cross = np.einsum("bin,bjn->nij", spectra, spectra.conj()) / len(blocks)
+    power = cross[:, forces[0], forces[0]].real
+    reach = np.flatnonzero(power < 1e-2 * power[: max(2, length // 1000)].max())
+    stop = int(reach[0]) if reach.size else frequency.size
+    keep = slice(max(1, int(np.ceil(length / rec.rate))), min(stop, int(0.4 * length)))
+    if len(blocks) == 1:
+        notes.append("One hit: no coherence and no error bars; repeat the hit (test: repeats).")
+    return Averages(
+        channels=tuple(names),
+        frequency=frequency[keep],
+        cross=cross[keep],
+        averages=float(len(blocks)),
+        resolution=0.0,
+        shift=shift,
+        label=rec.scene.name,
+        warnings=tuple(notes),
+    )
+
+
+def _force_window(block: Array, forces: list[int], begin: int, end: int, rate: float) -> None:
+    """Keep the pulse with a millisecond's slope after it; what follows is noise."""
+    slope = max(2, int(2e-3 * rate))
+    window = np.zeros(block.shape[1])
+    window[: end + 1 + slope] = 1.0
+    tail = np.arange(slope)
+    piece = 0.5 + 0.5 * np.cos(np.pi * (tail + 1) / (slope + 1))
+    stop = min(end + 1 + 2 * slope, window.size)
+    window[end + 1 + slope : stop] = piece[: stop - end - 1 - slope]
+    block[forces] *= window
+
+
+def _exponential(data: Array, forces: list[int], rate: float) -> float:
+    """Window all channels in place where responses ring on; return the decay rate, 1/s."""
+    others = [i for i in range(data.shape[1]) if i not in forces]
+    tail = data[:, others, -max(1, data.shape[2] // 20) :]
+    left = float(
+        np.max(abs(tail).max(axis=(0, 2)) / np.maximum(abs(data[:, others]).max(axis=(0, 2)), 1e-300))
+    )
+    if left < _LEFT_OVER:
+        return 0.0
+    duration = data.shape[2] / rate
+    shift = float(np.log(left / _LEFT_OVER) / duration)
+    data *= np.exp(-shift * np.arange(data.shape[2]) / rate)
+    return shift

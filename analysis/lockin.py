@@ -1,0 +1,168 @@
+"""Lock-in detection: a tone, its harmonics, offset and slope fitted by least squares over whole periods."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Tone:
+    """What a lock-in found in one window.
+
+    Attributes
+    ----------
+    frequency : float
+        Hz.
+    amplitude : ndarray of complex, shape (channels, harmonics)
+        x(t) = offset + slope t + sum_k Re(amplitude[:, k-1] e^{i k w t}), t counted from the window's
+        first sample.
+    parts : ndarray of complex, shape (parts, channels)
+        The fundamental of each part of the window; their scatter gives the error of `amplitude`.
+    residual : ndarray, shape (channels,)
+        Root mean square of what the fit leaves.
+    """
+
+    frequency: float
+    amplitude: ComplexArray
+    parts: ComplexArray
+    residual: Array
+
+    def covariance(self) -> ComplexArray:
+        """Covariance of the fundamentals, shape (channels, channels), from the scatter of the parts."""
+        count = len(self.parts)
+        if count < 2:
+            return np.full((self.parts.shape[1],) * 2, np.nan, dtype=complex)
+        scatter = self.parts - self.parts.mean(axis=0)
+        return scatter.T @ scatter.conj() / ((count - 1) * count)
+
+    def distortion(self) -> Array:
+        """Total harmonic distortion of each channel: harmonics' root sum of squares over the fundamental."""
+        size = abs(self.amplitude)
+        return np.sqrt((size[:, 1:] ** 2).sum(axis=1)) / size[:, 0]
+
+
+class LockIn:
+    """Lock-in on one frequency, fed part by part.
+
+    All parts are fitted together, and each part's deviation from the fit is kept for the scatter; nothing
+    but the normal equations is stored, so a window of any length costs the same memory.
+
+    Parameters
+    ----------
+    frequency, rate : float
+        Hz.
+    harmonics : int
+        Highest harmonic of the fit, the fundamental included.
+
+    Examples
+    --------
+    >>> t = np.arange(4000) / 5120.0
+    >>> lockin = LockIn(10.0, 5120.0, harmonics=3)
+    >>> for part in np.split(2.0 * np.cos(2 * np.pi * 10.0 * t - 0.5)[None] + 7.0, 4, axis=1):
+    ...     lockin.add(part)
+    >>> tone = lockin.tone()
+    >>> complex(np.round(tone.amplitude[0, 0] * np.exp(0.5j), 9))
+    (2+0j)
+    """
+
+    def __init__(self, frequency: float, rate: float, harmonics: int) -> None:
+        self.frequency = frequency
+        self.rate = rate
+        self.harmonics = harmonics
+        self._basis: dict[int, tuple[Array, Array]] = {}
+        self._parts: list[tuple[int, int, Array]] = []
+        self._squares: list[Array] = []
+        self._samples = 0
+
+    def add(self, samples: Array) -> None:
+        """Take the next part of the window, shape (channels, samples); parts follow without a gap."""
+        length = samples.shape[1]
+        basis, _ = self._of_length(length)
+        self._parts.append((self._samples, length, basis @ samples.T))
+        self._squares.append(np.einsum("ij,ij->i", samples, samples))
+        self._samples += length
+
+    def tone(self) -> Tone:
+        """Solve for the amplitudes over all parts added so far."""
+        size = 2 * self.harmonics + 2
+        channels = self._parts[0][2].shape[1]
+        normal, right = np.zeros((size, size)), np.zeros((size, channels))
+        to_local = [self._to_local(first, length) for first, length, _ in self._parts]
+        for matrix, (_, length, projection) in zip(to_local, self._parts, strict=True):
+            normal += matrix.T @ self._of_length(length)[1] @ matrix
+            right += matrix.T @ projection
+        solution = linalg.solve(normal, right, assume_a="pos")
+        amplitude = (solution[2::2] + 1j * solution[3::2]).T
+        parts = np.empty((len(self._parts), channels), dtype=complex)
+        for row, (matrix, (first, length, projection)) in enumerate(zip(to_local, self._parts, strict=True)):
+            # A part's own offset and slope would be nearly collinear with its tone, and its scatter too
+            # large: the part answers only for what the common offset, slope and tones leave over.
+            gram = self._of_length(length)[1]
+            left_over = (projection - gram @ (matrix @ solution))[2:]
+            local = linalg.solve(gram[2:, 2:], left_over, assume_a="pos")
+            turn = np.exp(-2j * np.pi * np.fmod(self.frequency * first / self.rate, 1.0))
+            parts[row] = amplitude[:, 0] + (local[0] + 1j * local[1]) * turn
+        left = np.sum(self._squares, axis=0) - np.einsum("ij,ij->j", solution, right)
+        degrees = max(self._samples - size, 1)
+        residual = np.sqrt(np.maximum(left, 0.0) / degrees)
+        return Tone(self.frequency, amplitude, parts, residual)
+
+    def _of_length(self, length: int) -> tuple[Array, Array]:
+        """Rows 1, slope, cos k, -sin k of a part and their Gram matrix; parts differ by a sample at most."""
+        if length not in self._basis:
+            turn = np.exp(2j * np.pi * self.frequency / self.rate * np.arange(length))
+            basis = np.empty((2 * self.harmonics + 2, length))
+            basis[0] = 1.0
+            basis[1] = np.linspace(-1.0, 1.0, length)
+            power = np.ones(length, dtype=complex)
+            for k in range(self.harmonics):
+                power = power * turn
+                basis[2 + 2 * k] = power.real
+                basis[3 + 2 * k] = -power.imag
+            self._basis[length] = basis, basis @ basis.T
+        return self._basis[length]
+
+    def _to_local(self, first: int, length: int) -> Array:
+        """Matrix from the coefficients of the whole window to those of a part from sample `first` on."""
+        matrix = np.zeros((2 * self.harmonics + 2,) * 2)
+        # The window's slope runs from 0 by 1 for all its samples; a part's runs from -1 to 1.
+        matrix[0, 0] = 1.0
+        matrix[0, 1] = (first + (length - 1) / 2) / self._samples
+        matrix[1, 1] = (length - 1) / 2 / self._samples
+        for k in range(self.harmonics):
+            angle = 2 * np.pi * np.fmod((k + 1) * self.frequency * first / self.rate, 1.0)
+            cos, sin = np.cos(angle), np.sin(angle)
+            at = 2 + 2 * k
+            matrix[at : at + 2, at : at + 2] = [[cos, -sin], [sin, cos]]
+        return matrix
+
+
+def parts_of_whole_periods(
+    first: int, last: int, frequency: float, rate: float, most: int = 20
+) -> list[tuple[int, int]]:
+    """Split the window ``[first, last)`` into at most `most` parts of the same whole number of periods each.
+
+    What is left at the end, less than a part, is given up. Bounds are rounded to samples. A window of less
+    than one period is one part.
+
+    Examples
+    --------
+    >>> parts_of_whole_periods(0, 1000, 10.0, 1000.0, most=4)
+    [(0, 200), (200, 400), (400, 600), (600, 800)]
+    """
+    period = rate / frequency
+    periods = int((last - first + 0.5) / period)
+    if periods < 1:
+        return [(first, last)]
+    each = -(-periods // most)
+    count = periods // each
+    edges = [first + round(index * each * period) for index in range(count + 1)]
+    return list(pairwise(edges))

@@ -1,0 +1,181 @@
+"""Free decay after a hit: envelope, energy, modes, and the amplitude at which dampers fall silent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from analysis.correction import corrected
+from analysis.measurands import named, responses
+from analysis.modal_decay import ModalDecay, band_width, modal_decay, spectral_peaks
+from rig.errors import RecordingError, SceneError
+
+if TYPE_CHECKING:
+    from daq.recording import Recording
+
+Array = NDArray[np.float64]
+STANDARD_GRAVITY = 9.80665
+LOWEST_MODE = 2.0
+HIGHEST_MODE = 200.0
+
+
+@dataclass(frozen=True)
+class Decay:
+    """Free decay of one channel after one hit.
+
+    Attributes
+    ----------
+    channel, label : str
+        Channel, and scene for legends.
+    hit : int
+        Which hit, from 1.
+    time : ndarray, shape (n,)
+        s from the beginning of the free decay.
+    acceleration, envelope : ndarray, shape (n,)
+        m/s²; the envelope is the magnitude of the analytic signal (Hilbert).
+    peak_time, peak : ndarray, shape (peaks,)
+        Largest magnitude in every half cycle of the lowest mode: the envelope by peak picking.
+    energy : ndarray, shape (n,)
+        Schroeder integral of the squared acceleration from each instant to the end, dB re its beginning.
+    modes : tuple of ModalDecay
+        Decay of each mode found.
+    gravity : float
+        Below this acceleration amplitude a damper at rest on its floor stays there, m/s².
+    warnings : tuple of str
+        In full sentences.
+    """
+
+    channel: str
+    label: str
+    hit: int
+    time: Array
+    acceleration: Array
+    envelope: Array
+    peak_time: Array
+    peak: Array
+    energy: Array
+    modes: tuple[ModalDecay, ...]
+    gravity: float
+    warnings: tuple[str, ...]
+
+    def time_below(self, amplitude: float) -> float:
+        """Time in s from which the acceleration stays below an amplitude; NaN when it never does."""
+        above = np.flatnonzero(abs(self.acceleration) >= amplitude)
+        if not above.size:
+            return 0.0
+        return float(self.time[above[-1]]) if above[-1] + 1 < self.time.size else float("nan")
+
+    @property
+    def quiet_from(self) -> float:
+        """Time in s from which the acceleration stays below gravity: no damper on this body moves."""
+        return self.time_below(self.gravity)
+
+    @property
+    def halving(self) -> float:
+        """Time in s in which the energy falls by 6 dB, fitted to its curve between -1 and -21 dB."""
+        inside = (self.energy <= -1.0) & (self.energy >= -21.0)
+        if np.sum(inside) < 8:
+            return float("nan")
+        return float(-20.0 * np.log10(2.0) / np.polyfit(self.time[inside], self.energy[inside], 1)[0])
+
+
+def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int | None = None) -> Decay:
+    """Free decay of a channel's acceleration after a hit.
+
+    Parameters
+    ----------
+    rec : daq.recording.Recording
+        An impulse test or a free decay.
+    channel : str, optional
+        Channel; omitted, the last body's.
+    hit : int
+        Which hit, from 1.
+    modes : int, optional
+        How many modes to look for; omitted, as many as the structure has bodies.
+
+    Returns
+    -------
+    Decay
+    """
+    names = responses(rec)
+    if not names:
+        raise RecordingError("no channel on a body: a decay needs at least one motion channel")
+    info = named(rec, channel if channel is not None else names[-1])
+    before, begin, stop, notes = _stretch(rec, hit)
+    samples = rec.read(info.name, before, stop)
+    lost = ~np.isfinite(samples)
+    if lost.any():
+        if lost.mean() > 0.01:
+            raise RecordingError(
+                f"{lost.mean():.0%} of hit {hit}'s samples are lost: choose another hit or record again"
+            )
+        samples = np.interp(np.arange(samples.size), np.flatnonzero(~lost), samples[~lost])
+        notes.append(f"{int(lost.sum())} lost samples were bridged by straight lines.")
+    most = modes if modes is not None else rec.scene.structure.bodies
+    high = min(0.4 * rec.rate, 4.0 * HIGHEST_MODE)
+    acceleration = corrected(info, samples, "acceleration", LOWEST_MODE, high)
+    free = begin - before
+    found = spectral_peaks(acceleration[free:], rec.rate, most, LOWEST_MODE, min(HIGHEST_MODE, high))
+    parts = tuple(
+        modal_decay(acceleration, rec.rate, float(f), band_width(found, i), free) for i, f in enumerate(found)
+    )
+    if len(parts) < most:
+        notes.append(f"Only {len(parts)} of {most} modes stand out in the decay of {info.name}.")
+    shown = acceleration[free:]
+    envelope = abs(signal.hilbert(acceleration))[free:]
+    cycle = int(rec.rate / (2.0 * found[0])) if found.size else int(rec.rate / 20.0)
+    where, _ = signal.find_peaks(abs(shown), distance=max(cycle, 1))
+    power = np.cumsum(shown[::-1] ** 2)[::-1]
+    return Decay(
+        channel=info.name,
+        label=rec.scene.name,
+        hit=hit,
+        time=np.arange(shown.size) / rec.rate,
+        acceleration=shown,
+        envelope=envelope,
+        peak_time=where / rec.rate,
+        peak=abs(shown)[where],
+        energy=10.0 * np.log10(np.maximum(power / power[0], 1e-300)),
+        modes=parts,
+        gravity=rec.scene.gravity or STANDARD_GRAVITY,
+        warnings=tuple(notes),
+    )
+
+
+def hits(rec: Recording) -> list[tuple[int, int]]:
+    """First and last sample of every hit; a free decay counts as one hit of no length at its start."""
+    marked = sorted((m.first_sample, m.last_sample) for m in rec.markers if m.kind == "hit")
+    if marked:
+        return [(int(first), int(last if last is not None else first)) for first, last in marked]
+    test = rec.scene.test
+    if test is not None and test.kind == "free":
+        return [(0, 0)]
+    kind = "no test" if test is None else f"a test of kind {test.kind}"
+    raise RecordingError(
+        f"no free decay in this recording: it holds {kind} and no hit is marked; "
+        "record a scene with test: {kind: impulse, ...} or {kind: free, ...}"
+    )
+
+
+def _stretch(rec: Recording, hit: int) -> tuple[int, int, int, list[str]]:
+    """Find the samples to read and where the decay begins: (first, begin, stop), and notes."""
+    marked = hits(rec)
+    if not 1 <= hit <= len(marked):
+        raise SceneError(f"hit {hit} of {len(marked)}: the recording holds hits 1 to {len(marked)}")
+    first, last = marked[hit - 1]
+    stop = marked[hit][0] if hit < len(marked) else rec.samples
+    begin = last + 1
+    # Enough before the hit for the band-pass to see the structure at rest.
+    before = max(first - int(0.5 * rec.rate), marked[hit - 2][1] if hit > 1 else 0, 0)
+    length = (stop - begin) / rec.rate
+    if length < 0.5:
+        raise RecordingError(
+            f"only {max(length, 0.0):.3g} s follow hit {hit}: too short for a decay; record at least 0.5 s "
+            "after a hit "
+            "(test: interval)"
+        )
+    return before, begin, stop, []

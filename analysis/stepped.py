@@ -1,0 +1,165 @@
+"""Stepped sine and held tones: lock-in over every window that the test marked as measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.lines import Lines
+from analysis.lockin import LockIn, Tone, parts_of_whole_periods
+from analysis.spans import spans
+from rig.errors import RecordingError
+
+if TYPE_CHECKING:
+    from daq.recording import Recording
+
+HARMONICS = 10
+PARTS = 20
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """One pass through the frequencies at one level.
+
+    Attributes
+    ----------
+    lines : Lines
+        Fundamental of every channel.
+    tones : tuple of Tone
+        Everything the lock-in found, in the same order.
+    level : float
+        Level that the test asked for: amplitude of the force, or of the drive.
+    direction : str
+        ``"up"`` or ``"down"``.
+    windows : ndarray of int, shape (n, 2)
+        First and one-past-last sample of each window.
+    """
+
+    lines: Lines
+    tones: tuple[Tone, ...]
+    level: float
+    direction: str
+    windows: NDArray[np.int64]
+
+    def distortion(self) -> NDArray[np.float64]:
+        """Total harmonic distortion, shape (channels, n), of the channels as recorded."""
+        return np.stack([tone.distortion() for tone in self.tones], axis=1)
+
+
+def sweeps(rec: Recording, progress: Callable[[int, int], None] | None = None) -> list[Sweep]:
+    """Lock in on every window marked ``measure``, and sort them by level and direction.
+
+    Parameters
+    ----------
+    rec : daq.recording.Recording
+        A stepped-sine or sine recording.
+    progress : callable, optional
+        Called with (windows done, windows in all).
+
+    Returns
+    -------
+    list of Sweep
+        In the order in which the test ran them.
+    """
+    markers = sorted(
+        (m for m in rec.markers if m.kind == "measure" and "frequency" in m.fields),
+        key=lambda m: m.first_sample,
+    )
+    names = list(rec.channels)
+    clipped = _clipped(rec)
+    runs: dict[tuple[float, str], list[tuple[Tone, tuple[int, int]]]] = {}
+    notes: dict[tuple[float, str], list[str]] = {}
+    windows = [_window(rec, marker) for marker in markers]
+    parts = [
+        parts_of_whole_periods(first, last, frequency, rec.rate, PARTS) for frequency, first, last in windows
+    ]
+    source = spans(rec, names, (part for group in parts for part in group))
+    for index, (marker, (frequency, first, last), group) in enumerate(
+        zip(markers, windows, parts, strict=True)
+    ):
+        key = _setting(marker)
+        shortest = min(stop - start for start, stop in group)
+        harmonics = int(max(1, min(HARMONICS, 0.45 * rec.rate / frequency, (shortest - 2) // 4)))
+        lockin = LockIn(frequency, rec.rate, harmonics)
+        whole = True
+        for _ in group:
+            samples = next(source)
+            whole = whole and bool(np.isfinite(samples).all())
+            if whole:
+                lockin.add(samples)
+        if progress is not None:
+            progress(index + 1, len(markers))
+        note = notes.setdefault(key, [])
+        if not whole:
+            note.append(f"{frequency:.4g} Hz left out: samples were lost in its window.")
+            continue
+        hit = [name for name in names if _overlaps(clipped.get(name), first, last)]
+        if hit:
+            note.append(
+                f"{frequency:.4g} Hz: {', '.join(hit)} overloaded; lower the level or widen the range."
+            )
+        if marker.fields.get("settled") is False:
+            note.append(
+                f"{frequency:.4g} Hz was measured before the motion had become steady; allow it longer to "
+                "settle."
+            )
+        runs.setdefault(key, []).append((lockin.tone(), (first, last)))
+    if not runs:
+        raise RecordingError(_why_nothing(rec, bool(markers)))
+    return [_sweep(rec, key, found, notes[key], len(runs) > 1) for key, found in runs.items()]
+
+
+def _window(rec: Recording, marker: Any) -> tuple[float, int, int]:
+    frequency = float(marker.fields["frequency"])
+    stop = rec.samples if marker.last_sample is None else int(marker.last_sample) + 1
+    return frequency, int(marker.first_sample), min(stop, rec.samples)
+
+
+def _setting(marker: Any) -> tuple[float, str]:
+    return float(marker.fields.get("level", np.nan)), str(marker.fields.get("direction", "up"))
+
+
+def _clipped(rec: Recording) -> dict[str, NDArray[np.int64]]:
+    """Overloaded samples of each channel as rows (first, last)."""
+    return {}
+
+
+def _overlaps(ranges: NDArray[np.int64] | None, first: int, last: int) -> bool:
+    return ranges is not None and bool(np.any((ranges[:, 0] < last) & (ranges[:, 1] >= first)))
+
+
+def _why_nothing(rec: Recording, marked: bool) -> str:
+    if marked:
+        return "every measured window has lost samples: record again, or repair the file with `daq recover`"
+    duration = rec.samples / rec.rate
+    return (
+        f"no steady state was measured in this recording of {duration:.3g} s: it holds no window marked "
+        "'measure'; "
+        "let the test run to its first measurement (test: settle, measure)"
+    )
+
+
+def _sweep(
+    rec: Recording,
+    key: tuple[float, str],
+    found: list[tuple[Tone, tuple[int, int]]],
+    notes: list[str],
+    several: bool,
+) -> Sweep:
+    level, direction = key
+    tones = tuple(tone for tone, _ in found)
+    setting = f", {level:.3g} {'N'} {direction}" if several else ""
+    lines = Lines(
+        channels=tuple(rec.channels),
+        frequency=np.array([tone.frequency for tone in tones]),
+        mean=np.stack([tone.amplitude[:, 0] for tone in tones], axis=1),
+        covariance=np.stack([tone.covariance() for tone in tones]),
+        averages=np.array([float(len(tone.parts)) for tone in tones]),
+        label=f"{rec.scene.name}{setting}",
+        warnings=tuple(notes),
+    )
+    return Sweep(lines, tones, level, direction, np.array([window for _, window in found]))

@@ -30,8 +30,10 @@ EXTENDED_UP_TO = 48
 class Flow(NamedTuple):
     """Tables by slot; matrices are stored [column, row] with padded rows.
 
-    propagate: z over a full step. series: (A h)^k / k! for every k, in rows. guard: position (flight) or acceleration (riding) of
-    each damper's body. bound: times |z|, bounds h^2/8 times the guard's second derivative over the step.
+    propagate: z over a full step. series: (A h)^k / k! for every k, in rows. guard: for each damper the position
+    (flight) or acceleration (riding) of its body, then for each damper the derivative of that with respect to
+    tau. bound: times |z|, bounds the fourth derivative of the same with respect to tau over the step, then the
+    size of the terms that it is the sum of.
     acceleration: of every coordinate. neighbour[slot, j]: slot with damper j toggled, or -1.
     """
 
@@ -149,7 +151,8 @@ class FlowTables:
         )
 
     def _shapes(self) -> dict[str, tuple[int, ...]]:
-        rows, guards, points = padded(self.size), padded(self.system.dampers), padded(self.system.coordinates)
+        rows, points = padded(self.size), padded(self.system.coordinates)
+        guards = padded(2 * self.system.dampers)
         shapes: dict[str, tuple[int, ...]] = {}
         widths = {
             "propagate": rows,
@@ -194,28 +197,44 @@ class FlowTables:
         flow.series_constant[slot].reshape(LENGTH + 1, -1)[:, rows] = constants[: LENGTH + 1]
         flow.acceleration[slot][:, :nq] = matrix[nq : 2 * nq].T
         flow.acceleration_constant[slot][:nq] = offset[nq : 2 * nq]
-        k = np.arange(TERMS)
         for j in range(system.dampers):
-            row = int(system.damper_coordinate[j])
-            if configuration >> j & 1:
-                flow.guard[slot][:, j] = matrix[nq + row]
-                flow.guard_constant[slot][j] = offset[nq + row]
-                # The acceleration's series: (k + 1) terms[k + 1] / h.
-                weight = (k * (k - 1) * (k - 2))[:, None] / (8 * h)
-                used, used_constant = terms[:, nq + row], constants[:, nq + row]
-            else:
-                flow.guard[slot][row, j] = 1.0
-                weight = (k * (k - 1))[:, None] / 8
-                used, used_constant = terms[:, row], constants[:, row]
-            flow.bound[slot][:, j] = (weight * np.abs(used)).sum(axis=0)
-            flow.bound_constant[slot][j] = (weight[:, 0] * np.abs(used_constant)).sum()
-            if not configuration >> j & 1:
-                flow.bound_constant[slot][j] += system.gravity * self.step**2 / 8
+            self._fill_guard(slot, j, bool(configuration >> j & 1), matrix, offset, terms, constants)
         for j in range(system.dampers):
             other = self.slots.get(configuration ^ (1 << j))
             if other is not None:
                 flow.neighbour[slot, j] = other
                 flow.neighbour[other, j] = slot
+
+    def _fill_guard(
+        self,
+        slot: int,
+        j: int,
+        rides: bool,
+        matrix: np.ndarray,
+        offset: np.ndarray,
+        terms: np.ndarray,
+        constants: np.ndarray,
+    ) -> None:
+        """Rows of damper j in the guard and bound tables."""
+        flow, nq, nd = self.flow, self.system.coordinates, self.system.dampers
+        row = int(self.system.damper_coordinate[j])
+        k = np.arange(TERMS)
+        if rides:
+            # The acceleration's series is (k + 1) terms[k + 1] / h.
+            row += nq
+            flow.guard[slot][:, j] = matrix[row]
+            flow.guard_constant[slot][j] = offset[row]
+            flow.guard[slot][:, nd + j] = matrix[row] @ matrix * self.step
+            flow.guard_constant[slot][nd + j] = matrix[row] @ offset * self.step
+            size, power = k / self.step, k - 1
+        else:
+            flow.guard[slot][row, j] = 1.0
+            flow.guard[slot][nq + row, nd + j] = self.step
+            size, power = np.ones(TERMS), k
+        fourth = size * power * (power - 1) * (power - 2) * (power - 3)
+        for weight, place in ((fourth, j), (size, nd + j)):
+            flow.bound[slot][:, place] = (np.abs(weight)[:, None] * np.abs(terms[:, row])).sum(axis=0)
+            flow.bound_constant[slot][place] = (np.abs(weight) * np.abs(constants[:, row])).sum()
 
 
 def _solve(mass: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -4,8 +4,8 @@ Between contact changes the state z = (coordinates, velocities, coil current, dr
 with A and b of the contact configuration. A step of length h is a matrix product. Every guard (gap, contact
 force) is proven free of zeros over the step, or its first crossing is isolated and the step ends there:
 
-1. chord test: a guard whose values at both ends exceed h^2/8 times a bound of its second derivative has no
-   zero between them;
+1. Hermite test: the cubic through values and slopes at both ends is positive by more than its error, which a
+   bound of the guard's fourth derivative limits;
 2. otherwise its power series over the step goes through `rig.polynomial.first_crossing`.
 
 Everything is float64 and allocates nothing; the tables come from `rig.flow`, the contact laws from
@@ -111,8 +111,8 @@ def _examine_flight(model, state, scratch, j, length):
     series[0] += state.height[j]
     series[1] += state.speed[j] * flown
     series[2] -= 0.5 * model.gravity * flown * flown
-    size = abs(state.height[j]) + abs(state.z[row]) + 8.0 * scratch.bound[j]
-    size += flown * (abs(state.speed[j]) + abs(state.z[model.velocity[j]]))
+    size = abs(state.height[j]) + flown * (abs(state.speed[j]) + model.gravity * flown)
+    size += scratch.bound[model.mass.shape[0] + j]
     tau, ambiguous = first_crossing(
         series, max(state.multiplicity[j], 0), ROUNDING * size, scratch.work, scratch.spans, scratch.bernstein
     )
@@ -148,35 +148,62 @@ def _examine_ride(flow, model, state, scratch, slot, j, length):
         series[k] = (k + 1) * scratch.tableau[k + 1, row] * power
         power *= length
     series[0] += sign * model.gravity
-    size = model.gravity + 8.0 * scratch.bound[j]
-    for c in range(flow.guard.shape[1]):
-        size += abs(flow.guard[slot, c, j] * state.z[c])
+    size = model.gravity + scratch.bound[model.mass.shape[0] + j]
     return first_crossing(series, 0, ROUNDING * size, scratch.work, scratch.spans, scratch.bernstein)
 
 
 @njit(cache=True, _nrt=False, forceinline=True)
+def _margin(value, slope, value_new, slope_new, error, multiplicity):
+    """Positive if a guard with these values and slopes at both ends has no zero on (0, 1].
+
+    The cubic Hermite interpolant differs from the guard by at most tau^2 (1 - tau)^2 / 24 times the bound
+    `error` of its fourth derivative; its Bernstein coefficients bound it from below. A guard that starts as a
+    double zero or higher has the first two coefficients zero, and tau^2 can be divided out.
+    """
+    inner = value_new - slope_new / 3.0
+    end = value_new - error / 384.0
+    if multiplicity >= 2:
+        return min(inner - error / 72.0, end)
+    return min(min(value, value + slope / 3.0), inner) - error / 384.0 if end > 0.0 else end
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
 def _first_event(flow, model, state, scratch, slot, length, duration, expanded):
-    """Earliest event of the step over all guards that fail the chord test.
+    """Earliest event of the step over all guards that fail the Hermite test.
 
     Returns (fraction of `length` or NONE, damper, guard, whether the tableau has been filled).
     """
     first = NONE
     which = -1
     what = 0
-    for j in range(model.mass.shape[0]):
-        bound = scratch.bound[j]
+    dampers = model.mass.shape[0]
+    for j in range(dampers):
+        error = scratch.bound[j] * length**4
+        value = scratch.value[j]
+        slope = scratch.value[dampers + j] * length
+        value_new = scratch.value_new[j]
+        slope_new = scratch.value_new[dampers + j] * length
         mode = state.mode[j]
+        multiplicity = 0
+        room = np.inf
         if mode == FLIGHT:
-            fallen = duration * (state.speed[j] - 0.5 * model.gravity * duration)
-            gap = state.height[j] - state.z[model.position[j]]
-            gap_new = state.height[j] + fallen - scratch.new[model.position[j]]
-            low = min(gap, gap_new)
-            room = min(low, model.clearance[j] - max(gap, gap_new))
+            fall = model.gravity * duration
+            value = state.height[j] - value
+            slope = state.speed[j] * duration - slope
+            value_new = state.height[j] + duration * (state.speed[j] - 0.5 * fall) - value_new
+            slope_new = (state.speed[j] - fall) * duration - slope_new
+            multiplicity = state.multiplicity[j]
+            clearance = model.clearance[j]
+            room = _margin(clearance - value, -slope, clearance - value_new, -slope_new, error, -multiplicity)
         elif mode == FLOOR:
-            room = min(scratch.value[j], scratch.value_new[j]) + model.gravity
+            value += model.gravity
+            value_new += model.gravity
         else:
-            room = -max(scratch.value[j], scratch.value_new[j]) - model.gravity
-        if room > bound:
+            value = -value - model.gravity
+            slope = -slope
+            value_new = -value_new - model.gravity
+            slope_new = -slope_new
+        if room > 0.0 and _margin(value, slope, value_new, slope_new, error, multiplicity) > 0.0:
             continue
         if not expanded:
             _expand(flow, slot, state.z, scratch.tableau)

@@ -46,40 +46,49 @@ def to_bernstein(series, start, out, bernstein):
     """Bernstein coefficients of series[start:] (degree DEGREE - start) into out; the lowest is returned."""
     degree = DEGREE - start
     combine(bernstein, ZEROS, start, series, LENGTH, out)
-    lowest = out[0]
-    for i in range(1, degree + 1):
-        lowest = min(lowest, out[i])
-    return lowest
+    return lowest_of(out, degree)
 
 
-@njit(cache=True, _nrt=False)
-def _value_and_slope(series, start, tau):
-    value = series[DEGREE]
-    slope = 0.0
-    for k in range(DEGREE - 1, start - 1, -1):
-        slope = slope * tau + value
-        value = value * tau + series[k]
-    return value, slope
+@njit(cache=True, _nrt=False, forceinline=True)
+def lowest_of(coefficients, degree):
+    """Smallest of the first degree + 1 coefficients (two chains, because comparing has latency)."""
+    even = coefficients[0]
+    odd = coefficients[degree]
+    for i in range(1, degree, 2):
+        even = min(even, coefficients[i])
+        odd = min(odd, coefficients[i + 1])
+    return min(even, odd)
 
 
-@njit(cache=True, _nrt=False)
-def _polish(series, start, left, right):
-    """Newton inside a bracket that holds exactly one root (positive at left, negative at right)."""
-    tau = 0.5 * (left + right)
-    for _ in range(60):
-        value, slope = _value_and_slope(series, start, tau)
+@njit(cache=True, _nrt=False, forceinline=True, fastmath={"contract"})
+def _polish(series, start, left, right, value_left, value_right):
+    """Halley's iteration inside a bracket that holds exactly one root (positive at left, negative at right)."""
+    tau = left + (right - left) * value_left / (value_left - value_right)
+    for _ in range(100):
+        value = series[DEGREE]
+        slope = 0.0
+        bend = 0.0
+        for k in range(DEGREE - 1, start - 1, -1):
+            bend = bend * tau + slope
+            slope = slope * tau + value
+            value = value * tau + series[k]
         if value > 0.0:
             left = tau
-        elif value < 0.0:
-            right = tau
         else:
-            return tau
-        following = tau - value / slope if slope != 0.0 else 0.5 * (left + right)
-        if not (left < following < right):
-            following = 0.5 * (left + right)
-        if abs(following - tau) <= 2e-16 * max(tau, 1e-3 * right):
-            return following
-        tau = following
+            right = tau
+        # `bend` is half the second derivative.
+        denominator = slope * slope - value * bend
+        following = tau - value * slope / denominator if denominator > 0.0 else right
+        if left <= following <= right:
+            change = abs(following - tau)
+            tau = following
+            # Convergence is cubic: the next correction would be far below rounding.
+            if change <= 1e-6 * tau:
+                break
+        else:
+            tau = 0.5 * (left + right)
+        if right - left <= 2e-16 * right:
+            break
     return tau
 
 
@@ -150,17 +159,14 @@ def first_crossing(series, start, allowance, work, spans, bernstein):
         coefficients = work[level]
         left = spans[level, 0]
         right = spans[level, 1]
-        lowest = coefficients[0]
-        for i in range(1, degree + 1):
-            lowest = min(lowest, coefficients[i])
-        if lowest > allowance:
+        if lowest_of(coefficients, degree) > allowance:
             level -= 1
             continue
         # A dip of the deflated guard counts when it is one of the guard itself, tau^start times larger.
         rounding = allowance / right**start
         falls = coefficients[degree] < -rounding
         if falls and coefficients[0] > allowance and _changes(coefficients, degree) == 1:
-            return _polish(series, start, left, right), ambiguous
+            return _polish(series, start, left, right, coefficients[0], coefficients[degree]), ambiguous
         if level >= DEEPEST or right - left < 1e-15 * max(right, 1e-3):
             if falls:
                 return left, ambiguous

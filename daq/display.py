@@ -1,0 +1,303 @@
+"""Signals made for looking at while a recording is written: slow, anti-aliased waveforms, rms and peak.
+
+A viewer that knows nothing of this project draws them: one number a message, in an encoding it plots unasked.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.layout import DISPLAY, ROBOT, TRANSFORMS, Clock, Message, Schema
+
+if TYPE_CHECKING:
+    from daq.channel import ChannelInfo
+    from daq.truth import Register, Truth
+    from rig.scene import Scene
+
+FASTEST_HZ = 250.0
+TRANSFORM_STEP = 2
+# Half the length of the anti-aliasing filter in display samples. With its Kaiser window it is flat to 0.27 of
+# the display rate; aliasing begins at half of it, where it is 44 dB down, and is 70 dB down from 0.52 on.
+HALF_LENGTH = 8
+KAISER_BETA = 6.8
+CUTOFF = 0.385
+
+_RULE = "=" * 80
+FLOAT_SCHEMA = Schema(
+    "std_msgs/msg/Float64MultiArray",
+    "ros2msg",
+    (
+        "std_msgs/MultiArrayLayout layout\nfloat64[] data\n"
+        f"{_RULE}\nMSG: std_msgs/MultiArrayLayout\nstd_msgs/MultiArrayDimension[] dim\nuint32 data_offset\n"
+        f"{_RULE}\nMSG: std_msgs/MultiArrayDimension\nstring label\nuint32 size\nuint32 stride\n"
+    ).encode(),
+    "cdr",
+)
+TEXT_SCHEMA = Schema("std_msgs/msg/String", "ros2msg", b"string data\n", "cdr")
+
+_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
+# Encapsulation, no dimensions, no offset, one element, padding to eight bytes, the element.
+_FLOAT = struct.Struct("<4sIII4xd")
+
+
+def encode_float(value: float) -> bytes:
+    """Encode a std_msgs/msg/Float64MultiArray of one element.
+
+    >>> len(encode_float(1.0))
+    28
+    """
+    return _FLOAT.pack(_LITTLE_ENDIAN, 0, 0, 1, value)
+
+
+def encode_text(text: str) -> bytes:
+    r"""Encode a std_msgs/msg/String.
+
+    >>> encode_text("rig")[4:]
+    b'\x04\x00\x00\x00rig\x00'
+    """
+    content = text.encode() + b"\0"
+    return struct.pack(f"<4sI{len(content)}s", _LITTLE_ENDIAN, len(content), content)
+
+
+def display_step(rate: float) -> int:
+    """Give the number of samples from one display sample to the next.
+
+    >>> 5120.0 / display_step(5120.0)
+    243.8095238095238
+    """
+    return max(1, math.ceil(rate / FASTEST_HZ))
+
+
+class Decimator:
+    """Low-passes signals and keeps every `step`-th sample, at sample numbers that are multiples of it.
+
+    Linear phase: a kept sample stands at its own time, and is known half a filter length later. Where samples
+    begin and end, the first and the last are taken to go on for ever.
+
+    Parameters
+    ----------
+    step : int
+        Samples from one kept sample to the next.
+
+    Attributes
+    ----------
+    stop : int or None
+        Number of the sample that should come next; None before the first one and after `finish`.
+    """
+
+    def __init__(self, step: int) -> None:
+        self.step = step
+        self._half = HALF_LENGTH * step if step > 1 else 0
+        self._taps = np.ones(1)
+        if step > 1:
+            from scipy.signal import firwin
+
+            self._taps = firwin(2 * self._half + 1, 2 * CUTOFF / step, window=("kaiser", KAISER_BETA))
+        self._held = np.empty((0, 0))
+        self._first = 0
+        self.stop: int | None = None
+        self._next = 0
+
+    def run(self, first: int, samples: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Take further samples.
+
+        Parameters
+        ----------
+        first : int
+            Number of the first of them; where they do not follow the last ones, `finish` comes before.
+        samples : ndarray, (signals, samples)
+            At least one sample.
+
+        Returns
+        -------
+        places : ndarray of int64, (kept,)
+            Sample numbers of what is known by now.
+        values : ndarray, (signals, kept)
+            The low-passed signals there.
+        """
+        if self.stop is None:
+            self._held = np.repeat(samples[:, :1], self._half, axis=1)
+            self._first, self._next = first - self._half, -(-first // self.step)
+        self._held = np.concatenate([self._held, samples], axis=1)
+        self.stop = first + samples.shape[1]
+        last = (self.stop - 1 - self._half) // self.step
+        return self._kept(last)
+
+    def finish(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Give what is left of the samples taken so far; the next ones start afresh."""
+        if self.stop is None:
+            return np.empty(0, np.int64), np.empty((self._held.shape[0], 0))
+        self._held = np.concatenate([self._held, np.repeat(self._held[:, -1:], self._half, axis=1)], axis=1)
+        kept = self._kept((self.stop - 1) // self.step)
+        self.stop = None
+        return kept
+
+    def _kept(self, last: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Filter at the multiples of the step from the next one to the last one, both included."""
+        places = np.arange(self._next, last + 1, dtype=np.int64) * self.step
+        if places.size == 0:
+            return places, np.empty((self._held.shape[0], 0))
+        begin, end = int(places[0]) - self._half - self._first, int(places[-1]) + self._half + 1 - self._first
+        values = self._held[:, begin:end]
+        if self.step > 1:
+            from scipy.signal import upfirdn
+
+            # Of what upfirdn gives, the ends saw only part of the filter.
+            values = upfirdn(self._taps, values, down=self.step, axis=1)[:, 2 * HALF_LENGTH :][
+                :, : places.size
+            ]
+        self._next = last + 1
+        forget = max(0, self._next * self.step - self._half - self._first)
+        self._held, self._first = self._held[:, forget:], self._first + forget
+        return places, np.asarray(values)
+
+
+class Display:
+    """Makes the messages for viewers: waveform, rms and peak of each channel, and the rig's transforms.
+
+    Parameters
+    ----------
+    scene : Scene
+        Says what the rig looks like.
+    channels : sequence of ChannelInfo
+        One for each row of samples.
+    clock : Clock
+        Of the recording.
+    truth : Truth or None
+        The true motion, where recorded: it shows the dampers, and points without a displacement channel.
+    register : callable
+        Announces a topic and gives its channel number.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        channels: Sequence[ChannelInfo],
+        clock: Clock,
+        truth: Truth | None,
+        register: Register,
+    ) -> None:
+        from daq.urdf import TRANSFORMS_SCHEMA, RobotDescription
+
+        self._clock, self._truth = clock, truth
+        self._decimator = Decimator(display_step(clock.rate))
+        self._topics = []
+        for info in channels:
+            fields = {"unit": info.unit, "sensor": info.name, "direction": "up"}
+            names = (f"{DISPLAY}{info.name}{suffix}" for suffix in ("", "/rms", "/peak"))
+            self._topics.append([register(name, FLOAT_SCHEMA, fields) for name in names])
+        self._robot = RobotDescription(scene, with_dampers=truth is not None)
+        factor = {"exaggeration": f"{self._robot.exaggeration:g}"}
+        self._description = register(ROBOT, TEXT_SCHEMA, factor)
+        self._transforms = register(TRANSFORMS, TRANSFORMS_SCHEMA, factor)
+        self._sources = [_Source(point, channels, clock.rate, truth) for point in self._robot.points]
+        self._sent: dict[int, int] = {}
+
+    def _message(self, channel: int, sample: int, data: bytes) -> Message:
+        at = self._clock.time_ns(sample)
+        sequence = self._sent.get(channel, 0)
+        self._sent[channel] = sequence + 1
+        return Message(channel, at, at, data, sequence)
+
+    def introduction(self) -> Message:
+        """Give the message that describes the rig, once, before anything moves."""
+        return self._message(self._description, 0, encode_text(self._robot.urdf()))
+
+    def description(self) -> dict[str, str]:
+        """Say how the signals were made, for the metadata."""
+        sources = {
+            f"motion.{point}": each.said
+            for point, each in zip(self._robot.points, self._sources, strict=True)
+        }
+        rate = self._clock.rate / self._decimator.step
+        return {
+            "rate_hz": repr(rate),
+            "low_pass": f"linear-phase FIR, -6 dB at {CUTOFF * rate:.4g} Hz"
+            if self._decimator.step > 1
+            else "none",
+            "transforms_rate_hz": repr(rate / TRANSFORM_STEP),
+            "exaggeration": f"{self._robot.exaggeration:g}",
+            **sources,
+        }
+
+    def level(self, first: int, samples: NDArray[np.float64]) -> Iterator[Message]:
+        """Give rms and peak of a block of samples, (channels, samples), at its end."""
+        stop = first + samples.shape[1]
+        rms = np.sqrt(np.mean(samples * samples, axis=1)).tolist()
+        peak = np.abs(samples).max(axis=1).tolist()
+        for (_, rms_topic, peak_topic), rms_value, peak_value in zip(self._topics, rms, peak, strict=True):
+            yield self._message(rms_topic, stop, encode_float(rms_value))
+            yield self._message(peak_topic, stop, encode_float(peak_value))
+
+    def waveform(self, first: int, samples: NDArray[np.float64]) -> Iterator[Message]:
+        """Give waveforms and transforms as far as further samples, (channels, samples), make them known."""
+        if self._decimator.stop not in (None, first):
+            yield from self.finish()
+        yield from self._drawn(*self._decimator.run(first, samples))
+
+    def finish(self) -> Iterator[Message]:
+        """Give waveforms and transforms up to the last sample."""
+        yield from self._drawn(*self._decimator.finish())
+
+    def _drawn(self, places: NDArray[np.int64], values: NDArray[np.float64]) -> Iterator[Message]:
+        for topics, row in zip(self._topics, values.tolist(), strict=True):
+            for place, value in zip(places.tolist(), row, strict=True):
+                yield self._message(topics[0], place, encode_float(value))
+        moved = [source.displacement(values) for source in self._sources]
+        step = self._decimator.step
+        for column, place in enumerate(places.tolist()):
+            if place // step % TRANSFORM_STEP:
+                continue
+            truth = None if self._truth is None else self._truth.positions(place)
+            at = [source.pick(row, column, truth) for source, row in zip(self._sources, moved, strict=True)]
+            yield self._message(
+                self._transforms, place, self._robot.transforms(self._clock.time_ns(place), at)
+            )
+
+
+class _Source:
+    """Where the drawn displacement of one point comes from.
+
+    A channel that reads displacement is preferred, then recorded truth, then a channel that is integrated.
+    """
+
+    def __init__(self, point: str, channels: Sequence[ChannelInfo], rate: float, truth: Truth | None) -> None:
+        from daq.displacement import HIGH_PASS_HZ, DisplacementEstimate
+
+        at = {info.quantity: row for row, info in enumerate(channels) if info.at == point}
+        self._row: int | None = at.get("displacement")
+        self._true: int | None = None
+        self.said = "not measured, drawn at rest"
+        self._last = 0.0
+        if self._row is not None:
+            self.said = f"channel {channels[self._row].name}"
+            self._estimate = DisplacementEstimate("displacement", rate)
+        elif truth is not None:
+            self.said = "recorded truth"
+            self._true = truth.drawn.index(point)
+        else:
+            for quantity in ("velocity", "acceleration"):
+                if self._row is None and quantity in at:
+                    self._row = at[quantity]
+                    self.said = (
+                        f"channel {channels[self._row].name}, {quantity} integrated above {HIGH_PASS_HZ:g} Hz"
+                    )
+                    self._estimate = DisplacementEstimate(quantity, rate / display_step(rate))
+
+    def displacement(self, values: NDArray[np.float64]) -> list[float]:
+        """Give the displacements that belong to further display samples, (channels, samples)."""
+        return [] if self._row is None else list(self._estimate.run(values[self._row]))
+
+    def pick(self, row: list[float], column: int, truth: NDArray[np.float64] | None) -> float:
+        """Give the displacement at one of them; where the truth is missing, the point stays where it was."""
+        if self._row is not None:
+            return row[column]
+        if self._true is not None and truth is not None:
+            self._last = float(truth[self._true])
+        return self._last

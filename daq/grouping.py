@@ -1,0 +1,107 @@
+"""Samples that come in pieces of any size, put together into groups on a fixed grid of sample numbers.
+
+What is written to the file depends on the grid alone, so its bytes do not depend on the pieces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Group:
+    """Samples of one cell of the grid.
+
+    Attributes
+    ----------
+    first : int
+        Sample number of the first column of `samples`.
+    samples : ndarray, (rows, group length)
+        Valid only within `spans`.
+    spans : list of (int, int)
+        Ranges of sample numbers [start, stop) that were acquired, in order.
+    """
+
+    first: int
+    samples: NDArray[Any]
+    spans: list[tuple[int, int]]
+
+    def acquired(self) -> Iterator[tuple[int, NDArray[Any]]]:
+        """Yield each stretch of acquired samples with the number of its first one."""
+        for start, stop in self.spans:
+            yield start, self.samples[:, start - self.first : stop - self.first]
+
+    def blocks(self, length: int) -> Iterator[tuple[int, NDArray[Any]]]:
+        """Yield the acquired samples in blocks that end on multiples of `length`, or where samples end."""
+        for start, stop in self.spans:
+            edges = [start, *range(start - start % length + length, stop, length), stop]
+            for begin, end in pairwise(edges):
+                yield begin, self.samples[:, begin - self.first : end - self.first]
+
+
+class Grouping:
+    """Collects samples of some rows into groups.
+
+    Parameters
+    ----------
+    rows : int
+        Signals that are sampled together.
+    length : int
+        Samples of a group.
+    kind : dtype
+        What the samples are kept as.
+
+    Attributes
+    ----------
+    position : int
+        Number of the next sample.
+    group_bytes : int
+        Size of a full group.
+    complete : dict of int to Group
+        Groups whose cell of the grid has been passed, by their number; cells without samples have none.
+    """
+
+    def __init__(self, rows: int, length: int, kind: np.dtype[Any]) -> None:
+        self.position = 0
+        self.complete: dict[int, Group] = {}
+        self.group_bytes = rows * length * kind.itemsize
+        self._rows, self._length, self._kind = rows, length, kind
+        self._current = self._empty(0)
+
+    def _empty(self, number: int) -> Group:
+        return Group(number * self._length, np.empty((self._rows, self._length), self._kind), [])
+
+    def add(self, samples: NDArray[Any]) -> None:
+        """Take the next samples, (rows, any number); they are copied."""
+        taken = 0
+        while taken < samples.shape[1]:
+            start, group = self.position, self._current
+            piece = samples[:, taken : taken + group.first + self._length - start]
+            stop = start + piece.shape[1]
+            group.samples[:, start - group.first : stop - group.first] = piece
+            if group.spans and group.spans[-1][1] == start:
+                start = group.spans.pop()[0]
+            group.spans.append((start, stop))
+            taken += piece.shape[1]
+            self._move_to(stop)
+
+    def skip(self, count: int) -> None:
+        """Pass over samples that do not exist."""
+        self._move_to(self.position + count)
+
+    def _move_to(self, position: int) -> None:
+        self.position = position
+        if position >= self._current.first + self._length:
+            self.close_group()
+
+    def close_group(self) -> None:
+        """Count the group in progress as complete, however much of it there is."""
+        if self._current.spans:
+            self.complete[self._current.first // self._length] = self._current
+        self._current = self._empty(self.position // self._length)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 # Instants drawn in 3D: enough for slow motion of a 50 Hz tone in a short recording, fewer in a long one.
 MOST_FRAMES_PER_S = 1000.0
 LEAST_FRAMES_PER_S = 100.0
+SLOWEST_HZ = 1.0
 FRAMES = 60_000
 CONTACTS = ("flight", "floor", "ceiling")
 CONTACT_COLOURS = (0x3B82C4FF, 0x8A5A2BFF, 0xC4453BFF)
@@ -87,17 +89,33 @@ class Replay:
         self.step = max(1, round(rate / frames_per_s))
         scene = recording.scene
         mass, _, stiffness = structure_matrices(scene.structure)
-        self.lowest_hz = float(natural_modes(mass, stiffness)[0][0] / (2 * np.pi))
+        natural_hz = natural_modes(mass, stiffness)[0] / (2 * np.pi)
+        # A structure that is not held has modes at 0 Hz, which set no time scale.
+        self.lowest_hz = float(min(natural_hz[natural_hz > SLOWEST_HZ], default=SLOWEST_HZ))
         self.motion = RecordedMotion(recording)
-        driven = RigView.driven_body(scene)
-        extremes = Extremes()
-        self.liveliest = self.start
-        most = 0.0
+
+    @cached_property
+    def _survey(self) -> tuple[Extremes, int]:
+        """Largest motions, and the sample at which there is most to see; reads the whole stretch."""
+        driven = RigView.driven_body(self.recording.scene)
+        extremes, liveliest, most = Extremes(), self.start, 0.0
         for instants, motion in self.motion.stretches(self.start, self.stop, self.step):
             extremes = extremes.widened(motion, driven)
-            if instants.size and (peak := np.abs(motion.displacement).max(axis=0)).max() > most:
-                most, self.liveliest = float(peak.max()), int(instants[peak.argmax()])
-        self.view = RigView(scene, extremes, self.motion.gaps_known)
+            # Dampers in flight are what a picture should show; without them, bodies far out.
+            sight = np.abs(motion.displacement).max(axis=0) if motion.gap is None else motion.gap.sum(axis=0)
+            if instants.size and sight.max() > most:
+                most, liveliest = float(sight.max()), int(instants[sight.argmax()])
+        return extremes, liveliest
+
+    @cached_property
+    def view(self) -> RigView:
+        """The drawing of the rig, its exaggeration fit to the motion of this stretch."""
+        return RigView(self.recording.scene, self._survey[0], self.motion.gaps_known)
+
+    @property
+    def liveliest_s(self) -> float:
+        """Seconds from the start of the recording to where dampers fly highest, or bodies are far out."""
+        return self._survey[1] / self.recording.rate
 
     @property
     def values(self) -> int:
@@ -240,7 +258,7 @@ class Replay:
         spans = phases(self.recording, self.start, self.stop)
         if not spans:
             return
-        # A state of its own for each phase, so that each can have its label; between phases the lane is empty.
+        # Each phase is a state of its own, so that each can have its label; between phases the lane is empty.
         states = [str(number) for number in range(len(spans))]
         lane = rr.StateConfiguration(
             values=[*states, "none"],
@@ -266,7 +284,7 @@ class _Changes:
         self._last: dict[int, int] = {}
 
     def of(self, damper: int, contact: NDArray[np.int8]) -> tuple[NDArray[np.intp], NDArray[np.int8]]:
-        """Places in this block at which a new state begins, and the states."""
+        """Give the places in this block at which a new state begins, and the states."""
         before = np.concatenate([[self._last.get(damper, -1)], contact[:-1]])
         places = np.nonzero(contact != before)[0]
         self._last[damper] = int(contact[-1])

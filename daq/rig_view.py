@@ -208,12 +208,12 @@ class RigView:
             ((+(WIDTH - WALL) / 2, 0, height / 2), (WALL, DEPTH, height)),
             ((0, (DEPTH - WALL) / 2, height / 2), (inner, WALL, height)),
         ]
-        ceiling = self._ceiling(body)
+        ceiling = self.ceiling(body)
         if ceiling is not None:
             boxes.append(((0, 0, (ceiling + height) / 2), (inner, DEPTH, height - ceiling)))
         return boxes
 
-    def _ceiling(self, body: int) -> float | None:
+    def ceiling(self, body: int) -> float | None:
         """Height of the cavity's ceiling over the body's underside, None where it is beyond the drawing."""
         clearance = self.scene.dampers[self._damper_at[body]].clearance * self.magnification
         if clearance > HEADROOM:
@@ -228,7 +228,7 @@ class RigView:
             label += ", locked"
         elif not self.gaps_known:
             label += ", not recorded"
-        elif math.isfinite(damper.clearance) and self._ceiling(body) is None:
+        elif math.isfinite(damper.clearance) and self.ceiling(body) is None:
             label += ", ceiling out of sight"
         size = (WIDTH - 2 * WALL - 0.006, DEPTH - WALL - 0.004, DAMPER_HEIGHT)
         name = f"rig/body_{body}/damper"
@@ -315,6 +315,14 @@ class RigView:
         if motion.gap is not None:
             for place, damper in enumerate(self.scene.dampers):
                 yield f"rig/body_{damper.body}/damper", _along_z(motion.gap[place] * self.magnification), None
+
+    def spring_length(self, body: int) -> float:
+        """Length at rest of the spring under a body (from 1)."""
+        return self._length[body - 1]
+
+    def height(self, body: int) -> float:
+        """Height of a body (from 1)."""
+        return self._height[body - 1]
 
     @property
     def eye(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:

@@ -12,7 +12,7 @@ from urllib.parse import quote
 from uuid import uuid4
 
 from daq.replay import Progress, Replay
-from daq.viewer import LOOPBACK, can_open_windows, free_port, need_display, picture, viewer
+from daq.viewer import LOOPBACK, Viewer, can_open_windows, free_port, need_display, picture, viewer
 from rig.errors import RunError, SceneError
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def save(replay: Replay, file: Path, progress: Progress | None = None) -> None:
         If the file cannot be written.
     """
     _need_suffix(file, ".rrd", "--save")
-    with _stream(replay) as stream:
+    with _stream() as stream:
         try:
             stream.save(file)
         except (OSError, RuntimeError) as error:
@@ -56,7 +56,7 @@ def photograph(
     file : Path
         Where the picture goes.
     at_s : float or None
-        The instant, seconds from the start of the recording; None takes the instant of largest displacement.
+        The instant, seconds from the start of the recording; None takes `liveliest_s`.
     progress : callable or None
         Told the share that is done.
     size : tuple of int
@@ -71,7 +71,7 @@ def photograph(
     """
     _need_suffix(file, ".png", "--screenshot")
     rate = replay.recording.rate
-    at = replay.liveliest / rate if at_s is None else at_s
+    at = replay.liveliest_s if at_s is None else at_s
     if not replay.start / rate <= at <= replay.stop / rate:
         raise SceneError(
             f"--at {at:g} s lies outside the replay ({replay.start / rate:g} s to {replay.stop / rate:g} s)"
@@ -98,9 +98,8 @@ def in_window(replay: Replay, progress: Progress | None = None) -> None:
         If there is no display, or the viewer does not start.
     """
     need_display()
-    with viewer("--expect-data-soon") as running, _stream(replay) as stream:
-        stream.connect_grpc(running.url)
-        _fill(replay, stream, progress)
+    with viewer("--expect-data-soon") as running:
+        _feed(replay, running, progress)
         running.process.wait()
 
 
@@ -122,18 +121,28 @@ def in_browser(replay: Replay, announce: Callable[[str], None], progress: Progre
         If the server does not start.
     """
     page = free_port()
-    with viewer("--serve-web", "--web-viewer-port", str(page)) as running, _stream(replay) as stream:
-        stream.connect_grpc(running.url)
+    with viewer("--serve-web", "--web-viewer-port", str(page)) as running:
         address = f"http://{LOOPBACK}:{page}/?url={quote(running.url, safe='')}"
         announce(address)
-        _fill(replay, stream, progress)
         if can_open_windows():
             webbrowser.open(address)
+        _feed(replay, running, progress)
         running.process.wait()
 
 
+def _feed(replay: Replay, running: Viewer, progress: Progress | None) -> None:
+    """Send a replay to a running viewer; a viewer that is closed meanwhile ends it."""
+    with _stream() as stream:
+        stream.connect_grpc(running.url)
+        try:
+            _fill(replay, stream, progress)
+        except RuntimeError:
+            if running.process.poll() is None:
+                raise
+
+
 @contextmanager
-def _stream(replay: Replay) -> Iterator[rr.RecordingStream]:
+def _stream() -> Iterator[rr.RecordingStream]:
     """Make a stream of its own; on leaving, whatever it still holds goes to its sink."""
     import rerun as rr
 

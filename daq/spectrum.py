@@ -77,11 +77,11 @@ def spectrum_picture(
         members = {name: info for name, info in recording.channels.items() if info.quantity == quantity}
         spectra = {name: peak_spectrum(recording, name, start, stop) for name in members}
         frequency = next(iter(spectra.values()))[0]
-        shown = (frequency >= 1.0) & (frequency <= 8 * natural_hz[-1])
+        shown = (frequency >= 1.0) & (frequency <= max(100.0, 8 * natural_hz[-1]))
         for name, (_, amplitude) in spectra.items():
             colour = tuple(level / 255 for level in channel_colour(members[name].at))
             panel.loglog(frequency[shown], amplitude[shown], color=colour, label=name, linewidth=1.0)
-        for line in natural_hz:
+        for line in natural_hz[natural_hz > 1.0]:
             panel.axvline(line, color=INK, linewidth=0.8, linestyle=":", alpha=0.7)
         panel.set_ylabel(f"{quantity} [{unit}]", color=INK)
         panel.set_facecolor(PAPER)

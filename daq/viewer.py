@@ -7,10 +7,12 @@ viewer behind. It listens on 127.0.0.1 only.
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -107,6 +109,7 @@ def viewer(*options: str) -> Iterator[Viewer]:
     # The viewer reports its use to its makers unless it runs under CI; an instrument reports to nobody.
     environment = {**os.environ, "CI": "true", "NO_COLOR": "1"}
     with (
+        _terminable(),
         tempfile.TemporaryDirectory(prefix="shotrig-viewer-") as folder,
         (Path(folder) / "log").open("w", encoding="utf-8") as log,
     ):
@@ -122,6 +125,19 @@ def viewer(*options: str) -> Iterator[Viewer]:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Let SIGTERM unwind this process as Ctrl-C does, so that no viewer outlives it."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
 
 
 def binary() -> Path:

@@ -8,6 +8,8 @@ from typing import Any
 # Each public name and the module it lives in; a module is imported when one of its names is first used, so
 # that `import rig` stays quick (numba alone takes longer to import than a whole impulse test takes to run).
 _HOME: dict[str, str] = {
+    "Motion": "rig.motion",
+    "Plant": "rig.plant",
     "Scene": "rig.scene",
     "load": "rig.scene_file",
     "loads": "rig.scene_file",

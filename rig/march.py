@@ -1,0 +1,314 @@
+"""A system in motion: the kernel's state, its log, and the two ways to drive it through time.
+
+Sampled drive: one segment for each sample interval, the drive exact inside (first-order hold). Pure tone:
+segments between marks; a mark is a sample instant, or the start of a period, where the drive's phase is set
+exactly anew, so that a million periods keep it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from rig.contact import CONFIGURATION, FLIGHT, FLOOR, SLOT, Log, State, release_tensile
+from rig.errors import RunError
+from rig.flow import REACH, FlowTables
+from rig.kernel import DONE, LOG_FULL, NEED_TABLE, STUCK, Scratch, advance, scratch_for
+from rig.lanes import combine, padded
+from rig.system import Drive, System, sampled, tone
+
+Array = NDArray[np.float64]
+
+EVENT = np.dtype([("time", "f8"), ("damper", "i4"), ("kind", "U10"), ("speed", "f8")])
+KINDS = np.array(["separation", "floor", "ceiling"])
+LOG_ROWS = 1024
+
+
+@dataclass(frozen=True)
+class Course:
+    """What happened over a number of segments.
+
+    Attributes
+    ----------
+    state : ndarray, shape (samples, states)
+        At the samples, after any break there.
+    slot : ndarray, shape (samples,)
+        The table of the configuration at each sample.
+    height : ndarray, shape (samples, dampers)
+        Of dampers in flight, m; meaningless for riding ones.
+    mode : ndarray, shape (samples, dampers)
+        FLIGHT, FLOOR or CEILING.
+    event_segment, event_offset, event_damper, event_kind, event_speed : ndarray, shape (events,)
+        Offsets in seconds after the start of the segment; dampers from 0.
+    break_segment, break_offset : ndarray, shape (breaks,)
+    before, after : ndarray, shape (breaks, states)
+    before_slot, after_slot : ndarray, shape (breaks,)
+    """
+
+    state: Array
+    slot: NDArray[np.int64]
+    height: Array
+    mode: NDArray[np.int8]
+    event_segment: NDArray[np.int64]
+    event_offset: Array
+    event_damper: NDArray[np.int64]
+    event_kind: NDArray[np.int64]
+    event_speed: Array
+    break_segment: NDArray[np.int64]
+    break_offset: Array
+    before: Array
+    after: Array
+    before_slot: NDArray[np.int64]
+    after_slot: NDArray[np.int64]
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def _keep(state: State, row: int, states: Array, slots: Array, heights: Array, modes: Array) -> None:
+    slots[row] = state.counters[SLOT]
+    for i in range(states.shape[1]):
+        states[row, i] = state.z[i]
+    for j in range(heights.shape[1]):
+        heights[row, j] = state.height[j]
+        modes[row, j] = state.mode[j]
+
+
+@njit(cache=True, _nrt=False)
+def _march_samples(
+    flow: Any, model: Any, state: Any, scratch: Any, log: Any, inputs: int, substeps: float, drive: Array,
+    begin: int, left: float, states: Array, slots: Array, heights: Array, modes: Array,
+) -> tuple[int, int, float]:  # fmt: skip
+    """Sample intervals that end at drive[:, begin + 1:]; drive[:, 0] is the last sample of the time before."""
+    first = flow.guard.shape[1] - 2 * inputs
+    for k in range(begin, drive.shape[1] - 1):
+        if left < 0.0:
+            for i in range(inputs):
+                state.z[first + i] = drive[i, k]
+                state.z[first + inputs + i] = drive[i, k + 1] - drive[i, k]
+            left = substeps
+        status, left = advance(
+            flow, model, state, scratch, log, k, (substeps - left) * model.step, left
+        )
+        if status != DONE:
+            return status, k, left
+        if state.counters[SLOT] < 0:
+            return NEED_TABLE, k, 0.0
+        for i in range(inputs):
+            state.z[first + i] = drive[i, k + 1]
+        _keep(state, k, states, slots, heights, modes)
+        left = -1.0
+    return DONE, drive.shape[1] - 1, -1.0
+
+
+@njit(cache=True, _nrt=False)
+def _march_marks(
+    flow: Any, model: Any, state: Any, scratch: Any, log: Any, steps: Array, sample_row: Array,
+    new_period: Array, begin: int, left: float, states: Array, slots: Array, heights: Array, modes: Array,
+) -> tuple[int, int, float]:  # fmt: skip
+    """Segments of `steps` step lengths under a tone, or without drive if `new_period` is never set."""
+    first = flow.guard.shape[1] - 2
+    for k in range(begin, steps.shape[0]):
+        if left < 0.0:
+            left = steps[k]
+        status, left = advance(flow, model, state, scratch, log, k, (steps[k] - left) * model.step, left)
+        if status != DONE:
+            return status, k, left
+        if state.counters[SLOT] < 0:
+            return NEED_TABLE, k, 0.0
+        if new_period[k]:
+            state.z[first] = 1.0
+            state.z[first + 1] = 0.0
+        if sample_row[k] >= 0:
+            _keep(state, sample_row[k], states, slots, heights, modes)
+        left = -1.0
+    return DONE, steps.shape[0], -1.0
+
+
+@njit(cache=True, _nrt=False)
+def _accelerations(flow: Any, states: Array, slots: Array, row: Array, out: Array) -> None:
+    for k in range(states.shape[0]):
+        combine(flow.acceleration, flow.acceleration_constant, slots[k], states[k], flow.guard.shape[1], row)
+        for i in range(out.shape[0]):
+            out[i, k] = row[i]
+
+
+@njit(cache=True, _nrt=False)
+def _let_go(flow: Any, model: Any, state: Any, scratch: Any, log: Any) -> None:
+    release_tensile(flow, model, state, log, 0, 0.0, scratch.contact)
+
+
+class March:
+    """A system on its way through time.
+
+    Parameters
+    ----------
+    system : System
+    drive : Drive
+    step : float
+        Step length in seconds; `step_for` finds one.
+    """
+
+    def __init__(self, system: System, drive: Drive, step: float) -> None:
+        self.system, self.drive = system, drive
+        self.tables = FlowTables(system, drive, step)
+        dampers, size = system.dampers, self.tables.size
+        self.state = State(
+            z=np.zeros(padded(size)),
+            height=np.zeros(dampers),
+            speed=np.zeros(dampers),
+            mode=np.full(dampers, FLOOR, dtype=np.int64),
+            multiplicity=np.zeros(dampers, dtype=np.int64),
+            counters=np.zeros(4, dtype=np.int64),
+        )
+        rows = max(LOG_ROWS, 16 * dampers)
+        self.log = Log(
+            count=np.zeros(2, dtype=np.int64),
+            segment=np.zeros(rows, dtype=np.int64),
+            offset=np.zeros(rows),
+            damper=np.zeros(rows, dtype=np.int64),
+            kind=np.zeros(rows, dtype=np.int64),
+            closing=np.zeros(rows),
+            break_segment=np.zeros(rows, dtype=np.int64),
+            break_offset=np.zeros(rows),
+            before=np.zeros((rows, padded(size))),
+            after=np.zeros((rows, padded(size))),
+            configuration=np.zeros((rows, 2), dtype=np.int64),
+        )
+        self.scratch: Scratch = scratch_for(self.tables.flow)
+        self.state.counters[CONFIGURATION] = (1 << dampers) - 1
+        self._find_table()
+
+    @property
+    def ambiguous(self) -> int:
+        """Number of decisions that lay within rounding so far."""
+        return int(self.state.counters[3])
+
+    def place(self, state: Array, drive: Array) -> Array:
+        """Put the system at a state with every damper on its floor; dampers whose contact would pull lift off.
+
+        Returns
+        -------
+        ndarray of int64
+            Dampers (from 0) that lifted off at once.
+        """
+        self.state.z[: self.system.states] = state
+        self.state.z[self.system.states : self.tables.size] = drive
+        _let_go(self.tables.flow, self.tables.model, self.state, self.scratch, self.log)
+        lifted = self.log.damper[: self.log.count[0]].copy()
+        self.log.count[:] = 0
+        self._find_table()
+        return lifted
+
+    def standing(self) -> Course:
+        """Present state as a course of one sample in which nothing happened."""
+        return Course(
+            self.state.z[None].copy(),
+            self.state.counters[SLOT : SLOT + 1].copy(),
+            self.state.height[None].copy(),
+            self.state.mode[None].astype(np.int8),
+            *self._page(),
+        )
+
+    def over_samples(self, drive: Array, interval_steps: float) -> Course:
+        """Run through the sample intervals between the columns of a sampled drive (inputs, samples + 1)."""
+        drive = np.ascontiguousarray(drive)
+        return self._run(_march_samples, (len(self.system.inputs), interval_steps, drive), drive.shape[1] - 1)
+
+    def over_marks(self, steps: Array, sample_row: NDArray[np.int64], new_period: NDArray[np.bool_]) -> Course:
+        """Run through segments of given lengths (in steps), keeping the state where `sample_row` says so."""
+        count = int(sample_row.max(initial=-1)) + 1
+        return self._run(_march_marks, (steps, sample_row, new_period), count)
+
+    def accelerations(self, states: Array, slots: NDArray[np.int64]) -> Array:
+        """Acceleration of every coordinate for states (samples, padded size), shape (coordinates, samples)."""
+        out = np.zeros((self.system.coordinates, len(states)))
+        row = np.zeros(self.tables.flow.acceleration.shape[2])
+        _accelerations(self.tables.flow, states, slots, row, out)
+        return out
+
+    def _run(self, kernel: Any, arguments: tuple[Any, ...], samples: int) -> Course:
+        size, dampers = self.state.z.shape[0], self.system.dampers
+        states = np.zeros((samples, size))
+        slots = np.zeros(samples, dtype=np.int64)
+        heights = np.zeros((samples, dampers))
+        modes = np.zeros((samples, dampers), dtype=np.int8)
+        pages: list[tuple[Array, ...]] = []
+        begin, left = 0, -1.0
+        while True:
+            status, begin, left = kernel(
+                self.tables.flow, self.tables.model, self.state, self.scratch, self.log, *arguments, begin, left,
+                states, slots, heights, modes,
+            )  # fmt: skip
+            if status == NEED_TABLE:
+                self._find_table()
+            elif status == LOG_FULL:
+                pages.append(self._page())
+            elif status == STUCK:
+                raise RunError(
+                    "a damper separates and lands again and again at one instant; this contradicts the contact "
+                    "law and should be reported with the scene"
+                )
+            else:
+                break
+        pages.append(self._page())
+        return Course(states, slots, heights, modes, *(np.concatenate(parts) for parts in zip(*pages, strict=True)))
+
+    def _find_table(self) -> None:
+        self.state.counters[SLOT] = self.tables.slot(int(self.state.counters[CONFIGURATION]))
+
+    def _page(self) -> tuple[Array, ...]:
+        """Take what the log holds and empty it."""
+        events, breaks = self.log.count
+        log = self.log
+        slots = [
+            np.array([self.tables.slot(int(c)) for c in log.configuration[:breaks, side]], dtype=np.int64)
+            for side in (0, 1)
+        ]
+        page = (
+            *(column[:events].copy() for column in (log.segment, log.offset, log.damper, log.kind, log.closing)),
+            *(column[:breaks].copy() for column in (log.break_segment, log.break_offset, log.before, log.after)),
+            *slots,
+        )
+        log.count[:] = 0
+        return page
+
+
+def step_for(span: float, fastest: float) -> tuple[float, float]:
+    """Step length that divides a time span and stays within reach of the series; (step, steps in the span)."""
+    steps = max(1.0, float(np.ceil(span * fastest / REACH)))
+    return span / steps, steps
+
+
+def sampled_march(system: System, interval: float) -> tuple[March, float]:
+    """March under a sampled drive, and the number of steps in a sample interval."""
+    step, steps = step_for(interval, system.fastest)
+    return March(system, sampled(len(system.inputs), interval), step), steps
+
+
+def tone_march(system: System, amplitudes: NDArray[np.complex128], omega: float) -> tuple[March, float]:
+    """March under a tone u(t) = Re(U e^{i omega t}), and the number of steps in a period."""
+    step, steps = step_for(2.0 * np.pi / omega, max(system.fastest, omega))
+    return March(system, tone(amplitudes, omega), step), steps
+
+
+def event_table(times: Array, damper: Array, kind: Array, speed: Array, system: System) -> NDArray[Any]:
+    """Events as users see them: dampers by their number in the scene, kinds by name."""
+    table = np.zeros(len(times), dtype=EVENT)
+    table["time"] = times
+    table["damper"] = system.damper_number[damper] if len(times) else 0
+    table["kind"] = KINDS[kind]
+    table["speed"] = speed
+    return table
+
+
+def gaps_and_contacts(course: Course, system: System) -> tuple[Array, NDArray[np.int8]]:
+    """Gap (dampers, samples) above each floor in m, and contact state (dampers, samples)."""
+    positions = course.state[:, system.damper_coordinate].T
+    gap = course.height.T - positions
+    mode = course.mode.T
+    ceiling = np.broadcast_to(system.clearance[:, None], gap.shape)
+    gap = np.where(mode == FLIGHT, gap, np.where(mode == FLOOR, 0.0, ceiling))
+    return np.maximum(gap, 0.0) if gap.size else gap, np.ascontiguousarray(mode)

@@ -129,6 +129,7 @@ class Integrator(Settings):
 
     order: Annotated[int, Field(ge=1, le=2, description="1 or 2")]
     corner: Annotated[float, Quantity(FREQUENCY, at_least=0.0)] = 0.0
+    low_cutoff: Corner | None = None
     gain: Annotated[float, Quantity(RATIO, above=0.0)] = 1.0
     noise: Annotated[float, Quantity(VOLTAGE_NOISE, at_least=0.0)] | None = None
     saturation: Annotated[float, Quantity(VOLTAGE, above=0.0)] | None = None

@@ -8,7 +8,16 @@ from typing import Any
 # Each public name and the module it lives in; a module is imported when one of its names is first used, so
 # that `import analysis` stays quick (numba alone takes longer to import than a whole impulse test takes to
 # run).
-_HOME: dict[str, str] = {}
+_HOME: dict[str, str] = {
+    "Decay": "analysis.ringdown",
+    "Frf": "analysis.frf",
+    "Modes": "analysis.modal",
+    "compliance": "analysis.transfer",
+    "decay": "analysis.ringdown",
+    "frequency_responses": "analysis.transfer",
+    "identify": "analysis.modal",
+    "mac": "analysis.modal",
+}
 
 __all__ = sorted(_HOME)
 

@@ -14,9 +14,8 @@ from analysis.spans import spans
 from rig.errors import RecordingError, SceneError
 
 if TYPE_CHECKING:
-    from daq.recording import Recording
-
     from daq.marker import Marker
+    from daq.recording import Recording
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

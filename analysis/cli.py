@@ -2,9 +2,109 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
 from rig.command import application, run
 
+if TYPE_CHECKING:
+    from analysis.presentation import Result
+
 app = application("From recordings to curves, modes and reports.")
+
+Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings; several are overlaid.")]
+Output = Annotated[
+    Path | None,
+    typer.Option("--output", "-o", metavar="DIR", help="Where to write; default beside the first FILE."),
+]
+Reference = Annotated[
+    str, typer.Option(help="What to divide by: force (on the structure) or table (its displacement).")
+]
+Block = Annotated[float | None, typer.Option(help="Block length in s, for random tests.")]
+Count = Annotated[
+    int | None, typer.Option("--modes", help="How many modes to keep; default all stable ones.")
+]
+
+
+@app.command()
+def frf(
+    files: Files,
+    output: Output = None,
+    response: Annotated[
+        list[str] | None, typer.Option(help="Channel; may be repeated; default all bodies.")
+    ] = None,
+    reference: Reference = "force",
+    motion: Annotated[
+        str, typer.Option(help="displacement, velocity or acceleration of the response.")
+    ] = "displacement",
+    estimator: Annotated[str, typer.Option(help="H1, H2 or Hv, where spectra are averaged.")] = "H1",
+    block: Block = None,
+    theory: Annotated[
+        bool, typer.Option("--theory", help="Add the exact curve of the bare structure.")
+    ] = False,
+) -> None:
+    """Frequency responses: compliance against frequency, with error bars and coherence."""
+    from analysis.presentation import present_frf
+
+    with _progress() as progress:
+        result = present_frf(files, output, response, reference, motion, estimator, block, theory, progress)
+    _show(result)
+
+
+@app.command()
+def decay(
+    files: Files,
+    output: Output = None,
+    channel: Annotated[str | None, typer.Option(help="Channel; default the last body's.")] = None,
+    hit: Annotated[int, typer.Option(help="Which hit, from 1.")] = 1,
+) -> None:
+    """Free decays: envelope, and damping ratio against amplitude."""
+    from analysis.presentation import present_decay
+
+    _show(present_decay(files, output, channel, hit))
+
+
+@app.command()
+def modes(
+    files: Files,
+    output: Output = None,
+    reference: Reference = "force",
+    modes: Count = None,
+    block: Block = None,
+) -> None:
+    """Natural frequencies, damping ratios and mode shapes."""
+    from analysis.presentation import present_modes
+
+    with _progress() as progress:
+        result = present_modes(files, output, reference, modes, block, progress)
+    _show(result)
+
+
+def _show(result: Result) -> None:
+    for line in result.lines:
+        print(line)
+    for warning in result.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    for path in result.files:
+        print(f"wrote {path}")
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[int, int], None]]:
+    """Draw a bar on the terminal, if there is one, for work that takes more than a moment."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("analysing")
+        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 def main() -> None:

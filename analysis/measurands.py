@@ -14,9 +14,8 @@ from analysis.frf import MOTIONS
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
-    from daq.recording import Recording
-
     from daq.channel import ChannelInfo
+    from daq.recording import Recording
 
 
 def named(rec: Recording, name: str) -> ChannelInfo:

@@ -40,7 +40,7 @@ def modes_figure(frfs: Sequence[Frf], modes: Modes, title: str) -> Figure:
             shade = colour(index)
             fit.plot(curve.frequency, abs(curve.value), "o", ms=2.4, color=shade, label=curve.response)
             fit.plot(dense, abs(modes.receptance(dense)[index]), color=shade, lw=0.9)
-        decades(fit, [abs(curve.value) for curve in curves])
+        decades(fit, [abs(modes.receptance(dense)), *(abs(curve.value) for curve in curves)])
         frequency_axis(fit, low, high, False)
         fit.set_ylabel("|receptance| / (m/N)")
         fit.set_title(title)
@@ -53,7 +53,7 @@ def modes_figure(frfs: Sequence[Frf], modes: Modes, title: str) -> Figure:
             chart.plot(some[:, 0], some[:, 1], mark, ms=2.6, color=shade, label=text, ls="")
         frequency_axis(chart, low, high, True)
         chart.set_ylabel("order")
-        chart.legend(loc="upper right", ncols=2)
+        chart.legend(loc="upper left")
         for f in modes.frequency:
             for axes in (fit, chart):
                 axes.axvline(f, color="#777777", lw=0.7, ls=":", zorder=0)

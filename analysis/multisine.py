@@ -17,9 +17,8 @@ from analysis.spans import spans
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
-    from daq.recording import Recording
-
     from daq.marker import Marker
+    from daq.recording import Recording
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

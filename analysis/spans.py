@@ -1,4 +1,4 @@
-"""Stretches of a recording, read once from front to back with bounded memory."""
+"""Stretches of a recording, each part of the file read once and with bounded memory."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from daq.recording import Recording
 
-BLOCK = 65536
+PIECE = 1 << 16
 
 
 def spans(
@@ -33,28 +33,21 @@ def spans(
     ndarray, shape (channels, stop - start)
         Physical units, NaN where samples are lost or the recording has ended.
     """
-    source = _numbered(rec, channels)
-    held: list[tuple[int, NDArray[np.float64]]] = []
-    end = 0
+    held: dict[int, NDArray[np.float64]] = {}
     for start, stop in bounds:
-        held = [(first, block) for first, block in held if first + block.shape[1] > start]
-        while end < stop:
-            found = next(source, None)
-            if found is None:
-                break
-            end = found[0] + found[1].shape[1]
-            if end > start:
-                held.append(found)
+        wanted = range(start // PIECE, -(-min(stop, rec.samples) // PIECE))
+        held = {
+            number: held[number] if number in held else _piece(rec, channels, number) for number in wanted
+        }
         out = np.full((len(channels), stop - start), np.nan)
-        for first, block in held:
-            low, high = max(first, start), min(first + block.shape[1], stop)
+        for number, piece in held.items():
+            first = number * PIECE
+            low, high = max(first, start), min(first + piece.shape[1], stop)
             if high > low:
-                out[:, low - start : high - start] = block[:, low - first : high - first]
+                out[:, low - start : high - start] = piece[:, low - first : high - first]
         yield out
 
 
-def _numbered(rec: Recording, channels: Sequence[str]) -> Iterator[tuple[int, NDArray[np.float64]]]:
-    first = 0
-    for block in rec.blocks(list(channels), BLOCK):
-        yield first, block
-        first += block.shape[1]
+def _piece(rec: Recording, channels: Sequence[str], number: int) -> NDArray[np.float64]:
+    first, stop = number * PIECE, min((number + 1) * PIECE, rec.samples)
+    return np.stack([rec.read(name, first, stop) for name in channels])

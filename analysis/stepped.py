@@ -125,7 +125,11 @@ def _setting(marker: Any) -> tuple[float, str]:
 
 def _clipped(rec: Recording) -> dict[str, NDArray[np.int64]]:
     """Overloaded samples of each channel as rows (first, last)."""
-    return {}
+    found: dict[str, list[tuple[int, int]]] = {}
+    for marker in rec.overloads:
+        last = marker.first_sample if marker.last_sample is None else marker.last_sample
+        found.setdefault(str(marker.fields.get("channel", "")), []).append((marker.first_sample, last))
+    return {name: np.array(rows) for name, rows in found.items()}
 
 
 def _overlaps(ranges: NDArray[np.int64] | None, first: int, last: int) -> bool:

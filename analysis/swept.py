@@ -12,9 +12,8 @@ from analysis.estimators import Averages
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
-    from daq.recording import Recording
-
     from daq.marker import Marker
+    from daq.recording import Recording
 
 Array = NDArray[np.float64]
 

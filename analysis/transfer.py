@@ -11,10 +11,9 @@ from analysis.measurands import responses
 from rig.errors import RecordingError, SceneError
 
 if TYPE_CHECKING:
-    from daq.recording import Recording
-
     from analysis.lines import Lines
     from analysis.multisine import BestLinearApproximation
+    from daq.recording import Recording
 
 Progress = Callable[[int, int], None]
 

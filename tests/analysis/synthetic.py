@@ -1,0 +1,108 @@
+"""Recordings whose content is known: linear motion worked out with scipy, written by the real recorder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from scipy import signal
+
+import rig
+from daq.channel import ChannelInfo
+from daq.recorder import Recorder
+from rig.receptance import receptance
+from rig.structure import structure_matrices
+
+RATE = 2560.0
+PLACES = {"body1": "body 1", "body2": "body 2", "body3": "body 3", "table": "table"}
+SPRING = 6600.0
+
+STRUCTURE = """
+name: {name}
+structure:
+  masses: [0.74 kg, 0.71 kg, 0.64 kg]
+  springs: [24.3 kN/m, 21.8 kN/m, 19.8 kN/m]
+  damping: {{modal: 0.5 %}}
+shaker: {{kind: {shaker}, body: 1{spring}}}
+test: {test}
+converter: {{rate: 2560 Hz}}
+recording: {{display: false}}
+"""
+
+
+def scene(test="{kind: sine, frequency: 10 Hz, force: 1 N}", shaker="table", name="linear"):
+    spring = ", spring: 6.6 kN/m" if shaker == "table" else ""
+    return rig.loads(STRUCTURE.format(name=name, shaker=shaker, spring=spring, test=test), where="a test")
+
+
+def channels(quantity="displacement", rate=RATE, **chain):
+    return [ChannelInfo(name, at, quantity, sensitivity=1.0, rate=rate, **chain) for name, at in PLACES.items()]
+
+
+def write(path, scene, infos, samples, marks, rate=RATE):
+    """Write samples (channels, n) in physical units and marks (kind, first, last, fields)."""
+    with Recorder(path, scene, infos, rate, overwrite=True) as recorder:
+        for kind, first, last, fields in sorted(marks, key=lambda mark: mark[1]):
+            recorder.mark(kind, first, last, **fields)
+        recorder.write(np.ascontiguousarray(samples))
+    return Path(path)
+
+
+def stepped_sine(path, frequencies, periods=20, level=2.6, noise=0.0, infos=None, seed=0, name="linear"):
+    """Steady motion at each frequency in turn, as the channels would read it."""
+    infos = channels() if infos is None else infos
+    where = scene(name=name)
+    random = np.random.default_rng(seed)
+    blocks, marks, first = [], [], 0
+    for frequency in frequencies:
+        count = round(periods * RATE / frequency)
+        motion = receptance(where, [frequency])[:, 0] * level
+        motion = np.append(motion, level / SPRING + motion[0])
+        orders = [{"displacement": 0, "velocity": 1, "acceleration": 2}[info.quantity] for info in infos]
+        read = [
+            x * (2j * np.pi * frequency) ** order * info.response(frequency)
+            for x, order, info in zip(motion, orders, infos, strict=True)
+        ]
+        turn = np.exp(2j * np.pi * frequency / RATE * np.arange(count))
+        blocks.append((np.array(read)[:, None] * turn).real + noise * random.standard_normal((len(infos), count)))
+        fields = {"frequency": float(frequency), "level": level, "direction": "up", "settled": True}
+        marks.append(("measure", first, first + count - 1, fields))
+        first += count
+    return write(path, where, infos, np.concatenate(blocks, axis=1), marks)
+
+
+def simulate(force, rate=RATE, where=None, quantity="acceleration"):
+    """Motion of the three bodies under a sampled force on body 1, exact between samples; (3, samples)."""
+    where = scene() if where is None else where
+    mass, damping, stiffness = structure_matrices(where.structure)
+    inverse = np.linalg.inv(mass)
+    bodies = len(mass)
+    a = np.block([[np.zeros((bodies, bodies)), np.eye(bodies)], [-inverse @ stiffness, -inverse @ damping]])
+    b = np.concatenate([np.zeros(bodies), inverse[:, 0]])[:, None]
+    if quantity == "acceleration":
+        c, d = a[bodies:], b[bodies:]
+    else:
+        c, d = np.eye(bodies, 2 * bodies), np.zeros((bodies, 1))
+    system = signal.cont2discrete((a, b, c, d), 1.0 / rate, "foh")
+    return signal.dlsim((*system[:4], 1.0 / rate), force)[1].T
+
+
+def impulses(path, hits=1, interval=6.0, noise=0.0, name="linear", hammer=True, rebound=(), seed=0):
+    """Half-sine hits on body 1 and the free decays after them."""
+    count, width, quiet = round(interval * RATE), 16, 640
+    force = np.zeros(quiet + hits * count)
+    marks = []
+    for hit in range(hits):
+        first = quiet + hit * count
+        force[first : first + width] = 50.0 * np.sin(np.pi * np.arange(width) / width)
+        if hit + 1 in rebound:
+            force[first + 60 : first + 60 + width] += 20.0 * np.sin(np.pi * np.arange(width) / width)
+        marks.append(("hit", first, first + width - 1, {"number": hit + 1, "body": 1}))
+    infos = [info for info in channels("acceleration") if info.at != "table"]
+    rows = simulate(force)
+    if hammer:
+        infos.append(ChannelInfo("hammer", "hammer", "force", sensitivity=1.0, rate=RATE))
+        rows = np.vstack([rows, force])
+    rows = rows + noise * np.random.default_rng(seed).standard_normal(rows.shape)
+    where = scene("{kind: impulse, body: 1, peak: 50 N, width: 6.25 ms}", name=name)
+    return write(path, where, infos, rows, marks)

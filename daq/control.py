@@ -1,0 +1,102 @@
+"""Control of the drive amplitude, so that the force amplitude read from the channels keeps its level."""
+
+from __future__ import annotations
+
+import math
+
+# A level counts as held within this share of it; where the force scatters, within twice its standard error,
+# up to a bound.
+HELD, HELD_AT_WORST = 0.005, 0.02
+# Slopes d log(force) / d log(drive) that are believed. Dampers that begin to work can make the force rise
+# slowly, steeply or even fall with the drive; a flatter slope than this is no guide.
+_FLATTEST, _STEEPEST = 0.3, 3.0
+# Drives that enclose the level this closely, as log ratio, yet miss it: the force jumps, or has changed.
+_CLOSEST = 2e-3
+
+
+class AmplitudeControl:
+    """Secant steps in log(drive) and log(force), never far, never outside of what encloses the level.
+
+    Parameters
+    ----------
+    level : float
+        Force amplitude to hold, N.
+    limit : float
+        Largest drive amplitude.
+    longest_step : float
+        Largest ratio of one drive amplitude to the one before.
+
+    Examples
+    --------
+    A hardening rig, force = 3 drive^1.5:
+
+    >>> control, drive = AmplitudeControl(2.6), 0.1
+    >>> for step in range(12):
+    ...     force = 3 * drive**1.5
+    ...     if control.holds(force):
+    ...         break
+    ...     drive = control.next(drive, force)
+    >>> step, abs(force / 2.6 - 1) < 0.005
+    (3, True)
+    """
+
+    def __init__(self, level: float, limit: float = math.inf, longest_step: float = 3.0) -> None:
+        self.level = level
+        self.limit = limit
+        self._longest = math.log(longest_step)
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget what was learned: the frequency has changed."""
+        self._before: tuple[float, float] | None = None
+        self._low, self._high = -math.inf, math.inf
+
+    def holds(self, force: float, doubt: float = 0.0) -> bool:
+        """Whether a force amplitude, known with a relative standard error `doubt`, is at the level."""
+        return abs(force / self.level - 1.0) <= min(max(HELD, 2.0 * doubt), HELD_AT_WORST)
+
+    def cut(self, drive: float, force: float) -> float:
+        """Bring the drive down at once, without learning from a force that is still changing."""
+        return drive * max(math.exp(-self._longest), min(1.0, self.level / force))
+
+    def next(self, drive: float, force: float) -> float:
+        """Choose the next drive amplitude, given the steady force the present one leads to.
+
+        Parameters
+        ----------
+        drive : float
+            Present drive amplitude, above 0.
+        force : float
+            Force amplitude it leads to, N.
+
+        Returns
+        -------
+        float
+            Drive amplitude, at most `limit`.
+        """
+        here, error = math.log(drive), math.log(self.level / max(force, 1e-9 * self.level))
+        slope = 1.0
+        if self._before is not None and abs(here - self._before[0]) > 1e-3:
+            slope = (self._before[1] - error) / (here - self._before[0])
+        self._before = here, error
+        self._enclose(here, error)
+        longest = self._longest if slope >= _FLATTEST else 0.5 * self._longest
+        step = error / (min(slope, _STEEPEST) if slope >= _FLATTEST else 1.0)
+        there = here + max(-longest, min(longest, step))
+        if math.isfinite(self._high - self._low):
+            margin = 0.1 * (self._high - self._low)
+            there = max(self._low + margin, min(self._high - margin, there))
+        return min(math.exp(there), self.limit)
+
+    def _enclose(self, here: float, error: float) -> None:
+        """Keep the drives next to the level, below and above it."""
+        if error > 0.0:
+            self._low = here
+            if self._high <= here:
+                self._high = math.inf
+        else:
+            self._high = here
+            if self._low >= here:
+                self._low = -math.inf
+        if self._high - self._low < _CLOSEST:
+            self._low, self._high = -math.inf, math.inf

@@ -1,0 +1,32 @@
+"""The excitations a test can run, one module each: they see channels, never the simulator's state."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from daq.excitation.station import Excitation, Station
+from rig.errors import SceneError
+
+__all__ = ["Excitation", "Station", "excitation"]
+
+
+def excitation(station: Station) -> Excitation:
+    """Make the excitation of the scene's test.
+
+    Parameters
+    ----------
+    station : Station
+        Where the test is to run.
+
+    Raises
+    ------
+    SceneError
+        If the scene names no test, or one that needs what is not on the bench.
+    """
+    test = station.scene.test
+    if test is None:
+        raise SceneError(
+            f"scene {station.scene.name!r} names no test: add one, such as "
+            "test: {kind: impulse, body: 1, peak: 50 N, width: 4 ms}"
+        )
+    return import_module(f"daq.excitation.{test.kind}").excite(station, test)

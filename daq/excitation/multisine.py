@@ -1,0 +1,104 @@
+"""Multisine: periodic sums of tones with random phases, several realisations of several periods."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.excitation.shaping import (
+    Lines,
+    closed_loop,
+    crossfade,
+    equalise,
+    flat,
+    generator,
+    lines_between,
+    wave_of,
+    within_limit,
+)
+from daq.excitation.station import Excitation, Station
+
+if TYPE_CHECKING:
+    from rig.excitation_settings import Multisine
+
+Array = NDArray[np.float64]
+
+_TOLERANCE, _LONGEST = 1e-3, 60.0
+
+
+def excite(station: Station, test: Multisine) -> Excitation:
+    """Run a multisine test."""
+    if test.period is not None:
+        period = station.samples(test.period)
+        lines = lines_between(test.from_, test.to, period, station.rate)
+    else:
+        count = test.lines or 2
+        period = station.samples(count / (test.to - test.from_))
+        lines = lines_between(test.from_, test.to, period, station.rate)[:count]
+    return _run(station, test, lines, period, closed_loop(station, test))
+
+
+def _run(station: Station, test: Multisine, lines: Lines, period: int, closed: bool) -> Excitation:
+    level = test.force or test.drive or 0.0
+    random = generator(station, "multisine")
+    playing = np.zeros(period)
+    amplitudes = flat(level, lines)
+    for realisation in range(1, test.realisations + 1):
+        phases = random.uniform(0.0, 2 * np.pi, lines.size)
+        if closed and realisation == 1:
+            shaped = yield from equalise(station, lines, period, level, phases)
+            amplitudes, playing = shaped.amplitudes, shaped.wave
+        wave = wave_of(lines, amplitudes, phases, period)
+        factor = within_limit(station, wave)
+        wave *= factor
+        message = f"realisation {realisation} of {test.realisations}"
+        share = (realisation - 1) / test.realisations
+        if factor < 1.0:
+            station.warn(
+                f"{message}: the amplifier's limit keeps the drive at {factor:.0%} of what was asked"
+            )
+        station.report(share, f"{message}, settling")
+        first = station.now
+        yield station.drive(crossfade(playing, wave))
+        playing = wave
+        settled = yield from _settle(station, wave)
+        station.mark("settle", first, station.now, realisation=realisation, settled=settled)
+        if not settled:
+            station.warn(f"{message}: not periodic within {_LONGEST:g} s")
+        first = station.now
+        for turn in range(test.periods):
+            station.report(share + turn / test.periods / test.realisations, f"{message}, period {turn + 1}")
+            yield station.drive(wave)
+        station.mark(
+            "measure",
+            first,
+            station.now,
+            realisation=realisation,
+            period=period,
+            periods=test.periods,
+            lines=[int(lines[0]), int(lines[-1])],
+            level=level,
+            settled=settled,
+        )
+    yield station.drive(crossfade(playing, np.zeros(period)))
+
+
+def _settle(station: Station, wave: Array) -> Generator[Array, Array, bool]:
+    """Play periods until one is like the one before, or until what they differ by is noise."""
+    end = station.now + station.samples(_LONGEST)
+    before = yield station.drive(wave)
+    change_before, level_before = np.inf, 0
+    while station.now < end:
+        now = yield station.drive(wave)
+        size = np.sqrt(np.mean((now - now.mean(axis=1, keepdims=True)) ** 2, axis=1))
+        change = float(np.max(np.sqrt(np.mean((now - before) ** 2, axis=1)) / np.maximum(size, 1e-300)))
+        ratio = min(change / change_before, 1.0) if change_before > 0 else 0.0
+        left = change * ratio / (1 - ratio) if ratio < 0.98 else np.inf
+        level_before = level_before + 1 if ratio > 0.9 else 0
+        if (np.isfinite(change_before) and left < _TOLERANCE) or level_before >= 3:
+            return True
+        before, change_before = now, change
+    return False

@@ -1,0 +1,108 @@
+"""Random: Gaussian noise in a band, going on or in bursts."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import fftconvolve
+from scipy.signal.windows import hann
+
+from daq.excitation.shaping import Lines, closed_loop, equalise, flat, generator, lines_between
+from daq.excitation.station import Excitation, Station
+
+if TYPE_CHECKING:
+    from rig.excitation_settings import Random
+
+Array = NDArray[np.float64]
+
+# Length of the shaping filter and of a burst's block, s: the filter resolves a quarter of a hertz.
+_FILTER, _BLOCK = 4.0, 8.0
+_EDGE = 0.02
+
+
+def excite(station: Station, test: Random) -> Excitation:
+    """Run a random test."""
+    period = station.samples(_FILTER)
+    return _run(
+        station,
+        test,
+        lines_between(test.from_, test.to, period, station.rate),
+        period,
+        closed_loop(station, test),
+    )
+
+
+def _run(station: Station, test: Random, lines: Lines, period: int, closed: bool) -> Excitation:
+    level = test.force or test.drive or 0.0
+    random = generator(station, "random")
+    amplitudes, gains = flat(level, lines), np.ones(lines.size)
+    if closed:
+        phases = random.uniform(0.0, 2 * np.pi, lines.size)
+        shaped = yield from equalise(station, lines, period, level, phases)
+        amplitudes, gains = shaped.amplitudes, shaped.gains
+        yield station.drive(shaped.wave * _fall(period))
+    shape = shaping_filter(lines, amplitudes, gains, level, period)
+    total = station.samples(test.duration)
+    block = min(total, station.samples(_BLOCK))
+    gate = _gate(block, test.burst, station.samples(_EDGE))
+    first, done, clipped = station.now, 0, 0
+    tail = fftconvolve(random.standard_normal(period), shape)[period:]
+    while done < total:
+        # Convolution adds up overlapping pieces, so that the noise goes on across windows without a seam.
+        piece = fftconvolve(random.standard_normal(period), shape)
+        piece[: tail.size] += tail
+        wave, tail = piece[:period], piece[period:]
+        size = min(period, total - done)
+        wave = wave[:size] * gate[np.arange(done, done + size) % block]
+        edges = np.minimum(np.arange(done, done + size), total - 1 - np.arange(done, done + size))
+        wave *= np.minimum(1.0, edges / station.samples(_EDGE))
+        clipped += int(np.sum(abs(wave) > station.drive_limit))
+        yield station.drive(np.clip(wave, -station.drive_limit, station.drive_limit))
+        done += size
+        station.report(done / total, f"{done / station.rate:.0f} s of {test.duration:g} s")
+    facts = {"from": test.from_, "to": test.to}
+    burst = {} if test.burst is None else {"burst": test.burst, "block": block}
+    station.mark("measure", first, station.now, level=level, **facts, **burst)
+    if clipped:
+        station.warn(f"the amplifier's limit clipped {clipped} of {total} drive samples")
+
+
+def shaping_filter(lines: Lines, amplitudes: Array, gains: Array, level: float, period: int) -> Array:
+    """Impulse response that turns white noise of unit variance into the drive wanted; shape (period,).
+
+    Parameters
+    ----------
+    lines : ndarray of int, shape (lines,)
+        Where `amplitudes` and `gains` stand, in multiples of rate / period.
+    amplitudes : ndarray, shape (lines,)
+        Amplitudes of tones of the spectrum wanted.
+    gains : ndarray, shape (lines,)
+        What the level is of, per drive.
+    level : float
+        Root mean square wanted of the drive times the gains.
+    period : int
+        Length in samples.
+    """
+    spectrum = np.zeros(period // 2 + 1)
+    spectrum[lines] = amplitudes
+    # The window makes the response end softly; it blurs the spectrum a little: the level is set after it.
+    response = np.fft.fftshift(np.fft.irfft(spectrum, period)) * hann(period, sym=False)
+    reached = abs(np.fft.rfft(response))[lines] * gains * np.sqrt(2.0 / period)
+    return response * (level / np.sqrt(np.sum(reached**2)))
+
+
+def _gate(block: int, burst: float | None, edge: int) -> Array:
+    """On and off within a block, with soft edges; shape (block,)."""
+    if burst is None:
+        return np.ones(block)
+    on = max(2, round(burst * block))
+    edge = max(1, min(edge, on // 2))
+    gate = np.zeros(block)
+    gate[:on] = np.minimum(1.0, np.minimum(np.arange(on), on - 1 - np.arange(on)) / edge)
+    return gate
+
+
+def _fall(samples: int) -> Array:
+    return (1 + np.cos(np.pi * np.arange(samples) / samples)) / 2

@@ -1,0 +1,152 @@
+"""What a test has before it on the bench: sample clock, drive inputs, channels in their units, a log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.errors import SceneError
+
+if TYPE_CHECKING:
+    from daq.channel import ChannelInfo
+    from rig import Scene
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# A test as a coroutine: it yields the drive of the next window, shape (inputs, samples), and gets back what
+# the channels read in that window, shape (channels, samples), in physical units.
+Excitation = Generator[Array, Array, None]
+
+_DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
+
+
+@dataclass
+class Station:
+    """The operator's place: all that a test may know and do.
+
+    Attributes
+    ----------
+    scene : Scene
+        What is written on the bench's cards: structure, shaker and coil spring, the test asked for, seed.
+    channels : sequence of ChannelInfo
+        The channels, in the order in which windows come back.
+    inputs : sequence of str
+        Drive inputs, a subset of ``("shaker", "hammer")``, in the order in which drives are given.
+    rate : float
+        Samples per second.
+    mark : callable
+        ``mark(kind, first, stop, **fields)`` writes into the recording's log what the samples from `first` to
+        the one before `stop` were.
+    report : callable
+        ``report(fraction, message)`` tells how far the test is.
+    warn : callable
+        ``warn(message)`` keeps something the user must hear at the end.
+    now : int
+        Number of the first sample of the next window.
+    """
+
+    scene: Scene
+    channels: Sequence[ChannelInfo]
+    inputs: Sequence[str]
+    rate: float
+    mark: Callable[..., Any]
+    report: Callable[[float, str], None] = lambda fraction, message: None
+    warn: Callable[[str], None] = lambda message: None
+    now: int = field(default=0)
+
+    def samples(self, seconds: float) -> int:
+        """Nearest number of samples in a time, one at least."""
+        return max(1, round(seconds * self.rate))
+
+    def drive(self, wave: Array, name: str = "shaker") -> Array:
+        """Put one input's wave beside zeros for the others; shape (inputs, samples)."""
+        if name not in self.inputs:
+            raise SceneError(
+                f"the test drives the {name}, but the scene has {self._there()}: "
+                + ("add a shaker to the scene" if name == "shaker" else "choose another test")
+            )
+        rows = np.zeros((len(self.inputs), wave.size))
+        rows[list(self.inputs).index(name)] = wave
+        return rows
+
+    def quiet(self, samples: int) -> Array:
+        """Give no drive at all, for so many samples."""
+        return np.zeros((len(self.inputs), samples))
+
+    def _there(self) -> str:
+        return "no drive input" if not self.inputs else f"only the {' and the '.join(self.inputs)}"
+
+    @property
+    def force_is_drive(self) -> bool:
+        """Whether the drive is the force on the structure itself."""
+        return self.scene.shaker is not None and self.scene.shaker.kind == "force"
+
+    def row(self, place: str) -> int:
+        """Find the first channel that measures motion at a place."""
+        for row, info in enumerate(self.channels):
+            if info.at == place and info.quantity in _DERIVATIVES:
+                return row
+        have = ", ".join(f"{info.name} ({info.quantity} at {info.at})" for info in self.channels) or "none"
+        raise SceneError(
+            f"holding the spring force k0 (x0 - x1) needs a channel at the {place}: the scene's channels are "
+            f"{have}; add {{name: {place.replace(' ', '')}, at: {place}}}, or give the level as drive: "
+            "(open loop)"
+        )
+
+    def displacement(self, row: int, frequency: Array | float) -> ComplexArray:
+        """Factor from a channel's complex amplitude to the displacement at its place, per frequency in Hz."""
+        info = self.channels[row]
+        derivative = _DERIVATIVES[info.quantity]
+        frequency = np.asarray(frequency, dtype=float)
+        read = info.response(frequency) * (2j * np.pi * frequency) ** derivative
+        return np.asarray(1.0 / read, dtype=complex)
+
+    def force_weights(self, frequency: Array | float) -> ComplexArray:
+        """Weights that make the spring force of the channels' complex amplitudes.
+
+        F1 = k0 (x0 - x1), with x0 and x1 from the channels on the table and on the driven body, each
+        corrected for its sensor, amplifier and converter.
+
+        Parameters
+        ----------
+        frequency : float or ndarray, shape (frequencies,)
+            Hz.
+
+        Returns
+        -------
+        ndarray of complex, shape (channels,) + frequency.shape
+            N per unit read.
+        """
+        shaker = self.scene.shaker
+        assert shaker is not None and shaker.spring is not None
+        frequency = np.asarray(frequency, dtype=float)
+        weights = np.zeros((len(self.channels), *frequency.shape), dtype=complex)
+        table, body = self.row("table"), self.row(f"body {shaker.body}")
+        weights[table] = shaker.spring * self.displacement(table, frequency)
+        weights[body] = -shaker.spring * self.displacement(body, frequency)
+        return weights
+
+    @property
+    def drive_limit(self) -> float:
+        """Largest drive the shaker's amplifier follows; V, m or N."""
+        shaker = self.scene.shaker
+        if shaker is None or shaker.kind != "electrodynamic":
+            return np.inf
+        return shaker.amplifier.limit / shaker.amplifier.gain
+
+    @property
+    def cautious_drive(self) -> float:
+        """Drive per newton of wanted spring force to begin with, well below what will be needed."""
+        shaker = self.scene.shaker
+        assert shaker is not None and shaker.spring is not None
+        if shaker.kind == "table":
+            return 0.2 / shaker.spring
+        per_input = shaker.coil.force_factor * shaker.amplifier.gain
+        if shaker.amplifier.mode == "voltage":
+            per_input /= shaker.coil.resistance
+        return 0.2 / per_input

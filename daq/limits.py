@@ -1,0 +1,129 @@
+"""Limits of the channels: overloads and alarms are noted, an abort limit ends the test."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.channel import ChannelInfo
+
+if TYPE_CHECKING:
+    from rig.scene import Scene
+
+# An oscillation crosses its limit twice a period; crossings closer than this are one stretch, s.
+_PAUSE = 0.5
+
+
+@dataclass(frozen=True)
+class Trip:
+    """A channel beyond its abort limit: when (sample number), which, what it read and what it may read."""
+
+    sample: int
+    channel: ChannelInfo
+    value: float
+    limit: float
+
+    def __str__(self) -> str:
+        name, unit = self.channel.name, self.channel.unit
+        return (
+            f"channel {name} read {self.value:.4g} {unit} at {self.sample / self.channel.rate:.3f} s, "
+            f"beyond its abort limit of {self.limit:.4g} {unit}"
+        )
+
+
+class Stretches:
+    """Joins flagged samples to stretches and notes each when it is over.
+
+    Parameters
+    ----------
+    kind : str
+        Kind of the marks.
+    channels : sequence of ChannelInfo
+        The channels, in the order of the rows of the flags.
+    mark : callable
+        ``mark(kind, first, stop, channel=name)``.
+
+    Examples
+    --------
+    >>> info = ChannelInfo("body1", "body 1", "acceleration", sensitivity=1.0, rate=10.0)
+    >>> stretches = Stretches("overload", [info], lambda *args, **fields: print(*args, fields))
+    >>> stretches.add(0, np.array([[0, 1, 0, 1, 0, 0, 0, 0, 0, 0]], dtype=bool))
+    overload 1 4 {'channel': 'body1'}
+    """
+
+    def __init__(self, kind: str, channels: Sequence[ChannelInfo], mark: Callable[..., Any]) -> None:
+        self._kind, self._channels, self._mark = kind, channels, mark
+        self._open: dict[int, tuple[int, int]] = {}
+
+    def add(self, first: int, flags: NDArray[np.bool_]) -> None:
+        """Take the flags of the next samples, shape (channels, samples), the first one numbered `first`."""
+        if not self._open and not flags.any():
+            return
+        pause = max(1, round(_PAUSE * self._channels[0].rate))
+        for row in range(len(self._channels)):
+            for sample in (np.flatnonzero(flags[row]) + first).tolist():
+                start, stop = self._open.get(row, (sample, sample))
+                if sample - stop >= pause:
+                    self._note(row)
+                    start = sample
+                self._open[row] = start, sample + 1
+            if row in self._open and first + flags.shape[1] - self._open[row][1] >= pause:
+                self._note(row)
+
+    def close(self) -> None:
+        """Note what is still open."""
+        for row in sorted(self._open):
+            self._note(row)
+
+    def _note(self, row: int) -> None:
+        start, stop = self._open.pop(row)
+        self._mark(self._kind, start, stop, channel=self._channels[row].name)
+
+
+class Limits:
+    """Watches alarm and abort limits.
+
+    Parameters
+    ----------
+    scene : Scene
+        Limits stand with its channels, in each channel's unit.
+    channels : sequence of ChannelInfo
+        The channels, in the order of the rows of the readings.
+    mark : callable
+        ``mark(kind, first, stop, **fields)``.
+    """
+
+    def __init__(self, scene: Scene, channels: Sequence[ChannelInfo], mark: Callable[..., Any]) -> None:
+        settings = {channel.name: channel for channel in scene.channels or ()}
+
+        def limits(name: str) -> NDArray[np.float64]:
+            given = [getattr(settings.get(info.name), name, None) for info in channels]
+            return np.array([[np.inf if limit is None else limit] for limit in given])
+
+        self._channels = channels
+        self._alarm, self._abort = limits("alarm"), limits("abort")
+        self._alarms = Stretches("alarm", channels, mark)
+        self._any = bool(np.isfinite(self._alarm).any() or np.isfinite(self._abort).any())
+
+    def watch(self, first: int, readings: NDArray[np.float64]) -> Trip | None:
+        """Look at readings, shape (channels, samples), and report the first beyond an abort limit."""
+        if not self._any:
+            return None
+        size = abs(readings)
+        self._alarms.add(first, size > self._alarm)
+        beyond = size > self._abort
+        if not beyond.any():
+            return None
+        sample = int(np.argmax(beyond.any(axis=0)))
+        row = int(np.argmax(beyond[:, sample]))
+        return Trip(
+            first + sample, self._channels[row], float(readings[row, sample]), float(self._abort[row, 0])
+        )
+
+    def close(self) -> None:
+        """Note the alarms that still last."""
+        self._alarms.close()

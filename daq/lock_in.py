@@ -1,0 +1,102 @@
+"""Lock-in: complex amplitudes of channels at one frequency, by least squares over near-whole periods."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+def whole_periods(frequency: float, rate: float, at_least: float, periods: int = 1) -> int:
+    """Find a window of whole periods that the samples fit well.
+
+    A window that misses a whole number of periods lets harmonics and offsets leak into the fundamental; of
+    all window lengths up to a third longer than asked for, the one that misses least is taken.
+
+    Parameters
+    ----------
+    frequency, rate : float
+        Hz.
+    at_least : float
+        Shortest window, s.
+    periods : int
+        Fewest periods.
+
+    Returns
+    -------
+    int
+        Window length in samples.
+
+    Examples
+    --------
+    >>> whole_periods(10.0, 1000.0, 0.15)
+    200
+    >>> whole_periods(12.5, 100.0, 0.2, periods=2)
+    24
+    """
+    fewest = max(periods, int(np.ceil(at_least * frequency - 1e-9)))
+    counts = np.arange(fewest, fewest + max(1, fewest // 3) + 1)
+    samples = counts * rate / frequency
+    miss = abs(samples - np.round(samples)) / samples
+    return round(float(samples[np.argmin(np.round(miss, 9))]))
+
+
+@lru_cache(maxsize=64)
+def _solver(frequency: float, rate: float, samples: int) -> Array:
+    return _pseudo_inverse(2 * np.pi * np.fmod(frequency / rate * np.arange(samples), 1.0))
+
+
+def _pseudo_inverse(phase: Array) -> Array:
+    # Offset and slope are fitted with the tone, since integrated channels drift and dampers shift the mean.
+    ramp = np.linspace(-1.0, 1.0, phase.size)
+    model = np.stack([np.cos(phase), -np.sin(phase), np.ones(phase.size), ramp], axis=1)
+    return np.linalg.pinv(model)[:2]
+
+
+def lock_in(samples: Array, frequency: float, rate: float, phase: float = 0.0) -> ComplexArray:
+    """Complex amplitudes X of a steady tone: x(t) = Re(X e^{i(phase + 2 pi f t)}) + offset + slope t.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (channels, samples)
+        The window; t counts from its first sample.
+    frequency, rate : float
+        Hz.
+    phase : float
+        Phase of the reference at the first sample, rad.
+
+    Returns
+    -------
+    ndarray of complex, shape (channels,)
+
+    Examples
+    --------
+    >>> t = np.arange(512) / 5120.0
+    >>> amplitude = lock_in(3.0 * np.cos(2 * np.pi * 20 * t + 0.5)[None] + 7.0 + t, 20.0, 5120.0, phase=0.5)
+    >>> complex(np.round(amplitude[0], 12))
+    (3+0j)
+    """
+    parts = samples @ _solver(frequency, rate, samples.shape[1]).T
+    return (parts[:, 0] + 1j * parts[:, 1]) * np.exp(-1j * phase)
+
+
+def track(samples: Array, phase: Array) -> ComplexArray:
+    """Complex amplitudes X in x = Re(X e^{i phase}) + offset + slope t, for any phase, as in a sweep.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (channels, samples)
+        The window.
+    phase : ndarray, shape (samples,)
+        Phase of the reference at every sample, rad.
+
+    Returns
+    -------
+    ndarray of complex, shape (channels,)
+    """
+    parts = samples @ _pseudo_inverse(phase).T
+    return parts[:, 0] + 1j * parts[:, 1]

@@ -1,0 +1,243 @@
+"""Run the test of a scene on its bench and record it."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.bench import Bench
+from daq.excitation import Excitation, Station, excitation
+from daq.limits import Limits, Stretches
+from daq.recorder import Recorder
+from rig.errors import RunError, SceneError, ShotrigError
+from rig.scene import Scene
+from rig.scene_file import load
+
+Array = NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+# The channels are watched at the end of each stretch of this length, s, whatever the size of the blocks.
+_WATCH = 0.1
+_RAMP = 0.05
+
+
+class RunWarning(UserWarning):
+    """Something about a recorded test that its user must know."""
+
+
+def record(
+    scene: Scene | str | Path,
+    path: str | Path,
+    *,
+    block: int | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Path:
+    """Run the whole test of a scene, as the real one would run, and record it.
+
+    Same scene and seed give the same bytes, whatever the block size.
+
+    Parameters
+    ----------
+    scene : Scene or str or Path
+        Scene, name of a bundled one, or path of a scene file.
+    path : str or Path
+        Recording to write (MCAP); missing folders are made.
+    block : int, optional
+        Most samples to acquire at a time; by default what suits the machine.
+    overwrite : bool
+        Whether an existing file may be replaced.
+    progress : callable, optional
+        ``progress(fraction, message)``, called as the test goes on.
+
+    Returns
+    -------
+    Path
+        The recording.
+
+    Raises
+    ------
+    SceneError
+        If the scene or its test can not be run; no recording is left behind.
+    RunError
+        If the run failed or a channel went beyond its abort limit; the recording up to there is closed and
+        marked.
+    KeyboardInterrupt
+        If the user interrupted; the recording up to there is closed and marked.
+
+    Warns
+    -----
+    RunWarning
+        If points did not settle, or a level was not reached.
+
+    Examples
+    --------
+    >>> import tempfile, daq, rig
+    >>> scene = rig.load("impulse-bare")
+    >>> scene = scene.replace(test=scene.test.replace(repeats=1, interval="0.5 s"))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     recording = daq.open(record(scene, Path(folder) / "hit.mcap"))
+    ...     recording.markers[-1].kind
+    'hit'
+    """
+    if block is not None and block < 1:
+        raise SceneError(f"block: got {block}; expected a number of samples, 1 at least")
+    what = scene if isinstance(scene, Scene) else load(scene)
+    return _Run(what, Path(path), block, progress).run(overwrite)
+
+
+class _Run:
+    """One run of a test: the loop between excitation, bench and recorder."""
+
+    def __init__(self, scene: Scene, path: Path, block: int | None, progress: Progress | None) -> None:
+        self._path = path
+        self._block = block
+        self._bench = Bench(scene)
+        self._warnings: list[str] = []
+        self._station = Station(
+            scene,
+            self._bench.channels,
+            self._bench.inputs,
+            self._bench.rate,
+            mark=self._mark,
+            report=progress if progress is not None else lambda fraction, message: None,
+            warn=self._warnings.append,
+        )
+        self._recorder: Recorder | None = None
+        self._lost = 0
+        self._last = np.zeros(len(self._bench.inputs))
+        self._limits = Limits(scene, self._bench.channels, self._mark)
+        self._overloads = Stretches("overload", self._bench.channels, self._mark)
+
+    def run(self, overwrite: bool) -> Path:
+        """Run the test to its end and close the recording."""
+        # All that can be wrong with the test shows before there is a file.
+        test = excitation(self._station)
+        drive = next(test)
+        bench, path = self._bench, self._path
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with Recorder(path, bench.scene, bench.channels, bench.rate, overwrite=overwrite) as recorder:
+            self._recorder = recorder
+            with _interruptible() as interrupted:
+                try:
+                    self._play(test, drive, interrupted)
+                except ShotrigError as error:
+                    self._mark("abort", self._station.now, self._station.now + 1, reason=str(error))
+                    raise type(error)(f"{error}; {self._holds()}") from error
+                finally:
+                    self._note_loss()
+                    self._limits.close()
+                    self._overloads.close()
+        for message in dict.fromkeys(self._warnings):
+            warnings.warn(message, RunWarning, stacklevel=4)
+        return path
+
+    def _play(self, test: Excitation, drive: Array, interrupted: Callable[[], bool]) -> None:
+        quantum = self._station.samples(_WATCH)
+        while True:
+            readings = []
+            for start in range(0, drive.shape[1], quantum):
+                readings.append(self._acquire(drive[:, start : start + quantum]))
+                trip = self._limits.watch(self._station.now - readings[-1].shape[1], readings[-1])
+                if trip is not None:
+                    self._ramp_down()
+                    raise RunError(f"test aborted: {trip}")
+                if interrupted():
+                    self._ramp_down()
+                    self._mark("abort", self._station.now, self._station.now + 1, reason="interrupted")
+                    raise KeyboardInterrupt(self._holds())
+            try:
+                drive = test.send(readings[0] if len(readings) == 1 else np.concatenate(readings, axis=1))
+            except StopIteration:
+                return
+
+    def _acquire(self, drive: Array) -> Array:
+        """Acquire and record a stretch in blocks; return what the channels read."""
+        assert self._recorder is not None
+        first, size = self._station.now, drive.shape[1]
+        block = size if self._block is None else self._block
+        readings = np.empty((len(self._bench.channels), size))
+        overload = np.empty(readings.shape, dtype=bool)
+        for start in range(0, size, block):
+            part = slice(start, min(start + block, size))
+            got = self._bench.acquire(drive[:, part])
+            self._write(got.samples, first + start)
+            if self._bench.scene.recording.truth:
+                self._recorder.write_truth(got.motion)
+            readings[:, part] = self._bench.physical(got.samples)
+            overload[:, part] = got.overload
+        self._station.now = first + size
+        self._last = drive[:, -1]
+        self._overloads.add(first, overload)
+        return readings
+
+    def _write(self, samples: NDArray[Any], first: int) -> None:
+        """Write samples, except those that are lost on the way to the recording."""
+        assert self._recorder is not None
+        kept = np.ones(samples.shape[1], dtype=bool)
+        for begin, end in self._bench.lost:
+            kept[max(0, begin - first) : max(0, end + 1 - first)] = False
+        for start, stop in stretches_of_equals(kept):
+            if not kept[start]:
+                self._lost += stop - start
+                continue
+            self._note_loss()
+            self._recorder.write(samples[:, start:stop])
+
+    def _note_loss(self) -> None:
+        if self._lost and self._recorder is not None:
+            self._recorder.gap(self._lost)
+            self._lost = 0
+
+    def _ramp_down(self) -> None:
+        """Take the drive from where it is to zero, along half a cosine."""
+        samples = self._station.samples(_RAMP)
+        fall = (1 + np.cos(np.pi * np.arange(1, samples + 1) / samples)) / 2
+        self._acquire(self._last[:, None] * fall)
+
+    def _mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
+        assert self._recorder is not None
+        self._recorder.mark(kind, first, stop - 1, **fields)
+
+    def _holds(self) -> str:
+        return f"{self._path} holds the {self._station.now / self._bench.rate:.2f} s up to there"
+
+
+def stretches_of_equals(values: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Find where values stay the same, as (start, stop).
+
+    >>> stretches_of_equals(np.array([True, True, False, True]))
+    [(0, 2), (2, 3), (3, 4)]
+    """
+    edges = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values)]
+    return list(pairwise(edges))
+
+
+@contextmanager
+def _interruptible() -> Iterator[Callable[[], bool]]:
+    """Turn the first Ctrl-C into a flag, so that no block is torn; the second one interrupts as ever."""
+    pressed = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield pressed.is_set
+        return
+    before = signal.getsignal(signal.SIGINT)
+
+    def press(number: int, frame: FrameType | None) -> None:
+        pressed.set()
+        signal.signal(signal.SIGINT, before)
+
+    signal.signal(signal.SIGINT, press)
+    try:
+        yield pressed.is_set
+    finally:
+        signal.signal(signal.SIGINT, before)

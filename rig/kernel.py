@@ -231,7 +231,7 @@ def _fly(model, state, duration):
         state.multiplicity[j] = 0
 
 
-@njit(cache=True, _nrt=False, fastmath={"contract"})
+@njit(cache=True, _nrt=False, forceinline=True, fastmath={"contract"})
 def advance(flow, model, state, scratch, log, segment, elapsed, steps):
     """Advance by `steps` step lengths (a real number), or come back earlier.
 

@@ -7,7 +7,14 @@ from typing import Any
 
 # Each public name and the module it lives in; a module is imported when one of its names is first used, so
 # that `import daq` stays quick (numba alone takes longer to import than a whole impulse test takes to run).
-_HOME: dict[str, str] = {}
+_HOME: dict[str, str] = {
+    "Recorder": "daq.recorder",
+    "Recording": "daq.recording",
+    "open": "daq.recording",
+    "recover": "daq.salvage",
+    "RunWarning": "daq.measurement",
+    "record": "daq.measurement",
+}
 
 __all__ = sorted(_HOME)
 

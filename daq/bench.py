@@ -76,7 +76,7 @@ class Bench:
         self.scene = scene
         clock = SampleClock.of(scene.converter)
         self.rate = clock.rate
-        # What a clock's error is an error of: the bench lives at the true rate and calls it by the stated one.
+        # A clock with an error runs at its true rate and goes by the stated one.
         self._plant = Plant(scene, clock.true_rate)
         self._chain = Chain(scene, self.rate, points=self._plant.points)
         self._converter = Converter(scene.converter, self._chain.channels)

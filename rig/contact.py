@@ -34,7 +34,6 @@ SEPARATION, FLOOR_IMPACT, CEILING_IMPACT = 0, 1, 2
 SLOT, CONFIGURATION, IN_A_ROW, AMBIGUOUS = 0, 1, 2, 3
 
 
-
 class State(NamedTuple):
     """What changes while a system moves; every field is an array so that the kernel can write into it.
 
@@ -53,7 +52,8 @@ class State(NamedTuple):
 class Log(NamedTuple):
     """Events and breaks as they happen; `count` holds how many rows of each are filled.
 
-    A break is an instant at which velocities or accelerations jump, with the state before and after it.
+    A break is an instant at which velocities or accelerations jump, with the state and the dampers' own speeds
+    before and after it.
     """
 
     count: np.ndarray
@@ -66,6 +66,8 @@ class Log(NamedTuple):
     break_offset: np.ndarray
     before: np.ndarray
     after: np.ndarray
+    speed_before: np.ndarray
+    speed_after: np.ndarray
     configuration: np.ndarray
 
 
@@ -285,9 +287,16 @@ def impact(flow, model, state, log, segment, offset, j, wall, work):
 
 
 @njit(cache=True, _nrt=False, forceinline=True)
-def open_break(state, log, segment, offset):
+def _own_speeds(model, state, out):
+    for j in range(model.mass.shape[0]):
+        out[j] = state.speed[j] if state.mode[j] == FLIGHT else state.z[model.velocity[j]]
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def open_break(model, state, log, segment, offset):
     """Keep the state before the contacts change."""
     row = log.count[1]
+    _own_speeds(model, state, log.speed_before[row])
     log.break_segment[row] = segment
     log.break_offset[row] = offset
     log.configuration[row, 0] = state.counters[CONFIGURATION]
@@ -296,9 +305,10 @@ def open_break(state, log, segment, offset):
 
 
 @njit(cache=True, _nrt=False, forceinline=True)
-def close_break(state, log):
+def close_break(model, state, log):
     """Keep the state after the contacts have changed."""
     row = log.count[1]
+    _own_speeds(model, state, log.speed_after[row])
     log.configuration[row, 1] = state.counters[CONFIGURATION]
     for i in range(state.z.shape[0]):
         log.after[row, i] = state.z[i]

@@ -254,7 +254,10 @@ def advance(flow, model, state, scratch, log, segment, elapsed, steps):
         slot = state.counters[SLOT]
         if slot < 0:
             return NEED_TABLE, left
-        if log.count[0] + 4 * model.mass.shape[0] > log.segment.shape[0] or log.count[1] == log.before.shape[0]:
+        if (
+            log.count[0] + 4 * model.mass.shape[0] > log.segment.shape[0]
+            or log.count[1] == log.before.shape[0]
+        ):
             return LOG_FULL, left
         length = min(left, 1.0)
         duration = length * model.step
@@ -271,9 +274,7 @@ def advance(flow, model, state, scratch, log, segment, elapsed, steps):
             combine(flow.guard, flow.guard_constant, slot, state.z, columns, scratch.value)
         combine(flow.guard, flow.guard_constant, slot, scratch.new, columns, scratch.value_new)
         combine(flow.bound, flow.bound_constant, slot, scratch.size, columns, scratch.bound)
-        tau, j, guard, expanded = _first_event(
-            flow, model, state, scratch, slot, length, duration, expanded
-        )
+        tau, j, guard, expanded = _first_event(flow, model, state, scratch, slot, length, duration, expanded)
         if tau == NONE:
             for i in range(state.z.shape[0]):
                 state.z[i] = scratch.new[i]
@@ -297,10 +298,10 @@ def advance(flow, model, state, scratch, log, segment, elapsed, steps):
             if state.counters[IN_A_ROW] > EVENTS_AT_ONE_INSTANT * model.mass.shape[0]:
                 return STUCK, left
         offset = elapsed + (steps - left) * model.step
-        open_break(state, log, segment, offset)
+        open_break(model, state, log, segment, offset)
         if guard == CONTACT_FORCE:
             separate(flow, model, state, log, segment, offset, j, 3)
         else:
             impact(flow, model, state, log, segment, offset, j, guard, scratch.contact)
-        close_break(state, log)
+        close_break(model, state, log)
     return DONE, 0.0

@@ -46,6 +46,8 @@ class Course:
         Offsets in seconds after the start of the segment; dampers from 0.
     break_segment, break_offset : ndarray, shape (breaks,)
     before, after : ndarray, shape (breaks, states)
+    speed_before, speed_after : ndarray, shape (breaks, dampers)
+        Own velocities of the dampers, m/s.
     before_slot, after_slot : ndarray, shape (breaks,)
     """
 
@@ -62,6 +64,8 @@ class Course:
     break_offset: Array
     before: Array
     after: Array
+    speed_before: Array
+    speed_after: Array
     before_slot: NDArray[np.int64]
     after_slot: NDArray[np.int64]
 
@@ -89,9 +93,7 @@ def _march_samples(
                 state.z[first + i] = drive[i, k]
                 state.z[first + inputs + i] = drive[i, k + 1] - drive[i, k]
             left = substeps
-        status, left = advance(
-            flow, model, state, scratch, log, k, (substeps - left) * model.step, left
-        )
+        status, left = advance(flow, model, state, scratch, log, k, (substeps - left) * model.step, left)
         if status != DONE:
             return status, k, left
         if state.counters[SLOT] < 0:
@@ -175,6 +177,8 @@ class March:
             break_offset=np.zeros(rows),
             before=np.zeros((rows, padded(size))),
             after=np.zeros((rows, padded(size))),
+            speed_before=np.zeros((rows, dampers)),
+            speed_after=np.zeros((rows, dampers)),
             configuration=np.zeros((rows, 2), dtype=np.int64),
         )
         self.scratch: Scratch = scratch_for(self.tables.flow)
@@ -217,7 +221,9 @@ class March:
         drive = np.ascontiguousarray(drive)
         return self._run(_march_samples, (len(self.system.inputs), interval_steps, drive), drive.shape[1] - 1)
 
-    def over_marks(self, steps: Array, sample_row: NDArray[np.int64], new_period: NDArray[np.bool_]) -> Course:
+    def over_marks(
+        self, steps: Array, sample_row: NDArray[np.int64], new_period: NDArray[np.bool_]
+    ) -> Course:
         """Run through segments of given lengths (in steps), keeping the state where `sample_row` says so."""
         count = int(sample_row.max(initial=-1)) + 1
         return self._run(_march_marks, (steps, sample_row, new_period), count)
@@ -254,7 +260,9 @@ class March:
             else:
                 break
         pages.append(self._page())
-        return Course(states, slots, heights, modes, *(np.concatenate(parts) for parts in zip(*pages, strict=True)))
+        return Course(
+            states, slots, heights, modes, *(np.concatenate(parts) for parts in zip(*pages, strict=True))
+        )
 
     def _find_table(self) -> None:
         self.state.counters[SLOT] = self.tables.slot(int(self.state.counters[CONFIGURATION]))
@@ -268,8 +276,11 @@ class March:
             for side in (0, 1)
         ]
         page = (
-            *(column[:events].copy() for column in (log.segment, log.offset, log.damper, log.kind, log.closing)),
-            *(column[:breaks].copy() for column in (log.break_segment, log.break_offset, log.before, log.after)),
+            *(
+                column[:events].copy()
+                for column in (log.segment, log.offset, log.damper, log.kind, log.closing)
+            ),
+            *(column[:breaks].copy() for column in log[6:12]),
             *slots,
         )
         log.count[:] = 0

@@ -10,6 +10,8 @@ from typing import Any
 _HOME: dict[str, str] = {
     "Motion": "rig.motion",
     "Plant": "rig.plant",
+    "Run": "rig.simulate",
+    "simulate": "rig.simulate",
     "Scene": "rig.scene",
     "load": "rig.scene_file",
     "loads": "rig.scene_file",

@@ -232,9 +232,10 @@ class FlowTables:
             flow.guard[slot][nq + row, nd + j] = self.step
             size, power = np.ones(TERMS), k
         fourth = size * power * (power - 1) * (power - 2) * (power - 3)
-        for weight, place in ((fourth, j), (size, nd + j)):
-            flow.bound[slot][:, place] = (np.abs(weight)[:, None] * np.abs(terms[:, row])).sum(axis=0)
-            flow.bound_constant[slot][place] = (np.abs(weight) * np.abs(constants[:, row])).sum()
+        used, used_constant = (np.abs(part[:, row]).astype(np.float64) for part in (terms, constants))
+        for weight, place in ((np.abs(fourth), j), (np.abs(size), nd + j)):
+            flow.bound[slot][:, place] = weight @ used
+            flow.bound_constant[slot][place] = weight @ used_constant
 
 
 def _solve(mass: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -80,7 +80,7 @@ def _keep(state: State, row: int, states: Array, slots: Array, heights: Array, m
         modes[row, j] = state.mode[j]
 
 
-@njit(cache=True, _nrt=False)
+@njit(cache=True, _nrt=False, nogil=True)
 def _march_samples(
     flow: Any, model: Any, state: Any, scratch: Any, log: Any, inputs: int, substeps: float, drive: Array,
     begin: int, left: float, states: Array, slots: Array, heights: Array, modes: Array,
@@ -105,10 +105,10 @@ def _march_samples(
     return DONE, drive.shape[1] - 1, -1.0
 
 
-@njit(cache=True, _nrt=False)
+@njit(cache=True, _nrt=False, nogil=True)
 def _march_marks(
     flow: Any, model: Any, state: Any, scratch: Any, log: Any, steps: Array, sample_row: Array,
-    new_period: Array, begin: int, left: float, states: Array, slots: Array, heights: Array, modes: Array,
+    new_period: Array, level: float, begin: int, left: float, states: Array, slots: Array, heights: Array, modes: Array,
 ) -> tuple[int, int, float]:  # fmt: skip
     """Segments of `steps` step lengths under a tone, or without drive if `new_period` is never set."""
     first = flow.guard.shape[1] - 2
@@ -121,7 +121,7 @@ def _march_marks(
         if state.counters[SLOT] < 0:
             return NEED_TABLE, k, 0.0
         if new_period[k]:
-            state.z[first] = 1.0
+            state.z[first] = level
             state.z[first + 1] = 0.0
         if sample_row[k] >= 0:
             _keep(state, sample_row[k], states, slots, heights, modes)
@@ -226,7 +226,7 @@ class March:
     ) -> Course:
         """Run through segments of given lengths (in steps), keeping the state where `sample_row` says so."""
         count = int(sample_row.max(initial=-1)) + 1
-        return self._run(_march_marks, (steps, sample_row, new_period), count)
+        return self._run(_march_marks, (steps, sample_row, new_period, level), count)
 
     def accelerations(self, states: Array, slots: NDArray[np.int64]) -> Array:
         """Acceleration of every coordinate for states (samples, padded size), shape (coordinates, samples)."""

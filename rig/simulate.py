@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from rig.assembly import assemble
 from rig.energy import Ends, Energy, ledger
 from rig.errors import SceneError
-from rig.march import Array, Course, March, event_table, gaps_and_contacts, sampled_march, tone_march
-from rig.open_loop import sampled_drive, tone_drive
+from rig.march import EVENT, Array, Course, March, event_table, gaps_and_contacts, sampled_march, tone_march
+from rig.open_loop import ToneDrive, sampled_drive, tone_drive
 from rig.scene import Scene
 from rig.system import System
 
@@ -37,7 +37,7 @@ class Run:
         0 in flight, 1 on the floor, 2 at the ceiling.
     events : structured ndarray
         `time` [s], `damper` (1-based position in the scene's list), `kind` ("separation", "floor", "ceiling"),
-        `speed` (closing speed before the impact, m/s).
+        `speed` (closing speed before the impact, m/s). `events.dtype.metadata` holds `ambiguous`, too.
     ambiguous : int
         Number of contact decisions that lay within rounding; each was decided as no contact.
     """
@@ -117,7 +117,7 @@ def simulate(
         return _sampled_run(scene, system, _checked_drive(drive, system), rate)
     tone = tone_drive(scene, system, frequency)
     if tone is not None:
-        return _tone_run(scene, system, tone.amplitudes, tone.omega, tone.state, samples, rate)
+        return _tone_run(scene, system, tone, duration, samples, rate)
     return _sampled_run(scene, system, sampled_drive(scene, system, samples, rate), rate)
 
 
@@ -139,15 +139,14 @@ def _checked_drive(drive: ArrayLike, system: System) -> Array:
 def _tone_run(
     scene: Scene,
     system: System,
-    amplitudes: NDArray[np.complex128],
-    omega: float,
-    state: Array,
+    tone: ToneDrive,
+    duration: float,
     samples: int,
     rate: float,
 ) -> Run:
-    march, _ = tone_march(system, amplitudes, omega)
-    lifted = march.place(state, np.array([1.0, 0.0]))
-    times, is_sample, new_period = _marks(samples, rate, omega)
+    march, _ = tone_march(system, tone.amplitudes, tone.omega)
+    lifted = march.place(tone.state, np.array([1.0, 0.0]))
+    times, is_sample, new_period = _marks(duration, samples, rate, tone.omega)
     start = _whole(march)
     first = march.standing()
     durations = np.diff(times).astype(np.float64)
@@ -160,16 +159,17 @@ def _tone_run(
 
 
 def _marks(
-    samples: int, rate: float, omega: float
+    duration: float, samples: int, rate: float, omega: float
 ) -> tuple[NDArray[np.longdouble], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Times of samples and of period starts in order, and which of them are which."""
+    """Times of samples, period starts and the end in order, and which of them are samples or period starts."""
     sample_times = np.arange(samples, dtype=np.longdouble) / np.longdouble(rate)
+    end = max(np.longdouble(duration), sample_times[-1])
     period = 2 * np.longdouble(np.pi) / np.longdouble(omega)
-    periods = np.arange(1, int(sample_times[-1] / period) + 1, dtype=np.longdouble) * period
-    times, back = np.unique(np.concatenate([sample_times, periods]), return_inverse=True)
+    periods = np.arange(1, int(end / period) + 1, dtype=np.longdouble) * period
+    times, back = np.unique(np.concatenate([sample_times, periods, [end]]), return_inverse=True)
     is_sample, new_period = np.zeros(len(times), dtype=bool), np.zeros(len(times), dtype=bool)
     is_sample[back[:samples]] = True
-    new_period[back[samples:]] = True
+    new_period[back[samples:-1]] = True
     return times, is_sample, new_period
 
 
@@ -231,7 +231,7 @@ def _run(
         acceleration=march.accelerations(states, slots),
         gap=np.concatenate([gaps[0], gaps[1][:, keep]], axis=1),
         contact=np.concatenate([contacts[0], contacts[1][:, keep]], axis=1),
-        events=events,
+        events=events.astype(np.dtype(EVENT.descr, metadata={"ambiguous": march.ambiguous})),
         ambiguous=march.ambiguous,
         _books=books,
     )

@@ -1,0 +1,295 @@
+"""Follow a curve of solutions through its folds: pseudo-arclength continuation.
+
+The curve is given by n equations in n + 1 unknowns, the last of which is the parameter that is followed (a
+frequency, a force, a clearance). Steps are measured along the curve, so that a fold, where the curve turns
+back in the parameter, is a point like any other. A trace always says why it ended, and a failure says where,
+with the last good point; a branch never just stops.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+Vector = NDArray[np.float64]
+# x (n + 1,) -> residual (n,), jacobian (n, n + 1)
+Equations = Callable[[Vector], tuple[Vector, Vector]]
+# x (n + 1,), unit tangent (n + 1,) -> a number whose sign change is looked for
+Monitor = Callable[[Vector, Vector], float]
+
+
+@dataclass(frozen=True)
+class Steps:
+    """How a curve is stepped along; lengths are in units of the scaled unknowns.
+
+    Attributes
+    ----------
+    first, shortest, longest : float
+        Arclength of the first step, and the bounds of all others.
+    turn : float
+        Largest angle, in radians, between the tangents of neighbouring points.
+    tolerance : float
+        Newton's iteration ends when its last correction is below this (scaled unknowns).
+    iterations : int
+        Corrections allowed a point before the step is halved.
+    points : int
+        Most points on one side of the start.
+    """
+
+    first: float = 1e-2
+    shortest: float = 1e-8
+    longest: float = 0.2
+    turn: float = 0.15
+    tolerance: float = 1e-11
+    iterations: int = 8
+    points: int = 4000
+
+
+@dataclass
+class Curve:
+    """Points on a curve of solutions, in order.
+
+    Attributes
+    ----------
+    points : ndarray, shape (points, n + 1)
+        The unknowns and, last, the parameter.
+    tangents : ndarray, shape (points, n + 1)
+        Unit tangents in scaled unknowns, all in the direction of travel.
+    ends : tuple of str
+        Why the curve stops before its first and after its last point: ``"range"`` (the parameter left its
+        range), ``"closed"`` (back at the start), ``"points"`` (the allowance is used up), ``"no convergence:
+        ..."`` or the border's own name.
+    """
+
+    points: Vector
+    tangents: Vector
+    ends: tuple[str, str] = ("", "")
+    scale: Vector = field(default_factory=lambda: np.ones(0))
+
+    @property
+    def folds(self) -> NDArray[np.int64]:
+        """Indices i such that the curve turns back in its parameter between points i and i + 1."""
+        return np.flatnonzero(self.tangents[:-1, -1] * self.tangents[1:, -1] < 0)
+
+
+class NoConvergence(Exception):
+    """Newton's iteration did not settle; the message says how it went."""
+
+
+def newton(
+    equations: Equations, x: Vector, scale: Vector, steps: Steps, border: Vector
+) -> tuple[Vector, int]:
+    """Solve the equations on the plane through `x` at right angles to `border` (scaled unknowns).
+
+    Returns
+    -------
+    x : ndarray, shape (n + 1,)
+        The solution.
+    iterations : int
+        Corrections it took.
+
+    Raises
+    ------
+    NoConvergence
+        With the size of the last correction.
+    """
+    start, last = x, np.inf
+    for iteration in range(1, steps.iterations + 1):
+        # An iteration that runs away may overflow; it is stopped below, by what is not finite.
+        with np.errstate(all="ignore"):
+            residual, jacobian = equations(x)
+        system = np.vstack([jacobian * scale, border])
+        offset = border @ ((x - start) / scale)
+        if not (np.isfinite(system).all() and np.isfinite(residual).all()):
+            raise NoConvergence("the equations are not finite here")
+        try:
+            move = np.linalg.solve(system, -np.append(residual, offset))
+        except np.linalg.LinAlgError:
+            raise NoConvergence("the equations are singular here") from None
+        size = float(np.abs(move).max())
+        x = x + move * scale
+        # Quadratic convergence has ended when the correction is at rounding level or has stopped shrinking
+        # there.
+        if size < steps.tolerance or (size < 1e-9 and size > 0.3 * last):
+            return x, iteration
+        if size > 1e3 * max(last, 1e-3):
+            raise NoConvergence(f"corrections grow (last one {size:.1e})")
+        last = size
+    raise NoConvergence(f"corrections still {last:.1e} after {steps.iterations} of them")
+
+
+def tangent(equations: Equations, x: Vector, scale: Vector, towards: Vector) -> Vector:
+    """Return the unit tangent of the curve at `x` (scaled unknowns), on the side of `towards`."""
+    _, jacobian = equations(x)
+    null = np.linalg.svd(jacobian * scale)[2][-1]
+    return null if null @ towards >= 0 else -null
+
+
+def solve_at(
+    equations: Equations, x: Vector, parameter: float, scale: Vector, steps: Steps | None = None
+) -> Vector:
+    """Solve the equations with the parameter held at a given value, starting from `x`.
+
+    Raises
+    ------
+    NoConvergence
+        If Newton's iteration does not settle.
+    """
+    border = np.zeros(x.size)
+    border[-1] = 1.0
+    x = x.copy()
+    x[-1] = parameter
+    solution = newton(equations, x, scale, steps or Steps(), border)[0]
+    solution[-1] = parameter
+    return solution
+
+
+def trace(
+    equations: Equations,
+    start: Vector,
+    bounds: tuple[float, float],
+    scale: Vector,
+    steps: Steps | None = None,
+    border: Callable[[Vector], str] = lambda x: "",
+) -> Curve:
+    """Follow the curve through a solution in both directions.
+
+    Parameters
+    ----------
+    equations : callable
+        x -> residual (n,), jacobian (n, n + 1); the parameter is x's last element.
+    start : ndarray, shape (n + 1,)
+        A solution.
+    bounds : tuple of float
+        Range of the parameter; the curve ends on it exactly.
+    scale : ndarray, shape (n + 1,)
+        Natural size of each unknown; arclength is measured in these.
+    steps : Steps, optional
+        Step control.
+    border : callable, optional
+        x -> name of the reason why x is not part of the curve any more ("" if it is). The last point kept
+        lies within a hundredth of the first step of the border.
+
+    Returns
+    -------
+    Curve
+        From the end reached against the parameter's direction at the start to the other end.
+    """
+    steps = steps or Steps()
+    unit = np.zeros(start.size)
+    unit[-1] = 1.0
+    first = tangent(equations, start, scale, unit)
+    forward, end = _walk(equations, start, first, bounds, scale, steps, border)
+    if end == "closed":
+        return Curve(*_columns(forward), (end, end), scale)
+    backward, begin = _walk(equations, start, -first, bounds, scale, steps, border)
+    before = [(x, -t) for x, t in reversed(backward[1:])]
+    return Curve(*_columns(before + forward), (begin, end), scale)
+
+
+def _columns(pairs: list[tuple[Vector, Vector]]) -> tuple[Vector, Vector]:
+    return np.array([x for x, _ in pairs]), np.array([t for _, t in pairs])
+
+
+def _walk(
+    equations: Equations,
+    start: Vector,
+    direction: Vector,
+    bounds: tuple[float, float],
+    scale: Vector,
+    steps: Steps,
+    border: Callable[[Vector], str],
+) -> tuple[list[tuple[Vector, Vector]], str]:
+    """Walk one way from the start; the points passed (start included) and why the walk ended."""
+    path = [(start, direction)]
+    step, travelled = steps.first, 0.0
+    while len(path) < steps.points:
+        x, way = path[-1]
+        guess = x + step * way * scale
+        try:
+            reached, iterations = newton(equations, guess, scale, steps, way)
+            # A correction as long as the step itself has left this curve for another one.
+            strayed = float(np.linalg.norm((reached - guess) / scale)) > 0.5 * step
+            if strayed and step > steps.shortest:
+                raise NoConvergence("the correction leads away from the curve")
+            new_way = tangent(equations, reached, scale, way)
+        except NoConvergence as failure:
+            if step <= steps.shortest:
+                return path, f"no convergence: {failure} at parameter {x[-1]:.9g}"
+            step /= 3
+            continue
+        angle = float(np.arccos(np.clip(new_way @ way, -1.0, 1.0)))
+        if angle > steps.turn:
+            if step <= steps.shortest:
+                return path, f"no convergence: the curve turns by {angle:.2g} rad at parameter {x[-1]:.9g}"
+            step = max(step * max(0.2, 0.7 * steps.turn / angle), steps.shortest)
+            continue
+        if not bounds[0] <= reached[-1] <= bounds[1]:
+            bound = bounds[0] if reached[-1] < bounds[0] else bounds[1]
+            try:
+                last = solve_at(equations, reached, bound, scale, steps)
+                path.append((last, tangent(equations, last, scale, way)))
+            except NoConvergence as failure:
+                return path, f"no convergence: {failure} at parameter {bound:.9g}, the end of its range"
+            return path, "range"
+        reason = border(reached)
+        if reason:
+            if step <= steps.first * 1e-2:
+                return path, reason
+            step /= 4
+            continue
+        back = (start - reached) / scale
+        if travelled > 4 * step and np.linalg.norm(back) < 0.6 * step and way @ direction > 0.5:
+            return path, "closed"
+        path.append((reached, new_way))
+        travelled += step
+        if iterations <= 3 and angle < 0.5 * steps.turn:
+            step = min(1.5 * step, steps.longest)
+        elif iterations >= 6:
+            step = max(0.5 * step, steps.shortest)
+    return path, "points"
+
+
+def locate(
+    equations: Equations, curve: Curve, index: int, monitor: Monitor, steps: Steps | None = None
+) -> tuple[Vector, Vector]:
+    """Find the point between two neighbours of a curve where a monitor changes sign.
+
+    The chord between them is divided, each trial is put back on the curve, and the zero is closed in by
+    regula falsi with halving (Illinois), to rounding.
+
+    Returns
+    -------
+    x, tangent : ndarray, shape (n + 1,)
+        The point and the unit tangent there.
+
+    Raises
+    ------
+    NoConvergence
+        If the curve cannot be met between the two points, or the monitor has one sign at both.
+    """
+    steps = steps or Steps()
+    begin, scale = curve.points[index], curve.scale
+    chord = (curve.points[index + 1] - begin) / scale
+    length = float(np.linalg.norm(chord))
+    border = chord / length
+
+    def put_back(distance: float) -> tuple[Vector, Vector]:
+        x = newton(equations, begin + distance * border * scale, scale, steps, border)[0]
+        return x, tangent(equations, x, scale, curve.tangents[index])
+
+    ends = [monitor(curve.points[i], curve.tangents[i]) for i in (index, index + 1)]
+    if not ends[0] * ends[1] < 0:
+        raise NoConvergence("the monitor does not change sign between the two points")
+    distance = brentq(lambda d: monitor(*put_back(d)), 0.0, length, xtol=1e-14 * length, rtol=1e-14)
+    return put_back(distance)
+
+
+def locate_folds(equations: Equations, curve: Curve, steps: Steps | None = None) -> Vector:
+    """Points where the curve turns back in its parameter, shape (folds, n + 1)."""
+    found = [locate(equations, curve, int(i), lambda x, way: float(way[-1]), steps)[0] for i in curve.folds]
+    return np.array(found).reshape(-1, curve.points.shape[1])

@@ -39,7 +39,7 @@ def about(recording: Recording, motion: RecordedMotion, view: RigView) -> str:
     for name, info in recording.channels.items():
         lines.append(f"| {name} | {info.at} | {info.quantity} | {info.unit} | {info.sensitivity:.4g} |")
     if recording.gaps:
-        lost = sum(gap.samples for gap in recording.gaps)
+        lost = sum(gap.last_sample + 1 - gap.first_sample for gap in recording.gaps)
         lines += ["", f"**{len(recording.gaps)} gaps, {lost} samples lost** (see the markers)"]
     lines += ["", "## Scene", "```yaml", scene.to_yaml().rstrip(), "```"]
     return "\n".join(lines) + "\n"

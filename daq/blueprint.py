@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import rerun.blueprint as rrb
 
 # Natural periods of the lowest mode that the plots around the time cursor show at each side of it.
-PERIODS = 4.0
+PERIODS = 2.5
 TIMELINE = "time"
 
 

@@ -30,8 +30,8 @@ MOST_FRAMES_PER_S = 1000.0
 LEAST_FRAMES_PER_S = 100.0
 SLOWEST_HZ = 1.0
 FRAMES = 60_000
-CONTACTS = ("flight", "floor", "ceiling")
-CONTACT_COLOURS = (0x3B82C4FF, 0x8A5A2BFF, 0xC4453BFF)
+CONTACTS = ("flight", "floor", "ceiling", "lost")
+CONTACT_COLOURS = (0x3B82C4FF, 0x8A5A2BFF, 0xC4453BFF, 0x404040FF)
 # Quantities in the order of interest to somebody who looks at a structure, and the factor to the shown unit.
 SHOWN = {
     "displacement": (1e3, "mm"),
@@ -40,7 +40,7 @@ SHOWN = {
     "force": (1.0, "N"),
 }
 
-Progress = Callable[[float], None]
+Progress = Callable[[float, str], None]
 
 
 class Replay:
@@ -170,7 +170,7 @@ class Replay:
             if self.motion.gaps_known:
                 self._send_dampers(stream, first, last, contacts)
             if progress is not None:
-                progress(0.8 * (last - self.start) / total)
+                progress(0.8 * (last - self.start) / total, "channels")
         for instants, motion in self.motion.stretches(self.start, self.stop, self.step):
             if not instants.size:
                 continue
@@ -182,7 +182,7 @@ class Replay:
                 )
                 stream.send_columns(path, [self._times(instants)], columns)
             if progress is not None:
-                progress(0.8 + 0.2 * (int(instants[-1]) - self.start) / total)
+                progress(0.8 + 0.2 * (int(instants[-1]) - self.start) / total, "motion")
 
     def _times(self, samples: NDArray[np.int64]) -> rr.TimeColumn:
         import rerun as rr
@@ -232,6 +232,7 @@ class Replay:
         samples = np.arange(first, last)
         gap = self.recording.truth("gap", first, last) * 1e3
         contact = self.recording.truth("contact", first, last)
+        contact = np.where(np.isnan(contact), CONTACTS.index("lost"), contact).astype(np.int8)
         for place in range(len(self.recording.scene.dampers)):
             stream.send_columns(
                 f"dampers/gap_mm/damper_{place + 1}",

@@ -98,8 +98,8 @@ class RecordedMotion:
         for first in range(start, stop, BLOCK):
             last = min(first + BLOCK, stop)
             instants = np.arange(first + (-first) % step, last, step, dtype=np.int64)
-            rows = [self._displacement(source, estimates, first, last) for source in self.sources]
-            picked = np.array(rows)[:, instants - first]
+            rows = self._displacements(estimates, first, last)
+            picked = rows[:, instants - first]
             gap = self.recording.truth("gap", first, last)[:, instants - first] if self.gaps_known else None
             kept = np.isfinite(picked).all(axis=0)
             if gap is not None:
@@ -110,16 +110,26 @@ class RecordedMotion:
             table = picked[bodies] if self.has_table else None
             yield instants[kept], Motion(picked[:bodies], table, gap)
 
-    def _displacement(
-        self, source: Source, estimates: dict[str, DisplacementEstimate], first: int, last: int
+    def _displacements(
+        self, estimates: dict[str, DisplacementEstimate], first: int, last: int
     ) -> NDArray[np.float64]:
-        if source.quantity == "truth":
-            points = self.recording.truth_points
-            return self.recording.truth("displacement", first, last)[points.index(source.point)]
-        if source.channel is None:
-            return np.zeros(last - first)
-        samples = self.recording.read(source.channel, first, last)
-        lost = np.isnan(samples)
-        # Lost samples count as zero inside the filter, whose memory NaN would spoil, and stay lost outside.
-        result = estimates[source.point].run(np.where(lost, 0.0, samples))
-        return np.where(lost, np.nan, result)
+        """Displacement of each source's point at samples [first, last); NaN where samples were lost."""
+        rows = np.zeros((len(self.sources), last - first))
+        if any(source.quantity == "truth" for source in self.sources):
+            truth = dict(
+                zip(
+                    self.recording.truth_points,
+                    self.recording.truth("displacement", first, last),
+                    strict=True,
+                )
+            )
+        for row, source in zip(rows, self.sources, strict=True):
+            if source.quantity == "truth":
+                row[:] = truth[source.point]
+            elif source.channel is not None:
+                samples = self.recording.read(source.channel, first, last)
+                lost = np.isnan(samples)
+                # Lost samples count as zero in the filter, whose memory NaN would spoil.
+                row[:] = estimates[source.point].run(np.where(lost, 0.0, samples))
+                row[lost] = np.nan
+        return rows

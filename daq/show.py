@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 import tempfile
 import webbrowser
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
     import rerun as rr
 
 APPLICATION = "shotrig"
+# Value, time and index.
+BYTES_A_VALUE = 20
+LIGHT_GB = 2.0
 
 
 def save(replay: Replay, file: Path, progress: Progress | None = None) -> None:
@@ -99,6 +103,7 @@ def in_window(replay: Replay, progress: Progress | None = None) -> None:
     """
     need_display()
     with viewer("--expect-data-soon") as running:
+        _warn_of_size(replay)
         _feed(replay, running, progress)
         running.process.wait()
 
@@ -121,13 +126,26 @@ def in_browser(replay: Replay, announce: Callable[[str], None], progress: Progre
         If the server does not start.
     """
     page = free_port()
-    with viewer("--serve-web", "--web-viewer-port", str(page)) as running:
+    # The server keeps everything for browsers to come.
+    options = ("--serve-web", "--web-viewer-port", str(page), "--server-memory-limit", "75%")
+    with suppress(KeyboardInterrupt), viewer(*options) as running:
+        _warn_of_size(replay)
         address = f"http://{LOOPBACK}:{page}/?url={quote(running.url, safe='')}"
         announce(address)
         if can_open_windows():
             webbrowser.open(address)
         _feed(replay, running, progress)
         running.process.wait()
+
+
+def _warn_of_size(replay: Replay) -> None:
+    """Say beforehand what a viewer will need: it holds every value, or forgets the oldest ones."""
+    gigabytes = replay.values * BYTES_A_VALUE / 1e9
+    if gigabytes > LIGHT_GB:
+        print(
+            f"note: the viewer will take about {gigabytes:.0f} GB of memory; --from and --to show a part",
+            file=sys.stderr,
+        )
 
 
 def _feed(replay: Replay, running: Viewer, progress: Progress | None) -> None:

@@ -21,10 +21,10 @@ from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
 
-from rig.errors import RunError
+from rig.errors import RunError, ShotrigError
 
 if TYPE_CHECKING:
-    from rerun.experimental import View, ViewerClient, ViewerState
+    from rerun.experimental import Recording, View, ViewerClient, ViewerState
 
 LOOPBACK = "127.0.0.1"
 START_S = 30.0
@@ -71,23 +71,39 @@ class Viewer:
             f"the rerun viewer did not answer within {START_S:g} s; it said:\n{_tail(self.said())}"
         )
 
-    def client(self) -> ViewerClient:
-        """Return a connection that drives the viewer, once the viewer answers it."""
+    @contextmanager
+    def driven(self) -> Iterator[ViewerClient]:
+        """Give a connection that drives the viewer, once the viewer answers it.
+
+        Raises
+        ------
+        RunError
+            If the viewer ends or stops answering, then or later.
+        """
         from rerun.experimental import ViewerClient
 
         deadline = time.monotonic() + START_S
-        while True:
+        try:
+            while True:
+                try:
+                    client = ViewerClient.connect(self.url)
+                    client.get_state()
+                    break
+                except Exception:
+                    # What is raised depends on how far the viewer has come.
+                    if self.process.poll() is not None or time.monotonic() > deadline:
+                        raise
+                    time.sleep(POLL_S)
+            yield client
+        except ShotrigError:
+            raise
+        except Exception as error:
             try:
-                client = ViewerClient.connect(self.url)
-                client.get_state()
-                return client
-            except Exception as error:
-                # What the client raises depends on how far the viewer has come; the process decides.
-                if self.process.poll() is not None:
-                    raise RunError(_why_it_ended(self.said())) from error
-                if time.monotonic() > deadline:
-                    raise RunError(f"the rerun viewer does not answer: {error}") from error
-                time.sleep(POLL_S)
+                # A viewer without a graphics device closes its connections before it ends.
+                self.process.wait(timeout=2.0)
+            except subprocess.TimeoutExpired:
+                raise RunError(f"the rerun viewer stopped answering: {error}") from error
+            raise RunError(_why_it_ended(self.said())) from error
 
 
 @contextmanager
@@ -204,20 +220,25 @@ def picture(
     RunError
         If there is no graphics device, or the file does not load.
     """
-    with viewer("--headless", "--window-size", f"{size[0]}x{size[1]}", str(file.resolve())) as running:
-        client = running.client()
-        state = _loaded(client)
-        recording = state.recordings[0]
-        timeline = next((t for t in recording.timelines if t.name == recording.current_timeline), None)
-        if after_s is not None and timeline is not None and timeline.start is not None:
-            instant = timeline.start + round(after_s * 1e9)
-            if timeline.time_type == "timestamp":
-                client.set_time(timeline.name, timestamp=np.datetime64(instant, "ns"), play_state="paused")
-            else:
-                client.set_time(timeline.name, duration=np.timedelta64(instant, "ns"), play_state="paused")
+    window = ("--headless", "--window-size", f"{size[0]}x{size[1]}")
+    with viewer(*window, str(file.resolve())) as running, running.driven() as client:
+        recording = _loaded(client).recordings[0]
+        if after_s is not None:
+            _put_cursor(client, recording, after_s)
         _settled(client)
         shot = client.take_screenshot()
         return shot, client.get_state().views
+
+
+def _put_cursor(client: ViewerClient, recording: Recording, after_s: float) -> None:
+    timeline = next((line for line in recording.timelines if line.name == recording.current_timeline), None)
+    if timeline is None or timeline.start is None:
+        return
+    instant = timeline.start + round(after_s * 1e9)
+    if timeline.time_type == "timestamp":
+        client.set_time(timeline.name, timestamp=np.datetime64(instant, "ns"), play_state="paused")
+    else:
+        client.set_time(timeline.name, duration=np.timedelta64(instant, "ns"), play_state="paused")
 
 
 def _loaded(client: ViewerClient) -> ViewerState:

@@ -222,9 +222,25 @@ class March:
         return self._run(_march_samples, (len(self.system.inputs), interval_steps, drive), drive.shape[1] - 1)
 
     def over_marks(
-        self, steps: Array, sample_row: NDArray[np.int64], new_period: NDArray[np.bool_]
+        self,
+        steps: Array,
+        sample_row: NDArray[np.int64],
+        new_period: NDArray[np.bool_],
+        level: float = 1.0,
     ) -> Course:
-        """Run through segments of given lengths (in steps), keeping the state where `sample_row` says so."""
+        """Run through segments of given lengths under a tone.
+
+        Parameters
+        ----------
+        steps : float64 (segments,)
+            Lengths in step lengths.
+        sample_row : int64 (segments,)
+            Row in which to keep the state at the end of the segment, or -1.
+        new_period : bool (segments,)
+            Whether a period of the drive begins at the end of the segment.
+        level : float
+            Times the amplitudes of the tone.
+        """
         count = int(sample_row.max(initial=-1)) + 1
         return self._run(_march_marks, (steps, sample_row, new_period, level), count)
 

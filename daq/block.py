@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
-from typing import Any
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,7 @@ _HEAD = struct.Struct("<BqBQBdB")
 _TAGS = (0x09, 0x11, 0x19, 0x22)
 
 
-@dataclass(frozen=True)
-class Block:
+class Block(NamedTuple):
     """Samples of one channel as they stand in the file.
 
     Attributes
@@ -112,21 +111,23 @@ def decode(data: memoryview, schema: str) -> Block:
     kind = SAMPLE_TYPE[schema]
     if len(data) > _HEAD.size:
         tag0, t0_ns, tag1, first, tag2, rate, tag3 = _HEAD.unpack_from(data)
-        if (tag0, tag1, tag2, tag3) == _TAGS:
-            place, size = _read_varint(data, _HEAD.size)
-            if place + size == len(data) and size % kind.itemsize == 0:
+        size = _size_prefix(len(data))
+        place = _HEAD.size + len(size)
+        if (tag0, tag1, tag2, tag3) == _TAGS and data[_HEAD.size : place] == size:
+            try:
                 return Block(t0_ns, first, rate, np.frombuffer(data, kind, offset=place))
+            except ValueError:
+                raise RecordingError(
+                    f"{len(data) - place} bytes are no whole number of {schema} samples"
+                ) from None
     return _decode_any(data, schema)
 
 
-def _read_varint(data: memoryview, place: int) -> tuple[int, int]:
-    """Give the place behind a varint and its value; a value that cannot be right where there is none."""
-    value = 0
-    for digit, byte in enumerate(data[place : place + 5]):
-        value |= (byte & 0x7F) << (7 * digit)
-        if byte < 0x80:
-            return place + digit + 1, value
-    return place, -1
+@lru_cache(maxsize=64)
+def _size_prefix(message: int) -> bytes:
+    """Give the encoded size of the samples in a message of so many bytes."""
+    rest = message - _HEAD.size
+    return next((size for n in range(1, 6) if len(size := varint(max(0, rest - n))) == n), b"")
 
 
 def _decode_any(data: memoryview, schema: str) -> Block:

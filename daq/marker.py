@@ -92,7 +92,8 @@ class Marker:
         content = _object(data, MARKERS)
         kind, first = content.pop("kind", None), content.pop("first_sample", None)
         last = content.pop("last_sample", None)
-        if not isinstance(kind, str) or type(first) is not int or type(last) not in (int, type(None)):
+        whole = type(first) is int and first >= 0 and (last is None or (type(last) is int and last >= first))
+        if not isinstance(kind, str) or not whole:
             raise RecordingError(
                 f"a message on {MARKERS} is no marker: kind {kind!r}, samples {first!r} to {last!r}"
             )

@@ -1,0 +1,125 @@
+"""Chunks of an MCAP file, unpacked with suspicion: sizes are bounded, checksums verified."""
+
+from __future__ import annotations
+
+import struct
+import threading
+import zlib
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+# The largest chunk that is unpacked, bytes; what a recorder writes is a thousandth of it.
+LARGEST_CHUNK = 1 << 26
+
+MESSAGE = 0x05
+
+RECORD_HEAD = struct.Struct("<BQ")
+CHUNK_HEAD = struct.Struct("<QQQII")
+_of_thread = threading.local()
+_MESSAGE_HEAD = struct.Struct("<BQHIQQ")
+
+
+class Damage(Exception):
+    """Why a part of a file cannot be used; becomes a `RecordingError` where the file's name is known."""
+
+
+class Stored(NamedTuple):
+    """A message as it stands in a chunk: number of its channel, place in its topic, times in ns, content."""
+
+    channel: int
+    sequence: int
+    log_time: int
+    publish_time: int
+    data: memoryview
+
+
+def unpack_chunk(content: memoryview) -> memoryview:
+    """Unpack the content of a chunk record and verify its checksum.
+
+    Parameters
+    ----------
+    content : memoryview
+        The record without opcode and length.
+
+    Returns
+    -------
+    memoryview
+        The records inside.
+
+    Raises
+    ------
+    Damage
+        If it is damaged, or larger than `LARGEST_CHUNK` when unpacked.
+    """
+    if len(content) < CHUNK_HEAD.size + 8:
+        raise Damage("it is cut short")
+    _, _, size, checksum, name_length = CHUNK_HEAD.unpack_from(content)
+    begin = CHUNK_HEAD.size + name_length
+    if name_length > 16 or len(content) < begin + 8:
+        raise Damage("its compression has no name")
+    compression = bytes(content[CHUNK_HEAD.size : begin])
+    (packed,) = struct.unpack_from("<Q", content, begin)
+    if size > LARGEST_CHUNK:
+        raise Damage(f"it claims to unpack to {size} bytes; at most {LARGEST_CHUNK} are accepted")
+    if begin + 8 + packed != len(content):
+        raise Damage(f"it claims {packed} bytes of records in {len(content) - begin - 8}")
+    records = _unpack(compression, content[begin + 8 :], size)
+    if len(records) != size:
+        raise Damage(f"it unpacks to {len(records)} bytes instead of {size}")
+    if checksum and zlib.crc32(records) != checksum:
+        raise Damage("its checksum is wrong")
+    return memoryview(records)
+
+
+def _unpack(compression: bytes, packed: memoryview, size: int) -> bytes | memoryview:
+    """Unpack at most `size` bytes; what would be more is refused before it is made."""
+    if compression == b"":
+        return packed
+    if compression == b"zstd":
+        import zstandard
+
+        try:
+            claimed = zstandard.get_frame_parameters(packed).content_size
+            if claimed not in (size, zstandard.CONTENTSIZE_UNKNOWN):
+                raise Damage(f"it unpacks to {claimed} bytes instead of {size}")
+            return _decompressor().decompress(packed, max_output_size=size)
+        except zstandard.ZstdError as error:
+            raise Damage(f"it cannot be unpacked ({error})") from error
+    if compression == b"lz4":
+        import lz4.frame  # type: ignore[import-untyped]
+
+        try:
+            # One byte more than should come tells a chunk that holds too much.
+            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(bytes(packed), max_length=size + 1))
+        except (RuntimeError, ValueError, EOFError) as error:
+            raise Damage(f"it cannot be unpacked ({error})") from error
+    raise Damage(f"its compression {compression!r} is not known")
+
+
+def _decompressor() -> Any:
+    """Give this thread's decompressor: making one takes as long as unpacking ten kilobytes."""
+    if not hasattr(_of_thread, "zstd"):
+        import zstandard
+
+        _of_thread.zstd = zstandard.ZstdDecompressor(max_window_size=LARGEST_CHUNK)
+    return _of_thread.zstd
+
+
+def messages_in(records: memoryview) -> Iterator[Stored]:
+    """Yield the messages among the records of a chunk; raise `Damage` where records do not fit into it."""
+    place, end = 0, len(records)
+    while place < end:
+        if end - place < RECORD_HEAD.size:
+            raise Damage("a record in it is cut short")
+        opcode, length = RECORD_HEAD.unpack_from(records, place)
+        stop = place + RECORD_HEAD.size + length
+        if stop > end:
+            raise Damage(f"a record in it claims {length} bytes")
+        if opcode == MESSAGE:
+            if length < _MESSAGE_HEAD.size - RECORD_HEAD.size:
+                raise Damage("a message in it is cut short")
+            _, _, channel, sequence, log_time, publish_time = _MESSAGE_HEAD.unpack_from(records, place)
+            yield Stored(
+                channel, sequence, log_time, publish_time, records[place + _MESSAGE_HEAD.size : stop]
+            )
+        place = stop

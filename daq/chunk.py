@@ -16,7 +16,7 @@ MESSAGE = 0x05
 RECORD_HEAD = struct.Struct("<BQ")
 CHUNK_HEAD = struct.Struct("<QQQII")
 _of_thread = threading.local()
-_MESSAGE_HEAD = struct.Struct("<BQHIQQ")
+_MESSAGE_HEAD = struct.Struct("<HIQQ")
 
 
 class Damage(Exception):
@@ -33,13 +33,15 @@ class Stored(NamedTuple):
     data: memoryview
 
 
-def unpack_chunk(content: memoryview) -> memoryview:
+def unpack_chunk(content: memoryview, checksum_needed: bool = False) -> memoryview:
     """Unpack the content of a chunk record and verify its checksum.
 
     Parameters
     ----------
     content : memoryview
         The record without opcode and length.
+    checksum_needed : bool
+        Whether a chunk that was written without one is refused.
 
     Returns
     -------
@@ -68,6 +70,8 @@ def unpack_chunk(content: memoryview) -> memoryview:
         raise Damage(f"it unpacks to {len(records)} bytes instead of {size}")
     if checksum and zlib.crc32(records) != checksum:
         raise Damage("its checksum is wrong")
+    if checksum_needed and not checksum:
+        raise Damage("it has no checksum")
     return memoryview(records)
 
 
@@ -105,21 +109,24 @@ def _decompressor() -> Any:
     return _of_thread.zstd
 
 
-def messages_in(records: memoryview) -> Iterator[Stored]:
-    """Yield the messages among the records of a chunk; raise `Damage` where records do not fit into it."""
+def records_in(records: memoryview) -> Iterator[tuple[int, memoryview]]:
+    """Yield opcode and content of the records of a chunk; raise `Damage` where they do not fit into it."""
     place, end = 0, len(records)
     while place < end:
         if end - place < RECORD_HEAD.size:
             raise Damage("a record in it is cut short")
         opcode, length = RECORD_HEAD.unpack_from(records, place)
-        stop = place + RECORD_HEAD.size + length
-        if stop > end:
+        begin, place = place + RECORD_HEAD.size, place + RECORD_HEAD.size + length
+        if place > end:
             raise Damage(f"a record in it claims {length} bytes")
+        yield opcode, records[begin:place]
+
+
+def messages_in(records: memoryview) -> Iterator[Stored]:
+    """Yield the messages among the records of a chunk; raise `Damage` where they do not fit into it."""
+    for opcode, content in records_in(records):
         if opcode == MESSAGE:
-            if length < _MESSAGE_HEAD.size - RECORD_HEAD.size:
+            if len(content) < _MESSAGE_HEAD.size:
                 raise Damage("a message in it is cut short")
-            _, _, channel, sequence, log_time, publish_time = _MESSAGE_HEAD.unpack_from(records, place)
-            yield Stored(
-                channel, sequence, log_time, publish_time, records[place + _MESSAGE_HEAD.size : stop]
-            )
-        place = stop
+            channel, sequence, log_time, publish_time = _MESSAGE_HEAD.unpack_from(content)
+            yield Stored(channel, sequence, log_time, publish_time, content[_MESSAGE_HEAD.size :])

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from rig.motion import Motion
     from rig.scene import Scene
 
-# What packs best for its time: nothing shrinks float64 samples by more than a tenth, and lz4 unpacks what will
-# not shrink eight times faster than zstd; counts shrink by a fifth under zstd.
+# What packs best for its time: nothing shrinks float64 samples by more than a tenth, and what does not shrink
+# lz4 unpacks eight times as fast as zstd; counts shrink by a fifth under zstd.
 COMPRESSION = {"float64": "LZ4", "float32": "ZSTD", "counts": "ZSTD"}
 # Room kept on the disk for the end of the file, whose index grows with every chunk, and for the display.
 RESERVE = 1 << 20

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from rig.alternatives import Alternatives, by_key
-from rig.errors import SceneError
 from rig.excitation_settings import Test
 from rig.matrices import Matrices
 from rig.quantities import (
@@ -27,7 +26,7 @@ from rig.quantities import (
 from rig.quantity_field import Quantity
 from rig.scene_checks import mistakes_between
 from rig.sensor_settings import Channel, Converter
-from rig.settings import Mistake, Place, Settings, at, mistakes_of
+from rig.settings import Mistake, Place, Settings, at
 from rig.shaker_settings import Body, Shaker
 
 STANDARD_GRAVITY = 9.80665
@@ -218,21 +217,6 @@ class Scene(Settings):
             self.converter,
             self.recording,
         )
-
-    def replace(self, **changes: Any) -> Self:
-        """Make a variant with some parts changed.
-
-        Raises
-        ------
-        SceneError
-            With one line for each mistake, if the variant is no possible scene.
-        """
-        try:
-            return super().replace(**changes)
-        except ValidationError as error:
-            from rig.scene_file import describe
-
-            raise SceneError(describe(mistakes_of(error), f"scene {self.name!r}")) from None
 
     def to_yaml(self) -> str:
         """Write a scene file, with everything in it, that loads back as an equal scene.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
@@ -14,8 +13,8 @@ from rig.errors import SceneError
 from rig.matrices import FOLDER
 from rig.scene import Scene
 from rig.scene_checks import mistakes_between
-from rig.settings import Mistake, Place, at, mistakes_of
-from rig.yaml_lines import Document, read
+from rig.settings import Mistake, at, describe, dotted, mistakes_of
+from rig.yaml_lines import read
 
 SCENES = Path(__file__).parent / "scenes"
 SUFFIXES = (".yaml", ".yml")
@@ -85,28 +84,6 @@ def summary(name: str) -> str:
     return first.lstrip("# ").strip()
 
 
-def describe(mistakes: Iterable[Mistake], where: str, document: Document | None = None) -> str:
-    """Write mistakes one to a line, with place and, for a file, line number.
-
-    >>> describe([Mistake(("dampers", 1, "clearance"), "missing")], "a.yaml")
-    'a.yaml: dampers[2].clearance: missing'
-    """
-    lines = []
-    for mistake in mistakes:
-        number = "" if document is None else f":{document.line(mistake.place)}"
-        lines.append(": ".join(filter(None, [f"{where}{number}", dotted(mistake.place), mistake.message])))
-    return "\n".join(lines)
-
-
-def dotted(place: Place) -> str:
-    """Write a place as a user counts, from 1.
-
-    >>> dotted(("dampers", 1, "clearance"))
-    'dampers[2].clearance'
-    """
-    return "".join(f"[{key + 1}]" if isinstance(key, int) else f".{key[:60]}" for key in place).lstrip(".")
-
-
 def _find(scene: str | Path) -> Path:
     path = Path(scene)
     names = bundled()
@@ -131,11 +108,12 @@ def _find(scene: str | Path) -> Path:
 
 def _text(path: Path) -> str:
     try:
-        if path.stat().st_size > MOST_BYTES:
-            raise SceneError(f"{path} is larger than {MOST_BYTES // 1_000_000} MB; expected a scene file")
-        data = path.read_bytes()
+        with path.open("rb") as file:
+            data = file.read(MOST_BYTES + 1)
     except OSError as error:
         raise SceneError(f"{path} cannot be read: {error.strerror or error}") from None
+    if len(data) > MOST_BYTES:
+        raise SceneError(f"{path} is larger than {MOST_BYTES // 1_000_000} MB; expected a scene file")
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -171,7 +149,7 @@ def _validated(text: str, where: str, folder: Path | None, name: str | None) -> 
     ]
     if scene is None or twice:
         mistakes.sort(key=lambda mistake: document.line(mistake.place))
-        raise SceneError("\n".join(filter(None, [*twice, describe(mistakes, where, document)])))
+        raise SceneError("\n".join(filter(None, [*twice, describe(mistakes, where, document.line)])))
     return scene
 
 

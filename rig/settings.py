@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Self
 from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler, ValidationError, model_validator
 from pydantic_core import CoreSchema, InitErrorDetails
 
+from rig.errors import SceneError
 from rig.quantities import Kind, parse
 from rig.quantity_field import expected, mistake, quantity_of
 
@@ -33,6 +34,28 @@ def mistakes_of(error: ValidationError) -> list[Mistake]:
     return [Mistake(item["loc"], _in_words(item)) for item in error.errors(include_url=False)]
 
 
+def describe(mistakes: Iterable[Mistake], where: str, line: Callable[[Place], int] | None = None) -> str:
+    """Write mistakes one to a line: where, on which line of it, at which place, what.
+
+    >>> describe([Mistake(("dampers", 1, "clearance"), "missing")], "a.yaml", lambda place: 12)
+    'a.yaml:12: dampers[2].clearance: missing'
+    """
+    lines = []
+    for wrong in mistakes:
+        start = where if line is None else f"{where}:{line(wrong.place)}"
+        lines.append(": ".join(filter(None, [start, dotted(wrong.place), wrong.message])))
+    return "\n".join(lines)
+
+
+def dotted(place: Place) -> str:
+    """Write a place as a user counts, from 1.
+
+    >>> dotted(("dampers", 1, "clearance"))
+    'dampers[2].clearance'
+    """
+    return "".join(f"[{key + 1}]" if isinstance(key, int) else f".{key[:60]}" for key in place).lstrip(".")
+
+
 def report(title: str, mistakes: Iterable[Mistake]) -> ValidationError:
     """Make one pydantic error of several mistakes."""
     lines = [InitErrorDetails(type=mistake(m.message), loc=m.place, input=None) for m in mistakes]
@@ -48,9 +71,18 @@ class Settings(BaseModel):
     one_of: ClassVar[tuple[tuple[str, ...], ...]] = ()
 
     def replace(self, **changes: Any) -> Self:
-        """Make a variant with some fields changed, checked like the original."""
+        """Make a variant with some fields changed, checked like the original.
+
+        Raises
+        ------
+        SceneError
+            With one line for each mistake, if there can be no such variant.
+        """
         fields = {name: getattr(self, name) for name in type(self).model_fields}
-        return type(self).model_validate({**fields, **changes})
+        try:
+            return type(self).model_validate({**fields, **changes})
+        except ValidationError as error:
+            raise SceneError(describe(mistakes_of(error), type(self).__name__)) from None
 
     def relations(self) -> Iterable[Mistake]:
         """List what is wrong between fields that are right one by one."""

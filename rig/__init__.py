@@ -10,7 +10,9 @@ from typing import Any
 _HOME: dict[str, str] = {
     "Motion": "rig.motion",
     "Plant": "rig.plant",
+    "Response": "rig.response",
     "Run": "rig.simulate",
+    "frequency_response": "rig.response",
     "simulate": "rig.simulate",
     "Scene": "rig.scene",
     "load": "rig.scene_file",

@@ -144,7 +144,7 @@ def ledger(
         Lengths of the segments, s.
     """
     quadratic = forms(scene, tables.system, tables.drive.output)
-    states, slots, lengths = _stretches(tables, course, begins, durations)
+    states, slots, lengths, _ = _stretches(tables, course, begins, durations)
     work, dissipated = _integrals(tables, quadratic, states, slots, lengths)
     return Energy(
         work=work,
@@ -155,10 +155,29 @@ def ledger(
     )
 
 
+def fourier(
+    tables: FlowTables, course: Course, begins: Array, durations: Array, omega: float
+) -> NDArray[np.complex128]:
+    """Integral of z(t) e^{-i omega t} over a course whose segments are no longer than a step, shape (size,).
+
+    Kinks at impacts are between the stretches, so that quadrature keeps its full order.
+    """
+    states, slots, lengths, starts = _stretches(tables, course, begins, durations)
+    total = np.zeros(tables.size, dtype=np.complex128)
+    part = lengths / tables.step
+    for slot in np.unique(slots):
+        rows = slots == slot
+        terms = _series(tables, int(slot), states[rows])
+        for node, weight in zip(*_GAUSS, strict=True):
+            turn = np.exp(-1j * omega * (starts[rows] + node * lengths[rows]))
+            total += (weight * lengths[rows] * turn) @ _sum_series(terms, part[rows] * node)
+    return total
+
+
 def _stretches(
     tables: FlowTables, course: Course, begins: Array, durations: Array
-) -> tuple[Array, NDArray[np.int64], Array]:
-    """Start states, slots and lengths of the stretches between segment ends and breaks."""
+) -> tuple[Array, NDArray[np.int64], Array, Array]:
+    """Start states, slots, lengths and start times of the stretches between segment ends and breaks."""
     size = tables.size
     segments = len(durations)
     segment = np.concatenate([np.arange(segments), course.break_segment])
@@ -174,7 +193,8 @@ def _stretches(
     following = np.append(offset[1:], 0.0)
     same = np.append(segment[1:] == segment[:-1], False)
     lengths = np.where(same, following, durations[segment]) - offset
-    return states[order], slots, np.maximum(lengths, 0.0)
+    begin = np.concatenate([[0.0], np.cumsum(durations)[:-1]])
+    return states[order], slots, np.maximum(lengths, 0.0), begin[segment] + offset
 
 
 def _integrals(

@@ -206,6 +206,20 @@ class March:
         self._find_table()
         return lifted
 
+    def snapshot(self) -> tuple[Array, ...]:
+        """Copy of the whole state of motion, for `resume`."""
+        return tuple(part.copy() for part in self.state)
+
+    def resume(self, snapshot: tuple[Array, ...]) -> None:
+        """Go on from a state of motion of this system, perhaps under another drive."""
+        for part, kept in zip(self.state, snapshot, strict=True):
+            part[...] = kept
+        self._find_table()
+
+    def start_period(self, level: float) -> None:
+        """Set the tone to the start of a period."""
+        self.state.z[self.system.states : self.tables.size] = (level, 0.0)
+
     def standing(self) -> Course:
         """Present state as a course of one sample in which nothing happened."""
         return Course(

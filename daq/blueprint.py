@@ -24,8 +24,8 @@ class Content:
     ----------
     plots : sequence of (str, str)
         Entity and title of each group of channels, the one to look at first first.
-    dampers : bool
-        Whether gaps and contacts are there.
+    dampers : int
+        How many dampers have gaps and contacts to show.
     lowest_hz : float
         Lowest natural frequency; it sets the span of the plots around the time cursor.
     eye : tuple
@@ -35,7 +35,7 @@ class Content:
     """
 
     plots: Sequence[tuple[str, str]]
-    dampers: bool
+    dampers: int
     lowest_hz: float
     eye: tuple[tuple[float, float, float], tuple[float, float, float]]
     speed: float
@@ -83,6 +83,10 @@ def layout(content: Content) -> rrb.Blueprint:
         rrb.TextLogView(origin="test", contents="test/marks", name="markers"),
         active_tab=0,
     )
+    # A lane of a state timeline keeps its height: its view needs room for its lanes, and no more.
+    shares = [3.0, 1.0, 4.5]
+    if content.dampers:
+        shares = [3.0, 1.5, 3.8, 3.0, 0.8 + 0.6 * content.dampers]
     position, target = content.eye
     rig = rrb.Spatial3DView(
         origin="rig", name="rig", background=BACKGROUND, line_grid=False,
@@ -91,9 +95,7 @@ def layout(content: Content) -> rrb.Blueprint:
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(rig, notes, row_shares=[1.6, 1.0]),
-            rrb.Vertical(
-                *right, row_shares=[3.0, 1.5, 3.8, 3.0, 2.6] if content.dampers else [3.0, 1.0, 4.5]
-            ),
+            rrb.Vertical(*right, row_shares=shares),
             column_shares=[1.0, 1.35],
         ),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, playback_speed=content.speed, loop_mode="all"),

@@ -58,9 +58,48 @@ def replay(
     speed: Annotated[float, typer.Option(metavar="X", help="Playback speed; 0.1 is slow motion.")] = 1.0,
 ) -> None:
     """Look at a recording: the rig in motion, channels, dampers, test marks."""
-    from daq.show import show
+    import daq
+    from daq import show
+    from daq.replay import Replay
+    from daq.run_report import progress_bar
 
-    show(file, (start, stop), speed, save=save, screenshot=screenshot, at_s=at, web=web)
+    if sum([save is not None, screenshot is not None, web]) > 1:
+        raise typer.BadParameter("choose one of --save, --screenshot and --web")
+    with daq.open(file) as recording, progress_bar(file.stem) as progress:
+        part = Replay(recording, start, stop, speed)
+        if save is not None:
+            show.save(part, save, progress)
+        elif screenshot is not None:
+            show.photograph(part, screenshot, at, progress)
+        elif web:
+            show.in_browser(part, print, progress)
+        else:
+            show.in_window(part, progress)
+
+
+@app.command("run", context_settings={"ignore_unknown_options": True, "allow_interspersed_args": False})
+def run_a_script(
+    script: Annotated[Path, typer.Argument(metavar="SCRIPT.py", help="A script that uses nidaqmx.")],
+    arguments: Annotated[list[str] | None, typer.Argument(metavar="[ARGS]...", help="For the script.")] = None,
+    scene: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SCENE", help="Scene on the bench (default: SHOTRIG_SCENE, or three particle dampers)."
+        ),
+    ] = None,
+    clock: Annotated[
+        str | None,
+        typer.Option(metavar="real|fast", help="How time passes (default: SHOTRIG_CLOCK, or real)."),
+    ] = None,
+    seconds: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="Press Ctrl-C, or Enter at a prompt, after this time on the bench."),
+    ] = None,
+) -> None:
+    """Run a script for the package nidaqmx, or daq.nidaqmx, against the rig."""
+    from daq.script import run_script
+
+    raise typer.Exit(run_script(script, arguments or [], scene, clock, seconds))
 
 
 def main() -> None:

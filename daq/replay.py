@@ -136,8 +136,9 @@ class Replay:
 
     def blueprint(self) -> rrb.Blueprint:
         """Layout for this recording."""
+        dampers = len(self.recording.scene.dampers) if self.motion.gaps_known else 0
         plots = [(f"channels/{quantity}", f"{quantity} [{SHOWN[quantity][1]}]") for quantity in self.groups()]
-        return layout(Content(plots, self.motion.gaps_known, self.lowest_hz, self.view.eye, self.speed))
+        return layout(Content(plots, dampers, self.lowest_hz, self.view.eye, self.speed))
 
     def send(self, stream: rr.RecordingStream, progress: Progress | None = None) -> None:
         """Send everything to a stream whose sink is set; `progress` is told the share that is done."""

@@ -77,10 +77,43 @@ def replay(
             show.in_window(part, progress)
 
 
+@app.command()
+def info(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings.")],
+    check: Annotated[bool, typer.Option("--check", help="Read all of it and verify every checksum.")] = False,
+) -> None:
+    """Say what recordings hold: scene, channels, markers, what was lost."""
+    from daq.info import describe
+    from daq.recording import open as open_recording
+
+    for file in files:
+        with open_recording(file) as recording:
+            for line in describe(recording):
+                print(line)
+            if check:
+                recording.check()
+                print("  checked   every checksum is right")
+
+
+@app.command()
+def recover(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The torn or damaged recording; it is kept.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FIXED", help="Recording to make of it.")],
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace FIXED if it exists.")] = False,
+) -> None:
+    """Make a whole recording of a torn or damaged one, and say exactly what was lost."""
+    from daq.salvage import recover as recover_recording
+
+    for line in recover_recording(file, output, overwrite).report():
+        print(line)
+
+
 @app.command("run", context_settings={"ignore_unknown_options": True, "allow_interspersed_args": False})
 def run_a_script(
     script: Annotated[Path, typer.Argument(metavar="SCRIPT.py", help="A script that uses nidaqmx.")],
-    arguments: Annotated[list[str] | None, typer.Argument(metavar="[ARGS]...", help="For the script.")] = None,
+    arguments: Annotated[
+        list[str] | None, typer.Argument(metavar="[ARGS]...", help="For the script.")
+    ] = None,
     scene: Annotated[
         str | None,
         typer.Option(

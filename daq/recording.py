@@ -35,7 +35,7 @@ class Gap:
     first_sample, last_sample : int
         The range, both included.
     channels : tuple of str
-        Names of the channels that lack them.
+        Names of the channels that lack them; of true motion, its topics.
     reason : str
         `never acquired`, or what became of them.
     """
@@ -312,6 +312,11 @@ class Recording:
         """How the test ended: `complete`, `interrupted`, `failed`, `recovered`, or `unknown`."""
         return self.metadata.get("outcome", {}).get("status", "unknown")
 
+    @property
+    def stored(self) -> str:
+        """What samples are in the file: `float64`, `float32` or `counts`."""
+        return next(iter(self._series.values())).stored
+
     @cached_property
     def scene(self) -> Scene:
         """The scene that was recorded."""
@@ -324,6 +329,23 @@ class Recording:
             return rig.loads(text.decode(), where=f"{self.path}: {layout.SCENE_FILE}")
         except UnicodeDecodeError as error:
             raise RecordingError(f"{self.path}: {layout.SCENE_FILE} is no text: {error}") from error
+
+    def check(self) -> None:
+        """Read the whole file and verify every checksum in it.
+
+        Raises
+        ------
+        RecordingError
+            At the first damage.
+        """
+        self._container.check()
+        for series in (
+            *self._series.values(),
+            *(each for of in self._truth.values() for each in of.values()),
+        ):
+            for _ in series.blocks(0, series.stop):
+                pass
+        _ = self.metadata, self.markers, self.events
 
     def close(self) -> None:
         """Close the file."""

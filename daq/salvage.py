@@ -315,9 +315,8 @@ class _Salvage:
         numbers = {channels[number].topic: self._numbers[number] for number in self._numbers}
         at: dict[Span, list[str]] = defaultdict(list)
         for topic, spans in salvage.lost.items():
-            if topic.startswith(layout.RAW):
-                for span in spans:
-                    at[span].append(topic.removeprefix(layout.RAW))
+            for span in spans:
+                at[span].append(topic.removeprefix(layout.RAW))
         assert self._clock is not None
         if layout.MARKERS in numbers:
             for (first, stop), names in sorted(at.items()):

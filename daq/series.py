@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.block import Block, decode
+from daq.block import SCHEMAS, Block, decode
 from daq.container import Container
 from daq.layout import Clock
 from rig.errors import RecordingError
@@ -42,6 +42,11 @@ class Series:
         self._chunks = summary.holders.get(channel.id, np.empty(0, np.int64))
         self._cached: tuple[int, list[Block]] = (-1, [])
         self.scale = self._number("scale", 1.0)
+
+    @property
+    def stored(self) -> str:
+        """What a sample is in the file: `float64`, `float32` or `counts`."""
+        return next(stored for stored, (schema, _, _) in SCHEMAS.items() if schema == self._schema)
 
     def _error(self, what: str) -> RecordingError:
         return RecordingError(f"{self._container.path}: {self.topic}: {what}")

@@ -182,7 +182,11 @@ class Channel(Settings):
 
     name: Annotated[
         str,
-        Field(max_length=80, pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$", description="a name"),
+        Field(
+            max_length=80,
+            pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$",
+            description="a name of letters, digits, _, - and .",
+        ),
     ]
     at: Annotated[
         str,

@@ -23,7 +23,7 @@ def of_chain(
     dashpots: tuple[float, ...],
     frequencies: np.ndarray,
 ) -> np.ndarray:
-    """Response to a force on body 1 as a continued fraction: what hangs above a body acts on it as one spring."""
+    """Response to a force on body 1: what is above a body acts on it as one spring, a continued fraction."""
     omega = 2.0 * np.pi * frequencies
     above = np.zeros_like(omega, dtype=complex)
     links, stiffness_above = [], []

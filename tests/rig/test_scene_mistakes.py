@@ -1,0 +1,504 @@
+"""Mistakes in scenes: each is reported, all at once, with its line, the value and what was expected."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import rig
+from rig.errors import SceneError
+
+STRUCTURE = "structure: {masses: [1 kg, 2 kg], springs: [1 kN/m, 1 kN/m]}\n"
+FORCE = "shaker: {kind: force, body: 1}\n"
+COIL = "shaker: {kind: electrodynamic, body: 1, spring: 6.6 kN/m}\n"
+
+
+def complaints(text: str) -> str:
+    with pytest.raises(SceneError) as caught:
+        rig.loads(text, "scene.yaml")
+    return str(caught.value)
+
+
+MISTAKES = [
+    # unknown and missing keys
+    ("structre: {}\n" + STRUCTURE, ':1: structre: unknown key "structre"; did you mean "structure"?'),
+    ("name: x", ":1: structure: missing; expected keys masses and springs, or matrices"),
+    (
+        STRUCTURE + "dampers:\n  - {body: 1, mass: 10 g, clearance: 1 mm, restitutoin: 10 %}",
+        ':3: dampers[1].restitutoin: unknown key "restitutoin"; did you mean "restitution"?',
+    ),
+    (
+        STRUCTURE + "dampers:\n  - {body: 1, mass: 10 g}",
+        ":3: dampers[1].clearance: missing; expected a length such as 0.98 mm",
+    ),
+    (
+        STRUCTURE + "shaker: {kind: force, body: 1, spring: 6.6 kN/m}",
+        ':2: shaker.spring: unknown key "spring"; expected one of kind, body',
+    ),
+    (
+        STRUCTURE + "shaker: {kind: table, body: 1}",
+        ":2: shaker.spring: missing; expected a stiffness such as 6.6 kN/m",
+    ),
+    (
+        STRUCTURE + FORCE + "test: {kind: sine, force: 1 N}",
+        ":3: test.frequency: missing; expected a frequency such as 50 Hz or 312.4 rad/s",
+    ),
+    # units and kinds
+    (
+        STRUCTURE + "dampers:\n\n  - {body: 1, mass: 10 g, clearance: 0.98 kg}",
+        ':4: dampers[1].clearance: got "0.98 kg"; expected a length such as 0.98 mm',
+    ),
+    (STRUCTURE + "gravity: heavy", ':2: gravity: got "heavy"; expected an acceleration such as'),
+    (STRUCTURE + "gravity: .nan", ':2: gravity: got ".nan"; expected an acceleration such as'),
+    (STRUCTURE + "gravity:", ":2: gravity: got nothing; expected an acceleration such as"),
+    (STRUCTURE + "seed: 1.5", ':2: seed: got "1.5"; expected a whole number'),
+    (STRUCTURE + "seed: -1", ':2: seed: got "-1"; expected a whole number, at least 0'),
+    (
+        STRUCTURE + "recording: {truth: maybe}",
+        ':2: recording.truth: got "maybe"; expected true or false',
+    ),
+    (STRUCTURE + "name: [a]", ":2: name: got ['a']; expected text"),
+    (STRUCTURE + "dampers: {body: 1}", ":2: dampers: got keys body; expected a list"),
+    (STRUCTURE + "converter: fast", ':2: converter: got "fast"; expected keys such as'),
+    (STRUCTURE + "shaker: strong", ':2: shaker: got "strong"; expected keys and values'),
+    (
+        STRUCTURE + "shaker: {kind: tabel, body: 1}",
+        ':2: shaker.kind: got "tabel"; expected one of force, table, electrodynamic (nearest: "table")',
+    ),
+    (
+        STRUCTURE + "shaker: {body: 1}",
+        ":2: shaker.kind: missing; expected one of force, table, electrodynamic",
+    ),
+    (
+        STRUCTURE + "test: {kind: impulse, start: later, body: 1, peak: 1 N, width: 1 ms}",
+        ':2: test.start: got "later"; expected one of settled or empty',
+    ),
+    # quantities that depend on another key
+    (
+        STRUCTURE + COIL.replace("}", ", amplifier: {mode: current, limit: 5 V}}"),
+        ':2: shaker.amplifier.limit: got "5 V"; expected a current such as 2 mA',
+    ),
+    (
+        STRUCTURE + COIL + "test: {kind: sine, frequency: 1 Hz, drive: 5 mm}",
+        ':3: test.drive: got "5 mm"; expected a voltage such as 5 V',
+    ),
+    (
+        STRUCTURE
+        + COIL.replace("electrodynamic", "table")
+        + "test: {kind: sine, frequency: 1 Hz, drive: 5 V}",
+        ':3: test.drive: got "5 V"; expected a length such as 0.98 mm',
+    ),
+    (
+        STRUCTURE + "channels:\n- {name: a, at: body 1, integrator: {order: 2}, abort: 1 m/s}",
+        ':3: channels[1].abort: got "1 m/s"; expected a length such as 0.98 mm',
+    ),
+    # impossible values
+    (
+        "structure: {masses: [-1 kg], springs: [1]}",
+        ':1: structure.masses[1]: got "-1 kg"; expected a mass such as 74 g, above 0 and finite',
+    ),
+    ("structure: {masses: [.inf], springs: [1]}", ':1: structure.masses[1]: got ".inf"; expected a mass'),
+    (
+        "structure: {masses: [1], springs: [-5]}",
+        ':1: structure.springs[1]: got "-5"; expected a stiffness',
+    ),
+    (
+        "structure: {masses: [], springs: [1]}",
+        ":1: structure.masses: got []; expected a list of at least 1",
+    ),
+    (
+        STRUCTURE + "dampers: [{body: 1, mass: 10 g, clearance: -1 mm}]",
+        ':2: dampers[1].clearance: got "-1 mm"; expected a length such as 0.98 mm, at least 0',
+    ),
+    (
+        STRUCTURE + "dampers: [{body: 1, mass: 10 g, clearance: 1 mm, restitution: 1}]",
+        ':2: dampers[1].restitution: got "1"; expected a ratio such as 10 %, at least 0 and below 1',
+    ),
+    (
+        STRUCTURE + "dampers: [{body: 0, mass: 10 g, clearance: 1 mm}]",
+        ':2: dampers[1].body: got "0"; expected a whole number, at least 1',
+    ),
+    (
+        STRUCTURE + "converter: {bits: 99}",
+        ':2: converter.bits: got "99"; expected a whole number, at most 32',
+    ),
+    (STRUCTURE + "channels: []", ":2: channels: got []; expected a list of at least 1"),
+    (
+        STRUCTURE + "shaker: {kind: force, body: [1, 1]}",
+        ":2: shaker.body: got ['1', '1']; expected a list that names each body once",
+    ),
+    (
+        STRUCTURE + "shaker: {kind: force, body: left}",
+        ':2: shaker.body: got "left"; expected the number of a body, from 1, or a list of such',
+    ),
+    (
+        STRUCTURE + "channels: [{name: a/b, at: body 1}]",
+        ':2: channels[1].name: got "a/b"; expected a name of letters',
+    ),
+    (
+        STRUCTURE + "channels: [{name: a, at: tabel}]",
+        ':2: channels[1].at: got "tabel"; expected body 1, ..., table or hammer',
+    ),
+    # what excludes or needs something else
+    (
+        STRUCTURE + "dampers: [{body: 1, mass: 10 g, mass_ratio: 1 %, clearance: 1 mm}]",
+        ":2: dampers[1]: mass and mass_ratio given together; expected exactly one of mass or mass_ratio",
+    ),
+    (
+        STRUCTURE + "dampers: [{body: 1, clearance: 1 mm}]",
+        ":2: dampers[1]: mass or mass_ratio missing; expected exactly one of mass or mass_ratio",
+    ),
+    ("structure: {masses: [1]}", ":1: structure: springs missing; expected 1, one for each mass"),
+    (
+        "structure: {masses: [1, 2], springs: [1]}",
+        ":1: structure.springs: got 1 springs; expected 2, one for each mass",
+    ),
+    (
+        "structure: {masses: [1], springs: [1], damping: {modal: [1 %, 2 %]}}",
+        ":1: structure.damping.modal: got 2 values; expected 1, as there are bodies",
+    ),
+    (
+        "structure: {masses: [1], springs: [1], damping: {dashpots: [1, 2]}}",
+        ":1: structure.damping.dashpots: got 2 values; expected 1, as there are bodies",
+    ),
+    (
+        "structure: {masses: [1], springs: [1], damping: {modl: 1 %}}",
+        ":1: structure.damping: got keys modl; expected exactly one of the keys modal, rayleigh, dashpots",
+    ),
+    (
+        STRUCTURE + FORCE + "test: {kind: sine, frequency: 1 Hz}",
+        ":3: test: force or drive missing; expected exactly one of force or drive",
+    ),
+    (
+        STRUCTURE + FORCE + "test: {kind: sine, frequency: 1 Hz, drive: 1}",
+        ":3: test.drive: a shaker of kind force is driven by its force; expected force instead",
+    ),
+    (
+        STRUCTURE + FORCE + "test: {kind: stepped_sine, from: 9 Hz, to: 8 Hz, points: 3, force: 1}",
+        ":3: test.from: not below to; give the lower end first and direction: down to go downward",
+    ),
+    (
+        STRUCTURE + FORCE + "test: {kind: stepped_sine, to: 8 Hz, points: 3, force: 1}",
+        ":3: test: from missing; expected a frequency such as 8 Hz",
+    ),
+    (
+        STRUCTURE + FORCE + "test: {kind: stepped_sine, frequencies: [2, 1], force: 1}",
+        ":3: test.frequencies: not rising",
+    ),
+    (
+        STRUCTURE + FORCE + "test: {kind: stepped_sine, frequencies: [2], from: 1, force: 1}",
+        ":3: test: frequencies and from/to given together",
+    ),
+    (
+        STRUCTURE + FORCE + "test: {kind: stepped_sine, frequencies: [2], force: []}",
+        ":3: test.force: got []; expected at least one: a force such as 2.6 N",
+    ),
+    (
+        STRUCTURE + FORCE + "test: {kind: swept_sine, from: 8, to: 8, duration: 1, force: 1}",
+        ":3: test.to: equal to from",
+    ),
+    (
+        STRUCTURE + FORCE + "test: {kind: random, from: 9, to: 8, duration: 1, force: 1}",
+        ":3: test.from: not below to",
+    ),
+    (
+        STRUCTURE + FORCE + "test: {kind: multisine, from: 8.1, to: 8.9, period: 1 s, force: 1}",
+        ":3: test.period: too short; no multiple of its inverse lies between from and to",
+    ),
+    (
+        STRUCTURE + "test: {kind: impulse, body: 1, peak: 1, width: 9 s}",
+        ":2: test.width: not shorter than the interval",
+    ),
+    (
+        STRUCTURE + "test: {kind: impulse, body: 1, peak: 1, width: 9 ms, double_hit: {after: 1 ms}}",
+        ":2: test.double_hit.after: does not lie between",
+    ),
+    (
+        STRUCTURE + "test: {kind: impulse, body: 1, peak: 1, width: 9 ms, double_hit: {hits: [2]}}",
+        ":2: test.double_hit.hits[1]: hit 2 of 1",
+    ),
+    (
+        STRUCTURE + "test: {kind: free}",
+        ":2: test: nothing moves; expected displacement, velocity, or mode",
+    ),
+    (STRUCTURE + "test: {kind: free, mode: 1}", ":2: test.mode: given without amplitude"),
+    (
+        STRUCTURE + "test: {kind: free, mode: 1, amplitude: 1 mm, velocity: [1, 1]}",
+        ":2: test.mode: given beside displacement or velocity",
+    ),
+    (
+        STRUCTURE + "channels: [{name: a, at: body 1, accelerometer: {q: 30}}]",
+        ":2: channels[1].accelerometer.q: given without resonance",
+    ),
+    (
+        STRUCTURE + "channels: [{name: a, at: body 1, hammer: {}}]",
+        ":2: channels[1].hammer: given at body 1; expected it at: hammer",
+    ),
+    (STRUCTURE + "converter: {bits: 16}", ":2: converter.bits: given without range"),
+    (STRUCTURE + "converter: {ac_corner: 1 Hz}", ":2: converter.ac_corner: given without coupling: AC"),
+    (
+        STRUCTURE + "converter: {clock_error: 50 %}",
+        ":2: converter.clock_error: got 0.5; expected a small",
+    ),
+    # references from one part to another
+    (
+        STRUCTURE + "dampers:\n- {body: 7, mass: 10 g, clearance: 1 mm}",
+        ":3: dampers[1].body: body 7 of 2; expected a body of the structure, 1 to 2",
+    ),
+    (
+        STRUCTURE + "dampers:\n- {body: 1, mass: 1 g, clearance: 1}\n- {body: 1, mass: 1 g, clearance: 1}",
+        ":4: dampers[2].body: body 1 has a damper already, dampers[1]; expected one damper on a body",
+    ),
+    (STRUCTURE + "shaker: {kind: force, body: [1, 3]}", ":2: shaker.body[2]: body 3 of 2"),
+    (STRUCTURE + "test: {kind: impulse, body: 3, peak: 1, width: 1 ms}", ":2: test.body: body 3 of 2"),
+    (STRUCTURE + "test: {kind: free, velocity: [1]}", ":2: test.velocity: got 1 values; expected 2"),
+    (
+        STRUCTURE + "test: {kind: free, mode: 3, amplitude: 1}",
+        ":2: test.mode: mode 3 of 2; expected 1 to 2",
+    ),
+    (
+        STRUCTURE + "test: {kind: sine, frequency: 1, force: 1}",
+        ":2: test.kind: sine has nothing to drive with; expected a shaker in the scene",
+    ),
+    (
+        STRUCTURE + FORCE + "channels: [{name: a, at: table}]",
+        ":3: channels[1].at: there is no table; expected a body, or a shaker of kind table",
+    ),
+    (STRUCTURE + "channels: [{name: a, at: hammer}]", ":2: channels[1].at: there is no hammer"),
+    (
+        STRUCTURE + "channels:\n- {name: a, at: body 1}\n- {name: a, at: body 2}",
+        ':4: channels[2].name: "a" is the name of channels[1]; expected each once',
+    ),
+    (
+        STRUCTURE + "channels: [{name: a, at: body 1}]\nconverter: {skew: [1 us, 2 us]}",
+        ":3: converter.skew: got 2 values; expected 1, one for each channel",
+    ),
+    (
+        STRUCTURE + "recording: {samples: counts}",
+        ":2: recording.samples: counts of a converter without bits",
+    ),
+    # matrices
+    (
+        "structure: {matrices: {mass: [[1, 2]], stiffness: [[1]]}}",
+        ":1: structure.matrices.mass: shape (1, 2); expected a square matrix",
+    ),
+    (
+        "structure: {matrices: {mass: [[1, 2], [3]], stiffness: [[1]]}}",
+        ":1: structure.matrices.mass: rows of unequal length or what is no number",
+    ),
+    (
+        "structure: {matrices: {mass: [[1]], stiffness: [[a]]}}",
+        ":1: structure.matrices.stiffness: rows of unequal length or what is no number",
+    ),
+    (
+        "structure: {matrices: {mass: [[1]], stiffness: [[nan]]}}",
+        ":1: structure.matrices.stiffness: nan in row 1, column 1; expected finite numbers",
+    ),
+    (
+        "structure: {matrices: {mass: [[1, 0.5], [0.2, 1]], stiffness: [[1, 0], [0, 1]]}}",
+        ":1: structure.matrices.mass: not symmetric (0.5 and 0.2 in rows and columns 1 and 2)",
+    ),
+    (
+        "structure: {matrices: {mass: [[1, 2], [2, 1]], stiffness: [[1, 0], [0, 1]]}}",
+        ":1: structure.matrices.mass: not positive definite",
+    ),
+    (
+        "structure: {matrices: {mass: [[1, 1], [1, 1]], stiffness: [[1, 0], [0, 1]]}}",
+        ":1: structure.matrices.mass: not positive definite",
+    ),
+    (
+        "structure: {matrices: {mass: [[1, 0], [0, 1]], stiffness: [[1, 3], [0, 1]]}}",
+        ":1: structure.matrices.stiffness: not symmetric",
+    ),
+    (
+        "structure: {matrices: {mass: [[1]], stiffness: [[1]], damping: [[1, 0], [0, 1]]}}",
+        ":1: structure.matrices.damping: size 2; expected 1, the size of the mass matrix",
+    ),
+    (
+        "structure: {matrices: {mass: [[1]], stiffness: [[1]], damping: [[1]]}, damping: {modal: 1 %}}",
+        ":1: structure.damping: given beside the damping matrix",
+    ),
+    (
+        "structure: {matrices: {mass: [[1]], stiffness: [[1]]}, damping: {dashpots: [1]}}",
+        ":1: structure.damping: dashpots lie along a chain",
+    ),
+    (
+        "structure: {matrices: {mass: [[1]], stiffness: [[1]]}, springs: [1]}",
+        ":1: structure.springs: given beside matrices",
+    ),
+    (
+        "structure: {matrices: {mass: M.npy, stiffness: [[1]]}}",
+        ':1: structure.matrices.mass: got "M.npy"; a .npy file is found beside a scene file',
+    ),
+    (
+        "structure: {matrices: {mass: M.mat, stiffness: [[1]]}}",
+        ':1: structure.matrices.mass: got "M.mat"; expected rows of numbers or the name of a .npy file',
+    ),
+    # YAML
+    (STRUCTURE + "seed: 1\nseed: 2", ":3: seed: given twice, first on line 2; expected each key once"),
+    ("structure: [1, 2}", ":1: no valid YAML: "),
+    ("a: b: 2", ":1: no valid YAML: "),
+    ("structure: *chain", ":1: alias *chain to nothing above"),
+    ("structure: &a [*a]", ":1: alias *a to nothing above"),
+    ("? [a]\n: b", ":1: a key that is no single word"),
+    ("a: !!python/object:os.system x", ":1: tag tag:yaml.org,2002:python/object:os.system"),
+    ("a: 1\n---\nb: 2", ":2: a second document; expected one scene in a file"),
+    ("just words", " holds no keys; expected a scene, at least structure: with masses and springs"),
+    ("", " is empty; expected a scene"),
+    ("# a comment only", " is empty; expected a scene"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), MISTAKES, ids=[message for _, message in MISTAKES])
+def test_given_one_mistake_when_loaded_then_place_value_and_expectation_are_named(
+    text: str, message: str
+) -> None:
+    said = complaints(text)
+    assert f"scene.yaml{message}" in said
+    assert len(said.splitlines()) == 1
+
+
+def test_given_many_mistakes_when_loaded_then_each_has_its_line_and_none_is_invented() -> None:
+    said = complaints(
+        """name: wrong in many ways
+structure:
+  masses: [0.74 kg, -1 kg, 0.64 m]
+  springs: [24.3 kN/m, 21.8 kN/m, 19.8 kN/m]
+dampers:
+  - {body: 7, mass: 1 g, clearance: 1 mm}
+  - {body: 1, mass_ratio: 10 %, clearance: 1 mm}
+  - {body: 1, mass_ratio: 10 %, clearance: 0.98 kg}
+  - {body: 1, mass_ratio: 10 %, clearance: 1 mm, clearance: 2 mm}
+shaker: {kind: tabel, body: 1, spring: 6.6 kN/m}
+test: {kind: sine, frequency: 10 1/s, force: 1 N}
+channels:
+  - {name: a, at: body 9}
+  - {name: head, at: table}
+  - {name: a, at: body 2}
+sed: 4
+"""
+    )
+    places = [line.split(": ")[0] + ": " + line.split(": ")[1] for line in said.splitlines()]
+    assert sorted(places) == sorted(
+        [
+            "scene.yaml:3: structure.masses[2]",
+            "scene.yaml:3: structure.masses[3]",
+            "scene.yaml:6: dampers[1].body",
+            "scene.yaml:8: dampers[3].clearance",
+            "scene.yaml:9: dampers[4].clearance",
+            "scene.yaml:9: dampers[4].body",
+            "scene.yaml:10: shaker.kind",
+            "scene.yaml:11: test.frequency",
+            "scene.yaml:13: channels[1].at",
+            "scene.yaml:15: channels[3].name",
+            "scene.yaml:16: sed",
+        ]
+    )
+
+
+@pytest.mark.parametrize("content", [b"\x89PNG\r\n\x1a\n\x00\x00", b"\xff\xfe\x00", bytes(range(256))])
+def test_given_a_binary_file_when_loaded_then_said_so(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_bytes(content)
+    with pytest.raises(SceneError, match="no text file; expected a scene in YAML"):
+        rig.load(path)
+
+
+def test_given_an_empty_file_a_folder_and_nothing_when_loaded_then_each_is_told_apart(tmp_path: Path) -> None:
+    (tmp_path / "empty.yaml").touch()
+    with pytest.raises(SceneError, match=r"empty\.yaml is empty"):
+        rig.load(tmp_path / "empty.yaml")
+    with pytest.raises(SceneError, match="is a folder"):
+        rig.load(tmp_path)
+    with pytest.raises(SceneError, match=r"no scene file .*missing\.yaml"):
+        rig.load(tmp_path / "missing.yaml")
+    with pytest.raises(SceneError, match="did you mean fig8-three-dampers"):
+        rig.load("fig8-tree-dampers")
+    with pytest.raises(SceneError, match="see: rig scenes"):
+        rig.load("q")
+    with pytest.raises(SceneError, match="neither a bundled one nor a file"):
+        rig.load("a\0b")
+
+
+def test_given_matrix_files_that_cannot_be_used_when_loaded_then_each_says_why(tmp_path: Path) -> None:
+    scene = tmp_path / "s.yaml"
+    scene.write_text("structure: {matrices: {mass: M.npy, stiffness: K.npy, damping: C.npy}}\n")
+    (tmp_path / "K.npy").write_bytes(b"\x93NUMPY nonsense")
+    np.save(tmp_path / "C.npy", np.array([["a"]], dtype=object), allow_pickle=True)
+    with pytest.raises(SceneError) as caught:
+        rig.load(scene)
+    mass, stiffness, damping = str(caught.value).splitlines()
+    assert "matrices.mass: no file" in mass and mass.endswith("expected it beside the scene file")
+    assert "matrices.stiffness" in stiffness and "cannot be read as .npy" in stiffness
+    assert "matrices.damping" in damping and "cannot be read as .npy" in damping
+
+
+def test_given_a_matrix_file_that_promises_too_much_when_loaded_then_refused_unread(tmp_path: Path) -> None:
+    header = "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000, 1000000), }"
+    raw = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode()
+    (tmp_path / "M.npy").write_bytes(raw)
+    (tmp_path / "s.yaml").write_text("structure: {matrices: {mass: M.npy, stiffness: [[1]]}}\n")
+    with pytest.raises(SceneError, match=r"matrices\.mass"):
+        rig.load(tmp_path / "s.yaml")
+
+
+def test_given_a_complex_matrix_when_loaded_then_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "M.npy", np.array([[1.0 + 2.0j]]))
+    (tmp_path / "s.yaml").write_text("structure: {matrices: {mass: M.npy, stiffness: [[1]]}}\n")
+    with pytest.raises(SceneError, match=r"matrices\.mass: .*what is no number"):
+        rig.load(tmp_path / "s.yaml")
+
+
+BOMB = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]\n" for k in range(1, 10)
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (BOMB, "aliases stand for more than"),
+        ("[" * 100_000, "nested deeper than"),
+        ("{a: " * 100_000, "nested deeper than"),
+        ("structure: {masses: [" + "9" * 100_000 + "], springs: [1]}", "expected a mass"),
+    ],
+)
+def test_given_a_hostile_text_when_loaded_then_refused_in_no_time(text: str, message: str) -> None:
+    assert message in complaints(text)
+
+
+words = st.sampled_from(
+    [
+        "structure",
+        "masses",
+        "[1 kg]",
+        "springs",
+        ": ",
+        "\n",
+        "  ",
+        "- ",
+        "{",
+        "}",
+        "[",
+        "]",
+        ", ",
+        "&a ",
+        "*a",
+        "body",
+        "1",
+    ]
+)
+
+
+@given(st.text(max_size=60) | st.lists(words, max_size=30).map("".join))
+def test_given_any_text_when_loaded_then_a_scene_or_a_scene_error(text: str) -> None:
+    try:
+        scene = rig.loads(text)
+    except SceneError as error:
+        assert str(error)
+    else:
+        assert scene.structure.bodies >= 1

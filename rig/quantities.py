@@ -89,7 +89,7 @@ _NUMBER = re.compile(
     r"(?![\d.])\s*(.*)",
     re.DOTALL | re.IGNORECASE,
 )
-# A product of units and bracketed products with short powers: nothing else gets to Pint, whose parser would try
+# A product of units and bracketed products with short powers: nothing else gets to Pint, as its parser would try
 # to evaluate what it is given.
 _POWER = r"(?:(?:\^|\*\*)(?:-?\d|0\.5))?"
 _NAME = rf"[A-Za-zΩ]+{_POWER}"

@@ -89,8 +89,8 @@ _NUMBER = re.compile(
     r"(?![\d.])\s*(.*)",
     re.DOTALL | re.IGNORECASE,
 )
-# A product of units and bracketed products with short powers: nothing else gets to Pint, as its parser would try
-# to evaluate what it is given.
+# A product of units and bracketed products with short powers: nothing else gets to Pint, whose parser would
+# try to evaluate what it is given.
 _POWER = r"(?:(?:\^|\*\*)(?:-?\d|0\.5))?"
 _NAME = rf"[A-Za-zΩ]+{_POWER}"
 _JOIN = r"(?:\s*[*/]\s*|\s+)"

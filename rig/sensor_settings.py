@@ -119,6 +119,8 @@ class Integrator(Settings):
         1: the output follows the velocity, 2: the displacement.
     corner : float
         Frequency below which it stops integrating [Hz], a first-order high pass per order; 0: it never does.
+    low_cutoff : float, optional
+        Corner of the first-order high pass at its input [Hz], which keeps a sensor's bias out.
     gain : float
         Output per integral of the input [1/s for order 1, 1/s^2 for order 2].
     noise : float, optional

@@ -90,8 +90,8 @@ class Averages:
     ) -> Frf:
         """Frequency response with coherence; error bars after Bendat and Piersol, eq. 9.90."""
         above = motion_of(rec, response, motion)
-        upper = above.row(rec, self.channels, self.frequency)
-        lower = reference_of(rec, reference).row(rec, self.channels, self.frequency)
+        upper = above.row(rec, self.channels, self.frequency, self.shift)
+        lower = reference_of(rec, reference).row(rec, self.channels, self.frequency, self.shift)
         sxx = np.einsum("in,nij,jn->n", upper, self.cross, upper.conj()).real
         sff = np.einsum("in,nij,jn->n", lower, self.cross, lower.conj()).real
         sxf = np.einsum("in,nij,jn->n", upper, self.cross, lower.conj())

@@ -88,7 +88,8 @@ class Frf:
         """
         if motion not in MOTIONS:
             raise SceneError(f"unknown motion {motion!r}: expected {', '.join(MOTIONS)}")
-        factor = (2j * np.pi * self.frequency) ** (MOTIONS.index(motion) - MOTIONS.index(self.motion))
+        s = 2j * np.pi * self.frequency + self.shift
+        factor = s ** (MOTIONS.index(motion) - MOTIONS.index(self.motion))
         return replace(self, value=self.value * factor, error=self.error * abs(factor), motion=motion)
 
     def bound(self, confidence: float = 0.95) -> NDArray[np.float64]:

@@ -20,7 +20,9 @@ Array = NDArray[np.float64]
 # What precedes the hit in a block, s; and the part of a response that may be left at a block's end
 # unwindowed.
 PRETRIGGER = 0.02
-_LEFT_OVER = 0.01
+_LEFT_OVER = 1e-3
+# Before a hit the structure must be at rest: its motion over this time, s, against the response that follows.
+REST, RINGING = 0.2, 0.01
 # A rebound is a second peak of at least this part of the first.
 REBOUND = 0.1
 
@@ -46,7 +48,7 @@ def averages(rec: Recording) -> Averages:
     """Average the spectra of all clean hits.
 
     A force window keeps the pulse alone; where a response has not died away at the end of a block, an
-    exponential window takes it and the force down to 1 %, and the decay rate that adds to every mode is
+    exponential window takes it and the force down to 0.1 %, and the decay rate that adds to every mode is
     kept as `shift`. Hits with a rebound are left out while clean ones remain.
     """
     names = list(rec.channels)
@@ -65,13 +67,26 @@ def averages(rec: Recording) -> Averages:
             f"blocks of {length / rec.rate:.3g} s between hits are too short: test: interval"
         )
     blocks, notes = [], []
+    rest = max(int(REST * rec.rate), 2)
+    first_rest = np.stack([rec.read(name, max(starts[0] - rest, 0), max(starts[0], 2)) for name in names])
+    offset = first_rest.mean(axis=1, keepdims=True)
     for index, (start, (first, last)) in enumerate(zip(starts, marked, strict=True), 1):
-        block = np.stack([rec.read(name, start, start + length) for name in names])
+        block = np.stack([rec.read(name, start, start + length) for name in names]) - offset
         if not np.isfinite(block).all():
             notes.append(f"Hit {index} left out: samples were lost.")
             continue
         quiet = max(first - start, 1)
-        block -= block[:, :quiet].mean(axis=1, keepdims=True)
+        before = np.stack([rec.read(name, max(start - rest, 0), max(start, 2)) for name in names]) - offset
+        ringing = float(
+            np.nanmax(np.sqrt(2.0 * np.mean(before**2, axis=1)) / np.maximum(abs(block).max(axis=1), 1e-300))
+        )
+        if index > 1 and ringing > RINGING:
+            notes.append(
+                f"Hit {index} left out: {ringing:.1%} of its response still rang from the hit before; wait "
+                "longer "
+                "between hits (test: interval)."
+            )
+            continue
         again = rebounds(block[forces[0]], rec.rate)
         if again:
             notes.append(f"Hit {index} left out: the hammer hit {again + 1} times.")

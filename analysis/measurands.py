@@ -65,12 +65,12 @@ class Quantity:
     motion: str
 
     def row(
-        self, rec: Recording, names: Sequence[str], frequency: NDArray[np.float64]
+        self, rec: Recording, names: Sequence[str], frequency: NDArray[np.float64], shift: float = 0.0
     ) -> NDArray[np.complex128]:
         """Weights to apply to the recorded amplitudes of `names`, shape (channels, frequencies).
 
         Each channel is divided by what its sensor, amplifier and converter do at that frequency, and
-        brought to the wanted derivative.
+        brought to the wanted derivative; along s = i w + `shift`, where an exponential window was used.
         """
         out = np.zeros((len(names), frequency.size), dtype=complex)
         for name, weight in zip(self.channels, self.weights, strict=True):
@@ -78,7 +78,7 @@ class Quantity:
             factor = weight / info.response(frequency)
             if self.motion in MOTIONS:
                 order = MOTIONS.index(self.motion) - MOTIONS.index(info.quantity)
-                factor = factor * (2j * np.pi * frequency) ** order
+                factor = factor * (2j * np.pi * frequency + shift) ** order
             out[names.index(name)] = factor
         return out
 

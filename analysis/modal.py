@@ -19,6 +19,7 @@ ComplexArray = NDArray[np.complex128]
 # The smallest relative error credited to a point: keeps a handful of nearly perfect points from deciding
 # alone.
 LEAST_RELATIVE_ERROR = 1e-4
+MOST_MODES = 10
 
 
 @dataclass(frozen=True)
@@ -129,9 +130,10 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
     # The chart is led by the resonances: absolute weights there, so that noise far from them counts little.
     poles_chart = chart(frequency, value, np.ones_like(weight) / abs(value).max(axis=1, keepdims=True))
     found = stable_poles(poles_chart)
-    if count is not None and len(found) > count:
+    keep_most = count if count is not None else MOST_MODES
+    if len(found) > keep_most:
         times = [sum(abs(p.frequency - f) < 0.01 * f for p in poles_chart if p.stable) for f, _ in found]
-        keep = sorted(np.argsort(times)[::-1][:count])
+        keep = sorted(np.argsort(times, kind="stable")[::-1][:keep_most])
         found = [found[i] for i in keep]
     if not found:
         raise RecordingError(
@@ -169,9 +171,8 @@ def _sigma(curves: Sequence[Frf]) -> Array:
     return np.hypot(error, LEAST_RELATIVE_ERROR * size)
 
 
-def _columns(frequency: Array, poles: ComplexArray) -> ComplexArray:
+def _columns(s: NDArray[np.complexfloating], poles: ComplexArray) -> ComplexArray:
     """Basis of the modal model for real unknowns: Re R, Im R of each mode, then lower and upper residual."""
-    s = 2j * np.pi * frequency
     out = []
     for p in poles:
         direct, mirror = 1.0 / (s - p), 1.0 / (s - p.conjugate())
@@ -179,47 +180,85 @@ def _columns(frequency: Array, poles: ComplexArray) -> ComplexArray:
     return np.stack([*out, 1.0 / s**2, np.ones_like(s)], axis=1)
 
 
-def _solve(columns: ComplexArray, value: ComplexArray, weight: Array) -> tuple[Array, Array, list[Array]]:
-    """Best real unknowns of every output, weighted residuals, and the weighted columns."""
-    unknown, rest, bases = [], [], []
-    for row, scale in zip(value, weight, strict=True):
-        weighted = columns * scale[:, None]
-        basis = np.concatenate([weighted.real, weighted.imag])
-        target = np.concatenate([(row * scale).real, (row * scale).imag])
-        size = np.linalg.norm(basis, axis=0)
-        best = np.linalg.lstsq(basis / size, target, rcond=None)[0] / size
-        unknown.append(best)
-        rest.append(target - basis @ best)
-        bases.append(basis)
-    return np.array(unknown), np.concatenate(rest), bases
+def _stacked(rows: ComplexArray) -> Array:
+    return np.concatenate([rows.real, rows.imag])
+
+
+class _Projection:
+    """Misfit of the best linear unknowns for given poles, and its derivative (variable projection [1]_).
+
+    References
+    ----------
+    .. [1] L. Kaufman, A variable projection method for solving separable nonlinear least squares problems, BIT 15
+       (1975) 49-57.
+    """
+
+    def __init__(self, frequency: Array, value: ComplexArray, weight: Array, start: ComplexArray) -> None:
+        self.s = 2j * np.pi * frequency
+        self.value, self.weight, self.start = value, weight, start
+        self.scale = -start.real
+
+    def poles(self, x: Array) -> ComplexArray:
+        """Poles of the parameters: logarithm of the decay (keeps them stable), then the frequency in decays."""
+        count = self.start.size
+        return -self.scale * np.exp(x[:count]) + 1j * (self.start.imag + self.scale * x[count:])
+
+    def solve(self, x: Array) -> tuple[Array, Array, list[Array]]:
+        """Best unknowns of every response, weighted misfit, and an orthonormal basis for each response."""
+        columns = _columns(self.s, self.poles(x))
+        unknown, rest, bases = [], [], []
+        for row, scale in zip(self.value, self.weight, strict=True):
+            basis, target = _stacked(columns * scale[:, None]), _stacked(row * scale)
+            size = np.linalg.norm(basis, axis=0)
+            q, r = np.linalg.qr(basis / size)
+            unknown.append(np.linalg.solve(r, q.T @ target) / size)
+            rest.append(target - q @ (q.T @ target))
+            bases.append(q)
+        return np.array(unknown), np.concatenate(rest), bases
+
+    def misfit(self, x: Array) -> Array:
+        """Weighted misfit."""
+        return self.solve(x)[1]
+
+    def jacobian(self, x: Array) -> Array:
+        """Differentiate the misfit by the parameters."""
+        unknown, _, bases = self.solve(x)
+        poles, count = self.poles(x), self.start.size
+        out = []
+        for row, scale, q in zip(unknown, self.weight, bases, strict=True):
+            part = []
+            for k, p in enumerate(poles):
+                residue = row[2 * k] + 1j * row[2 * k + 1]
+                direct, mirror = (
+                    residue / (self.s - p) ** 2,
+                    residue.conjugate() / (self.s - p.conjugate()) ** 2,
+                )
+                part.append((p.real * (direct + mirror), 1j * self.scale[k] * (direct - mirror)))
+            block = np.stack([_stacked(scale * pair[side]) for side in (0, 1) for pair in part], axis=1)
+            out.append(q @ (q.T @ block) - block)
+        return np.concatenate(out).reshape(-1, 2 * count)
 
 
 def _refine(
     frequency: Array, value: ComplexArray, weight: Array, start: ComplexArray
 ) -> tuple[ComplexArray, Array, ComplexArray, Array]:
     """Weighted nonlinear least squares over the poles; the linear unknowns are solved for inside."""
-    scale = -start.real
-
-    def poles_of(parameters: Array) -> ComplexArray:
-        # Logarithm of the decay keeps poles stable; frequency moves in units of the first decay.
-        decay = np.exp(parameters[: start.size])
-        return -scale * decay + 1j * (start.imag + scale * parameters[start.size :])
-
-    def misfit(parameters: Array) -> Array:
-        return _solve(_columns(frequency, poles_of(parameters)), value, weight)[1]
-
+    problem = _Projection(frequency, value, weight, start)
     fit = optimize.least_squares(
-        misfit, np.zeros(2 * start.size), x_scale=1.0, xtol=1e-13, ftol=1e-13, gtol=1e-13
+        problem.misfit,
+        np.zeros(2 * start.size),
+        problem.jacobian,
+        xtol=1e-12,
+        ftol=1e-12,
+        gtol=1e-12,
+        max_nfev=60,
     )
-    poles = poles_of(fit.x)
-    columns = _columns(frequency, poles)
-    unknown, rest, _ = _solve(columns, value, weight)
-    # Variable projection: the Jacobian of the projected residual carries the full information about the
-    # poles.
+    poles = problem.poles(fit.x)
+    unknown, rest, _ = problem.solve(fit.x)
     degrees = max(rest.size - unknown.size - fit.x.size, 1)
     spread = max(float(rest @ rest) / degrees, 1.0)
     inverse = np.linalg.pinv(fit.jac.T @ fit.jac) * spread
-    jacobian = np.concatenate([scale * np.exp(fit.x[: start.size]), scale])
+    jacobian = np.concatenate([-poles.real, problem.scale])
     covariance = inverse * np.outer(jacobian, jacobian)
     order = np.argsort(poles.imag)
     residue = unknown[:, 0 : 2 * start.size : 2] + 1j * unknown[:, 1 : 2 * start.size : 2]

@@ -86,7 +86,10 @@ def poles_by_order(
         with np.errstate(divide="ignore"):
             # z = exp(-s T) along s = i w, with T = 1 / (2 (f_max - f_min)) and the band's start folded in.
             s = -np.log(roots[roots != 0]) * 2.0 * (high - low) + 2j * np.pi * low
-        wanted = (s.real < 0) & (s.imag > 2 * np.pi * low) & (s.imag < 2 * np.pi * high)
+        # Poles in the outermost hundredth of the band are where a polynomial swings free, not where a mode
+        # is.
+        edge = 0.01 * (high - low)
+        wanted = (s.real < 0) & (s.imag > 2 * np.pi * (low + edge)) & (s.imag < 2 * np.pi * (high - edge))
         yield order, s[wanted]
 
 

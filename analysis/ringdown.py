@@ -38,7 +38,7 @@ class Decay:
     acceleration, envelope : ndarray, shape (n,)
         m/s²; the envelope is the magnitude of the analytic signal (Hilbert).
     peak_time, peak : ndarray, shape (peaks,)
-        Largest magnitude in every half cycle of the lowest mode: the envelope by peak picking.
+        Largest magnitudes, at least a period of the lowest mode apart: the envelope by peak picking.
     energy : ndarray, shape (n,)
         Schroeder integral of the squared acceleration from each instant to the end, dB re its beginning.
     modes : tuple of ModalDecay
@@ -126,8 +126,10 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     if len(parts) < most:
         notes.append(f"Only {len(parts)} of {most} modes stand out in the decay of {info.name}.")
     shown = acceleration[free:]
-    envelope = abs(signal.hilbert(acceleration))[free:]
-    cycle = int(rec.rate / (2.0 * found[0])) if found.size else int(rec.rate / 20.0)
+    # Continued antisymmetrically, so that the transform finds no step between the last sample and the first.
+    longer = np.concatenate([acceleration, 2.0 * acceleration[-1] - acceleration[-2::-1]])
+    envelope = abs(signal.hilbert(longer))[free : acceleration.size]
+    cycle = int(rec.rate / found[0]) if found.size else int(rec.rate / 10.0)
     where, _ = signal.find_peaks(abs(shown), distance=max(cycle, 1))
     power = np.cumsum(shown[::-1] ** 2)[::-1]
     return Decay(

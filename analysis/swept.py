@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.estimators import Averages
+from analysis.spans import spans
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -62,24 +63,26 @@ def averages(rec: Recording, marker: Marker, progress: Callable[[int, int], None
     cross = np.zeros((frequency.size, len(names), len(names)), dtype=complex)
     widths = np.empty(frequency.size)
     gone = 0
-    for index, f in enumerate(frequency):
-        ends = sorted(
-            _sample(value, low, high, duration, linear, rec.rate)
-            for value in (f / _RATIO**0.5, f * _RATIO**0.5)
+    bounds = []
+    for f in frequency:
+        near = (f / _RATIO**0.5, f * _RATIO**0.5)
+        ends = sorted(_sample(value, low, high, duration, linear, rec.rate) for value in near)
+        bounds.append(
+            (marker.first_sample + max(0, int(ends[0])), min(stop, marker.first_sample + int(ends[1])))
         )
-        begin = marker.first_sample + max(0, int(ends[0]))
-        end = min(stop, marker.first_sample + int(ends[1]))
-        block = np.stack([rec.read(name, begin, end) for name in names])
+    order = sorted(range(frequency.size), key=lambda index: bounds[index])
+    blocks = spans(rec, names, [bounds[index] for index in order])
+    for done, (index, block) in enumerate(zip(order, blocks, strict=True), 1):
         if progress is not None:
-            progress(index + 1, frequency.size)
-        widths[index] = (TAPERS + 1.0) * rec.rate / max(end - begin, 1)
+            progress(done, frequency.size)
+        size = block.shape[1]
+        widths[index] = (TAPERS + 1.0) * rec.rate / max(size, 1)
         if not np.isfinite(block).all():
             gone += 1
             cross[index] = np.nan
             continue
-        size = block.shape[1]
         at = np.arange(1, size + 1)
-        turn = np.exp(-2j * np.pi * f / rec.rate * at)
+        turn = np.exp(-2j * np.pi * frequency[index] / rec.rate * at)
         tapers = np.sin(np.pi * np.arange(1, TAPERS + 1)[:, None] * at / (size + 1.0))
         spectra = (block - block.mean(axis=1, keepdims=True)) @ (tapers * turn).T / np.sqrt(size)
         cross[index] = spectra @ spectra.conj().T / TAPERS

@@ -11,7 +11,7 @@ import rig
 from daq.channel import ChannelInfo
 from daq.recorder import Recorder
 from rig.receptance import receptance
-from rig.structure import structure_matrices
+from rig.structure import natural_modes, structure_matrices
 
 RATE = 2560.0
 PLACES = {"body1": "body 1", "body2": "body 2", "body3": "body 3", "table": "table"}
@@ -36,7 +36,9 @@ def scene(test="{kind: sine, frequency: 10 Hz, force: 1 N}", shaker="table", nam
 
 
 def channels(quantity="displacement", rate=RATE, **chain):
-    return [ChannelInfo(name, at, quantity, sensitivity=1.0, rate=rate, **chain) for name, at in PLACES.items()]
+    return [
+        ChannelInfo(name, at, quantity, sensitivity=1.0, rate=rate, **chain) for name, at in PLACES.items()
+    ]
 
 
 def write(path, scene, infos, samples, marks, rate=RATE):
@@ -64,7 +66,9 @@ def stepped_sine(path, frequencies, periods=20, level=2.6, noise=0.0, infos=None
             for x, order, info in zip(motion, orders, infos, strict=True)
         ]
         turn = np.exp(2j * np.pi * frequency / RATE * np.arange(count))
-        blocks.append((np.array(read)[:, None] * turn).real + noise * random.standard_normal((len(infos), count)))
+        blocks.append(
+            (np.array(read)[:, None] * turn).real + noise * random.standard_normal((len(infos), count))
+        )
         fields = {"frequency": float(frequency), "level": level, "direction": "up", "settled": True}
         marks.append(("measure", first, first + count - 1, fields))
         first += count
@@ -75,16 +79,16 @@ def simulate(force, rate=RATE, where=None, quantity="acceleration"):
     """Motion of the three bodies under a sampled force on body 1, exact between samples; (3, samples)."""
     where = scene() if where is None else where
     mass, damping, stiffness = structure_matrices(where.structure)
-    inverse = np.linalg.inv(mass)
-    bodies = len(mass)
-    a = np.block([[np.zeros((bodies, bodies)), np.eye(bodies)], [-inverse @ stiffness, -inverse @ damping]])
-    b = np.concatenate([np.zeros(bodies), inverse[:, 0]])[:, None]
-    if quantity == "acceleration":
-        c, d = a[bodies:], b[bodies:]
-    else:
-        c, d = np.eye(bodies, 2 * bodies), np.zeros((bodies, 1))
-    system = signal.cont2discrete((a, b, c, d), 1.0 / rate, "foh")
-    return signal.dlsim((*system[:4], 1.0 / rate), force)[1].T
+    _, shapes = natural_modes(mass, stiffness)
+    out = np.zeros((len(mass), force.size))
+    for shape in shapes.T:
+        m, c, k = (shape @ matrix @ shape for matrix in (mass, damping, stiffness))
+        a, b = np.array([[0.0, 1.0], [-k / m, -c / m]]), np.array([[0.0], [shape[0] / m]])
+        row, direct = (a[1:], b[1:]) if quantity == "acceleration" else (np.eye(1, 2), np.zeros((1, 1)))
+        discrete = signal.cont2discrete((a, b, row, direct), 1.0 / rate, "foh")
+        numerator, denominator = signal.ss2tf(*discrete[:4])
+        out += np.outer(shape, signal.lfilter(numerator[0], denominator, force))
+    return out
 
 
 def impulses(path, hits=1, interval=6.0, noise=0.0, name="linear", hammer=True, rebound=(), seed=0):
@@ -106,3 +110,30 @@ def impulses(path, hits=1, interval=6.0, noise=0.0, name="linear", hammer=True, 
     rows = rows + noise * np.random.default_rng(seed).standard_normal(rows.shape)
     where = scene("{kind: impulse, body: 1, peak: 50 N, width: 6.25 ms}", name=name)
     return write(path, where, infos, rows, marks)
+
+
+OVERSAMPLED = 4
+
+
+def band_noise(seconds, low, high, seed=0, rate=RATE * OVERSAMPLED):
+    """Gaussian noise in a band, rms 1, periodic."""
+    count = int(seconds * rate)
+    random = np.random.default_rng(seed)
+    frequency = np.fft.rfftfreq(count, 1 / rate)
+    inside = (frequency >= low) & (frequency <= high)
+    spectrum = np.where(
+        inside, random.standard_normal(inside.size) + 1j * random.standard_normal(inside.size), 0
+    )
+    wave = np.fft.irfft(spectrum, count)
+    return wave / wave.std()
+
+
+def driven(path, force, test, marks, noise=0.0, seed=1, settle=0, name="linear"):
+    """Response of the bodies to a force given at 4 times the rate, with the force as a channel."""
+    rows = np.vstack([simulate(force, RATE * OVERSAMPLED, quantity="displacement"), force])[:, ::OVERSAMPLED]
+    rows = rows[:, settle:]
+    size = np.sqrt(np.mean(rows**2, axis=1, keepdims=True))
+    rows = rows + noise * size * np.random.default_rng(seed).standard_normal(rows.shape)
+    infos = [info for info in channels() if info.at != "table"]
+    infos.append(ChannelInfo("force", "hammer", "force", sensitivity=1.0, rate=RATE))
+    return write(path, scene(test, shaker="force", name=name), infos, rows, marks)

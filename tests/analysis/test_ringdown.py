@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import analysis
+import daq
+from analysis.modal_decay import modal_decay
+from rig.errors import RecordingError, SceneError
+from tests.analysis import synthetic
+
+OMEGA = np.array([81.911, 218.512, 312.041])
+
+
+def test_given_a_linear_decay_when_analysed_then_every_mode_has_its_damping_at_every_amplitude(tmp_path):
+    with daq.open(synthetic.impulses(tmp_path / "a.mcap")) as rec:
+        decay = analysis.decay(rec, channel="body3")
+    assert [round(mode.frequency, 1) for mode in decay.modes] == [13.0, 34.8, 49.7]
+    for mode in decay.modes:
+        assert mode.damping.size > 4
+        np.testing.assert_allclose(mode.damping, 0.005, rtol=0.01)
+        np.testing.assert_allclose(mode.decrement, 2 * np.pi * 0.005, rtol=0.011)
+    assert decay.warnings == ()
+
+
+def test_given_noise_when_analysed_then_damping_ratios_stay_within_three_percent_above_the_floor(tmp_path):
+    with daq.open(synthetic.impulses(tmp_path / "a.mcap", noise=2e-3)) as rec:
+        decay = analysis.decay(rec, channel="body3")
+    for mode in decay.modes:
+        high = mode.amplitude > 0.05 * mode.amplitude[0]
+        np.testing.assert_allclose(mode.damping[high], 0.005, rtol=0.03)
+
+
+def test_given_a_decay_when_integrated_then_the_energy_falls_steadily_to_the_end(tmp_path):
+    with daq.open(synthetic.impulses(tmp_path / "a.mcap")) as rec:
+        decay = analysis.decay(rec)
+    assert decay.energy[0] == 0.0 and np.all(np.diff(decay.energy) <= 0)
+    assert 0.1 < decay.halving < 3.0
+    assert decay.time_below(1e9) == 0.0
+
+
+def test_given_damping_that_falls_with_amplitude_when_analysed_then_it_is_followed():
+    # x'' + 2 zeta(A) w x' + w^2 x = 0 with zeta = c A, slowly: A' = -c w A^2, A = A0 / (1 + c w A0 t).
+    rate, omega, start, law = 2560.0, 2 * np.pi * 30.0, 20.0, 1e-3
+    time = np.arange(int(6 * rate)) / rate
+    amplitude = start / (1.0 + law * omega * start * time)
+    signal = np.concatenate([np.zeros(1280), amplitude * np.cos(omega * time)])
+    mode = modal_decay(signal, rate, 30.0, 5.0, 1280)
+    assert mode.amplitude[0] > 5 * mode.amplitude[-1]
+    np.testing.assert_allclose(mode.damping, law * mode.amplitude, rtol=0.06)
+
+
+def test_given_a_displacement_channel_when_analysed_then_the_decay_is_that_of_the_acceleration(tmp_path):
+    force = np.zeros(640 + int(4 * synthetic.RATE))
+    force[640:656] = 50.0 * np.sin(np.pi * np.arange(16) / 16)
+    infos = [info for info in synthetic.channels("displacement") if info.at != "table"]
+    where = synthetic.scene("{kind: impulse, body: 1, peak: 50 N, width: 6.25 ms}")
+    rows = synthetic.simulate(force, quantity="displacement")
+    path = synthetic.write(tmp_path / "a.mcap", where, infos, rows, [("hit", 640, 655, {})])
+    with daq.open(path) as rec:
+        decay = analysis.decay(rec, channel="body3")
+    true = synthetic.simulate(force)[2][656:]
+    inner = slice(200, -2000)
+    assert np.max(abs(decay.acceleration[inner] - true[inner])) < 0.01 * abs(true).max()
+
+
+def test_given_no_hit_when_a_decay_is_asked_for_then_it_says_what_to_record(tmp_path):
+    with (
+        daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", [12.0])) as rec,
+        pytest.raises(RecordingError, match=r"kind: impulse"),
+    ):
+        analysis.decay(rec)
+
+
+def test_given_a_hit_that_was_not_made_when_asked_for_then_the_range_is_named(tmp_path):
+    with (
+        daq.open(synthetic.impulses(tmp_path / "a.mcap", interval=1.0)) as rec,
+        pytest.raises(SceneError, match="hits 1 to 1"),
+    ):
+        analysis.decay(rec, hit=2)
+
+
+def test_given_a_decay_of_a_tenth_of_a_second_when_analysed_then_it_is_too_short(tmp_path):
+    with (
+        daq.open(synthetic.impulses(tmp_path / "a.mcap", interval=0.1)) as rec,
+        pytest.raises(RecordingError, match="too short"),
+    ):
+        analysis.decay(rec)

@@ -1,0 +1,255 @@
+"""Clocks that let a bench's time pass: as fast as the machine goes, in real time, or by hand.
+
+A bench counts its time in samples, and only the clock decides when the next samples are due. Whoever has to
+wait (a read, a write into a full buffer, `wait_until_done`) asks the clock; timeouts are in its time.
+
+* `FastClock`: time passes only while somebody waits, as quickly as the machine computes. A run is
+  deterministic: nothing happens between two calls. Callbacks run on the thread that waits.
+* `RealClock`: a thread keeps the bench at wall-clock time, whether anybody waits or not. A slow reader is
+  overrun as with hardware. Callbacks run on a thread of their own.
+* `ManualClock`: time passes when `ManualClock.advance` is called. Waiting for samples that have not come
+gives
+  up at once, as nobody else can bring them. Callbacks run on the thread that advances.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+import weakref
+from collections.abc import Callable
+from typing import Protocol
+
+from rig.errors import SceneError
+
+
+class Timeline(Protocol):
+    """What a clock moves: a bench that counts samples."""
+
+    @property
+    def position(self) -> int:
+        """Samples that have passed."""
+
+    @property
+    def rate(self) -> float:
+        """Samples per second."""
+
+    @property
+    def changed(self) -> threading.Condition:
+        """Condition notified whenever samples have passed; its lock guards the bench."""
+
+    @property
+    def live(self) -> bool:
+        """Whether the bench wants its time to pass (some task is open and has been started)."""
+
+    def advance(self, samples: int) -> None:
+        """Let samples pass."""
+
+    def lag(self, seconds: float) -> bool:
+        """Hear that the machine is this far behind the clock; say whether to give that time up as lost."""
+
+
+class Clock(Protocol):
+    """What all clocks can do."""
+
+    # Whether time passes without anybody waiting.
+    runs_free: bool
+
+    def start(self, bench: Timeline) -> None:
+        """Begin to move a bench; called whenever a task starts."""
+
+    def now(self, bench: Timeline) -> float:
+        """Seconds on this clock, for timeouts."""
+
+    def glance(self, bench: Timeline) -> None:
+        """Let pass what a look at a bench takes, on a clock that nothing else moves."""
+
+    def wait(
+        self, bench: Timeline, ready: Callable[[], bool], wanted: Callable[[], int], timeout: float
+    ) -> bool:
+        """Let time pass until something is ready.
+
+        Parameters
+        ----------
+        bench : Timeline
+            The bench; its lock is held by the caller.
+        ready : callable
+            Whether the wait is over.
+        wanted : callable
+            Samples that must pass at least before it can be; the bench moves no further than that at once.
+        timeout : float
+            Seconds of bench time; 0 looks once, negative waits for ever.
+
+        Returns
+        -------
+        bool
+            Whether it became ready in time.
+        """
+
+
+class FastClock:
+    """Time passes while somebody waits, as quickly as the machine computes."""
+
+    runs_free = False
+
+    def start(self, bench: Timeline) -> None:
+        """Do nothing: time passes when somebody waits."""
+
+    def now(self, bench: Timeline) -> float:
+        """See `Clock.now`."""
+        return bench.position / bench.rate
+
+    def glance(self, bench: Timeline) -> None:
+        """Let a hundredth of a second pass, so that a loop which only looks comes to its end."""
+        bench.advance(max(1, int(bench.rate / 100)))
+
+    def wait(
+        self, bench: Timeline, ready: Callable[[], bool], wanted: Callable[[], int], timeout: float
+    ) -> bool:
+        """See `Clock.wait`."""
+        end = math.inf if timeout < 0 else bench.position + math.ceil(timeout * bench.rate - 1e-6)
+        while not ready():
+            samples = min(max(1, wanted()), end - bench.position)
+            if samples <= 0:
+                return False
+            bench.advance(int(samples))
+        return True
+
+
+class ManualClock:
+    """Time passes when told.
+
+    Examples
+    --------
+    >>> clock = ManualClock()
+    >>> clock.advance(0.25)  # moves every bench that runs on this clock by a quarter of a second
+    """
+
+    runs_free = False
+
+    def __init__(self) -> None:
+        self._benches: weakref.WeakSet[Timeline] = weakref.WeakSet()
+
+    def start(self, bench: Timeline) -> None:
+        """Take a bench among those that `advance` moves."""
+        self._benches.add(bench)
+
+    def now(self, bench: Timeline) -> float:
+        """See `Clock.now`."""
+        return bench.position / bench.rate
+
+    def glance(self, bench: Timeline) -> None:
+        """Do nothing: time passes when told."""
+
+    def advance(self, seconds: float) -> None:
+        """Let time pass on every bench of this clock, to the nearest sample."""
+        for bench in list(self._benches):
+            with bench.changed:
+                bench.advance(round(seconds * bench.rate))
+
+    def wait(
+        self, bench: Timeline, ready: Callable[[], bool], wanted: Callable[[], int], timeout: float
+    ) -> bool:
+        """See `Clock.wait`; nothing comes while waiting."""
+        return ready()
+
+
+class RealClock:
+    """Time passes with the wall clock, on a thread of the bench.
+
+    The thread ends when no task needs the bench any more and starts again with the next one; in between the
+    bench stands still.
+    """
+
+    runs_free = True
+    # Bench time is brought up to wall time this often, s.
+    TICK = 0.01
+
+    def __init__(self) -> None:
+        self._moving: weakref.WeakSet[Timeline] = weakref.WeakSet()
+
+    def start(self, bench: Timeline) -> None:
+        """Begin to move a bench unless it is moving."""
+        with bench.changed:
+            if bench in self._moving:
+                return
+            self._moving.add(bench)
+        threading.Thread(
+            target=_follow, args=(weakref.ref(bench), self._moving), name="bench", daemon=True
+        ).start()
+
+    def now(self, bench: Timeline) -> float:
+        """See `Clock.now`."""
+        return time.monotonic()
+
+    def glance(self, bench: Timeline) -> None:
+        """Do nothing: time passes by itself."""
+
+    def wait(
+        self, bench: Timeline, ready: Callable[[], bool], wanted: Callable[[], int], timeout: float
+    ) -> bool:
+        """See `Clock.wait`."""
+        self.start(bench)
+        return bench.changed.wait_for(ready, None if timeout < 0 else timeout)
+
+
+_WARMING = 50
+
+
+def _follow(reference: weakref.ref[Timeline], moving: weakref.WeakSet[Timeline]) -> None:
+    """Keep a bench at wall-clock time for as long as it wants."""
+    pause = threading.Event()
+    origin: tuple[int, int, float] | None = None
+    steps = 0
+    while True:
+        bench = reference()
+        if bench is None:
+            return
+        with bench.changed:
+            if not bench.live:
+                moving.discard(bench)
+                return
+            now = time.monotonic_ns()
+            if origin is None or origin[2] != bench.rate or bench.position < origin[1]:
+                origin = (now, bench.position, bench.rate)
+            due = origin[1] + (now - origin[0]) * bench.rate // 10**9 - bench.position
+            if due > 0:
+                bench.advance(int(min(due, math.ceil(4 * RealClock.TICK * bench.rate))))
+                steps += 1
+                # The first steps may have to compile the simulation's code, which is no fault of the scene.
+                compiled = steps <= _WARMING and time.monotonic_ns() - now > 10**9
+                if compiled or bench.lag(due / bench.rate):
+                    origin, due = None, 0
+        behind = due > 2 * RealClock.TICK * bench.rate
+        del bench
+        # A bench that is behind goes on at once, but lets others have the lock in between.
+        pause.wait(0.0 if behind else RealClock.TICK)
+
+
+CLOCKS: dict[str, Callable[[], Clock]] = {"real": RealClock, "fast": FastClock, "manual": ManualClock}
+
+
+def clock(kind: str | Clock) -> Clock:
+    """Make a clock by name, or take one as it is.
+
+    Parameters
+    ----------
+    kind : {'real', 'fast', 'manual'} or Clock
+        Which clock.
+
+    Raises
+    ------
+    SceneError
+        If there is no such clock.
+
+    Examples
+    --------
+    >>> type(clock("fast")).__name__
+    'FastClock'
+    """
+    if not isinstance(kind, str):
+        return kind
+    if kind not in CLOCKS:
+        raise SceneError(f"clock {kind!r}: expected one of {', '.join(CLOCKS)}")
+    return CLOCKS[kind]()

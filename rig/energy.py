@@ -12,10 +12,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from rig.contact import CEILING, FLIGHT
 from rig.flow import FlowTables
 from rig.march import Course
+from rig.polynomial import LENGTH
 from rig.scene import Scene
 from rig.shaker_settings import ElectrodynamicShaker, TableShaker
 from rig.system import System
@@ -223,10 +225,19 @@ def _integrals(
 
 def _series(tables: FlowTables, slot: int, states: Array) -> Array:
     """Power series of states over a step, shape (states, terms, size)."""
-    size, rows = tables.size, tables.flow.propagate.shape[2]
-    matrix = tables.flow.series[slot].reshape(size, -1, rows)[:, :, :size]
-    constant = tables.flow.series_constant[slot].reshape(-1, rows)[:, :size]
-    return np.einsum("sc,ckr->skr", states, matrix, optimize=True) + constant
+    flow, size = tables.flow, tables.size
+    if tables.tabulated:
+        matrix = flow.series[slot].reshape(size, LENGTH + 1, -1)[:, :, :size]
+        constant = flow.series_constant[slot].reshape(LENGTH + 1, -1)[:, :size]
+        return np.einsum("sc,ckr->skr", states, matrix, optimize=True) + constant
+    rates = csr_array((flow.rates[slot], flow.column, flow.pointer), shape=(size, size))
+    terms = np.empty((LENGTH + 1, len(states), size))
+    terms[0] = states
+    for k in range(LENGTH):
+        terms[k + 1] = (rates @ terms[k].T).T * (tables.step / (k + 1))
+        if k == 0:
+            terms[1] += flow.rates_constant[slot] * tables.step
+    return terms.transpose(1, 0, 2)
 
 
 def _sum_series(terms: Array, tau: Array) -> Array:

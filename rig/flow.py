@@ -1,4 +1,4 @@
-"""Tables of the exact flow, one set per contact configuration, made when a configuration is first visited.
+"""The exact flow, one set of numbers per contact configuration, made when a configuration is first visited.
 
 The configuration says which dampers ride. With the drive included as states, z' = A z + b, and
 
@@ -7,6 +7,10 @@ The configuration says which dampers ride. With the drive included as states, z'
 converges to rounding at degree `rig.polynomial.DEGREE` because the step is chosen so that h times the fastest
 rate of the system is at most `REACH`. No eigenvectors are formed and no particular solution is subtracted:
 repeated, zero and critically damped eigenvalues, and a drive at exact resonance, are cases like any other.
+
+A small system has its matrix powers tabulated, and a step is one matrix product. For a large one that would cost
+the cube of its size for every configuration; there only the sparse matrix A is kept, and the series is summed
+from A z, A (A z), ..., at a cost in proportion to the number of springs.
 """
 
 from __future__ import annotations
@@ -23,8 +27,8 @@ from rig.system import Drive, System
 REACH = 0.7
 #: The matrix exponential itself is summed further than the series that guards use.
 TERMS = 30
-#: Above this size extended precision is too slow for its benefit.
-EXTENDED_UP_TO = 48
+#: States, drive included, up to which the matrix powers are tabulated.
+TABULATED_UP_TO = 16
 
 
 class Flow(NamedTuple):
@@ -34,8 +38,11 @@ class Flow(NamedTuple):
     (flight) or acceleration (riding) of its body, then for each damper the derivative of that with respect to
     tau. bound: times |z|, bounds the fourth derivative of the same with respect to tau over the step, then the
     size of the terms that it is the sum of.
-    acceleration: of every coordinate. neighbour[slot, j]: slot with damper j toggled, or -1.
+    acceleration: of every coordinate. rates: nonzero elements of A in compressed rows (pointer, column), all that
+    there is if the system is not tabulated. neighbour[slot, j]: slot with damper j toggled, or -1.
     """
+
+    tabulated: bool
 
     propagate: np.ndarray
     propagate_constant: np.ndarray
@@ -47,6 +54,10 @@ class Flow(NamedTuple):
     bound_constant: np.ndarray
     acceleration: np.ndarray
     acceleration_constant: np.ndarray
+    pointer: np.ndarray
+    column: np.ndarray
+    rates: np.ndarray
+    rates_constant: np.ndarray
     neighbour: np.ndarray
 
 
@@ -86,7 +97,10 @@ class FlowTables:
         self.step = step
         self.size = system.states + drive.states
         self.slots: dict[int, int] = {}
-        self._precision = np.longdouble if self.size <= EXTENDED_UP_TO else np.float64
+        self.tabulated = self.size <= TABULATED_UP_TO
+        # What is tabulated is used a million times over: it is computed with digits to spare.
+        self._precision = np.longdouble if self.tabulated else np.float64
+        self._pointer, self._column = self._pattern()
         self.model = self._model()
         self.flow = self._empty(4)
 
@@ -96,7 +110,7 @@ class FlowTables:
         if known is not None:
             return known
         slot = len(self.slots)
-        if slot == self.flow.propagate.shape[0]:
+        if slot == self.flow.neighbour.shape[0]:
             self._grow()
         self.slots[configuration] = slot
         self._fill(slot, configuration)
@@ -150,6 +164,15 @@ class FlowTables:
             coupled=bool(system.coupled),
         )
 
+    def _pattern(self) -> tuple[np.ndarray, np.ndarray]:
+        """Compressed rows of A: where elements may be nonzero in any configuration."""
+        everything = self.generator(0)[0] != 0
+        if self.system.coupled:
+            n = self.system.coordinates
+            everything[n : 2 * n] |= everything[n : 2 * n].any(axis=0)
+        pointer = np.concatenate([[0], np.cumsum(everything.sum(axis=1))]).astype(np.int64)
+        return pointer, np.nonzero(everything)[1].astype(np.int64)
+
     def _shapes(self) -> dict[str, tuple[int, ...]]:
         rows, points = padded(self.size), padded(self.system.coordinates)
         guards = padded(2 * self.system.dampers)
@@ -162,23 +185,42 @@ class FlowTables:
             "acceleration": points,
         }
         for name, width in widths.items():
-            shapes[name] = (self.size, width)
+            shapes[name] = (self.size if self.tabulated else 0, width)
             shapes[f"{name}_constant"] = (width,)
+        shapes["rates"] = (len(self._column),)
+        shapes["rates_constant"] = (self.size,)
         return shapes
 
     def _empty(self, capacity: int) -> Flow:
         arrays = {name: np.zeros((capacity, *shape)) for name, shape in self._shapes().items()}
-        return Flow(**arrays, neighbour=np.full((capacity, max(1, self.system.dampers)), -1, dtype=np.int64))
+        neighbour = np.full((capacity, max(1, self.system.dampers)), -1, dtype=np.int64)
+        return Flow(
+            tabulated=self.tabulated, pointer=self._pointer, column=self._column, neighbour=neighbour, **arrays
+        )
 
     def _grow(self) -> None:
         old = self.flow
-        self.flow = self._empty(2 * old.propagate.shape[0])
-        for before, after in zip(old, self.flow, strict=True):
-            after[: before.shape[0]] = before
+        self.flow = self._empty(2 * len(old.neighbour))
+        for name in (*self._shapes(), "neighbour"):
+            before, after = getattr(old, name), getattr(self.flow, name)
+            after[: len(before)] = before
 
     def _fill(self, slot: int, configuration: int) -> None:
-        flow, system, size = self.flow, self.system, self.size
+        flow, system = self.flow, self.system
         matrix, offset = self.generator(configuration)
+        row = np.repeat(np.arange(self.size), np.diff(self._pointer))
+        flow.rates[slot] = matrix[row, self._column]
+        flow.rates_constant[slot] = offset
+        if self.tabulated:
+            self._tabulate(slot, configuration, matrix, offset)
+        for j in range(system.dampers):
+            other = self.slots.get(configuration ^ (1 << j))
+            if other is not None:
+                flow.neighbour[slot, j] = other
+                flow.neighbour[other, j] = slot
+
+    def _tabulate(self, slot: int, configuration: int, matrix: np.ndarray, offset: np.ndarray) -> None:
+        flow, system, size = self.flow, self.system, self.size
         nq = system.coordinates
         h = self._precision(self.step)
         terms = np.empty((TERMS, size, size), dtype=self._precision)
@@ -199,11 +241,6 @@ class FlowTables:
         flow.acceleration_constant[slot][:nq] = offset[nq : 2 * nq]
         for j in range(system.dampers):
             self._fill_guard(slot, j, bool(configuration >> j & 1), matrix, offset, terms, constants)
-        for j in range(system.dampers):
-            other = self.slots.get(configuration ^ (1 << j))
-            if other is not None:
-                flow.neighbour[slot, j] = other
-                flow.neighbour[other, j] = slot
 
     def _fill_guard(
         self,
@@ -240,6 +277,11 @@ class FlowTables:
 
 def _solve(mass: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Solve mass x = right in the precision of the arguments (LAPACK has no extended precision)."""
+    diagonal = np.diag(mass)
+    if np.count_nonzero(mass) == len(diagonal):
+        return right / diagonal[:, None]
+    if mass.dtype == np.float64:
+        return np.linalg.solve(mass, right)
     matrix = mass.copy()
     result = right.copy()
     count = matrix.shape[0]

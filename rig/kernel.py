@@ -64,8 +64,8 @@ class Scratch(NamedTuple):
 
 def scratch_for(flow: Flow) -> Scratch:
     """Allocate the work space for a flow."""
-    rows = flow.propagate.shape[2]
-    guards = flow.guard.shape[2]
+    rows = flow.propagate_constant.shape[1]
+    guards = flow.guard_constant.shape[1]
     return Scratch(
         new=np.zeros(rows),
         size=np.zeros(rows),
@@ -73,7 +73,7 @@ def scratch_for(flow: Flow) -> Scratch:
         value=np.zeros(guards),
         value_new=np.zeros(guards),
         bound=np.zeros(guards),
-        contact=contact_work(flow.neighbour.shape[1], flow.acceleration.shape[2]),
+        contact=contact_work(flow.neighbour.shape[1], flow.acceleration_constant.shape[1]),
         series=np.zeros(LENGTH),
         work=np.zeros((DEEPEST + 3, LENGTH)),
         spans=np.zeros((DEEPEST + 3, 2)),
@@ -81,10 +81,63 @@ def scratch_for(flow: Flow) -> Scratch:
     )
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
-def _expand(flow, slot, z, tableau):
+@njit(cache=True, _nrt=False, forceinline=True, fastmath={"contract"})
+def _expand(flow, model, slot, z, tableau):
     """Power series of the state over one step: tableau[k] = (A h)^k z / k!, with what the constant adds."""
-    combine(flow.series, flow.series_constant, slot, z, flow.guard.shape[1], tableau)
+    size = flow.rates_constant.shape[1]
+    if flow.tabulated:
+        combine(flow.series, flow.series_constant, slot, z, size, tableau)
+        return
+    for i in range(size):
+        tableau[0, i] = z[i]
+    for k in range(LENGTH):
+        factor = model.step / (k + 1)
+        for i in range(size):
+            rate = flow.rates_constant[slot, i] if k == 0 else 0.0
+            for entry in range(flow.pointer[i], flow.pointer[i + 1]):
+                rate += flow.rates[slot, entry] * tableau[k, flow.column[entry]]
+            tableau[k + 1, i] = factor * rate
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def _look_at_tables(flow, slot, z, known, scratch):
+    """Guards' values and slopes at both ends of the step, and their bounds, from the tables."""
+    size = flow.rates_constant.shape[1]
+    for i in range(scratch.size.shape[0]):
+        scratch.size[i] = abs(z[i])
+    if not known:
+        combine(flow.guard, flow.guard_constant, slot, z, size, scratch.value)
+    combine(flow.guard, flow.guard_constant, slot, scratch.new, size, scratch.value_new)
+    combine(flow.bound, flow.bound_constant, slot, scratch.size, size, scratch.bound)
+
+
+@njit(cache=True, _nrt=False)
+def _look_at_series(model, mode, tableau, length, value, value_new, bound):
+    """Guards' values and slopes at both ends of the step, and their bounds, from the series itself."""
+    dampers = model.mass.shape[0]
+    for j in range(dampers):
+        rides = mode[j] != FLIGHT
+        row = model.velocity[j] if rides else model.position[j]
+        shift = 1 if rides else 0
+        end = 0.0
+        slope = 0.0
+        fourth = 0.0
+        size = 0.0
+        for k in range(LENGTH - 1 - shift, -1, -1):
+            # The acceleration's series is (k + 1) tableau[k + 1] / h.
+            term = tableau[k + 1, row] * (k + 1) / model.step if rides else tableau[k, row]
+            slope = slope * length + end
+            end = end * length + term
+            fourth += k * (k - 1) * (k - 2) * (k - 3) * abs(term)
+            size += abs(term)
+            if k == 0:
+                value[j] = term
+            if k == 1:
+                value[dampers + j] = term
+        value_new[j] = end
+        value_new[dampers + j] = slope
+        bound[j] = fourth
+        bound[dampers + j] = size
 
 
 @njit(cache=True, _nrt=False, forceinline=True, fastmath={"contract"})
@@ -206,7 +259,7 @@ def _first_event(flow, model, state, scratch, slot, length, duration, expanded):
         if room > 0.0 and _margin(value, slope, value_new, slope_new, error, multiplicity) > 0.0:
             continue
         if not expanded:
-            _expand(flow, slot, state.z, scratch.tableau)
+            _expand(flow, model, slot, state.z, scratch.tableau)
             expanded = True
         if mode == FLIGHT:
             tau, guard, ambiguous = _examine_flight(model, state, scratch, j, length)
@@ -247,7 +300,7 @@ def advance(flow, model, state, scratch, log, segment, elapsed, steps):
     left : float
         Steps still to go.
     """
-    columns = flow.guard.shape[1]
+    columns = flow.rates_constant.shape[1]
     left = steps
     known = False
     while left > 0.0:
@@ -262,18 +315,18 @@ def advance(flow, model, state, scratch, log, segment, elapsed, steps):
         length = min(left, 1.0)
         duration = length * model.step
         expanded = False
-        if length == 1.0:
+        if length == 1.0 and flow.tabulated:
             combine(flow.propagate, flow.propagate_constant, slot, state.z, columns, scratch.new)
         else:
-            _expand(flow, slot, state.z, scratch.tableau)
+            _expand(flow, model, slot, state.z, scratch.tableau)
             expanded = True
             _sum_series(scratch.tableau, length, scratch.new)
-        for i in range(scratch.size.shape[0]):
-            scratch.size[i] = abs(state.z[i])
-        if not known:
-            combine(flow.guard, flow.guard_constant, slot, state.z, columns, scratch.value)
-        combine(flow.guard, flow.guard_constant, slot, scratch.new, columns, scratch.value_new)
-        combine(flow.bound, flow.bound_constant, slot, scratch.size, columns, scratch.bound)
+        if flow.tabulated:
+            _look_at_tables(flow, slot, state.z, known, scratch)
+        else:
+            _look_at_series(
+                model, state.mode, scratch.tableau, length, scratch.value, scratch.value_new, scratch.bound
+            )
         tau, j, guard, expanded = _first_event(flow, model, state, scratch, slot, length, duration, expanded)
         if tau == NONE:
             for i in range(state.z.shape[0]):

@@ -86,7 +86,7 @@ def _march_samples(
     begin: int, left: float, states: Array, slots: Array, heights: Array, modes: Array,
 ) -> tuple[int, int, float]:  # fmt: skip
     """Sample intervals that end at drive[:, begin + 1:]; drive[:, 0] is the last sample of the time before."""
-    first = flow.guard.shape[1] - 2 * inputs
+    first = flow.rates_constant.shape[1] - 2 * inputs
     for k in range(begin, drive.shape[1] - 1):
         if left < 0.0:
             for i in range(inputs):
@@ -111,7 +111,7 @@ def _march_marks(
     new_period: Array, level: float, begin: int, left: float, states: Array, slots: Array, heights: Array, modes: Array,
 ) -> tuple[int, int, float]:  # fmt: skip
     """Segments of `steps` step lengths under a tone, or without drive if `new_period` is never set."""
-    first = flow.guard.shape[1] - 2
+    first = flow.rates_constant.shape[1] - 2
     for k in range(begin, steps.shape[0]):
         if left < 0.0:
             left = steps[k]
@@ -130,9 +130,17 @@ def _march_marks(
 
 
 @njit(cache=True, _nrt=False)
-def _accelerations(flow: Any, states: Array, slots: Array, row: Array, out: Array) -> None:
+def _accelerations(flow: Any, first: int, states: Array, slots: Array, row: Array, out: Array) -> None:
     for k in range(states.shape[0]):
-        combine(flow.acceleration, flow.acceleration_constant, slots[k], states[k], flow.guard.shape[1], row)
+        if flow.tabulated:
+            columns = flow.rates_constant.shape[1]
+            combine(flow.acceleration, flow.acceleration_constant, slots[k], states[k], columns, row)
+        else:
+            for i in range(out.shape[0]):
+                rate = flow.rates_constant[slots[k], first + i]
+                for entry in range(flow.pointer[first + i], flow.pointer[first + i + 1]):
+                    rate += flow.rates[slots[k], entry] * states[k, flow.column[entry]]
+                row[i] = rate
         for i in range(out.shape[0]):
             out[i, k] = row[i]
 
@@ -261,8 +269,8 @@ class March:
     def accelerations(self, states: Array, slots: NDArray[np.int64]) -> Array:
         """Acceleration of every coordinate for states (samples, padded size), shape (coordinates, samples)."""
         out = np.zeros((self.system.coordinates, len(states)))
-        row = np.zeros(self.tables.flow.acceleration.shape[2])
-        _accelerations(self.tables.flow, states, slots, row, out)
+        row = np.zeros(self.tables.flow.acceleration_constant.shape[1])
+        _accelerations(self.tables.flow, self.system.coordinates, states, slots, row, out)
         return out
 
     def _run(self, kernel: Any, arguments: tuple[Any, ...], samples: int) -> Course:

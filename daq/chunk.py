@@ -86,17 +86,21 @@ def _unpack(compression: bytes, packed: memoryview, size: int) -> bytes | memory
             claimed = zstandard.get_frame_parameters(packed).content_size
             if claimed not in (size, zstandard.CONTENTSIZE_UNKNOWN):
                 raise Damage(f"it unpacks to {claimed} bytes instead of {size}")
-            return _decompressor().decompress(packed, max_output_size=size)
+            return _decompressor().decompress(packed, max_output_size=size, allow_extra_data=False)
         except zstandard.ZstdError as error:
             raise Damage(f"it cannot be unpacked ({error})") from error
     if compression == b"lz4":
         import lz4.frame  # type: ignore[import-untyped]
 
         try:
+            unpacker = lz4.frame.LZ4FrameDecompressor()
             # One byte more than should come tells a chunk that holds too much.
-            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(bytes(packed), max_length=size + 1))
+            records = unpacker.decompress(packed, max_length=size + 1)
         except (RuntimeError, ValueError, EOFError) as error:
             raise Damage(f"it cannot be unpacked ({error})") from error
+        if not unpacker.eof or unpacker.unused_data:
+            raise Damage("it does not unpack to what it should")
+        return bytes(records)
     raise Damage(f"its compression {compression!r} is not known")
 
 

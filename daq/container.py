@@ -61,9 +61,6 @@ class Container:
         except Damage as damage:
             self.close()
             raise self.error(f"is damaged: {damage}") from damage
-        except OSError as error:
-            self.close()
-            raise RecordingError(f"cannot read {path}: {error.strerror}") from error
         except BaseException:
             self.close()
             raise
@@ -101,13 +98,20 @@ class Container:
 
     def read(self, offset: int, length: int) -> bytes:
         """Read bytes of the file; fewer where it ends."""
-        self._file.seek(offset)
-        return self._file.read(length)
+        if self._file.closed:
+            raise RecordingError(f"{self.path} is closed")
+        try:
+            self._file.seek(offset)
+            return self._file.read(length)
+        except OSError as error:
+            raise RecordingError(f"cannot read {self.path}: {error.strerror}") from error
 
     def _record(self, opcode: int, offset: int, length: int, largest: int) -> memoryview:
         """Read the content of a record that an index points to."""
         if length > largest:
             raise Damage(f"a record at byte {offset} claims {length} bytes; at most {largest} are accepted")
+        if offset > self.size - length:
+            raise Damage(f"a record of {length} bytes at byte {offset} lies beyond the end of the file")
         data = memoryview(self.read(offset, length))
         if len(data) != length or length < RECORD_HEAD.size:
             raise Damage(f"the record at byte {offset} is cut short")

@@ -157,7 +157,7 @@ class Series:
             begin, end = max(block.first_sample, start), min(block.stop, stop)
             values[reached - start : begin - start] = np.nan
             there = block.samples[begin - block.first_sample : end - block.first_sample]
-            np.multiply(there, self.scale, out=values[begin - start : end - start])
+            np.multiply(there, self.scale, out=values[begin - start : end - start], dtype=np.float64)
             reached = end
         values[reached - start :] = np.nan
         return values

@@ -285,7 +285,10 @@ def locate(
     ends = [monitor(curve.points[i], curve.tangents[i]) for i in (index, index + 1)]
     if not ends[0] * ends[1] < 0:
         raise NoConvergence("the monitor does not change sign between the two points")
-    distance = brentq(lambda d: monitor(*put_back(d)), 0.0, length, xtol=1e-14 * length, rtol=1e-14)
+    try:
+        distance = brentq(lambda d: monitor(*put_back(d)), 0.0, length, xtol=1e-14 * length, rtol=1e-14)
+    except ValueError:
+        raise NoConvergence("the monitor vanishes at one of the points, or jumps") from None
     return put_back(distance)
 
 

@@ -28,7 +28,8 @@ class Block:
     first : int
         Number of the first sample, counted from the start of the bench.
     samples : ndarray, shape (channels, samples)
-        Volts (float64), or counts (int32) where the scene's converter has bits.
+        Volts (float64), or counts (int32) where the scene's converter has bits; as many as drive samples went
+        in, `Bench.latency` fewer at first.
     overload : ndarray of bool, shape (channels, samples)
         Where a channel was driven beyond its range.
     motion : Motion
@@ -59,13 +60,16 @@ class Bench:
         Drive inputs, a subset of ``("shaker", "hammer")``.
     drive_units : tuple of str
         Unit of each input: N, m or V.
+    latency : int
+        Samples by which what comes out lags behind the drive, where a filter's delay is taken out of their
+        numbers: so many samples fewer come out at first.
     lost : tuple of tuple of int
         First and last sample of every stretch that is lost on the way from the converter to the recording.
 
     Examples
     --------
     >>> import rig
-    >>> bench = Bench(rig.load("bare"))
+    >>> bench = Bench(rig.load("bare-structure"))
     >>> bench.inputs, bench.drive_units, [channel.at for channel in bench.channels]
     (('shaker',), ('m',), ['body 1', 'body 2', 'body 3', 'table'])
     >>> bench.acquire(np.zeros((1, 100))).samples.shape
@@ -78,16 +82,17 @@ class Bench:
         self.rate = clock.rate
         # A clock with an error runs at its true rate and goes by the stated one.
         self._plant = Plant(scene, clock.true_rate)
-        self._chain = Chain(scene, self.rate, points=self._plant.points)
+        self._chain = Chain(scene, clock.true_rate, self._plant.points, self._plant.inputs)
         self._converter = Converter(scene.converter, self._chain.channels)
         self.channels: tuple[ChannelInfo, ...] = tuple(self._converter.channels)
+        self.latency: int = self._chain.latency
         self.lost: tuple[tuple[int, int], ...] = self._converter.lost
         self.inputs: tuple[str, ...] = tuple(self._plant.inputs)
         self.drive_units: tuple[str, ...] = tuple(self._plant.drive_units)
         self._scale = np.array([[channel.unit_per_count] for channel in self.channels])
 
     def acquire(self, drive: NDArray[np.float64]) -> Block:
-        """Play drive samples and acquire as many samples of every channel.
+        """Play drive samples and acquire what comes out meanwhile.
 
         The samples do not depend on how a drive is split into calls.
 
@@ -114,7 +119,7 @@ class Bench:
             raise SceneError("the drive holds values that are not finite: check the signal that was written")
         motion = self._plant.advance(drive)
         block = self._converter.convert(self._chain.measure(motion, drive))
-        return Block(motion.first, block.samples, block.overload, motion)
+        return Block(max(motion.first - self.latency, 0), block.samples, block.overload, motion)
 
     def physical(self, samples: NDArray[np.float64] | NDArray[np.int32]) -> NDArray[np.float64]:
         """Read samples in each channel's unit, as its data sheet says; shape (channels, samples)."""

@@ -51,19 +51,19 @@ def _solver(frequency: float, rate: float, samples: int) -> Array:
 
 
 def _pseudo_inverse(phase: Array) -> Array:
-    # Offset and slope are fitted with the tone, since integrated channels drift and dampers shift the mean.
-    ramp = np.linspace(-1.0, 1.0, phase.size)
-    model = np.stack([np.cos(phase), -np.sin(phase), np.ones(phase.size), ramp], axis=1)
+    # Integrated channels drift and dampers shift the mean: a cubic is fitted with the tone to take that up.
+    drift = np.vander(np.linspace(-1.0, 1.0, phase.size), 4)
+    model = np.column_stack([np.cos(phase), -np.sin(phase), drift])
     return np.linalg.pinv(model)[:2]
 
 
 def lock_in(samples: Array, frequency: float, rate: float, phase: float = 0.0) -> ComplexArray:
-    """Complex amplitudes X of a steady tone: x(t) = Re(X e^{i(phase + 2 pi f t)}) + offset + slope t.
+    """Complex amplitudes X of a steady tone: x(t) = Re(X e^{i(phase + 2 pi f t)}) + slow drift.
 
     Parameters
     ----------
     samples : ndarray, shape (channels, samples)
-        The window; t counts from its first sample.
+        The window, two periods or longer; t counts from its first sample.
     frequency, rate : float
         Hz.
     phase : float
@@ -85,7 +85,7 @@ def lock_in(samples: Array, frequency: float, rate: float, phase: float = 0.0) -
 
 
 def track(samples: Array, phase: Array) -> ComplexArray:
-    """Complex amplitudes X in x = Re(X e^{i phase}) + offset + slope t, for any phase, as in a sweep.
+    """Complex amplitudes X in x = Re(X e^{i phase}) + slow drift, for any phase, as in a sweep.
 
     Parameters
     ----------

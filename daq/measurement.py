@@ -83,7 +83,7 @@ def record(
     Examples
     --------
     >>> import tempfile, daq, rig
-    >>> scene = rig.load("impulse-bare")
+    >>> scene = rig.load("fig10b-no-damper")
     >>> scene = scene.replace(test=scene.test.replace(repeats=1, interval="0.5 s"))
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     recording = daq.open(record(scene, Path(folder) / "hit.mcap"))
@@ -115,7 +115,7 @@ class _Run:
         )
         self._recorder: Recorder | None = None
         self._lost = 0
-        self._last = np.zeros(len(self._bench.inputs))
+        self._last = np.zeros((len(self._bench.inputs), 2))
         self._limits = Limits(scene, self._bench.channels, self._mark)
         self._overloads = Stretches("overload", self._bench.channels, self._mark)
 
@@ -148,7 +148,8 @@ class _Run:
             readings = []
             for start in range(0, drive.shape[1], quantum):
                 readings.append(self._acquire(drive[:, start : start + quantum]))
-                trip = self._limits.watch(self._station.now - readings[-1].shape[1], readings[-1])
+                came = self._station.now - self._bench.latency - readings[-1].shape[1]
+                trip = self._limits.watch(came, readings[-1])
                 if trip is not None:
                     self._ramp_down()
                     raise RunError(f"test aborted: {trip}")
@@ -159,6 +160,8 @@ class _Run:
             try:
                 drive = test.send(readings[0] if len(readings) == 1 else np.concatenate(readings, axis=1))
             except StopIteration:
+                if self._bench.latency:
+                    self._acquire(np.repeat(self._last[:, -1:], self._bench.latency, axis=1))
                 return
 
     def _acquire(self, drive: Array) -> Array:
@@ -166,19 +169,21 @@ class _Run:
         assert self._recorder is not None
         first, size = self._station.now, drive.shape[1]
         block = size if self._block is None else self._block
-        readings = np.empty((len(self._bench.channels), size))
-        overload = np.empty(readings.shape, dtype=bool)
+        readings = np.zeros((len(self._bench.channels), size))
+        overload = np.zeros(readings.shape, dtype=bool)
         for start in range(0, size, block):
             part = slice(start, min(start + block, size))
             got = self._bench.acquire(drive[:, part])
-            self._write(got.samples, first + start)
+            self._write(got.samples, got.first)
             if self._bench.scene.recording.truth:
                 self._recorder.write_truth(got.motion)
-            readings[:, part] = self._bench.physical(got.samples)
-            overload[:, part] = got.overload
+            # Where a filter's latency is hidden in the sample numbers, nothing comes out at first.
+            came = slice(part.stop - got.samples.shape[1], part.stop)
+            readings[:, came] = self._bench.physical(got.samples)
+            overload[:, came] = got.overload
         self._station.now = first + size
-        self._last = drive[:, -1]
-        self._overloads.add(first, overload)
+        self._last = np.concatenate([self._last, drive[:, -2:]], axis=1)[:, -2:]
+        self._overloads.add(first - self._bench.latency, overload)
         return readings
 
     def _write(self, samples: NDArray[Any], first: int) -> None:
@@ -200,10 +205,10 @@ class _Run:
             self._lost = 0
 
     def _ramp_down(self) -> None:
-        """Take the drive from where it is to zero, along half a cosine."""
-        samples = self._station.samples(_RAMP)
-        fall = (1 + np.cos(np.pi * np.arange(1, samples + 1) / samples)) / 2
-        self._acquire(self._last[:, None] * fall)
+        """Take the drive from where it is to zero, without a jump in it or in its slope."""
+        part = np.arange(1, self._station.samples(_RAMP) + 1)
+        last, before = self._last[:, -1:], self._last[:, :1]
+        self._acquire((last + (last - before) * part) * (1 + np.cos(np.pi * part / part[-1])) / 2)
 
     def _mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
         assert self._recorder is not None

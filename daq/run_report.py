@@ -9,6 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rig.errors import RecordingError
+
 if TYPE_CHECKING:
     from daq.recording import Recording
 
@@ -26,6 +28,8 @@ def record_and_report(scene: str, path: Path, overwrite: bool, block: int | None
     """
     import daq
 
+    if path.exists() and not overwrite:
+        raise RecordingError(f"{path} exists: give another name with -o, or --overwrite to replace it")
     print(f"recording {scene} to {path}", file=sys.stderr)
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always", daq.RunWarning)

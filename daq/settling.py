@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,8 +14,50 @@ _DIFFERENCES = 6
 FEWEST_LOOKS = 4
 # Below this share of predictable change, what is left looks like noise rather than like a decaying transient.
 _COHERENT = 0.8
-_NOISE_LOOKS = 12
+# Noise is told from beats that die away by comparing the scatter in the halves of so many looks.
+_NOISE_LOOKS = 24
+_STILL_NOISE = 0.75
+_LITTLE_NOISE = 3.0
 _AGREEING = 6
+
+
+@dataclass(frozen=True)
+class Law:
+    """How amplitudes have changed from look to look, one entry per quantity.
+
+    Attributes
+    ----------
+    changes : ndarray of complex, shape (changes, quantities)
+        The last changes.
+    factor : ndarray of complex, shape (quantities,)
+        From one change to the next, by least squares.
+    seen : ndarray of bool, shape (quantities,)
+        Whether the changes follow it.
+    """
+
+    changes: ComplexArray
+    factor: ComplexArray
+    seen: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, looks: ComplexArray) -> Law:
+        """Find the law behind looks, shape (looks, quantities)."""
+        changes = np.diff(looks, axis=0)
+        before, after = changes[:-1], changes[1:]
+        cross = np.sum(before.conj() * after, axis=0)
+        power, other = (np.maximum(np.sum(abs(part) ** 2, axis=0), 1e-280) for part in (before, after))
+        return cls(changes, cross / power, abs(cross) ** 2 / power / other > _COHERENT)
+
+    def to_come(self) -> ComplexArray:
+        """Change still to come."""
+        # A factor close to 1 can not be told from 1; the transient then outlasts anything seen so far.
+        rest = 1.0 - self.factor
+        return self.changes[-1] * self.factor / np.where(abs(rest) < 1e-3, 1e-3, rest)
+
+    def left(self) -> NDArray[np.float64]:
+        """Size of the change still to come, by the larger of the last two changes."""
+        change = abs(self.changes[-2:]).max(axis=0)
+        return change * abs(self.factor) / np.maximum(abs(1.0 - self.factor), 1e-3)
 
 
 class Settling:
@@ -49,6 +93,7 @@ class Settling:
         self.tolerance = tolerance
         self._looks: list[ComplexArray] = []
         self._forecasts: list[ComplexArray] = []
+        self._law: Law | None = None
         self._steady_before = False
         self.settled = False
 
@@ -56,6 +101,7 @@ class Settling:
         """Forget all looks: the drive has been changed."""
         self._looks.clear()
         self._forecasts.clear()
+        self._law = None
         self._steady_before = self.settled = False
 
     @property
@@ -76,10 +122,12 @@ class Settling:
     def add(self, amplitudes: ComplexArray) -> None:
         """Take the next look: complex amplitudes, shape (quantities,)."""
         self._looks.append(amplitudes)
-        self._forecasts.append(self._forecast())
         if len(self._looks) < FEWEST_LOOKS:
+            self._forecasts.append(amplitudes)
             return
-        steady = bool(np.all(self._decayed() | self._within() | self._scattered()))
+        law = self._law = Law.of(np.array(self._looks[-_DIFFERENCES - 1 :]))
+        self._forecasts.append(self._forecast(law))
+        steady = bool(np.all(self._decayed(law) | self._within(law) | self._scattered(law)))
         # One look may pass by chance, where a beat turns back on itself.
         self.settled = steady and self._steady_before
         self._steady_before = steady
@@ -95,26 +143,16 @@ class Settling:
 
     def beat(self) -> NDArray[np.float64]:
         """Turn of the transient from look to look, rad, infinite where no law is seen; (quantities,)."""
-        if len(self._looks) < FEWEST_LOOKS:
+        if self._law is None:
             return np.full(self._looks[-1].size, np.inf)
-        _, factor, coherence = self._law()
-        return np.where(coherence > _COHERENT, np.maximum(abs(np.angle(factor)), 1e-9), np.inf)
-
-    def _forecast(self) -> ComplexArray:
-        if len(self._looks) < FEWEST_LOOKS:
-            return self._looks[-1]
-        changes, factor, coherence = self._law()
-        believable = (coherence > _COHERENT) & (abs(factor) < 0.995)
-        recent = np.mean(self._looks[-_NOISE_LOOKS // 2 :], axis=0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(believable, self._looks[-1] + changes[-1] * factor / (1.0 - factor), recent)
+        turn = np.maximum(abs(np.angle(self._law.factor)), 1e-9)
+        return np.where(self._law.seen, turn, np.inf)
 
     def left(self) -> NDArray[np.float64]:
         """Estimated change still to come, relative to the amplitude; shape (quantities,)."""
-        changes, factor, _ = self._law()
-        change = abs(changes[-2:]).max(axis=0)
-        # A factor close to 1 can not be told from 1; the transient then outlasts anything seen so far.
-        return change * abs(factor) / np.maximum(abs(1.0 - factor), 1e-3) / self._size()
+        if self._law is None:
+            return np.full(self._looks[-1].size, np.inf)
+        return self._law.left() / self._size()
 
     def doubt(self) -> NDArray[np.float64]:
         """Relative standard error of `expected`, by the scatter of the looks; shape (quantities,)."""
@@ -126,20 +164,15 @@ class Settling:
     def _size(self) -> NDArray[np.float64]:
         return np.maximum(abs(self._looks[-1]), np.finfo(float).tiny)
 
-    def _law(self) -> tuple[ComplexArray, ComplexArray, NDArray[np.float64]]:
-        """Last changes, the factor from one to the next and how well it explains them (0 to 1)."""
-        changes = np.diff(np.array(self._looks[-_DIFFERENCES - 1 :]), axis=0)
-        before, after = changes[:-1], changes[1:]
-        cross = np.sum(before.conj() * after, axis=0)
-        power, other = (np.maximum(np.sum(abs(part) ** 2, axis=0), 1e-280) for part in (before, after))
-        return changes, cross / power, abs(cross) ** 2 / power / other
+    def _forecast(self, law: Law) -> ComplexArray:
+        recent = np.mean(self._looks[-_NOISE_LOOKS // 2 :], axis=0)
+        return np.where(law.seen & (abs(law.factor) < 0.995), self._looks[-1] + law.to_come(), recent)
 
-    def _decayed(self) -> NDArray[np.bool_]:
-        _, _, coherence = self._law()
-        return (coherence > _COHERENT) & (self.left() < self.tolerance)
+    def _decayed(self, law: Law) -> NDArray[np.bool_]:
+        return law.seen & (law.left() < self.tolerance * self._size())
 
-    def _within(self) -> NDArray[np.bool_]:
-        """Whether all looks agree within the tolerance and their mean hardly drifts, whatever their law.
+    def _within(self, law: Law) -> NDArray[np.bool_]:
+        """Whether all looks agree within the tolerance and their mean hardly drifts, without a law.
 
         Several modes that beat at once show no common factor. The mean over half of these looks moves by a
         tenth or more of what a slow transient still has to go, unless that lasts for more than thirty looks.
@@ -150,16 +183,23 @@ class Settling:
         spread = abs(latest - latest.mean(axis=0)).max(axis=0)
         drift = abs(latest[_AGREEING // 2 :].mean(axis=0) - latest[: _AGREEING // 2].mean(axis=0))
         limit = self.tolerance * self._size()
-        return (spread < limit) & (drift < 0.1 * limit)
+        return (~law.seen | (spread < 0.01 * limit)) & (spread < limit) & (drift < 0.1 * limit)
 
-    def _scattered(self) -> NDArray[np.bool_]:
-        if len(self._looks) < _NOISE_LOOKS:
+    def _scattered(self, law: Law) -> NDArray[np.bool_]:
+        """Whether the looks scatter like noise about a mean that stays.
+
+        Beats that die away scatter too, but less and less. Where the scatter is small, half as many looks do:
+        the measurement that follows averages over the beats.
+        """
+        many = self._noise(_NOISE_LOOKS, np.inf)
+        return ~law.seen & (many | self._noise(_NOISE_LOOKS // 2, _LITTLE_NOISE * self.tolerance))
+
+    def _noise(self, looks: int, most: float) -> NDArray[np.bool_]:
+        if len(self._looks) < looks:
             return np.zeros(self._looks[-1].size, dtype=bool)
-        latest = np.array(self._looks[-_NOISE_LOOKS:])
-        halves = latest[: _NOISE_LOOKS // 2], latest[_NOISE_LOOKS // 2 :]
-        early, late = (np.sqrt(np.mean(abs(half - half.mean(axis=0)) ** 2, axis=0)) for half in halves)
-        shift = abs(halves[1].mean(axis=0) - halves[0].mean(axis=0))
-        error = np.hypot(early, late) / np.sqrt(_NOISE_LOOKS // 2)
-        agree = shift < np.maximum(2.0 * error, self.tolerance * self._size())
-        _, _, coherence = self._law()
-        return agree & (coherence < _COHERENT) & (late > 0.7 * early)
+        halves = np.array(self._looks[-looks:]).reshape(2, looks // 2, -1)
+        means = halves.mean(axis=1)
+        early, late = np.sqrt(np.mean(abs(halves - means[:, None]) ** 2, axis=1))
+        error = np.hypot(early, late) / np.sqrt(looks // 2)
+        agree = abs(means[1] - means[0]) < np.maximum(2.0 * error, self.tolerance * self._size())
+        return agree & (late > _STILL_NOISE * early) & (np.maximum(early, late) < most * self._size())

@@ -200,7 +200,7 @@ def extrapolated(reached: Sequence[tuple[float, float]], frequency: float) -> fl
     Examples
     --------
     >>> round(extrapolated([(10.0, 1.0), (11.0, 1.1), (12.0, 1.2)], 13.0), 3)
-    1.299
+    1.298
     >>> extrapolated([(12.0, 1.0), (13.0, 2.0), (14.0, 40.0)], 15.0)
     40.0
     """

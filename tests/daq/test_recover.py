@@ -214,7 +214,8 @@ samples = signal(400 * GROUP)
 with Recorder(sys.argv[1], scene(), channels(), RATE) as recorder:
     for place in range(0, samples.shape[1], 100):
         recorder.write(samples[:, place : place + 100])
-        os.write(1, f"{recorder.position}\\n".encode())
+        # Long lines fill the pipe, so that the writer cannot run away to its end before it is killed.
+        os.write(1, f"{recorder.position:100}\\n".encode())
 """
 
 

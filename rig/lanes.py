@@ -52,15 +52,26 @@ def _lane_sums(
             register.align = 8
             return register
 
-        total = cgutils.alloca_once_value(builder, load(2, constant, offset))
-        with cgutils.for_range(builder, columns) as loop:
-            factor = builder.load(pointer(4, vector, loop.index, double))
+        def add_column(total: Any, column: Any) -> None:
+            factor = builder.load(pointer(4, vector, column, double))
             one = builder.insert_element(undefined, factor, ir.Constant(ir.IntType(32), 0))
             factors = builder.shuffle_vector(one, undefined, everywhere)
-            rows = load(0, matrix, builder.add(start, builder.mul(loop.index, stride)))
+            rows = load(0, matrix, builder.add(start, builder.mul(column, stride)))
             product = builder.fmul(rows, factors, flags=("contract",))
             builder.store(builder.fadd(builder.load(total), product, flags=("contract",)), total)
-        store = builder.store(builder.load(total), pointer(7, out, row, lanes))
+
+        # Two sums at a time, even and odd columns: an addition takes longer than two may be started.
+        even = cgutils.alloca_once_value(builder, load(2, constant, offset))
+        odd = cgutils.alloca_once_value(builder, ir.Constant(lanes, [0.0] * LANES))
+        one, two = (ir.Constant(columns.type, count) for count in (1, 2))
+        with cgutils.for_range_slice(builder, one, columns, two, columns.type) as (column, _):
+            add_column(even, builder.sub(column, one))
+            add_column(odd, column)
+        is_left_over = builder.icmp_signed("==", builder.and_(columns, one), one)
+        with builder.if_then(is_left_over):
+            add_column(even, builder.sub(columns, one))
+        total = builder.fadd(builder.load(even), builder.load(odd))
+        store = builder.store(total, pointer(7, out, row, lanes))
         store.align = 8
         return context.get_dummy_value()
 
@@ -82,4 +93,6 @@ def combine(matrix: Any, constant: Any, slot: int, vector: Any, columns: int, ou
     """
     rows = constant.shape[1]
     for row in range(0, rows, LANES):
-        _lane_sums(matrix, slot * columns * rows + row, constant, slot * rows + row, vector, columns, rows, out, row)
+        _lane_sums(
+            matrix, slot * columns * rows + row, constant, slot * rows + row, vector, columns, rows, out, row
+        )

@@ -117,7 +117,9 @@ class Plant:
         events = event_table(event_times, course.event_damper, course.event_kind, course.event_speed, system)
         if lead and len(self._lifted):
             zeros = np.zeros(len(self._lifted))
-            events = np.concatenate([event_table(zeros, self._lifted, zeros.astype(int), zeros, system), events])
+            events = np.concatenate(
+                [event_table(zeros, self._lifted, zeros.astype(int), zeros, system), events]
+            )
         return Motion(
             first=first,
             displacement=np.ascontiguousarray(course.state[:, :n].T),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -118,6 +119,8 @@ class Acquisition:
         self.error: DaqError | None = None
         self.overloaded = np.zeros(len(plan.rows), bool)
         self._record = 0
+        # Number and tick of the first sample of each record, the latest last.
+        self._records: deque[tuple[int, int]] = deque(maxlen=1000)
         self._end: int | None = None
         self._arm(tick)
         if plan.start is None:
@@ -129,6 +132,7 @@ class Acquisition:
 
     def _begin(self, tick: int) -> None:
         self.first_tick, self._record = tick, self.ring.written
+        self._records.append((self._record, tick))
         reference = self.plan.reference
         self._reference_edge = reference.edge() if isinstance(reference, AnalogSource) else None
         if self.plan.samples is not None and reference is None:
@@ -150,8 +154,11 @@ class Acquisition:
         return 0 if self.trigger is None else self.trigger - self.plan.pretrigger
 
     def tick_of(self, sample: int) -> int:
-        """Tick of a sample of the current record."""
-        return (self.first_tick or 0) + sample - self._record
+        """Tick of a sample, of this record or one before."""
+        for first, tick in reversed(self._records):
+            if first <= sample:
+                return tick + sample - first
+        return self.armed_at
 
     def missing(self, samples: int) -> int:
         """Ticks that must pass at least until there are so many samples beyond the read position.

@@ -297,7 +297,7 @@ class Chassis:
         if lost and not acquisition.done:
             acquisition.stop(
                 DaqError(
-                    f"samples were lost on the way from the converter, from the bench's number {min(lost)} on "
+                    f"samples were lost on the way from the converter, from number {min(lost)} on "
                     "(the scene's converter.dropped_blocks); stop and start the task to acquire again",
                     DAQmxErrors.INPUT_FIFO_OVERFLOW_2,
                 )

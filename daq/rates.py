@@ -42,8 +42,8 @@ def coerced(rate: float, converter: Converter) -> float:
         return SampleClock.of(converter).rate
     if not 0 < rate <= FASTEST_RATE * (1 + 1e-9):
         raise DaqError(
-            f"sample clock rate {rate:g} S/s: expected more than 0 and at most {FASTEST_RATE:g} S/s (what lies "
-            f"between becomes {FASTEST_RATE:g} S/s divided by a whole number up to {DIVISORS[-1]})",
+            f"sample clock rate {rate:g} S/s: expected more than 0 and at most {FASTEST_RATE:g} S/s (what "
+            f"lies between becomes {FASTEST_RATE:g} S/s divided by a whole number up to {DIVISORS[-1]})",
             DAQmxErrors.INVALID_ATTRIBUTE_VALUE,
         )
     if converter.preset is None:

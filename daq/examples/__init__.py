@@ -1,0 +1,1 @@
+"""Examples of scripts for the rig's instrument; run one with ``python -m daq.examples.finite_read``."""

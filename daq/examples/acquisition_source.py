@@ -1,0 +1,55 @@
+"""The rig as a source for a library that takes acquisition plug-ins, such as LDAQ.
+
+`VirtualRig` has the three methods such a library calls and the two attributes it looks at. With LDAQ
+itself, derive it from `LDAQ.acquisition_base.BaseAcquisition` and call that class's `__init__`.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+import daq
+import daq.nidaqmx as nidaqmx
+from daq.nidaqmx.constants import READ_ALL_AVAILABLE, AcquisitionType
+
+
+class VirtualRig:
+    """Acquisition source: four accelerometers of a scene, in volts."""
+
+    def __init__(self, scene: str, sample_rate: float = 5120.0, clock: str = "real") -> None:
+        self.chassis = daq.connect(scene, clock=clock)
+        self.sample_rate = self.chassis.coerce_rate(sample_rate)
+        self.channel_names = [sensor.name for sensor in self.chassis.inputs]
+
+    def set_data_source(self) -> None:
+        """Begin to acquire."""
+        self.task = nidaqmx.Task()
+        for number, name in enumerate(self.channel_names):
+            limit = min(500.0, self.chassis.input_range)
+            self.task.ai_channels.add_ai_voltage_chan(
+                f"cDAQ1Mod1/ai{number}", name, min_val=-limit, max_val=limit
+            )
+        self.task.timing.cfg_samp_clk_timing(self.sample_rate, sample_mode=AcquisitionType.CONTINUOUS)
+        self.task.start()
+
+    def read_data(self) -> NDArray[np.float64]:
+        """Give what has come since the last call, shape (samples, channels)."""
+        return np.atleast_2d(np.array(self.task.read(READ_ALL_AVAILABLE))).T
+
+    def terminate_data_source(self) -> None:
+        """End."""
+        self.task.close()
+
+
+def main() -> None:
+    """Poll the source as such a library would."""
+    source = VirtualRig("bare-structure", clock="fast")
+    source.set_data_source()
+    total = 0
+    for _ in range(20):
+        total += len(source.read_data())
+    source.terminate_data_source()
+    print(f"{total} samples of {', '.join(source.channel_names)} at {source.sample_rate:g} S/s")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,40 @@
+"""Continuous read with a callback: every tenth of a second, look at what has come.
+
+On the fast clock the callback runs on the thread that waits, at the very sample it is due. On the real
+clock (leave out ``clock="fast"``) it runs on a thread of its own while the bench goes on; read there what
+has come, and leave the work on it to another thread.
+"""
+
+import numpy as np
+
+import daq
+import daq.nidaqmx as nidaqmx
+from daq.nidaqmx.constants import AcquisitionType
+from daq.nidaqmx.stream_readers import AnalogMultiChannelReader
+
+
+def main() -> None:
+    """Print the RMS of each tenth of a second of the scene's own test, as nobody drives the output."""
+    chassis = daq.connect("bare-structure", clock="fast")
+    with nidaqmx.Task() as task:
+        task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:3", min_val=-500.0, max_val=500.0)
+        task.timing.cfg_samp_clk_timing(5120.0, sample_mode=AcquisitionType.CONTINUOUS)
+        reader = AnalogMultiChannelReader(task.in_stream)
+        block = np.zeros((4, 512))
+
+        def look(handle: int, event: int, samples: int, data: object) -> int:
+            first = task.in_stream.curr_read_pos
+            reader.read_many_sample(block, samples)
+            rms = np.sqrt((block**2).mean(axis=1))
+            print(f"from {first / 5120.0:.1f} s: " + ", ".join(f"{value:.4f}" for value in rms) + " V")
+            return 0
+
+        task.register_every_n_samples_acquired_into_buffer_event(512, look)
+        task.start()
+        chassis.pass_time(1.0)
+        task.stop()
+        print(f"{task.in_stream.total_samp_per_chan_acquired} samples per channel")
+
+
+if __name__ == "__main__":
+    main()

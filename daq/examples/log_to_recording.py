@@ -1,0 +1,36 @@
+"""Logging: what a task acquires goes into a recording, as `daq record` makes them, while the script reads it."""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+import daq
+import daq.nidaqmx as nidaqmx
+from daq.nidaqmx.constants import AcquisitionType, LoggingMode, LoggingOperation
+
+
+def main(folder: str | None = None) -> None:
+    """Log half a second and read it back."""
+    daq.connect("fig8-three-dampers", clock="fast")
+    with tempfile.TemporaryDirectory() as scratch:
+        path = Path(folder or scratch) / "logged.mcap"
+        with nidaqmx.Task() as task:
+            task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:3")
+            task.timing.cfg_samp_clk_timing(5120.0, sample_mode=AcquisitionType.CONTINUOUS)
+            task.in_stream.configure_logging(
+                path, LoggingMode.LOG_AND_READ, operation=LoggingOperation.CREATE_OR_REPLACE
+            )
+            task.start()
+            blocks = [np.array(task.read(512)) for _ in range(5)]
+            task.stop()
+        read = np.concatenate(blocks, axis=1)
+        with daq.open(path) as recording:
+            for row, (name, channel) in enumerate(recording.channels.items()):
+                logged = recording.read(name)
+                same = np.allclose(logged * channel.sensitivity, read[row], rtol=1e-12, atol=0.0)
+                print(f"{name}: {logged.size} samples in {channel.unit}, {'as' if same else 'NOT as'} read")
+
+
+if __name__ == "__main__":
+    main()

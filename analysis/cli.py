@@ -85,6 +85,28 @@ def modes(
     _show(result)
 
 
+@app.command()
+def report(files: Files, output: Output = None) -> None:
+    """One self-contained HTML page about recordings."""
+    from analysis.report import write_report
+
+    with _progress() as progress:
+        result = write_report(files, output, progress)
+    _show(result)
+
+
+@app.command()
+def demo(
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Where recordings and figures go.")
+    ] = Path("recordings"),
+) -> None:
+    """Record the paper's sweep and impulse tests and draw its figures from the recordings."""
+    from analysis.demo import demonstrate
+
+    demonstrate(output, lambda line: print(line, flush=True))
+
+
 def _show(result: Result) -> None:
     for line in result.lines:
         print(line)

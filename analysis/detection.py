@@ -25,8 +25,15 @@ _FEWEST_SIDE = 5
 # samples of Gaussian noise, and room for what is not Gaussian.
 SIGMAS = 6.0
 # Of a large jump so much may be left after it was taken out; jumps smaller than that are not told from it.
-_LEFT_OVER = 0.01
+_LEFT_OVER = 0.05
+# With its velocity a body's acceleration jumps too; that kink reads as a small jump a few samples off the
+# large one.
+_SHADOW = 0.25
 _PASSES = 12
+# After a blow, a sensor's resonance is waited for during so many of its decay times; read at a random
+# phase, it shows at least this part of its amplitude nine times out of ten.
+_HOLD = 8.0
+_RANDOM_PHASE = 0.15
 
 
 @dataclass(frozen=True)
@@ -40,7 +47,8 @@ class Impacts:
     time : ndarray, shape (n,)
         s after sample 0.
     jump : ndarray, shape (n,)
-        Velocity jump of the body, m/s: down (negative) from a blow on the floor, up from one on the ceiling.
+        Velocity jump of the body, m/s: down (negative) from a blow on the floor, up from one on the
+        ceiling. NaN where the sensor rings above half the sample rate and only the time can be told.
     threshold : float
         Smallest jump told from noise, m/s: `SIGMAS` standard deviations of the estimate, or 1 % of the
         largest.
@@ -56,8 +64,9 @@ class Impacts:
 
     @property
     def kind(self) -> NDArray[np.str_]:
-        """``"floor"`` or ``"ceiling"``, from the direction of the jump."""
-        return np.where(self.jump < 0, "floor", "ceiling")
+        """``"floor"`` or ``"ceiling"``, from the direction of the jump; ``"unknown"`` without one."""
+        known = np.where(self.jump < 0, "floor", "ceiling")
+        return np.where(np.isnan(self.jump), "unknown", known)
 
 
 def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = None) -> Impacts:
@@ -93,7 +102,15 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
     velocity, offset = _velocity(info, samples)
     position, jumps, after, noise, threshold = _jumps(velocity, side, np.isfinite(velocity))
     time = (start + position + offset - after) / rec.rate - _delay(info)
-    return Impacts(info.name, time, jumps, threshold, noise)
+    ringing = _ringing(info)
+    if ringing is None:
+        return Impacts(info.name, time, jumps, threshold, noise)
+    decay, gain = ringing
+    largest = _largest_of_groups(time, jumps, _HOLD * decay)
+    if info.average:
+        return Impacts(info.name, time[largest], jumps[largest], threshold, noise)
+    unknown = np.full(largest.size, np.nan)
+    return Impacts(info.name, time[largest], unknown, threshold / gain, noise / gain)
 
 
 def _velocity(info: ChannelInfo, samples: Array) -> tuple[Array, float]:
@@ -118,6 +135,32 @@ def _delay(info: ChannelInfo) -> float:
     return float(total)
 
 
+def _ringing(info: ChannelInfo) -> tuple[float, float] | None:
+    """Find the decay time in s of a resonance above half the sample rate, and what a unit jump reads, if any.
+
+    After a blow such a sensor rings on over several samples. Averaged, the readings still add up to the jump;
+    taken at instants, they catch the ringing at random phases: the blow shows, but its size is lost.
+    """
+    fast = [pole for pole in info.poles if pole.imag > np.pi * info.rate]
+    if info.quantity != "acceleration" or not fast:
+        return None
+    pole = max(fast, key=lambda pole: pole.real)
+    return -1.0 / pole.real, _RANDOM_PHASE * abs(pole) / info.rate
+
+
+def _largest_of_groups(time: Array, jump: Array, hold: float) -> NDArray[np.int64]:
+    """Index of the largest jump in each group of times less than `hold` after the group's first."""
+    out: list[int] = []
+    first = -np.inf
+    for index, value in enumerate(time):
+        if value - first > hold:
+            out.append(index)
+            first = value
+        elif abs(jump[index]) > abs(jump[out[-1]]):
+            out[-1] = index
+    return np.array(out, dtype=np.int64)
+
+
 def _kernel(side: int) -> Array:
     """Weights that turn velocities around a sample into the jump there; the sample itself has none."""
     t = np.arange(1, side + 1, dtype=float)
@@ -134,7 +177,8 @@ def _jumps(
     kernel = _kernel(side)
     filled = np.where(good, velocity, 0.0)
     usable = np.convolve(~good, np.ones(2 * side + 1), mode="same") == 0
-    usable[:side] = usable[-side:] = False
+    # At the ends the smooth part is extrapolated, and no smaller than what is looked for.
+    usable[: 8 * side] = usable[-8 * side :] = False
     steps = np.zeros(filled.size + 1)
     size, after = np.zeros(filled.size), np.zeros(filled.size)
     noise = threshold = 0.0
@@ -148,7 +192,9 @@ def _jumps(
         threshold = max(SIGMAS * noise, _LEFT_OVER * max(abs(size).max(), abs(estimate).max()), 1e-12)
         peaks = _peaks(abs(estimate), threshold, side)
         if not peaks.size:
-            break
+            if number:
+                break
+            continue
         jump = estimate[peaks]
         part = _after(rest, peaks, jump, side)
         both = size[peaks] + jump
@@ -156,7 +202,9 @@ def _jumps(
         size[peaks], after[peaks] = both, np.clip(shared, 0.0, 1.0)
         steps[:-1] = size * after
         steps[1:] += size * (1.0 - after)
-    return *_merged(size, after, threshold), noise, threshold
+    place, jump, part = _merged(size, after, threshold)
+    own = _own(place, jump, 2 * side)
+    return place[own], jump[own], part[own], noise, threshold
 
 
 def _peaks(size: Array, threshold: float, apart: int) -> NDArray[np.int64]:
@@ -182,6 +230,15 @@ def _merged(size: Array, after: Array, threshold: float) -> tuple[NDArray[np.int
         part.append(float(np.ceil(at) - at))
         jump.append(total)
     return np.array(place, dtype=np.int64), np.array(jump), np.array(part)
+
+
+def _own(place: NDArray[np.int64], jump: Array, reach: int) -> NDArray[np.bool_]:
+    """Tell jumps of their own from shadows of a much larger one near by."""
+    own = np.ones(place.size, dtype=bool)
+    for index in range(place.size):
+        low, high = np.searchsorted(place, [place[index] - reach, place[index] + reach + 1])
+        own[index] = abs(jump[index]) >= _SHADOW * abs(jump[low:high]).max()
+    return own
 
 
 def _after(velocity: Array, position: NDArray[np.int64], jump: Array, side: int) -> Array:

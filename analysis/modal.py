@@ -189,8 +189,8 @@ class _Projection:
 
     References
     ----------
-    .. [1] L. Kaufman, A variable projection method for solving separable nonlinear least squares problems, BIT 15
-       (1975) 49-57.
+    .. [1] L. Kaufman, A variable projection method for solving separable nonlinear least squares problems,
+       BIT 15 (1975) 49-57.
     """
 
     def __init__(self, frequency: Array, value: ComplexArray, weight: Array, start: ComplexArray) -> None:
@@ -199,7 +199,7 @@ class _Projection:
         self.scale = -start.real
 
     def poles(self, x: Array) -> ComplexArray:
-        """Poles of the parameters: logarithm of the decay (keeps them stable), then the frequency in decays."""
+        """Turn parameters into poles: logarithm of the decay (keeps them stable), frequency in decays."""
         count = self.start.size
         return -self.scale * np.exp(x[:count]) + 1j * (self.start.imag + self.scale * x[count:])
 

@@ -77,7 +77,7 @@ def present_frf(
     exact: list[Frf] = []
     notes: list[str] = []
     for path in paths:
-        with _opened(path) as rec:
+        with opened(path) as rec:
             groups = frequency_responses(rec, channels, reference, motion, estimator, block, progress)
             curves += [frf for group in groups for frf in group]
             notes += _noted(path, [note for group in groups for note in group[0].warnings])
@@ -138,7 +138,7 @@ def present_decay(
     decays: list[Decay] = []
     notes: list[str] = []
     for path in paths:
-        with _opened(path) as rec:
+        with opened(path) as rec:
             decays.append(decay(rec, channel, hit))
         notes += _noted(path, decays[-1].warnings)
     stem = output_stem(paths, output, "decay")
@@ -187,7 +187,7 @@ def present_modes(
     lines: list[str] = []
     notes: list[str] = []
     for path in paths:
-        with _opened(path) as rec:
+        with opened(path) as rec:
             for number, group in enumerate(
                 frequency_responses(rec, None, reference, block=block, progress=progress)
             ):
@@ -228,7 +228,8 @@ def theoretical_shapes(rec: Recording, modes: Modes) -> np.ndarray | None:
     return np.asarray(shapes)[bodies] if len(bodies) > 1 else None
 
 
-def _opened(path: Path) -> Recording:
+def opened(path: Path) -> Recording:
+    """Open a recording that must exist."""
     import daq
 
     if not path.exists():

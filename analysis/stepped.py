@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 HARMONICS = 10
 PARTS = 20
+# A window that is clipped for more than this part has no amplitude worth reporting.
+MOST_CLIPPED = 0.01
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,8 @@ def sweeps(rec: Recording, progress: Callable[[int, int], None] | None = None) -
     )
     names = list(rec.channels)
     clipped = _clipped(rec)
+    overloaded = 0
+    unsteady: dict[tuple[float, str], list[str]] = {}
     runs: dict[tuple[float, str], list[tuple[Tone, tuple[int, int]]]] = {}
     notes: dict[tuple[float, str], list[str]] = {}
     windows = [_window(rec, marker) for marker in markers]
@@ -98,18 +102,27 @@ def sweeps(rec: Recording, progress: Callable[[int, int], None] | None = None) -
             note.append(f"{frequency:.4g} Hz left out: samples were lost in its window.")
             continue
         hit = [name for name in names if _overlaps(clipped.get(name), first, last)]
+        worst = max((_covered(clipped[name], first, last) for name in hit), default=0.0)
+        if worst > MOST_CLIPPED:
+            note.append(
+                f"{frequency:.4g} Hz left out: {', '.join(hit)} overloaded for {worst:.0%} of the window."
+            )
+            overloaded += 1
+            continue
         if hit:
             note.append(
                 f"{frequency:.4g} Hz: {', '.join(hit)} overloaded; lower the level or widen the range."
             )
         if marker.fields.get("settled") is False:
-            note.append(
-                f"{frequency:.4g} Hz was measured before the motion had become steady; allow it longer to "
-                "settle."
-            )
+            unsteady.setdefault(key, []).append(f"{frequency:.4g}")
         runs.setdefault(key, []).append((lockin.tone(), (first, last)))
     if not runs:
-        raise RecordingError(_why_nothing(rec, bool(markers)))
+        raise RecordingError(_why_nothing(rec, bool(markers), overloaded))
+    for key, points in unsteady.items():
+        notes[key].append(
+            f"No steady state at {', '.join(points)} Hz: the motion is irregular there, or needs longer to "
+            "settle."
+        )
     return [_sweep(rec, key, found, notes[key], len(runs) > 1) for key, found in runs.items()]
 
 
@@ -136,7 +149,19 @@ def _overlaps(ranges: NDArray[np.int64] | None, first: int, last: int) -> bool:
     return ranges is not None and bool(np.any((ranges[:, 0] < last) & (ranges[:, 1] >= first)))
 
 
-def _why_nothing(rec: Recording, marked: bool) -> str:
+def _covered(ranges: NDArray[np.int64], first: int, last: int) -> float:
+    """Part of the window ``[first, last)`` that the ranges cover."""
+    inside = np.minimum(ranges[:, 1] + 1, last) - np.maximum(ranges[:, 0], first)
+    return float(np.maximum(inside, 0).sum() / max(last - first, 1))
+
+
+def _why_nothing(rec: Recording, marked: bool, overloaded: int) -> str:
+    if overloaded:
+        return (
+            "the channels were overloaded in every measured window: lower the level, or widen the "
+            "converter's range "
+            "or lower the sensitivity in the scene"
+        )
     if marked:
         return "every measured window has lost samples: record again, or repair the file with `daq recover`"
     duration = rec.samples / rec.rate

@@ -115,7 +115,19 @@ def test_given_overload_and_unsettled_points_when_measured_then_the_curve_warns(
     samples = np.random.default_rng(0).standard_normal((4, 2560))
     with daq.open(synthetic.write(tmp_path / "a.mcap", synthetic.scene(), infos, samples, marks)) as rec:
         warnings = " ".join(analysis.compliance(rec).warnings)
-    assert "body2 overloaded" in warnings and "before the motion had become steady" in warnings
+    assert "body2 overloaded" in warnings and "No steady state at 20 Hz" in warnings
+
+
+def test_given_channels_clipped_throughout_when_measured_then_the_range_is_blamed(tmp_path):
+    marks = [
+        ("measure", 0, 2559, {"frequency": 20.0, "level": 1.0, "direction": "up"}),
+        ("overload", 0, 2559, {"channel": "body2"}),
+    ]
+    path = synthetic.write(
+        tmp_path / "a.mcap", synthetic.scene(), synthetic.channels(), np.ones((4, 2560)), marks
+    )
+    with daq.open(path) as rec, pytest.raises(RecordingError, match="overloaded in every measured window"):
+        analysis.compliance(rec)
 
 
 def test_given_lost_samples_when_measured_then_only_their_frequency_is_left_out(tmp_path):

@@ -17,6 +17,7 @@ _HOME: dict[str, str] = {
     "frequency_responses": "analysis.transfer",
     "identify": "analysis.modal",
     "mac": "analysis.modal",
+    "sep005": "analysis.export",
 }
 
 __all__ = sorted(_HOME)

@@ -107,6 +107,31 @@ def demo(
     demonstrate(output, lambda line: print(line, flush=True))
 
 
+@app.command()
+def export(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The recording.")],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="OUT", help="File to write: .uff, .csv, .npz or .wav.")
+    ],
+    channel: Annotated[
+        list[str] | None, typer.Option(help="Channel; may be repeated; default all of them.")
+    ] = None,
+    start: Annotated[float | None, typer.Option("--from", metavar="S", help="Begin at this time.")] = None,
+    stop: Annotated[float | None, typer.Option("--to", metavar="S", help="End at this time.")] = None,
+    speed: Annotated[float, typer.Option(metavar="X", help="Play sound this much faster.")] = 1.0,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT if it exists.")] = False,
+) -> None:
+    """Write a recording for other tools: UFF 58, CSV, NPZ, or WAV to listen to."""
+    from analysis.export import export as export_stretch
+    from analysis.stretch import Stretch
+    from daq.recording import open as open_recording
+
+    with open_recording(file) as recording:
+        for line in export_stretch(Stretch.of(recording, channel, start, stop), output, speed, overwrite):
+            print(line)
+    print(f"wrote {output}")
+
+
 def _show(result: Result) -> None:
     for line in result.lines:
         print(line)

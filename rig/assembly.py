@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import assert_never
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.damper import damper_bodies, damper_masses
 from rig.errors import SceneError
@@ -100,8 +101,8 @@ class _Parts:
         self.stiffness[[first, second], [second, first]] -= stiffness
 
     def system(
-        self, gravity: float, coordinate: Array, masses: Array, clearance: Array, restitution: Array,
-        number: Array,
+        self, gravity: float, coordinate: NDArray[np.intp], masses: Array, clearance: Array,
+        restitution: Array, number: NDArray[np.intp],
     ) -> System:  # fmt: skip
         """Put everything into first-order form."""
         n, extra = len(self.points), 0 if self.coil is None else 1

@@ -19,7 +19,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+
+from rig.jit import compiled
 
 #: What is smaller than this part of its terms cannot be told from zero.
 ROUNDING = 16 * 2.3e-16
@@ -60,7 +61,7 @@ def contact_work(dampers: int, forces: int) -> ContactWork:
     )
 
 
-@njit(cache=True, _nrt=False)
+@compiled
 def contact_matrix(model: Any, work: ContactWork, count: int) -> None:
     """Fill `work.matrix` for the contacts listed in `work.member` with signs `work.sign`."""
     for a in range(count):
@@ -72,7 +73,7 @@ def contact_matrix(model: Any, work: ContactWork, count: int) -> None:
         work.matrix[a, a] += 1.0 / model.mass[i]
 
 
-@njit(cache=True, _nrt=False)
+@compiled
 def _solve_active(work: ContactWork, count: int) -> None:
     """Pressures that close the active contacts; zero for the others. Elimination on a positive definite block."""
     block = work.block
@@ -104,7 +105,7 @@ def _solve_active(work: ContactWork, count: int) -> None:
             size += 1
 
 
-@njit(cache=True, _nrt=False)
+@compiled
 def complementarity(work: ContactWork, count: int) -> None:
     """Solve for `work.pressure` from `work.matrix` and the right-hand side q in `work.right`."""
     for a in range(count):

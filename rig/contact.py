@@ -22,10 +22,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numpy.typing import NDArray
 
-from rig.complementarity import ROUNDING, complementarity, contact_matrix
+from rig.complementarity import ROUNDING, ContactWork, complementarity, contact_matrix
+from rig.flow import Flow, Model
+from rig.jit import compiled, inlined
 from rig.lanes import combine
+
+Array = NDArray[np.float64]
 
 FLIGHT, FLOOR, CEILING = 0, 1, 2
 #: Event kinds in the log.
@@ -50,13 +54,13 @@ class State(NamedTuple):
 
 
 class Log(NamedTuple):
-    """Events and breaks as they happen; `count` holds how many rows of each are filled.
+    """Events and breaks as they happen; `filled` holds how many rows of each are filled.
 
     A break is an instant at which velocities or accelerations jump, with the state and the dampers' own speeds
     before and after it.
     """
 
-    count: np.ndarray
+    filled: np.ndarray
     segment: np.ndarray
     offset: np.ndarray
     damper: np.ndarray
@@ -71,27 +75,27 @@ class Log(NamedTuple):
     configuration: np.ndarray
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
-def _note(log, segment, offset, damper, kind, closing):
-    row = log.count[0]
+@inlined
+def _note(log: Log, segment: int, offset: float, damper: int, kind: int, closing: float) -> None:
+    row = log.filled[0]
     log.segment[row] = segment
     log.offset[row] = offset
     log.damper[row] = damper
     log.kind[row] = kind
     log.closing[row] = closing
-    log.count[0] = row + 1
+    log.filled[0] = row + 1
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
-def _toggle(flow, state, j):
+@inlined
+def _toggle(flow: Flow, state: State, j: int) -> None:
     """Damper j changes between riding and flight: so does the configuration, and its table if there is one."""
     state.counters[CONFIGURATION] ^= 1 << j
     if state.counters[SLOT] >= 0:
         state.counters[SLOT] = flow.neighbour[state.counters[SLOT], j]
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
-def _lift(flow, model, state, j, speed, multiplicity):
+@inlined
+def _lift(flow: Flow, model: Model, state: State, j: int, speed: float, multiplicity: int) -> None:
     """Damper j leaves the wall it rides on, with the given velocity."""
     height = state.z[model.position[j]]
     if state.mode[j] == CEILING:
@@ -104,26 +108,28 @@ def _lift(flow, model, state, j, speed, multiplicity):
     _toggle(flow, state, j)
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
-def separate(flow, model, state, log, segment, offset, j, multiplicity):
+@inlined
+def separate(
+    flow: Flow, model: Model, state: State, log: Log, segment: int, offset: float, j: int, multiplicity: int
+) -> None:
     """Damper j leaves its wall at the velocity of the wall."""
     _lift(flow, model, state, j, state.z[model.velocity[j]], multiplicity)
     _note(log, segment, offset, j, SEPARATION, 0.0)
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
-def _sign(mode):
+@inlined
+def _sign(mode: int) -> float:
     return -1.0 if mode == CEILING else 1.0
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
-def _forces(model, state, force):
-    """Forces of springs, dashpots and drive on every coordinate, without the dampers in the cavities."""
+@inlined
+def _forces(model: Model, state: State, force: Array) -> None:
+    """Sum the forces of springs, dashpots and drive on every coordinate, without the dampers in the cavities."""
     combine(model.force, model.force_constant, 0, state.z, model.force.shape[1], force)
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
-def _stays(model, state, j, rebound, force):
+@inlined
+def _stays(model: Model, state: State, j: int, rebound: float, force: Array) -> bool:
     """Whether a rebound is too low to be told from rest on the wall (this ends a Zeno sequence)."""
     row = model.position[j]
     pull = _sign(state.mode[j]) * (force[row] * model.inverse_mass[row, row] + model.gravity)
@@ -131,8 +137,8 @@ def _stays(model, state, j, rebound, force):
     return pull > 0.0 and rebound * rebound < 2.0 * pull * ROUNDING * size
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
-def _land(flow, model, state, j, rebound, force):
+@inlined
+def _land(flow: Flow, model: Model, state: State, j: int, rebound: float, force: Array) -> None:
     """Damper j, in `mode` FLOOR or CEILING by now, has been hit: it rides, or rebounds at the given speed."""
     sign = _sign(state.mode[j])
     if rebound > 0.0 and not _stays(model, state, j, rebound, force):
@@ -148,8 +154,8 @@ def _land(flow, model, state, j, rebound, force):
         _toggle(flow, state, j)
 
 
-@njit(cache=True, _nrt=False)
-def _touches(model, state, j):
+@compiled
+def _touches(model: Model, state: State, j: int) -> int:
     """Wall that a flying damper touches within rounding while closing on it, or FLIGHT."""
     position = state.z[model.position[j]]
     gap = state.height[j] - position
@@ -162,8 +168,18 @@ def _touches(model, state, j):
     return FLIGHT
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
-def _impact_alone(flow, model, state, log, segment, offset, j, wall, work):
+@inlined
+def _impact_alone(
+    flow: Flow,
+    model: Model,
+    state: State,
+    log: Log,
+    segment: int,
+    offset: float,
+    j: int,
+    wall: int,
+    work: ContactWork,
+) -> None:
     """Impact of damper j where the mass matrix couples it to nobody."""
     body = model.velocity[j]
     state.mode[j] = wall
@@ -176,8 +192,18 @@ def _impact_alone(flow, model, state, log, segment, offset, j, wall, work):
     _land(flow, model, state, j, model.restitution[j] * closing, work.force)
 
 
-@njit(cache=True, _nrt=False)
-def _impact_together(flow, model, state, log, segment, offset, j, wall, work):
+@compiled
+def _impact_together(
+    flow: Flow,
+    model: Model,
+    state: State,
+    log: Log,
+    segment: int,
+    offset: float,
+    j: int,
+    wall: int,
+    work: ContactWork,
+) -> None:
     """Impact of damper j, with everything in contact or touching at this instant, through a full mass matrix."""
     count = 0
     for i in range(model.mass.shape[0]):
@@ -218,8 +244,10 @@ def _impact_together(flow, model, state, log, segment, offset, j, wall, work):
                 _note(log, segment, offset, i, SEPARATION, 0.0)
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
-def _release_alone(flow, model, state, log, segment, offset, work):
+@inlined
+def _release_alone(
+    flow: Flow, model: Model, state: State, log: Log, segment: int, offset: float, work: ContactWork
+) -> None:
     force = work.force
     for i in range(model.mass.shape[0]):
         if state.mode[i] == FLIGHT:
@@ -235,8 +263,10 @@ def _release_alone(flow, model, state, log, segment, offset, work):
             separate(flow, model, state, log, segment, offset, i, 2)
 
 
-@njit(cache=True, _nrt=False)
-def _release_together(flow, model, state, log, segment, offset, work):
+@compiled
+def _release_together(
+    flow: Flow, model: Model, state: State, log: Log, segment: int, offset: float, work: ContactWork
+) -> None:
     """Decide every riding contact at once from the accelerations that the bodies would have without them."""
     count = 0
     for i in range(model.mass.shape[0]):
@@ -265,8 +295,10 @@ def _release_together(flow, model, state, log, segment, offset, work):
                 separate(flow, model, state, log, segment, offset, work.member[a], 2)
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
-def release_tensile(flow, model, state, log, segment, offset, work):
+@inlined
+def release_tensile(
+    flow: Flow, model: Model, state: State, log: Log, segment: int, offset: float, work: ContactWork
+) -> None:
     """Let go of every riding damper whose contact would have to pull; zero within rounding is left to the step."""
     _forces(model, state, work.force)
     if model.coupled:
@@ -275,8 +307,18 @@ def release_tensile(flow, model, state, log, segment, offset, work):
         _release_alone(flow, model, state, log, segment, offset, work)
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
-def impact(flow, model, state, log, segment, offset, j, wall, work):
+@inlined
+def impact(
+    flow: Flow,
+    model: Model,
+    state: State,
+    log: Log,
+    segment: int,
+    offset: float,
+    j: int,
+    wall: int,
+    work: ContactWork,
+) -> None:
     """Damper j meets a wall; velocities jump, and every contact of the instant is decided anew."""
     _forces(model, state, work.force)
     if model.coupled:
@@ -286,16 +328,16 @@ def impact(flow, model, state, log, segment, offset, j, wall, work):
     release_tensile(flow, model, state, log, segment, offset, work)
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
-def _own_speeds(model, state, out):
+@inlined
+def _own_speeds(model: Model, state: State, out: Array) -> None:
     for j in range(model.mass.shape[0]):
         out[j] = state.speed[j] if state.mode[j] == FLIGHT else state.z[model.velocity[j]]
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
-def open_break(model, state, log, segment, offset):
+@inlined
+def open_break(model: Model, state: State, log: Log, segment: int, offset: float) -> None:
     """Keep the state before the contacts change."""
-    row = log.count[1]
+    row = log.filled[1]
     _own_speeds(model, state, log.speed_before[row])
     log.break_segment[row] = segment
     log.break_offset[row] = offset
@@ -304,12 +346,12 @@ def open_break(model, state, log, segment, offset):
         log.before[row, i] = state.z[i]
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
-def close_break(model, state, log):
+@inlined
+def close_break(model: Model, state: State, log: Log) -> None:
     """Keep the state after the contacts have changed."""
-    row = log.count[1]
+    row = log.filled[1]
     _own_speeds(model, state, log.speed_after[row])
     log.configuration[row, 1] = state.counters[CONFIGURATION]
     for i in range(state.z.shape[0]):
         log.after[row, i] = state.z[i]
-    log.count[1] = row + 1
+    log.filled[1] = row + 1

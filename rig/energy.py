@@ -67,7 +67,7 @@ class Forms:
 
 
 def forms(scene: Scene, system: System, output: Array) -> Forms:
-    """Stored energy, dissipation and power of the drive as quadratic forms.
+    """Give stored energy, dissipation and power of the drive as quadratic forms.
 
     Parameters
     ----------
@@ -203,7 +203,7 @@ def _integrals(
     tables: FlowTables, quadratic: Forms, states: Array, slots: NDArray[np.int64], lengths: Array
 ) -> tuple[float, float]:
     """Integrals of power and dissipation over stretches of any length."""
-    h, size = tables.step, tables.size
+    h = tables.step
     # A stretch may be longer than a step: cut it, carrying the state along.
     work = dissipated = 0.0
     while len(states):

@@ -195,7 +195,11 @@ class FlowTables:
         arrays = {name: np.zeros((capacity, *shape)) for name, shape in self._shapes().items()}
         neighbour = np.full((capacity, max(1, self.system.dampers)), -1, dtype=np.int64)
         return Flow(
-            tabulated=self.tabulated, pointer=self._pointer, column=self._column, neighbour=neighbour, **arrays
+            tabulated=self.tabulated,
+            pointer=self._pointer,
+            column=self._column,
+            neighbour=neighbour,
+            **arrays,
         )
 
     def _grow(self) -> None:

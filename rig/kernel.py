@@ -17,26 +17,29 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numpy.typing import NDArray
 
 from rig.complementarity import ContactWork, contact_work
 from rig.contact import (
     AMBIGUOUS,
-    CEILING,
-    CONFIGURATION,
     FLIGHT,
     FLOOR,
     IN_A_ROW,
     ROUNDING,
     SLOT,
+    Log,
+    State,
     close_break,
     impact,
     open_break,
     separate,
 )
-from rig.flow import Flow
+from rig.flow import Flow, Model
+from rig.jit import compiled, inlined
 from rig.lanes import combine
 from rig.polynomial import BERNSTEIN, DEEPEST, LENGTH, NONE, first_crossing
+
+Array = NDArray[np.float64]
 
 #: Why the kernel came back.
 DONE, NEED_TABLE, LOG_FULL, STUCK = 0, 1, 2, 3
@@ -81,8 +84,8 @@ def scratch_for(flow: Flow) -> Scratch:
     )
 
 
-@njit(cache=True, _nrt=False, forceinline=True, fastmath={"contract"})
-def _expand(flow, model, slot, z, tableau):
+@inlined
+def _expand(flow: Flow, model: Model, slot: int, z: Array, tableau: Array) -> None:
     """Power series of the state over one step: tableau[k] = (A h)^k z / k!, with what the constant adds."""
     size = flow.rates_constant.shape[1]
     if flow.tabulated:
@@ -99,8 +102,8 @@ def _expand(flow, model, slot, z, tableau):
             tableau[k + 1, i] = factor * rate
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
-def _look_at_tables(flow, slot, z, known, scratch):
+@inlined
+def _look_at_tables(flow: Flow, slot: int, z: Array, known: bool, scratch: Scratch) -> None:
     """Guards' values and slopes at both ends of the step, and their bounds, from the tables."""
     size = flow.rates_constant.shape[1]
     for i in range(scratch.size.shape[0]):
@@ -111,8 +114,10 @@ def _look_at_tables(flow, slot, z, known, scratch):
     combine(flow.bound, flow.bound_constant, slot, scratch.size, size, scratch.bound)
 
 
-@njit(cache=True, _nrt=False)
-def _look_at_series(model, mode, tableau, length, value, value_new, bound):
+@compiled
+def _look_at_series(
+    model: Model, mode: Array, tableau: Array, length: float, value: Array, value_new: Array, bound: Array
+) -> None:
     """Guards' values and slopes at both ends of the step, and their bounds, from the series itself."""
     dampers = model.mass.shape[0]
     for j in range(dampers):
@@ -140,8 +145,8 @@ def _look_at_series(model, mode, tableau, length, value, value_new, bound):
         bound[dampers + j] = size
 
 
-@njit(cache=True, _nrt=False, forceinline=True, fastmath={"contract"})
-def _sum_series(tableau, tau, out):
+@inlined
+def _sum_series(tableau: Array, tau: float, out: Array) -> None:
     """State at the fraction tau of the step."""
     for r in range(0, out.shape[0], 8):
         for i in range(r, r + 8):
@@ -151,8 +156,10 @@ def _sum_series(tableau, tau, out):
                 out[i] = out[i] * tau + tableau[k, i]
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
-def _examine_flight(model, state, scratch, j, length):
+@inlined
+def _examine_flight(
+    model: Model, state: State, scratch: Scratch, j: int, length: float
+) -> tuple[float, int, int]:
     """First wall that damper j meets in flight: (fraction of the step, wall, ambiguous)."""
     series = scratch.series
     row = model.position[j]
@@ -190,8 +197,10 @@ def _examine_flight(model, state, scratch, j, length):
     return tau, wall, ambiguous
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
-def _examine_ride(flow, model, state, scratch, slot, j, length):
+@inlined
+def _examine_ride(
+    flow: Flow, model: Model, state: State, scratch: Scratch, slot: int, j: int, length: float
+) -> tuple[float, int]:
     """First instant at which the contact force of damper j falls through zero: (fraction of the step, ambiguous)."""
     series = scratch.series
     row = model.velocity[j]
@@ -205,8 +214,10 @@ def _examine_ride(flow, model, state, scratch, slot, j, length):
     return first_crossing(series, 0, ROUNDING * size, scratch.work, scratch.spans, scratch.bernstein)
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
-def _margin(value, slope, value_new, slope_new, error, multiplicity):
+@inlined
+def _margin(
+    value: float, slope: float, value_new: float, slope_new: float, error: float, multiplicity: int
+) -> float:
     """Positive if a guard with these values and slopes at both ends has no zero on (0, 1].
 
     The cubic Hermite interpolant differs from the guard by at most tau^2 (1 - tau)^2 / 24 times the bound
@@ -220,8 +231,17 @@ def _margin(value, slope, value_new, slope_new, error, multiplicity):
     return min(min(value, value + slope / 3.0), inner) - error / 384.0 if end > 0.0 else end
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
-def _first_event(flow, model, state, scratch, slot, length, duration, expanded):
+@inlined
+def _first_event(
+    flow: Flow,
+    model: Model,
+    state: State,
+    scratch: Scratch,
+    slot: int,
+    length: float,
+    duration: float,
+    expanded: bool,
+) -> tuple[float, int, int, bool]:
     """Earliest event of the step over all guards that fail the Hermite test.
 
     Returns (fraction of `length` or NONE, damper, guard, whether the tableau has been filled).
@@ -274,8 +294,8 @@ def _first_event(flow, model, state, scratch, slot, length, duration, expanded):
     return first, which, what, expanded
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
-def _fly(model, state, duration):
+@inlined
+def _fly(model: Model, state: State, duration: float) -> None:
     """Free flight of every damper in the air; the guards' multiplicities end with a motion of any length."""
     for j in range(model.mass.shape[0]):
         if state.mode[j] == FLIGHT:
@@ -284,8 +304,17 @@ def _fly(model, state, duration):
         state.multiplicity[j] = 0
 
 
-@njit(cache=True, _nrt=False, forceinline=True, fastmath={"contract"})
-def advance(flow, model, state, scratch, log, segment, elapsed, steps):
+@inlined
+def advance(
+    flow: Flow,
+    model: Model,
+    state: State,
+    scratch: Scratch,
+    log: Log,
+    segment: int,
+    elapsed: float,
+    steps: float,
+) -> tuple[int, float]:
     """Advance by `steps` step lengths (a real number), or come back earlier.
 
     Parameters
@@ -308,8 +337,8 @@ def advance(flow, model, state, scratch, log, segment, elapsed, steps):
         if slot < 0:
             return NEED_TABLE, left
         if (
-            log.count[0] + 4 * model.mass.shape[0] > log.segment.shape[0]
-            or log.count[1] == log.before.shape[0]
+            log.filled[0] + 4 * model.mass.shape[0] > log.segment.shape[0]
+            or log.filled[1] == log.before.shape[0]
         ):
             return LOG_FULL, left
         length = min(left, 1.0)

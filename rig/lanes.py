@@ -10,9 +10,11 @@ from __future__ import annotations
 from typing import Any
 
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
+
+from rig.jit import inlined
 
 #: Rows are padded to a multiple of this.
 LANES = 8
@@ -78,9 +80,9 @@ def _lane_sums(
     return signature, generate
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@inlined
 def combine(matrix: Any, constant: Any, slot: int, vector: Any, columns: int, out: Any) -> None:
-    """out = matrix[slot]^T vector + constant[slot].
+    """Out = matrix[slot]^T vector + constant[slot].
 
     Parameters
     ----------
@@ -93,6 +95,6 @@ def combine(matrix: Any, constant: Any, slot: int, vector: Any, columns: int, ou
     """
     rows = constant.shape[1]
     for row in range(0, rows, LANES):
-        _lane_sums(
+        _lane_sums(  # type: ignore[call-arg]  # numba supplies the typing context
             matrix, slot * columns * rows + row, constant, slot * rows + row, vector, columns, rows, out, row
         )

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from rig.contact import CONFIGURATION, FLIGHT, FLOOR, SLOT, Log, State, release_tensile
 from rig.errors import RunError
 from rig.flow import REACH, FlowTables
+from rig.jit import compiled, inlined
 from rig.kernel import DONE, LOG_FULL, NEED_TABLE, STUCK, Scratch, advance, scratch_for
 from rig.lanes import combine, padded
 from rig.system import Drive, System, sampled, tone
@@ -70,7 +70,7 @@ class Course:
     after_slot: NDArray[np.int64]
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@inlined
 def _keep(state: State, row: int, states: Array, slots: Array, heights: Array, modes: Array) -> None:
     slots[row] = state.counters[SLOT]
     for i in range(states.shape[1]):
@@ -80,7 +80,7 @@ def _keep(state: State, row: int, states: Array, slots: Array, heights: Array, m
         modes[row, j] = state.mode[j]
 
 
-@njit(cache=True, _nrt=False, nogil=True)
+@compiled
 def _march_samples(
     flow: Any, model: Any, state: Any, scratch: Any, log: Any, inputs: int, substeps: float, drive: Array,
     begin: int, left: float, states: Array, slots: Array, heights: Array, modes: Array,
@@ -105,7 +105,7 @@ def _march_samples(
     return DONE, drive.shape[1] - 1, -1.0
 
 
-@njit(cache=True, _nrt=False, nogil=True)
+@compiled
 def _march_marks(
     flow: Any, model: Any, state: Any, scratch: Any, log: Any, steps: Array, sample_row: Array,
     new_period: Array, level: float, begin: int, left: float, states: Array, slots: Array, heights: Array, modes: Array,
@@ -129,8 +129,10 @@ def _march_marks(
     return DONE, steps.shape[0], -1.0
 
 
-@njit(cache=True, _nrt=False)
-def _accelerations(flow: Any, first: int, states: Array, slots: Array, row: Array, out: Array) -> None:
+@compiled
+def _accelerations(
+    flow: Any, first: int, states: Array, slots: NDArray[np.int64], row: Array, out: Array
+) -> None:
     for k in range(states.shape[0]):
         if flow.tabulated:
             columns = flow.rates_constant.shape[1]
@@ -145,7 +147,7 @@ def _accelerations(flow: Any, first: int, states: Array, slots: Array, row: Arra
             out[i, k] = row[i]
 
 
-@njit(cache=True, _nrt=False)
+@compiled
 def _let_go(flow: Any, model: Any, state: Any, scratch: Any, log: Any) -> None:
     release_tensile(flow, model, state, log, 0, 0.0, scratch.contact)
 
@@ -175,7 +177,7 @@ class March:
         )
         rows = max(LOG_ROWS, 16 * dampers)
         self.log = Log(
-            count=np.zeros(2, dtype=np.int64),
+            filled=np.zeros(2, dtype=np.int64),
             segment=np.zeros(rows, dtype=np.int64),
             offset=np.zeros(rows),
             damper=np.zeros(rows, dtype=np.int64),
@@ -198,7 +200,7 @@ class March:
         """Number of decisions that lay within rounding so far."""
         return int(self.state.counters[3])
 
-    def place(self, state: Array, drive: Array) -> Array:
+    def place(self, state: Array, drive: Array) -> NDArray[np.int64]:
         """Put the system at a state with every damper on its floor; dampers whose contact would pull lift off.
 
         Returns
@@ -209,8 +211,8 @@ class March:
         self.state.z[: self.system.states] = state
         self.state.z[self.system.states : self.tables.size] = drive
         _let_go(self.tables.flow, self.tables.model, self.state, self.scratch, self.log)
-        lifted = self.log.damper[: self.log.count[0]].copy()
-        self.log.count[:] = 0
+        lifted = self.log.damper[: self.log.filled[0]].copy()
+        self.log.filled[:] = 0
         self._find_table()
         return lifted
 
@@ -279,7 +281,7 @@ class March:
         slots = np.zeros(samples, dtype=np.int64)
         heights = np.zeros((samples, dampers))
         modes = np.zeros((samples, dampers), dtype=np.int8)
-        pages: list[tuple[Array, ...]] = []
+        pages: list[tuple[Any, ...]] = []
         begin, left = 0, -1.0
         while True:
             status, begin, left = kernel(
@@ -305,9 +307,9 @@ class March:
     def _find_table(self) -> None:
         self.state.counters[SLOT] = self.tables.slot(int(self.state.counters[CONFIGURATION]))
 
-    def _page(self) -> tuple[Array, ...]:
+    def _page(self) -> tuple[Any, ...]:
         """Take what the log holds and empty it."""
-        events, breaks = self.log.count
+        events, breaks = self.log.filled
         log = self.log
         slots = [
             np.array([self.tables.slot(int(c)) for c in log.configuration[:breaks, side]], dtype=np.int64)
@@ -321,7 +323,7 @@ class March:
             *(column[:breaks].copy() for column in log[6:12]),
             *slots,
         )
-        log.count[:] = 0
+        log.filled[:] = 0
         return page
 
 
@@ -343,7 +345,9 @@ def tone_march(system: System, amplitudes: NDArray[np.complex128], omega: float)
     return March(system, tone(amplitudes, omega), step), steps
 
 
-def event_table(times: Array, damper: Array, kind: Array, speed: Array, system: System) -> NDArray[Any]:
+def event_table(
+    times: Array, damper: NDArray[np.int64], kind: NDArray[np.int64], speed: Array, system: System
+) -> NDArray[Any]:
     """Events as users see them: dampers by their number in the scene, kinds by name."""
     table = np.zeros(len(times), dtype=EVENT)
     table["time"] = times

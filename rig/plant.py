@@ -118,7 +118,7 @@ class Plant:
         if lead and len(self._lifted):
             zeros = np.zeros(len(self._lifted))
             events = np.concatenate(
-                [event_table(zeros, self._lifted, zeros.astype(int), zeros, system), events]
+                [event_table(zeros, self._lifted, zeros.astype(np.int64), zeros, system), events]
             )
         return Motion(
             first=first,

@@ -15,9 +15,12 @@ from __future__ import annotations
 from math import comb
 
 import numpy as np
-from numba import njit
+from numpy.typing import NDArray
 
+from rig.jit import compiled, inlined
 from rig.lanes import combine
+
+Array = NDArray[np.float64]
 
 DEGREE = 15
 LENGTH = DEGREE + 1
@@ -41,16 +44,16 @@ BERNSTEIN = _bernstein_matrices()
 ZEROS = np.zeros((LENGTH, LENGTH))
 
 
-@njit(cache=True, _nrt=False, fastmath={"contract"})
-def to_bernstein(series, start, out, bernstein):
+@compiled
+def to_bernstein(series: Array, start: int, out: Array, bernstein: Array) -> float:
     """Bernstein coefficients of series[start:] (degree DEGREE - start) into out; the lowest is returned."""
     degree = DEGREE - start
     combine(bernstein, ZEROS, start, series, LENGTH, out)
     return lowest_of(out, degree)
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
-def lowest_of(coefficients, degree):
+@inlined
+def lowest_of(coefficients: Array, degree: int) -> float:
     """Smallest of the first degree + 1 coefficients (two chains, because comparing has latency)."""
     even = coefficients[0]
     odd = coefficients[degree]
@@ -60,8 +63,10 @@ def lowest_of(coefficients, degree):
     return min(even, odd)
 
 
-@njit(cache=True, _nrt=False, forceinline=True, fastmath={"contract"})
-def _polish(series, start, left, right, value_left, value_right):
+@inlined
+def _polish(
+    series: Array, start: int, left: float, right: float, value_left: float, value_right: float
+) -> float:
     """Halley's iteration inside a bracket that holds exactly one root (positive at left, negative at right)."""
     tau = left + (right - left) * value_left / (value_left - value_right)
     for _ in range(100):
@@ -92,8 +97,8 @@ def _polish(series, start, left, right, value_left, value_right):
     return tau
 
 
-@njit(cache=True, _nrt=False)
-def _changes(coefficients, degree):
+@compiled
+def _changes(coefficients: Array, degree: int) -> int:
     """Sign changes in a coefficient sequence, zeros ignored."""
     changes = 0
     last = coefficients[0]
@@ -105,8 +110,8 @@ def _changes(coefficients, degree):
     return changes
 
 
-@njit(cache=True, _nrt=False)
-def _split(work, level, degree):
+@compiled
+def _split(work: Array, level: int, degree: int) -> None:
     """De Casteljau at the middle: the right half stays in work[level], the left half goes to work[level + 1]."""
     right = work[level]
     left = work[level + 1]
@@ -118,8 +123,10 @@ def _split(work, level, degree):
     # The triangle leaves right[k] = b_k^(degree - k), which is the k-th coefficient of the right half.
 
 
-@njit(cache=True, _nrt=False)
-def first_crossing(series, start, allowance, work, spans, bernstein):
+@compiled
+def first_crossing(
+    series: Array, start: int, allowance: float, work: Array, spans: Array, bernstein: Array
+) -> tuple[float, int]:
     """Find where a guard first falls below zero on (0, 1].
 
     Parameters

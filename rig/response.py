@@ -134,7 +134,9 @@ def frequency_response(
     if asked.ndim != 1 or not len(asked) or not np.isfinite(asked).all() or (asked <= 0.0).any():
         raise SceneError("frequencies: expected a list of positive, finite frequencies in Hz")
     if direction not in ("up", "down", "both"):
-        raise SceneError(f"Invalid value for direction. Allowed values are up, down and both, but got {direction!r}.")
+        raise SceneError(
+            f"Invalid value for direction. Allowed values are up, down and both, but got {direction!r}."
+        )
     level_of(scene)
     rising = np.sort(asked)
     tasks = {"up": [rising], "down": [rising[::-1]], "both": [rising, rising[::-1]]}[direction]
@@ -211,7 +213,9 @@ class _Follower:
             return self._measured(march, steps, tone.omega, frequency, 1.0, self.tolerance)
         return self._held(march, steps, tone.omega, frequency, last)
 
-    def _held(self, march: March, steps: float, omega: float, frequency: float, last: _Point | None) -> _Point:
+    def _held(
+        self, march: March, steps: float, omega: float, frequency: float, last: _Point | None
+    ) -> _Point:
         """Level at which the spring force has the amplitude asked for: a secant in the logarithms."""
         wanted = level_of(self.scene)
         level = abs(last.level) if last is not None else 1.0

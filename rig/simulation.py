@@ -161,7 +161,7 @@ def _tone_run(
 def _marks(
     duration: float, samples: int, rate: float, omega: float
 ) -> tuple[NDArray[np.longdouble], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Times of samples, period starts and the end in order, and which of them are samples or period starts."""
+    """Give the times of samples, period starts and the end in order, and which are samples or period starts."""
     sample_times = np.arange(samples, dtype=np.longdouble) / np.longdouble(rate)
     end = max(np.longdouble(duration), sample_times[-1])
     period = 2 * np.longdouble(np.pi) / np.longdouble(omega)
@@ -213,7 +213,8 @@ def _run(
     n = system.coordinates
     states = np.concatenate([first.state, course.state[keep]])
     slots = np.concatenate([first.slot, course.slot[keep]])
-    gaps, contacts = zip(gaps_and_contacts(first, system), gaps_and_contacts(course, system), strict=True)
+    gap_before, contact_before = gaps_and_contacts(first, system)
+    gap, contact = gaps_and_contacts(course, system)
     zeros = np.zeros(len(lifted))
     events = event_table(
         np.concatenate([zeros, starts[course.event_segment] + course.event_offset]),
@@ -229,8 +230,8 @@ def _run(
         displacement=np.ascontiguousarray(states[:, :n].T),
         velocity=np.ascontiguousarray(states[:, n : 2 * n].T),
         acceleration=march.accelerations(states, slots),
-        gap=np.concatenate([gaps[0], gaps[1][:, keep]], axis=1),
-        contact=np.concatenate([contacts[0], contacts[1][:, keep]], axis=1),
+        gap=np.concatenate([gap_before, gap[:, keep]], axis=1),
+        contact=np.concatenate([contact_before, contact[:, keep]], axis=1),
         events=events.astype(np.dtype(EVENT.descr, metadata={"ambiguous": march.ambiguous})),
         ambiguous=march.ambiguous,
         _books=books,

@@ -71,7 +71,9 @@ def settle(march: March, steps: float, level: float, tolerance: float, longest: 
         skipped = min(done // 4, MOST_SKIPPED)
         count = skipped + LOOK
         rows = np.arange(count) - skipped
-        course = march.over_marks(np.full(count, steps), np.maximum(rows, -1), np.ones(count, dtype=bool), level)
+        course = march.over_marks(
+            np.full(count, steps), np.maximum(rows, -1), np.ones(count, dtype=bool), level
+        )
         done += count
         changes, left = _distances(march, course)
         steady = np.flatnonzero(left < tolerance)

@@ -1,0 +1,155 @@
+"""Linear analogue stages in series, as one state space.
+
+A section is a first- or second-order circuit. Sections follow one another without loading each other; a
+disturbance (noise, offset, what a clipped output lacks) may enter in front of any of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# The name of the sections that integrate.
+INTEGRATION = "integration"
+
+
+@dataclass(frozen=True)
+class Section:
+    """A linear circuit ``x' = a x + b u``, ``y = c x + d u`` and the same as zeros, poles and gain.
+
+    Attributes
+    ----------
+    name : str
+        What it is in the words of the field.
+    a, b, c : ndarray, shapes (states, states), (states,), (states,)
+        State space; every state is a voltage, so that a limit on it means something.
+    d : float
+        Direct feedthrough.
+    zeros, poles : tuple of complex
+        Of the transfer function, rad/s.
+    gain : float
+        Factor of ``prod(s - zeros) / prod(s - poles)``.
+    """
+
+    name: str
+    a: Array
+    b: Array
+    c: Array
+    d: float
+    zeros: tuple[complex, ...]
+    poles: tuple[complex, ...]
+    gain: float
+
+    @property
+    def states(self) -> int:
+        """Number of states."""
+        return len(self.b)
+
+
+def resonance(frequency: float, q: float) -> Section:
+    """Second-order low pass ``w^2 / (s^2 + s w / q + w^2)``: a seismic mass on its piezo element.
+
+    Parameters
+    ----------
+    frequency : float
+        Undamped natural frequency, Hz.
+    q : float
+        Quality factor, the peak relative to low frequencies.
+    """
+    w = 2 * np.pi * frequency
+    roots = np.roots([1.0, w / q, w * w])
+    return Section(
+        "resonance",
+        a=np.array([[0.0, w], [-w, -w / q]]),
+        b=np.array([0.0, w]),
+        c=np.array([1.0, 0.0]),
+        d=0.0,
+        zeros=(),
+        poles=tuple(complex(root) for root in roots),
+        gain=w * w,
+    )
+
+
+def high_pass(corner: float, name: str) -> Section:
+    """First-order high pass ``s / (s + w)`` with its corner in Hz: a coupling capacitor."""
+    w = 2 * np.pi * corner
+    return Section(
+        name,
+        a=np.array([[-w]]),
+        b=np.array([w]),
+        c=np.array([-1.0]),
+        d=1.0,
+        zeros=(0j,),
+        poles=(complex(-w),),
+        gain=1.0,
+    )
+
+
+def integration(corner: float, gain: float) -> Section:
+    """Integrating stage ``gain / (s + w)``: integration above the corner [Hz], plain gain below it.
+
+    The same as a pure integrator followed by a first-order high pass at the corner. `gain` is in 1/s.
+    """
+    w = 2 * np.pi * corner
+    return Section(
+        INTEGRATION,
+        a=np.array([[-w]]),
+        b=np.array([gain]),
+        c=np.array([1.0]),
+        d=0.0,
+        zeros=(),
+        poles=(complex(-w),),
+        gain=gain,
+    )
+
+
+@dataclass(frozen=True)
+class Circuit:
+    """Sections in series.
+
+    Attributes
+    ----------
+    a : ndarray, shape (states, states)
+        State matrix.
+    b : ndarray, shape (entries, states)
+        Row i: input in front of section i; the last row, behind the last section, is zero.
+    c : ndarray, shape (states,)
+        Output row.
+    d : ndarray, shape (entries,)
+        Feedthrough from each entry to the output; the last is 1.
+
+    Examples
+    --------
+    >>> line = Circuit.series([high_pass(0.5, "low cut-off"), integration(0.0, 1.0)])
+    >>> line.a.shape, line.d
+    ((2, 2), array([0., 0., 1.]))
+    """
+
+    a: Array
+    b: Array
+    c: Array
+    d: Array
+
+    @classmethod
+    def series(cls, sections: Sequence[Section]) -> Circuit:
+        """Connect sections in the order given."""
+        first = np.cumsum([0, *(section.states for section in sections)])
+        a = np.zeros((first[-1], first[-1]))
+        b = np.zeros((len(sections) + 1, first[-1]))
+        c = np.zeros(first[-1])
+        d = np.ones(len(sections) + 1)
+        # `c` and `d` are those of the part connected so far: they feed the next section's input.
+        for i, section in enumerate(sections):
+            own = slice(first[i], first[i + 1])
+            a[own] = np.outer(section.b, c)
+            a[own, own] = section.a
+            b[: i + 1, own] = np.outer(d[: i + 1], section.b)
+            c *= section.d
+            c[own] = section.c
+            d[: i + 1] *= section.d
+        return cls(a, b, c, d)

@@ -1,0 +1,73 @@
+"""The decimation filter at work: moments of a signal in, samples out."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Decimator:
+    """The filter at work on one channel.
+
+    Parameters
+    ----------
+    taps : ndarray, shape (oversampling, MOMENTS, length)
+        From `Decimation.taps`.
+    """
+
+    def __init__(self, taps: Array) -> None:
+        self._taps = taps
+        self._pending = np.zeros(taps.shape[2])
+        self._interval = 0
+
+    def filter(self, moments: Array) -> Array:
+        """Give the samples that fall due.
+
+        Parameters
+        ----------
+        moments : ndarray, shape (intervals, MOMENTS)
+            Moments of the following intervals. The first interval of all ends at sample 0.
+
+        Returns
+        -------
+        ndarray, shape (samples,)
+            One sample for every interval that ends at one.
+        """
+        oversampling = self._taps.shape[0]
+        count = len(moments)
+        due = -(-(self._interval + count) // oversampling) - -(-self._interval // oversampling)
+        sums = np.zeros(due + self._pending.size + 1)
+        sums[: self._pending.size] = self._pending
+        _accumulate(moments, self._taps, -self._interval % oversampling, sums)
+        self._interval += count
+        self._pending = sums[due : due + self._pending.size]
+        return sums[:due]
+
+
+@njit(cache=True)
+def _accumulate(moments: Array, taps: Array, phase: int, sums: Array) -> None:
+    """Add what each interval contributes to this and the following samples.
+
+    `phase` is the number of intervals from the end of the first one to the sample it falls to; `sums` holds
+    the samples from that one on. Each contribution is a sum in one fixed order, however the intervals are
+    split.
+    """
+    sample = 0
+    for i in range(moments.shape[0]):
+        m0, m1, m2, m3 = moments[i, 0], moments[i, 1], moments[i, 2], moments[i, 3]
+        m4, m5, m6, m7 = moments[i, 4], moments[i, 5], moments[i, 6], moments[i, 7]
+        for j in range(taps.shape[2]):
+            sums[sample + j] += (
+                (m0 * taps[phase, 0, j] + m1 * taps[phase, 1, j])
+                + (m2 * taps[phase, 2, j] + m3 * taps[phase, 3, j])
+            ) + (
+                (m4 * taps[phase, 4, j] + m5 * taps[phase, 5, j])
+                + (m6 * taps[phase, 6, j] + m7 * taps[phase, 7, j])
+            )
+        if phase == 0:
+            sample += 1
+            phase = taps.shape[0]
+        phase -= 1

@@ -1,0 +1,151 @@
+"""Voltages that enter a channel besides its signal: noise, offsets, what a clipped output lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Source(Protocol):
+    """Anything that gives a voltage for every sample, in order."""
+
+    def sample(self, count: int) -> Array:
+        """Give the next samples, V."""
+
+
+class Zero:
+    """No voltage, in a place that is filled in later."""
+
+    def sample(self, count: int) -> Array:
+        """Give the next samples, V."""
+        return np.zeros(count)
+
+
+class Offset:
+    """A constant voltage from sample 0 on.
+
+    Parameters
+    ----------
+    level : float
+        V.
+    """
+
+    def __init__(self, level: float) -> None:
+        self._level = level
+
+    def sample(self, count: int) -> Array:
+        """Give the next samples, V."""
+        return np.full(count, self._level)
+
+
+class SettlingOffset:
+    """A voltage that settles exponentially from zero at sample 0, when power is switched on.
+
+    Parameters
+    ----------
+    level : float
+        In the end, V.
+    time : float
+        Time constant, s.
+    rate : float
+        Sample rate, Hz.
+
+    Examples
+    --------
+    >>> bias = SettlingOffset(10.0, 2.0, 1.0)
+    >>> bias.sample(5).round(3).tolist(), bias.sample(1).round(3).tolist()
+    ([0.0, 3.935, 6.321, 7.769, 8.647], [9.179])
+    """
+
+    def __init__(self, level: float, time: float, rate: float) -> None:
+        self._level, self._loss = level, float(-np.expm1(-1.0 / (time * rate)))
+        # What is missing to the final level.
+        self._missing = np.array([level])
+
+    def sample(self, count: int) -> Array:
+        """Give the next samples, V."""
+        samples = np.empty(count)
+        _settle(samples, self._level, self._loss, self._missing)
+        return samples
+
+
+@njit(cache=True)
+def _settle(samples: Array, level: float, loss: float, missing: Array) -> None:
+    """Fill in the samples one by one, so that they do not depend on where a block ends."""
+    for i in range(samples.size):
+        samples[i] = level - missing[0]
+        missing[0] -= loss * missing[0]
+
+
+class Disturbances:
+    """All disturbances of a channel, each constant over the interval that ends at its sample.
+
+    Parameters
+    ----------
+    sources : sequence of Source
+        The voltages.
+    direct : ndarray, shape (disturbances,)
+        Which share of each reaches the output at once.
+    oversampling : int
+        Intervals of the signal per sample.
+    wait : int
+        Samples by which what reaches the output at once is held back, so that it keeps in step with what
+        passes a filter. It does not pass the filter itself: white noise stays white up to half the sample
+        rate.
+    """
+
+    def __init__(self, sources: Sequence[Source], direct: Array, oversampling: int, wait: int) -> None:
+        self._sources, self._direct, self._oversampling = tuple(sources), direct, oversampling
+        self._interval, self._drawn = 0, 0
+        self._last = np.zeros((1, len(sources)))
+        self._waiting = np.zeros(wait)
+        self.ends = slice(0, 0, oversampling)
+
+    def hold(self, intervals: int) -> Array:
+        """Draw the disturbances of the next intervals; shape (intervals, disturbances), V."""
+        first, stop = self._interval, self._interval + intervals
+        self._interval = stop
+        self.ends = slice(-first % self._oversampling, intervals, self._oversampling)
+        if not self._sources or intervals == 0:
+            return np.zeros((intervals, len(self._sources)))
+        # The sample at which each interval ends, or which it leads up to.
+        sample = -(-np.arange(first, stop) // self._oversampling)
+        count = int(sample[-1]) + 1 - self._drawn
+        held = np.empty((count, len(self._sources)))
+        for column, source in enumerate(self._sources):
+            held[:, column] = source.sample(count)
+        if self._oversampling > 1:
+            # A sample that began in the last block goes on with what was drawn for it there.
+            drawn = np.concatenate([self._last, held])
+            held, self._last = drawn[sample - (self._drawn - 1)], drawn[-1:]
+        self._drawn += count
+        return held
+
+    def reach_output(self, held: Array) -> Array:
+        """Sum up what reaches the output at once.
+
+        Parameters
+        ----------
+        held : ndarray, shape (samples, disturbances)
+            What `hold` gave, for those intervals that end at a sample.
+
+        Returns
+        -------
+        ndarray, shape (samples,)
+            V.
+        """
+        total = np.zeros(len(held))
+        for column, share in enumerate(self._direct):
+            if share:
+                total += share * held[:, column]
+        if self._waiting.size == 0:
+            return total
+        queue = np.concatenate([self._waiting, total])
+        self._waiting = queue[len(held) :].copy()
+        return queue[: len(held)]

@@ -1,0 +1,218 @@
+"""The input of a channel between samples: acceleration as cubics joined at samples and breaks.
+
+Over a piece, from one node (a sample or a break) to the next, acceleration is the cubic that agrees with the
+motion in four ways: acceleration at both ends, change of velocity, change of displacement. Integrated twice
+it meets the motion exactly at every node; in between its error falls with the fourth power of the piece. At a
+break the jump of velocity is an impulse of acceleration. A force is straight lines between its samples.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from rig.motion import Motion
+
+Array = NDArray[np.float64]
+
+# A piece shorter than this share of the sample interval is straight instead of cubic: the rounding of the
+# displacement, divided by the square of its length, would otherwise be taken for a violent acceleration.
+STRAIGHT = 1e-4
+
+
+class Pieces(NamedTuple):
+    """Input over the sample intervals of a block; intervals that hold breaks are given in parts as well.
+
+    Attributes
+    ----------
+    start, end : ndarray, shape (intervals,)
+        Input at both ends of the interval that ends at a sample.
+    mean : ndarray, shape (intervals,)
+        Its average.
+    moment : ndarray, shape (intervals,)
+        Average of input times remaining share of the interval: 1/2 for a constant 1.
+    broken : ndarray of int64, shape (parts,)
+        Interval to which a part belongs, ascending; for these the four arrays above mean nothing.
+    length : ndarray, shape (parts,)
+        Length as a share of the interval.
+    part : ndarray, shape (4, parts)
+        Start, end, mean and moment over a part.
+    jump : ndarray, shape (parts,)
+        Impulse at the end of a part, divided by the sample interval.
+    """
+
+    start: Array
+    end: Array
+    mean: Array
+    moment: Array
+    broken: NDArray[np.int64]
+    length: Array
+    part: Array
+    jump: Array
+
+
+class MotionPieces:
+    """Cuts the motion of one point into pieces, block after block.
+
+    Parameters
+    ----------
+    row : int
+        The point's row in `Motion`.
+    rate : float
+        Samples per second.
+    """
+
+    def __init__(self, row: int, rate: float) -> None:
+        self._row = row
+        self._step = 1.0 / rate
+        # Acceleration, velocity and displacement at the last sample.
+        self._last = np.zeros(3)
+
+    def cut(self, motion: Motion) -> Pieces:
+        """Give the pieces of the next block.
+
+        Before sample 0 everything is at rest at the initial position: an initial velocity is an impulse
+        there.
+        """
+        acceleration, velocity, displacement = (
+            rows[self._row] for rows in (motion.acceleration, motion.velocity, motion.displacement)
+        )
+        samples, h = acceleration.size, self._step
+        start, mean, moment = np.empty(samples), np.empty(samples), np.empty(samples)
+        if samples == 0:
+            return Pieces(start, start, mean, moment, *no_parts(0))
+        if motion.first == 0:
+            self._last[2] = displacement[0]
+        breaks = motion.break_sample.size
+        # Each break ends a part and every broken interval has a last part more; a run begins with one.
+        broken, length, part, jump = no_parts(2 * breaks + 1)
+        count = 0
+        if motion.first == 0:
+            jump[0] = velocity[0] / h
+            count = 1
+        if breaks:
+            at_break = np.stack(
+                [
+                    motion.break_acceleration[:, self._row],
+                    motion.break_velocity[:, self._row],
+                    np.stack([motion.break_displacement[self._row]] * 2),
+                ]
+            )
+            nodes = np.empty((3, samples + 1))
+            nodes[:, 0] = self._last
+            nodes[0, 1:], nodes[1, 1:], nodes[2, 1:] = acceleration, velocity, displacement
+            interval = motion.break_sample - motion.first
+            count = _cut(interval, motion.break_offset, at_break, nodes, h, count, broken, length, part, jump)
+        _smooth(acceleration, velocity, displacement, self._last, h, start, mean, moment)
+        return Pieces(
+            start, acceleration, mean, moment, broken[:count], length[:count], part[:, :count], jump[:count]
+        )
+
+
+def no_parts(count: int) -> tuple[NDArray[np.int64], Array, Array, Array]:
+    """Make room for parts of broken intervals: number, length, part, jump."""
+    return np.zeros(count, np.int64), np.zeros(count), np.zeros((4, count)), np.zeros(count)
+
+
+class ForcePieces:
+    """Cuts a force that is given by its samples into straight lines, block after block."""
+
+    def __init__(self) -> None:
+        self._last = 0.0
+        self._fresh = True
+
+    def cut(self, force: Array) -> Pieces:
+        """Give the pieces of the next block; force is zero before sample 0 and may jump there."""
+        if force.size == 0:
+            return Pieces(force, force, force, force, *no_parts(0))
+        before = np.concatenate([[self._last], force[:-1]])
+        pieces = Pieces(
+            before,
+            force,
+            0.5 * (before + force),
+            before / 3.0 + force / 6.0,
+            *no_parts(1 if self._fresh else 0),
+        )
+        self._last, self._fresh = float(force[-1]), False
+        return pieces
+
+
+@njit(cache=True)
+def _smooth(
+    acceleration: Array,
+    velocity: Array,
+    displacement: Array,
+    last: Array,
+    h: float,
+    start: Array,
+    mean: Array,
+    moment: Array,
+) -> None:
+    """Describe every interval as if it were one piece; `last` holds the last sample, before and after."""
+    a, v, x = last[0], last[1], last[2]
+    for i in range(acceleration.size):
+        start[i] = a
+        mean[i] = (velocity[i] - v) / h
+        moment[i] = ((displacement[i] - x) / h - v) / h
+        a, v, x = acceleration[i], velocity[i], displacement[i]
+    last[0], last[1], last[2] = a, v, x
+
+
+@njit(cache=True)
+def _cut(
+    interval: NDArray[np.int64],
+    offset: Array,
+    at_break: Array,
+    nodes: Array,
+    h: float,
+    count: int,
+    broken: NDArray[np.int64],
+    length: Array,
+    part: Array,
+    jump: Array,
+) -> int:
+    """Fill in the parts of broken intervals; give their number.
+
+    `at_break` is (3, 2, breaks): acceleration, velocity and displacement, before and after. `nodes` is the
+    same at the samples, (3, 1 + samples), from the one before the block on.
+    """
+    left = np.empty(3)
+    right = np.empty(3)
+    done = 0.0
+    for b in range(interval.size):
+        k = interval[b]
+        if b == 0 or interval[b - 1] != k:
+            left[:] = nodes[:, k]
+            done = 0.0
+        right[:] = at_break[:, 0, b]
+        reached = min(max(offset[b] / h, done), 1.0)
+        _part(left, right, reached - done, h, part[:, count])
+        broken[count], length[count] = k, reached - done
+        jump[count] = (at_break[1, 1, b] - at_break[1, 0, b]) / h
+        count += 1
+        left[:] = at_break[:, 1, b]
+        done = reached
+        if b + 1 == interval.size or interval[b + 1] != k:
+            right[:] = nodes[:, k + 1]
+            _part(left, right, 1.0 - done, h, part[:, count])
+            broken[count], length[count], jump[count] = k, 1.0 - done, 0.0
+            count += 1
+    return count
+
+
+@njit(cache=True)
+def _part(left: Array, right: Array, share: float, h: float, out: Array) -> None:
+    """Describe the input between two nodes, each given by acceleration, velocity and displacement."""
+    out[0], out[1] = left[0], right[0]
+    if share == 0.0:
+        out[2], out[3] = 0.0, 0.0
+        return
+    t = share * h
+    out[2] = (right[1] - left[1]) / t
+    if share < STRAIGHT:
+        out[3] = (left[0] - right[0]) / 12.0 + 0.5 * out[2]
+    else:
+        out[3] = ((right[2] - left[2]) / t - left[1]) / t

@@ -81,50 +81,29 @@ def _keep(state: State, row: int, states: Array, slots: Array, heights: Array, m
 
 
 @compiled
-def _march_samples(
-    flow: Any, model: Any, state: Any, scratch: Any, log: Any, inputs: int, substeps: float, drive: Array,
-    begin: int, left: float, states: Array, slots: Array, heights: Array, modes: Array,
+def _march(
+    flow: Any, model: Any, state: Any, scratch: Any, log: Any, steps: Array, renew: Array, drive: Array,
+    row: NDArray[np.int64], begin: int, left: float, states: Array, slots: Array, heights: Array, modes: Array,
 ) -> tuple[int, int, float]:  # fmt: skip
-    """Sample intervals that end at drive[:, begin + 1:]; drive[:, 0] is the last sample of the time before."""
-    first = flow.rates_constant.shape[1] - 2 * inputs
-    for k in range(begin, drive.shape[1] - 1):
-        if left < 0.0:
-            for i in range(inputs):
-                state.z[first + i] = drive[i, k]
-                state.z[first + inputs + i] = drive[i, k + 1] - drive[i, k]
-            left = substeps
-        status, left = advance(flow, model, state, scratch, log, k, (substeps - left) * model.step, left)
-        if status != DONE:
-            return status, k, left
-        if state.counters[SLOT] < 0:
-            return NEED_TABLE, k, 0.0
-        for i in range(inputs):
-            state.z[first + i] = drive[i, k + 1]
-        _keep(state, k, states, slots, heights, modes)
-        left = -1.0
-    return DONE, drive.shape[1] - 1, -1.0
+    """Segments of `steps` step lengths; a segment with `renew` begins with the drive states in `drive`.
 
-
-@compiled
-def _march_marks(
-    flow: Any, model: Any, state: Any, scratch: Any, log: Any, steps: Array, sample_row: Array,
-    new_period: Array, level: float, begin: int, left: float, states: Array, slots: Array, heights: Array, modes: Array,
-) -> tuple[int, int, float]:  # fmt: skip
-    """Segments of `steps` step lengths under a tone, or without drive if `new_period` is never set."""
-    first = flow.rates_constant.shape[1] - 2
+    The state at the end of segment k is kept in row[k] unless that is negative. Comes back with the segment and
+    the steps left in it (negative: not begun) if the kernel needs something.
+    """
+    first = flow.rates_constant.shape[1] - drive.shape[1]
     for k in range(begin, steps.shape[0]):
         if left < 0.0:
             left = steps[k]
+            if renew[k]:
+                for i in range(drive.shape[1]):
+                    state.z[first + i] = drive[k, i]
         status, left = advance(flow, model, state, scratch, log, k, (steps[k] - left) * model.step, left)
         if status != DONE:
             return status, k, left
         if state.counters[SLOT] < 0:
             return NEED_TABLE, k, 0.0
-        if new_period[k]:
-            state.z[first] = level
-            state.z[first + 1] = 0.0
-        if sample_row[k] >= 0:
-            _keep(state, sample_row[k], states, slots, heights, modes)
+        if row[k] >= 0:
+            _keep(state, row[k], states, slots, heights, modes)
         left = -1.0
     return DONE, steps.shape[0], -1.0
 
@@ -242,8 +221,11 @@ class March:
 
     def over_samples(self, drive: Array, interval_steps: float) -> Course:
         """Run through the sample intervals between the columns of a sampled drive (inputs, samples + 1)."""
-        drive = np.ascontiguousarray(drive)
-        return self._run(_march_samples, (len(self.system.inputs), interval_steps, drive), drive.shape[1] - 1)
+        intervals = drive.shape[1] - 1
+        states = np.concatenate([drive[:, :-1], np.diff(drive, axis=1)]).T
+        everywhere = np.ones(intervals, dtype=bool)
+        steps = np.full(intervals, interval_steps)
+        return self._run(steps, everywhere, np.ascontiguousarray(states), np.arange(intervals))
 
     def over_marks(
         self,
@@ -261,12 +243,13 @@ class March:
         sample_row : int64 (segments,)
             Row in which to keep the state at the end of the segment, or -1.
         new_period : bool (segments,)
-            Whether a period of the drive begins at the end of the segment.
+            Whether the segment begins with a period of the drive.
         level : float
             Times the amplitudes of the tone.
         """
-        count = int(sample_row.max(initial=-1)) + 1
-        return self._run(_march_marks, (steps, sample_row, new_period, level), count)
+        phase = np.zeros((len(steps), 2))
+        phase[:, 0] = level
+        return self._run(steps, new_period, phase, sample_row)
 
     def accelerations(self, states: Array, slots: NDArray[np.int64]) -> Array:
         """Acceleration of every coordinate for states (samples, padded size), shape (coordinates, samples)."""
@@ -275,7 +258,8 @@ class March:
         _accelerations(self.tables.flow, self.system.coordinates, states, slots, row, out)
         return out
 
-    def _run(self, kernel: Any, arguments: tuple[Any, ...], samples: int) -> Course:
+    def _run(self, steps: Array, renew: NDArray[np.bool_], drive: Array, row: NDArray[np.int64]) -> Course:
+        samples = int(row.max(initial=-1)) + 1
         size, dampers = self.state.z.shape[0], self.system.dampers
         states = np.zeros((samples, size))
         slots = np.zeros(samples, dtype=np.int64)
@@ -284,9 +268,9 @@ class March:
         pages: list[tuple[Any, ...]] = []
         begin, left = 0, -1.0
         while True:
-            status, begin, left = kernel(
-                self.tables.flow, self.tables.model, self.state, self.scratch, self.log, *arguments, begin, left,
-                states, slots, heights, modes,
+            status, begin, left = _march(
+                self.tables.flow, self.tables.model, self.state, self.scratch, self.log, steps, renew, drive, row,
+                begin, left, states, slots, heights, modes,
             )  # fmt: skip
             if status == NEED_TABLE:
                 self._find_table()

@@ -150,7 +150,7 @@ def _tone_run(
     start = _whole(march)
     first = march.standing()
     durations = np.diff(times).astype(np.float64)
-    course = march.over_marks(durations / march.tables.step, np.arange(len(durations)), new_period[1:])
+    course = march.over_marks(durations / march.tables.step, np.arange(len(durations)), new_period[:-1])
     starts = times[:-1].astype(np.float64)
     begins = np.concatenate([first.state, course.state[:-1]])
     books = (scene, march.tables, start, _whole(march), course, begins, durations)

@@ -136,7 +136,7 @@ def one_cycle(march: March, steps: float, level: float, repetition: int) -> tupl
     """
     count = MARKS * repetition
     anew = np.zeros(count, dtype=bool)
-    anew[MARKS - 1 :: MARKS] = True
+    anew[::MARKS] = True
     first = march.state.z.copy()
     course = march.over_marks(np.full(count, steps / MARKS), np.arange(count), anew, level)
     return course, np.concatenate([first[None], course.state[:-1]])

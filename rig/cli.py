@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from rig.command import application, run
+from rig.errors import SceneError
+
+if TYPE_CHECKING:
+    from rig.quantities import Kind
 
 app = application("The physics of the virtual vibration rig.")
 
@@ -42,6 +50,110 @@ def schema() -> None:
     from rig.scene_schema import schema_text
 
     print(schema_text(), end="")
+
+
+@app.command()
+def explain(scene: SceneName) -> None:
+    """Say which effects a scene turns on, and how many states each adds."""
+    import rig
+
+    print(rig.explain(scene))
+
+
+@app.command()
+def simulate(
+    scene: SceneName,
+    duration: Annotated[
+        str | None,
+        typer.Option(metavar="TIME", help="How long, such as '2 s' (default: the test's duration)."),
+    ] = None,
+    rate: Annotated[
+        str, typer.Option(metavar="RATE", help="Samples of the motion, such as '5120 Hz'.")
+    ] = "5120 Hz",
+    frequency: Annotated[
+        str | None, typer.Option(metavar="F", help="A tone of this frequency at the test's level.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="FILE", help="Write the run: .npz or .csv.")
+    ] = None,
+) -> None:
+    """Simulate a scene without sensors and controller; print peaks, events and energy."""
+    import rig
+    from rig.quantities import FREQUENCY, TIME
+    from rig.run_table import check_name, duration_of, summary, write
+
+    loaded = rig.load(scene)
+    if output is not None:
+        check_name(output)
+    seconds = _quantity(duration, TIME, "--duration")
+    run = rig.simulate(
+        loaded,
+        duration_of(loaded) if seconds is None else seconds,
+        _quantity(rate, FREQUENCY, "--rate") or 0.0,
+        frequency=_quantity(frequency, FREQUENCY, "--frequency"),
+    )
+    print(summary(run))
+    if output is not None:
+        write(run, output)
+        print(f"\nwritten: {output}")
+
+
+@app.command()
+def response(
+    scene: SceneName,
+    first: Annotated[
+        str | None, typer.Option("--from", metavar="F", help="First frequency, such as '8 Hz'.")
+    ] = None,
+    last: Annotated[str | None, typer.Option("--to", metavar="F", help="Last frequency.")] = None,
+    points: Annotated[int | None, typer.Option(metavar="N", help="How many frequencies.")] = None,
+    direction: Annotated[
+        str | None, typer.Option(metavar="up|down|both", help="Order of the frequencies.")
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE.csv", help="Write the table with all digits."),
+    ] = None,
+) -> None:
+    """Steady response over frequency at the test's level; the frequencies are the test's unless told."""
+    import rig
+    from rig.quantities import FREQUENCY
+    from rig.response_table import frequencies_of, text, write
+
+    loaded = rig.load(scene)
+    ends = (_quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to"))
+    frequencies, order = frequencies_of(loaded, *ends, points, direction)
+    with _progress("following the motion") as progress:
+        result = rig.frequency_response(loaded, frequencies, direction=order, progress=progress)
+    print(text(result))
+    if output is not None:
+        write(result, output)
+        print(f"\nwritten: {output}")
+
+
+def _quantity(value: str | None, kind: Kind, name: str) -> float | None:
+    """Read an option that carries a unit; a bare number is SI."""
+    from rig.quantities import parse
+
+    if value is None:
+        return None
+    try:
+        return float(parse(value, kind))
+    except ValueError as error:
+        raise SceneError(f"{name}: {error}") from None
+
+
+@contextmanager
+def _progress(title: str) -> Iterator[Callable[[int, int], None] | None]:
+    """Show a bar while the body runs; nothing where the error output is no terminal."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(title)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 def main() -> None:

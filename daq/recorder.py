@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 # What packs best for its time: nothing shrinks float64 samples by more than a tenth, and what does not shrink
 # lz4 unpacks eight times as fast as zstd; counts shrink by a fifth under zstd.
 COMPRESSION = {"float64": "LZ4", "float32": "ZSTD", "counts": "ZSTD"}
+# Groups of samples that wait for the truth beside them before something must be wrong.
+AHEAD = 16
 # Room kept on the disk for the end of the file, whose index grows with every chunk, and for the display.
 RESERVE = 1 << 20
 RESERVE_PER_CHUNK = 256
@@ -115,6 +117,8 @@ class Recorder:
             If the disk is full or fails; the file then holds everything up to the flush before.
         """
         self._need_open()
+        if self._truth is not None and self._raw.position - self._truth.position > AHEAD * self._group:
+            raise RunError("the scene records the truth, but none is written beside the samples")
         if samples.ndim != 2 or samples.shape[0] != len(self.channels):
             raise ValueError(f"expected samples of shape ({len(self.channels)}, n), got {samples.shape}")
         counts = np.issubdtype(samples.dtype, np.integer)
@@ -196,8 +200,8 @@ class Recorder:
             error.add_note(str(another))
 
     def _need_open(self) -> None:
-        if self.closed:
-            raise RunError(f"the recording {self.path} is closed")
+        if self.closed or self._full or self._disk.failed:
+            raise RunError(f"the recording {self.path} takes no more: it has ended")
 
     # -- the beginning and the end of the file -----------------------------------------------------------
 

@@ -362,3 +362,18 @@ def test_given_a_converter_with_bits_when_recorded_then_daq_and_sensors_are_desc
         assert recording.metadata["sensor a"]["sensor.model"] == "X"
         assert json.loads(recording.metadata["daq"]["converter.bits"]) == 24
         assert recording.channels == {"a": info[0]}
+
+
+def test_given_a_recording_when_rerun_alone_loads_it_then_it_has_plots_and_the_moving_rig(tmp_path):
+    from rerun.chunk import McapReader
+
+    path = write(tmp_path / "a.mcap", noise(1500), scene(recording=ALL, **DAMPERS))
+    drawn = {}
+    for chunk in McapReader(str(path)).stream():
+        names = drawn.setdefault(str(chunk.entity_path), set())
+        names.update(str(name) for name in chunk.to_record_batch().schema.names)
+    for name in ("/display/body1", "/display/body1/rms", "/display/body2/peak"):
+        assert "Scalars:scalars" in drawn[name]
+    assert any(name.startswith("Transform3D") for name in drawn["/tf"])
+    shapes = {entity.split("/")[-2] for entity, names in drawn.items() if "Boxes3D:half_sizes" in names}
+    assert shapes == {"world", "body_1", "body_2", "body_3", "table", "damper_1"}

@@ -92,12 +92,15 @@ class Truth:
             self.chunks.append([(0, row, topics[0]), (1, damper, topics[1])])
         self._topic = register(EVENTS, EVENT_SCHEMA, {}) if dampers else 0
 
+    @property
+    def position(self) -> int:
+        """Number of the next sample."""
+        return self.streams[0].position
+
     def add(self, motion: Motion) -> None:
         """Take the next samples."""
-        if motion.first != self.streams[0].position:
-            raise ValueError(
-                f"expected the motion from sample {self.streams[0].position} on, got {motion.first}"
-            )
+        if motion.first != self.position:
+            raise ValueError(f"expected the motion from sample {self.position} on, got {motion.first}")
         parts = (motion.displacement, motion.velocity, motion.acceleration, motion.gap)
         self.streams[0].add(np.concatenate(parts))
         self.streams[1].add(motion.contact)

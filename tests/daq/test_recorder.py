@@ -344,8 +344,25 @@ def test_given_wrong_calls_when_recording_then_they_are_refused(tmp_path):
         recorder.gap(0)
     recorder.close()
     recorder.close()
-    with pytest.raises(RunError, match="closed"):
+    with pytest.raises(RunError, match="has ended"):
         recorder.write(noise(10))
+
+
+def test_given_truth_that_never_comes_when_recording_then_it_is_missed(tmp_path):
+    of = scene(recording={"truth": True})
+    with (
+        pytest.raises(RunError, match="truth"),
+        Recorder(tmp_path / "a.mcap", of, channels(), RATE) as recorder,
+    ):
+        for _ in range(40):
+            recorder.write(noise(GROUP))
+
+
+def test_given_truth_out_of_order_when_recording_then_it_is_refused(tmp_path):
+    with Recorder(tmp_path / "a.mcap", scene(recording={"truth": True}), channels(), RATE) as recorder:
+        recorder.write_truth(motion(0, 100))
+        with pytest.raises(ValueError, match="from sample 100 on"):
+            recorder.write_truth(motion(50, 100))
 
 
 def test_given_volts_where_counts_are_wanted_when_recorded_then_the_error_says_what_to_do(tmp_path):

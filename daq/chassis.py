@@ -340,16 +340,18 @@ class Chassis:
         """Hear how far the bench is behind the wall clock; too far, and its inputs have overflown."""
         if seconds < _PATIENCE:
             return False
-        for acquisition in self.running_inputs.values():
-            acquisition.stop(
-                DaqError(
-                    f"input overflow: this machine simulates the scene {seconds:.0f} s behind real time at "
-                    f"{self.rate:g} S/s; lower the rate, simplify the scene or use the fast clock",
-                    DAQmxErrors.INPUT_FIFO_OVERFLOW_2,
-                )
-            )
-        self.changed.notify_all()
+        with self.changed:
+            for acquisition in self.running_inputs.values():
+                acquisition.stop(self._overflow(seconds))
+            self.changed.notify_all()
         return True
+
+    def _overflow(self, seconds: float) -> DaqError:
+        return DaqError(
+            f"input overflow: this machine simulates the scene {seconds:.0f} s behind real time at "
+            f"{self.rate:g} S/s; lower the rate, simplify the scene or use the fast clock",
+            DAQmxErrors.INPUT_FIFO_OVERFLOW_2,
+        )
 
 
 _connected: list[Chassis] = []

@@ -1,0 +1,136 @@
+import numpy as np
+import pytest
+
+import daq
+from daq.clock import ManualClock
+from daq.constants import READ_ALL_AVAILABLE, AcquisitionType, LoggingMode, LoggingOperation, Slope
+from daq.errors import DaqError, DaqReadError
+from daq.task import Task
+
+RATE = 5120.0
+
+
+@pytest.fixture
+def chassis():
+    return daq.connect("fig8-three-dampers", clock=ManualClock())
+
+
+def logging(task, path, mode=LoggingMode.LOG_AND_READ, operation=LoggingOperation.CREATE, **timing):
+    task.ai_channels.add_ai_voltage_chan("Dev1/ai0:1")
+    task.timing.cfg_samp_clk_timing(RATE, **(timing or {"sample_mode": AcquisitionType.CONTINUOUS}))
+    task.in_stream.configure_logging(path, mode, operation=operation)
+    return task
+
+
+def test_given_logging_and_reading_when_the_task_stops_then_the_recording_holds_all_samples(
+    chassis, tmp_path
+):
+    path = tmp_path / "task.mcap"
+    with Task() as task:
+        logging(task, path)
+        task.start()
+        chassis.advance(700)
+        read = np.array(task.read(300))
+        task.stop()
+    with daq.open(path) as recording:
+        assert list(recording.channels) == ["body1", "body2"]
+        assert recording.samples == 700
+        volts = np.array(
+            [recording.read(name) * info.sensitivity for name, info in recording.channels.items()]
+        )
+        np.testing.assert_allclose(volts[:, :300], read, rtol=1e-12)
+        assert recording.gaps == []
+
+
+def test_given_an_overrun_when_logging_and_reading_then_the_gap_is_in_the_recording_in_its_place(
+    chassis, tmp_path
+):
+    path = tmp_path / "overrun.mcap"
+    with Task() as task:
+        logging(task, path)
+        task.in_stream.input_buf_size = 500
+        task.start()
+        chassis.advance(200)
+        task.read(200)
+        chassis.advance(800)
+        with pytest.raises(DaqReadError) as caught:
+            task.read(100)
+        assert caught.value.error_code == -200279
+        later = np.array(task.read(500))
+        task.stop()
+    with daq.open(path) as recording:
+        (gap,) = recording.gaps
+        assert (gap.first_sample, gap.last_sample) == (200, 499)
+        volts = recording.read("body1") * recording.channels["body1"].sensitivity
+        assert np.isnan(volts[200:500]).all()
+        np.testing.assert_allclose(volts[500:1000], later[0], rtol=1e-12)
+
+
+def test_given_logging_alone_when_samples_come_then_nothing_is_lost_and_reading_is_refused(chassis, tmp_path):
+    path = tmp_path / "alone.mcap"
+    with Task() as task:
+        logging(task, path, LoggingMode.LOG)
+        task.in_stream.input_buf_size = 500
+        task.start()
+        for _ in range(20):
+            chassis.advance(100)
+        with pytest.raises(DaqError, match="LOG_AND_READ") as caught:
+            task.read(1)
+        assert caught.value.error_code == -201301
+        task.stop()
+    with daq.open(path) as recording:
+        assert recording.samples == 2000
+        assert recording.gaps == []
+
+
+def test_given_a_reference_trigger_when_logging_then_the_recording_is_what_was_cut_out(tmp_path):
+    daq.connect("fig10b-no-damper", clock="fast")
+    path = tmp_path / "hit.mcap"
+    with Task() as task:
+        task.ai_channels.add_ai_force_iepe_chan("Dev1/ai3", "force")
+        task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=400)
+        task.triggers.reference_trigger.cfg_anlg_edge_ref_trig("force", 100, Slope.RISING, 10.0)
+        task.in_stream.configure_logging(path, operation=LoggingOperation.CREATE)
+        read = np.array(task.read(READ_ALL_AVAILABLE, timeout=20.0))
+    with daq.open(path) as recording:
+        np.testing.assert_allclose(recording.read("force"), read, rtol=1e-12)
+        assert [mark.first_sample for mark in recording.markers if mark.kind == "trigger"] == [100]
+
+
+@pytest.mark.parametrize(
+    "name, operation, hint",
+    [
+        ("old.mcap", LoggingOperation.CREATE, "CREATE_OR_REPLACE"),
+        ("old.mcap", LoggingOperation.OPEN, "cannot be appended"),
+        ("old.mcap", LoggingOperation.OPEN_OR_CREATE, "cannot be appended"),
+        ("new.mcap", LoggingOperation.OPEN, "does not exist"),
+        ("new.csv", LoggingOperation.CREATE, r"\.mcap"),
+        ("nowhere/new.mcap", LoggingOperation.CREATE, "nowhere"),
+    ],
+)
+def test_given_a_file_that_cannot_be_when_starting_then_the_error_says_what_to_do(
+    chassis, tmp_path, name, operation, hint
+):
+    (tmp_path / "old.mcap").write_bytes(b"something")
+    with Task() as task:
+        logging(task, tmp_path / name, operation=operation)
+        with pytest.raises(DaqError, match=hint):
+            task.start()
+        assert not task.is_running
+    assert (tmp_path / "old.mcap").read_bytes() == b"something"
+
+
+def test_given_a_tdms_name_when_logging_then_the_file_holds_the_readings(chassis, tmp_path):
+    nptdms = pytest.importorskip("nptdms")
+    path = tmp_path / "task.tdms"
+    for _ in range(2):
+        with Task("logged") as task:
+            logging(task, path, operation=LoggingOperation.OPEN_OR_CREATE, samps_per_chan=50)
+            task.start()
+            chassis.advance(50)
+            read = np.array(task.read(READ_ALL_AVAILABLE))
+    file = nptdms.TdmsFile.read(path)
+    assert [group.name for group in file.groups()] == ["logged", "logged #1"]
+    channel = file["logged #1"]["Dev1/ai1"]
+    assert np.array_equal(channel[:], read[1])
+    assert channel.properties["wf_increment"] == 1 / RATE

@@ -67,9 +67,9 @@ def lowest_of(coefficients: Array, degree: int) -> float:
 def _polish(
     series: Array, start: int, left: float, right: float, value_left: float, value_right: float
 ) -> float:
-    """Halley's iteration inside a bracket that holds exactly one root (positive at left, negative at right)."""
+    """Root in a bracket that holds exactly one (positive at left, negative at right): Halley, else bisection."""
     tau = left + (right - left) * value_left / (value_left - value_right)
-    for _ in range(100):
+    for _ in range(200):
         value = series[DEGREE]
         slope = 0.0
         bend = 0.0
@@ -81,18 +81,21 @@ def _polish(
             left = tau
         else:
             right = tau
-        # `bend` is half the second derivative.
-        denominator = slope * slope - value * bend
-        following = tau - value * slope / denominator if denominator > 0.0 else right
-        if left <= following <= right:
-            change = abs(following - tau)
-            tau = following
-            # Convergence is cubic: the next correction would be far below rounding.
-            if change <= 1e-6 * tau:
-                break
-        else:
-            tau = 0.5 * (left + right)
-        if right - left <= 2e-16 * right:
+        # `bend` is half the second derivative. Between two roots close together the slope vanishes, and Halley's
+        # step with it: there the bracket is halved.
+        curved = value * bend
+        following = right
+        if slope < 0.0 and abs(curved) < 0.5 * slope * slope:
+            change = -value * slope / (slope * slope - curved)
+            following = tau + change
+            if left <= following <= right:
+                tau = following
+                # Convergence is cubic: what is left is about (bend / slope)^2 change^3.
+                if (bend * change) ** 2 * abs(change) <= 1e-17 * tau * slope * slope:
+                    break
+                continue
+        tau = 0.5 * (left + right)
+        if right - left <= 4e-16 * right:
             break
     return tau
 
@@ -159,6 +162,7 @@ def first_crossing(
     if to_bernstein(series, start, work[0], bernstein) > allowance:
         return NONE, 0
     ambiguous = 0
+    touched = -1.0
     spans[0, 0] = 0.0
     spans[0, 1] = 1.0
     level = 0
@@ -166,21 +170,22 @@ def first_crossing(
         coefficients = work[level]
         left = spans[level, 0]
         right = spans[level, 1]
-        if lowest_of(coefficients, degree) > allowance:
-            level -= 1
-            continue
+        lowest = lowest_of(coefficients, degree)
         # A dip of the deflated guard counts when it is one of the guard itself, tau^start times larger.
         rounding = allowance / right**start
+        if lowest >= -rounding:
+            # No dip deeper than rounding here; what touches zero within rounding is counted, once for a dip.
+            if lowest <= allowance and right < 1.0:
+                if left != touched:
+                    ambiguous += 1
+                touched = right
+            level -= 1
+            continue
         falls = coefficients[degree] < -rounding
         if falls and coefficients[0] > allowance and _changes(coefficients, degree) == 1:
             return _polish(series, start, left, right, coefficients[0], coefficients[degree]), ambiguous
         if level >= DEEPEST or right - left < 1e-15 * max(right, 1e-3):
-            if falls:
-                return left, ambiguous
-            if right < 1.0:
-                ambiguous += 1
-            level -= 1
-            continue
+            return left, ambiguous
         middle = 0.5 * (left + right)
         _split(work, level, degree)
         spans[level, 0] = middle

@@ -1,5 +1,7 @@
 """The first crossing of a guard, against roots found in high precision and against the definition."""
 
+from itertools import pairwise
+
 import mpmath
 import numpy as np
 import pytest
@@ -77,9 +79,7 @@ def test_given_random_roots_when_searched_then_the_first_sign_change_in_reach_is
 ) -> None:
     roots = [r for r in roots if abs(r) > 1e-2]
     inside = sorted(r for r in roots if 0.0 < r <= 1.0)
-    if any(b - a < 1e-3 for a, b in zip(inside, inside[1:], strict=False)) or any(
-        abs(r - 1) < 1e-6 for r in inside
-    ):
+    if any(b - a < 1e-3 for a, b in pairwise(inside)) or any(abs(r - 1) < 1e-6 for r in inside):
         return
     coefficients = [mpmath.mpf(1)]
     for root in roots:

@@ -117,15 +117,19 @@ def read_summary(data: memoryview, file_size: int) -> Summary:
     chunk_places: dict[int, list[int]] = {}
     others: dict[int, list[Any]] = {}
     place, end = 0, len(data)
+    head, head_size = RECORD_HEAD.unpack_from, RECORD_HEAD.size
     while place < end:
-        if end - place < RECORD_HEAD.size:
+        if end - place < head_size:
             raise Damage("the summary is cut short")
-        opcode, length = RECORD_HEAD.unpack_from(data, place)
-        place += RECORD_HEAD.size
+        opcode, length = head(data, place)
+        place += head_size
         if place + length > end:
             raise Damage(f"a record in the summary claims {length} bytes")
         if opcode == CHUNK_INDEX:
-            chunk_places.setdefault(length, []).append(place)
+            if length in chunk_places:
+                chunk_places[length].append(place)
+            else:
+                chunk_places[length] = [place]
         elif opcode in (SCHEMA, CHANNEL, STATISTICS, METADATA_INDEX, ATTACHMENT_INDEX):
             found = others.setdefault(opcode, [])
             if len(found) == MOST_RECORDS:
@@ -173,12 +177,13 @@ def _chunk_table(
         arrays[name] = arrays[name].astype(np.int64)
     if not holders:
         return arrays, {}
-    held = np.concatenate([channels for channels, _ in holders])
-    chunks = rank[np.concatenate([numbers for _, numbers in holders])]
-    by_channel = np.lexsort((chunks, held))
-    known, begins = np.unique(held[by_channel], return_index=True)
-    split = np.split(chunks[by_channel], begins[1:])
-    return arrays, {channel: np.unique(part) for channel, part in zip(known.tolist(), split, strict=True)}
+    # Channel and chunk in one number, so that a single sort puts chunks in order under their channels.
+    held = np.concatenate([channels for channels, _ in holders]).astype(np.int64)
+    pairs = np.sort(held * count + rank[np.concatenate([numbers for _, numbers in holders])])
+    channel, chunk = np.divmod(pairs[np.diff(pairs, prepend=-1) > 0], count)
+    begins = np.flatnonzero(np.diff(channel, prepend=-1) > 0)
+    split = np.split(chunk, begins)[1:]
+    return arrays, dict(zip(channel[begins].tolist(), split, strict=True))
 
 
 def _chunk_indexes(data: memoryview, length: int, at: list[int]) -> NDArray[Any]:

@@ -140,8 +140,20 @@ class Replay:
         plots = [(f"channels/{quantity}", f"{quantity} [{SHOWN[quantity][1]}]") for quantity in self.groups()]
         return layout(Content(plots, dampers, self.lowest_hz, self.view.eye, self.speed))
 
-    def send(self, stream: rr.RecordingStream, progress: Progress | None = None) -> None:
-        """Send everything to a stream whose sink is set; `progress` is told the share that is done."""
+    def send(
+        self, stream: rr.RecordingStream, drain: Callable[[], object], progress: Progress | None = None
+    ) -> None:
+        """Send everything to a stream.
+
+        Parameters
+        ----------
+        stream : rerun RecordingStream
+            Its sink is set.
+        drain : callable
+            Waits until the sink has taken what was sent; called often, so that nothing piles up in memory.
+        progress : callable or None
+            Told the share that is done.
+        """
         import rerun as rr
 
         from daq.spectrum import spectrum_picture
@@ -170,6 +182,7 @@ class Replay:
             self._send_channels(stream, first, last)
             if self.motion.gaps_known:
                 self._send_dampers(stream, first, last, contacts)
+            drain()
             if progress is not None:
                 progress(0.8 * (last - self.start) / total, "channels")
         for instants, motion in self.motion.stretches(self.start, self.stop, self.step):
@@ -182,6 +195,7 @@ class Replay:
                     else rr.Transform3D.columns(translation=translation, scale=scale)
                 )
                 stream.send_columns(path, [self._times(instants)], columns)
+            drain()
             if progress is not None:
                 progress(0.8 + 0.2 * (int(instants[-1]) - self.start) / total, "motion")
 

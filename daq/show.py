@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 import tempfile
 import webbrowser
@@ -23,6 +24,9 @@ APPLICATION = "shotrig"
 # Value, time and index.
 BYTES_A_VALUE = 20
 LIGHT_GB = 2.0
+# Longest wait for a viewer or a file to take a block, and the room that a block may need.
+SINK_S = 60.0
+ROOM_BYTES = 64_000_000
 
 
 def save(replay: Replay, file: Path, progress: Progress | None = None) -> None:
@@ -36,12 +40,23 @@ def save(replay: Replay, file: Path, progress: Progress | None = None) -> None:
         If the file cannot be written.
     """
     _need_suffix(file, ".rrd", "--save")
+
+    def drain() -> None:
+        # Asked beforehand: rerun's own writer may wait for ever once the disk is full.
+        if shutil.disk_usage(file.parent).free < ROOM_BYTES:
+            raise RunError(f"cannot write {file}: the disk is full")
+        stream.flush(timeout_sec=SINK_S)
+
     with _stream() as stream:
         try:
             stream.save(file)
         except (OSError, RuntimeError) as error:
             raise RunError(f"cannot write {file}: {error}") from error
-        _fill(replay, stream, progress)
+        try:
+            _fill(replay, stream, drain, progress)
+        except BaseException:
+            file.unlink(missing_ok=True)
+            raise
 
 
 def photograph(
@@ -153,10 +168,10 @@ def _feed(replay: Replay, running: Viewer, progress: Progress | None) -> None:
     with _stream() as stream:
         stream.connect_grpc(running.url)
         try:
-            _fill(replay, stream, progress)
-        except RuntimeError:
+            _fill(replay, stream, lambda: stream.flush(timeout_sec=SINK_S), progress)
+        except RuntimeError as error:
             if running.process.poll() is None:
-                raise
+                raise RunError(f"the rerun viewer stopped taking data: {error}") from error
 
 
 @contextmanager
@@ -171,11 +186,14 @@ def _stream() -> Iterator[rr.RecordingStream]:
         stream.disconnect()
 
 
-def _fill(replay: Replay, stream: rr.RecordingStream, progress: Progress | None) -> None:
+def _fill(
+    replay: Replay, stream: rr.RecordingStream, drain: Callable[[], object], progress: Progress | None
+) -> None:
+    drain()
     # Sent as the active layout: a viewer remembers the layout of an application and would ignore a default.
     stream.send_blueprint(replay.blueprint(), make_active=True, make_default=True)
-    replay.send(stream, progress)
-    stream.flush()
+    replay.send(stream, drain, progress)
+    drain()
 
 
 def _need_suffix(file: Path, suffix: str, option: str) -> None:

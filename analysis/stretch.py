@@ -87,6 +87,7 @@ class Stretch:
             ):
                 first, last = (at / self.recording.rate for at in (gap.first_sample, gap.last_sample + 1))
                 raise RecordingError(
-                    f"{self.recording.path} lacks {first:.6g} s to {last:.6g} s of {', '.join(gap.channels)}, which "
+                    f"{self.recording.path} lacks {first:.6g} s to {last:.6g} s of "
+                    f"{', '.join(gap.channels)}, which "
                     f"{form} cannot express; export a stretch without (--from, --to), or to .csv or .npz"
                 )

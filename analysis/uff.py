@@ -19,8 +19,8 @@ KINDS = {"displacement": 8, "velocity": 11, "acceleration": 12, "force": 13}
 def write_uff(stretch: Stretch, path: Path) -> None:
     """Write a UFF file in text, with a data set 58 (time response) for each channel.
 
-    Node n is body n, direction +Z is up; table and hammer are node 0. The format rounds the sample interval to
-    six digits; the exact rate stands in the fourth line of each set.
+    Node n is body n, direction +Z is up; table and hammer are node 0. The format rounds the sample
+    interval to six digits; the exact rate stands in the fourth line of each set.
 
     Raises
     ------

@@ -132,6 +132,19 @@ def export(
     print(f"wrote {output}")
 
 
+@app.command()
+def paper(
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Where data, figures and the page go.")
+    ] = Path("paper"),
+    fresh: Annotated[list[str] | None, typer.Option(help="Compute this part again; may be repeated.")] = None,
+) -> None:
+    """Reproduce the paper's figures and judge its claims; goes on where it stopped."""
+    from analysis.paper import reproduce
+
+    reproduce(output, lambda line: print(line, flush=True), fresh or ())
+
+
 def _show(result: Result) -> None:
     for line in result.lines:
         print(line)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -49,10 +50,7 @@ def demonstrate(folder: Path, say: Callable[[str], None]) -> list[Path]:
     say("Recording two stepped sines (without and with three dampers) and two impulse tests ...")
     recordings = {name: folder / f"{name}.mcap" for name in (*SWEEPS, *IMPULSES)}
     for name, seconds in _recorded(recordings):
-        say(
-            f"  {recordings[name]}: {seconds:.0f} s of measurement, {time.monotonic() - began:.0f} s after "
-            "the start"
-        )
+        say(f"  {recordings[name]} holds {seconds:.0f} s ({time.monotonic() - began:.0f} s after the start)")
     files = list(recordings.values())
     say("Reading the recordings, and nothing else, for compliance, decay and modes ...")
     sweeps, hits = [recordings[name] for name in SWEEPS], [recordings[name] for name in IMPULSES]
@@ -82,6 +80,8 @@ def demonstrate(folder: Path, say: Callable[[str], None]) -> list[Path]:
 
 def _recorded(recordings: dict[str, Path]) -> Iterator[tuple[str, float]]:
     """Record on two cores; yield each name and the seconds it holds as it is done."""
+    # Two processes with a thread each: more threads would wait for each other on two cores.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Sweeps first: the short impulse tests fill in where a core becomes free.
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         jobs = {pool.submit(_record, name, path): name for name, path in recordings.items()}

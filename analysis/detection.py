@@ -30,6 +30,7 @@ _LEFT_OVER = 0.05
 # large one.
 _SHADOW = 0.25
 _PASSES = 12
+_EDGE_SIDES = 8
 # After a blow, a sensor's resonance is waited for during so many of its decay times; read at a random
 # phase, it shows at least this part of its amplitude nine times out of ten.
 _HOLD = 8.0
@@ -54,6 +55,8 @@ class Impacts:
         largest.
     noise : float
         That standard deviation, m/s.
+    searched : float
+        Length of the stretch searched, s.
     """
 
     channel: str
@@ -61,6 +64,7 @@ class Impacts:
     jump: Array
     threshold: float
     noise: float
+    searched: float
 
     @property
     def kind(self) -> NDArray[np.str_]:
@@ -102,15 +106,16 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
     velocity, offset = _velocity(info, samples)
     position, jumps, after, noise, threshold = _jumps(velocity, side, np.isfinite(velocity))
     time = (start + position + offset - after) / rec.rate - _delay(info)
+    searched = (samples.size - 2 * _EDGE_SIDES * side) / rec.rate
     ringing = _ringing(info)
     if ringing is None:
-        return Impacts(info.name, time, jumps, threshold, noise)
+        return Impacts(info.name, time, jumps, threshold, noise, searched)
     decay, gain = ringing
     largest = _largest_of_groups(time, jumps, _HOLD * decay)
     if info.average:
-        return Impacts(info.name, time[largest], jumps[largest], threshold, noise)
+        return Impacts(info.name, time[largest], jumps[largest], threshold, noise, searched)
     unknown = np.full(largest.size, np.nan)
-    return Impacts(info.name, time[largest], unknown, threshold / gain, noise / gain)
+    return Impacts(info.name, time[largest], unknown, threshold / gain, noise / gain, searched)
 
 
 def _velocity(info: ChannelInfo, samples: Array) -> tuple[Array, float]:
@@ -178,7 +183,7 @@ def _jumps(
     filled = np.where(good, velocity, 0.0)
     usable = np.convolve(~good, np.ones(2 * side + 1), mode="same") == 0
     # At the ends the smooth part is extrapolated, and no smaller than what is looked for.
-    usable[: 8 * side] = usable[-8 * side :] = False
+    usable[: _EDGE_SIDES * side] = usable[-_EDGE_SIDES * side :] = False
     steps = np.zeros(filled.size + 1)
     size, after = np.zeros(filled.size), np.zeros(filled.size)
     noise = threshold = 0.0

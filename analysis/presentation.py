@@ -11,6 +11,7 @@ import numpy as np
 
 from analysis.frf import Frf
 from analysis.modal import Modes, identify, mac
+from analysis.nonlinear import jumps
 from analysis.ringdown import Decay, decay
 from analysis.transfer import frequency_responses
 from rig.errors import RecordingError
@@ -90,13 +91,13 @@ def present_frf(
     files: list[Path] = []
     if len(settings) == 1:
         shown = [replace(frf, label=frf.response) for frf in curves]
-        files += save(frf_figure(shown, f"{what}: {settings[0]}", _once(exact)), stem)
+        files += save(frf_figure(shown, f"{what}: {settings[0]}", _once(exact), _marks(shown)), stem)
     else:
         for name in names:
             shown = [frf for frf in curves if frf.response == name]
             some = [frf for frf in exact if frf.response == name]
             part = stem if len(names) == 1 else stem.with_name(f"{stem.name}-{name}")
-            files += save(frf_figure(shown, f"{what} of {name}", _once(some)), part)
+            files += save(frf_figure(shown, f"{what} of {name}", _once(some), _marks(shown)), part)
     files.append(frf_table(stem.with_name(stem.name + ".csv"), curves))
     return Result(tuple(files), tuple(highest(frf) for frf in curves), tuple(notes))
 
@@ -235,6 +236,12 @@ def opened(path: Path) -> Recording:
     if not path.exists():
         raise RecordingError(f"{path}: no such file; `daq record SCENE -o {path}` would make one")
     return daq.open(path)
+
+
+def _marks(curves: Sequence[Frf]) -> list[tuple[float, str]]:
+    """Jumps of all curves, each place once."""
+    found = {(round(frequency, 6), text) for curve in curves for frequency, text in jumps(curve)}
+    return sorted(found)
 
 
 def _once(curves: Sequence[Frf]) -> list[Frf]:

@@ -57,6 +57,8 @@ def write_report(
             for path in sweeps:
                 body.append(_part(f"Modes: {path.name}", partial(present_modes, [path], folder), notes))
             commands.append(f"analysis modes {names}")
+        if len(sweeps) > 1:
+            body.append(_part("What the dampers are worth", partial(_worth, sweeps), notes))
         if decays:
             body.append(_part("Free decays", partial(present_decay, decays, folder), notes))
             commands.append(f"analysis decay {' '.join(str(path) for path in decays)}")
@@ -95,6 +97,22 @@ def _part(heading: str, make: Callable[[], Result], notes: list[str]) -> str:
             data = base64.b64encode(path.read_bytes()).decode()
             out.append(f'<figure><img alt="{escape(path.stem)}" src="data:image/png;base64,{data}"></figure>')
     return "\n".join(out)
+
+
+def _worth(paths: Sequence[Path]) -> Result:
+    """Compare the resonances of the first recording with those of the others."""
+    from analysis.merit import describe_changes, peak_changes
+    from analysis.transfer import frequency_responses
+
+    curves = []
+    for path in paths:
+        with opened(path) as rec:
+            curves.append(frequency_responses(rec)[0])
+    lines: list[str] = []
+    for other in curves[1:]:
+        lines.append(f"{curves[0][0].label} -> {other[0].label}")
+        lines += [f"  {line}" for line in describe_changes(peak_changes(curves[0], other))]
+    return Result((), tuple(lines), ())
 
 
 def _tested(path: Path, rec: Recording) -> str:

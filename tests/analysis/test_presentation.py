@@ -1,0 +1,91 @@
+from __future__ import annotations
+
+import csv
+import hashlib
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from analysis.cli import app
+from analysis.presentation import present_frf
+from analysis.report import write_report
+from rig.errors import RecordingError
+from tests.analysis import synthetic
+
+FREQUENCIES = np.linspace(8.0, 60.0, 53)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("recordings")
+    synthetic.stepped_sine(folder / "one.mcap", FREQUENCIES, noise=1e-6, name="first scene")
+    synthetic.stepped_sine(folder / "two.mcap", FREQUENCIES, noise=1e-6, seed=1, name="second scene")
+    synthetic.impulses(folder / "hit.mcap", interval=3.0, name="hit scene")
+    return folder
+
+
+def table(path):
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_given_one_recording_when_drawn_then_figures_and_table_lie_beside_it(folder):
+    result = present_frf([folder / "one.mcap"], theory=True)
+    assert [path.name for path in result.files] == ["one-frf.png", "one-frf.svg", "one-frf.csv"]
+    assert all(path.stat().st_size > 1000 for path in result.files)
+    rows = table(result.files[-1])
+    assert len(rows) == 3 * FREQUENCIES.size
+    assert rows[0]["scene"] == "first scene" and float(rows[0]["frequency_Hz"]) == 8.0
+    assert {"real m/N", "imag m/N", "phase_deg", "coherence"} <= rows[0].keys()
+
+
+def test_given_two_recordings_when_drawn_then_each_response_has_one_figure_with_both(folder, tmp_path):
+    result = present_frf([folder / "one.mcap", folder / "two.mcap"], tmp_path, channels=["body3", "body1"])
+    names = [path.name for path in result.files]
+    assert names[0] == "one+two-frf-body3.png" and names[-1] == "one+two-frf.csv"
+    drawn = (tmp_path / "one+two-frf-body3.svg").read_text()
+    assert "first scene" in drawn and "second scene" in drawn
+
+
+def test_given_the_same_recording_when_drawn_twice_then_every_byte_is_the_same(folder, tmp_path):
+    def digests(output):
+        files = present_frf([folder / "one.mcap"], output).files
+        return [hashlib.sha256(path.read_bytes()).hexdigest() for path in files]
+
+    assert digests(tmp_path / "a") == digests(tmp_path / "b")
+
+
+def test_given_recordings_when_reported_then_one_page_holds_everything(folder, tmp_path):
+    paths = [folder / "one.mcap", folder / "hit.mcap"]
+    [page] = write_report(paths, tmp_path).files
+    text = page.read_text()
+    assert [path.name for path in tmp_path.iterdir()] == [page.name]
+    for piece in (
+        "first scene",
+        "hit scene",
+        "sensitivity",
+        "data:image/png;base64,",
+        "analysis report",
+        "dB",
+    ):
+        assert piece in text
+    assert "http://" not in text and "https://" not in text
+
+
+def test_given_the_command_line_when_run_then_it_names_what_it_wrote(folder, tmp_path):
+    run = CliRunner().invoke(app, ["modes", str(folder / "one.mcap"), "-o", str(tmp_path)])
+    assert run.exit_code == 0
+    assert "13.03" in run.output and "wrote" in run.output
+    assert (tmp_path / "one-modes.png").exists()
+
+
+def test_given_a_file_that_is_not_there_when_drawn_then_the_way_to_make_it_is_told(tmp_path):
+    with pytest.raises(RecordingError, match=r"no such file; `daq record SCENE -o"):
+        present_frf([tmp_path / "none.mcap"])
+
+
+def test_given_a_file_that_is_no_recording_when_drawn_then_it_is_a_recording_error(tmp_path):
+    (tmp_path / "no.mcap").write_bytes(b"\0" * 500)
+    with pytest.raises(RecordingError):
+        present_frf([tmp_path / "no.mcap"])

@@ -8,6 +8,9 @@ from typing import Any
 # Each public name and the module it lives in; a module is imported when one of its names is first used, so
 # that `import daq` stays quick (numba alone takes longer to import than a whole impulse test takes to run).
 _HOME: dict[str, str] = {
+    "DaqError": "daq.errors",
+    "Task": "daq.task",
+    "connect": "daq.chassis",
     "Recorder": "daq.recorder",
     "Recording": "daq.recording",
     "open": "daq.recording",

@@ -91,6 +91,9 @@ class Chassis:
             scene = scene.replace(converter=scene.converter.replace(rate=rate))
         self._passed = self.elapsed if self.position else self._passed
         self._bench = Bench(scene)
+        if self.clock.runs_free:
+            # What has to be compiled is compiled before time begins to run: reads would wait for it in vain.
+            Bench(scene).acquire(np.zeros((len(self._bench.inputs), 64)))
         self._operator = Operator(self._bench)
         self.position = 0
         # The fast and the manual clock know no date; times are then counted from the bench's power-on.

@@ -71,7 +71,9 @@ class Course:
 
 
 @inlined
-def _keep(state: State, row: int, states: Array, slots: Array, heights: Array, modes: Array) -> None:
+def _keep(
+    state: State, row: int, states: Array, slots: NDArray[np.int64], heights: Array, modes: NDArray[np.int8]
+) -> None:
     slots[row] = state.counters[SLOT]
     for i in range(states.shape[1]):
         states[row, i] = state.z[i]
@@ -82,8 +84,9 @@ def _keep(state: State, row: int, states: Array, slots: Array, heights: Array, m
 
 @compiled
 def _march(
-    flow: Any, model: Any, state: Any, scratch: Any, log: Any, steps: Array, renew: Array, drive: Array,
-    row: NDArray[np.int64], begin: int, left: float, states: Array, slots: Array, heights: Array, modes: Array,
+    flow: Any, model: Any, state: Any, scratch: Any, log: Any, steps: Array, renew: NDArray[np.bool_], drive: Array,
+    row: NDArray[np.int64], begin: int, left: float, states: Array, slots: NDArray[np.int64],
+    heights: Array, modes: NDArray[np.int8],
 ) -> tuple[int, int, float]:  # fmt: skip
     """Segments of `steps` step lengths; a segment with `renew` begins with the drive states in `drive`.
 

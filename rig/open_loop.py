@@ -18,9 +18,10 @@ from rig.system import System
 
 @dataclass(frozen=True)
 class ToneDrive:
-    """Complex drive amplitude of each input, angular frequency, and the state to start from."""
+    """Complex drive amplitude of each input, frequency [Hz] and [rad/s], and the state to start from."""
 
     amplitudes: NDArray[np.complex128]
+    frequency: float
     omega: float
     state: Array
 
@@ -59,7 +60,7 @@ def tone_drive(scene: Scene, system: System, frequency: float | None = None) -> 
         table = system.points.index("table")
         state[table] = position.real
         state[system.coordinates + table] = (1j * omega * position).real
-    return ToneDrive(amplitudes, omega, state)
+    return ToneDrive(amplitudes, frequency, omega, state)
 
 
 def level_of(scene: Scene) -> float:

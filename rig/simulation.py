@@ -146,7 +146,7 @@ def _tone_run(
 ) -> Run:
     march, _ = tone_march(system, tone.amplitudes, tone.omega)
     lifted = march.place(tone.state, np.array([1.0, 0.0]))
-    times, is_sample, new_period = _marks(duration, samples, rate, tone.omega)
+    times, is_sample, new_period = _marks(duration, samples, rate, tone.frequency)
     start = _whole(march)
     first = march.standing()
     durations = np.diff(times).astype(np.float64)
@@ -159,12 +159,13 @@ def _tone_run(
 
 
 def _marks(
-    duration: float, samples: int, rate: float, omega: float
+    duration: float, samples: int, rate: float, frequency: float
 ) -> tuple[NDArray[np.longdouble], NDArray[np.bool_], NDArray[np.bool_]]:
     """Give the times of samples, period starts and the end in order, and which are samples or period starts."""
     sample_times = np.arange(samples, dtype=np.longdouble) / np.longdouble(rate)
     end = max(np.longdouble(duration), sample_times[-1])
-    period = 2 * np.longdouble(np.pi) / np.longdouble(omega)
+    # From the frequency in Hz: the rounding of omega would add up to a wrong phase over a million periods.
+    period = 1 / np.longdouble(frequency)
     periods = np.arange(1, int(end / period) + 1, dtype=np.longdouble) * period
     times, back = np.unique(np.concatenate([sample_times, periods, [end]]), return_inverse=True)
     is_sample, new_period = np.zeros(len(times), dtype=bool), np.zeros(len(times), dtype=bool)

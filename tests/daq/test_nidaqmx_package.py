@@ -3,12 +3,10 @@
 import enum
 import sys
 
+import nidaqmx
 import numpy as np
 import pytest
-
-nidaqmx = pytest.importorskip("nidaqmx")
-
-from nidaqmx.constants import (  # noqa: E402
+from nidaqmx.constants import (
     READ_ALL_AVAILABLE,
     AcquisitionType,
     LoggingMode,
@@ -17,14 +15,15 @@ from nidaqmx.constants import (  # noqa: E402
     Slope,
     TaskMode,
 )
-from nidaqmx.stream_readers import AnalogMultiChannelReader, AnalogUnscaledReader  # noqa: E402
-from nidaqmx.stream_writers import AnalogSingleChannelWriter  # noqa: E402
+from nidaqmx.stream_readers import AnalogMultiChannelReader, AnalogUnscaledReader
+from nidaqmx.stream_writers import AnalogSingleChannelWriter
 
-import daq  # noqa: E402
-from daq import constants as our_constants  # noqa: E402
-from daq import errors as our_errors  # noqa: E402
-from daq.clock import ManualClock  # noqa: E402
-from daq.interpreter import interpreter, plug_in  # noqa: E402
+import daq
+import daq.nidaqmx
+from daq import constants as our_constants
+from daq import errors as our_errors
+from daq.clock import ManualClock
+from daq.interpreter import interpreter, plug_in
 
 RATE = 5120.0
 

@@ -12,7 +12,6 @@ EXAMPLES = ["finite_read", "continuous_read", "impulse_capture", "log_to_recordi
 
 @pytest.fixture
 def script(tmp_path, monkeypatch):
-    pytest.importorskip("nidaqmx")
     monkeypatch.setattr("nidaqmx.utils._select_interpreter", sys.modules["nidaqmx"].utils._select_interpreter)
 
     def write(text):

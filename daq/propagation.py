@@ -11,13 +11,13 @@ are as good as any.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import comb, factorial
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.linalg import expm
-from scipy.special import sh_legendre
 
 from daq.circuit import Circuit
 from daq.pieces import Pieces
@@ -123,18 +123,19 @@ def discretise(
 
     to_moments = np.eye(width)
     to_moments[states : states + integrals, states : states + integrals] = _moments(integrals)
-    over_interval = to_moments @ expm(generator)[:width]
-    step = np.zeros((-(-(states + 4 + len(entries)) // 4) * 4, -(-width // 4) * 4))
-    step[:states, :width] = over_interval[:, :states].T
-    step[states : states + 4, :width] = (over_interval[:, width:] @ _CUBIC).T
-    for row, (entry, through) in enumerate(zip(entries, filtered, strict=True)):
-        # A constant voltage is one more state that never changes.
-        with_constant = np.zeros((size + 1, size + 1))
-        with_constant[:size, :size] = generator
-        with_constant[:states, size] = circuit.b[entry] * h
+    # A constant voltage is one more state that never changes.
+    constants = len(entries)
+    with_constants = np.zeros((size + constants, size + constants))
+    with_constants[:size, :size] = generator
+    for column, (entry, through) in enumerate(zip(entries, filtered, strict=True), size):
+        with_constants[:states, column] = circuit.b[entry] * h
         if through and integrals:
-            with_constant[states, size] = circuit.d[entry]
-        step[states + 4 + row, :width] = to_moments @ expm(with_constant)[:width, size]
+            with_constants[states, column] = circuit.d[entry]
+    over_interval = to_moments @ expm(with_constants)[:width]
+    step = np.zeros((-(-(states + 4 + constants) // 4) * 4, -(-width // 4) * 4))
+    step[:states, :width] = over_interval[:, :states].T
+    step[states : states + 4, :width] = (over_interval[:, width:size] @ _CUBIC).T
+    step[states + 4 : states + 4 + constants, :width] = over_interval[:, size:].T
 
     # The first three terms may do no more than bring down the input's derivatives: they do not count.
     norm = np.abs(generator).sum(axis=1).max() / PARTS**2
@@ -148,8 +149,8 @@ def discretise(
         width=width,
         step=step,
         impulse=generator[:width, width].copy(),
-        coarse=_powers(generator / PARTS),
-        fine=_powers(generator / PARTS**2),
+        coarse=_powers(expm(generator / PARTS)),
+        fine=_powers(expm(generator / PARTS**2)),
         generator=columns,
         place=np.argwhere(columns),
         terms=terms,
@@ -157,21 +158,25 @@ def discretise(
     )
 
 
-def _powers(generator: Array) -> Array:
-    """Transposed exponentials of 0 to 64 times a generator, each formed on its own."""
-    return np.ascontiguousarray(np.array([expm(k * generator).T for k in range(PARTS + 1)]))
+def _powers(matrix: Array) -> Array:
+    """Powers 0 to 64 of a matrix, transposed; each a product of few factors, so that rounding does not pile up."""
+    powers = [np.eye(len(matrix)), matrix]
+    for k in range(2, PARTS + 1):
+        powers.append(powers[k // 2] @ powers[k - k // 2])
+    return np.ascontiguousarray(np.array(powers).transpose(0, 2, 1))
 
 
 def _moments(count: int) -> Array:
-    """Matrix from repeated integrals over the unit interval to moments with the shifted Legendre polynomials.
+    """Matrix from repeated integrals over the unit interval to moments with the Legendre polynomials.
 
-    The (k+1)-fold integral weighs with u^k / k!, u being the time left; P_n(2 t - 1) = (-1)^n P_n(2 u - 1).
+    The (k+1)-fold integral weighs with u^k / k!, u being the time left, and in u the polynomial of order n is the
+    sum of (-1)^k C(n, k) C(n+k, k) u^k.
     """
     matrix = np.zeros((count, count))
     for n in range(count):
-        matrix[n, : n + 1] = (-1.0) ** n * sh_legendre(n).coeffs[::-1]
-    factorial = np.cumprod([1.0, *range(1, count)])
-    return matrix * factorial[:count]
+        for k in range(n + 1):
+            matrix[n, k] = (-1.0) ** k * comb(n, k) * comb(n + k, k) * factorial(k)
+    return matrix
 
 
 @njit(cache=True)

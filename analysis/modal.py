@@ -20,6 +20,8 @@ ComplexArray = NDArray[np.complex128]
 # alone.
 LEAST_RELATIVE_ERROR = 1e-4
 MOST_MODES = 10
+# Leakage over less than this part of half the half-power width leaves the damping ratio as it is.
+SMEARED = 0.75
 
 
 @dataclass(frozen=True)
@@ -290,11 +292,12 @@ def _with_warnings(modes: Modes, curves: Sequence[Frf], count: int | None) -> Mo
         half = zeta * f
         inside = int(np.sum(abs(frequency - f) < 2.0 * half))
         resolution = max(curve.resolution for curve in curves)
-        if resolution > 0.35 * half:
+        if resolution > SMEARED * half:
             notes.append(
                 f"{f:.4g} Hz: the resolution of {resolution:.3g} Hz smears a half-power width of "
                 f"{2 * half:.3g} Hz, so the "
-                f"damping ratio {zeta:.3%} is too high; use blocks of at least {1 / (0.35 * half):.3g} s, "
+                f"damping ratio {zeta:.3%} may be too high; use blocks of at least "
+                f"{1.5 / (SMEARED * half):.3g} s, "
                 "or burst "
                 "random, multisine or stepped sine."
             )

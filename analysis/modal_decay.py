@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import fft, signal
 
 Array = NDArray[np.float64]
+_SAME_MODE = 0.1
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,12 @@ def spectral_peaks(acceleration: Array, rate: float, most: int, low: float, high
     inside = (frequency >= low) & (frequency <= high)
     level, frequency = level[inside], frequency[inside]
     where, _ = signal.find_peaks(level, prominence=10.0, height=float(np.median(level)) + 20.0)
-    where = np.sort(where[np.argsort(level[where])[::-1][:most]])
+    kept: list[int] = []
+    for peak in where[np.argsort(level[where], kind="stable")[::-1]]:
+        # Dampers shift a mode as they come to rest; that smears or splits its peak but makes no second mode.
+        if all(abs(frequency[peak] / frequency[other] - 1.0) > _SAME_MODE for other in kept):
+            kept.append(int(peak))
+    where = np.sort(np.array(kept[:most], dtype=int))
     left, mid, right = level[where - 1], level[where], level[where + 1]
     shift = 0.5 * (left - right) / (left - 2.0 * mid + right)
     return frequency[where] + shift * (frequency[1] - frequency[0])
@@ -88,7 +94,14 @@ def band_width(frequencies: Array, index: int) -> float:
     return float(min(nearest, frequencies[index]) / 4.0)
 
 
-def modal_decay(acceleration: Array, rate: float, frequency: float, width: float, begin: int) -> ModalDecay:
+def modal_decay(
+    acceleration: Array,
+    rate: float,
+    frequency: float,
+    width: float,
+    begin: int,
+    amplitudes: Array | None = None,
+) -> ModalDecay:
     """Envelope of one mode, and its damping ratio against amplitude.
 
     A Gaussian band-pass over positive frequencies gives the analytic signal at once; a Gaussian changes an
@@ -106,6 +119,8 @@ def modal_decay(acceleration: Array, rate: float, frequency: float, width: float
         Centre and standard deviation of the band-pass, Hz.
     begin : int
         Sample at which the free decay begins.
+    amplitudes : ndarray, optional
+        Amplitudes in m/s² at which the damping ratio is wanted; omitted, every 1.5 dB down to the noise.
     """
     size = fft.next_fast_len(acceleration.size + int(8 * rate / (2 * np.pi * width)))
     spectrum = fft.fft(acceleration, size)
@@ -119,7 +134,7 @@ def modal_decay(acceleration: Array, rate: float, frequency: float, width: float
     floor = _floor(
         envelope[: max(begin - 2 * edge, 0)], envelope[usable][-max(1, envelope[usable].size // 20) :]
     )
-    amplitude, damping, error = _damping(time[usable], envelope[usable], frequency, width, floor)
+    amplitude, damping, error = _damping(time[usable], envelope[usable], frequency, width, floor, amplitudes)
     return ModalDecay(frequency, time[begin:], envelope[begin:], floor, amplitude, damping, error)
 
 
@@ -134,7 +149,7 @@ def _floor(before: Array, tail: Array) -> float:
 
 
 def _damping(
-    time: Array, envelope: Array, frequency: float, width: float, floor: float
+    time: Array, envelope: Array, frequency: float, width: float, floor: float, wanted: Array | None
 ) -> tuple[Array, Array, Array]:
     if envelope.size < 8 or envelope.max() <= 0:
         return np.empty(0), np.empty(0), np.empty(0)
@@ -142,7 +157,7 @@ def _damping(
     half = np.log(10.0) * 3.0 / 20.0
     top = logarithm.max() - half
     bottom = max(logarithm[-1] + half, np.log(floor) + half if floor > 0 else -np.inf)
-    levels = np.arange(top, bottom, -half / 2.0)
+    levels = np.arange(top, bottom, -half / 2.0) if wanted is None else np.log(wanted)
     amplitude, damping, error = [], [], []
     for level in levels:
         # From the last time above the level's upper edge to the first time below its lower edge after that.
@@ -162,6 +177,6 @@ def _damping(
         damping.append(-slope / np.hypot(omega, slope))
         error.append(spread / omega)
     # At the end the slope of noise is left; irregular damping higher up is kept, however scattered.
-    while damping and error[-1] > 0.2 * damping[-1]:
+    while wanted is None and damping and error[-1] > 0.2 * damping[-1]:
         del amplitude[-1], damping[-1], error[-1]
     return np.array(amplitude), np.array(damping), np.array(error)

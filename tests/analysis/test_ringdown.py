@@ -5,7 +5,11 @@ import pytest
 
 import analysis
 import daq
-from analysis.modal_decay import modal_decay
+import rig
+from analysis.correction import corrected
+from analysis.modal_decay import band_width, modal_decay
+from analysis.ringdown import hits
+from daq.channel import ChannelInfo
 from rig.errors import RecordingError, SceneError
 from tests.analysis import synthetic
 
@@ -86,3 +90,29 @@ def test_given_a_decay_of_a_tenth_of_a_second_when_analysed_then_it_is_too_short
         pytest.raises(RecordingError, match="too short"),
     ):
         analysis.decay(rec)
+
+
+def test_given_three_dampers_when_a_decay_is_measured_then_its_damping_is_that_of_the_true_motion(tmp_path):
+    scene = rig.load("fig10b-three-dampers")
+    test = scene.test.model_dump(exclude_none=True) | {"repeats": 1, "interval": 4.0}
+    scene = scene.replace(test=test, recording={"truth": True, "display": False})
+    with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
+        decay = analysis.decay(rec, "body2")
+        ideal = ChannelInfo("true", "body 2", "displacement", 1.0, rec.rate)
+        true = corrected(ideal, rec.truth("displacement")[1], "acceleration", 2.0, 800.0)
+        [(_, last)] = hits(rec)
+    frequencies = np.array([mode.frequency for mode in decay.modes])
+    np.testing.assert_allclose(frequencies, [12.4, 34.7, 49.0], rtol=0.05)
+    for index, mode in enumerate(decay.modes):
+        width, loud = band_width(frequencies, index), mode.amplitude > 0.02 * mode.amplitude[0]
+        at = mode.amplitude[loud]
+        expected = modal_decay(true, rec.rate, mode.frequency, width, last + 1, amplitudes=at)
+        np.testing.assert_allclose(expected.amplitude, at)
+        off = abs(mode.damping[loud] - expected.damping)
+        # Within 3 %; where the dampers stop, damping falls tenfold inside one 6 dB step, and its error bar says so.
+        cliff = mode.damping_error[loud] > 0.03 * expected.damping
+        assert np.all(off[~cliff] < 0.03 * expected.damping[~cliff])
+        assert np.all(off[cliff] < mode.damping_error[loud][cliff]) and cliff.mean() < 0.4
+    # Above g the dampers work; once all is below, the structure's own 0.5 % is left, shared with the riding masses.
+    assert max(mode.damping.max() for mode in decay.modes) > 0.02
+    assert 0.003 < decay.modes[1].small_damping() < 0.006

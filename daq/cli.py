@@ -32,7 +32,7 @@ def record(
         typer.Option(metavar="N", help="Most samples to acquire at a time; the recording stays the same."),
     ] = None,
 ) -> None:
-    """Run the test of a scene and record it."""
+    """Run the test of a scene and record it; Ctrl-C ends it early (exit code 130) and keeps what there is."""
     from daq.run_report import record_and_report
 
     path = output if output is not None else Path("recordings") / f"{Path(scene).stem}.mcap"

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.bench import Bench
+from daq.bench import Bench, Block
 from daq.excitation import Excitation, Station, excitation
 from daq.limits import Limits, Stretches
 from daq.recorder import Recorder
@@ -93,14 +93,39 @@ def record(
     if block is not None and block < 1:
         raise SceneError(f"block: got {block}; expected a number of samples, 1 at least")
     what = scene if isinstance(scene, Scene) else load(scene)
-    return _Run(what, Path(path), block, progress).run(overwrite)
+    return Run(what, Path(path), block, progress).run(overwrite)
 
 
-class _Run:
-    """One run of a test: the loop between excitation, bench and recorder."""
+class Run:
+    """One run of a test: the loop between excitation, bench and recorder.
 
-    def __init__(self, scene: Scene, path: Path, block: int | None, progress: Progress | None) -> None:
+    Parameters
+    ----------
+    scene : Scene
+        What is on the bench.
+    path : Path
+        Recording to write.
+    block : int or None
+        Most samples to acquire at a time.
+    progress : callable or None
+        Told how far the test is.
+    excite : callable
+        Makes the excitation at a station; the scene's own test unless another is given.
+    heard : callable
+        Told each block as it comes, and what the channels read in it; it may take its time.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        path: Path,
+        block: int | None = None,
+        progress: Progress | None = None,
+        excite: Callable[[Station], Excitation] = excitation,
+        heard: Callable[[Block, Array], None] = lambda block, readings: None,
+    ) -> None:
         self._path = path
+        self._excite, self._heard = excite, heard
         self._block = block
         self._bench = Bench(scene)
         self._warnings: list[str] = []
@@ -122,7 +147,7 @@ class _Run:
     def run(self, overwrite: bool) -> Path:
         """Run the test to its end and close the recording."""
         # All that can be wrong with the test shows before there is a file.
-        test = excitation(self._station)
+        test = self._excite(self._station)
         drive = next(test)
         bench, path = self._bench, self._path
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -181,6 +206,7 @@ class _Run:
             came = slice(part.stop - got.samples.shape[1], part.stop)
             readings[:, came] = self._bench.physical(got.samples)
             overload[:, came] = got.overload
+            self._heard(got, readings[:, came])
         self._station.now = first + size
         self._last = np.concatenate([self._last, drive[:, -2:]], axis=1)[:, -2:]
         self._overloads.add(first - self._bench.latency, overload)

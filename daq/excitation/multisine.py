@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _TOLERANCE, _LONGEST = 1e-3, 60.0
+_NOISE = 0.9
 
 
 def excite(station: Station, test: Multisine) -> Excitation:
@@ -90,15 +91,16 @@ def _settle(station: Station, wave: Array) -> Generator[Array, Array, bool]:
     """Play periods until one is like the one before, or until what they differ by is noise."""
     end = station.now + station.samples(_LONGEST)
     before = yield station.drive(wave)
-    change_before, level_before = np.inf, 0
+    smallest, level = np.inf, 0
     while station.now < end:
         now = yield station.drive(wave)
         size = np.sqrt(np.mean((now - now.mean(axis=1, keepdims=True)) ** 2, axis=1))
         change = float(np.max(np.sqrt(np.mean((now - before) ** 2, axis=1)) / np.maximum(size, 1e-300)))
-        ratio = min(change / change_before, 1.0) if change_before > 0 else 0.0
-        left = change * ratio / (1 - ratio) if ratio < 0.98 else np.inf
-        level_before = level_before + 1 if ratio > 0.9 else 0
-        if (np.isfinite(change_before) and left < _TOLERANCE) or level_before >= 3:
+        ratio = change / smallest if smallest > 0.0 else 0.0
+        # A transient shrinks by this ratio from period to period; noise stays.
+        level += ratio > _NOISE
+        fading = np.isfinite(smallest) and ratio < _NOISE
+        if level >= 2 or (fading and change * ratio / (1.0 - ratio) < _TOLERANCE):
             return True
-        before, change_before = now, change
+        before, smallest = now, min(smallest, change)
     return False

@@ -8,21 +8,19 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.about import about
-from daq.blueprint import TIMELINE, Content, layout
+from daq.blueprint import Content, layout
 from daq.marks import log_lines, phases
-from daq.palette import body_colour, channel_colour
 from daq.rig_motion import BLOCK, RecordedMotion
 from daq.rig_view import Extremes, RigView
+from daq.traces import Traces, plots
 from rig.errors import SceneError
 
 if TYPE_CHECKING:
     import rerun as rr
     import rerun.blueprint as rrb
 
-    from daq.channel import ChannelInfo
     from daq.recording import Recording
 
 # Instants drawn in 3D: enough for slow motion of a 50 Hz tone in a short recording, fewer in a long one.
@@ -30,15 +28,6 @@ MOST_FRAMES_PER_S = 1000.0
 LEAST_FRAMES_PER_S = 100.0
 SLOWEST_HZ = 1.0
 FRAMES = 60_000
-CONTACTS = ("flight", "floor", "ceiling", "lost")
-CONTACT_COLOURS = (0x3B82C4FF, 0x8A5A2BFF, 0xC4453BFF, 0x404040FF)
-# Quantities in the order of interest to somebody who looks at a structure, and the factor to the shown unit.
-SHOWN = {
-    "displacement": (1e3, "mm"),
-    "acceleration": (1.0, "m/s²"),
-    "velocity": (1.0, "m/s"),
-    "force": (1.0, "N"),
-}
 
 Progress = Callable[[float, str], None]
 
@@ -125,20 +114,12 @@ class Replay:
         )
         return (self.stop - self.start) * series
 
-    def groups(self) -> dict[str, list[tuple[str, ChannelInfo]]]:
-        """Channels by quantity, in the order in which they are shown."""
-        groups: dict[str, list[tuple[str, ChannelInfo]]] = {}
-        for quantity in SHOWN:
-            members = [(n, info) for n, info in self.recording.channels.items() if info.quantity == quantity]
-            if members:
-                groups[quantity] = members
-        return groups
-
     def blueprint(self) -> rrb.Blueprint:
         """Layout for this recording."""
         dampers = len(self.recording.scene.dampers) if self.motion.gaps_known else 0
-        plots = [(f"channels/{quantity}", f"{quantity} [{SHOWN[quantity][1]}]") for quantity in self.groups()]
-        return layout(Content(plots, dampers, self.lowest_hz, self.view.eye, self.speed))
+        return layout(
+            Content(plots(self.recording.channels), dampers, self.lowest_hz, self.view.eye, self.speed)
+        )
 
     def send(
         self, stream: rr.RecordingStream, drain: Callable[[], object], progress: Progress | None = None
@@ -173,96 +154,27 @@ class Replay:
             ),
             static=True,
         )
-        self._send_marks(stream)
-        self._send_styles(stream)
+        recording, dampers = self.recording, self.recording.scene.dampers if self.motion.gaps_known else ()
+        traces = Traces(stream, recording.rate, recording.channels, dampers)
+        self._send_marks(stream, traces)
         total = self.stop - self.start
-        contacts = _Changes()
         for first in range(self.start, self.stop, BLOCK):
             last = min(first + BLOCK, self.stop)
-            self._send_channels(stream, first, last)
-            if self.motion.gaps_known:
-                self._send_dampers(stream, first, last, contacts)
+            for name in recording.channels:
+                traces.channel(name, first, recording.read(name, first, last))
+            if dampers:
+                gap, contact = (recording.truth(quantity, first, last) for quantity in ("gap", "contact"))
+                traces.dampers(first, gap, contact)
             drain()
             if progress is not None:
                 progress(0.8 * (last - self.start) / total, "channels")
         for instants, motion in self.motion.stretches(self.start, self.stop, self.step):
-            if not instants.size:
-                continue
-            for path, translation, scale in self.view.moving_parts(motion):
-                columns = (
-                    rr.Transform3D.columns(translation=translation)
-                    if scale is None
-                    else rr.Transform3D.columns(translation=translation, scale=scale)
-                )
-                stream.send_columns(path, [self._times(instants)], columns)
+            traces.motion(self.view, instants, motion)
             drain()
-            if progress is not None:
+            if progress is not None and instants.size:
                 progress(0.8 + 0.2 * (int(instants[-1]) - self.start) / total, "motion")
 
-    def _times(self, samples: NDArray[np.int64]) -> rr.TimeColumn:
-        import rerun as rr
-
-        # Durations stay far below the 2^53 ns up to which a double holds every nanosecond.
-        nanoseconds = np.round(samples * (1e9 / self.recording.rate)).astype("timedelta64[ns]")
-        return rr.TimeColumn(TIMELINE, duration=nanoseconds)
-
-    def _send_styles(self, stream: rr.RecordingStream) -> None:
-        import rerun as rr
-
-        for quantity, members in self.groups().items():
-            for name, info in members:
-                style = rr.SeriesLines(
-                    colors=[channel_colour(info.at)], names=[name], widths=[1.2], aggregation_policy="MinMax"
-                )
-                stream.log(f"channels/{quantity}/{name}", style, static=True)
-        if not self.motion.gaps_known:
-            return
-        for place, damper in enumerate(self.recording.scene.dampers, start=1):
-            name = f"damper {place} (body {damper.body})"
-            style = rr.SeriesLines(
-                colors=[body_colour(damper.body)], names=[name], widths=[1.2], aggregation_policy="MinMax"
-            )
-            stream.log(f"dampers/gap_mm/damper_{place}", style, static=True)
-            lane = rr.StateConfiguration(
-                values=list(CONTACTS),
-                labels=list(CONTACTS),
-                colors=np.array(CONTACT_COLOURS, dtype=np.uint32),
-            )
-            stream.log(f"dampers/contact/damper_{place}", lane, static=True)
-
-    def _send_channels(self, stream: rr.RecordingStream, first: int, last: int) -> None:
-        import rerun as rr
-
-        times = self._times(np.arange(first, last))
-        for quantity, members in self.groups().items():
-            for name, _ in members:
-                values = self.recording.read(name, first, last) * SHOWN[quantity][0]
-                stream.send_columns(
-                    f"channels/{quantity}/{name}", [times], rr.Scalars.columns(scalars=values)
-                )
-
-    def _send_dampers(self, stream: rr.RecordingStream, first: int, last: int, contacts: _Changes) -> None:
-        import rerun as rr
-
-        samples = np.arange(first, last)
-        gap = self.recording.truth("gap", first, last) * 1e3
-        contact = self.recording.truth("contact", first, last)
-        contact = np.where(np.isnan(contact), CONTACTS.index("lost"), contact).astype(np.int8)
-        for place in range(len(self.recording.scene.dampers)):
-            stream.send_columns(
-                f"dampers/gap_mm/damper_{place + 1}",
-                [self._times(samples)],
-                rr.Scalars.columns(scalars=gap[place]),
-            )
-            places, states = contacts.of(place, contact[place])
-            if places.size:
-                stream.send_columns(
-                    f"dampers/contact/damper_{place + 1}",
-                    [self._times(samples[places])],
-                    rr.StateChange.columns(state=[CONTACTS[int(state)] for state in states]),
-                )
-
-    def _send_marks(self, stream: rr.RecordingStream) -> None:
+    def _send_marks(self, stream: rr.RecordingStream, traces: Traces) -> None:
         import rerun as rr
 
         lines = log_lines(self.recording, self.start, self.stop)
@@ -270,7 +182,7 @@ class Replay:
             text = rr.TextLog.columns(
                 text=[line.text for line in lines], level=[line.level for line in lines]
             )
-            stream.send_columns("test/marks", [self._times(np.array([line.sample for line in lines]))], text)
+            stream.send_columns("test/marks", [traces.times(np.array([line.sample for line in lines]))], text)
         spans = phases(self.recording, self.start, self.stop)
         if not spans:
             return
@@ -288,20 +200,6 @@ class Replay:
         at = np.array(sorted(changes))
         stream.send_columns(
             "test/phase",
-            [self._times(at)],
+            [traces.times(at)],
             rr.StateChange.columns(state=[changes[int(sample)] for sample in at]),
         )
-
-
-class _Changes:
-    """Finds where the contact state of each damper changes, across blocks."""
-
-    def __init__(self) -> None:
-        self._last: dict[int, int] = {}
-
-    def of(self, damper: int, contact: NDArray[np.int8]) -> tuple[NDArray[np.intp], NDArray[np.int8]]:
-        """Give the places in this block at which a new state begins, and the states."""
-        before = np.concatenate([[self._last.get(damper, -1)], contact[:-1]])
-        places = np.nonzero(contact != before)[0]
-        self._last[damper] = int(contact[-1])
-        return places, contact[places]

@@ -13,8 +13,12 @@ from nidaqmx.task.channels import _ai_channel, _ao_channel
 from nidaqmx.task.triggering import _reference_trigger, _start_trigger, _triggers
 
 from daq import errors
-from daq.devices import Device, PhysicalChannel
+from daq.devices import Device, PhysicalChannel, System
+from daq.in_stream import InStream
+from daq.out_stream import OutStream
+from daq.task import Task
 from daq.terminals import flatten
+from daq.timing import Timing
 from daq.virtual_channels import Channel
 
 
@@ -78,3 +82,182 @@ def put(target: Any, names: dict[int, str], number: int, value: Any, what: str) 
     if name is None:
         raise errors.unsupported(f"setting {what} property {number:#x}")
     setattr(target, name, value)
+
+
+def _channels(task: Task, names: str) -> Channel:
+    collection = task.ao_channels if task.kind == "ao" else task.ai_channels
+    return collection[names] if names else collection.all
+
+
+# The calls of the seam, in which `_` is the interpreter. It has one call for each type of value; the types make no
+# difference here, so they are left out of the names (get_timing_attribute_double is get_timing_attribute).
+
+
+def _get_task_attribute(_: Any, task: Task, number: int) -> Any:
+    return get(task, TASK, number, "Task")
+
+
+def _get_chan_attribute(_: Any, task: Task, channel: str, number: int) -> Any:
+    return get(_channels(task, channel), CHANNEL, number, "channel")
+
+
+def _set_chan_attribute(_: Any, task: Task, channel: str, number: int, value: Any) -> None:
+    put(_channels(task, channel), CHANNEL, number, value, "channel")
+
+
+def _get_read_attribute(_: Any, task: Task, number: int, size_hint: int = 0) -> Any:
+    if number == DEFAULT_SAMPLES:
+        return task.in_stream.default_count()
+    return get(task.in_stream, READ, number, "in_stream")
+
+
+def _set_read_attribute(_: Any, task: Task, number: int, value: Any) -> None:
+    put(task.in_stream, READ, number, value, "in_stream")
+
+
+def _reset_read_attribute(_: Any, task: Task, number: int) -> None:
+    put(
+        task.in_stream,
+        READ,
+        number,
+        getattr(InStream(task), READ.get(number, "")),
+        "in_stream",
+    )
+
+
+def _get_write_attribute(_: Any, task: Task, number: int, size_hint: int = 0) -> Any:
+    return get(task.out_stream, WRITE, number, "out_stream")
+
+
+def _set_write_attribute(_: Any, task: Task, number: int, value: Any) -> None:
+    put(task.out_stream, WRITE, number, value, "out_stream")
+
+
+def _reset_write_attribute(_: Any, task: Task, number: int) -> None:
+    put(
+        task.out_stream,
+        WRITE,
+        number,
+        getattr(OutStream(task), WRITE.get(number, "")),
+        "out_stream",
+    )
+
+
+def _buffer(task: Task, number: int) -> tuple[Any, dict[int, str]]:
+    return (task.in_stream, READ) if number in READ else (task.out_stream, WRITE)
+
+
+def _get_buffer_attribute(_: Any, task: Task, number: int) -> Any:
+    return get(*_buffer(task, number), number, "buffer")
+
+
+def _set_buffer_attribute(_: Any, task: Task, number: int, value: Any) -> None:
+    target, names = _buffer(task, number)
+    put(target, names, number, value, "buffer")
+
+
+def _get_timing_attribute(_: Any, task: Task, number: int) -> Any:
+    return get(task.timing, TIMING, number, "timing")
+
+
+def _set_timing_attribute(_: Any, task: Task, number: int, value: Any) -> None:
+    put(task.timing, TIMING, number, value, "timing")
+
+
+def _reset_timing_attribute(_: Any, task: Task, number: int) -> None:
+    put(
+        task.timing,
+        TIMING,
+        number,
+        getattr(Timing(task), TIMING.get(number, "")),
+        "timing",
+    )
+
+
+def _get_timing_attribute_ex(_: Any, task: Task, device_names: str, number: int) -> Any:
+    return _get_timing_attribute(_, task, number)
+
+
+def _set_timing_attribute_ex(_: Any, task: Task, device_names: str, number: int, value: Any) -> None:
+    _set_timing_attribute(_, task, number, value)
+
+
+def _trigger(task: Task, number: int) -> tuple[Any, dict[int, str]]:
+    for target, names in (
+        (task.triggers.start_trigger, START),
+        (task.triggers.reference_trigger, REFERENCE),
+        (task.triggers, TRIGGERS),
+    ):
+        if number in names:
+            return target, names
+    raise errors.unsupported(f"trigger property {number:#x}")
+
+
+def _get_trig_attribute(_: Any, task: Task, number: int) -> Any:
+    return get(*_trigger(task, number), number, "trigger")
+
+
+def _set_trig_attribute(_: Any, task: Task, number: int, value: Any) -> None:
+    target, names = _trigger(task, number)
+    put(target, names, number, value, "trigger")
+
+
+def _get_system_info_attribute(_: Any, number: int) -> Any:
+    name = SYSTEM.get(number, "")
+    version = {"_major_version": 0, "_minor_version": 1, "_update_version": 2}
+    if name in version:
+        return System.local().driver_version[version[name]]
+    if name != "device_names":
+        raise errors.unsupported(f"system property {name or hex(number)}")
+    return flatten(list(System.local().devices.device_names))
+
+
+def _get_device_attribute(_: Any, name: str, number: int) -> Any:
+    found = Device(name)
+    if number in AI_TERMINALS:
+        return flatten(found.ai_physical_chans.channel_names)
+    if number in AO_TERMINALS:
+        return flatten(found.ao_physical_chans.channel_names)
+    return get(found, DEVICE, number, "Device")
+
+
+def _get_physical_chan_attribute(_: Any, name: str, number: int) -> Any:
+    return get(PhysicalChannel(name), PHYSICAL, number, "PhysicalChannel")
+
+
+def _reset_device(_: Any, name: str) -> None:
+    Device(name).reset_device()
+
+
+def _self_test_device(_: Any, name: str) -> None:
+    Device(name).self_test_device()
+
+
+CALLS = {
+    call.__name__[1:]: call
+    for call in (
+        _get_task_attribute,
+        _get_chan_attribute,
+        _set_chan_attribute,
+        _get_read_attribute,
+        _set_read_attribute,
+        _reset_read_attribute,
+        _get_write_attribute,
+        _set_write_attribute,
+        _reset_write_attribute,
+        _get_buffer_attribute,
+        _set_buffer_attribute,
+        _get_timing_attribute,
+        _set_timing_attribute,
+        _reset_timing_attribute,
+        _get_timing_attribute_ex,
+        _set_timing_attribute_ex,
+        _get_trig_attribute,
+        _set_trig_attribute,
+        _get_system_info_attribute,
+        _get_device_attribute,
+        _get_physical_chan_attribute,
+        _reset_device,
+        _self_test_device,
+    )
+}

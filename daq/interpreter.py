@@ -34,20 +34,11 @@ from daq.constants import (
     Slope,
     TaskMode,
 )
-from daq.devices import Device, PhysicalChannel, System
-from daq.in_stream import InStream
-from daq.out_stream import OutStream
+from daq.devices import System
 from daq.task import Task
-from daq.terminals import flatten
-from daq.timing import Timing
 from daq.virtual_channels import Channel
 
 VERSION = "1.7.0"
-
-
-def _channels(task: Task, names: str) -> Channel:
-    collection = task.ao_channels if task.kind == "ao" else task.ai_channels
-    return collection[names] if names else collection.all
 
 
 class _EventHandler(BaseEventHandler):
@@ -275,129 +266,6 @@ class _RigDriver:
     def unregister_done_event(self, task: Task) -> None:
         task.events.register_done(None)
 
-    # Properties; the seam has one call per type of value, which `_by_type` makes of these
-
-    def get_task_attribute(self, task: Task, number: int) -> Any:
-        return properties.get(task, properties.TASK, number, "Task")
-
-    def get_chan_attribute(self, task: Task, channel: str, number: int) -> Any:
-        return properties.get(_channels(task, channel), properties.CHANNEL, number, "channel")
-
-    def set_chan_attribute(self, task: Task, channel: str, number: int, value: Any) -> None:
-        properties.put(_channels(task, channel), properties.CHANNEL, number, value, "channel")
-
-    def get_read_attribute(self, task: Task, number: int, size_hint: int = 0) -> Any:
-        if number == properties.DEFAULT_SAMPLES:
-            return task.in_stream.default_count()
-        return properties.get(task.in_stream, properties.READ, number, "in_stream")
-
-    def set_read_attribute(self, task: Task, number: int, value: Any) -> None:
-        properties.put(task.in_stream, properties.READ, number, value, "in_stream")
-
-    def reset_read_attribute(self, task: Task, number: int) -> None:
-        properties.put(
-            task.in_stream,
-            properties.READ,
-            number,
-            getattr(InStream(task), properties.READ.get(number, "")),
-            "in_stream",
-        )
-
-    def get_write_attribute(self, task: Task, number: int, size_hint: int = 0) -> Any:
-        return properties.get(task.out_stream, properties.WRITE, number, "out_stream")
-
-    def set_write_attribute(self, task: Task, number: int, value: Any) -> None:
-        properties.put(task.out_stream, properties.WRITE, number, value, "out_stream")
-
-    def reset_write_attribute(self, task: Task, number: int) -> None:
-        properties.put(
-            task.out_stream,
-            properties.WRITE,
-            number,
-            getattr(OutStream(task), properties.WRITE.get(number, "")),
-            "out_stream",
-        )
-
-    def _buffer(self, task: Task, number: int) -> tuple[Any, dict[int, str]]:
-        return (
-            (task.in_stream, properties.READ)
-            if number in properties.READ
-            else (task.out_stream, properties.WRITE)
-        )
-
-    def get_buffer_attribute(self, task: Task, number: int) -> Any:
-        return properties.get(*self._buffer(task, number), number, "buffer")
-
-    def set_buffer_attribute(self, task: Task, number: int, value: Any) -> None:
-        target, names = self._buffer(task, number)
-        properties.put(target, names, number, value, "buffer")
-
-    def get_timing_attribute(self, task: Task, number: int) -> Any:
-        return properties.get(task.timing, properties.TIMING, number, "timing")
-
-    def set_timing_attribute(self, task: Task, number: int, value: Any) -> None:
-        properties.put(task.timing, properties.TIMING, number, value, "timing")
-
-    def reset_timing_attribute(self, task: Task, number: int) -> None:
-        properties.put(
-            task.timing,
-            properties.TIMING,
-            number,
-            getattr(Timing(task), properties.TIMING.get(number, "")),
-            "timing",
-        )
-
-    def get_timing_attribute_ex(self, task: Task, device_names: str, number: int) -> Any:
-        return self.get_timing_attribute(task, number)
-
-    def set_timing_attribute_ex(self, task: Task, device_names: str, number: int, value: Any) -> None:
-        self.set_timing_attribute(task, number, value)
-
-    def _trigger(self, task: Task, number: int) -> tuple[Any, dict[int, str]]:
-        for target, names in (
-            (task.triggers.start_trigger, properties.START),
-            (task.triggers.reference_trigger, properties.REFERENCE),
-            (task.triggers, properties.TRIGGERS),
-        ):
-            if number in names:
-                return target, names
-        raise errors.unsupported(f"trigger property {number:#x}")
-
-    def get_trig_attribute(self, task: Task, number: int) -> Any:
-        return properties.get(*self._trigger(task, number), number, "trigger")
-
-    def set_trig_attribute(self, task: Task, number: int, value: Any) -> None:
-        target, names = self._trigger(task, number)
-        properties.put(target, names, number, value, "trigger")
-
-    # System
-
-    def get_system_info_attribute(self, number: int) -> Any:
-        name = properties.SYSTEM.get(number, "")
-        version = {"_major_version": 0, "_minor_version": 1, "_update_version": 2}
-        if name in version:
-            return System.local().driver_version[version[name]]
-        if name != "device_names":
-            raise errors.unsupported(f"system property {name or hex(number)}")
-        return flatten(list(System.local().devices.device_names))
-
-    def get_device_attribute(self, name: str, number: int) -> Any:
-        found = Device(name)
-        if number in properties.AI_TERMINALS:
-            return flatten(found.ai_physical_chans.channel_names)
-        if number in properties.AO_TERMINALS:
-            return flatten(found.ao_physical_chans.channel_names)
-        return properties.get(found, properties.DEVICE, number, "Device")
-
-    def get_physical_chan_attribute(self, name: str, number: int) -> Any:
-        return properties.get(PhysicalChannel(name), properties.PHYSICAL, number, "PhysicalChannel")
-
-    def reset_device(self, name: str) -> None:
-        Device(name).reset_device()
-
-    def self_test_device(self, name: str) -> None:
-        Device(name).self_test_device()
-
 
 _TYPES = (
     *("bool", "double", "double_array", "int32", "int32_array", "string", "timestamp", "uint32", "uint64"),
@@ -440,7 +308,7 @@ def _calls(wanted: Iterable[str]) -> dict[str, Any]:
     calls: dict[str, Any] = {}
     for name in wanted:
         base = next((name.removesuffix(f"_{kind}") for kind in _TYPES if name.endswith(f"_{kind}")), name)
-        found = getattr(_RigDriver, name, None) or getattr(_RigDriver, base, None)
+        found = getattr(_RigDriver, name, None) or properties.CALLS.get(name) or properties.CALLS.get(base)
         if isinstance(found, property):
             calls[name] = found
         else:

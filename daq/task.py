@@ -18,19 +18,8 @@ from numpy.typing import ArrayLike
 
 from daq.channel_collections import AIChannelCollection, AOChannelCollection
 from daq.chassis import Chassis, connected
-from daq.constants import (
-    READ_ALL_AVAILABLE,
-    EveryNSamplesEventType,
-    TaskMode,
-)
-from daq.errors import (
-    DaqError,
-    DAQmxErrors,
-    DAQmxWarnings,
-    DaqResourceWarning,
-    DaqWarning,
-    unsupported,
-)
+from daq.constants import READ_ALL_AVAILABLE, EveryNSamplesEventType, TaskMode
+from daq.errors import DaqError, DAQmxErrors, DAQmxWarnings, DaqResourceWarning, DaqWarning, unsupported
 from daq.events import Events
 from daq.in_stream import InStream
 from daq.out_stream import OutStream
@@ -188,11 +177,9 @@ class Task:
         self.events.begin()
 
     def _reserve(self) -> None:
-        resources = (
-            ("ao0",) if self.kind == "ao" else tuple(f"{name}/ai" for name in self.channels.device_names)
-        )
+        modules = tuple(f"{name}/ai" for name in self.channels.device_names)
         rate = self.timing.samp_clk_rate if self.timing.clocked else None
-        self.chassis.reserve(self, resources, rate)
+        self.chassis.reserve(self, ("ao0",) if self.kind == "ao" else modules, rate)
 
     def stop(self) -> None:
         """Stop the task; a finite one that is not done yet gives a DaqWarning (200010).
@@ -210,8 +197,7 @@ class Task:
         if early:
             warnings.warn(
                 self.warning_type(
-                    "a finite acquisition or generation was stopped before all its samples were taken or "
-                    "put out",
+                    "a finite acquisition or generation was stopped before it was complete",
                     DAQmxWarnings.STOPPED_BEFORE_DONE,
                 ),
                 stacklevel=2,
@@ -236,8 +222,7 @@ class Task:
     def close(self) -> None:
         """Stop the task and give everything back; it cannot be used again."""
         if self.is_closed:
-            warnings.warn(f"task {self.name!r} was closed already", DaqResourceWarning, stacklevel=2)
-            return
+            return warnings.warn(f"task {self.name!r} was closed already", DaqResourceWarning, stacklevel=2)
         try:
             self._stop()
         finally:

@@ -84,7 +84,7 @@ class _Tdms:
         append: bool,
     ) -> None:
         try:
-            import nptdms  # type: ignore[import-untyped]
+            import nptdms
         except ImportError:
             raise DaqError(
                 f"logging to {path} needs the package nptdms (pip install nptdms); or log to a recording: "

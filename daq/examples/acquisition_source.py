@@ -1,7 +1,7 @@
 """The rig as a source for a library that takes acquisition plug-ins, such as LDAQ.
 
-`VirtualRig` has the three methods such a library calls and the two attributes it looks at. With LDAQ
-itself, derive it from `LDAQ.acquisition_base.BaseAcquisition` and call that class's `__init__`.
+`VirtualRig` has the three methods such a library calls and the two attributes it looks at; with LDAQ itself
+see `daq.examples.ldaq_source`.
 """
 
 import numpy as np

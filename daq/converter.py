@@ -58,7 +58,7 @@ class SampleClock:
             if sheet.clock is not None:
                 slowest = sheet.clock / sheet.largest_divisor
                 # A rate that was printed with a few digits still means the one it was rounded from.
-                divisor = int(sheet.clock / rate * (1.0 + 1e-6))
+                divisor = int(sheet.clock / rate * (1.0 + 1e-4))
                 if divisor < 1:
                     raise SceneError(
                         f"converter.rate: got {rate:g} Hz; expected {slowest:g} to {sheet.clock:g} Hz, "

@@ -20,7 +20,8 @@ def rig_acquisition(scene: str, rate: float = 5120.0) -> Any:
     class RigAcquisition(BaseAcquisition):
         def __init__(self) -> None:
             super().__init__()
-            self.acquisition_name, self.task = "rig", None
+            self.acquisition_name = "rig"
+            self.task: Any = None
             self.chassis = daq.connect(scene, clock="real")
             self.sample_rate = self.chassis.coerce_rate(rate)
             self._channel_names_init = [sensor.name for sensor in self.chassis.inputs]

@@ -83,8 +83,8 @@ class Frf:
         --------
         >>> one = np.ones(1)
         >>> frf = Frf(one * 10, one * 1e-3j, one * 1e-6, one, one * 38, "body3")
-        >>> frf.to("velocity").name, round(frf.to("velocity").value[0].real, 6)
-        ('mobility', -0.062832)
+        >>> print(frf.to("velocity").name, f"{frf.to('velocity').value[0].real:.6f}")
+        mobility -0.062832
         """
         if motion not in MOTIONS:
             raise SceneError(f"unknown motion {motion!r}: expected {', '.join(MOTIONS)}")

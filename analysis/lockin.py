@@ -69,8 +69,8 @@ class LockIn:
     >>> for part in np.split(2.0 * np.cos(2 * np.pi * 10.0 * t - 0.5)[None] + 7.0, 4, axis=1):
     ...     lockin.add(part)
     >>> tone = lockin.tone()
-    >>> complex(np.round(tone.amplitude[0, 0] * np.exp(0.5j), 9))
-    (2+0j)
+    >>> print(f"{abs(tone.amplitude[0, 0]):.6f}, {np.angle(tone.amplitude[0, 0]):.6f} rad")
+    2.000000, -0.500000 rad
     """
 
     def __init__(self, frequency: float, rate: float, harmonics: int) -> None:
@@ -156,7 +156,7 @@ def parts_of_whole_periods(
     Examples
     --------
     >>> parts_of_whole_periods(0, 1000, 10.0, 1000.0, most=4)
-    [(0, 200), (200, 400), (400, 600), (600, 800)]
+    [(0, 300), (300, 600), (600, 900)]
     """
     period = rate / frequency
     periods = int((last - first + 0.5) / period)

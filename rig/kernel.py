@@ -59,6 +59,9 @@ class Scratch(NamedTuple):
     value_new: np.ndarray
     bound: np.ndarray
     contact: ContactWork
+    series_rows: np.ndarray
+    powers: np.ndarray
+    nothing: np.ndarray
     series: np.ndarray
     work: np.ndarray
     spans: np.ndarray
@@ -69,10 +72,14 @@ def scratch_for(flow: Flow) -> Scratch:
     """Allocate the work space for a flow."""
     rows = flow.propagate_constant.shape[1]
     guards = flow.guard_constant.shape[1]
+    tableau = np.zeros((LENGTH + 1, rows))
     return Scratch(
         new=np.zeros(rows),
         size=np.zeros(rows),
-        tableau=np.zeros((LENGTH + 1, rows)),
+        tableau=tableau,
+        series_rows=tableau[None],
+        powers=np.zeros(LENGTH + 1),
+        nothing=np.zeros((1, rows)),
         value=np.zeros(guards),
         value_new=np.zeros(guards),
         bound=np.zeros(guards),
@@ -146,21 +153,24 @@ def _look_at_series(
 
 
 @inlined
-def _sum_series(tableau: Array, tau: float, out: Array) -> None:
-    """State at the fraction tau of the step."""
-    for r in range(0, out.shape[0], 8):
-        for i in range(r, r + 8):
-            out[i] = tableau[LENGTH, i]
-        for k in range(LENGTH - 1, -1, -1):
-            for i in range(r, r + 8):
-                out[i] = out[i] * tau + tableau[k, i]
+def _sum_series(scratch: Scratch, tau: float, out: Array) -> None:
+    """State at the fraction tau of the step: the tableau's rows times the powers of tau."""
+    powers = scratch.powers
+    square = tau * tau
+    powers[0] = 1.0
+    powers[1] = tau
+    for k in range(2, LENGTH + 1, 2):
+        powers[k] = powers[k - 2] * square
+    for k in range(3, LENGTH + 1, 2):
+        powers[k] = powers[k - 2] * square
+    combine(scratch.series_rows, scratch.nothing, 0, powers, LENGTH + 1, out)
 
 
 @inlined
 def _examine_flight(
-    model: Model, state: State, scratch: Scratch, j: int, length: float
+    model: Model, state: State, scratch: Scratch, j: int, length: float, near_floor: bool, near_ceiling: bool
 ) -> tuple[float, int, int]:
-    """First wall that damper j meets in flight: (fraction of the step, wall, ambiguous)."""
+    """First wall that damper j meets in flight, of those it may: (fraction of the step, wall, ambiguous)."""
     series = scratch.series
     row = model.position[j]
     flown = model.step * length
@@ -173,12 +183,20 @@ def _examine_flight(
     series[2] -= 0.5 * model.gravity * flown * flown
     size = abs(state.height[j]) + flown * (abs(state.speed[j]) + model.gravity * flown)
     size += scratch.bound[model.mass.shape[0] + j]
-    tau, ambiguous = first_crossing(
-        series, max(state.multiplicity[j], 0), ROUNDING * size, scratch.work, scratch.spans, scratch.bernstein
-    )
+    tau = NONE
     wall = FLOOR_GAP
-    clearance = model.clearance[j]
-    if clearance < np.inf:
+    ambiguous = 0
+    if near_floor:
+        tau, ambiguous = first_crossing(
+            series,
+            max(state.multiplicity[j], 0),
+            ROUNDING * size,
+            scratch.work,
+            scratch.spans,
+            scratch.bernstein,
+        )
+    if near_ceiling:
+        clearance = model.clearance[j]
         for k in range(LENGTH):
             series[k] = -series[k]
         series[0] += clearance
@@ -258,7 +276,7 @@ def _first_event(
         slope_new = scratch.value_new[dampers + j] * length
         mode = state.mode[j]
         multiplicity = 0
-        room = np.inf
+        near_ceiling = False
         if mode == FLIGHT:
             fall = model.gravity * duration
             value = state.height[j] - value
@@ -267,7 +285,13 @@ def _first_event(
             slope_new = (state.speed[j] - fall) * duration - slope_new
             multiplicity = state.multiplicity[j]
             clearance = model.clearance[j]
-            room = _margin(clearance - value, -slope, clearance - value_new, -slope_new, error, -multiplicity)
+            if clearance < np.inf:
+                near_ceiling = (
+                    _margin(
+                        clearance - value, -slope, clearance - value_new, -slope_new, error, -multiplicity
+                    )
+                    <= 0.0
+                )
         elif mode == FLOOR:
             value += model.gravity
             value_new += model.gravity
@@ -276,13 +300,14 @@ def _first_event(
             slope = -slope
             value_new = -value_new - model.gravity
             slope_new = -slope_new
-        if room > 0.0 and _margin(value, slope, value_new, slope_new, error, multiplicity) > 0.0:
+        near = _margin(value, slope, value_new, slope_new, error, multiplicity) <= 0.0
+        if not (near or near_ceiling):
             continue
         if not expanded:
             _expand(flow, model, slot, state.z, scratch.tableau)
             expanded = True
         if mode == FLIGHT:
-            tau, guard, ambiguous = _examine_flight(model, state, scratch, j, length)
+            tau, guard, ambiguous = _examine_flight(model, state, scratch, j, length, near, near_ceiling)
         else:
             tau, ambiguous = _examine_ride(flow, model, state, scratch, slot, j, length)
             guard = CONTACT_FORCE
@@ -349,7 +374,7 @@ def advance(
         else:
             _expand(flow, model, slot, state.z, scratch.tableau)
             expanded = True
-            _sum_series(scratch.tableau, length, scratch.new)
+            _sum_series(scratch, length, scratch.new)
         if flow.tabulated:
             _look_at_tables(flow, slot, state.z, known, scratch)
         else:
@@ -369,7 +394,7 @@ def advance(
             continue
         known = False
         if tau > 0.0:
-            _sum_series(scratch.tableau, tau * length, scratch.new)
+            _sum_series(scratch, tau * length, scratch.new)
             for i in range(state.z.shape[0]):
                 state.z[i] = scratch.new[i]
             _fly(model, state, tau * duration)

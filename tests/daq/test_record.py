@@ -45,9 +45,9 @@ def test_given_a_scene_when_recorded_with_another_block_size_then_the_bytes_are_
 ) -> None:
     files = [
         daq.record(scene, tmp_path / f"{number}.mcap", block=block).read_bytes()
-        for number, block in enumerate((None, 37, 1000, None))
+        for number, block in enumerate((None, 101, None))
     ]
-    assert files[0] == files[1] == files[2] == files[3]
+    assert files[0] == files[1] == files[2]
 
 
 def test_given_another_seed_when_recorded_then_the_noise_is_another(tmp_path: Path) -> None:

@@ -1,0 +1,79 @@
+"""Results on disk, so that a long reproduction goes on where it stopped.
+
+Each part of the work has a name and a text that says all it depends on. Its arrays are kept under that name
+with a digest of the text; a part whose digest is there already is read, not computed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.errors import RunError
+
+Arrays = dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Part:
+    """A piece of the reproduction that can be computed on its own.
+
+    Attributes
+    ----------
+    name : str
+        File stem of its results.
+    depends : str
+        Everything that its results depend on: scenes, grids, choices.
+    compute : callable
+        Takes `arguments`, returns arrays by name; a function of a module, so that another process can run it.
+    arguments : mapping
+        What `compute` is called with.
+    title : str
+        For the progress report.
+    """
+
+    name: str
+    depends: str
+    compute: Callable[..., Arrays]
+    arguments: Mapping[str, Any]
+    title: str
+
+    @property
+    def digest(self) -> str:
+        """What the stored result must carry to be used."""
+        return hashlib.sha256(f"{version('shotrig')}\n{self.depends}".encode()).hexdigest()
+
+    def path(self, folder: Path) -> Path:
+        """File of the results."""
+        return folder / "data" / f"{self.name}.npz"
+
+    def stored(self, folder: Path) -> Arrays | None:
+        """Results from an earlier run, or None if there are none for the same inputs."""
+        try:
+            with np.load(self.path(folder), allow_pickle=False) as archive:
+                arrays = {key: archive[key] for key in archive.files}
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            # Absent, or torn by an interruption: computed anew.
+            return None
+        return arrays if str(arrays.pop("digest", "")) == self.digest else None
+
+    def run(self, folder: Path) -> None:
+        """Compute and store; the file appears when it is whole."""
+        arrays: dict[str, Any] = {**self.compute(**self.arguments), "digest": np.array(self.digest)}
+        target = self.path(folder)
+        partial = target.with_name(f"{target.stem}.partial.npz")
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            np.savez_compressed(partial, **arrays)
+            partial.replace(target)
+        except OSError as error:
+            raise RunError(
+                f"cannot write {target}: {error.strerror}; choose another place with --output"
+            ) from None

@@ -74,7 +74,7 @@ def contact_matrix(model: Any, work: ContactWork, count: int) -> None:
 
 
 @compiled
-def _solve_active(work: ContactWork, count: int) -> None:
+def close_active(work: ContactWork, count: int) -> None:
     """Pressures that close the active contacts; zero for the others. Elimination on a positive definite block."""
     block = work.block
     size = 0
@@ -130,4 +130,4 @@ def complementarity(work: ContactWork, count: int) -> None:
         if wrong < 0:
             return
         work.active[wrong] = not work.active[wrong]
-        _solve_active(work, count)
+        close_active(work, count)

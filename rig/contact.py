@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.complementarity import ROUNDING, ContactWork, complementarity, contact_matrix
+from rig.complementarity import ROUNDING, ContactWork, close_active, complementarity, contact_matrix
 from rig.flow import Flow, Model
 from rig.jit import compiled, inlined
 from rig.lanes import combine
@@ -130,18 +130,29 @@ def _forces(model: Model, state: State, force: Array) -> None:
 
 @inlined
 def _stays(model: Model, state: State, j: int, rebound: float, force: Array) -> bool:
-    """Whether a rebound is too low to be told from rest on the wall (this ends a Zeno sequence)."""
+    """Whether a rebound is too low to be told from rest on the wall: this ends a Zeno sequence.
+
+    Through a full mass matrix other contacts press or pull too. There only the size of the accelerations counts;
+    a damper that is held wrongly has no weight on its wall and is let go at once.
+    """
     row = model.position[j]
-    pull = _sign(state.mode[j]) * (force[row] * model.inverse_mass[row, row] + model.gravity)
-    size = abs(state.z[row]) + abs(state.height[j])
+    if model.coupled:
+        pull = model.gravity
+        for c in range(model.inverse_mass.shape[0]):
+            pull += abs(model.inverse_mass[row, c] * force[c])
+    else:
+        pull = _sign(state.mode[j]) * (force[row] * model.inverse_mass[row, row] + model.gravity)
+    size = 2.0 * abs(state.z[row])
+    if state.mode[j] == CEILING:
+        size += model.clearance[j]
     return pull > 0.0 and rebound * rebound < 2.0 * pull * ROUNDING * size
 
 
 @inlined
-def _land(flow: Flow, model: Model, state: State, j: int, rebound: float, force: Array) -> None:
+def _land(flow: Flow, model: Model, state: State, j: int, rebound: float) -> None:
     """Damper j, in `mode` FLOOR or CEILING by now, has been hit: it rides, or rebounds at the given speed."""
     sign = _sign(state.mode[j])
-    if rebound > 0.0 and not _stays(model, state, j, rebound, force):
+    if rebound > 0.0:
         height = state.z[model.position[j]]
         if state.mode[j] == CEILING:
             height += model.clearance[j]
@@ -185,11 +196,35 @@ def _impact_alone(
     state.mode[j] = wall
     sign = _sign(wall)
     closing = sign * (state.z[body] - state.speed[j])
+    rebound = model.restitution[j] * closing
+    if rebound > 0.0 and _stays(model, state, j, rebound, work.force):
+        rebound = 0.0
     inverse_mass = model.inverse_mass[model.position[j], model.position[j]]
-    impulse = (1.0 + model.restitution[j]) * closing / (inverse_mass + 1.0 / model.mass[j])
+    impulse = (closing + rebound) / (inverse_mass + 1.0 / model.mass[j])
     state.z[body] -= sign * impulse * inverse_mass
     _note(log, segment, offset, j, wall, closing)
-    _land(flow, model, state, j, model.restitution[j] * closing, work.force)
+    _land(flow, model, state, j, rebound)
+
+
+@compiled
+def _hold_low_lifts(model: Model, state: State, work: ContactWork, count: int) -> None:
+    """Keep contacts that an impact would open too slowly for the gap ever to be told from zero.
+
+    Two dampers coupled through the mass matrix can kick each other off their walls in ever smaller and quicker
+    turns, a Zeno sequence as of rebounds, which ends in the same way.
+    """
+    held = False
+    for a in range(count):
+        if work.active[a]:
+            continue
+        opening = work.opening[a]
+        for b in range(count):
+            opening += work.matrix[a, b] * work.pressure[b]
+        if _stays(model, state, work.member[a], opening, work.force):
+            work.active[a] = True
+            held = True
+    if held:
+        close_active(work, count)
 
 
 @compiled
@@ -218,10 +253,14 @@ def _impact_together(
         work.sign[count] = sign
         work.before[count] = state.z[model.velocity[i]]
         work.opening[count] = sign * (state.speed[i] - work.before[count]) if work.struck[count] else 0.0
-        work.right[count] = (1.0 + model.restitution[i]) * work.opening[count]
+        rebound = -model.restitution[i] * work.opening[count]
+        if rebound > 0.0 and _stays(model, state, i, rebound, work.force):
+            rebound = 0.0
+        work.right[count] = work.opening[count] - rebound
         count += 1
     contact_matrix(model, work, count)
     complementarity(work, count)
+    _hold_low_lifts(model, state, work, count)
     for a in range(count):
         column = model.position[work.member[a]]
         for row in range(model.inverse_mass.shape[0]):
@@ -234,10 +273,10 @@ def _impact_together(
             _note(log, segment, offset, i, state.mode[i], -work.opening[a])
             own = state.speed[i] + work.sign[a] * work.pressure[a] / model.mass[i]
             rebound = work.sign[a] * (own - body)
-            if model.restitution[i] == 0.0 and work.pressure[a] > 0.0:
+            if work.active[a] and work.right[a] == work.opening[a]:
                 rebound = 0.0
-            _land(flow, model, state, i, rebound, work.force)
-        elif work.pressure[a] == 0.0:
+            _land(flow, model, state, i, rebound)
+        elif not work.active[a]:
             opening = work.sign[a] * (work.before[a] - body)
             if opening > ROUNDING * (abs(work.before[a]) + abs(body)):
                 _lift(flow, model, state, i, work.before[a], 1)

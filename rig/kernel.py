@@ -337,15 +337,18 @@ def advance(
     scratch: Scratch,
     log: Log,
     segment: int,
-    elapsed: float,
     steps: float,
+    left: float,
 ) -> tuple[int, float]:
-    """Advance by `steps` step lengths (a real number), or come back earlier.
+    """Advance to the end of a segment of `steps` step lengths (a real number), or come back earlier.
 
     Parameters
     ----------
-    segment, elapsed : int, float
-        Labels for the log: events get `segment` and their time since `elapsed` = 0, in seconds.
+    segment : int
+        Label for the log: events get it, and their time since the start of the segment in seconds.
+    steps, left : float
+        Step lengths in the segment, and how many of them are still to go. The times of events are made of both,
+        so that they have the same bits wherever the kernel came back in between.
 
     Returns
     -------
@@ -355,7 +358,6 @@ def advance(
         Steps still to go.
     """
     columns = flow.rates_constant.shape[1]
-    left = steps
     known = False
     while left > 0.0:
         slot = state.counters[SLOT]
@@ -404,7 +406,7 @@ def advance(
             state.counters[IN_A_ROW] += 1
             if state.counters[IN_A_ROW] > EVENTS_AT_ONE_INSTANT * model.mass.shape[0]:
                 return STUCK, left
-        offset = elapsed + (steps - left) * model.step
+        offset = (steps - left) * model.step
         open_break(model, state, log, segment, offset)
         if guard == CONTACT_FORCE:
             separate(flow, model, state, log, segment, offset, j, 3)

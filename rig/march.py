@@ -100,7 +100,7 @@ def _march(
             if renew[k]:
                 for i in range(drive.shape[1]):
                     state.z[first + i] = drive[k, i]
-        status, left = advance(flow, model, state, scratch, log, k, (steps[k] - left) * model.step, left)
+        status, left = advance(flow, model, state, scratch, log, k, steps[k], left)
         if status != DONE:
             return status, k, left
         if state.counters[SLOT] < 0:

@@ -1,13 +1,12 @@
 """The chassis on the bench: one sample clock, the modules on it, and the tasks that run on them.
 
-`connect` puts a chassis in front of a scene: an input for every channel (the hammer's force among them,
-where the scene has one) and an output, `ao0`, that goes to the shaker amplifier. The bench's time is
-counted in samples of that one clock, so that whatever runs together is simultaneous to the sample, and what
-is written to the output acts on the samples read from the inputs as through the plant.
+`connect` puts a chassis in front of a scene: an input for every channel (the hammer's force among them) and
+an output, `ao0`, to the shaker amplifier. Time is counted in samples of that one clock: what runs together is
+simultaneous to the sample, and the output acts on the inputs through the plant.
 
 What an output volt does depends on the shaker: a volt at the amplifier (electrodynamic), a newton (kind
-force), a millimetre of table travel (kind table). The output keeps its last value when a task ends, and so
-does the bench: it stands still while no task needs it.
+force), a millimetre of table travel (kind table). The output keeps its last value when a task ends. The
+bench stands still while no task needs it.
 
 As long as no script has ever taken the output, the scene's own test is played (see `daq.operator`), so that
 there is something to measure and to trigger on. The hammer of an impulse scene goes on hitting in any case.
@@ -19,6 +18,7 @@ import math
 import os
 import threading
 import time
+import traceback
 import weakref
 from collections.abc import Callable
 from pathlib import Path
@@ -261,7 +261,7 @@ class Chassis:
             samples = 1
         if not self.clock.runs_free:
             # Callbacks come exactly when they are due, so that what they find does not depend on who waits.
-            for task in self._running():
+            for task in [*self.running_inputs, *self.running_outputs]:
                 samples = min(samples, task.events.horizon())
         drive = self._operator.drive(samples).copy()
         if self._output_taken and self.outputs:
@@ -279,11 +279,11 @@ class Chassis:
         ):
             self._give(acquisition, block)
         self._operator.hear(block.samples, samples)
-        for task in self._running():
+        for task in [*self.running_inputs, *self.running_outputs]:
             task.run.log_samples()
         self.changed.notify_all()
         if not self.clock.runs_free:
-            for task in self._running():
+            for task in [*self.running_inputs, *self.running_outputs]:
                 task.events.deliver()
         for alarm in [each for each in self._alarms if each[0] <= self.elapsed]:
             self._alarms.remove(alarm)
@@ -305,9 +305,6 @@ class Chassis:
                     DAQmxErrors.INPUT_FIFO_OVERFLOW_2,
                 )
             )
-
-    def _running(self) -> list[Task]:
-        return [*self.running_inputs, *self.running_outputs]
 
     def moment(self, source: OtherTask) -> int | None:
         """Find the tick at which another task started or was triggered; None if it has not been."""
@@ -339,22 +336,31 @@ class Chassis:
             if self.moment(source) is None
         )
 
-    def lag(self, seconds: float) -> bool:
-        """Hear how far the bench is behind the wall clock; too far, and its inputs have overflown."""
-        if seconds < _PATIENCE:
-            return False
+    def fail(self, error: BaseException) -> None:
+        """Hear that the simulation has failed: show why, and end what waits for it."""
+        traceback.print_exception(error)
+        self._stop_all(DaqError(f"the simulation of the scene has failed: {error!r}", DAQmxErrors.UNKNOWN))
+
+    def _stop_all(self, error: DaqError) -> None:
         with self.changed:
             for acquisition in self.running_inputs.values():
-                acquisition.stop(self._overflow(seconds))
+                acquisition.stop(error)
+            for generation in self.running_outputs.values():
+                generation.stop(error)
             self.changed.notify_all()
-        return True
 
-    def _overflow(self, seconds: float) -> DaqError:
-        return DaqError(
-            f"input overflow: this machine simulates the scene {seconds:.0f} s behind real time at "
-            f"{self.rate:g} S/s; lower the rate, simplify the scene or use the fast clock",
-            DAQmxErrors.INPUT_FIFO_OVERFLOW_2,
+    def lag(self, seconds: float) -> bool:
+        """Hear how far the bench is behind the wall clock; too far, and its buffers have overflown."""
+        if seconds < _PATIENCE:
+            return False
+        self._stop_all(
+            DaqError(
+                f"input overflow: this machine simulates the scene {seconds:.0f} s behind real time at "
+                f"{self.rate:g} S/s; lower the rate, simplify the scene or use the fast clock",
+                DAQmxErrors.INPUT_FIFO_OVERFLOW_2,
+            )
         )
+        return True
 
 
 _connected: list[Chassis] = []

@@ -46,6 +46,9 @@ class Timeline(Protocol):
     def advance(self, samples: int) -> None:
         """Let samples pass."""
 
+    def fail(self, error: BaseException) -> None:
+        """Hear that time cannot go on."""
+
     def lag(self, seconds: float) -> bool:
         """Hear that the machine is this far behind the clock; say whether to give that time up as lost."""
 
@@ -181,7 +184,7 @@ class RealClock:
 
     def now(self, bench: Timeline) -> float:
         """See `Clock.now`."""
-        return time.monotonic()
+        return bench.position / bench.rate
 
     def glance(self, bench: Timeline) -> None:
         """Do nothing: time passes by itself."""
@@ -191,17 +194,21 @@ class RealClock:
     ) -> bool:
         """See `Clock.wait`."""
         self.start(bench)
-        return bench.changed.wait_for(ready, None if timeout < 0 else timeout)
+        end = math.inf if timeout < 0 else bench.position + timeout * bench.rate
+        # In bench time, which falls behind the wall clock while something is compiled.
+        bench.changed.wait_for(lambda: ready() or bench.position >= end or bench not in self._moving)
+        return ready()
 
 
-_WARMING = 50
+# Steps of the bench that took longer than this are taken for the compiler's, up to so many of them, s.
+_COMPILING, _COMPILATIONS = 1.0, 20
 
 
 def _follow(reference: weakref.ref[Timeline], moving: weakref.WeakSet[Timeline]) -> None:
     """Keep a bench at wall-clock time for as long as it wants."""
     pause = threading.Event()
     origin: tuple[int, int, float] | None = None
-    steps = 0
+    compilations = 0
     while True:
         bench = reference()
         if bench is None:
@@ -215,10 +222,15 @@ def _follow(reference: weakref.ref[Timeline], moving: weakref.WeakSet[Timeline])
                 origin = (now, bench.position, bench.rate)
             due = origin[1] + (now - origin[0]) * bench.rate // 10**9 - bench.position
             if due > 0:
-                bench.advance(int(min(due, math.ceil(4 * RealClock.TICK * bench.rate))))
-                steps += 1
-                # The first steps may have to compile the simulation's code, which is no fault of the scene.
-                compiled = steps <= _WARMING and time.monotonic_ns() - now > 10**9
+                try:
+                    bench.advance(int(min(due, math.ceil(4 * RealClock.TICK * bench.rate))))
+                except BaseException as error:
+                    moving.discard(bench)
+                    bench.fail(error)
+                    return
+                # What is simulated for the first time may have to be compiled, which is no fault of the scene.
+                compiled = compilations < _COMPILATIONS and time.monotonic_ns() - now > _COMPILING * 1e9
+                compilations += compiled
                 if compiled or bench.lag(due / bench.rate):
                     origin, due = None, 0
         behind = due > 2 * RealClock.TICK * bench.rate

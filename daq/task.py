@@ -84,9 +84,6 @@ class Task:
                 stacklevel=2,
             )
 
-    def __repr__(self) -> str:
-        return f"Task(name={self.name})"
-
     # What it is
 
     @property

@@ -27,6 +27,9 @@ class Counter:
             self.position += samples
             self.changed.notify_all()
 
+    def fail(self, error):
+        self.failure = error
+
     def lag(self, seconds):
         self.late.append(seconds)
         return False
@@ -64,6 +67,19 @@ def test_given_a_real_clock_when_a_bench_waits_then_a_thread_moves_it_until_nobo
     stopped = bench.position
     assert not any(thread.name == "bench" for thread in threading.enumerate())
     assert bench.position == stopped
+
+
+def test_given_a_real_clock_when_the_bench_fails_then_those_who_wait_are_told(monkeypatch, capsys):
+    chassis = daq.connect("bare-structure", clock="real")
+    with Task() as task:
+        task.ai_channels.add_ai_voltage_chan("Dev1/ai0")
+        task.timing.cfg_samp_clk_timing(5120.0, sample_mode=AcquisitionType.CONTINUOUS)
+        task.start()
+        task.read(10)
+        monkeypatch.setattr(chassis, "_step", lambda limit: 1 / 0)
+        with pytest.raises(daq.DaqError, match="ZeroDivisionError"):
+            task.read(100000, timeout=60.0)
+    assert "ZeroDivisionError" in capsys.readouterr().err
 
 
 def test_given_a_name_when_a_clock_is_made_then_it_is_that_clock_or_the_choices_are_named():

@@ -273,7 +273,7 @@ class Chassis:
             drive[shaker] *= self.drive_per_volt
         block = bench.acquire(drive)
         self.position += samples
-        # Tasks that wait for others come last, so that both begin in the same block.
+        # Tasks that wait for others come last.
         for acquisition in sorted(
             self.running_inputs.values(), key=lambda each: isinstance(each.plan.start, OtherTask)
         ):

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 # Natural periods of the lowest mode that the plots around the time cursor show at each side of it.
 PERIODS = 2.5
 TIMELINE = "time"
+# What a live plot shows, s.
+LIVE_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -87,20 +89,74 @@ def layout(content: Content) -> rrb.Blueprint:
     shares = [3.0, 1.0, 4.5]
     if content.dampers:
         shares = [3.0, 1.5, 3.8, 3.0, 0.8 + 0.6 * content.dampers]
-    position, target = content.eye
-    rig = rrb.Spatial3DView(
-        origin="rig", name="rig", background=BACKGROUND, line_grid=False,
-        eye_controls=rrb.EyeControls3D(position=position, look_target=target, eye_up=(0, 0, 1)),
-    )  # fmt: skip
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Vertical(rig, notes, row_shares=[1.6, 1.0]),
+            rrb.Vertical(_rig_view(content.eye), notes, row_shares=[1.6, 1.0]),
             rrb.Vertical(*right, row_shares=shares),
             column_shares=[1.0, 1.35],
         ),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, playback_speed=content.speed, loop_mode="all"),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
+    )
+
+
+def live_layout(
+    plots: Sequence[tuple[str, str]], dampers: int, eye: tuple[tuple[float, ...], tuple[float, ...]]
+) -> rrb.Blueprint:
+    """Arrange what is live: rig and readings at the left, the last seconds of every curve at the right.
+
+    Parameters
+    ----------
+    plots : sequence of (str, str)
+        Entity and title of each group of channels.
+    dampers : int
+        How many there are.
+    eye : tuple
+        Where the 3D view is seen from, and what it looks at.
+    """
+    import rerun.blueprint as rrb
+
+    latest = rrb.TimeRange(
+        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-LIVE_S),
+        end=rrb.TimeRangeBoundary.cursor_relative(),
+    )
+    ranges = rrb.VisibleTimeRange(TIMELINE, latest)
+    right: list[rrb.View] = [
+        rrb.TimeSeriesView(origin=entity, name=title, time_ranges=ranges, plot_legend=_legend())
+        for entity, title in plots
+    ]
+    shares = [4.0] * len(right)
+    if dampers:
+        right.append(
+            rrb.TimeSeriesView(
+                origin="dampers/gap_mm", name="damper gap [mm]", time_ranges=ranges, plot_legend=_legend()
+            )
+        )
+        axis = rrb.TimeAxis(view_range=latest)
+        right.append(rrb.StateTimelineView(origin="dampers/contact", name="contact", time_view=axis))
+        shares += [3.0, 0.8 + 0.6 * dampers]
+    left = rrb.Vertical(
+        _rig_view(eye), rrb.TextDocumentView(origin="reading", name="reading"), row_shares=[1.6, 1.0]
+    )
+    return rrb.Blueprint(
+        rrb.Horizontal(left, rrb.Vertical(*right, row_shares=shares), column_shares=[1.0, 1.35]),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+    )
+
+
+def _rig_view(eye: tuple[tuple[float, ...], tuple[float, ...]]) -> rrb.Spatial3DView:
+    import rerun.blueprint as rrb
+
+    position, target = eye
+    return rrb.Spatial3DView(
+        origin="rig",
+        name="rig",
+        background=BACKGROUND,
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(position=position, look_target=target, eye_up=(0, 0, 1)),
     )
 
 

@@ -108,6 +108,41 @@ def recover(
         print(line)
 
 
+@app.command()
+def scope(
+    scene: SceneName,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help="Recording to write (default: recordings/SCENE-scope.mcap).",
+        ),
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")] = False,
+    frequency: Annotated[
+        float | None, typer.Option("-f", "--frequency", metavar="HZ", help="Drive frequency to begin with.")
+    ] = None,
+    force: Annotated[
+        float, typer.Option("-F", "--force", metavar="N", help="Force amplitude to begin with.")
+    ] = 0.0,
+    web: Annotated[bool, typer.Option("--web", help="Show it in a browser on this machine.")] = False,
+) -> None:
+    """Run a rig live: turn frequency and force while you look at it; it is recorded meanwhile."""
+    import rig
+    from daq import show
+    from daq.run_report import summary
+    from daq.scope import knobs_for, live, say
+
+    bench = rig.load(scene)
+    path = output if output is not None else Path("recordings") / f"{Path(scene).stem}-scope.mcap"
+    knobs = knobs_for(bench, frequency, force)
+    viewing = show.server(say) if web else show.window("use --web to look with a browser")
+    live(bench, path, knobs, viewing, overwrite)
+    print(summary(path))
+
+
 @app.command("run", context_settings={"ignore_unknown_options": True, "allow_interspersed_args": False})
 def run_a_script(
     script: Annotated[Path, typer.Argument(metavar="SCRIPT.py", help="A script that uses nidaqmx.")],

@@ -113,6 +113,11 @@ class Run:
         Makes the excitation at a station; the scene's own test unless another is given.
     heard : callable
         Told each block as it comes, and what the channels read in it; it may take its time.
+
+    Attributes
+    ----------
+    bench : Bench
+        Where it runs.
     """
 
     def __init__(
@@ -127,29 +132,29 @@ class Run:
         self._path = path
         self._excite, self._heard = excite, heard
         self._block = block
-        self._bench = Bench(scene)
+        self.bench = Bench(scene)
         self._warnings: list[str] = []
         self._station = Station(
             scene,
-            self._bench.channels,
-            self._bench.inputs,
-            self._bench.rate,
+            self.bench.channels,
+            self.bench.inputs,
+            self.bench.rate,
             mark=self._mark,
             report=progress if progress is not None else lambda fraction, message: None,
             warn=self._warnings.append,
         )
         self._recorder: Recorder | None = None
         self._lost = 0
-        self._last = np.zeros((len(self._bench.inputs), 2))
-        self._limits = Limits(scene, self._bench.channels, self._mark)
-        self._overloads = Stretches("overload", self._bench.channels, self._mark)
+        self._last = np.zeros((len(self.bench.inputs), 2))
+        self._limits = Limits(scene, self.bench.channels, self._mark)
+        self._overloads = Stretches("overload", self.bench.channels, self._mark)
 
     def run(self, overwrite: bool) -> Path:
         """Run the test to its end and close the recording."""
         # All that can be wrong with the test shows before there is a file.
         test = self._excite(self._station)
         drive = next(test)
-        bench, path = self._bench, self._path
+        bench, path = self.bench, self._path
         path.parent.mkdir(parents=True, exist_ok=True)
         with Recorder(path, bench.scene, bench.channels, bench.rate, overwrite=overwrite) as recorder:
             self._recorder = recorder
@@ -173,7 +178,7 @@ class Run:
             readings = []
             for start in range(0, drive.shape[1], quantum):
                 readings.append(self._acquire(drive[:, start : start + quantum]))
-                came = self._station.now - self._bench.latency - readings[-1].shape[1]
+                came = self._station.now - self.bench.latency - readings[-1].shape[1]
                 trip = self._limits.watch(came, readings[-1])
                 if trip is not None:
                     self._ramp_down()
@@ -185,8 +190,8 @@ class Run:
             try:
                 drive = test.send(readings[0] if len(readings) == 1 else np.concatenate(readings, axis=1))
             except StopIteration:
-                if self._bench.latency:
-                    self._acquire(np.repeat(self._last[:, -1:], self._bench.latency, axis=1))
+                if self.bench.latency:
+                    self._acquire(np.repeat(self._last[:, -1:], self.bench.latency, axis=1))
                 return
 
     def _acquire(self, drive: Array) -> Array:
@@ -194,29 +199,29 @@ class Run:
         assert self._recorder is not None
         first, size = self._station.now, drive.shape[1]
         block = size if self._block is None else self._block
-        readings = np.zeros((len(self._bench.channels), size))
+        readings = np.zeros((len(self.bench.channels), size))
         overload = np.zeros(readings.shape, dtype=bool)
         for start in range(0, size, block):
             part = slice(start, min(start + block, size))
-            got = self._bench.acquire(drive[:, part])
+            got = self.bench.acquire(drive[:, part])
             self._write(got.samples, got.first)
-            if self._bench.scene.recording.truth:
+            if self.bench.scene.recording.truth:
                 self._recorder.write_truth(got.motion)
             # Where a filter's latency is hidden in the sample numbers, nothing comes out at first.
             came = slice(part.stop - got.samples.shape[1], part.stop)
-            readings[:, came] = self._bench.physical(got.samples)
+            readings[:, came] = self.bench.physical(got.samples)
             overload[:, came] = got.overload
             self._heard(got, readings[:, came])
         self._station.now = first + size
         self._last = np.concatenate([self._last, drive[:, -2:]], axis=1)[:, -2:]
-        self._overloads.add(first - self._bench.latency, overload)
+        self._overloads.add(first - self.bench.latency, overload)
         return readings
 
     def _write(self, samples: NDArray[Any], first: int) -> None:
         """Write samples, except those that are lost on the way to the recording."""
         assert self._recorder is not None
         kept = np.ones(samples.shape[1], dtype=bool)
-        for begin, end in self._bench.lost:
+        for begin, end in self.bench.lost:
             kept[max(0, begin - first) : max(0, end + 1 - first)] = False
         for start, stop in stretches_of_equals(kept):
             if not kept[start]:
@@ -241,7 +246,7 @@ class Run:
         self._recorder.mark(kind, first, stop - 1, **fields)
 
     def _holds(self) -> str:
-        return f"{self._path} holds the {self._station.now / self._bench.rate:.2f} s up to there"
+        return f"{self._path} holds the {self._station.now / self.bench.rate:.2f} s up to there"
 
 
 def stretches_of_equals(values: NDArray[np.bool_]) -> list[tuple[int, int]]:

@@ -7,7 +7,7 @@ import sys
 import tempfile
 import webbrowser
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     import rerun as rr
 
 APPLICATION = "shotrig"
+WITHOUT_DISPLAY = "use --web to look with a browser, --screenshot FILE.png for a picture, or --save FILE.rrd"
 # Value, time and index.
 BYTES_A_VALUE = 20
 LIGHT_GB = 2.0
@@ -47,7 +48,7 @@ def save(replay: Replay, file: Path, progress: Progress | None = None) -> None:
             raise RunError(f"cannot write {file}: the disk is full")
         stream.flush(timeout_sec=SINK_S)
 
-    with _stream() as stream:
+    with recording_stream() as stream:
         try:
             stream.save(file)
         except (OSError, RuntimeError) as error:
@@ -108,6 +109,23 @@ def photograph(
         raise RunError(f"{file} is written, but the viewer could not draw all of it: {'; '.join(problems)}")
 
 
+def window(instead: str) -> AbstractContextManager[Viewer]:
+    """Open a viewer in a window of its own.
+
+    Parameters
+    ----------
+    instead : str
+        What to tell somebody who has no display.
+
+    Raises
+    ------
+    RunError
+        If there is no display, or the viewer does not start.
+    """
+    need_display(instead)
+    return viewer("--expect-data-soon")
+
+
 def in_window(replay: Replay, progress: Progress | None = None) -> None:
     """Show a replay in a window of its own; return when the window is closed.
 
@@ -116,8 +134,7 @@ def in_window(replay: Replay, progress: Progress | None = None) -> None:
     RunError
         If there is no display, or the viewer does not start.
     """
-    need_display()
-    with viewer("--expect-data-soon") as running:
+    with window(WITHOUT_DISPLAY) as running:
         _warn_of_size(replay)
         _feed(replay, running, progress)
         running.process.wait()
@@ -140,17 +157,23 @@ def in_browser(replay: Replay, announce: Callable[[str], None], progress: Progre
     RunError
         If the server does not start.
     """
+    with suppress(KeyboardInterrupt), server(announce) as running:
+        _warn_of_size(replay)
+        _feed(replay, running, progress)
+        running.process.wait()
+
+
+@contextmanager
+def server(announce: Callable[[str], None]) -> Iterator[Viewer]:
+    """Serve the viewer to browsers on this machine; `announce` is told the address."""
     page = free_port()
     # The server keeps everything for browsers to come.
-    options = ("--serve-web", "--web-viewer-port", str(page), "--server-memory-limit", "75%")
-    with suppress(KeyboardInterrupt), viewer(*options) as running:
-        _warn_of_size(replay)
+    with viewer("--serve-web", "--web-viewer-port", str(page), "--server-memory-limit", "75%") as running:
         address = f"http://{LOOPBACK}:{page}/?url={quote(running.url, safe='')}"
         announce(address)
         if can_open_windows():
             webbrowser.open(address)
-        _feed(replay, running, progress)
-        running.process.wait()
+        yield running
 
 
 def _warn_of_size(replay: Replay) -> None:
@@ -165,7 +188,7 @@ def _warn_of_size(replay: Replay) -> None:
 
 def _feed(replay: Replay, running: Viewer, progress: Progress | None) -> None:
     """Send a replay to a running viewer; a viewer that is closed meanwhile ends it."""
-    with _stream() as stream:
+    with recording_stream() as stream:
         stream.connect_grpc(running.url)
         try:
             _fill(replay, stream, lambda: stream.flush(timeout_sec=SINK_S), progress)
@@ -175,7 +198,7 @@ def _feed(replay: Replay, running: Viewer, progress: Progress | None) -> None:
 
 
 @contextmanager
-def _stream() -> Iterator[rr.RecordingStream]:
+def recording_stream() -> Iterator[rr.RecordingStream]:
     """Make a stream of its own; on leaving, whatever it still holds goes to its sink."""
     import rerun as rr
 

@@ -185,12 +185,11 @@ def can_open_windows() -> bool:
     return not sys.platform.startswith("linux") or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
 
 
-def need_display() -> None:
-    """Raise `RunError` where no window can be opened."""
+def need_display(instead: str) -> None:
+    """Raise `RunError` where no window can be opened; `instead` tells what to do then."""
     if not can_open_windows():
         raise RunError(
-            "no display to open the viewer on (neither DISPLAY nor WAYLAND_DISPLAY is set); "
-            "use --web to look with a browser, --screenshot FILE.png for a picture, or --save FILE.rrd"
+            f"no display to open the viewer on (neither DISPLAY nor WAYLAND_DISPLAY is set); {instead}"
         )
 
 

@@ -102,7 +102,7 @@ def simulate(
     >>> import rig
     >>> run = rig.simulate(rig.load("reference-A"), duration=0.1, rate=1000.0)
     >>> run.displacement.shape, len(run.events)
-    ((3, 101), 4)
+    ((3, 101), 5)
     """
     if isinstance(scene, str):
         from rig.scene_file import load

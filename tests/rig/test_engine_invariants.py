@@ -1,4 +1,4 @@
-"""What must hold in any scene: walls not passed, contacts that push, momentum and energy kept, blocks that do not matter."""
+"""In any scene walls are not passed, contacts push, momentum and energy are kept, and blocks do not matter."""
 
 from __future__ import annotations
 

@@ -57,8 +57,8 @@ def test_given_three_identical_uncoupled_oscillators_when_they_hit_then_they_hit
     assert len(run.events) == 3 * count > 300
     assert set(run.events["kind"]) == {"separation", "floor", "ceiling"}
     assert (np.sort(events["damper"], axis=1) == [1, 2, 3]).all()
-    for field in ("time", "kind"):
-        assert (events[field] == events[field][:, :1]).all()
+    assert (events["kind"] == events["kind"][:, :1]).all()
+    assert np.ptp(events["time"], axis=1).max() < 1e-14
     # Between the contacts of one instant the matrices differ, so the last bit of the others may.
     assert np.ptp(events["speed"], axis=1).max() < 1e-14
     assert np.abs(run.displacement - run.displacement[0]).max() < 1e-15

@@ -1,0 +1,162 @@
+"""The hard cases: every scene in tests/cases, with what its head says must hold.
+
+A head is comments: `Why hard`, then `Run` (the engine alone, open loop) or `Bench` (through sensors and
+converter), `Vary` (one setting over a range), and `Must hold`; the last three are YAML.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+import rig
+from daq.bench import Bench
+from rig.quantities import FORCE, FREQUENCY, LENGTH, RATIO, TIME, VOLTAGE, parse
+
+FOLDER = Path(__file__).parent / "cases"
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scene file and its head."""
+
+    path: Path
+    head: dict[str, Any]
+
+    @classmethod
+    def read(cls, path: Path) -> Case:
+        lines = [line[2:] for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("# ")]
+        parts: dict[str, str] = {}
+        key = ""
+        for line in lines:
+            name, colon, rest = line.partition(": ")
+            if colon and name in ("Why hard", "Run", "Bench", "Vary", "Must hold"):
+                key, line = name, rest
+            parts[key] = f"{parts.get(key, '')} {line}"
+        assert parts.get("Why hard"), f"{path} does not say why it is hard"
+        return cls(path, {name: yaml.safe_load(text) for name, text in parts.items() if name != "Why hard"})
+
+    def scenes(self) -> Iterator[rig.Scene]:
+        """The scene, or its variants."""
+        scene = rig.load(self.path)
+        vary = self.head.get("Vary")
+        if vary is None:
+            yield scene
+            return
+        ((name, ends),) = vary.items()
+        kind = {"clearance": LENGTH, "force": FORCE}[name]
+        for value in np.geomspace(parse(ends["from"], kind), parse(ends["to"], kind), ends["points"]):
+            if name == "force":
+                yield scene.replace(test=scene.test.replace(force=float(value)))
+            else:
+                yield scene.replace(dampers=[d.replace(clearance=float(value)) for d in scene.dampers])
+
+
+CASES = [Case.read(path) for path in sorted(FOLDER.glob("*.yaml"))]
+
+
+@pytest.mark.parametrize("case", CASES, ids=[case.path.stem for case in CASES])
+def test_given_a_hard_case_when_run_then_what_it_says_holds(case: Case) -> None:
+    for scene in case.scenes():
+        if "Bench" in case.head:
+            check_bench(scene, case.head["Bench"], case.head["Must hold"])
+        else:
+            check_run(scene, case.head["Run"], case.head["Must hold"])
+
+
+def check_run(scene: rig.Scene, how: dict[str, Any], must: dict[str, Any]) -> None:
+    frequency = parse(how["frequency"], FREQUENCY) if "frequency" in how else None
+    rate = parse(how.get("rate", "2 kHz"), FREQUENCY)
+    run = rig.simulate(scene, parse(how["duration"], TIME), rate, frequency=frequency)
+    check_invariants(run)
+    kinds = [str(kind) for kind in run.events["kind"]]
+    count = must.get("events")
+    assert len(kinds) > 0 if count == "some" else count in (None, len(kinds))
+    assert must.get("kinds", kinds) == kinds
+    assert must.get("ambiguous", run.ambiguous) == run.ambiguous
+    if "first" in must:
+        assert kinds[0] == must["first"]
+    if "first_time" in must:
+        assert run.events["time"][0] == parse(must["first_time"], TIME)
+    if "unison" in must:
+        together = run.events[: len(run.events) // 3 * 3].reshape(-1, 3)
+        # One instant, to the last bit of the time.
+        assert np.ptp(together["time"], axis=1).max() < 1e-14
+        assert len(run.events) % 3 == 0 and len(run.events) > 0
+    if "drift" in must:
+        assert np.ptp(run.displacement[0, len(run.time) // 10 :]) < parse(must["drift"], LENGTH)
+    if "at_rest" in must:
+        assert (run.contact[:, -1] == 1).all()
+        assert np.abs(run.velocity[:, -1]).max() < 1e-12
+
+
+def check_invariants(run: rig.Run) -> None:
+    """What holds in any run."""
+    for part in (run.displacement, run.velocity, run.acceleration, run.gap):
+        assert np.isfinite(part).all()
+    clearance = np.array([d.clearance for d in run.scene.dampers if not d.locked and d.clearance > 0.0])
+    assert (run.gap >= 0.0).all()
+    assert (run.gap <= clearance[:, None] + 1e-12).all()
+    assert (np.diff(run.events["time"]) >= 0.0).all()
+    energy = run.energy
+    turnover = (
+        abs(energy.work) + energy.dissipated + energy.impacts + abs(energy.stored) + abs(energy.stored_before)
+    )
+    assert abs(energy.residual) <= 1e-10 * turnover
+
+
+def check_bench(scene: rig.Scene, how: dict[str, Any], must: dict[str, Any]) -> None:
+    bench = Bench(scene)
+    samples = int(parse(how["duration"], TIME) * bench.rate)
+    drive = drive_of(bench, how.get("drive"), samples)
+    readings, overloads, truths = [], [], []
+    follows = must.get("follows")
+    for start in range(0, samples, 65_536):
+        block = bench.acquire(drive[:, start : start + 65_536])
+        readings.append(bench.physical(block.samples))
+        overloads.append(block.overload)
+        assert np.isfinite(readings[-1]).all()
+        if follows is not None:
+            channel = next(c for c in bench.channels if c.name == follows["channel"])
+            row = int(channel.at.removeprefix("body ")) - 1
+            truths.append(getattr(block.motion, channel.quantity)[row])
+    reading = np.concatenate(readings, axis=1)
+    if "overloads" in must:
+        overload = np.concatenate(overloads, axis=1)
+        assert overload.any() == must["overloads"]
+        assert not overload[:, -samples // 10 :].any()
+    if "growth" in must:
+        sixths = np.array_split(reading, 6, axis=1)
+        assert np.std(sixths[5]) < must["growth"] * np.std(sixths[1])
+    if "peak_below" in must:
+        assert np.abs(reading).max() < parse(must["peak_below"], LENGTH)
+    if follows is not None:
+        names = [channel.name for channel in bench.channels]
+        begin = int(parse(follows["from"], TIME) * bench.rate)
+        read = reading[names.index(follows["channel"]), begin:]
+        # An accelerometer reads changes: what was there before it was switched on is not in its reading.
+        true = np.concatenate(truths)
+        true = (true - true[0])[begin:]
+        assert np.std(read - true) < parse(follows["within"], RATIO) * np.std(true)
+        share = parse(follows.get("on_average_within", follows["within"]), RATIO)
+        assert abs(np.mean(read - true)) < share * np.std(true)
+
+
+def drive_of(bench: Bench, how: dict[str, Any] | None, samples: int) -> np.ndarray:
+    """Tone or step on the first input; nothing where the case names none."""
+    drive = np.zeros((len(bench.inputs), samples))
+    if how is None:
+        return drive
+    time = np.arange(samples) / bench.rate
+    if "tone" in how:
+        signal = parse(how["level"], FORCE) * np.sin(2 * np.pi * parse(how["tone"], FREQUENCY) * time)
+    else:
+        signal = np.where(time >= parse(how["at"], TIME), parse(how["step"], VOLTAGE), 0.0)
+    drive[0] = np.where(time < parse(how.get("until", "1e9 s"), TIME), signal, 0.0)
+    return drive

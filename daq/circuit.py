@@ -122,6 +122,8 @@ class Circuit:
         Output row.
     d : ndarray, shape (entries,)
         Feedthrough from each entry to the output; the last is 1.
+    sections : tuple of int
+        First state of each section, and the number of states.
 
     Examples
     --------
@@ -134,6 +136,7 @@ class Circuit:
     b: Array
     c: Array
     d: Array
+    sections: tuple[int, ...]
 
     @classmethod
     def series(cls, sections: Sequence[Section]) -> Circuit:
@@ -152,4 +155,4 @@ class Circuit:
             c *= section.d
             c[own] = section.c
             d[: i + 1] *= section.d
-        return cls(a, b, c, d)
+        return cls(a, b, c, d, tuple(int(state) for state in first))

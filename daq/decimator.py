@@ -23,13 +23,15 @@ class Decimator:
         self._pending = np.zeros(taps.shape[2])
         self._interval = 0
 
-    def filter(self, moments: Array) -> Array:
+    def filter(self, moments: Array, count: int) -> Array:
         """Give the samples that fall due.
 
         Parameters
         ----------
-        moments : ndarray, shape (intervals, MOMENTS)
+        moments : ndarray, shape (MOMENTS, intervals or more)
             Moments of the following intervals. The first interval of all ends at sample 0.
+        count : int
+            Number of intervals.
 
         Returns
         -------
@@ -37,18 +39,17 @@ class Decimator:
             One sample for every interval that ends at one.
         """
         oversampling = self._taps.shape[0]
-        count = len(moments)
         due = -(-(self._interval + count) // oversampling) - -(-self._interval // oversampling)
         sums = np.zeros(due + self._pending.size + 1)
         sums[: self._pending.size] = self._pending
-        _accumulate(moments, self._taps, -self._interval % oversampling, sums)
+        _accumulate(moments, count, self._taps, -self._interval % oversampling, sums)
         self._interval += count
         self._pending = sums[due : due + self._pending.size]
         return sums[:due]
 
 
 @njit(cache=True)
-def _accumulate(moments: Array, taps: Array, phase: int, sums: Array) -> None:
+def _accumulate(moments: Array, count: int, taps: Array, phase: int, sums: Array) -> None:
     """Add what each interval contributes to this and the following samples.
 
     `phase` is the number of intervals from the end of the first one to the sample it falls to; `sums` holds
@@ -56,9 +57,9 @@ def _accumulate(moments: Array, taps: Array, phase: int, sums: Array) -> None:
     split.
     """
     sample = 0
-    for i in range(moments.shape[0]):
-        m0, m1, m2, m3 = moments[i, 0], moments[i, 1], moments[i, 2], moments[i, 3]
-        m4, m5, m6, m7 = moments[i, 4], moments[i, 5], moments[i, 6], moments[i, 7]
+    for i in range(count):
+        m0, m1, m2, m3 = moments[0, i], moments[1, i], moments[2, i], moments[3, i]
+        m4, m5, m6, m7 = moments[4, i], moments[5, i], moments[6, i], moments[7, i]
         for j in range(taps.shape[2]):
             sums[sample + j] += (
                 (m0 * taps[phase, 0, j] + m1 * taps[phase, 1, j])

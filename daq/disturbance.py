@@ -103,27 +103,27 @@ class Disturbances:
     def __init__(self, sources: Sequence[Source], direct: Array, oversampling: int, wait: int) -> None:
         self._sources, self._direct, self._oversampling = tuple(sources), direct, oversampling
         self._interval, self._drawn = 0, 0
-        self._last = np.zeros((1, len(sources)))
+        self._last = np.zeros((len(sources), 1))
         self._waiting = np.zeros(wait)
         self.ends = slice(0, 0, oversampling)
 
     def hold(self, intervals: int) -> Array:
-        """Draw the disturbances of the next intervals; shape (intervals, disturbances), V."""
+        """Draw the disturbances of the next intervals; shape (disturbances, intervals), V."""
         first, stop = self._interval, self._interval + intervals
         self._interval = stop
         self.ends = slice(-first % self._oversampling, intervals, self._oversampling)
         if not self._sources or intervals == 0:
-            return np.zeros((intervals, len(self._sources)))
+            return np.zeros((len(self._sources), intervals))
         # The sample at which each interval ends, or which it leads up to.
         sample = -(-np.arange(first, stop) // self._oversampling)
         count = int(sample[-1]) + 1 - self._drawn
-        held = np.empty((count, len(self._sources)))
-        for column, source in enumerate(self._sources):
-            held[:, column] = source.sample(count)
+        held = np.empty((len(self._sources), count))
+        for row, source in zip(held, self._sources, strict=True):
+            row[:] = source.sample(count)
         if self._oversampling > 1:
             # A sample that began in the last block goes on with what was drawn for it there.
-            drawn = np.concatenate([self._last, held])
-            held, self._last = drawn[sample - (self._drawn - 1)], drawn[-1:]
+            drawn = np.concatenate([self._last, held], axis=1)
+            held, self._last = drawn[:, sample - (self._drawn - 1)], drawn[:, -1:]
         self._drawn += count
         return held
 
@@ -132,7 +132,7 @@ class Disturbances:
 
         Parameters
         ----------
-        held : ndarray, shape (samples, disturbances)
+        held : ndarray, shape (disturbances, samples)
             What `hold` gave, for those intervals that end at a sample.
 
         Returns
@@ -140,12 +140,12 @@ class Disturbances:
         ndarray, shape (samples,)
             V.
         """
-        total = np.zeros(len(held))
-        for column, share in enumerate(self._direct):
+        total = np.zeros(held.shape[1])
+        for share, row in zip(self._direct, held, strict=True):
             if share:
-                total += share * held[:, column]
+                total += share * row
         if self._waiting.size == 0:
             return total
         queue = np.concatenate([self._waiting, total])
-        self._waiting = queue[len(held) :].copy()
-        return queue[: len(held)]
+        self._waiting = queue[total.size :].copy()
+        return queue[: total.size]

@@ -11,6 +11,7 @@ are as good as any.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from math import comb, factorial
 from typing import NamedTuple
 
@@ -25,6 +26,9 @@ from daq.pieces import Pieces
 Array = NDArray[np.float64]
 
 PARTS = 64
+# Intervals worked off together: enough to keep a processor's pipelines busy, few enough for its nearest
+# memory.
+STRETCH = 128
 # Start, end, mean and moment of a piece (see `Pieces`) -> derivatives of the cubic at its start, when the
 # piece is as long as the unit of time.
 _CUBIC = np.array(
@@ -47,9 +51,16 @@ class Tables(NamedTuple):
     ----------
     states, width : int
         Number of states, and of states and integrals.
+    sections : ndarray of int64, shape (sections + 1,)
+        First state of each section, and the number of states.
+    watched : int
+        Number of sections up to the watched output; -1: none is watched.
+    weights : ndarray, shape (width, states + 4 + disturbances)
+        The same the other way round, without what a section's own states and later ones add, and for the
+        watched output without disturbances; zeros fill up the rows to a multiple of 8.
     step : ndarray, shape (states + 4 + disturbances, width)
         What each state, then the input's start, end, mean and moment, then 1 V of each disturbance become or
-        add over an interval; zeros fill up both lengths to multiples of 4.
+        add over an interval.
     impulse : ndarray, shape (width,)
         What a unit impulse adds to the vector at once.
     coarse, fine : ndarray, shape (65, size, size)
@@ -66,6 +77,9 @@ class Tables(NamedTuple):
 
     states: int
     width: int
+    sections: NDArray[np.int64]
+    watched: int
+    weights: Array
     step: Array
     impulse: Array
     coarse: Array
@@ -132,10 +146,9 @@ def discretise(
         if through and integrals:
             with_constants[states, column] = circuit.d[entry]
     over_interval = to_moments @ expm(with_constants)[:width]
-    step = np.zeros((-(-(states + 4 + constants) // 4) * 4, -(-width // 4) * 4))
-    step[:states, :width] = over_interval[:, :states].T
-    step[states : states + 4, :width] = (over_interval[:, width:size] @ _CUBIC).T
-    step[states + 4 : states + 4 + constants, :width] = over_interval[:, size:].T
+    step = np.concatenate(
+        [over_interval[:, :states], over_interval[:, width:size] @ _CUBIC, over_interval[:, size:]], axis=1
+    )
 
     # The first three terms may do no more than bring down the input's derivatives: they do not count.
     norm = np.abs(generator).sum(axis=1).max() / PARTS**2
@@ -147,7 +160,10 @@ def discretise(
     return Tables(
         states=states,
         width=width,
-        step=step,
+        sections=np.array(circuit.sections),
+        watched=-1 if watched is None else len(watched.sections) - 1,
+        weights=_weights(step, circuit.sections, watched is not None),
+        step=np.ascontiguousarray(step.T),
         impulse=generator[:width, width].copy(),
         coarse=_powers(expm(generator / PARTS)),
         fine=_powers(expm(generator / PARTS**2)),
@@ -156,6 +172,16 @@ def discretise(
         terms=terms,
         moments=np.ascontiguousarray(to_moments[states:, states:].T),
     )
+
+
+def _weights(step: Array, sections: Sequence[int], watched: bool) -> Array:
+    """Leave out of the rows of a step what is not known when they are summed up."""
+    weights = np.pad(step, [(0, 0), (0, -step.shape[1] % 8)])
+    for begin, end in pairwise(sections):
+        weights[begin:end, begin : sections[-1]] = 0.0
+    if watched:
+        weights[-1, sections[-1] + 4 :] = 0.0
+    return weights
 
 
 def _powers(matrix: Array) -> Array:
@@ -169,8 +195,8 @@ def _powers(matrix: Array) -> Array:
 def _moments(count: int) -> Array:
     """Matrix from repeated integrals over the unit interval to moments with the Legendre polynomials.
 
-    The (k+1)-fold integral weighs with u^k / k!, u being the time left, and in u the polynomial of order n is the
-    sum of (-1)^k C(n, k) C(n+k, k) u^k.
+    The (k+1)-fold integral weighs with u^k / k!, u being the time left, and in u the polynomial of order n is
+    the sum of (-1)^k C(n, k) C(n+k, k) u^k.
     """
     matrix = np.zeros((count, count))
     for n in range(count):
@@ -195,6 +221,10 @@ def propagate(
 ) -> None:
     """Carry a circuit through the intervals of a block.
 
+    Stretches without breaks are worked off section by section, as each section only depends on those before
+    it: all but a section's own recurrence is then the same sum for many samples at a time. The order of every
+    sum is fixed, so that nothing depends on where a stretch or a block ends.
+
     Parameters
     ----------
     pieces : Pieces
@@ -203,11 +233,11 @@ def propagate(
         Of the circuit.
     state : ndarray, shape (states,)
         At the last sample; updated.
-    held : ndarray, shape (intervals, disturbances)
+    held : ndarray, shape (disturbances, intervals)
         Disturbances, constant over the interval, V. If an output is watched, the first of them is filled in
         here with what its limit takes away.
-    rails : ndarray, shape (limited states, 2)
-        Index of a state and the voltage it cannot exceed.
+    rails : ndarray, shape (states,)
+        Voltage that each state cannot exceed.
     overload : ndarray, shape (0,) or (3,)
         Limit of the watched output [V], the share of its shift that is left after an interval, and the share
         of what it lacks that enters the shift.
@@ -215,80 +245,176 @@ def propagate(
         Shift of the watched output since it was overloaded, V; updated.
     rows, rows_input : ndarray, shapes (outputs, states) and (outputs,)
         Outputs at the samples, from state and input.
-    points : ndarray, shape (intervals, outputs)
+    points : ndarray, shape (outputs, intervals)
         These outputs; filled in.
-    averages : ndarray, shape (intervals, integrals)
+    averages : ndarray, shape (integrals, intervals or more)
         Moments of the output over each interval; filled in.
     """
-    states, width = tables.states, tables.width
-    padded, size = tables.step.shape[1], tables.generator.shape[0]
-    columns = tables.step.shape[0]
-    first_held = states + 4
-    new = np.zeros(padded)
-    weights = np.zeros(columns)
+    size = tables.generator.shape[0]
     vector, work, term = np.empty(size), np.empty(size), np.empty(size)
+    course = np.zeros((tables.weights.shape[1], STRETCH + 8))
+    sums = np.empty((2, STRETCH))
     part = 0
-    for i in range(pieces.start.size):
-        for d in range(held.shape[1]):
-            weights[first_held + d] = held[i, d]
-        if part < pieces.broken.size and pieces.broken[part] == i:
-            part = _in_parts(pieces, part, tables, state, vector, work, term, new)
-            weights[:first_held] = 0.0
-            _combine(tables.step, weights, new)
+    first = 0
+    while first < pieces.start.size:
+        stop = min(first + STRETCH, pieces.start.size)
+        if part < pieces.broken.size:
+            stop = min(stop, pieces.broken[part])
+        if stop > first:
+            _lay_out(pieces, held, first, stop, tables.states, course)
+            _through_stretch(tables, state, rails, overload, shift, course, sums, averages, first, stop)
+            if overload.size:
+                held[0, first:stop] = course[tables.states + 4, : stop - first]
         else:
-            for j in range(states):
-                weights[j] = state[j]
-            weights[states] = pieces.start[i]
-            weights[states + 1] = pieces.end[i]
-            weights[states + 2] = pieces.mean[i]
-            weights[states + 3] = pieces.moment[i]
-            new[:] = 0.0
-            _combine(tables.step, weights, new)
-        if overload.size:
-            free = new[width - 1] - shift[0]
-            excess = free - min(max(free, -overload[0]), overload[0])
-            lack = -shift[0] - excess
-            shift[0] = overload[1] * shift[0] + overload[2] * excess
-            if lack != 0.0:
-                held[i, 0] = lack
-                for r in range(padded):
-                    new[r] += tables.step[first_held, r] * lack
-        for k in range(rails.shape[0]):
-            j = int(rails[k, 0])
-            if abs(new[j]) > rails[k, 1]:
-                new[j] = rails[k, 1] if new[j] > 0.0 else -rails[k, 1]
-        for j in range(states):
-            state[j] = new[j]
+            stop = first + 1
+            part = _in_parts(pieces, part, tables, state, vector, work, term)
+            _disturb(tables, state, held[:, first], rails, overload, shift, vector)
+            for j in range(tables.states):
+                course[j, 1] = state[j]
+            for k in range(averages.shape[0]):
+                averages[k, first] = vector[tables.states + k]
+        end = pieces.end[first:stop]
         for r in range(rows.shape[0]):
-            total = rows_input[r] * pieces.end[i]
-            for j in range(states):
-                total += rows[r, j] * new[j]
-            points[i, r] = total
-        for k in range(averages.shape[1]):
-            averages[i, k] = new[states + k]
+            out = points[r][first:stop]
+            for k in range(out.size):
+                out[k] = rows_input[r] * end[k]
+            for j in range(tables.states):
+                weight, after = rows[r, j], course[j][1:]
+                for k in range(out.size):
+                    out[k] += weight * after[k]
+        first = stop
 
 
 @njit(cache=True)
-def _combine(step: Array, weights: Array, out: Array) -> None:
-    """Add the rows of `step`, each times its weight, four at a time."""
-    for j in range(0, step.shape[0], 4):
-        a, b, c, d = weights[j], weights[j + 1], weights[j + 2], weights[j + 3]
-        for r in range(step.shape[1]):
-            out[r] += (step[j, r] * a + step[j + 1, r] * b) + (step[j + 2, r] * c + step[j + 3, r] * d)
+def _lay_out(pieces: Pieces, held: Array, first: int, stop: int, states: int, course: Array) -> None:
+    """Put input and disturbances of a stretch below the states."""
+    count = stop - first
+    course[states, :count] = pieces.start[first:stop]
+    course[states + 1, :count] = pieces.end[first:stop]
+    course[states + 2, :count] = pieces.mean[first:stop]
+    course[states + 3, :count] = pieces.moment[first:stop]
+    for e in range(held.shape[0]):
+        course[states + 4 + e, :count] = held[e, first:stop]
+
+
+@njit(cache=True)
+def _through_stretch(
+    tables: Tables,
+    state: Array,
+    rails: Array,
+    overload: Array,
+    shift: Array,
+    course: Array,
+    sums: Array,
+    averages: Array,
+    first: int,
+    stop: int,
+) -> None:
+    """Carry the circuit through intervals without breaks; `course` gets the states from start to end."""
+    count, states = stop - first, tables.states
+    out, second = sums[0][:count], sums[1][:count]
+    if tables.watched == 0:
+        _limit(tables, overload, shift, course, out)
+    for section in range(tables.sections.size - 1):
+        begin, end = tables.sections[section], tables.sections[section + 1]
+        _gather(tables.weights[begin], course, out)
+        path = course[begin]
+        if end == begin + 1:
+            own, limit, x = tables.step[begin, begin], rails[begin], state[begin]
+            if limit == np.inf:
+                for k in range(count):
+                    path[k] = x
+                    x = own * x + out[k]
+            else:
+                for k in range(count):
+                    path[k] = x
+                    x = own * x + out[k]
+                    if x > limit:
+                        x = limit
+                    elif x < -limit:
+                        x = -limit
+            path[count] = x
+            state[begin] = x
+        else:
+            _gather(tables.weights[begin + 1], course, second)
+            aa, ab = tables.step[begin, begin], tables.step[begin + 1, begin]
+            ba, bb = tables.step[begin, begin + 1], tables.step[begin + 1, begin + 1]
+            x, y = state[begin], state[begin + 1]
+            other = course[begin + 1]
+            for k in range(count):
+                path[k], other[k] = x, y
+                x, y = (aa * x + ab * y) + out[k], (ba * x + bb * y) + second[k]
+            path[count], other[count] = x, y
+            state[begin], state[begin + 1] = x, y
+        if section + 1 == tables.watched:
+            _limit(tables, overload, shift, course, out)
+    for m in range(averages.shape[0]):
+        _gather(tables.weights[states + m], course, averages[m][first:stop])
+
+
+@njit(cache=True)
+def _gather(weights: Array, course: Array, out: Array) -> None:
+    """Sum up the rows of `course`, each times its weight; eight at a time keep a processor busy."""
+    out[:] = 0.0
+    for j in range(0, weights.size, 8):
+        w0, w1, w2, w3 = weights[j], weights[j + 1], weights[j + 2], weights[j + 3]
+        w4, w5, w6, w7 = weights[j + 4], weights[j + 5], weights[j + 6], weights[j + 7]
+        c0, c1, c2, c3 = course[j], course[j + 1], course[j + 2], course[j + 3]
+        c4, c5, c6, c7 = course[j + 4], course[j + 5], course[j + 6], course[j + 7]
+        for k in range(out.size):
+            out[k] += ((w0 * c0[k] + w1 * c1[k]) + (w2 * c2[k] + w3 * c3[k])) + (
+                (w4 * c4[k] + w5 * c5[k]) + (w6 * c6[k] + w7 * c7[k])
+            )
+
+
+@njit(cache=True)
+def _limit(tables: Tables, overload: Array, shift: Array, course: Array, out: Array) -> None:
+    """Find what the watched output lacks in each interval."""
+    _gather(tables.weights[tables.width - 1], course, out)
+    lack = course[tables.states + 4]
+    for k in range(out.size):
+        lack[k] = _lack(out[k], overload, shift)
+
+
+@njit(cache=True)
+def _lack(output: float, overload: Array, shift: Array) -> float:
+    """Find what an output lacks, and let its shift go on by an interval."""
+    free = output - shift[0]
+    excess = free - min(max(free, -overload[0]), overload[0])
+    lack = -shift[0] - excess
+    shift[0] = overload[1] * shift[0] + overload[2] * excess
+    return lack
+
+
+@njit(cache=True)
+def _disturb(
+    tables: Tables,
+    state: Array,
+    held: Array,
+    rails: Array,
+    overload: Array,
+    shift: Array,
+    vector: Array,
+) -> None:
+    """Let limits and disturbances act at the end of an interval with breaks."""
+    states, width = tables.states, tables.width
+    if overload.size:
+        held[0] = _lack(vector[width - 1], overload, shift)
+    for e in range(held.shape[0]):
+        for r in range(width):
+            vector[r] += tables.step[states + 4 + e, r] * held[e]
+    for j in range(states):
+        state[j] = min(max(vector[j], -rails[j]), rails[j])
 
 
 @njit(cache=True)
 def _in_parts(
-    pieces: Pieces,
-    part: int,
-    tables: Tables,
-    state: Array,
-    vector: Array,
-    work: Array,
-    term: Array,
-    new: Array,
+    pieces: Pieces, part: int, tables: Tables, state: Array, vector: Array, work: Array, term: Array
 ) -> int:
-    """Carry the circuit through an interval with breaks; give the first part of the next."""
+    """Carry the circuit through an interval with breaks; give the first part of the next.
+
+    States and moments are left in `vector`.
+    """
     states, width = tables.states, tables.width
     interval = pieces.broken[part]
     vector[:] = 0.0
@@ -308,12 +434,12 @@ def _in_parts(
         for r in range(width):
             vector[r] += tables.impulse[r] * pieces.jump[part]
         part += 1
-    new[:] = 0.0
-    for j in range(states):
-        new[j] = vector[j]
+    for r in range(states, width):
+        work[r] = vector[r]
+        vector[r] = 0.0
     for k in range(width - states):
         for r in range(width - states):
-            new[states + r] += tables.moments[k, r] * vector[states + k]
+            vector[states + r] += tables.moments[k, r] * work[states + k]
     return part
 
 

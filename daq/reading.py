@@ -34,9 +34,9 @@ class Reading(Protocol):
 
         Parameters
         ----------
-        points : ndarray, shape (intervals, outputs)
+        points : ndarray, shape (outputs, intervals)
             What `rows` gave.
-        averages : ndarray, shape (intervals, integrals)
+        averages : ndarray, shape (integrals, intervals or more)
             Moments.
 
         Returns
@@ -62,7 +62,7 @@ class PointReading:
 
     def read(self, points: Array, averages: Array) -> Array:
         """Give the samples; see `Reading.read`."""
-        return points[:, 0].copy()
+        return points[0].copy()
 
 
 class AverageReading:
@@ -81,7 +81,7 @@ class AverageReading:
 
     def read(self, points: Array, averages: Array) -> Array:
         """Give the samples; see `Reading.read`."""
-        return averages[:, 0].copy()
+        return averages[0, : points.shape[1]].copy()
 
 
 class FilteredReading:
@@ -105,7 +105,7 @@ class FilteredReading:
 
     def read(self, points: Array, averages: Array) -> Array:
         """Give the samples; see `Reading.read`."""
-        return self._filter.filter(averages)
+        return self._filter.filter(averages, points.shape[1])
 
 
 class Jitter:

@@ -104,17 +104,19 @@ class SignalPath:
             pieces = self._delay.shift(pieces)
         intervals = pieces.start.size
         held = self._disturbances.hold(intervals)
-        points = np.empty((intervals, self._rows_input.size))
-        averages = np.empty((intervals, self._reading.integrals))
+        points = np.empty((self._rows_input.size, intervals))
+        # Rows a little longer than needed: at even distances they would compete for the same places in a
+        # cache.
+        averages = np.empty((self._reading.integrals, intervals + 8))
         propagate(
             pieces, self._tables, self._state, held, self._rails, self._overload, self._shift,
             self._rows, self._rows_input, points, averages,
         )  # fmt: skip
         volts = self._reading.read(points, averages)
         ends = self._disturbances.ends
-        volts += self._disturbances.reach_output(held[ends])
+        volts += self._disturbances.reach_output(held[:, ends])
         if self._jitter is not None and late is not None:
-            volts += self._jitter.error(points[ends, -1], late)
+            volts += self._jitter.error(points[-1, ends], late)
         if self._noise is not None:
             volts += self._noise.sample(volts.size)
         return volts
@@ -139,14 +141,13 @@ def _overload(sensor: Stage, rate: float) -> Array:
 
 
 def _rails(stages: Sequence[Stage]) -> Array:
-    """List the states that have a limit, with it."""
-    rails, state = [], 0
+    """Give the voltage that each state cannot exceed."""
+    rails: list[float] = []
     for stage in stages:
         for section in stage.sections:
-            if stage.rails is not None and section.name == INTEGRATION:
-                rails.append((state, stage.rails))
-            state += section.states
-    return np.array(rails, dtype=float).reshape(-1, 2)
+            limited = stage.rails is not None and section.name == INTEGRATION
+            rails += [stage.rails if limited and stage.rails is not None else np.inf] * section.states
+    return np.array(rails)
 
 
 def _disturbances(

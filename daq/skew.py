@@ -145,6 +145,8 @@ def _shift(
     `last` is the interval before, and is kept up to date; if it was broken, its end is in the `tail` first
     parts.
     """
+    for r in range(4):
+        _join(pieces, joined[r], last, smooth[r])
     count = 0
     at = 0
     whole = np.empty(4)
@@ -155,15 +157,9 @@ def _shift(
         )  # fmt: skip
         whole_now = at == pieces.broken.size or pieces.broken[at] != i
         if whole_now and tail == 0:
-            for r in range(4):
-                before = joined[r, 0] * last[0] + joined[r, 1] * last[1]
-                before += joined[r, 2] * last[2] + joined[r, 3] * last[3]
-                now = joined[r, 4] * whole[0] + joined[r, 5] * whole[1]
-                now += joined[r, 6] * whole[2] + joined[r, 7] * whole[3]
-                smooth[r, i] = before + now
+            # Both intervals are whole, and joined already.
             last[:] = whole
             continue
-        smooth[:, i] = 0.0
         # The end of the interval before.
         if tail == 0:
             broken[count], length[count], jump[count] = i, share, 0.0
@@ -209,6 +205,19 @@ def _shift(
             broken[count], length[count], jump[count], part[:, count] = i, 0.0, 0.0, 0.0
             count += 1
     return count, tail
+
+
+@njit(cache=True)
+def _join(pieces: Pieces, weights: Array, last: Array, out: Array) -> None:
+    """Join every interval with the one before as if both were whole; one number of the result."""
+    a, b, c, d = weights[0], weights[1], weights[2], weights[3]
+    e, f, g, h = weights[4], weights[5], weights[6], weights[7]
+    start, end, mean, moment = pieces.start, pieces.end, pieces.mean, pieces.moment
+    for i in range(1, out.size):
+        before = (a * start[i - 1] + b * end[i - 1]) + (c * mean[i - 1] + d * moment[i - 1])
+        out[i] = before + ((e * start[i] + f * end[i]) + (g * mean[i] + h * moment[i]))
+    before = (a * last[0] + b * last[1]) + (c * last[2] + d * last[3])
+    out[0] = before + ((e * start[0] + f * end[0]) + (g * mean[0] + h * moment[0]))
 
 
 @njit(cache=True)

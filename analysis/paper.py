@@ -83,8 +83,8 @@ def reproduce(folder: Path, say: Callable[[str], None], fresh: Sequence[str] = (
                 job.result()
                 part = jobs[job]
                 say(
-                    f"  [{done}/{len(missing)}] {part.title} ({part.name}), {time.monotonic() - began:.0f} s "
-                    f"after the start"
+                    f"  [{done}/{len(missing)}] {part.title} ({part.name}), {time.monotonic() - began:.0f} s after "
+                    "the start"
                 )
                 arrays = part.stored(folder)
                 assert arrays is not None

@@ -45,7 +45,8 @@ def design(parts: Parts) -> Figure:
     with drawing(6.8) as figure:
         rows = figure.subplots(2, 1)
         for axes, name, title in (
-            (rows[0], "scan-single", "one damper in body 2"), (rows[1], "scan-three", "three dampers"),
+            (rows[0], "scan-single", "Third mode, one damper in body 2"),
+            (rows[1], "scan-three", "Third mode, three dampers"),
         ):  # fmt: skip
             data = parts[name]
             image = _map(axes, data, 1e6 * data["peak"], "magma_r", 40.0, 450.0)
@@ -54,7 +55,7 @@ def design(parts: Parts) -> Figure:
             for (i, j), text in np.ndenumerate(texts):
                 dark = data["peak"][i, j] > 2.4e-4
                 axes.text(j, i, text, ha="center", va="center", fontsize=7, color="white" if dark else BLACK)
-            axes.set_title(f"Third mode, {title}: peak compliance of body 2 / (µm/N) and motion there")
+            axes.set_title(f"{title}: peak |X₂/F₁| / (µm/N) and motion there")
             figure.colorbar(image, ax=axes, label="µm/N")
     return figure
 
@@ -79,7 +80,8 @@ def trust(parts: Parts) -> Figure:
         image = _map(axes, parts["scan-single"], error, "RdBu_r", -30.0, 30.0)
         for (i, j), value in np.ndenumerate(error):
             text = f"{value:+.0f} %" if np.isfinite(value) else "none"
-            axes.text(j, i, text, ha="center", va="center", fontsize=7.5)
+            dark = np.isfinite(value) and abs(value) > 18
+            axes.text(j, i, text, ha="center", va="center", fontsize=7.5, color="white" if dark else BLACK)
         axes.set_title("Approximate method: error of its peak (one damper in body 2, third mode)")
         figure.colorbar(image, ax=axes, label="% of the simulated peak")
     return figure

@@ -39,20 +39,19 @@ def figure_4(parts: Parts) -> Figure:
                 ms=2.2,
                 lw=0.7,
             )
-        for number, omega in enumerate(theory["omega"]):
+        for omega in theory["omega"]:
             upper.axvline(omega / (2 * np.pi), color=GREY, lw=0.7, ls=":")
             upper.annotate(
-                f"{omega:.1f} rad/s", (omega / (2 * np.pi), 1.0), xycoords=("data", "axes fraction"),
-                xytext=(-3, -4), textcoords="offset points", va="top", ha="right", fontsize=7.5, rotation=90,
+                f"{omega:.1f} rad/s", (omega / (2 * np.pi), 0.0), xycoords=("data", "axes fraction"),
+                xytext=(3, 4), textcoords="offset points", va="bottom", ha="left", fontsize=7.5, rotation=90,
             )  # fmt: skip
-            del number
         decades(upper, [abs(measured["compliance"])])
         decades(lower, [abs(measured["transfer"])])
         upper.set_title("Fig 4b: no dampers. Dots: recording; lines: exact")
         upper.set_ylabel(COMPLIANCE)
         lower.set_title("The same recording, per table motion: the coil spring shifts the peaks")
         lower.set_ylabel("|X/X₀|")
-        upper.legend(loc="lower left", ncols=3)
+        upper.legend(loc="upper right", ncols=3)
         for axes in (upper, lower):
             frequency_axis(axes, 8.0, 60.0, axes is lower)
     return figure
@@ -190,11 +189,11 @@ def figure_10a(parts: Parts) -> Figure:
     simulated, measured = parts["sim-three"], parts["rec-three"]
     with drawing(5.4) as figure:
         upper, lower = figure.subplots(2, 1, height_ratios=[3, 1])
-        upper.plot(simulated["frequency"], abs(simulated["compliance"][2]), color=BLUE, label="simulation")
+        upper.plot(simulated["frequency"], abs(simulated["compliance"][0]), color=BLUE, label="simulation")
         upper.plot(
-            measured["frequency"], abs(measured["compliance"][2]), "o", color=BLACK, ms=2.2, label="recording"
+            measured["frequency"], abs(measured["compliance"][0]), "o", color=BLACK, ms=2.2, label="recording"
         )
-        size, error = abs(measured["compliance"][2]), np.nan_to_num(measured["error"][2])
+        size, error = abs(measured["compliance"][0]), np.nan_to_num(measured["error"][0])
         upper.fill_between(
             measured["frequency"],
             np.maximum(size - 2 * error, 1e-3 * size),
@@ -203,11 +202,11 @@ def figure_10a(parts: Parts) -> Figure:
             alpha=0.3,
             lw=0,
         )
-        decades(upper, [abs(simulated["compliance"][2])])
-        upper.set_ylabel("compliance of body 3 |X₃/F₁| / (m/N)")
+        decades(upper, [abs(simulated["compliance"][0])])
+        upper.set_ylabel("compliance of body 1 |X₁/F₁| / (m/N)")
         upper.set_title("Fig 10a: three dampers, mass ratio 10 %, no ceiling, force 2.6 N")
-        upper.legend()
-        there = np.interp(measured["frequency"], simulated["frequency"], abs(simulated["compliance"][2]))
+        upper.legend(loc="lower left")
+        there = np.interp(measured["frequency"], simulated["frequency"], abs(simulated["compliance"][0]))
         lower.semilogy(measured["frequency"], abs(size / there - 1), "o", color=BLACK, ms=2.2)
         lower.set_ylabel("difference")
         for axes in (upper, lower):
@@ -228,8 +227,9 @@ def figure_10b(parts: Parts) -> Figure:
             axes.plot(data["time"], _smooth(data["envelope"]), color=shade, lw=1.4, label=label)
         axes.axhspan(-9.80665, 9.80665, color=ORANGE, alpha=0.12, lw=0)
         axes.annotate(
-            "below 1 g dampers rest", (0.99, 0.53), xycoords="axes fraction", ha="right", fontsize=8
-        )
+            "within 1 g dampers rest", (1.98, -9.0), ha="right", va="bottom", fontsize=8,
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1},
+        )  # fmt: skip
         axes.set_xlim(0, 2.0)
         axes.set_xlabel("time / s")
         axes.set_ylabel("acceleration of body 3 / (m/s²)")

@@ -13,8 +13,11 @@ from analysis.paper_store import Part
 from rig.scene import Scene
 
 BAND = (45.0, 54.0)
-FORCES = np.array([2.0, 3.3, 5.0, 7.5, 10.0, 15.0])
-CLEARANCES = 1e-3 * np.array([0.3, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0])
+FORCES = np.array([2.0, 3.3, 4.0, 5.0, 7.5, 10.0, 15.0])
+CLEARANCES = 1e-3 * np.array([0.3, 0.4, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0])
+MODE_BANDS = {1: (11.5, 14.0), 2: (31.0, 36.0), 3: (45.5, 51.5)}
+DAMPINGS = np.array([0.003, 0.005, 0.0075, 0.01, 0.015])
+NEAR_PAPER = 1e-3 * np.array([0.9, 0.98, 1.05, 1.1, 1.15, 1.2, 1.3])
 MASS_RATIOS = (0.03, 0.06, 0.10)
 # Third resonance, finer where the single damper peaks.
 RESONANCE = np.unique(np.concatenate([np.linspace(45.5, 53.0, 16), np.linspace(46.2, 50.4, 22)]))
@@ -36,7 +39,7 @@ SWEEP = np.unique(
 WAVES = {
     "a": ("fig5-single-damper", 48.5),
     "b": ("fig5-three-dampers", 50.5),
-    "c": ("fig8-three-dampers", 47.5),
+    "c": ("fig5-three-dampers", 52.65),
 }
 
 
@@ -91,6 +94,19 @@ def all_parts(folder: Path) -> list[Part]:
             frequencies=SWEEP,
         )
     )
+    parts.append(
+        _part(
+            "fig9-damping", "Fig 9 over damping and clearance", paper_simulation.stays_over_damping, rig.load("fig9"),
+            dampings=DAMPINGS, clearances=NEAR_PAPER, frequencies=RESONANCE,
+        )
+    )  # fmt: skip
+    for count in ("one-damper", "two-dampers", "three-dampers"):
+        parts.append(
+            _part(
+                f"weights-{count}", f"both weights of the mass ratio, {count.replace('-', ' ')}",
+                paper_simulation.weightings, rig.load(f"fig8-{count}"), bands=MODE_BANDS,
+            )
+        )  # fmt: skip
     dense = np.linspace(*BAND, 109)
     for name, scene in (("sim-fig5-single", single), ("sim-fig5-three", three)):
         parts.append(_part(name, "simulation of Fig 5", paper_simulation.simulated, scene, frequencies=dense))
@@ -150,5 +166,8 @@ def _recording(folder: Path, name: str, scene: Scene, extra: dict[str, Any]) -> 
 
 
 def _part(name: str, title: str, compute: Any, scene: Scene, **arguments: Any) -> Part:
-    written = {key: np.asarray(value).tolist() for key, value in arguments.items()}
+    written = {
+        key: value if isinstance(value, dict) else np.asarray(value).tolist()
+        for key, value in arguments.items()
+    }
     return Part(name, f"{name}\n{scene.to_yaml()}\n{written}", compute, {"scene": scene, **arguments}, title)

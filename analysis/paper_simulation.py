@@ -7,20 +7,23 @@ from numpy.typing import NDArray
 
 from analysis.paper_store import Arrays
 from rig.approximate import Branch, follow_mode
-from rig.orbit import Orbit, periodic_orbit
+from rig.errors import SceneError
+from rig.motion_type import motion_types, overall
+from rig.orbit import Orbit, periodic_orbit, start_march
 from rig.orbit_curve import follow_orbits
-from rig.orbit_problem import Problem, pure_force
+from rig.orbit_problem import Problem, Setting, pure_force
 from rig.receptance import receptance
 from rig.response import frequency_response
 from rig.scene import Scene
 from rig.shooting import sample, shoot
 from rig.single_mode import Weighting, single_mode
+from rig.steady_state import MARKS, one_cycle, settle
 from rig.structure import natural_modes, structure_matrices
 
 Floats = NDArray[np.float64]
 
 # A scan needs the curve, not its last digits; what has not settled by then is drawn as irregular.
-SCAN_TOLERANCE, SCAN_LONGEST = 1e-4, 600
+SCAN_TOLERANCE, SCAN_LONGEST = 1e-4, 3000
 BODY = 2
 
 
@@ -183,26 +186,24 @@ def scan(
     -------
     dict
         peak (forces, clearances): largest |X| / F_1 of the body; where (same): its frequency; type_there: the
-        motion type at the peak; types: all types met, joined by spaces, with those of single dampers split.
+        motion type at the peak; types: all types met by any damper, joined by spaces; settled: share of the
+        frequencies at which the motion repeats.
     """
     shape = (len(forces), len(clearances))
-    peak, where = np.zeros(shape), np.zeros(shape)
-    there, types = np.empty(shape, dtype="U24"), np.empty(shape, dtype="U200")
-    settled = np.zeros(shape)
+    peak, where, settled = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    there, types = np.empty(shape, dtype="U24"), np.empty(shape, dtype="U400")
     for column, clearance in enumerate(clearances):
         dampers = [
             d.replace(clearance=float(clearance), mass=None, mass_ratio=mass_ratio) for d in scene.dampers
         ]
+        problem = Problem(scene.replace(dampers=dampers))
         for row, force in enumerate(forces):
-            test = {"kind": "sine", "frequency": float(frequencies[0]), "force": float(force)}
-            one = pure_force(scene.replace(dampers=dampers, test=test))
-            found = frequency_response(one, frequencies, tolerance=SCAN_TOLERANCE, longest=SCAN_LONGEST)
-            size = np.abs(found.compliance[body - 1])
+            size, motions = _sizes(problem, float(force), frequencies, body)
             i = int(size.argmax())
-            peak[row, column], where[row, column] = size[i], found.frequency[i]
-            there[row, column] = found.motion_type[i]
-            types[row, column] = " ".join(sorted(set(found.damper_motion.ravel().tolist())))
-            settled[row, column] = found.converged.mean()
+            peak[row, column], where[row, column] = size[i], frequencies[i]
+            there[row, column] = overall(motions[i])
+            types[row, column] = " ".join(sorted({kind for kinds in motions for kind in kinds}))
+            settled[row, column] = np.mean(["irregular" not in kinds for kinds in motions])
     return {
         "force": forces,
         "clearance": clearances,
@@ -212,6 +213,88 @@ def scan(
         "types": types,
         "settled": settled,
     }
+
+
+def _sizes(problem: Problem, force: float, frequencies: Floats, body: int) -> tuple[Floats, list[list[str]]]:
+    """Compliance of a body and motion types, each frequency from the motion at the one before."""
+    sizes, motions = np.zeros(len(frequencies)), []
+    last = None
+    for i, frequency in enumerate(frequencies):
+        march, steps = start_march(problem, Setting(float(frequency), force))
+        if last is not None:
+            march.resume(last)
+            march.start_period(1.0)
+        steady = settle(march, steps, 1.0, SCAN_TOLERANCE, SCAN_LONGEST)
+        course, begins = one_cycle(march, steps, 1.0, steady.repetition or 16)
+        # The mean over evenly spaced instants: kinks of the velocity leave an error of some 1e-5 of the
+        # motion.
+        turns = np.exp(-2j * np.pi * np.arange(len(begins)) / MARKS)
+        sizes[i] = 2 * abs(np.mean(begins[:, body - 1] * turns)) / force
+        motions.append(motion_types(course, problem.system.dampers, steady.repetition))
+        last = march.snapshot()
+    return sizes, motions
+
+
+def weightings(scene: Scene, bands: dict[int, tuple[float, float]]) -> Arrays:
+    """Peaks of the approximate method with either weight of the mass ratio, beside those of the simulation.
+
+    Parameters
+    ----------
+    scene : Scene
+    bands : dict
+        Frequency band [Hz] about each mode (from 1).
+
+    Returns
+    -------
+    dict
+        mode (modes,), and rows simulation, printed, energy: peak (3, modes) of the body that moves most in
+        the mode [m/N], frequency (3, modes) Hz, mass_ratio (3, modes); NaN where the printed sum is no mass.
+    """
+    peak, where, ratio = (np.full((3, len(bands)), np.nan) for _ in range(3))
+    forced = pure_force(scene)
+    problem = Problem(scene)
+    for column, (mode, band) in enumerate(bands.items()):
+        frequencies = np.linspace(*band, 41)
+        weights: tuple[Weighting, Weighting] = ("printed", "energy")
+        body = 0
+        for row, weighting in enumerate(weights, 1):
+            try:
+                kept = single_mode(forced, mode, weighting=weighting)
+            except SceneError:
+                continue
+            body = int(np.abs(kept.shape).argmax())
+            ratio[row, column] = kept.mass_ratio
+            for branch in follow_mode(kept, band, searches=5).branches:
+                size = np.where(branch.valid & branch.stable, np.abs(branch.compliance), 0)
+                if not peak[row, column] >= size.max():
+                    peak[row, column], where[row, column] = size.max(), branch.frequency[size.argmax()]
+        size, _ = _sizes(problem, problem.level, frequencies, body + 1)
+        peak[0, column], where[0, column] = size.max(), frequencies[size.argmax()]
+    return {"mode": np.array(list(bands)), "peak": peak, "frequency": where, "mass_ratio": ratio}
+
+
+def stays_over_damping(
+    scene: Scene, dampings: Floats, clearances: Floats, frequencies: Floats, body: int = BODY
+) -> Arrays:
+    """Whether Type III appears about the resonance, over damping ratio (rows) and clearance (columns).
+
+    Returns
+    -------
+    dict
+        third (dampings, clearances): whether; peak (same): largest compliance of the body [m/N].
+    """
+    third, peak = (
+        np.zeros((len(dampings), len(clearances)), dtype=bool),
+        np.zeros((len(dampings), len(clearances))),
+    )
+    for row, damping in enumerate(dampings):
+        structure = scene.structure.replace(damping={"modal": float(damping)})
+        for column, clearance in enumerate(clearances):
+            dampers = [d.replace(clearance=float(clearance)) for d in scene.dampers]
+            problem = Problem(scene.replace(structure=structure, dampers=dampers))
+            size, motions = _sizes(problem, problem.level, frequencies, body)
+            third[row, column], peak[row, column] = any("III" in kinds for kinds in motions), size.max()
+    return {"damping": dampings, "clearance": clearances, "third": third, "peak": peak}
 
 
 def best_clearance(

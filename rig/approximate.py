@@ -24,6 +24,7 @@ from rig.single_mode import SingleMode, Weighting, single_mode
 
 Floats = NDArray[np.float64]
 
+_NEAR = continuation.Steps(iterations=25)
 _STEPS = continuation.Steps(first=3e-3, longest=0.05, turn=0.12)
 
 
@@ -161,6 +162,9 @@ def follow_mode(mode: SingleMode, band: tuple[float, float], searches: int = 13)
                 )
                 if not any(_passes_through(mode, kind, curve, solution) for curve in curves[kind]):
                     curves[kind].append(_follow(mode, kind, solution, (low, high)))
+        for solution in _short_stays(mode, curves["II"]):
+            if not any(_passes_through(mode, "III", curve, solution) for curve in curves["III"]):
+                curves["III"].append(_follow(mode, "III", solution, (low, high)))
     branches, failures = [], []
     for kind in kinds:
         for curve in curves[kind]:
@@ -198,6 +202,30 @@ def _equations(mode: SingleMode, kind: MotionType) -> continuation.Equations:
         return jacobian(kind, x[:-1], dimensionless(mode, float(x[-1])), "ratio")
 
     return equations
+
+
+def _short_stays(mode: SingleMode, curves: list[continuation.Curve]) -> list[Floats]:
+    """Type III motions that begin where Type II begins to stay at the ceiling; a grid may miss their short stays."""
+    found = []
+    for curve in curves:
+        points = curve.points.T
+        setting = Setting(*(np.broadcast_to(f, points.shape[1:]) for f in dimensionless(mode, points[-1])))
+        stays = flaws(Batch("II", points[:-1], setting)) == "stays at the ceiling"
+        borders = np.flatnonzero(stays[:-1] != stays[1:])
+        for i in (int(b) + int(stays[b + 1]) for b in borders):
+            x, ratio = curve.points[i], float(curve.points[i, -1])
+            for stay in (0.02, 0.05, 0.1, 0.2):
+                start = np.array([*x[:-1], x[-2] + stay, ratio])
+                try:
+                    solution = continuation.solve_at(
+                        _equations(mode, "III"), start, ratio, _scale(mode, "III"), _NEAR
+                    )
+                except continuation.NoConvergence:
+                    continue
+                if not disorder("III", solution[4:-1]):
+                    found.append(solution)
+                    break
+    return found
 
 
 def _scale(mode: SingleMode, kind: MotionType) -> Floats:

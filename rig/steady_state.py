@@ -105,8 +105,9 @@ def _distances(march: March, course: Course) -> tuple[Array, Array]:
         elif earlier <= change:
             left.append(np.inf)
         else:
-            ratio = (change / earlier) ** (p / (LOOK // 2))
-            left.append(max(change, change * ratio / (1.0 - ratio)))
+            fall = np.log(change / earlier) * p / (LOOK // 2)
+            # By expm1, because a ratio just below 1 rounds to 1.
+            left.append(max(change, change * np.exp(fall) / -np.expm1(fall)))
     return np.array(present), np.array(left)
 
 

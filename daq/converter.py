@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from daq.channel import ChannelInfo
 from daq.circuit import high_pass
 from daq.preset import filled_in, part
-from daq.stage import Stage, data_sheet
+from daq.stage import Stage
 from rig.errors import SceneError
 from rig.sensor_settings import Converter as Settings
 
@@ -73,7 +73,7 @@ def coupling(settings: Settings) -> tuple[Stage, ...]:
     if settings.coupling != "AC":
         return ()
     corner = DEFAULT_AC_CORNER if settings.ac_corner is None else settings.ac_corner
-    return (Stage("converter", (high_pass(corner, "AC coupling"),), data=data_sheet("converter", settings)),)
+    return (Stage("converter", (high_pass(corner, "AC coupling"),)),)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from daq.channel import ChannelInfo, Quantity
 from daq.circuit import INTEGRATION
 from daq.converter import SampleClock
 from daq.decimation import DELAY, Decimation
-from daq.stage import Stage, is_integrated
+from daq.stage import Stage, data_sheet, is_integrated
 from rig.sensor_settings import Converter
 
 _QUANTITIES: tuple[Quantity, ...] = ("acceleration", "velocity", "displacement")
@@ -61,7 +61,8 @@ def channel_info(
         average=low_pass is None and not is_integrated(stages),
         delay=filter_delay + delay,
         filter={} if low_pass is None else low_pass.design,
-        sensor={key: text for stage in stages for key, text in stage.data.items()},
+        sensor={key: text for stage in stages for key, text in stage.data.items()}
+        | data_sheet("converter", converter),
     )
 
 

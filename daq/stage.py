@@ -74,7 +74,7 @@ def is_integrated(stages: Sequence[Stage]) -> bool:
 
 
 def data_sheet(device: str, settings: Settings) -> dict[str, str]:
-    """List what is given of a device, with units.
+    """List what is given of a device, as far as it is not the default, with units.
 
     >>> from rig.sensor_settings import Accelerometer
     >>> data_sheet("accelerometer", Accelerometer(resonance="30 kHz"))
@@ -83,7 +83,7 @@ def data_sheet(device: str, settings: Settings) -> dict[str, str]:
     sheet = {}
     for name, described in type(settings).model_fields.items():
         value = getattr(settings, name)
-        if value is None:
+        if value == described.default:
             continue
         parts = (*described.metadata, described.annotation)
         quantity = next((found for part in parts if (found := quantity_of(part)) is not None), None)

@@ -2,7 +2,9 @@ import numpy as np
 import pytest
 
 from daq.converter import Converter, SampleClock
+from daq.preset import filled_in, parts
 from rig.errors import SceneError
+from rig.sensor_settings import Accelerometer, Hammer
 from rig.sensor_settings import Converter as Settings
 from tests.daq.analytic_motion import Path, at_rest, chain_of, motion_of, scene_of
 
@@ -161,3 +163,35 @@ def test_given_jitter_when_a_tone_is_measured_then_the_noise_is_its_slope_times_
     assert error[0].std() == pytest.approx(amplitude * w * jitter / np.sqrt(2), rel=0.02)
     # One clock for all channels.
     assert np.array_equal(error[0], error[1])
+
+
+@pytest.mark.parametrize("part", parts().values(), ids=lambda part: part.name)
+def test_given_a_part_when_named_in_a_scene_then_its_figures_are_valid_and_their_sources_stated(part):
+    kind = {"accelerometer": Accelerometer, "hammer": Hammer, "converter": Settings}[part.kind]
+    settings = filled_in(kind(preset=part.name.lower().replace(" ", "-")))
+    assert {key for key in part.settings if getattr(settings, key) is None} == set()
+    assert part.sources
+
+
+def test_given_a_figure_beside_a_preset_when_filled_in_then_the_given_one_holds():
+    settings = filled_in(Accelerometer(preset="PCB 352C33", sensitivity="98 mV/g"))
+    assert settings.sensitivity == pytest.approx(0.098 / 9.80665)
+    assert settings.resonance == 50e3
+
+
+def test_given_a_figure_that_does_not_go_with_its_preset_when_filled_in_then_the_error_names_both():
+    with pytest.raises(SceneError, match="PCB 086C03"):
+        filled_in(Hammer(preset="PCB 086C03").model_copy(update={"saturation": -1.0}))
+
+
+def test_given_parts_in_a_channel_when_described_then_their_data_sheets_go_with_it():
+    scene = scene_of(
+        ", accelerometer: {resonance: 30 kHz}, integrator: {order: 1, corner: 1 Hz}",
+        converter="{excitation: 2 mA}",
+    )
+    assert chain_of(scene)[0].channels[0].sensor == {
+        "accelerometer.resonance": "30000.0 Hz",
+        "integrator.order": "1",
+        "integrator.corner": "1.0 Hz",
+        "converter.excitation": "0.002 A",
+    }

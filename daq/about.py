@@ -22,7 +22,9 @@ def about(recording: Recording, motion: RecordedMotion, view: RigView) -> str:
         *[f"- {source.point}: {source.sentence}" for source in motion.sources],
     ]
     if scene.dampers:
-        told = "recorded truth" if motion.gaps_known else "not recorded, drawn on their floors"
+        told = "recorded truth"
+        if not motion.gaps_known:
+            told = "not recorded, drawn on their floors (a scene with recording: {truth: true} records them)"
         lines.append(f"- dampers: {told}")
         lines += [
             "",

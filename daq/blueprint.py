@@ -32,6 +32,8 @@ class Content:
         Lowest natural frequency; it sets the span of the plots around the time cursor.
     eye : tuple
         Where the 3D view is seen from, and what it looks at.
+    span_s : tuple of float
+        Start and end of what there is, seconds on the timeline.
     speed : float
         Playback speed, 1 is real time.
     """
@@ -40,6 +42,7 @@ class Content:
     dampers: int
     lowest_hz: float
     eye: tuple[tuple[float, float, float], tuple[float, float, float]]
+    span_s: tuple[float, float]
     speed: float
 
 
@@ -53,9 +56,17 @@ def layout(content: Content) -> rrb.Blueprint:
 
     around = PERIODS / content.lowest_hz
     entity, title = content.plots[0]
-    whole = rrb.TimeSeriesView(origin=entity, name=f"{title}, whole recording", plot_legend=_legend())
+    # Left to itself the viewer shows about a minute around the cursor.
+    begin, end = (rrb.TimeRangeBoundary.absolute(seconds=at) for at in content.span_s)
+    axis = rrb.TimeAxis(view_range=rrb.TimeRange(start=begin, end=end))
+    whole = rrb.TimeSeriesView(
+        origin=entity, name=f"{title}, whole recording", plot_legend=_legend(), axis_x=axis
+    )
     phases = rrb.StateTimelineView(
-        origin="test", contents="test/phase", name="test (grey: settling, green: measuring)"
+        origin="test",
+        contents="test/phase",
+        name="test (grey: settling, green: measuring)",
+        time_view=axis,
     )
     near = [
         rrb.TimeSeriesView(

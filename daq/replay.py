@@ -117,8 +117,9 @@ class Replay:
     def blueprint(self) -> rrb.Blueprint:
         """Layout for this recording."""
         dampers = len(self.recording.scene.dampers) if self.motion.gaps_known else 0
+        span = self.start / self.recording.rate, self.stop / self.recording.rate
         return layout(
-            Content(plots(self.recording.channels), dampers, self.lowest_hz, self.view.eye, self.speed)
+            Content(plots(self.recording.channels), dampers, self.lowest_hz, self.view.eye, span, self.speed)
         )
 
     def send(

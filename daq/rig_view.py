@@ -25,7 +25,7 @@ WIDTH = 0.16
 DEPTH = 0.10
 WALL = 0.012
 DAMPER_HEIGHT = 0.030
-HEADROOM = 0.060
+HEADROOM = 0.100
 SOLID_HEIGHT = 0.060
 LEAF_LENGTH = 0.080
 COIL_LENGTH = 0.110
@@ -265,12 +265,9 @@ class RigView:
         shaker, test = self.scene.shaker, self.scene.test
         if shaker is not None and shaker.kind == "force":
             for body in (shaker.body,) if isinstance(shaker.body, int) else shaker.body:
-                yield f"rig/body_{body}/drive", _arrow((0.045, -DEPTH / 2 - 0.01, -0.055), "force", DRIVE)
+                yield from _arrow(f"rig/body_{body}/drive", 0.045, "force", DRIVE)
         if test is not None and test.kind == "impulse":
-            yield (
-                f"rig/body_{test.body}/hammer",
-                _arrow((-0.045, -DEPTH / 2 - 0.01, -0.055), "hammer", HAMMER),
-            )
+            yield from _arrow(f"rig/body_{test.body}/hammer", -0.045, "hammer", HAMMER)
 
     def _rest_marks(self) -> Iterator[tuple[str, rr.AsComponents]]:
         """Scale at the left: where each body rests, how long a millimetre is drawn, and the exaggeration."""
@@ -368,12 +365,13 @@ def _label(at: tuple[float, float, float], text: str, colour: Colour) -> rr.Poin
     return rr.Points3D([at], labels=[text], colors=[colour], radii=[0.0001], show_labels=True)
 
 
-def _arrow(at: tuple[float, float, float], text: str, colour: Colour) -> rr.Arrows3D:
+def _arrow(entity: str, x: float, text: str, colour: Colour) -> Iterator[tuple[str, rr.AsComponents]]:
+    """Draw an arrow from below against the front of a body's underside, and its name at its foot."""
     import rerun as rr
 
-    return rr.Arrows3D(
-        origins=[at], vectors=[(0, 0, 0.05)], colors=[colour], radii=[0.003], labels=[text], show_labels=True
-    )
+    foot = (x, -DEPTH / 2 - 0.02, -0.055)
+    yield entity, rr.Arrows3D(origins=[foot], vectors=[(0, 0, 0.055)], colors=[colour], radii=[0.003])
+    yield f"{entity}/name", _label(foot, text, colour)
 
 
 def _coil(x: float, length: float) -> rr.LineStrips3D:

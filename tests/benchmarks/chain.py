@@ -1,0 +1,99 @@
+"""How fast the measurement chain is, effect by effect: `python -m tests.benchmarks.chain`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+import rig
+from daq.chain import Chain
+from daq.converter import Converter, SampleClock
+from rig.plant import Plant
+from rig.scene import Scene
+
+RATE, SECONDS, BLOCK = 51200.0, 4, 5120
+PLACES = ("body 1", "body 2", "body 3", "table")
+
+# Each rung adds to the accelerometer, the integrator or the converter of those before it.
+LADDER: tuple[tuple[str, dict[str, Any], dict[str, Any] | None, dict[str, Any]], ...] = (
+    ("ideal", {}, None, {}),
+    ("resonance, low cut-off", {"resonance": "30 kHz", "low_cutoff": "0.5 Hz"}, None, {}),
+    ("integrator", {}, {"order": 2, "corner": "1 Hz", "gain": 1000.0, "low_cutoff": "0.5 Hz"}, {}),
+    ("24 bits", {}, {}, {"bits": 24, "range": "5 V"}),
+    (
+        "tolerance, temperature, transverse",
+        {
+            "sensitivity": "100 mV/g",
+            "sensitivity_tolerance": "5 %",
+            "temperature_drift": "0.05 %/K",
+            "temperature_change": "10 K",
+            "transverse": "3 %",
+        },
+        {},
+        {},
+    ),
+    (
+        "saturation, recovery",
+        {"saturation": "50 g", "overload_recovery": "10 ms"},
+        {"saturation": "12 V"},
+        {},
+    ),
+    ("bias, settling", {"bias": "10 V", "bias_settling": "2 s"}, {}, {}),
+    ("white noise", {"noise": "20 ug/sqrt(Hz)"}, {"noise": "50 nV/sqrt(Hz)"}, {"noise": "50 nV/sqrt(Hz)"}),
+    ("1/f noise", {"noise_corner": "10 Hz"}, {}, {}),
+    ("AC coupling", {}, {}, {"coupling": "AC"}),
+    ("decimation filter", {}, {}, {"filter": "delta_sigma"}),
+    ("skew", {}, {}, {"skew": "1 us"}),
+    ("jitter, clock error", {}, {}, {"jitter": "1 ns", "clock_error": "10 ppm"}),
+)
+
+
+def rungs(scene: Scene) -> Iterator[tuple[str, Scene]]:
+    """Give the scene with ever more effects."""
+    sensor: dict[str, Any] = {}
+    integrator: dict[str, Any] | None = None
+    converter: dict[str, Any] = {"rate": RATE}
+    for name, to_sensor, to_integrator, to_converter in LADDER:
+        sensor, converter = sensor | to_sensor, converter | to_converter
+        if to_integrator is not None:
+            integrator = (integrator or {}) | to_integrator
+        channels = [
+            {"name": place.replace(" ", ""), "at": place, "accelerometer": sensor, "integrator": integrator}
+            for place in PLACES
+        ]
+        yield name, scene.replace(channels=channels, converter=converter)
+
+
+def measure() -> Iterator[str]:
+    """Yield a line for each rung: time per channel and sample, and how many times real time four channels run."""
+    scene = rig.load("fig8-three-dampers")
+    for name, rung in rungs(scene):
+        rate = SampleClock.of(rung.converter).true_rate
+        best = np.inf
+        # The first pass compiles.
+        for _ in range(4):
+            plant = Plant(rung, rate)
+            chain = Chain(rung, rate, plant.points, plant.inputs)
+            converter = Converter(rung.converter, chain.channels)
+            took, breaks = 0.0, 0
+            for first in range(0, round(SECONDS * RATE), BLOCK):
+                drive = 3.0 * np.sin(2 * np.pi * 34.8 / RATE * np.arange(first, first + BLOCK))[None]
+                motion = plant.advance(drive)
+                breaks += motion.break_sample.size
+                began = time.process_time()
+                converter.convert(chain.measure(motion, drive))
+                took += time.process_time() - began
+            best = min(best, took)
+        each = best / (SECONDS * RATE * len(PLACES))
+        yield (
+            f"{name:36s} {each * 1e9:6.1f} ns per channel and sample, {SECONDS / best:5.0f} times real time, "
+            f"{breaks / SECONDS:.0f} breaks a second"
+        )
+
+
+if __name__ == "__main__":
+    for line in measure():
+        print(line)

@@ -336,14 +336,25 @@ def _release_together(
 
 @inlined
 def release_tensile(
-    flow: Flow, model: Model, state: State, log: Log, segment: int, offset: float, work: ContactWork
+    flow: Flow,
+    model: Model,
+    state: State,
+    log: Log,
+    segment: int,
+    offset: float,
+    work: ContactWork,
+    coupling: bool | None,
 ) -> None:
-    """Let go of every riding damper whose contact would have to pull; zero within rounding is left to the step."""
+    """Let go of every riding damper whose contact would have to pull; zero within rounding is left to the step.
+
+    `coupling` is None where the mass matrix couples nobody; then the code for contacts decided together is not
+    even compiled, which takes longer than all the rest.
+    """
     _forces(model, state, work.force)
-    if model.coupled:
-        _release_together(flow, model, state, log, segment, offset, work)
-    else:
+    if coupling is None:
         _release_alone(flow, model, state, log, segment, offset, work)
+    else:
+        _release_together(flow, model, state, log, segment, offset, work)
 
 
 @inlined
@@ -357,14 +368,15 @@ def impact(
     j: int,
     wall: int,
     work: ContactWork,
+    coupling: bool | None,
 ) -> None:
     """Damper j meets a wall; velocities jump, and every contact of the instant is decided anew."""
     _forces(model, state, work.force)
-    if model.coupled:
-        _impact_together(flow, model, state, log, segment, offset, j, wall, work)
-    else:
+    if coupling is None:
         _impact_alone(flow, model, state, log, segment, offset, j, wall, work)
-    release_tensile(flow, model, state, log, segment, offset, work)
+    else:
+        _impact_together(flow, model, state, log, segment, offset, j, wall, work)
+    release_tensile(flow, model, state, log, segment, offset, work, coupling)
 
 
 @inlined

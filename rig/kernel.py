@@ -339,6 +339,7 @@ def advance(
     segment: int,
     steps: float,
     left: float,
+    coupling: bool | None,
 ) -> tuple[int, float]:
     """Advance to the end of a segment of `steps` step lengths (a real number), or come back earlier.
 
@@ -349,6 +350,8 @@ def advance(
     steps, left : float
         Step lengths in the segment, and how many of them are still to go. The times of events are made of both,
         so that they have the same bits wherever the kernel came back in between.
+    coupling : bool or None
+        None where the mass matrix couples no dampers at an impact.
 
     Returns
     -------
@@ -411,6 +414,6 @@ def advance(
         if guard == CONTACT_FORCE:
             separate(flow, model, state, log, segment, offset, j, 3)
         else:
-            impact(flow, model, state, log, segment, offset, j, guard, scratch.contact)
+            impact(flow, model, state, log, segment, offset, j, guard, scratch.contact, coupling)
         close_break(model, state, log)
     return DONE, 0.0

@@ -86,7 +86,7 @@ def _keep(
 def _march(
     flow: Any, model: Any, state: Any, scratch: Any, log: Any, steps: Array, renew: NDArray[np.bool_], drive: Array,
     row: NDArray[np.int64], begin: int, left: float, states: Array, slots: NDArray[np.int64],
-    heights: Array, modes: NDArray[np.int8],
+    heights: Array, modes: NDArray[np.int8], coupling: bool | None,
 ) -> tuple[int, int, float]:  # fmt: skip
     """Segments of `steps` step lengths; a segment with `renew` begins with the drive states in `drive`.
 
@@ -100,7 +100,7 @@ def _march(
             if renew[k]:
                 for i in range(drive.shape[1]):
                     state.z[first + i] = drive[k, i]
-        status, left = advance(flow, model, state, scratch, log, k, steps[k], left)
+        status, left = advance(flow, model, state, scratch, log, k, steps[k], left, coupling)
         if status != DONE:
             return status, k, left
         if state.counters[SLOT] < 0:
@@ -130,8 +130,8 @@ def _accelerations(
 
 
 @compiled
-def _let_go(flow: Any, model: Any, state: Any, scratch: Any, log: Any) -> None:
-    release_tensile(flow, model, state, log, 0, 0.0, scratch.contact)
+def _let_go(flow: Any, model: Any, state: Any, scratch: Any, log: Any, coupling: bool | None) -> None:
+    release_tensile(flow, model, state, log, 0, 0.0, scratch.contact, coupling)
 
 
 class March:
@@ -148,6 +148,7 @@ class March:
     def __init__(self, system: System, drive: Drive, step: float) -> None:
         self.system, self.drive = system, drive
         self.tables = FlowTables(system, drive, step)
+        self._coupling = True if system.coupled else None
         dampers, size = system.dampers, self.tables.size
         self.state = State(
             z=np.zeros(padded(size)),
@@ -192,7 +193,7 @@ class March:
         """
         self.state.z[: self.system.states] = state
         self.state.z[self.system.states : self.tables.size] = drive
-        _let_go(self.tables.flow, self.tables.model, self.state, self.scratch, self.log)
+        _let_go(self.tables.flow, self.tables.model, self.state, self.scratch, self.log, self._coupling)
         lifted = self.log.damper[: self.log.filled[0]].copy()
         self.log.filled[:] = 0
         self._find_table()
@@ -273,7 +274,7 @@ class March:
         while True:
             status, begin, left = _march(
                 self.tables.flow, self.tables.model, self.state, self.scratch, self.log, steps, renew, drive, row,
-                begin, left, states, slots, heights, modes,
+                begin, left, states, slots, heights, modes, self._coupling,
             )  # fmt: skip
             if status == NEED_TABLE:
                 self._find_table()

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from daq.circuit import INTEGRATION, Circuit
 from daq.converter import SampleClock
 from daq.decimation import DELAY, Decimation
+from daq.discretisation import discretise
 from daq.disturbance import Disturbances, Offset, SettlingOffset, Source, Zero
 from daq.noise import Noise, generator
 from daq.pieces import Pieces
-from daq.propagation import discretise, propagate
+from daq.propagation import propagate
 from daq.reading import AverageReading, FilteredReading, Jitter, PointReading, Reading
 from daq.skew import Delay
 from daq.stage import Stage, is_integrated

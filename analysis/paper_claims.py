@@ -182,8 +182,9 @@ def _c4(parts: Parts) -> Claim:
     reason = (
         "only Type II appears inside the resonance"
         if only_two
-        else "approximate method, exact motion and recording agree; Type III, with a short stay at the ceiling, takes the "
-        f"top of the resonance at 0.98 mm for our damping of 0.5 %, and is absent there for {_least_damping(damped)}"
+        else "approximate method, exact motion and recording agree; Type III, with a short stay at the ceiling, takes "
+        f"the top of the resonance at 0.98 mm for our damping of 0.5 %, but is absent there for "
+        f"{_least_damping(damped)}"
     )
     return Claim(
         "C4",

@@ -174,7 +174,7 @@ def figure_9(parts: Parts) -> Figure:
         lower.plot(measured["impact_frequency"], measured["impact_phi"], "o", color=BLACK, ms=2.4)
         lower.plot(measured["impact_frequency"], measured["impact_tau_1"], "s", color=BLACK, ms=2.4)
         for text, place in (("φ, force phase lag at floor impact", (46.1, 5.4)), ("τ₁, ceiling impact", (49.6, 4.35)),
-                            ("τ₀, leaves floor", (47.1, 0.25))):  # fmt: skip
+                            ("τ₀, leaves floor", (49.0, 1.38))):  # fmt: skip
             lower.annotate(text, place, fontsize=8.5)
         lower.set_ylim(0, 2 * np.pi)
         lower.set_yticks(np.arange(5) * np.pi / 2, ["0", "π/2", "π", "3π/2", "2π"])

@@ -57,7 +57,7 @@ class Part:
     def stored(self, folder: Path) -> Arrays | None:
         """Results from an earlier run, or None if there are none for the same inputs."""
         try:
-            with np.load(self.path(folder), allow_pickle=False) as archive:
+            with self.path(folder).open("rb") as file, np.load(file, allow_pickle=False) as archive:
                 arrays = {key: archive[key] for key in archive.files}
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
             # Absent, or torn by an interruption: computed anew.

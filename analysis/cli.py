@@ -136,7 +136,7 @@ def export(
 def paper(
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="DIR", help="Where data, figures and the page go.")
-    ] = Path("paper"),
+    ] = Path("recordings/paper"),
     fresh: Annotated[list[str] | None, typer.Option(help="Compute this part again; may be repeated.")] = None,
 ) -> None:
     """Reproduce the paper's figures and judge its claims; goes on where it stopped."""

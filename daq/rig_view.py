@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.palette import DARK_STEEL, DRIVE, GLUED, GROUND, HAMMER, LEAD, MARK, STEEL, Colour, body_colour
+from daq.palette import DARK_STEEL, DRIVE, GLUED, GROUND, HAMMER, LEAD, MARK, Colour, body_colour
+from daq.rig_shapes import Point, arrow, boxes, coil, cylinder, label, leaf_pair, lines
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -34,10 +35,8 @@ PLINTH = 0.050
 LUG = 0.050
 # The share of a spring's length, or of a cavity's headroom, that the largest motion may take.
 FILL = 0.6
-COIL_TURNS = 7
 # Beyond it the picture would show the noise of a rig at rest.
 MOST_EXAGGERATION = 1e4
-COIL_RADIUS = 0.020
 
 
 @dataclass(frozen=True)
@@ -170,39 +169,37 @@ class RigView:
         import rerun as rr
 
         yield "rig", rr.ViewCoordinates.RIGHT_HAND_Z_UP
-        yield "rig/ground", _boxes([((0, 0, -0.01), (0.44, 0.24, 0.02))], GROUND)
+        yield "rig/ground", boxes([((0, 0, -0.01), (0.44, 0.24, 0.02))], GROUND)
         for body in range(1, self.bodies + 1):
             yield from self._body(body)
         for body, (length, sprung) in enumerate(zip(self._length, self._sprung, strict=True), start=1):
             if sprung:
-                yield f"rig/spring_{body}", _leaf_pair(length)
+                yield f"rig/spring_{body}", leaf_pair(length, WIDTH, DEPTH)
         if self.driven is not None:
             yield from self._shaker()
         yield from self._drive_arrows()
         yield from self._rest_marks()
 
     def _body(self, body: int) -> Iterator[tuple[str, rr.AsComponents]]:
-        import rerun as rr
-
         colour, height = body_colour(body), self._height[body - 1]
         name = f"rig/body_{body}"
         masses = self.scene.structure.masses
-        label = f"body {body}" + (f"  {masses[body - 1]:g} kg" if masses is not None else "")
+        text = f"body {body}" + (f"  {masses[body - 1]:g} kg" if masses is not None else "")
         if body in self._damper_at:
-            yield f"{name}/frame", _boxes(self._cavity(body), colour)
+            yield f"{name}/frame", boxes(self._cavity(body), colour)
             yield from self._damper(body)
         else:
-            yield f"{name}/frame", _boxes([((0, 0, height / 2), (WIDTH, DEPTH, height))], colour)
+            yield f"{name}/frame", boxes([((0, 0, height / 2), (WIDTH, DEPTH, height))], colour)
         if self.driven == body and body != 1:
-            yield f"{name}/lug", _boxes([((self._table_x, 0, WALL / 2), (LUG, DEPTH / 2, WALL))], colour)
-        yield f"{name}/name", _label((WIDTH / 2 + 0.12, -DEPTH / 2, 0.75 * height), label, colour)
-        pointer = [(-WIDTH / 2, -DEPTH / 2, height / 2), (-WIDTH / 2 - 0.028, -DEPTH / 2, height / 2)]
-        yield f"{name}/pointer", rr.LineStrips3D([pointer], colors=[colour], radii=[0.0012])
+            yield f"{name}/lug", boxes([((self._table_x, 0, WALL / 2), (LUG, DEPTH / 2, WALL))], colour)
+        yield f"{name}/name", label((WIDTH / 2 + 0.12, -DEPTH / 2, 0.75 * height), text, colour)
+        pointer: list[Point] = [(-WIDTH / 2 - out, -DEPTH / 2, height / 2) for out in (0.0, 0.028)]
+        yield f"{name}/pointer", lines([pointer], colour, 0.0012)
 
-    def _cavity(self, body: int) -> list[tuple[tuple[float, ...], tuple[float, ...]]]:
+    def _cavity(self, body: int) -> list[tuple[Point, Point]]:
         """Boxes (centre, size) of a body with a cavity, open to the front; the ceiling where in sight."""
         height, inner = self._height[body - 1], WIDTH - 2 * WALL
-        boxes: list[tuple[tuple[float, ...], tuple[float, ...]]] = [
+        parts: list[tuple[Point, Point]] = [
             ((0, 0, WALL / 2), (WIDTH, DEPTH, WALL)),
             ((-(WIDTH - WALL) / 2, 0, height / 2), (WALL, DEPTH, height)),
             ((+(WIDTH - WALL) / 2, 0, height / 2), (WALL, DEPTH, height)),
@@ -210,8 +207,8 @@ class RigView:
         ]
         ceiling = self.ceiling(body)
         if ceiling is not None:
-            boxes.append(((0, 0, (ceiling + height) / 2), (inner, DEPTH, height - ceiling)))
-        return boxes
+            parts.append(((0, 0, (ceiling + height) / 2), (inner, DEPTH, height - ceiling)))
+        return parts
 
     def ceiling(self, body: int) -> float | None:
         """Height of the cavity's ceiling over the body's underside, None where it is beyond the drawing."""
@@ -223,67 +220,65 @@ class RigView:
     def _damper(self, body: int) -> Iterator[tuple[str, rr.AsComponents]]:
         place = self._damper_at[body]
         damper = self.scene.dampers[place]
-        label = f"damper {self.damper_masses[place] * 1e3:.3g} g"
+        text = f"damper {self.damper_masses[place] * 1e3:.3g} g"
         if damper.locked:
-            label += ", locked"
+            text += ", locked"
         elif not self.gaps_known:
-            label += ", not recorded"
+            text += ", not recorded"
         elif math.isfinite(damper.clearance) and self.ceiling(body) is None:
-            label += ", ceiling out of sight"
+            text += ", ceiling out of sight"
         size = (WIDTH - 2 * WALL - 0.006, DEPTH - WALL - 0.004, DAMPER_HEIGHT)
         name = f"rig/body_{body}/damper"
         moves = self.gaps_known and not damper.locked
         centre = (0, -WALL / 2, WALL + DAMPER_HEIGHT / 2)
-        yield name, _boxes([(centre, size)], LEAD if moves else GLUED)
+        yield name, boxes([(centre, size)], LEAD if moves else GLUED)
         text_at = (WIDTH / 2 + 0.12, -DEPTH / 2, 0.45 * self._height[body - 1])
-        yield f"rig/body_{body}/damper_name", _label(text_at, label, LEAD if moves else MARK)
+        yield f"rig/body_{body}/damper_name", label(text_at, text, LEAD if moves else MARK)
 
     def _shaker(self) -> Iterator[tuple[str, rr.AsComponents]]:
-        import rerun as rr
-
         kind = self.scene.shaker.kind if self.scene.shaker is not None else ""
         height = self._table_top - PLATE - 0.012
-        middle = (self._table_x, 0, height / 2)
+        middle = (self._table_x, 0.0, height / 2)
         if kind == "electrodynamic":
-            yield (
-                "rig/shaker",
-                rr.Cylinders3D(
-                    centers=[middle], lengths=[height], radii=[0.036], colors=[DARK_STEEL], fill_mode="solid"
-                ),
-            )
+            yield "rig/shaker", cylinder(middle, height, 0.036, DARK_STEEL)
         else:
-            yield "rig/shaker", _boxes([(middle, (0.07, 0.07, height))], DARK_STEEL)
+            yield "rig/shaker", boxes([(middle, (0.07, 0.07, height))], DARK_STEEL)
         plate = ((self._table_x, 0, -PLATE / 2), (0.085, 0.085, PLATE))
         stem = ((self._table_x, 0, -PLATE - 0.02), (0.022, 0.022, 0.04))
-        yield "rig/table/plate", _boxes([plate, stem], DRIVE)
+        yield "rig/table/plate", boxes([plate, stem], DRIVE)
         text_at = (self._table_x + 0.055, -0.09, -PLATE)
-        yield "rig/table/name", _label(text_at, "table" if kind == "table" else "armature", DRIVE)
-        yield "rig/coil_spring", _coil(self._table_x, COIL_LENGTH)
+        yield "rig/table/name", label(text_at, "table" if kind == "table" else "armature", DRIVE)
+        yield "rig/coil_spring", coil(self._table_x, COIL_LENGTH)
 
     def _drive_arrows(self) -> Iterator[tuple[str, rr.AsComponents]]:
         """Arrows on the bodies that a force works on directly: kind force, and the hammer."""
         shaker, test = self.scene.shaker, self.scene.test
         if shaker is not None and shaker.kind == "force":
             for body in (shaker.body,) if isinstance(shaker.body, int) else shaker.body:
-                yield from _arrow(f"rig/body_{body}/drive", 0.045, "force", DRIVE)
+                yield from self._push(f"rig/body_{body}/drive", 0.045, "force", DRIVE)
         if test is not None and test.kind == "impulse":
-            yield from _arrow(f"rig/body_{test.body}/hammer", -0.045, "hammer", HAMMER)
+            yield from self._push(f"rig/body_{test.body}/hammer", -0.045, "hammer", HAMMER)
+
+    @staticmethod
+    def _push(entity: str, x: float, text: str, colour: Colour) -> Iterator[tuple[str, rr.AsComponents]]:
+        """Draw an arrow from below against the front of a body's underside, and its name at its foot."""
+        foot = (x, -DEPTH / 2 - 0.02, -0.055)
+        yield entity, arrow(foot, 0.055, colour)
+        yield f"{entity}/name", label(foot, text, colour)
 
     def _rest_marks(self) -> Iterator[tuple[str, rr.AsComponents]]:
         """Scale at the left: where each body rests, how long a millimetre is drawn, and the exaggeration."""
-        import rerun as rr
-
         x, y = -WIDTH / 2 - 0.032, -DEPTH / 2
         middles = [bottom + height / 2 for bottom, height in zip(self._bottom, self._height, strict=True)]
-        ticks = [[(x - 0.030, y, z), (x, y, z)] for z in middles]
-        yield "rig/rest", rr.LineStrips3D(ticks, colors=[MARK], radii=[0.0008])
+        yield "rig/rest", lines([[(x - 0.030, y, z), (x, y, z)] for z in middles], MARK, 0.0008)
         length = _scale_bar(self.magnification)
         height, x, z = length * self.magnification, x - 0.07, middles[0]
-        ends = [[(x - 0.008, y, z + end), (x + 0.008, y, z + end)] for end in (0.0, height)]
-        bar = [(x, y, z), (x, y, z + height)]
-        yield "rig/scale", rr.LineStrips3D([bar, *ends], colors=[MARK], radii=[0.0010])
+        ends: list[list[Point]] = [
+            [(x - 0.008, y, z + end), (x + 0.008, y, z + end)] for end in (0.0, height)
+        ]
+        yield "rig/scale", lines([[(x, y, z), (x, y, z + height)], *ends], MARK, 0.0010)
         text = f"{length * 1e3:g} mm, drawn × {self.magnification:g}"
-        yield "rig/scale/text", _label((x, y, z - 0.006), text, MARK)
+        yield "rig/scale/text", label((x, y, z - 0.006), text, MARK)
 
     # -- what moves --------------------------------------------------------------------------------------
 
@@ -348,57 +343,3 @@ def _scale_bar(magnification: float) -> float:
     (0.001, 0.0001)
     """
     return float(f"{10.0 ** math.floor(math.log10(0.08 / magnification)):.0e}")
-
-
-def _boxes(boxes: list[tuple[tuple[float, ...], tuple[float, ...]]], colour: Colour) -> rr.Boxes3D:
-    import rerun as rr
-
-    return rr.Boxes3D(
-        centers=[centre for centre, _ in boxes], sizes=[size for _, size in boxes],
-        colors=[colour], fill_mode="solid",
-    )  # fmt: skip
-
-
-def _label(at: tuple[float, float, float], text: str, colour: Colour) -> rr.Points3D:
-    import rerun as rr
-
-    return rr.Points3D([at], labels=[text], colors=[colour], radii=[0.0001], show_labels=True)
-
-
-def _arrow(entity: str, x: float, text: str, colour: Colour) -> Iterator[tuple[str, rr.AsComponents]]:
-    """Draw an arrow from below against the front of a body's underside, and its name at its foot."""
-    import rerun as rr
-
-    foot = (x, -DEPTH / 2 - 0.02, -0.055)
-    yield entity, rr.Arrows3D(origins=[foot], vectors=[(0, 0, 0.055)], colors=[colour], radii=[0.003])
-    yield f"{entity}/name", _label(foot, text, colour)
-
-
-def _coil(x: float, length: float) -> rr.LineStrips3D:
-    """Coil spring from z = 0 to z = length: a helix with straight ends."""
-    import rerun as rr
-
-    along = np.linspace(0.0, 1.0, 24 * COIL_TURNS + 1)
-    turn = 2 * np.pi * COIL_TURNS * along
-    helix = np.column_stack(
-        [x + COIL_RADIUS * np.cos(turn), COIL_RADIUS * np.sin(turn), length * (0.08 + 0.84 * along)]
-    )
-    strip = np.vstack(
-        [[(x, 0, 0)], [(x, 0, 0.08 * length)], helix, [(x, 0, 0.92 * length)], [(x, 0, length)]]
-    )
-    return rr.LineStrips3D([strip], colors=[DRIVE], radii=[0.0028])
-
-
-def _leaf_pair(length: float) -> rr.LineStrips3D:
-    """Leaf springs from z = 0 to z = length: at each side a bow of thin leaves, side by side in depth."""
-    import rerun as rr
-
-    along = np.linspace(0.0, 1.0, 25)
-    bulge = 0.022 * np.sin(np.pi * along)
-    strips = []
-    for side in (-1.0, 1.0):
-        for bow in (-1.0, 1.0):
-            for y in np.linspace(-0.35 * DEPTH, 0.35 * DEPTH, 5):
-                x = side * (WIDTH / 2 - 0.026) + bow * bulge
-                strips.append(np.column_stack([x, np.full_like(x, y), length * along]))
-    return rr.LineStrips3D(strips, colors=[STEEL], radii=[0.0016])

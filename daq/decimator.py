@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from rig.jit import unfused
 
 Array = NDArray[np.float64]
 
@@ -48,7 +49,7 @@ class Decimator:
         return sums[:due]
 
 
-@njit(cache=True)
+@unfused
 def _accumulate(moments: Array, count: int, taps: Array, phase: int, sums: Array) -> None:
     """Add what each interval contributes to this and the following samples.
 

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from rig.jit import unfused
 
 Array = NDArray[np.float64]
 
@@ -75,7 +76,7 @@ class SettlingOffset:
         return samples
 
 
-@njit(cache=True)
+@unfused
 def _settle(samples: Array, level: float, loss: float, missing: Array) -> None:
     """Fill in the samples one by one, so that they do not depend on where a block ends."""
     for i in range(samples.size):

@@ -6,9 +6,10 @@ from itertools import pairwise
 from zlib import crc32
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.optimize import brentq, nnls
+
+from rig.jit import unfused
 
 Array = NDArray[np.float64]
 
@@ -126,7 +127,7 @@ def _loss(y: Array) -> Array:
     return np.asarray(2 * y / (y + np.sqrt(y * (y + 4))))
 
 
-@njit(cache=True)
+@unfused
 def _colour(samples: Array, loss: Array, weight: Array, gain: float, memory: Array) -> None:
     """Pass samples through first-order states in parallel, in place."""
     for i in range(samples.size):

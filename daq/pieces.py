@@ -11,9 +11,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from rig.jit import unfused
 from rig.motion import Motion
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ class Pieces(NamedTuple):
         Interval to which a part belongs, ascending; for these the four arrays above mean nothing.
     length : ndarray, shape (parts,)
         Length as a share of the interval.
-    part : ndarray, shape (4, parts)
+    part : ndarray, shape (parts, 4)
         Start, end, mean and moment over a part.
     jump : ndarray, shape (parts,)
         Impulse at the end of a part, divided by the sample interval.
@@ -105,16 +105,28 @@ class MotionPieces:
             nodes[:, 0] = self._last
             nodes[0, 1:], nodes[1, 1:], nodes[2, 1:] = acceleration, velocity, displacement
             interval = motion.break_sample - motion.first
-            count = _cut(interval, motion.break_offset, at_break, nodes, h, count, broken, length, part, jump)
+            count = _cut(
+                interval,
+                motion.break_offset,
+                at_break,
+                nodes,
+                h,
+                count,
+                broken,
+                length,
+                part,
+                jump,
+                (np.empty(3), np.empty(3)),
+            )
         _smooth(acceleration, velocity, displacement, self._last, h, start, mean, moment)
         return Pieces(
-            start, acceleration, mean, moment, broken[:count], length[:count], part[:, :count], jump[:count]
+            start, acceleration, mean, moment, broken[:count], length[:count], part[:count], jump[:count]
         )
 
 
 def no_parts(count: int) -> tuple[NDArray[np.int64], Array, Array, Array]:
     """Make room for parts of broken intervals: number, length, part, jump."""
-    return np.zeros(count, np.int64), np.zeros(count), np.zeros((4, count)), np.zeros(count)
+    return np.zeros(count, np.int64), np.zeros(count), np.zeros((count, 4)), np.zeros(count)
 
 
 class ForcePieces:
@@ -140,7 +152,14 @@ class ForcePieces:
         return pieces
 
 
-@njit(cache=True)
+@unfused
+def put(values: Array, place: Array) -> None:
+    """Copy values to a place of the same length; assigning to a slice would need memory."""
+    for i in range(place.size):
+        place[i] = values[i]
+
+
+@unfused
 def _smooth(
     acceleration: Array,
     velocity: Array,
@@ -161,7 +180,7 @@ def _smooth(
     last[0], last[1], last[2] = a, v, x
 
 
-@njit(cache=True)
+@unfused
 def _cut(
     interval: NDArray[np.int64],
     offset: Array,
@@ -173,37 +192,37 @@ def _cut(
     length: Array,
     part: Array,
     jump: Array,
+    ends: tuple[Array, Array],
 ) -> int:
     """Fill in the parts of broken intervals; give their number.
 
     `at_break` is (3, 2, breaks): acceleration, velocity and displacement, before and after. `nodes` is the
     same at the samples, (3, 1 + samples), from the one before the block on.
     """
-    left = np.empty(3)
-    right = np.empty(3)
+    left, right = ends
     done = 0.0
     for b in range(interval.size):
         k = interval[b]
         if b == 0 or interval[b - 1] != k:
-            left[:] = nodes[:, k]
+            put(nodes[:, k], left)
             done = 0.0
-        right[:] = at_break[:, 0, b]
+        put(at_break[:, 0, b], right)
         reached = min(max(offset[b] / h, done), 1.0)
-        _part(left, right, reached - done, h, part[:, count])
+        _part(left, right, reached - done, h, part[count])
         broken[count], length[count] = k, reached - done
         jump[count] = (at_break[1, 1, b] - at_break[1, 0, b]) / h
         count += 1
-        left[:] = at_break[:, 1, b]
+        put(at_break[:, 1, b], left)
         done = reached
         if b + 1 == interval.size or interval[b + 1] != k:
-            right[:] = nodes[:, k + 1]
-            _part(left, right, 1.0 - done, h, part[:, count])
+            put(nodes[:, k + 1], right)
+            _part(left, right, 1.0 - done, h, part[count])
             broken[count], length[count], jump[count] = k, 1.0 - done, 0.0
             count += 1
     return count
 
 
-@njit(cache=True)
+@unfused
 def _part(left: Array, right: Array, share: float, h: float, out: Array) -> None:
     """Describe the input between two nodes, each given by acceleration, velocity and displacement."""
     out[0], out[1] = left[0], right[0]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from daq.discretisation import CUBIC, PARTS, Tables
 from daq.pieces import Pieces
+from rig.jit import unfused
 
 Array = NDArray[np.float64]
 
@@ -16,7 +18,35 @@ Array = NDArray[np.float64]
 STRETCH = 128
 
 
-@njit(cache=True)
+class Scratch(NamedTuple):
+    """Room to work in.
+
+    Attributes
+    ----------
+    vector, work, term : ndarray, shape (size,)
+        Vectors carried through parts of an interval.
+    course : ndarray, shape (states + 4 + disturbances, intervals of a stretch and more)
+        States, input and disturbances through a stretch; zeros fill up the rows to a multiple of 8.
+    sums : ndarray, shape (2, intervals of a stretch)
+        What is added to the states of a section.
+    """
+
+    vector: Array
+    work: Array
+    term: Array
+    course: Array
+    sums: Array
+
+
+def scratch_for(tables: Tables) -> Scratch:
+    """Make room to work in for a circuit."""
+    size = tables.generator.shape[0]
+    # Rows a little longer than needed: at even distances they would compete for the same places in a cache.
+    course = np.zeros((tables.weights.shape[1], STRETCH + 8))
+    return Scratch(np.zeros(size), np.zeros(size), np.zeros(size), course, np.zeros((2, STRETCH)))
+
+
+@unfused
 def propagate(
     pieces: Pieces,
     tables: Tables,
@@ -29,6 +59,7 @@ def propagate(
     rows_input: Array,
     points: Array,
     averages: Array,
+    scratch: Scratch,
 ) -> None:
     """Carry a circuit through the intervals of a block.
 
@@ -60,11 +91,10 @@ def propagate(
         These outputs; filled in.
     averages : ndarray, shape (integrals, intervals or more)
         Moments of the output over each interval; filled in.
+    scratch : Scratch
+        Of the circuit.
     """
-    size = tables.generator.shape[0]
-    vector, work, term = np.empty(size), np.empty(size), np.empty(size)
-    course = np.zeros((tables.weights.shape[1], STRETCH + 8))
-    sums = np.empty((2, STRETCH))
+    vector, work, term, course, sums = scratch
     part = 0
     first = 0
     while first < pieces.start.size:
@@ -75,7 +105,8 @@ def propagate(
             _lay_out(pieces, held, first, stop, tables.states, course)
             _through_stretch(tables, state, rails, overload, shift, course, sums, averages, first, stop)
             if overload.size:
-                held[0, first:stop] = course[tables.states + 4, : stop - first]
+                for k in range(stop - first):
+                    held[0, first + k] = course[tables.states + 4, k]
         else:
             stop = first + 1
             part = _in_parts(pieces, part, tables, state, vector, work, term)
@@ -96,19 +127,20 @@ def propagate(
         first = stop
 
 
-@njit(cache=True)
+@unfused
 def _lay_out(pieces: Pieces, held: Array, first: int, stop: int, states: int, course: Array) -> None:
     """Put input and disturbances of a stretch below the states."""
-    count = stop - first
-    course[states, :count] = pieces.start[first:stop]
-    course[states + 1, :count] = pieces.end[first:stop]
-    course[states + 2, :count] = pieces.mean[first:stop]
-    course[states + 3, :count] = pieces.moment[first:stop]
+    for k in range(stop - first):
+        course[states, k] = pieces.start[first + k]
+        course[states + 1, k] = pieces.end[first + k]
+        course[states + 2, k] = pieces.mean[first + k]
+        course[states + 3, k] = pieces.moment[first + k]
     for e in range(held.shape[0]):
-        course[states + 4 + e, :count] = held[e, first:stop]
+        for k in range(stop - first):
+            course[states + 4 + e, k] = held[e, first + k]
 
 
-@njit(cache=True)
+@unfused
 def _through_stretch(
     tables: Tables,
     state: Array,
@@ -163,7 +195,7 @@ def _through_stretch(
         _gather(tables.weights[states + m], course, averages[m][first:stop])
 
 
-@njit(cache=True)
+@unfused
 def _gather(weights: Array, course: Array, out: Array) -> None:
     """Sum up the rows of `course`, each times its weight; eight at a time keep a processor busy."""
     out[:] = 0.0
@@ -178,7 +210,7 @@ def _gather(weights: Array, course: Array, out: Array) -> None:
             )
 
 
-@njit(cache=True)
+@unfused
 def _limit(tables: Tables, overload: Array, shift: Array, course: Array, out: Array) -> None:
     """Find what the watched output lacks in each interval."""
     _gather(tables.weights[tables.width - 1], course, out)
@@ -187,7 +219,7 @@ def _limit(tables: Tables, overload: Array, shift: Array, course: Array, out: Ar
         lack[k] = _lack(out[k], overload, shift)
 
 
-@njit(cache=True)
+@unfused
 def _lack(output: float, overload: Array, shift: Array) -> float:
     """Find what an output lacks, and let its shift go on by an interval."""
     free = output - shift[0]
@@ -197,7 +229,7 @@ def _lack(output: float, overload: Array, shift: Array) -> float:
     return lack
 
 
-@njit(cache=True)
+@unfused
 def _disturb(
     tables: Tables,
     state: Array,
@@ -218,7 +250,7 @@ def _disturb(
         state[j] = min(max(vector[j], -rails[j]), rails[j])
 
 
-@njit(cache=True)
+@unfused
 def _in_parts(
     pieces: Pieces, part: int, tables: Tables, state: Array, vector: Array, work: Array, term: Array
 ) -> int:
@@ -238,7 +270,7 @@ def _in_parts(
             for k in range(4):
                 total = 0.0
                 for j in range(4):
-                    total += CUBIC[k, j] * pieces.part[j, part]
+                    total += CUBIC[k, j] * pieces.part[part, j]
                 vector[width + k] = total * scale
                 scale /= share
             _advance(tables, share, vector, work, term)
@@ -254,7 +286,7 @@ def _in_parts(
     return part
 
 
-@njit(cache=True)
+@unfused
 def _advance(tables: Tables, share: float, vector: Array, work: Array, term: Array) -> None:
     """Multiply a vector by the exponential of the generator times `share` of an interval."""
     coarse = min(int(share * PARTS), PARTS)
@@ -266,7 +298,8 @@ def _advance(tables: Tables, share: float, vector: Array, work: Array, term: Arr
     if fine > 0:
         _multiply(tables.fine, fine, vector, work)
     if rest > 0.0:
-        term[:] = vector
+        for r in range(vector.size):
+            term[r] = vector[r]
         for k in range(tables.terms):
             work[:] = 0.0
             for e in range(tables.place.shape[0]):
@@ -278,7 +311,7 @@ def _advance(tables: Tables, share: float, vector: Array, work: Array, term: Arr
                 vector[r] += term[r]
 
 
-@njit(cache=True)
+@unfused
 def _multiply(matrices: Array, index: int, vector: Array, work: Array) -> None:
     """Multiply a vector by one of several matrices, given by their columns."""
     work[:] = 0.0
@@ -287,4 +320,5 @@ def _multiply(matrices: Array, index: int, vector: Array, work: Array) -> None:
         if value != 0.0:
             for r in range(vector.size):
                 work[r] += matrices[index, j, r] * value
-    vector[:] = work
+    for r in range(vector.size):
+        vector[r] = work[r]

@@ -14,7 +14,7 @@ from daq.discretisation import discretise
 from daq.disturbance import Disturbances, Offset, SettlingOffset, Source, Zero
 from daq.noise import Noise, generator
 from daq.pieces import Pieces
-from daq.propagation import propagate
+from daq.propagation import propagate, scratch_for
 from daq.reading import AverageReading, FilteredReading, Jitter, PointReading, Reading
 from daq.skew import Delay
 from daq.stage import Stage, is_integrated
@@ -68,7 +68,7 @@ class SignalPath:
             # What a limit takes away, the first of these, is averaged and filtered like the signal itself.
             watched, filtered[0], direct[0] = Circuit.series(sensor.sections), True, 0.0
         self._tables = discretise(circuit, gain, rate, self._reading.integrals, watched, entries, filtered)
-        self._state = np.zeros(circuit.c.size)
+        self._state, self._scratch = np.zeros(circuit.c.size), scratch_for(self._tables)
         self._rails, self._overload = _rails(stages), _overload(sensor, rate)
         self._shift = np.zeros(min(1, self._overload.size))
         self._rows, self._rows_input = self._reading.rows, self._reading.rows_input
@@ -111,7 +111,7 @@ class SignalPath:
         averages = np.empty((self._reading.integrals, intervals + 8))
         propagate(
             pieces, self._tables, self._state, held, self._rails, self._overload, self._shift,
-            self._rows, self._rows_input, points, averages,
+            self._rows, self._rows_input, points, averages, self._scratch,
         )  # fmt: skip
         volts = self._reading.read(points, averages)
         ends = self._disturbances.ends

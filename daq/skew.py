@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from daq.pieces import Pieces, no_parts
+from daq.pieces import Pieces, no_parts, put
 from rig.errors import SceneError
+from rig.jit import unfused
 
 Array = NDArray[np.float64]
 
@@ -75,7 +75,7 @@ class Delay:
         # part and jump of each.
         self._last = np.zeros(4)
         self._tail = 0
-        self._tail_length, self._tail_part, self._tail_jump = np.zeros(0), np.zeros((4, 0)), np.zeros(0)
+        self._tail_length, self._tail_part, self._tail_jump = np.zeros(0), np.zeros((0, 4)), np.zeros(0)
 
     def shift(self, pieces: Pieces) -> Pieces:
         """Give the delayed input over the same number of intervals."""
@@ -89,14 +89,14 @@ class Delay:
         broken, length, part, jump = no_parts(room)
         _, tail_length, tail_part, tail_jump = no_parts(room)
         tail_length[: self._tail] = self._tail_length
-        tail_part[:, : self._tail], tail_jump[: self._tail] = self._tail_part, self._tail_jump
+        tail_part[: self._tail], tail_jump[: self._tail] = self._tail_part, self._tail_jump
         count, tail = _shift(
             pieces, self._share, self._joined, self._last, self._tail, smooth,
-            broken, length, part, jump, tail_length, tail_part, tail_jump,
+            broken, length, part, jump, tail_length, tail_part, tail_jump, np.empty(4),
         )  # fmt: skip
         self._tail = tail
         self._tail_length, self._tail_jump = tail_length[:tail].copy(), tail_jump[:tail].copy()
-        self._tail_part = tail_part[:, :tail].copy()
+        self._tail_part = tail_part[:tail].copy()
         return Pieces(
             smooth[0],
             smooth[1],
@@ -104,7 +104,7 @@ class Delay:
             smooth[3],
             broken[:count],
             length[:count],
-            part[:, :count],
+            part[:count],
             jump[:count],
         )
 
@@ -124,7 +124,7 @@ def _joined(share: float) -> Array:
     return matrix
 
 
-@njit(cache=True)
+@unfused
 def _shift(
     pieces: Pieces,
     share: float,
@@ -139,6 +139,7 @@ def _shift(
     tail_length: Array,
     tail_part: Array,
     tail_jump: Array,
+    whole: Array,
 ) -> tuple[int, int]:
     """Fill in the delayed intervals; give the number of their parts and of those left over.
 
@@ -149,7 +150,6 @@ def _shift(
         _join(pieces, joined[r], last, smooth[r])
     count = 0
     at = 0
-    whole = np.empty(4)
     head = 1.0 - share
     for i in range(pieces.start.size):
         whole[0], whole[1], whole[2], whole[3] = (
@@ -158,56 +158,58 @@ def _shift(
         whole_now = at == pieces.broken.size or pieces.broken[at] != i
         if whole_now and tail == 0:
             # Both intervals are whole, and joined already.
-            last[:] = whole
+            put(whole, last)
             continue
         # The end of the interval before.
         if tail == 0:
             broken[count], length[count], jump[count] = i, share, 0.0
-            _between(last, head, 1.0, part[:, count])
+            _between(last, head, 1.0, part[count])
             count += 1
         for k in range(tail):
             broken[count], length[count], jump[count] = i, tail_length[k], tail_jump[k]
-            part[:, count] = tail_part[:, k]
+            put(tail_part[k], part[count])
             count += 1
         tail = 0
         # The beginning of this one; if it is broken, its end in parts for the next.
-        last[:] = whole
+        put(whole, last)
         if whole_now:
             broken[count], length[count], jump[count] = i, head, 0.0
-            _between(whole, 0.0, head, part[:, count])
+            _between(whole, 0.0, head, part[count])
             count += 1
             continue
         done = 0.0
         while at < pieces.broken.size and pieces.broken[at] == i:
             size = pieces.length[at]
-            whole[:] = pieces.part[:, at]
+            put(pieces.part[at], whole)
             if done + size <= head and size > 0.0:
                 broken[count], length[count], jump[count] = i, size, pieces.jump[at]
-                part[:, count] = whole
+                put(whole, part[count])
                 count += 1
             else:
                 before = max(head - done, 0.0) if size > 0.0 else 0.0
                 if before > 0.0:
                     broken[count], length[count], jump[count] = i, before, 0.0
-                    _between(whole, 0.0, before / size, part[:, count])
+                    _between(whole, 0.0, before / size, part[count])
                     count += 1
                 tail_length[tail], tail_jump[tail] = size - before, pieces.jump[at]
                 if size > 0.0:
-                    _between(whole, before / size, 1.0, tail_part[:, tail])
+                    _between(whole, before / size, 1.0, tail_part[tail])
                 else:
-                    tail_part[:, tail] = whole
+                    put(whole, tail_part[tail])
                 tail += 1
             done += size
             at += 1
         if done == 0.0:
             # The instant at which a run begins: before it there is rest, for as long as the delay.
-            tail_length[0], tail_part[:, 0] = share, 0.0
-            broken[count], length[count], jump[count], part[:, count] = i, 0.0, 0.0, 0.0
+            tail_length[0] = share
+            tail_part[0][:] = 0.0
+            broken[count], length[count], jump[count] = i, 0.0, 0.0
+            part[count][:] = 0.0
             count += 1
     return count, tail
 
 
-@njit(cache=True)
+@unfused
 def _join(pieces: Pieces, weights: Array, last: Array, out: Array) -> None:
     """Join every interval with the one before as if both were whole; one number of the result."""
     a, b, c, d = weights[0], weights[1], weights[2], weights[3]
@@ -220,7 +222,7 @@ def _join(pieces: Pieces, weights: Array, last: Array, out: Array) -> None:
     out[0] = before + ((e * start[0] + f * end[0]) + (g * mean[0] + h * moment[0]))
 
 
-@njit(cache=True)
+@unfused
 def _between(whole: Array, begin: float, end: float, out: Array) -> None:
     """Describe the part of a cubic between two shares of its length."""
     a, b, mean, moment = whole[0], whole[1], whole[2], whole[3]

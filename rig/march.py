@@ -8,14 +8,14 @@ exactly anew, so that a million periods keep it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.contact import CONFIGURATION, FLIGHT, FLOOR, SLOT, Log, State, release_tensile
 from rig.errors import RunError
-from rig.flow import REACH, FlowTables
+from rig.flow import REACH, Flow, FlowTables, Model
 from rig.jit import compiled, inlined
 from rig.kernel import DONE, LOG_FULL, NEED_TABLE, STUCK, Scratch, advance, scratch_for
 from rig.lanes import combine, padded
@@ -70,28 +70,75 @@ class Course:
     after_slot: NDArray[np.int64]
 
 
+class Kept(NamedTuple):
+    """Whole states at samples, rows of a `Course`; without rows nothing is kept."""
+
+    state: Array
+    slot: NDArray[np.int64]
+    height: Array
+    mode: NDArray[np.int8]
+
+
+class Seen(NamedTuple):
+    """What can be seen of the motion at samples, as in `rig.motion.Motion`; without columns nothing is."""
+
+    displacement: Array
+    velocity: Array
+    acceleration: Array
+    gap: Array
+    contact: NDArray[np.int8]
+
+
 @inlined
-def _keep(
-    state: State, row: int, states: Array, slots: NDArray[np.int64], heights: Array, modes: NDArray[np.int8]
-) -> None:
-    slots[row] = state.counters[SLOT]
-    for i in range(states.shape[1]):
-        states[row, i] = state.z[i]
-    for j in range(heights.shape[1]):
-        heights[row, j] = state.height[j]
-        modes[row, j] = state.mode[j]
+def _keep(state: State, row: int, kept: Kept) -> None:
+    kept.slot[row] = state.counters[SLOT]
+    for i in range(kept.state.shape[1]):
+        kept.state[row, i] = state.z[i]
+    for j in range(kept.height.shape[1]):
+        kept.height[row, j] = state.height[j]
+        kept.mode[row, j] = state.mode[j]
+
+
+@inlined
+def _accelerate(flow: Flow, slot: int, z: Array, first: int, count: int, out: Array) -> None:
+    """Accelerations of the coordinates, whose velocities begin at state `first`."""
+    if flow.tabulated:
+        columns = flow.rates_constant.shape[1]
+        combine(flow.acceleration, flow.acceleration_constant, slot, z, columns, out)
+        return
+    for i in range(first, first + count):
+        rate = flow.rates_constant[slot, i]
+        for entry in range(flow.pointer[i], flow.pointer[i + 1]):
+            rate += flow.rates[slot, entry] * z[flow.column[entry]]
+        out[i - first] = rate
+
+
+@inlined
+def _see(flow: Flow, model: Model, state: State, work: Array, column: int, seen: Seen) -> None:
+    count = seen.displacement.shape[0]
+    _accelerate(flow, state.counters[SLOT], state.z, count, count, work)
+    for i in range(count):
+        seen.displacement[i, column] = state.z[i]
+        seen.velocity[i, column] = state.z[count + i]
+        seen.acceleration[i, column] = work[i]
+    for j in range(seen.gap.shape[0]):
+        mode = state.mode[j]
+        seen.contact[j, column] = mode
+        if mode == FLIGHT:
+            seen.gap[j, column] = max(state.height[j] - state.z[model.position[j]], 0.0)
+        else:
+            seen.gap[j, column] = 0.0 if mode == FLOOR else model.clearance[j]
 
 
 @compiled
 def _march(
     flow: Any, model: Any, state: Any, scratch: Any, log: Any, steps: Array, renew: NDArray[np.bool_], drive: Array,
-    row: NDArray[np.int64], begin: int, left: float, states: Array, slots: NDArray[np.int64],
-    heights: Array, modes: NDArray[np.int8], coupling: bool | None,
+    row: NDArray[np.int64], begin: int, left: float, kept: Kept, seen: Seen, coupling: bool | None,
 ) -> tuple[int, int, float]:  # fmt: skip
     """Segments of `steps` step lengths; a segment with `renew` begins with the drive states in `drive`.
 
-    The state at the end of segment k is kept in row[k] unless that is negative. Comes back with the segment and
-    the steps left in it (negative: not begun) if the kernel needs something.
+    The motion at the end of segment k goes to row (column) row[k] of what is kept (seen) unless that is negative.
+    Comes back with the segment and the steps left in it (negative: not begun) if the kernel needs something.
     """
     first = flow.rates_constant.shape[1] - drive.shape[1]
     for k in range(begin, steps.shape[0]):
@@ -106,25 +153,18 @@ def _march(
         if state.counters[SLOT] < 0:
             return NEED_TABLE, k, 0.0
         if row[k] >= 0:
-            _keep(state, row[k], states, slots, heights, modes)
+            if kept.slot.shape[0] > 0:
+                _keep(state, row[k], kept)
+            if seen.displacement.shape[1] > 0:
+                _see(flow, model, state, scratch.contact.force, row[k], seen)
         left = -1.0
     return DONE, steps.shape[0], -1.0
 
 
 @compiled
-def _accelerations(
-    flow: Any, first: int, states: Array, slots: NDArray[np.int64], row: Array, out: Array
-) -> None:
+def _accelerations(flow: Any, states: Array, slots: NDArray[np.int64], row: Array, out: Array) -> None:
     for k in range(states.shape[0]):
-        if flow.tabulated:
-            columns = flow.rates_constant.shape[1]
-            combine(flow.acceleration, flow.acceleration_constant, slots[k], states[k], columns, row)
-        else:
-            for i in range(out.shape[0]):
-                rate = flow.rates_constant[slots[k], first + i]
-                for entry in range(flow.pointer[first + i], flow.pointer[first + i + 1]):
-                    rate += flow.rates[slots[k], entry] * states[k, flow.column[entry]]
-                row[i] = rate
+        _accelerate(flow, slots[k], states[k], out.shape[0], out.shape[0], row)
         for i in range(out.shape[0]):
             out[i, k] = row[i]
 
@@ -132,6 +172,11 @@ def _accelerations(
 @compiled
 def _let_go(flow: Any, model: Any, state: Any, scratch: Any, log: Any, coupling: bool | None) -> None:
     release_tensile(flow, model, state, log, 0, 0.0, scratch.contact, coupling)
+
+
+@compiled
+def _see_now(flow: Any, model: Any, state: Any, work: Array, column: int, seen: Seen) -> None:
+    _see(flow, model, state, work, column, seen)
 
 
 class March:
@@ -226,10 +271,29 @@ class March:
     def over_samples(self, drive: Array, interval_steps: float) -> Course:
         """Run through the sample intervals between the columns of a sampled drive (inputs, samples + 1)."""
         intervals = drive.shape[1] - 1
-        states = np.concatenate([drive[:, :-1], np.diff(drive, axis=1)]).T
-        everywhere = np.ones(intervals, dtype=bool)
-        steps = np.full(intervals, interval_steps)
-        return self._run(steps, everywhere, np.ascontiguousarray(states), np.arange(intervals))
+        kept, unseen = self._kept(intervals), self.sight(0)
+        return self._run(*_held(drive, interval_steps), np.arange(intervals), kept, unseen)
+
+    def watch_samples(self, drive: Array, interval_steps: float, seen: Seen, column: int) -> Course:
+        """Do the same, but instead of keeping states fill what is seen, from a column on."""
+        rows = np.arange(column, column + drive.shape[1] - 1)
+        return self._run(*_held(drive, interval_steps), rows, self._kept(0), seen)
+
+    def sight(self, samples: int) -> Seen:
+        """Room for what is seen at a number of samples."""
+        points, dampers = self.system.coordinates, self.system.dampers
+        return Seen(
+            displacement=np.empty((points, samples)),
+            velocity=np.empty((points, samples)),
+            acceleration=np.empty((points, samples)),
+            gap=np.empty((dampers, samples)),
+            contact=np.empty((dampers, samples), dtype=np.int8),
+        )
+
+    def see(self, seen: Seen, column: int) -> None:
+        """Fill one column of what is seen with the present motion."""
+        work = self.scratch.contact.force
+        _see_now(self.tables.flow, self.tables.model, self.state, work, column, seen)
 
     def over_marks(
         self,
@@ -253,28 +317,40 @@ class March:
         """
         phase = np.zeros((len(steps), 2))
         phase[:, 0] = level
-        return self._run(steps, new_period, phase, sample_row)
+        kept = self._kept(int(sample_row.max(initial=-1)) + 1)
+        return self._run(steps, new_period, phase, sample_row, kept, self.sight(0))
 
     def accelerations(self, states: Array, slots: NDArray[np.int64]) -> Array:
         """Acceleration of every coordinate for states (samples, padded size), shape (coordinates, samples)."""
         out = np.zeros((self.system.coordinates, len(states)))
         row = np.zeros(self.tables.flow.acceleration_constant.shape[1])
-        _accelerations(self.tables.flow, self.system.coordinates, states, slots, row, out)
+        _accelerations(self.tables.flow, states, slots, row, out)
         return out
 
-    def _run(self, steps: Array, renew: NDArray[np.bool_], drive: Array, row: NDArray[np.int64]) -> Course:
-        samples = int(row.max(initial=-1)) + 1
+    def _kept(self, samples: int) -> Kept:
         size, dampers = self.state.z.shape[0], self.system.dampers
-        states = np.zeros((samples, size))
-        slots = np.zeros(samples, dtype=np.int64)
-        heights = np.zeros((samples, dampers))
-        modes = np.zeros((samples, dampers), dtype=np.int8)
+        return Kept(
+            state=np.zeros((samples, size)),
+            slot=np.zeros(samples, dtype=np.int64),
+            height=np.zeros((samples, dampers)),
+            mode=np.zeros((samples, dampers), dtype=np.int8),
+        )
+
+    def _run(
+        self,
+        steps: Array,
+        renew: NDArray[np.bool_],
+        drive: Array,
+        row: NDArray[np.int64],
+        kept: Kept,
+        seen: Seen,
+    ) -> Course:
         pages: list[tuple[Any, ...]] = []
         begin, left = 0, -1.0
         while True:
             status, begin, left = _march(
                 self.tables.flow, self.tables.model, self.state, self.scratch, self.log, steps, renew, drive, row,
-                begin, left, states, slots, heights, modes, self._coupling,
+                begin, left, kept, seen, self._coupling,
             )  # fmt: skip
             if status == NEED_TABLE:
                 self._find_table()
@@ -288,9 +364,7 @@ class March:
             else:
                 break
         pages.append(self._page())
-        return Course(
-            states, slots, heights, modes, *(np.concatenate(parts) for parts in zip(*pages, strict=True))
-        )
+        return Course(*kept, *(np.concatenate(parts) for parts in zip(*pages, strict=True)))
 
     def _find_table(self) -> None:
         self.state.counters[SLOT] = self.tables.slot(int(self.state.counters[CONFIGURATION]))
@@ -313,6 +387,15 @@ class March:
         )
         log.filled[:] = 0
         return page
+
+
+def _held(drive: Array, interval_steps: float) -> tuple[Array, NDArray[np.bool_], Array]:
+    """Segments of a sampled drive with first-order hold: their lengths, where the drive is set, and to what."""
+    inputs, intervals = drive.shape[0], drive.shape[1] - 1
+    states = np.empty((intervals, 2 * inputs))
+    states[:, :inputs] = drive[:, :-1].T
+    np.subtract(drive[:, 1:].T, drive[:, :-1].T, out=states[:, inputs:])
+    return np.full(intervals, interval_steps), np.ones(intervals, dtype=bool), states
 
 
 def step_for(span: float, fastest: float) -> tuple[float, float]:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from rig.assembly import assemble
 from rig.errors import RunError, SceneError
-from rig.march import Array, Course, event_table, gaps_and_contacts, sampled_march
+from rig.march import Array, Course, Seen, event_table, sampled_march
 from rig.motion import Motion
 from rig.scene import Scene
 
@@ -71,25 +71,22 @@ class Plant:
             If the drive has the wrong shape, or is not finite.
         """
         block = self._checked(drive)
-        samples = block.shape[1]
-        first = self._next
-        if samples == 0:
-            return self._motion(self._march.over_samples(self._last, self._steps), first, 0)
+        first, samples = self._next, block.shape[1]
+        seen = self._march.sight(samples)
+        lifted = np.zeros(0, dtype=np.int64)
         lead = 0
-        if first == 0:
+        if first == 0 and samples:
             lead = 1
-            start = np.concatenate([block[:, 0], np.zeros(len(self.inputs))])
-            self._lifted = self._march.place(self.system.initial, start)
-            self._last = block[:, :1]
-            initial = self._march.standing()
-            block = block[:, 1:]
-        course = self._march.over_samples(np.hstack([self._last, block]), self._steps)
-        if block.shape[1]:
-            self._last = block[:, -1:].copy()
+            self._last = block[:, :1].copy()
+            lifted = self._march.place(
+                self.system.initial, np.concatenate([block[:, 0], np.zeros(len(self.inputs))])
+            )
+            self._march.see(seen, 0)
+        drive_in = np.hstack([self._last, block[:, lead:]])
+        course = self._march.watch_samples(drive_in, self._steps, seen, lead)
+        self._last = drive_in[:, -1:].copy()
         self._next += samples
-        if lead:
-            course = _joined(initial, course)
-        return self._motion(course, first, lead)
+        return self._motion(seen, course, first + lead, first, lifted)
 
     def _checked(self, drive: ArrayLike) -> Array:
         block = np.asarray(drive, dtype=np.float64)
@@ -106,28 +103,30 @@ class Plant:
             )
         return np.clip(block, -self._limit, self._limit)
 
-    def _motion(self, course: Course, first: int, lead: int) -> Motion:
+    def _motion(
+        self, seen: Seen, course: Course, first_end: int, first: int, lifted: NDArray[np.int64]
+    ) -> Motion:
+        """Put a block together; segment s of the course ends at sample `first_end` + s."""
         system, n = self.system, self.system.coordinates
         interval = 1.0 / self.rate
-        gap, contact = gaps_and_contacts(course, system)
-        # Segment s of this call ends at sample first + s, or one later if sample 0 was the initial state.
-        ends = first + lead + course.break_segment
         before, after = course.before, course.after
-        event_times = (first + lead + course.event_segment - 1) * interval + course.event_offset
-        events = event_table(event_times, course.event_damper, course.event_kind, course.event_speed, system)
-        if lead and len(self._lifted):
-            zeros = np.zeros(len(self._lifted))
-            events = np.concatenate(
-                [event_table(zeros, self._lifted, zeros.astype(np.int64), zeros, system), events]
-            )
+        at_once = np.zeros(len(lifted))
+        times = (first_end + course.event_segment - 1) * interval + course.event_offset
+        events = event_table(
+            np.concatenate([at_once, times]),
+            np.concatenate([lifted, course.event_damper]),
+            np.concatenate([at_once.astype(np.int64), course.event_kind]),
+            np.concatenate([at_once, course.event_speed]),
+            system,
+        )
         return Motion(
             first=first,
-            displacement=np.ascontiguousarray(course.state[:, :n].T),
-            velocity=np.ascontiguousarray(course.state[:, n : 2 * n].T),
-            acceleration=self._march.accelerations(course.state, course.slot),
-            gap=gap,
-            contact=contact,
-            break_sample=ends,
+            displacement=seen.displacement,
+            velocity=seen.velocity,
+            acceleration=seen.acceleration,
+            gap=seen.gap,
+            contact=seen.contact,
+            break_sample=first_end + course.break_segment,
             break_offset=np.minimum(course.break_offset, interval),
             break_displacement=np.ascontiguousarray(before[:, :n].T),
             break_velocity=np.stack([before[:, n : 2 * n].T, after[:, n : 2 * n].T]),
@@ -148,10 +147,3 @@ def _drive_limits(scene: Scene, inputs: tuple[str, ...]) -> Array:
     if shaker is not None and shaker.kind == "electrodynamic":
         limits[inputs.index("shaker")] = shaker.amplifier.limit / shaker.amplifier.gain
     return limits
-
-
-def _joined(head: Course, tail: Course) -> Course:
-    """Put a sample before a course."""
-    return Course(
-        *(np.concatenate([getattr(head, name), getattr(tail, name)]) for name in Course.__dataclass_fields__)
-    )

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -97,9 +96,9 @@ class Clock:
         >>> Clock(8533.333333333334).time_ns(10**12) // 10**9
         117187499
         """
-        exact = Fraction(self.rate)
-        doubled = 2 * sample * 10**9 * exact.denominator + exact.numerator
-        return self.start_ns + doubled // (2 * exact.numerator)
+        numerator, denominator = float(self.rate).as_integer_ratio()
+        doubled = 2 * sample * 10**9 * denominator + numerator
+        return self.start_ns + doubled // (2 * numerator)
 
     def samples_at(self, time_ns: NDArray[np.uint64]) -> NDArray[np.int64]:
         """Give the sample numbers nearest to some times.

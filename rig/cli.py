@@ -130,6 +130,48 @@ def response(
         print(f"\nwritten: {output}")
 
 
+@app.command()
+def cost(
+    scene: SceneName,
+    frequency: Annotated[
+        str | None,
+        typer.Option(
+            metavar="F", help="Of the drive (default: where the linear structure accelerates most)."
+        ),
+    ] = None,
+    periods: Annotated[int, typer.Option(min=2, metavar="N", help="Length of the motion.")] = 20,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Where to write the figure and the table.")
+    ] = Path(),
+) -> None:
+    """Measure what accuracy costs: every way to compute this scene, its error against its time, here and now."""
+    import rig
+    from rig.cost import motion_study
+    from rig.cost_figure import table, write
+    from rig.cost_steady import steady_study
+    from rig.quantities import FREQUENCY
+
+    loaded = rig.load(scene)
+    with _status() as say:
+        study = motion_study(loaded, _quantity(frequency, FREQUENCY, "--frequency"), periods, say)
+        steady = steady_study(loaded, study.frequency, say)
+        files = write(study, steady, output)
+    print(table(study, steady))
+    print("\nwritten:", *files)
+
+
+@contextmanager
+def _status() -> Iterator[Callable[[str], None] | None]:
+    """Show what is going on while the body runs; nothing where the error output is no terminal."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status("") as status:
+        yield status.update
+
+
 def _quantity(value: str | None, kind: Kind, name: str) -> float | None:
     """Read an option that carries a unit; a bare number is SI."""
     from rig.quantities import parse

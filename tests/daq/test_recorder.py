@@ -213,7 +213,7 @@ def test_given_a_wide_cavity_when_drawn_then_the_exaggeration_is_smaller(tmp_pat
     wide = {"dampers": [{"body": 1, "mass_ratio": 0.1, "clearance": 0.02}]}
     path = write(tmp_path / "a.mcap", noise(1500), scene(recording=ALL, **wide))
     with daq.open(path) as recording:
-        assert recording.metadata["display"]["exaggeration"] == "2"
+        assert recording.metadata["display"]["exaggeration"] == "5"
 
 
 # -- what can go wrong -----------------------------------------------------------------------------------

@@ -27,8 +27,11 @@ from rig.system import Drive, System
 REACH = 0.7
 #: The matrix exponential itself is summed further than the series that guards use.
 TERMS = 30
-#: States, drive included, up to which the matrix powers are tabulated.
+#: States, drive included, up to which the matrix powers are tabulated; and up to which they are if there are so
+#: few dampers that the configurations can be counted on two hands.
 TABULATED_UP_TO = 16
+TABULATED_WITH_FEW = 40
+FEW_DAMPERS = 3
 
 
 class Flow(NamedTuple):
@@ -97,7 +100,8 @@ class FlowTables:
         self.step = step
         self.size = system.states + drive.states
         self.slots: dict[int, int] = {}
-        self.tabulated = self.size <= TABULATED_UP_TO
+        most = TABULATED_WITH_FEW if system.dampers <= FEW_DAMPERS else TABULATED_UP_TO
+        self.tabulated = self.size <= most
         # What is tabulated is used a million times over: it is computed with digits to spare.
         self._precision = np.longdouble if self.tabulated else np.float64
         self._pointer, self._column = self._pattern()

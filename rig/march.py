@@ -373,10 +373,9 @@ class March:
         """Take what the log holds and empty it."""
         events, breaks = self.log.filled
         log = self.log
-        slots = [
-            np.array([self.tables.slot(int(c)) for c in log.configuration[:breaks, side]], dtype=np.int64)
-            for side in (0, 1)
-        ]
+        visited, place = np.unique(log.configuration[:breaks], return_inverse=True)
+        known = np.array([self.tables.slot(int(configuration)) for configuration in visited], dtype=np.int64)
+        slots = known[place].reshape(breaks, 2).T if breaks else np.zeros((2, 0), dtype=np.int64)
         page = (
             *(
                 column[:events].copy()

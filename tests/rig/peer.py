@@ -36,7 +36,9 @@ class Peer:
         """Accelerations of the bodies in the present configuration."""
         n = self.n
         mass = self.mass.copy()
-        load = self.force * np.sin(self.omega * t) - self.stiffness @ state[:n] - self.damping @ state[n : 2 * n]
+        load = (
+            self.force * np.sin(self.omega * t) - self.stiffness @ state[:n] - self.damping @ state[n : 2 * n]
+        )
         riding = self.mode != FLIGHT
         mass[self.body[riding], self.body[riding]] += self.bed[riding]
         load[self.body[riding]] -= self.bed[riding] * self.gravity
@@ -54,14 +56,32 @@ class Peer:
         found: list[tuple[int, int, object]] = []
         for j, body in enumerate(self.body):
             if self.mode[j] == FLIGHT:
-                found.append((j, FLOOR, lambda t, s, j=j, b=body: s[2 * n + j] - s[b] if t > blind.get((j, FLOOR), -1) else 1.0))
+                found.append(
+                    (
+                        j,
+                        FLOOR,
+                        lambda t, s, j=j, b=body: (
+                            s[2 * n + j] - s[b] if t > blind.get((j, FLOOR), -1) else 1.0
+                        ),
+                    )
+                )
                 if np.isfinite(self.clearance[j]):
                     found.append(
-                        (j, CEILING, lambda t, s, j=j, b=body: self.clearance[j] - s[2 * n + j] + s[b] if t > blind.get((j, CEILING), -1) else 1.0)
+                        (
+                            j,
+                            CEILING,
+                            lambda t, s, j=j, b=body: (
+                                self.clearance[j] - s[2 * n + j] + s[b]
+                                if t > blind.get((j, CEILING), -1)
+                                else 1.0
+                            ),
+                        )
                     )
             else:
                 sign = 1.0 if self.mode[j] == FLOOR else -1.0
-                found.append((j, FLIGHT, lambda t, s, b=body, sign=sign: sign * (self._bodies(t, s)[b] + self.gravity)))
+                found.append(
+                    (j, FLIGHT, lambda t, s, b=body, sign=sign: sign * (self._bodies(t, s)[b] + self.gravity))
+                )
         for _, _, guard in found:
             guard.terminal, guard.direction = True, -1
         return found

@@ -328,5 +328,5 @@ def test_given_restitution_when_reduced_then_it_says_that_the_method_has_none() 
     scene = rig.load("fig9")
     bouncy = scene.replace(dampers=[scene.dampers[0].replace(restitution=0.3)])
 
-    with pytest.raises(SceneError, match="restitution 0.3"):
+    with pytest.raises(SceneError, match=r"restitution 0\.3"):
         single_mode(bouncy, 3)

@@ -1,0 +1,137 @@
+"""The work-precision study: its reference, alternatives that converge, and files that say what happened."""
+
+from __future__ import annotations
+
+import ast
+import csv
+from decimal import Decimal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpmath import mp, mpf
+
+import rig
+from rig.assembly import assemble
+from rig.cost import Point, Study, hardest_frequency
+from rig.cost_figure import table, write
+from rig.cost_steady import SteadyStudy, steady_study
+from rig.errors import SceneError
+from rig.open_loop import tone_drive
+from rig.reference import exact_motion
+from rig.schemes import PER_PERIOD, Problem
+from rig.schemes_adaptive import BLIND, follow, scipy_leg
+from rig.schemes_fixed import moreau_jean, penalty_newmark, penalty_runge_kutta
+from tests.rig.exact import Segment
+
+PERIODS = 12
+
+
+@pytest.fixture(scope="module")
+def case() -> tuple[Problem, np.ndarray, rig.Run]:
+    """Case B, its exact displacements and the engine's run."""
+    scene = rig.load("reference-B")
+    system = assemble(scene)
+    tone = tone_drive(scene, system)
+    run = rig.simulate(scene, PERIODS / tone.frequency, PER_PERIOD * tone.frequency)
+    exact = exact_motion(system, tone, run, PER_PERIOD)
+    assert exact.agreement < 1e-20
+    return Problem(system, tone, PERIODS), exact.displacement, run
+
+
+def error(outcome: object, exact: np.ndarray) -> float:
+    true = exact.astype(float)
+    return float(np.abs(outcome.displacement - true).max() / np.abs(true).max())
+
+
+def test_given_a_reference_when_the_first_ride_is_computed_by_other_means_then_thirty_digits_agree(
+    case: tuple[Problem, np.ndarray, rig.Run],
+) -> None:
+    _, exact, run = case
+    scene = run.scene
+    riding = Segment(scene, (0,))
+    # The reference takes w = 2 pi f exactly; so does this one.
+    omega = 2 * mp.pi * mpf(scene.test.frequency)
+    size = 2 * riding.n
+    riding.generator[size, size + 1], riding.generator[size + 1, size] = -omega, omega
+    sample = int(np.searchsorted(run.time, run.events["time"][0])) - 1
+    state = riding.after(riding.start(), mpf(sample) / (PER_PERIOD * mpf(scene.test.frequency)))
+    for body in range(3):
+        assert abs(mpf(str(exact[body, sample])) / state[body] - 1) < mpf("1e-30")
+
+
+def test_given_a_reference_when_the_engine_is_compared_then_it_is_right_to_rounding(
+    case: tuple[Problem, np.ndarray, rig.Run],
+) -> None:
+    _, exact, run = case
+    values = np.vectorize(Decimal, otypes=[object])(run.displacement)
+    assert np.abs(values - exact).max() / np.abs(exact).max() < 1e-13
+
+
+@pytest.mark.parametrize("scheme", [penalty_runge_kutta, penalty_newmark, moreau_jean])
+def test_given_a_fixed_step_scheme_when_its_step_shrinks_twentyfold_then_its_error_does_so_at_least_fivefold(
+    scheme: object, case: tuple[Problem, np.ndarray, rig.Run]
+) -> None:
+    problem, exact, _ = case
+    coarse, fine = (error(scheme(problem, steps), exact) for steps in (320, 6400))
+    assert fine < 0.2 * coarse
+    assert fine < 2e-3
+
+
+def test_given_an_adaptive_solver_when_it_follows_the_motion_then_it_finds_the_events_at_its_tolerance(
+    case: tuple[Problem, np.ndarray, rig.Run],
+) -> None:
+    problem, exact, run = case
+    outcome = follow(problem, scipy_leg("DOP853", 1e-9, np.inf), BLIND, 60.0)
+    assert [kind for _, _, kind in outcome.events] == list(run.events["kind"])
+    assert error(outcome, exact) < 1e-6
+
+
+def test_given_the_alternatives_when_the_packages_are_searched_then_only_the_cost_study_uses_them() -> None:
+    packages = Path(rig.__file__).parent.parent
+    users = set()
+    for package in ("rig", "daq", "analysis"):
+        for path in (packages / package).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+                if any(name.startswith(("rig.schemes", "rig.reference")) for name in names):
+                    users.add(path.name)
+    assert users <= {"cost.py", "schemes_adaptive.py", "schemes_fixed.py"}
+
+
+def test_given_a_periodic_motion_when_ways_to_it_are_measured_then_waiting_converges_to_the_orbit() -> None:
+    study = steady_study(rig.load("fig9").replace(converter={}, channels=None), 49.6)
+    waits = [point.error for point in study.points if point.method == "waiting"]
+    assert study.motion_type == "II"
+    assert waits[0] > waits[2] > waits[-1]
+    assert waits[-1] < 1e-9
+
+
+def test_given_a_stepped_test_when_its_hardest_frequency_is_sought_then_it_is_a_resonance_of_its_range() -> (
+    None
+):
+    scene = rig.load("fig9")
+    assert hardest_frequency(scene, assemble(scene)) == pytest.approx(49.0, abs=1.0)
+
+
+def test_given_a_scene_without_a_shaker_when_its_cost_is_asked_then_the_error_says_what_is_missing() -> None:
+    scene = rig.load("fig10b-three-dampers")
+    bare = scene.replace(shaker=None)
+    with pytest.raises(SceneError, match="no shaker"):
+        hardest_frequency(bare, assemble(bare))
+
+
+def test_given_a_study_with_a_failure_when_written_then_table_and_file_say_so(tmp_path: Path) -> None:
+    points = (
+        Point("engine, tone", "warm", 1e-6, 1e-15, float("nan"), True),
+        Point("scipy LSODA", "rtol 1e-09", float("nan"), float("nan"), float("nan"), False, "takes too long"),
+    )
+    study = Study(rig.load("reference-B"), 49.7, 20, 37, points, "forty digits", 1e9)
+    steady = SteadyStudy((), "", "no steady state")
+    files = write(study, steady, tmp_path / "new")
+    assert [file.suffix for file in files] == [".png", ".svg", ".csv"]
+    assert all(file.stat().st_size > 0 for file in files)
+    with files[2].open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert rows[1]["note"] == "takes too long" and rows[1]["error"] == "nan"
+    assert "failed: takes too long" in table(study, steady)

@@ -53,11 +53,22 @@ def schema() -> None:
 
 
 @app.command()
-def explain(scene: SceneName) -> None:
+def explain(
+    scene: SceneName,
+    measure: Annotated[
+        bool, typer.Option("--measure", help="Add the effects one at a time and measure what each costs.")
+    ] = False,
+) -> None:
     """Say which effects a scene turns on, and how many states each adds."""
     import rig
 
     print(rig.explain(scene))
+    if measure:
+        from rig.ladder import ladder, text
+
+        with _status() as say:
+            rungs = ladder(rig.load(scene), say)
+        print("\n" + text(rungs))
 
 
 @app.command()

@@ -6,6 +6,7 @@ import pytest
 
 import rig
 from rig.assembly import assemble
+from rig.ladder import ladder, text
 from rig.scene_file import bundled
 
 
@@ -53,3 +54,38 @@ def test_given_an_explanation_when_printed_then_channels_that_are_alike_share_on
     text = str(rig.explain("fig8-three-dampers"))
     assert text.count("quantisation") == 1
     assert text.count("channel body") == 3
+
+
+def test_given_a_scene_when_its_ladder_is_climbed_then_each_named_effect_is_a_rung_and_states_add_up() -> (
+    None
+):
+    scene = rig.load("fig9")
+    rungs = ladder(scene)
+    names = [rung.name for rung in rungs]
+    assert names == [
+        "structure",
+        "shaker",
+        "particle dampers",
+        "ceilings",
+        "channels, ideal",
+        "sensitivity",
+        "sensor resonance",
+        "sensor low cut-off",
+        "sensor noise",
+        "integrator",
+        "quantisation",
+        "recording",
+        "display",
+    ]
+    assert sum(rung.states for rung in rungs) == sum(rig.explain(scene).states.values())
+    assert all(rung.total > 0.0 for rung in rungs)
+    assert text(rungs).splitlines()[-1].startswith("everything on runs at")
+
+
+def test_given_a_bare_scene_when_its_ladder_is_climbed_then_there_is_nothing_but_structure_and_ideal_channels() -> (
+    None
+):
+    scene = rig.loads(
+        "structure: {masses: [1 kg], springs: [4 kN/m]}\nrecording: {display: false}", where="test"
+    )
+    assert [rung.name for rung in ladder(scene)] == ["structure", "channels, ideal", "recording"]

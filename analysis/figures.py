@@ -83,6 +83,15 @@ def frequency_axis(axes: Axes, low: float, high: float, labelled: bool) -> None:
 
     axes.set_xscale("log")
     axes.set_xlim(low, high)
+    if high / low < 2.0:
+        # Within an octave a logarithm hardly bends, and round numbers are what one looks for.
+        axes.set_xscale("linear")
+        axes.set_xlim(low, high)
+        if labelled:
+            axes.set_xlabel("frequency / Hz")
+        else:
+            axes.tick_params(labelbottom=False)
+        return
     wide = high / low > 30.0
     digits = (1, 2, 5) if wide else (1, 1.5, 2, 3, 4, 5, 6, 8)
     ticks = [d * 10.0**e for e in range(-3, 6) for d in digits if low <= d * 10.0**e <= high]

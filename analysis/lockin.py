@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from rig.errors import RecordingError
+
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
@@ -74,6 +76,13 @@ class LockIn:
     """
 
     def __init__(self, frequency: float, rate: float, harmonics: int) -> None:
+        if 2.0 * frequency >= rate:
+            raise RecordingError(
+                f"a tone of {frequency:.6g} Hz cannot be told from another in {rate:.6g} samples a second; expected "
+                f"a recording made with converter: {{rate: ...}} well above {2.0 * frequency:.6g} Hz"
+            )
+        # Higher harmonics that would fold back onto lower ones are left out of the fit.
+        harmonics = max(1, min(harmonics, int(np.ceil(rate / (2.0 * frequency))) - 1))
         self.frequency = frequency
         self.rate = rate
         self.harmonics = harmonics

@@ -35,6 +35,10 @@ class Trip:
         )
 
 
+#: Overload of a control channel that ends a test, s.
+_CLIPPED = 1.0
+
+
 class Stretches:
     """Joins flagged samples to stretches and notes each when it is over.
 
@@ -127,3 +131,37 @@ class Limits:
     def close(self) -> None:
         """Note the alarms that still last."""
         self._alarms.close()
+
+
+class ControlLoss:
+    """Watches the channels that a held spring force is read from: clipped, they cannot tell how large it is.
+
+    Parameters
+    ----------
+    scene : Scene
+    channels : sequence of ChannelInfo
+        The channels, in the order of the rows of the flags.
+    """
+
+    def __init__(self, scene: Scene, channels: Sequence[ChannelInfo]) -> None:
+        shaker = scene.shaker
+        held = getattr(scene.test, "force", None) is not None
+        places = () if shaker is None or shaker.kind == "force" else ("table", f"body {shaker.bodies[0]}")
+        self._rows = [row for row, info in enumerate(channels) if held and info.at in places]
+        self._channels = channels
+        self._since: int | None = None
+
+    def watch(self, first: int, flags: NDArray[np.bool_]) -> str | None:
+        """Look at overload flags, shape (channels, samples); say so when they have lasted for too long."""
+        clipped = [row for row in self._rows if flags[row].any()]
+        if not clipped:
+            self._since = None
+            return None
+        self._since = first if self._since is None else self._since
+        info = self._channels[clipped[0]]
+        if first + flags.shape[1] - self._since <= _CLIPPED * info.rate:
+            return None
+        return (
+            f"input {info.name} has been overloaded since {self._since / info.rate:.2f} s, so that the spring force "
+            "cannot be read and held; expected a lower force, a larger converter range or a lower sensitivity"
+        )

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from daq.bench import Bench, Block
 from daq.excitation import Excitation, Station, excitation
-from daq.limits import Limits, Stretches
+from daq.limits import ControlLoss, Limits, Stretches
 from daq.recorder import Recorder
 from rig.errors import RunError, SceneError, ShotrigError
 from rig.scene import Scene
@@ -148,6 +148,8 @@ class Run:
         self._last = np.zeros((len(self.bench.inputs), 2))
         self._limits = Limits(scene, self.bench.channels, self._mark)
         self._overloads = Stretches("overload", self.bench.channels, self._mark)
+        self._control = ControlLoss(scene, self.bench.channels)
+        self._control_lost: str | None = None
 
     def run(self, overwrite: bool) -> Path:
         """Run the test to its end and close the recording."""
@@ -180,9 +182,10 @@ class Run:
                 readings.append(self._acquire(drive[:, start : start + quantum]))
                 came = self._station.now - self.bench.latency - readings[-1].shape[1]
                 trip = self._limits.watch(came, readings[-1])
-                if trip is not None:
+                ends = trip if trip is not None else self._control_lost
+                if ends is not None:
                     self._ramp_down()
-                    raise RunError(f"test aborted: {trip}")
+                    raise RunError(f"test aborted: {ends}")
                 if interrupted():
                     self._ramp_down()
                     self._mark("abort", self._station.now, self._station.now + 1, reason="interrupted")
@@ -215,6 +218,7 @@ class Run:
         self._station.now = first + size
         self._last = np.concatenate([self._last, drive[:, -2:]], axis=1)[:, -2:]
         self._overloads.add(first - self.bench.latency, overload)
+        self._control_lost = self._control.watch(first, overload)
         return readings
 
     def _write(self, samples: NDArray[Any], first: int) -> None:

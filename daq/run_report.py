@@ -27,15 +27,17 @@ def record_and_report(scene: str, path: Path, overwrite: bool, block: int | None
         Exit code: 0 done, 130 interrupted (the recording is then closed and readable).
     """
     import daq
+    import rig
 
     if path.exists() and not overwrite:
         raise RecordingError(f"{path} exists: give another name with -o, or --overwrite to replace it")
+    setting = rig.load(scene)
     print(f"recording {scene} to {path}", file=sys.stderr)
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always", daq.RunWarning)
         try:
             with progress_bar(Path(scene).stem) as progress:
-                daq.record(scene, path, block=block, overwrite=overwrite, progress=progress)
+                daq.record(setting, path, block=block, overwrite=overwrite, progress=progress)
             code = 0
         except KeyboardInterrupt as interrupt:
             if not interrupt.args:

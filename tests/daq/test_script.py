@@ -1,4 +1,5 @@
 import runpy
+import sys
 
 import nidaqmx
 import pytest
@@ -95,7 +96,9 @@ def test_given_an_unknown_scene_when_a_script_is_run_then_the_error_names_it(scr
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_given_an_example_when_run_then_it_shows_what_it_promises(name, capsys):
+def test_given_an_example_when_run_then_it_shows_what_it_promises(name, capsys, monkeypatch):
+    # The doctests may have imported it already.
+    monkeypatch.delitem(sys.modules, f"daq.examples.{name}", raising=False)
     runpy.run_module(f"daq.examples.{name}", run_name="__main__")
     shown = capsys.readouterr().out
     promised = {

@@ -18,6 +18,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.lanes import padded
 from rig.polynomial import LENGTH
@@ -32,6 +33,10 @@ TERMS = 30
 TABULATED_UP_TO = 16
 TABULATED_WITH_FEW = 40
 FEW_DAMPERS = 3
+
+
+#: Dampers up to which slots are looked up in an array of all configurations.
+DIRECT_UP_TO = 12
 
 
 class Flow(NamedTuple):
@@ -100,6 +105,7 @@ class FlowTables:
         self.step = step
         self.size = system.states + drive.states
         self.slots: dict[int, int] = {}
+        self._direct = np.full(1 << min(system.dampers, DIRECT_UP_TO), -1, dtype=np.int64)
         most = TABULATED_WITH_FEW if system.dampers <= FEW_DAMPERS else TABULATED_UP_TO
         self.tabulated = self.size <= most
         # What is tabulated is used a million times over: it is computed with digits to spare.
@@ -117,8 +123,23 @@ class FlowTables:
         if slot == self.flow.neighbour.shape[0]:
             self._grow()
         self.slots[configuration] = slot
+        if self.system.dampers <= DIRECT_UP_TO:
+            self._direct[configuration] = slot
         self._fill(slot, configuration)
         return slot
+
+    def slots_of(self, configurations: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Slots of many configurations, shape as given; new ones are made."""
+        if self.system.dampers > DIRECT_UP_TO:
+            visited, place = np.unique(configurations, return_inverse=True)
+            known = np.array([self.slot(int(configuration)) for configuration in visited], dtype=np.int64)
+            return known[place].reshape(configurations.shape)
+        slots = self._direct[configurations]
+        if (slots < 0).any():
+            for configuration in np.unique(configurations[slots < 0]):
+                self.slot(int(configuration))
+            slots = self._direct[configurations]
+        return slots
 
     def generator(self, configuration: int) -> tuple[np.ndarray, np.ndarray]:
         """Matrix A (size, size) and vector b (size,) of z' = A z + b in one configuration."""

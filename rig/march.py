@@ -373,9 +373,7 @@ class March:
         """Take what the log holds and empty it."""
         events, breaks = self.log.filled
         log = self.log
-        visited, place = np.unique(log.configuration[:breaks], return_inverse=True)
-        known = np.array([self.tables.slot(int(configuration)) for configuration in visited], dtype=np.int64)
-        slots = known[place].reshape(breaks, 2).T if breaks else np.zeros((2, 0), dtype=np.int64)
+        slots = self.tables.slots_of(log.configuration[:breaks]).T
         page = (
             *(
                 column[:events].copy()

@@ -1,20 +1,13 @@
 """Contact laws: landing, rebound, separation, and what they set off in neighbouring dampers.
 
 A damper is in `FLIGHT`, or rides on the `FLOOR` or at the `CEILING` of its cavity. Contact is unilateral: it
-pushes and never pulls. Impulses at an impact and contact forces right after it are the solution of the same
-linear complementarity problem with the matrix
-
-    A_ik = s_i s_k (M^-1)_{b_i b_k} + delta_ik / md_i,      s = +1 floor, -1 ceiling
-
-(b_i the body of damper i). With a diagonal mass matrix A is diagonal and each contact decides for itself; with
-a full mass matrix an impact may lift riding neighbours, and all contacts of the instant are solved together
-(Murty's least-index principal pivoting; A is positive definite, so the solution exists and is unique).
+pushes and never pulls. With a diagonal mass matrix each contact decides for itself; with a full one an impact
+may lift riding neighbours, and all contacts of the instant are solved together (`rig.complementarity`).
 
 References
 ----------
 Pfeiffer, F., Glocker, C., "Multibody Dynamics with Unilateral Contacts", Wiley 1996, chapters 6 and 8 (contact
 laws on acceleration and on impulse level).
-Murty, K. G., "Linear Complementarity, Linear and Nonlinear Programming", Heldermann 1988, chapter 4.
 """
 
 from __future__ import annotations

@@ -13,9 +13,10 @@ from typing import TypeVar
 import numpy as np
 
 from rig.assembly import assemble
+from rig.course import Array
 from rig.errors import RunError, SceneError, ShotrigError
 from rig.excitation_settings import Sine, SteppedSine, SweptSine
-from rig.march import Array, tone_march
+from rig.march import tone_march
 from rig.open_loop import ToneDrive, drive_per_level, level_of, tone_drive
 from rig.reference import DIGITS, Exact, exact_motion
 from rig.scene import Scene

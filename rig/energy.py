@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from rig.contact import CEILING, FLIGHT
+from rig.course import Course
 from rig.flow import FlowTables
-from rig.march import Course
 from rig.polynomial import LENGTH
 from rig.scene import Scene
 from rig.shaker_settings import ElectrodynamicShaker, TableShaker

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.contact import CEILING_IMPACT, FLOOR_IMPACT, SEPARATION
-from rig.march import Course
+from rig.course import Course
 
 
 def motion_types(course: Course, dampers: int, repetition: int) -> list[str]:

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.assembly import spring_force_row
+from rig.course import Array
 from rig.errors import SceneError
 from rig.excitation_settings import Impulse, Sine, SteppedSine, SweptSine
-from rig.march import Array
 from rig.scene import Scene
 from rig.shaker_settings import ForceShaker, TableShaker
 from rig.system import System

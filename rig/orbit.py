@@ -11,8 +11,9 @@ from rig import continuation
 from rig.assembly import spring_force_row
 from rig.contact import CEILING_IMPACT, FLIGHT, FLOOR_IMPACT
 from rig.contact import SEPARATION as SEPARATED
+from rig.course import EVENT, KINDS
 from rig.errors import RunError, SceneError
-from rig.march import EVENT, KINDS, March, tone_march
+from rig.march import March, tone_march
 from rig.motion_type import overall
 from rig.orbit_checks import flaw, lowest
 from rig.orbit_problem import Parameter, Plan, Problem, Setting, make_plan, plan_from, vary

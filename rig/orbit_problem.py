@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from rig.assembly import assemble
 from rig.contact import CEILING_IMPACT, FLIGHT, FLOOR_IMPACT
+from rig.course import Course
 from rig.errors import SceneError
-from rig.march import Course
 from rig.open_loop import drive_per_level, level_of
 from rig.scene import Scene
 from rig.shaker_settings import ForceShaker

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.assembly import assemble
+from rig.course import Array, Course, event_table
 from rig.errors import RunError, SceneError
-from rig.march import Array, Course, Seen, event_table, sampled_march
+from rig.march import Seen, sampled_march
 from rig.motion import Motion
 from rig.scene import Scene
 

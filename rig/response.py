@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.assembly import assemble, spring_force_row
+from rig.course import Array
 from rig.energy import fourier
 from rig.errors import SceneError
-from rig.march import Array, March, tone_march
+from rig.march import March, tone_march
 from rig.motion_type import motion_types, overall
 from rig.open_loop import level_of, tone_drive
 from rig.scene import Scene

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from rig.course import KINDS
 from rig.errors import SceneError
 from rig.excitation_settings import Impulse
-from rig.march import KINDS
 from rig.scene import Scene
 from rig.simulation import Run
 

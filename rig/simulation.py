@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.assembly import assemble
+from rig.course import EVENT, Array, Course, event_table, gaps_and_contacts
 from rig.energy import Ends, Energy, ledger
 from rig.errors import SceneError
-from rig.march import EVENT, Array, Course, March, event_table, gaps_and_contacts, sampled_march, tone_march
+from rig.march import March, sampled_march, tone_march
 from rig.open_loop import ToneDrive, sampled_drive, tone_drive
 from rig.scene import Scene
 from rig.system import System

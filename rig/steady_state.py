@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.contact import FLIGHT
-from rig.march import Array, Course, March
+from rig.course import Array, Course
+from rig.march import March
 
 #: Longest repetition looked for, in periods of the drive.
 LONGEST_REPETITION = 8

@@ -10,7 +10,7 @@ from typing import Any
 _HOME: dict[str, str] = {
     "DaqError": "daq.errors",
     "Task": "daq.task",
-    "connect": "daq.chassis",
+    "connect": "daq.connection",
     "Recorder": "daq.recorder",
     "Recording": "daq.recording",
     "open": "daq.recording",

@@ -1,8 +1,8 @@
 """The chassis on the bench: one sample clock, the modules on it, and the tasks that run on them.
 
-`connect` puts a chassis in front of a scene: an input for every channel (the hammer's force among them) and
-an output, `ao0`, to the shaker amplifier. Time is counted in samples of that one clock: what runs together is
-simultaneous to the sample, and the output acts on the inputs through the plant.
+There is an input for every channel of the scene (the hammer's force among them) and an output, `ao0`, to the
+shaker amplifier. Time is counted in samples of that one clock: what runs together is simultaneous to the
+sample, and the output acts on the inputs through the plant.
 
 What an output volt does depends on the shaker: a volt at the amplifier (electrodynamic), a newton (kind
 force), a millimetre of table travel (kind table). The output keeps its last value when a task ends. The
@@ -15,13 +15,11 @@ there is something to measure and to trigger on. The hammer of an impulse scene 
 from __future__ import annotations
 
 import math
-import os
 import threading
 import time
 import traceback
 import weakref
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,7 +29,6 @@ from daq.acquisition import Acquisition
 from daq.bench import Bench, Block
 from daq.channel import ChannelInfo
 from daq.clock import Clock
-from daq.clock import clock as make_clock
 from daq.errors import DaqError, DAQmxErrors
 from daq.generation import Generation
 from daq.operator import Operator
@@ -42,7 +39,6 @@ from daq.triggers import OtherTask
 if TYPE_CHECKING:
     from daq.task import Task
 
-DEFAULT_SCENE = "fig8-three-dampers"
 # What a volt at the output becomes, by the unit of the shaker's drive.
 DRIVE_PER_VOLT = {"V": 1.0, "N": 1.0, "m": 1e-3}
 
@@ -95,6 +91,8 @@ class Chassis:
             # What has to be compiled is compiled before time begins to run: reads would wait for it in vain.
             Bench(scene).acquire(np.zeros((len(self._bench.inputs), 64)))
         self._operator = Operator(self._bench)
+        if self._output_taken:
+            self._operator.leave_shaker()
         self.position = 0
         # The fast and the manual clock know no date; times are then counted from the bench's power-on.
         self._epoch_ns = time.time_ns() if self.clock.runs_free else 0
@@ -219,6 +217,7 @@ class Chassis:
                 self._switch_on(rate)
             if "ao0" in resources:
                 self._output_taken = True
+                self._operator.leave_shaker()
             self._reserved[task] = resources
 
     def release(self, task: Task) -> None:
@@ -361,41 +360,3 @@ class Chassis:
             )
         )
         return True
-
-
-_connected: list[Chassis] = []
-
-
-def connect(scene: rig.Scene | str | Path | None = None, clock: str | Clock | None = None) -> Chassis:
-    """Put a chassis in front of a scene's bench; tasks made from now on are on it.
-
-    Parameters
-    ----------
-    scene : Scene or str or Path, optional
-        Scene, name of a bundled one, or path of a scene file. Else the one named by the environment variable
-        SHOTRIG_SCENE, else the paper's rig with three dampers.
-    clock : {'real', 'fast', 'manual'} or Clock, optional
-        What lets time pass, see `daq.clock`. Else what the environment variable SHOTRIG_CLOCK says, else
-        'real': a live bench.
-
-    Returns
-    -------
-    Chassis
-
-    Raises
-    ------
-    SceneError
-        If the scene cannot be used or there is no such clock.
-    """
-    if scene is None:
-        scene = os.environ.get("SHOTRIG_SCENE") or DEFAULT_SCENE
-    if clock is None:
-        clock = os.environ.get("SHOTRIG_CLOCK") or "real"
-    chassis = Chassis(scene if isinstance(scene, rig.Scene) else rig.load(scene), make_clock(clock))
-    _connected[:] = [chassis]
-    return chassis
-
-
-def connected() -> Chassis:
-    """Give the chassis that new tasks are on; connects the default scene if nothing has been connected."""
-    return _connected[0] if _connected else connect()

@@ -4,11 +4,11 @@ A bench counts its time in samples, and only the clock decides when the next sam
 wait (a read, a write into a full buffer, `wait_until_done`) asks the clock; timeouts are in its time.
 
 * `FastClock`: time passes only while somebody waits, as quickly as the machine computes. A run is
-  deterministic: nothing happens between two calls. Callbacks run on the thread that waits.
+  deterministic: nothing happens between two calls. Who asks again and again how far a task has come waits too
+  (see `Clock.glance`). Callbacks run on the thread that waits.
 * `RealClock`: a thread keeps the bench at wall-clock time, whether anybody waits or not. A slow reader is
   overrun as with hardware. Callbacks run on a thread of their own.
-* `ManualClock`: time passes when `ManualClock.advance` is called. Waiting for samples that have not come
-gives
+* `ManualClock`: time passes when `ManualClock.advance` is called. Waiting for samples that have not come gives
   up at once, as nobody else can bring them. Callbacks run on the thread that advances.
 """
 

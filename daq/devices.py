@@ -6,7 +6,8 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-from daq.chassis import Chassis, connected
+from daq.chassis import Chassis
+from daq.connection import connected
 from daq.constants import BusType, ProductCategory
 from daq.errors import DaqError, DAQmxErrors, unsupported
 from daq.rates import DIVISORS, FASTEST_RATE

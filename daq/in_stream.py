@@ -154,12 +154,17 @@ class InStream:
     @property
     def avail_samp_per_chan(self) -> int:
         """Samples per channel that could be read now."""
+        self._task.run.look("avail_samp_per_chan")
+        return self._available()
+
+    def _available(self) -> int:
         run = self._task.run.acquisition
         return 0 if run is None else max(0, run.readable - run.position)
 
     @property
     def total_samp_per_chan_acquired(self) -> int:
         """Samples per channel acquired since the start."""
+        self._task.run.look("total_samp_per_chan_acquired")
         run = self._task.run.acquisition
         return 0 if run is None else run.ring.written
 
@@ -239,9 +244,9 @@ class InStream:
                 return max(end - run.position, 0) or samples
             if run is None:
                 self._begin()
-            if self.avail_samp_per_chan == 0 and task.is_running and not task.run.finished:
+            if self._available() == 0 and task.is_running and not task.run.finished:
                 task.chassis.clock.glance(task.chassis)
-            return self.avail_samp_per_chan
+            return self._available()
 
     def fill(self, out: NDArray[Any], timeout: float, raw: bool = False) -> int:
         """Read samples into an array.
@@ -284,6 +289,8 @@ class InStream:
             self._begin()
             assert task.run.acquisition is not None
             run = task.run.acquisition
+            if timeout == 0:
+                task.run.look("read")
             try:
                 self._seek(run)
                 return collect(task, run, self._rows(), out, timeout, raw)

@@ -45,7 +45,8 @@ def whole_periods(frequency: float, rate: float, at_least: float, periods: int =
     return round(float(samples[np.argmin(np.round(miss, 9))]))
 
 
-@lru_cache(maxsize=64)
+# A test stays at one frequency for a few kinds of windows, which may be long.
+@lru_cache(maxsize=8)
 def _solver(frequency: float, rate: float, samples: int) -> Array:
     return _pseudo_inverse(2 * np.pi * np.fmod(frequency / rate * np.arange(samples), 1.0))
 
@@ -54,7 +55,7 @@ def _pseudo_inverse(phase: Array) -> Array:
     # Integrated channels drift and dampers shift the mean: a cubic is fitted with the tone to take that up.
     drift = np.vander(np.linspace(-1.0, 1.0, phase.size), 4)
     model = np.column_stack([np.cos(phase), -np.sin(phase), drift])
-    return np.linalg.pinv(model)[:2]
+    return np.linalg.pinv(model)[:2].copy()
 
 
 def lock_in(samples: Array, frequency: float, rate: float, phase: float = 0.0) -> ComplexArray:

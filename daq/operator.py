@@ -53,6 +53,10 @@ class Operator:
                 stacklevel=2,
             )
 
+    def leave_shaker(self) -> None:
+        """Let a script have the shaker; where there is a hammer, go on hitting with it."""
+        self._quiet |= "hammer" not in self._bench.inputs
+
     def horizon(self, samples: int) -> int:
         """Cut a number of samples at the end of the current window: the next one depends on what is heard."""
         return samples if self._quiet else min(samples, self._window.shape[1] - self._at)

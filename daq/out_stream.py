@@ -110,12 +110,14 @@ class OutStream:
     @property
     def total_samp_per_chan_generated(self) -> int:
         """Samples per channel put out since the start."""
+        self._task.run.look("total_samp_per_chan_generated")
         run = self._task.run.generation
         return 0 if run is None else run.generated
 
     @property
     def space_avail(self) -> int:
         """Samples per channel that could be written without waiting."""
+        self._task.run.look("space_avail")
         if self.buffer is None:
             return self.output_buf_size
         run = self._task.run.generation

@@ -15,7 +15,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from daq.chassis import Chassis, connect
+from daq.chassis import Chassis
+from daq.connection import connect
 from rig.errors import SceneError
 
 # How long a script that asks for Enter is left waiting on the fast clock, s of bench time.

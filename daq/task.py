@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from daq.channel_collections import AIChannelCollection, AOChannelCollection
-from daq.chassis import Chassis, connected
+from daq.chassis import Chassis
+from daq.connection import connected
 from daq.constants import READ_ALL_AVAILABLE, EveryNSamplesEventType, TaskMode
 from daq.errors import DaqError, DAQmxErrors, DAQmxWarnings, DaqResourceWarning, DaqWarning, unsupported
 from daq.events import Events
@@ -249,8 +250,7 @@ class Task:
         """Whether the task is done, or not running."""
         self._require(DAQmxErrors.INVALID_TASK, "", True)
         with self.chassis.changed:
-            if self.is_running and not self.run.finished:
-                self.chassis.clock.glance(self.chassis)
+            self.run.look("is_task_done")
             self.run.raise_failure()
             return not self.is_running or self.run.finished
 

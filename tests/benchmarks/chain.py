@@ -67,6 +67,11 @@ def rungs(scene: Scene) -> Iterator[tuple[str, Scene]]:
         yield name, scene.replace(channels=channels, converter=converter)
 
 
+def full_scene() -> Scene:
+    """Give three dampers and an electrodynamic shaker, measured with every effect the ladder has."""
+    return [rung for _, rung in rungs(rig.load("fig8-three-dampers"))][-1]
+
+
 def measure() -> Iterator[str]:
     """Yield a line for each rung: time per channel and sample, and how many times real time four channels run."""
     scene = rig.load("fig8-three-dampers")

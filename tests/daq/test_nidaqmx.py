@@ -168,7 +168,7 @@ def test_given_a_channel_when_its_properties_are_read_then_they_are_what_was_ask
 def test_given_a_driver_script_when_only_its_import_is_changed_then_it_runs(monkeypatch, tmp_path):
     monkeypatch.setenv("SHOTRIG_SCENE", "bare-structure")
     monkeypatch.setenv("SHOTRIG_CLOCK", "fast")
-    monkeypatch.setattr("daq.chassis._connected", [])
+    monkeypatch.setattr("daq.connection._connected", [])
     with nidaqmx.Task() as task:
         task.ai_channels.add_ai_accel_chan("cDAQ1Mod1/ai0", sensitivity=1000.0)
         task.timing.cfg_samp_clk_timing(1652.0, sample_mode=AcquisitionType.FINITE, samps_per_chan=20)
@@ -183,3 +183,13 @@ def test_given_a_driver_script_when_only_its_import_is_changed_then_it_runs(monk
 )
 def test_given_names_when_flattened_then_unflattening_gives_them_back(names):
     assert unflatten_channel_string(flatten_channel_string(names)) == names
+
+
+def test_given_no_scene_when_a_script_asks_for_ten_volts_then_the_default_bench_has_them(monkeypatch):
+    monkeypatch.delenv("SHOTRIG_SCENE", raising=False)
+    chassis = daq.connect(clock="fast")
+    with nidaqmx.Task() as task:
+        channels = task.ai_channels.add_ai_voltage_chan("Dev1/ai0:3", min_val=-10.0, max_val=10.0)
+        assert (channels.ai_min, channels.ai_max) == (-10.0, 10.0)
+    assert [each.quantity for each in chassis.inputs] == ["acceleration"] * 4
+    assert chassis.outputs == 1

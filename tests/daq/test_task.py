@@ -309,3 +309,56 @@ def test_given_a_filter_whose_delay_is_taken_out_when_reading_then_samples_belon
     plain, filtered = read
     lag = np.argmax(np.correlate(filtered - filtered.mean(), plain - plain.mean(), "full")) - (len(plain) - 1)
     assert abs(lag) <= 1
+
+
+def polled_until(arrived, task):
+    """Let a script's own loop wait; it must come to its end."""
+    for looks in range(1000):
+        if arrived(task):
+            return looks
+    raise AssertionError("the loop made no progress")
+
+
+@pytest.mark.parametrize(
+    "arrived",
+    [
+        lambda task: task.in_stream.avail_samp_per_chan >= 600,
+        lambda task: task.in_stream.total_samp_per_chan_acquired >= 600,
+        lambda task: task.is_task_done(),
+    ],
+)
+def test_given_a_fast_clock_when_a_script_polls_then_time_passes(chassis, arrived):
+    with inputs(Task(), sample_mode=AcquisitionType.FINITE, samps_per_chan=1000) as task:
+        task.start()
+        assert polled_until(arrived, task) > 1
+        assert np.array(task.read(READ_ALL_AVAILABLE)).shape == (4, 1000)
+
+
+def test_given_a_fast_clock_when_a_script_polls_an_output_then_time_passes(chassis):
+    with output(Task(), tone(1000), sample_mode=AcquisitionType.FINITE, samps_per_chan=1000) as task:
+        task.start()
+        polled_until(lambda task: task.out_stream.total_samp_per_chan_generated == 1000, task)
+
+
+def test_given_a_fast_clock_when_reads_without_a_timeout_are_tried_again_then_they_succeed(chassis):
+    with inputs(Task(), sample_mode=AcquisitionType.CONTINUOUS) as task:
+        task.start()
+
+        def arrived(task):
+            try:
+                return len(task.read(10, timeout=0.0)[0]) == 10
+            except daq.DaqError as error:
+                assert error.error_code == -200284
+                return False
+
+        polled_until(arrived, task)
+
+
+def test_given_a_fast_clock_when_different_things_are_looked_at_once_then_no_time_passes(chassis):
+    with inputs(Task(), sample_mode=AcquisitionType.CONTINUOUS) as task:
+        task.start()
+        task.read(100)
+        stream = task.in_stream
+        assert (stream.total_samp_per_chan_acquired, stream.avail_samp_per_chan) == (100, 0)
+        assert not task.is_task_done()
+        assert chassis.position == 100

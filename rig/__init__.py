@@ -9,6 +9,7 @@ from typing import Any
 # that `import rig` stays quick (numba alone takes longer to import than a whole impulse test takes to run).
 _HOME: dict[str, str] = {
     "Motion": "rig.motion",
+    "MotionMap": "rig.motion_map",
     "Plant": "rig.plant",
     "Response": "rig.response",
     "Run": "rig.simulation",
@@ -20,6 +21,7 @@ _HOME: dict[str, str] = {
     "explain": "rig.effects",
     "follow_orbits": "rig.orbit_curve",
     "frequency_response": "rig.response",
+    "map_motion": "rig.motion_map",
     "periodic_orbit": "rig.orbit",
     "simulate": "rig.simulation",
     "Scene": "rig.scene",

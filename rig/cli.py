@@ -171,6 +171,49 @@ def cost(
     print("\nwritten:", *files)
 
 
+@app.command("map")
+def map_(
+    scene: SceneName,
+    over: Annotated[
+        str | None,
+        typer.Option(
+            metavar="force|drive|clearance", help="What changes beside frequency (default: the level)."
+        ),
+    ] = None,
+    least: Annotated[
+        str | None, typer.Option(metavar="VALUE", help="Smallest level or clearance, such as '0.5 N'.")
+    ] = None,
+    most: Annotated[str | None, typer.Option(metavar="VALUE", help="Largest level or clearance.")] = None,
+    rows: Annotated[int, typer.Option(min=2, metavar="N", help="How many levels or clearances.")] = 36,
+    first: Annotated[
+        str | None, typer.Option("--from", metavar="F", help="First frequency (default: the test's).")
+    ] = None,
+    last: Annotated[str | None, typer.Option("--to", metavar="F", help="Last frequency.")] = None,
+    points: Annotated[int, typer.Option(min=2, metavar="N", help="How many frequencies.")] = 48,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Where to write the figure and the table.")
+    ] = Path(),
+) -> None:
+    """Map where it gets hard: type of motion and computing time over level (or clearance) and frequency."""
+    import rig
+    from rig.map_figure import summary, write
+    from rig.map_grid import columns, rows_of, vertical_axis
+    from rig.quantities import FORCE, FREQUENCY, LENGTH, VOLTAGE
+
+    loaded = rig.load(scene)
+    over, unit = vertical_axis(loaded, over)
+    ends = _quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to")
+    frequencies = columns(loaded, *ends, points)
+    kind = {"N": FORCE, "V": VOLTAGE, "m": LENGTH}[unit]
+    ends = _quantity(least, kind, "--least"), _quantity(most, kind, "--most")
+    values = rows_of(loaded, over, frequencies, *ends, rows)
+    with _progress("following the motion") as progress:
+        found = rig.map_motion(loaded, over, values, frequencies, progress)
+    files = write(found, output)
+    print(summary(found))
+    print("\nwritten:", *files)
+
+
 @contextmanager
 def _status() -> Iterator[Callable[[str], None] | None]:
     """Show what is going on while the body runs; nothing where the error output is no terminal."""

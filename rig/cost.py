@@ -17,13 +17,12 @@ from rig.course import Array
 from rig.errors import RunError, SceneError, ShotrigError
 from rig.excitation_settings import Sine, SteppedSine, SweptSine
 from rig.march import tone_march
-from rig.open_loop import ToneDrive, drive_per_level, level_of, tone_drive
+from rig.open_loop import ToneDrive, accelerations_per_level, level_of, tone_drive
 from rig.reference import DIGITS, Exact, exact_motion
 from rig.scene import Scene
 from rig.schemes import PER_PERIOD, Outcome, Problem
 from rig.schemes_adaptive import BLIND, cvode_leg, follow, scipy_leg
 from rig.simulation import Run, simulate
-from rig.structure import structure_matrices
 from rig.system import System
 
 #: Periods of the drive that every method computes.
@@ -118,27 +117,8 @@ def hardest_frequency(scene: Scene, system: System) -> float:
         grid = np.linspace(min(test.from_, test.to), max(test.from_, test.to), 400)
     else:
         raise SceneError("the test has no frequency of its own; give one with --frequency")
-    accelerations = [_largest_acceleration(scene, system, 2.0 * np.pi * f) for f in grid]
+    accelerations = [accelerations_per_level(scene, system, 2.0 * np.pi * f).max() for f in grid]
     return float(grid[int(np.argmax(accelerations))])
-
-
-def _largest_acceleration(scene: Scene, system: System, omega: float) -> float:
-    """Largest acceleration of a body for one unit of level, all dampers riding, m/s^2."""
-    n, ns = system.coordinates, system.states
-    mass = system.mass.copy()
-    np.add.at(mass, (system.damper_coordinate, system.damper_coordinate), system.damper_mass)
-    matrix = np.zeros((ns, ns), dtype=complex)
-    matrix[:n, n : 2 * n] = np.eye(n)
-    matrix[n : 2 * n] = np.linalg.solve(mass, system.force_state)
-    matrix[2 * n :] = system.rate_state
-    column = system.inputs.index("shaker")
-    inflow = np.zeros(ns, dtype=complex)
-    inflow[n : 2 * n] = np.linalg.solve(mass, system.force_drive[:, column])
-    inflow[2 * n :] = system.rate_drive[:, column]
-    response = np.linalg.solve(1j * omega * np.eye(ns) - matrix, inflow) * drive_per_level(
-        scene, system, omega
-    )
-    return float(omega**2 * np.abs(response[: len(structure_matrices(scene.structure)[0])]).max())
 
 
 def motion_study(

@@ -11,6 +11,7 @@ import numpy as np
 from rig.cost import Point, Study
 from rig.cost_steady import SteadyStudy
 from rig.errors import SceneError
+from rig.file_name import stem
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -83,10 +84,7 @@ def write(study: Study, steady: SteadyStudy, folder: Path) -> list[Path]:
     SceneError
         If a file cannot be written.
     """
-    stem = "".join(c if c.isalnum() else "-" for c in study.scene.name.lower()).strip("-")
-    while "--" in stem:
-        stem = stem.replace("--", "-")
-    files = [folder / f"cost-{stem}.{ending}" for ending in ("png", "svg", "csv")]
+    files = [folder / f"{stem('cost', study.scene.name)}.{ending}" for ending in ("png", "svg", "csv")]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         _write_csv(study, steady, files[2])

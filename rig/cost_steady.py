@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from rig.approximate import approximate_response
 from rig.cost import Point, timed
 from rig.errors import ShotrigError
+from rig.open_loop import with_force_itself
 from rig.orbit import periodic_orbit
 from rig.receptance import receptance
 from rig.response import frequency_response
 from rig.scene import Scene
-from rig.shaker_settings import ForceShaker
 from rig.single_mode import Weighting
 from rig.structure import natural_modes, structure_matrices
 
@@ -62,8 +62,7 @@ def steady_study(
         Called with the name of each method before it runs.
     """
     say = progress if progress is not None else lambda name: None
-    if scene.shaker is not None and getattr(scene.test, "force", None) is not None:
-        scene = scene.replace(shaker=ForceShaker(body=scene.shaker.bodies[0]), channels=None)
+    scene = with_force_itself(scene)
     say("shooting")
     try:
         # Once unmeasured: what is compiled is compiled or loaded then.

@@ -102,6 +102,29 @@ def _servo_inverse(shaker: TableShaker, omega: float) -> complex:
 
 def force_per_drive(scene: Scene, system: System, omega: float) -> complex:
     """Spring force for one unit of drive, in the linear structure with all dampers riding."""
+    return complex(spring_force_row(scene, system) @ _riding_response(system, omega))
+
+
+def accelerations_per_level(scene: Scene, system: System, omega: float) -> Array:
+    """Amplitude of each body's acceleration for one unit of level, in the linear structure with all dampers riding."""
+    response = _riding_response(system, omega) * drive_per_level(scene, system, omega)
+    return omega**2 * np.abs(response[: scene.structure.bodies])
+
+
+def with_force_itself(scene: Scene) -> Scene:
+    """Put the force that the test holds on the body as a pure tone, without coil spring, table and channels.
+
+    This saves the motions that a controller of the spring force needs to find its drive. Scenes whose tests give a
+    drive, or whose shaker is a force already, stay as they are.
+    """
+    shaker = scene.shaker
+    if shaker is None or isinstance(shaker, ForceShaker) or getattr(scene.test, "force", None) is None:
+        return scene
+    return scene.replace(shaker=ForceShaker(body=shaker.bodies[0]), channels=None)
+
+
+def _riding_response(system: System, omega: float) -> NDArray[np.complex128]:
+    """States for one unit of drive, all dampers riding."""
     n, ns = system.coordinates, system.states
     mass = system.mass.copy()
     np.add.at(mass, (system.damper_coordinate, system.damper_coordinate), system.damper_mass)
@@ -114,13 +137,12 @@ def force_per_drive(scene: Scene, system: System, omega: float) -> complex:
     inflow[n : 2 * n] = np.linalg.solve(mass, system.force_drive[:, column])
     inflow[2 * n :] = system.rate_drive[:, column]
     try:
-        response = np.linalg.solve(1j * omega * np.eye(ns) - matrix, inflow)
+        return np.asarray(np.linalg.solve(1j * omega * np.eye(ns) - matrix, inflow))
     except np.linalg.LinAlgError:
         raise SceneError(
             f"the undamped rig has no steady motion at {omega / (2 * np.pi):.6g} Hz, its resonance; expected "
             "structure.damping, another frequency, or drive in place of force"
         ) from None
-    return complex(spring_force_row(scene, system) @ response)
 
 
 def sampled_drive(scene: Scene, system: System, samples: int, rate: float) -> Array:

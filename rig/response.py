@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from rig.assembly import assemble, spring_force_row
 from rig.course import Array
 from rig.energy import fourier
-from rig.errors import SceneError
+from rig.errors import RunError, SceneError
 from rig.march import March, tone_march
 from rig.motion_type import motion_types, overall
 from rig.open_loop import level_of, tone_drive
@@ -67,7 +67,13 @@ class Response:
 
 
 @dataclass(frozen=True)
-class _Point:
+class SteadyPoint:
+    """Steady motion at one frequency; `end` is the state that the next frequency may start from.
+
+    Attributes are those of `Response` at one frequency, with the types of all dampers, what `settle` found, and
+    the drive level relative to that of the linear structure.
+    """
+
     frequency: float
     compliance: NDArray[np.complex128]
     peak: Array
@@ -141,21 +147,33 @@ def frequency_response(
     level_of(scene)
     rising = np.sort(asked)
     tasks = {"up": [rising], "down": [rising[::-1]], "both": [rising, rising[::-1]]}[direction]
-    follower = _Follower(scene, tolerance, longest, _Counter(progress, sum(len(task) for task in tasks)))
+    follower = Follower(scene, tolerance, longest)
+    counter = _Counter(progress, sum(len(task) for task in tasks))
+
+    def follow(order: Array) -> list[SteadyPoint]:
+        return [point for point in follower.follow(order) if counter.add()]
+
     with ThreadPoolExecutor(2) as pool:
-        if len(tasks) == 2:
-            points = [point for part in pool.map(follower.follow, tasks) for point in part]
-        else:
-            points = _in_two_halves(pool, follower, tasks[0])
+        try:
+            if len(tasks) == 2:
+                points = [point for part in pool.map(follow, tasks) for point in part]
+            else:
+                points = _in_two_halves(pool, follower, follow, tasks[0])
+        except BaseException:
+            # Leaving the pool waits for the other stretch: do not let it go on.
+            counter.stop()
+            raise
     return _response(points, follower.system)
 
 
-def _in_two_halves(pool: ThreadPoolExecutor, follower: _Follower, order: Array) -> list[_Point]:
+def _in_two_halves(
+    pool: ThreadPoolExecutor, follower: Follower, follow: Callable[[Array], list[SteadyPoint]], order: Array
+) -> list[SteadyPoint]:
     middle = len(order) // 2
     if middle == 0:
-        return follower.follow(order)
-    second = pool.submit(follower.follow, order[middle:])
-    first = follower.follow(order[:middle])
+        return follow(order)
+    second = pool.submit(follow, order[middle:])
+    first = follow(order[:middle])
     rest = second.result()
     # Another motion may be the one that continues the first half.
     last = first[-1]
@@ -168,40 +186,54 @@ def _in_two_halves(pool: ThreadPoolExecutor, follower: _Follower, order: Array) 
     return first + rest
 
 
-def _same(one: _Point, other: _Point) -> bool:
+def _same(one: SteadyPoint, other: SteadyPoint) -> bool:
     size = np.abs(other.compliance).max()
     return one.types == other.types and bool(np.abs(one.compliance - other.compliance).max() < 1e-5 * size)
 
 
 class _Counter:
+    """Counts the points done; once stopped, it ends whoever reports another."""
+
     def __init__(self, report: Callable[[int, int], None] | None, total: int) -> None:
         self.report, self.total, self.done = report, total, 0
+        self.stopped = False
 
-    def add(self) -> None:
+    def add(self) -> bool:
+        if self.stopped:
+            raise RunError("stopped")
         self.done += 1
         if self.report is not None:
             self.report(min(self.done, self.total), self.total)
+        return True
+
+    def stop(self) -> None:
+        self.stopped = True
 
 
-class _Follower:
-    """Follows the steady motion of a scene from frequency to frequency."""
+class Follower:
+    """Follows the steady motion of a scene from frequency to frequency.
 
-    def __init__(self, scene: Scene, tolerance: float, longest: int, counter: _Counter) -> None:
+    Parameters
+    ----------
+    scene, tolerance, longest
+        As in `frequency_response`.
+    """
+
+    def __init__(self, scene: Scene, tolerance: float, longest: int) -> None:
         self.scene, self.system = scene, assemble(scene)
-        self.tolerance, self.longest, self.counter = tolerance, longest, counter
+        self.tolerance, self.longest = tolerance, longest
         self.holds_spring_force = not isinstance(scene.shaker, ForceShaker) and (
             getattr(scene.test, "force", None) is not None
         )
 
-    def follow(self, order: Sequence[float] | Array) -> list[_Point]:
+    def follow(self, order: Sequence[float] | Array) -> Iterator[SteadyPoint]:
         """Points at frequencies in order, each from the one before; the first from rest."""
-        points: list[_Point] = []
+        last = None
         for frequency in order:
-            points.append(self.point(float(frequency), points[-1] if points else None))
-            self.counter.add()
-        return points
+            last = self.point(float(frequency), last)
+            yield last
 
-    def point(self, frequency: float, last: _Point | None) -> _Point:
+    def point(self, frequency: float, last: SteadyPoint | None) -> SteadyPoint:
         """Steady motion at one frequency, from the motion at another or from rest."""
         tone = tone_drive(self.scene, self.system, frequency)
         assert tone is not None
@@ -215,8 +247,8 @@ class _Follower:
         return self._held(march, steps, tone.omega, frequency, last)
 
     def _held(
-        self, march: March, steps: float, omega: float, frequency: float, last: _Point | None
-    ) -> _Point:
+        self, march: March, steps: float, omega: float, frequency: float, last: SteadyPoint | None
+    ) -> SteadyPoint:
         """Level at which the spring force has the amplitude asked for: a secant in the logarithms."""
         wanted = level_of(self.scene)
         level = abs(last.level) if last is not None else 1.0
@@ -237,7 +269,7 @@ class _Follower:
 
     def _measured(
         self, march: March, steps: float, omega: float, frequency: float, level: float, tolerance: float
-    ) -> _Point:
+    ) -> SteadyPoint:
         system, n = self.system, self.system.coordinates
         march.start_period(level)
         steady = settle(march, steps, level, tolerance, self.longest)
@@ -254,7 +286,7 @@ class _Follower:
         types = motion_types(course, system.dampers, steady.repetition)
         struck = course.event_damper[course.event_kind > 0]
         bodies = self.scene.structure.bodies
-        return _Point(
+        return SteadyPoint(
             frequency=frequency,
             compliance=harmonic[:bodies] / force if force else np.full(bodies, np.nan + 0j),
             peak=0.5 * np.ptp(positions[:, :bodies], axis=0),
@@ -279,7 +311,7 @@ def _next_level(tried: list[tuple[float, float]]) -> float:
     return last + float(np.clip(step, -np.log(2.0), np.log(2.0)))
 
 
-def _response(points: list[_Point], system: System) -> Response:
+def _response(points: list[SteadyPoint], system: System) -> Response:
     types = [point.types for point in points]
     return Response(
         frequency=np.array([p.frequency for p in points]),

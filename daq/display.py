@@ -130,9 +130,8 @@ class Decimator:
         return self._kept(last)
 
     def finish(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Give what is left of the samples taken so far; the next ones start afresh."""
-        if self.stop is None:
-            return np.empty(0, np.int64), np.empty((self._held.shape[0], 0))
+        """Give what is left of the samples taken so far, at least one; the next ones start afresh."""
+        assert self.stop is not None
         self._held = np.concatenate([self._held, np.repeat(self._held[:, -1:], self._half, axis=1)], axis=1)
         kept = self._kept((self.stop - 1) // self.step)
         self.stop = None
@@ -146,16 +145,27 @@ class Decimator:
         begin, end = int(places[0]) - self._half - self._first, int(places[-1]) + self._half + 1 - self._first
         values = self._held[:, begin:end]
         if self.step > 1:
-            from scipy.signal import upfirdn
-
-            # Of what upfirdn gives, the ends saw only part of the filter.
-            values = upfirdn(self._taps, values, down=self.step, axis=1)[:, 2 * HALF_LENGTH :][
-                :, : places.size
-            ]
+            values = _filtered(values, self._taps, self.step)
         self._next = last + 1
         forget = max(0, self._next * self.step - self._half - self._first)
         self._held, self._first = self._held[:, forget:], self._first + forget
         return places, np.asarray(values)
+
+
+def _filtered(samples: NDArray[np.float64], taps: NDArray[np.float64], step: int) -> NDArray[np.float64]:
+    """Weigh with `taps` what begins at every `step`-th sample, (signals, kept).
+
+    The filter has whole steps and a sample: one product of matrices weighs every step of the signals with every
+    step of the filter, and sums along its diagonals are the result.
+    """
+    steps = taps.size // step
+    kept = samples.shape[1] // step - steps + 1
+    signals = samples[:, : (kept + steps - 1) * step].reshape(len(samples), -1, step)
+    parts = signals @ taps[:-1].reshape(steps, step).T
+    result = taps[-1] * samples[:, steps * step :: step][:, :kept]
+    for k in range(steps):
+        result += parts[:, k : k + kept, k]
+    return result
 
 
 class Display:
@@ -199,15 +209,15 @@ class Display:
         self._sources = [_Source(point, channels, clock.rate, truth) for point in self._robot.points]
         self._sent: dict[int, int] = {}
 
-    def _message(self, channel: int, sample: int, data: bytes) -> Message:
-        at = self._clock.time_ns(sample)
+    def _message(self, channel: int, at: int, data: bytes) -> Message:
+        """Make the next message of a channel, at a time in ns."""
         sequence = self._sent.get(channel, 0)
         self._sent[channel] = sequence + 1
         return Message(channel, at, at, data, sequence)
 
     def introduction(self) -> Message:
         """Give the message that describes the rig, once, before anything moves."""
-        return self._message(self._description, 0, encode_text(self._robot.urdf()))
+        return self._message(self._description, self._clock.time_ns(0), encode_text(self._robot.urdf()))
 
     def description(self) -> dict[str, str]:
         """Say how the signals were made, for the metadata."""
@@ -228,12 +238,12 @@ class Display:
 
     def level(self, first: int, samples: NDArray[np.float64]) -> Iterator[Message]:
         """Give rms and peak of a block of samples, (channels, samples), at its end."""
-        stop = first + samples.shape[1]
+        at = self._clock.time_ns(first + samples.shape[1])
         rms = np.sqrt(np.mean(samples * samples, axis=1)).tolist()
         peak = np.abs(samples).max(axis=1).tolist()
         for (_, rms_topic, peak_topic), rms_value, peak_value in zip(self._topics, rms, peak, strict=True):
-            yield self._message(rms_topic, stop, encode_float(rms_value))
-            yield self._message(peak_topic, stop, encode_float(peak_value))
+            yield self._message(rms_topic, at, encode_float(rms_value))
+            yield self._message(peak_topic, at, encode_float(peak_value))
 
     def waveform(self, first: int, samples: NDArray[np.float64]) -> Iterator[Message]:
         """Give waveforms and transforms as far as further samples, (channels, samples), make them known."""
@@ -243,22 +253,24 @@ class Display:
 
     def finish(self) -> Iterator[Message]:
         """Give waveforms and transforms up to the last sample."""
-        yield from self._drawn(*self._decimator.finish())
+        if self._decimator.stop is not None:
+            yield from self._drawn(*self._decimator.finish())
 
     def _drawn(self, places: NDArray[np.int64], values: NDArray[np.float64]) -> Iterator[Message]:
+        at = [self._clock.time_ns(place) for place in places.tolist()]
         for topics, row in zip(self._topics, values.tolist(), strict=True):
-            for place, value in zip(places.tolist(), row, strict=True):
-                yield self._message(topics[0], place, encode_float(value))
+            for time, value in zip(at, row, strict=True):
+                yield self._message(topics[0], time, encode_float(value))
         moved = [source.displacement(values) for source in self._sources]
         step = self._decimator.step
-        for column, place in enumerate(places.tolist()):
+        for column, (place, time) in enumerate(zip(places.tolist(), at, strict=True)):
             if place // step % TRANSFORM_STEP:
                 continue
             truth = None if self._truth is None else self._truth.positions(place)
-            at = [source.pick(row, column, truth) for source, row in zip(self._sources, moved, strict=True)]
-            yield self._message(
-                self._transforms, place, self._robot.transforms(self._clock.time_ns(place), at)
-            )
+            drawn = [
+                source.pick(row, column, truth) for source, row in zip(self._sources, moved, strict=True)
+            ]
+            yield self._message(self._transforms, time, self._robot.transforms(time, drawn))
 
 
 class _Source:

@@ -157,12 +157,17 @@ def descriptors(package: str, messages: tuple[tuple[str, tuple[tuple[str, str], 
     return bytes(described.SerializeToString(deterministic=True))
 
 
+_SHORT = [bytes([number]) for number in range(0x80)]
+
+
 def varint(number: int) -> bytes:
     """Encode a non-negative number as protobuf does, seven bits a byte.
 
     >>> varint(300).hex()
     'ac02'
     """
+    if number <= 0x7F:
+        return _SHORT[number]
     digits = bytearray()
     while number > 0x7F:
         digits.append(number & 0x7F | 0x80)

@@ -60,7 +60,9 @@ TRANSFORMS_SCHEMA = Schema(
     ),
     "protobuf",
 )
-_TRANSLATION = struct.Struct("<BBBdBdBd")
+_HEIGHT = struct.Struct("<d")
+# Translation: x and y, and what stands before z.
+_ABOVE = b"\x22\x1b" + struct.pack("<BdBdB", 0x09, 0.0, 0x11, 0.0, 0x19)
 _UPRIGHT = b"\x2a\x09\x21" + struct.pack("<d", 1.0)
 
 
@@ -148,7 +150,7 @@ class RobotDescription:
             '<limit lower="-1" upper="1" effort="0" velocity="0"/></joint>'
         )
         self._rest.append(rest)
-        self._frames.append(_string(2, parent) + _string(3, child))
+        self._frames.append(_string(2, parent) + _string(3, child) + _ABOVE)
 
     def urdf(self) -> str:
         """Give the description as URDF; the robot's name states the exaggeration."""
@@ -169,9 +171,8 @@ class RobotDescription:
         stamp = _field(1, b"\x08" + varint(seconds) + b"\x10" + varint(rest_ns))
         parts = []
         for rest, frames, moved in zip(self._rest, self._frames, displacements, strict=True):
-            height = rest + self.exaggeration * moved
-            place = _TRANSLATION.pack(0x22, 27, 0x09, 0.0, 0x11, 0.0, 0x19, height)
-            parts.append(_field(1, b"".join((stamp, frames, place, _UPRIGHT))))
+            size = varint(len(stamp) + len(frames) + _HEIGHT.size + len(_UPRIGHT))
+            parts += b"\x0a", size, stamp, frames, _HEIGHT.pack(rest + self.exaggeration * moved), _UPRIGHT
         return b"".join(parts)
 
 

@@ -20,8 +20,9 @@ class Decimator:
     """
 
     def __init__(self, taps: Array) -> None:
-        self._taps = taps
-        self._pending = np.zeros(taps.shape[2])
+        # Zeros fill the rows up to what a processor works off at a time; singles at the end would take as long.
+        self._taps = np.pad(taps, [(0, 0), (0, 0), (0, -taps.shape[2] % 16)])
+        self._pending = np.zeros(self._taps.shape[2])
         self._interval = 0
 
     def filter(self, moments: Array, count: int) -> Array:

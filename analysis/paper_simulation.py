@@ -9,13 +9,15 @@ from analysis.paper_store import Arrays
 from rig.approximate import Branch, follow_mode
 from rig.errors import SceneError
 from rig.motion_type import motion_types, overall
-from rig.orbit import Orbit, periodic_orbit, start_march
+from rig.orbit import periodic_orbit, start_march
 from rig.orbit_curve import follow_orbits
+from rig.orbit_following import Orbit
+from rig.orbit_motion import follow
 from rig.orbit_problem import Problem, Setting, pure_force
 from rig.receptance import receptance
 from rig.response import frequency_response
 from rig.scene import Scene
-from rig.shooting import sample, shoot
+from rig.shooting import shoot
 from rig.single_mode import Weighting, single_mode
 from rig.steady_state import MARKS, one_cycle, settle
 from rig.structure import natural_modes, structure_matrices
@@ -148,14 +150,15 @@ def waveforms(scene: Scene, frequency: float, periods: float = 2.0) -> Arrays:
     """Displacements of bodies and damper masses over some periods of the orbit at a frequency."""
     problem = Problem(scene)
     orbit = periodic_orbit(scene, frequency)
-    equations = problem.equations(orbit.setting, orbit.plan.configurations)
-    period = orbit.repetition / frequency
-    _, _, states, _ = shoot(equations, orbit.plan.sequence, period, orbit.unknowns, False)
-    events = len(orbit.plan.sequence.kind)
-    instants = orbit.unknowns[len(orbit.unknowns) - events :]
-    times, motion, guards, _ = sample(equations, orbit.plan.sequence, period, instants, states, 48)
-    bodies = problem.scene.structure.bodies
     sequence = orbit.plan.sequence
+    equations, change = problem.equations(orbit.setting, orbit.plan)
+    period = orbit.repetition / frequency
+    states = shoot(equations, change, sequence, orbit.unknowns).states
+    events = len(sequence.kind)
+    times, motion, guards, *_ = follow(
+        equations, sequence, orbit.unknowns[len(orbit.unknowns) - events :], states
+    )
+    bodies = problem.scene.structure.bodies
     gap = guards[..., 0].copy()
     for stretch in range(len(times)):
         wall = sequence.wall[stretch + 1 if events else 0]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rig import continuation
 from rig.admissible import Batch, first_harmonic, flaws, multipliers, peak_to_peak
 from rig.errors import SceneError
-from rig.motion_search import disorder, solutions
+from rig.motion_search import ENDS, order, solutions
 from rig.periodic_motion import INSTANTS, TURN, MotionType, Setting, jacobian
 from rig.scene import Scene
 from rig.single_mode import SingleMode, Weighting, single_mode
@@ -222,7 +222,7 @@ def _short_stays(mode: SingleMode, curves: list[continuation.Curve]) -> list[Flo
                     )
                 except continuation.NoConvergence:
                     continue
-                if not disorder("III", solution[4:-1]):
+                if (order("III", solution[4:-1]) > 0).all():
                     found.append(solution)
                     break
     return found
@@ -250,10 +250,10 @@ def _search_ratios(mode: SingleMode, low: float, high: float, count: int) -> Flo
 def _follow(
     mode: SingleMode, kind: MotionType, start: Floats, bounds: tuple[float, float]
 ) -> continuation.Curve:
-    def border(x: Floats) -> str:
-        return disorder(kind, x[4:-1])
+    def rooms(x: Floats) -> tuple[Floats, tuple[str, ...]]:
+        return order(kind, x[4:-1]), ENDS
 
-    return continuation.trace(_equations(mode, kind), start, bounds, _scale(mode, kind), _STEPS, border)
+    return continuation.trace(_equations(mode, kind), start, bounds, _scale(mode, kind), _STEPS, rooms)
 
 
 def _passes_through(mode: SingleMode, kind: MotionType, curve: continuation.Curve, solution: Floats) -> bool:

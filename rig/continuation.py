@@ -8,7 +8,7 @@ with the last good point; a branch never just stops.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,6 +20,12 @@ Vector = NDArray[np.float64]
 Equations = Callable[[Vector], tuple[Vector, Vector]]
 # x (n + 1,), unit tangent (n + 1,) -> a number whose sign change is looked for
 Monitor = Callable[[Vector, Vector], float]
+# x (n + 1,) -> room to each border (negative beyond it), and the borders' names
+Rooms = Callable[[Vector], tuple[Vector, Sequence[str]]]
+
+
+# How near to a border the last point before it lies, relative to the step there.
+NEAR_BORDER = 1e-9
 
 
 @dataclass(frozen=True)
@@ -82,13 +88,16 @@ class NoConvergence(Exception):
 
 def newton(
     equations: Equations, x: Vector, scale: Vector, steps: Steps, border: Vector
-) -> tuple[Vector, int]:
+) -> tuple[Vector, Vector, int]:
     """Solve the equations on the plane through `x` at right angles to `border` (scaled unknowns).
 
     Returns
     -------
     x : ndarray, shape (n + 1,)
         The solution.
+    tangent : ndarray, shape (n + 1,)
+        Unit tangent of the curve there (scaled unknowns), on the side of `border`; from the last correction,
+        which was too small to change it.
     iterations : int
         Corrections it took.
 
@@ -98,41 +107,51 @@ def newton(
         With the size of the last correction.
     """
     start, last = x, np.inf
+    system, right = np.empty((x.size, x.size)), np.zeros((x.size, 2))
+    system[-1], right[-1, 1] = border, 1.0
     for iteration in range(1, steps.iterations + 1):
         # An iteration that runs away may overflow; it is stopped below, by what is not finite.
         with np.errstate(all="ignore"):
             residual, jacobian = equations(x)
-        system = np.vstack([jacobian * scale, border])
-        offset = border @ ((x - start) / scale)
-        if not (np.isfinite(system).all() and np.isfinite(residual).all()):
+        system[:-1] = jacobian * scale
+        right[:-1, 0], right[-1, 0] = -residual, -border @ ((x - start) / scale)
+        if not (np.isfinite(system).all() and np.isfinite(right).all()):
             raise NoConvergence("the equations are not finite here")
         try:
-            move = np.linalg.solve(system, -np.append(residual, offset))
+            move, along = np.linalg.solve(system, right).T
         except np.linalg.LinAlgError:
             raise NoConvergence("the equations are singular here") from None
         size = float(np.abs(move).max())
         x = x + move * scale
-        # Quadratic convergence has ended when the correction is at rounding level or has stopped shrinking
-        # there.
-        if size < steps.tolerance or (size < 1e-9 and size > 0.3 * last):
-            return x, iteration
+        # Convergence has ended when the correction is at rounding level or has stopped shrinking there, or when
+        # it is quadratic and the next one would be at rounding level.
+        stalled = size < 1e-9 and size > 0.3 * last
+        squared = last < 1.0 and size**3 < steps.tolerance * last**2
+        if size < steps.tolerance or stalled or squared:
+            return x, along / np.linalg.norm(along), iteration
         if size > 1e3 * max(last, 1e-3):
             raise NoConvergence(f"corrections grow (last one {size:.1e})")
         last = size
     raise NoConvergence(f"corrections still {last:.1e} after {steps.iterations} of them")
 
 
-def tangent(equations: Equations, x: Vector, scale: Vector, towards: Vector) -> Vector:
-    """Return the unit tangent of the curve at `x` (scaled unknowns), on the side of `towards`."""
+def tangent(equations: Equations, x: Vector, scale: Vector) -> Vector:
+    """Return the unit tangent of the curve at `x` (scaled unknowns), on the side of rising parameters."""
     _, jacobian = equations(x)
     null = np.linalg.svd(jacobian * scale)[2][-1]
-    return null if null @ towards >= 0 else -null
+    return null if null[-1] >= 0 else -null
 
 
-def solve_at(
+def hold(
     equations: Equations, x: Vector, parameter: float, scale: Vector, steps: Steps | None = None
-) -> Vector:
+) -> tuple[Vector, Vector]:
     """Solve the equations with the parameter held at a given value, starting from `x`.
+
+    Returns
+    -------
+    x : ndarray, shape (n + 1,)
+    tangent : ndarray, shape (n + 1,)
+        Unit tangent there, on the side of rising parameters.
 
     Raises
     ------
@@ -143,9 +162,16 @@ def solve_at(
     border[-1] = 1.0
     x = x.copy()
     x[-1] = parameter
-    solution = newton(equations, x, scale, steps or Steps(), border)[0]
+    solution, along, _ = newton(equations, x, scale, steps or Steps(), border)
     solution[-1] = parameter
-    return solution
+    return solution, along
+
+
+def solve_at(
+    equations: Equations, x: Vector, parameter: float, scale: Vector, steps: Steps | None = None
+) -> Vector:
+    """Solve the equations with the parameter held at a given value, as `hold` does; the solution alone."""
+    return hold(equations, x, parameter, scale, steps)[0]
 
 
 def trace(
@@ -154,7 +180,7 @@ def trace(
     bounds: tuple[float, float],
     scale: Vector,
     steps: Steps | None = None,
-    border: Callable[[Vector], str] = lambda x: "",
+    rooms: Rooms = lambda x: (np.ones(1), ("",)),
 ) -> Curve:
     """Follow the curve through a solution in both directions.
 
@@ -170,9 +196,9 @@ def trace(
         Natural size of each unknown; arclength is measured in these.
     steps : Steps, optional
         Step control.
-    border : callable, optional
-        x -> name of the reason why x is not part of the curve any more ("" if it is). The last point kept
-        lies within a hundredth of the first step of the border.
+    rooms : callable, optional
+        x -> room to each border, negative for what is not part of the curve any more, and the borders' names. A
+        room changes smoothly across its border, so that the last point kept lies there.
 
     Returns
     -------
@@ -180,13 +206,11 @@ def trace(
         From the end reached against the parameter's direction at the start to the other end.
     """
     steps = steps or Steps()
-    unit = np.zeros(start.size)
-    unit[-1] = 1.0
-    first = tangent(equations, start, scale, unit)
-    forward, end = _walk(equations, start, first, bounds, scale, steps, border)
+    first = tangent(equations, start, scale)
+    forward, end = _walk(equations, start, first, bounds, scale, steps, rooms)
     if end == "closed":
         return Curve(*_columns(forward), (end, end), scale)
-    backward, begin = _walk(equations, start, -first, bounds, scale, steps, border)
+    backward, begin = _walk(equations, start, -first, bounds, scale, steps, rooms)
     before = [(x, -t) for x, t in reversed(backward[1:])]
     return Curve(*_columns(before + forward), (begin, end), scale)
 
@@ -202,21 +226,22 @@ def _walk(
     bounds: tuple[float, float],
     scale: Vector,
     steps: Steps,
-    border: Callable[[Vector], str],
+    rooms: Rooms,
 ) -> tuple[list[tuple[Vector, Vector]], str]:
     """Walk one way from the start; the points passed (start included) and why the walk ended."""
     path = [(start, direction)]
     step, travelled = steps.first, 0.0
+    space, names = rooms(start)
     while len(path) < steps.points:
         x, way = path[-1]
-        guess = x + step * way * scale
+        if space.min() < 0:
+            return path, names[int(space.argmin())]
         try:
-            reached, iterations = newton(equations, guess, scale, steps, way)
+            reached, new_way, iterations = newton(equations, _ahead(path, step, scale), scale, steps, way)
             # A correction as long as the step itself has left this curve for another one.
-            strayed = float(np.linalg.norm((reached - guess) / scale)) > 0.5 * step
+            strayed = float(np.linalg.norm((reached - x) / scale - step * way)) > 0.5 * step
             if strayed and step > steps.shortest:
                 raise NoConvergence("the correction leads away from the curve")
-            new_way = tangent(equations, reached, scale, way)
         except NoConvergence as failure:
             if step <= steps.shortest:
                 return path, f"no convergence: {failure} at parameter {x[-1]:.9g}"
@@ -228,30 +253,99 @@ def _walk(
                 return path, f"no convergence: the curve turns by {angle:.2g} rad at parameter {x[-1]:.9g}"
             step = max(step * max(0.2, 0.7 * steps.turn / angle), steps.shortest)
             continue
+        ends = ""
         if not bounds[0] <= reached[-1] <= bounds[1]:
             bound = bounds[0] if reached[-1] < bounds[0] else bounds[1]
             try:
-                last = solve_at(equations, reached, bound, scale, steps)
-                path.append((last, tangent(equations, last, scale, way)))
+                reached, new_way = hold(
+                    equations, _at(path[-1], (reached, new_way), bound), bound, scale, steps
+                )
             except NoConvergence as failure:
                 return path, f"no convergence: {failure} at parameter {bound:.9g}, the end of its range"
-            return path, "range"
-        reason = border(reached)
-        if reason:
-            if step <= steps.first * 1e-2:
-                return path, reason
-            step /= 4
-            continue
+            new_way, ends = new_way if new_way @ way > 0 else -new_way, "range"
+        left, _ = rooms(reached)
+        if left.min() < 0:
+            try:
+                last, index = _on_border(equations, (x, space), (reached, left), scale, steps, rooms)
+            except NoConvergence as failure:
+                if step <= steps.shortest:
+                    return path, f"no convergence: {failure} at parameter {x[-1]:.9g}"
+                step /= 4
+                continue
+            path.append(last)
+            return path, names[index]
         back = (start - reached) / scale
         if travelled > 4 * step and np.linalg.norm(back) < 0.6 * step and way @ direction > 0.5:
             return path, "closed"
         path.append((reached, new_way))
+        if ends:
+            return path, ends
+        space = left
         travelled += step
         if iterations <= 3 and angle < 0.5 * steps.turn:
-            step = min(1.5 * step, steps.longest)
+            step = min(2.0 * step, steps.longest)
         elif iterations >= 6:
             step = max(0.5 * step, steps.shortest)
     return path, "points"
+
+
+def _ahead(path: list[tuple[Vector, Vector]], step: float, scale: Vector) -> Vector:
+    """Guess the point a step ahead: along the tangent, and bent as the curve was between the last two points."""
+    x, way = path[-1]
+    guess = x + step * way * scale
+    if len(path) > 1:
+        before, way_before = path[-2]
+        chord = (before - x) / scale
+        length = float(np.linalg.norm(chord))
+        # The cubic through both points with their tangents, in t = 0 here and -1 there.
+        misses, bends = chord + length * way, length * (way_before - way)
+        t = step / length
+        guess += t * t * (3 * misses + bends + t * (bends + 2 * misses)) * scale
+    return guess
+
+
+def _at(left: tuple[Vector, Vector], right: tuple[Vector, Vector], parameter: float) -> Vector:
+    """Point of the chord between two points of a curve at a value of the parameter."""
+    share = (parameter - left[0][-1]) / (right[0][-1] - left[0][-1])
+    return np.asarray(left[0] + share * (right[0] - left[0]))
+
+
+def _on_border(
+    equations: Equations,
+    inside: tuple[Vector, Vector],
+    outside: tuple[Vector, Vector],
+    scale: Vector,
+    steps: Steps,
+    rooms: Rooms,
+) -> tuple[tuple[Vector, Vector], int]:
+    """Find the last point of a curve before a border, and which border that is.
+
+    `inside` and `outside` are points with and without room, with their rooms. The chord between them is divided, and
+    each trial put back on the curve, until the room of the border that is crossed first vanishes.
+    """
+    chord = (outside[0] - inside[0]) / scale
+    length = float(np.linalg.norm(chord))
+    way = chord / length
+
+    def put_back(distance: float) -> tuple[Vector, Vector]:
+        return newton(equations, inside[0] + distance * way * scale, scale, steps, way)[:2]
+
+    def room_at(distance: float, index: int) -> float:
+        return float(rooms(put_back(distance)[0])[0][index])
+
+    end, beyond = length, outside[1]
+    while True:
+        crossed = np.flatnonzero(beyond < 0)
+        shares = inside[1][crossed] / (inside[1][crossed] - beyond[crossed])
+        index = int(crossed[shares.argmin()])
+        distance = brentq(room_at, 0.0, end, args=(index,), xtol=NEAR_BORDER * end)
+        # On this side of the border for certain.
+        distance = max(0.0, distance - 2 * NEAR_BORDER * end)
+        last = put_back(distance)
+        left = rooms(last[0])[0]
+        if left.min() >= 0 or distance == 0.0:
+            return last, index
+        end, beyond = distance, left
 
 
 def locate(
@@ -259,8 +353,8 @@ def locate(
 ) -> tuple[Vector, Vector]:
     """Find the point between two neighbours of a curve where a monitor changes sign.
 
-    The chord between them is divided, each trial is put back on the curve, and the zero is closed in by
-    regula falsi with halving (Illinois), to rounding.
+    The chord between them is divided, each trial is put back on the curve, and the zero is closed in by Brent's
+    method.
 
     Returns
     -------
@@ -279,14 +373,13 @@ def locate(
     border = chord / length
 
     def put_back(distance: float) -> tuple[Vector, Vector]:
-        x = newton(equations, begin + distance * border * scale, scale, steps, border)[0]
-        return x, tangent(equations, x, scale, curve.tangents[index])
+        return newton(equations, begin + distance * border * scale, scale, steps, border)[:2]
 
     ends = [monitor(curve.points[i], curve.tangents[i]) for i in (index, index + 1)]
     if not ends[0] * ends[1] < 0:
         raise NoConvergence("the monitor does not change sign between the two points")
     try:
-        distance = brentq(lambda d: monitor(*put_back(d)), 0.0, length, xtol=1e-14 * length, rtol=1e-14)
+        distance = brentq(lambda d: monitor(*put_back(d)), 0.0, length, xtol=1e-11 * length, rtol=1e-11)
     except ValueError:
         raise NoConvergence("the monitor vanishes at one of the points, or jumps") from None
     return put_back(distance)

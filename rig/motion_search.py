@@ -27,15 +27,15 @@ _GRID: dict[MotionType, int] = {"I": 720, "II": 72, "III": 32}
 SHORTEST_FLIGHT = 0.01
 
 
-def disorder(kind: MotionType, instants: Floats) -> str:
-    """Say what is wrong with the order of the events; "" if nothing."""
+ENDS = ("the ride on the floor vanishes", "the flight vanishes", "the stay at the ceiling vanishes")
+
+
+def order(kind: MotionType, instants: Floats) -> Floats:
+    """Measure the room that is left before a ride, a flight or (Type III) a stay ends; negative if out of order."""
     lengths = np.diff([0.0, *instants, TURN])
-    if lengths[0] <= 0:
-        return "the ride on the floor vanishes"
-    if kind == "III" and lengths[2] <= 0:
-        return "the stay at the ceiling vanishes"
     flights = np.delete(lengths, [0, 2] if kind == "III" else [0])
-    return "the flight vanishes" if (flights < SHORTEST_FLIGHT).any() else ""
+    stay = [lengths[2]] if kind == "III" else []
+    return np.array([lengths[0], flights.min() - SHORTEST_FLIGHT, *stay])
 
 
 def eliminate(kind: MotionType, instants: Array, setting: Setting) -> tuple[Array, Array]:
@@ -105,7 +105,7 @@ def solutions(kind: MotionType, setting: Setting) -> Floats:
     starts = np.array([grid[index] for index in np.nonzero(cells)]) + grid[0]
     found: list[Floats] = []
     for candidate in _refine(kind, starts, setting).T:
-        if not disorder(kind, candidate) and not any(
+        if (order(kind, candidate) > 0).all() and not any(
             np.allclose(candidate, f, rtol=0, atol=1e-6) for f in found
         ):
             found.append(candidate)

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from rig import continuation
 from rig.errors import RunError, SceneError
-from rig.march import March
-from rig.orbit import Following, Orbit, refine, search, start_march
-from rig.orbit_problem import PARAMETERS, Parameter, Plan, Problem, Setting, vary
+from rig.orbit import enter, refine, search, start_march
+from rig.orbit_following import Following, Orbit
+from rig.orbit_plan import Plan
+from rig.orbit_problem import PARAMETERS, Parameter, Problem, Setting, vary
 from rig.scene import Scene
 
 Array = NDArray[np.float64]
@@ -196,7 +197,7 @@ class _Explorer:
     def _follow(self, start: Orbit) -> OrbitBranch:
         following = Following(self.problem, start.plan, start.setting, self.parameter, start.unknowns)
         x = np.append(start.unknowns, getattr(start.setting, self.parameter))
-        curve = continuation.trace(following, x, self.bounds, following.scale, STEPS, following.flaw)
+        curve = continuation.trace(following, x, self.bounds, following.scale, STEPS, following.rooms)
         orbits = tuple(following.orbit(x) for x in curve.points)
         return OrbitBranch(
             parameter=self.parameter,
@@ -299,26 +300,6 @@ class _Explorer:
         march, _ = start_march(self.problem, setting)
         enter(march, orbit)
         return search(self.problem, setting, march)
-
-
-def enter(march: March, orbit: Orbit) -> None:
-    """Put a march on an orbit at the start of a period."""
-    system, state = march.system, march.state
-    n, walls = system.states, orbit.plan.sequence.wall[0]
-    state.z[:n] = orbit.unknowns[:n]
-    march.start_period(1.0)
-    configuration = 0
-    at = n
-    for j in range(system.dampers):
-        state.mode[j] = walls[j]
-        state.multiplicity[j] = 0
-        if walls[j] == 0:
-            state.height[j], state.speed[j] = orbit.unknowns[at : at + 2]
-            at += 2
-        else:
-            configuration |= 1 << j
-    state.counters[1] = configuration
-    march.resume(march.snapshot())
 
 
 def _minus_one(multipliers: NDArray[np.complex128]) -> float:

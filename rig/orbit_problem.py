@@ -4,33 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import matrix_balance
 
 from rig.assembly import assemble
-from rig.contact import CEILING_IMPACT, FLIGHT, FLOOR_IMPACT
-from rig.course import Course
 from rig.errors import SceneError
 from rig.open_loop import drive_per_level, level_of
+from rig.orbit_plan import Plan
 from rig.scene import Scene
 from rig.shaker_settings import ForceShaker
-from rig.shooting import (
-    CEILING,
-    CEILING_BOUNCE,
-    FLOOR,
-    FLOOR_BOUNCE,
-    SEPARATION,
-    WITH_LAST,
-    Equations,
-    Sequence,
-)
+from rig.shooting import Change, Equations
 from rig.system import System
 
 Array = NDArray[np.float64]
 Parameter = Literal["frequency", "force", "clearance", "mass_ratio"]
 PARAMETERS: tuple[Parameter, ...] = ("frequency", "force", "clearance", "mass_ratio")
+# Sets of configurations whose equations are kept.
+KEPT = 200
 
 
 def pure_force(scene: Scene) -> Scene:
@@ -72,6 +65,22 @@ class Setting:
     mass_ratio: float = 1.0
 
 
+class _Linear(NamedTuple):
+    """Equations of configurations: state matrices, inflows of inputs and (last column) of constant forces.
+
+    `inverse` is that of the mass matrix, `rate` bounds the state matrix, and the last three are derivatives with
+    respect to the factor on the damper masses.
+    """
+
+    matrix: Array
+    inflow: Array
+    inverse: Array
+    rate: Array
+    matrix_change: Array
+    inflow_change: Array
+    inverse_change: Array
+
+
 class Problem:
     """A scene's equations for any setting, with tables of the configurations visited.
 
@@ -83,8 +92,7 @@ class Problem:
     Raises
     ------
     SceneError
-        If nothing drives the scene, a damper has restitution, or the mass matrix couples dampers at an
-        impact.
+        If nothing drives the scene, or the mass matrix couples dampers at an impact.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -96,13 +104,8 @@ class Problem:
                 f"scene {scene.name!r}: its mass matrix lets one damper's impact lift another one; periodic "
                 "orbits are computed for structures whose damped bodies the mass matrix does not couple"
             )
-        bouncing = self.system.damper_number[self.system.restitution > 0]
-        if len(bouncing):
-            raise SceneError(
-                f"scene {scene.name!r}: damper {bouncing[0]} has restitution; periodic orbits "
-                "are computed for plastic impacts, restitution: 0"
-            )
-        self._linear: dict[tuple[int, float], tuple[Array, Array, Array]] = {}
+        self._position = self.system.damper_coordinate.astype(np.int64)
+        self._linear: dict[tuple[tuple[int, ...], float], _Linear] = {}
 
     def changed(self, setting: Setting) -> System:
         """Return the compiled scene with the setting's clearance and mass ratio."""
@@ -120,51 +123,110 @@ class Problem:
         found[self.system.inputs.index("shaker")] = -1j * setting.force * gain
         return found
 
-    def equations(self, setting: Setting, configurations: tuple[int, ...]) -> Equations:
-        """Equations of motion in some configurations (bit j set: damper j rides)."""
-        system = self.changed(setting)
+    def equations(
+        self, setting: Setting, plan: Plan, parameter: Parameter = "frequency"
+    ) -> tuple[Equations, Change]:
+        """Equations of motion in the configurations of a plan, and how they change with a parameter."""
+        system, ratio = self.system, setting.mass_ratio
         n, omega = system.states, 2 * np.pi * setting.frequency
         amplitudes = self.amplitudes(setting)
         drive = np.column_stack([amplitudes.real, -amplitudes.imag])
-        generator = np.zeros((len(configurations), n + 3, n + 3))
-        inverse_mass = np.zeros((len(configurations), system.coordinates, system.coordinates))
-        for slot, configuration in enumerate(configurations):
-            matrix, inflow, inverse_mass[slot] = self._matrices(system, configuration, setting.mass_ratio)
-            generator[slot, :n, :n] = matrix
-            generator[slot, :n, n : n + 2] = inflow[:, :-1] @ drive
-            generator[slot, :n, n + 2] = inflow[:, -1]
-            generator[slot, n, n + 1], generator[slot, n + 1, n] = -omega, omega
+        drive_change = self._drive_change(setting, parameter, drive)
+        linear = self._configurations(plan.configurations, ratio)
+        generator, change = np.zeros((2, len(plan.configurations), n + 3, n + 3))
+        generator[:, :n, :n] = linear.matrix
+        generator[:, :n, n : n + 2] = linear.inflow[:, :, :-1] @ drive
+        generator[:, :n, n + 2] = linear.inflow[:, :, -1]
+        generator[:, n, n + 1], generator[:, n + 1, n] = -omega, omega
+        inverse_change = np.zeros_like(linear.inverse)
+        if parameter == "frequency":
+            change[:, n, n + 1], change[:, n + 1, n] = -2 * np.pi, 2 * np.pi
+        if drive_change is not None:
+            change[:, :n, n : n + 2] = linear.inflow[:, :, :-1] @ drive_change
+        if parameter == "mass_ratio":
+            change[:, :n, :n] = linear.matrix_change
+            change[:, :n, n : n + 2] = linear.inflow_change[:, :, :-1] @ drive
+            change[:, :n, n + 2] = linear.inflow_change[:, :, -1]
+            inverse_change = linear.inverse_change
+        nothing = np.zeros(system.dampers)
+        given = np.isnan(setting.clearance)
+        period = plan.repetition / setting.frequency
         return Equations(
             generator=generator,
-            inverse_mass=inverse_mass,
-            position=system.damper_coordinate.astype(np.int64),
-            mass=system.damper_mass.astype(np.float64),
-            clearance=system.clearance.astype(np.float64),
+            rate=np.maximum(linear.rate, omega),
+            inverse_mass=linear.inverse,
+            position=self._position,
+            mass=ratio * system.damper_mass,
+            clearance=system.clearance if given else np.full(system.dampers, setting.clearance),
+            restitution=system.restitution,
             gravity=float(system.gravity),
             omega=omega,
+            period=period,
+        ), Change(
+            generator=change,
+            inverse_mass=inverse_change,
+            mass=system.damper_mass if parameter == "mass_ratio" else nothing,
+            clearance=np.ones(system.dampers) if parameter == "clearance" else nothing,
+            omega=2 * np.pi if parameter == "frequency" else 0.0,
+            period=-period / setting.frequency if parameter == "frequency" else 0.0,
         )
 
-    def _matrices(self, system: System, configuration: int, mass_ratio: float) -> tuple[Array, Array, Array]:
-        """State matrix, inflow of inputs and (last column) of constant forces, and inverse mass matrix."""
-        key = (configuration, mass_ratio)
+    def _drive_change(self, setting: Setting, parameter: Parameter, drive: Array) -> Array | None:
+        """Differentiate the drive's amplitudes (cosine, sine); None if the parameter leaves them alone."""
+        if parameter == "force":
+            return np.asarray(drive / setting.force)
+        if parameter != "frequency" or isinstance(self.scene.shaker, ForceShaker):
+            return None
+        # What the table's servo needs for a displacement is smooth in the frequency: good to some 1e-10.
+        step = 1e-6 * setting.frequency
+        sides = (replace(setting, frequency=setting.frequency + sign * step) for sign in (1, -1))
+        above, below = (self.amplitudes(side) for side in sides)
+        slope = (above - below) / (2 * step)
+        return np.column_stack([slope.real, -slope.imag])
+
+    def _configurations(self, configurations: tuple[int, ...], mass_ratio: float) -> _Linear:
+        """Equations of some configurations (bit j set: damper j rides), one after the other."""
+        key = (configurations, mass_ratio)
         if key not in self._linear:
-            nq, n = system.coordinates, system.states
-            riding = [j for j in range(system.dampers) if configuration >> j & 1]
-            mass, constant = system.mass.copy(), system.force_constant.copy()
-            for j in riding:
-                row = system.damper_coordinate[j]
-                mass[row, row] += system.damper_mass[j]
-                constant[row] -= system.damper_mass[j] * system.gravity
-            inverse = np.linalg.inv(mass)
-            matrix, inflow = np.zeros((n, n)), np.zeros((n, len(system.inputs) + 1))
-            matrix[:nq, nq : 2 * nq] = np.eye(nq)
-            matrix[nq : 2 * nq] = inverse @ system.force_state
-            matrix[2 * nq :] = system.rate_state
-            inflow[nq : 2 * nq, :-1] = inverse @ system.force_drive
-            inflow[2 * nq :, :-1] = system.rate_drive
-            inflow[nq : 2 * nq, -1] = inverse @ constant
-            self._linear[key] = (matrix, inflow, inverse)
+            # A mass ratio that is followed takes a new value at every step: keep but the last few.
+            if len(self._linear) > KEPT:
+                self._linear.clear()
+            each = [self._configuration(configuration, mass_ratio) for configuration in configurations]
+            self._linear[key] = _Linear(*(np.array(parts) for parts in zip(*each, strict=True)))
         return self._linear[key]
+
+    def _configuration(self, configuration: int, mass_ratio: float) -> _Linear:
+        system = self.system
+        nq, n = system.coordinates, system.states
+        riding = np.array([j for j in range(system.dampers) if configuration >> j & 1], dtype=np.intp)
+        rows, masses = system.damper_coordinate[riding], system.damper_mass[riding]
+        added = np.zeros((nq, nq))
+        np.add.at(added, (rows, rows), masses)
+        weight = -system.gravity * added.sum(axis=0)
+        constant = system.force_constant + mass_ratio * weight
+        inverse = np.linalg.inv(system.mass + mass_ratio * added)
+        inverse_change = -inverse @ added @ inverse
+        matrix, inflow = np.zeros((n, n)), np.zeros((n, len(system.inputs) + 1))
+        matrix_change, inflow_change = np.zeros_like(matrix), np.zeros_like(inflow)
+        matrix[:nq, nq : 2 * nq] = np.eye(nq)
+        matrix[nq : 2 * nq] = inverse @ system.force_state
+        matrix[2 * nq :] = system.rate_state
+        inflow[nq : 2 * nq, :-1] = inverse @ system.force_drive
+        inflow[2 * nq :, :-1] = system.rate_drive
+        inflow[nq : 2 * nq, -1] = inverse @ constant
+        matrix_change[nq : 2 * nq] = inverse_change @ system.force_state
+        inflow_change[nq : 2 * nq, :-1] = inverse_change @ system.force_drive
+        inflow_change[nq : 2 * nq, -1] = inverse_change @ constant + inverse @ weight
+        rate: Array = np.array(float(np.linalg.norm(matrix_balance(matrix, permute=False)[0], 1)))
+        return _Linear(
+            matrix,
+            inflow,
+            inverse,
+            rate,
+            matrix_change,
+            inflow_change,
+            inverse_change,
+        )
 
     def setting(self, frequency: float) -> Setting:
         """Return the scene's own setting at a frequency."""
@@ -174,112 +236,3 @@ class Problem:
 def vary(setting: Setting, parameter: Parameter) -> Callable[[float], Setting]:
     """Return the setting as a function of one parameter."""
     return lambda value: replace(setting, **{parameter: value})
-
-
-@dataclass(frozen=True)
-class Plan:
-    """An orbit's sequence of events, with the configurations behind its slots.
-
-    Attributes
-    ----------
-    sequence : Sequence
-    configurations : tuple of int
-        Bit j set: damper j rides.
-    repetition : int
-        Length in periods of the drive.
-    """
-
-    sequence: Sequence
-    configurations: tuple[int, ...]
-    repetition: int
-
-    @property
-    def flying(self) -> NDArray[np.int64]:
-        """Dampers in flight at the start."""
-        return np.flatnonzero(self.sequence.wall[0] == 0)
-
-    @property
-    def label(self) -> str:
-        """The events in short, e.g. ``"2^ 2- 2_"``: damper 2 separates, bounces off the ceiling, lands."""
-        signs = {
-            SEPARATION: "^",
-            FLOOR: "_",
-            CEILING: "=",
-            FLOOR_BOUNCE: "v",
-            CEILING_BOUNCE: "-",
-            WITH_LAST: "~",
-        }
-        pairs = zip(self.sequence.damper, self.sequence.kind, strict=True)
-        return " ".join(f"{d + 1}{signs[int(k)]}" for d, k in pairs)
-
-    def same_cycle(self, other: Plan) -> bool:
-        """Whether the events are the same in the same cyclic order."""
-        own, others = self.label.split(), other.label.split()
-        return len(own) == len(others) and (own == others or " ".join(own) in " ".join(others + others))
-
-
-def plan_from(course: Course, start: NDArray[np.int8], repetition: int) -> tuple[Plan, Array]:
-    """Read the sequence of events off a simulated cycle.
-
-    Parameters
-    ----------
-    course : Course
-        Events of the cycle.
-    start : ndarray of int8, shape (dampers,)
-        Walls at its start.
-    repetition : int
-        Periods in the cycle.
-
-    Returns
-    -------
-    plan : Plan
-    order : ndarray
-        Positions of the plan's events among the course's.
-    """
-    kinds: list[int] = []
-    dampers: list[int] = []
-    walls = [start.astype(np.int64)]
-    order: list[int] = []
-    instants = list(zip(course.event_segment.tolist(), course.event_offset.tolist(), strict=True))
-    for k, (damper, kind) in enumerate(
-        zip(course.event_damper.tolist(), course.event_kind.tolist(), strict=True)
-    ):
-        wall = walls[-1].copy()
-        now = [i for i in range(len(order)) if instants[order[i]] == instants[k]]
-        hit = [i for i in now if dampers[i] == damper and kinds[i] in (FLOOR, CEILING)]
-        if kind in (FLOOR_IMPACT, CEILING_IMPACT):
-            landed = FLOOR if kind == FLOOR_IMPACT else CEILING
-            wall[damper] = landed
-            kinds.append(landed)
-        elif hit:
-            # It hit in this very instant: one event, a bounce, and no stay in between.
-            kinds[hit[-1]] = FLOOR_BOUNCE if kinds[hit[-1]] == FLOOR else CEILING_BOUNCE
-            for later in walls[hit[-1] + 1 :]:
-                later[damper] = FLIGHT
-            continue
-        else:
-            wall[damper] = FLIGHT
-            kinds.append(WITH_LAST if now else SEPARATION)
-        dampers.append(damper)
-        walls.append(wall)
-        order.append(k)
-    return make_plan(kinds, dampers, walls[0], repetition), np.array(order, dtype=np.int64)
-
-
-def make_plan(kinds: list[int], dampers: list[int], start: NDArray[Any], repetition: int) -> Plan:
-    """Build a plan from events and the walls at the start."""
-    walls = [np.asarray(start, dtype=np.int64)]
-    after = {SEPARATION: 0, WITH_LAST: 0, FLOOR: 1, CEILING: 2, FLOOR_BOUNCE: 0, CEILING_BOUNCE: 0}
-    for kind, damper in zip(kinds, dampers, strict=True):
-        wall = walls[-1].copy()
-        wall[damper] = after[kind]
-        walls.append(wall)
-    masks = [int(sum(1 << j for j in np.flatnonzero(wall))) for wall in walls]
-    configurations = tuple(dict.fromkeys(masks))
-    sequence = Sequence(
-        np.array(kinds, dtype=np.int64),
-        np.array(dampers, dtype=np.int64),
-        np.array([configurations.index(mask) for mask in masks], dtype=np.int64),
-        np.array(walls, dtype=np.int64),
-    )
-    return Plan(sequence, configurations, repetition)

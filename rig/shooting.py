@@ -4,9 +4,9 @@ Between events the state x = (coordinates, velocities, coil current; cos wt, sin
 of the contact configuration, so it is propagated by the matrix exponential. Dampers in flight fall freely;
 riding ones are part of A. The unknowns are the state at the start of a period, the dampers in flight there,
 and the instants of the events; the equations are the return to the start and, at each event, its own
-condition (contact force or gap zero). Sensitivities are carried along, through events as well: solving the
-events' rows of the Jacobian for the instants is what the saltation matrices do, so that the Floquet
-multipliers come out of the same numbers.
+condition (contact force or gap zero). Sensitivities to the unknowns and to one parameter are carried along,
+through events as well: solving the events' rows of the Jacobian for the instants is what the saltation matrices
+do, so that the Floquet multipliers come out of the same numbers.
 """
 
 from __future__ import annotations
@@ -21,9 +21,12 @@ Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 # Kinds of events. A damper that bounces leaves the wall in the instant in which it hits it, with the common
-# velocity (osculating contact); one that leaves `WITH_LAST` is thrown off by the event before, at the same
-# instant.
+# velocity (osculating contact) or with its rebound; one that leaves `WITH_LAST` is thrown off by the event
+# before, at the same instant.
 SEPARATION, FLOOR, CEILING, FLOOR_BOUNCE, CEILING_BOUNCE, WITH_LAST = 0, 1, 2, 3, 4, 5
+
+# Corrections of a solution below this, relative to the motion, are rounding.
+SETTLED = 1e-13
 
 
 class Equations(NamedTuple):
@@ -32,20 +35,38 @@ class Equations(NamedTuple):
     Attributes
     ----------
     generator : ndarray, shape (configurations, states + 3, states + 3)
+    rate : ndarray, shape (configurations,)
+        Bound on how fast each generator turns or grows what it acts on [1/s].
     inverse_mass : ndarray, shape (configurations, coordinates, coordinates)
     position : int64 ndarray, shape (dampers,)
         Coordinate of each damper's body.
-    mass, clearance : ndarray, shape (dampers,)
+    mass, clearance, restitution : ndarray, shape (dampers,)
     gravity, omega : float
+    period : float
+        Length of the orbit, a multiple of the drive's period [s].
     """
 
     generator: Array
+    rate: Array
     inverse_mass: Array
     position: Whole
     mass: Array
     clearance: Array
+    restitution: Array
     gravity: float
     omega: float
+    period: float
+
+
+class Change(NamedTuple):
+    """Derivatives of the fields of `Equations` with respect to the parameter that is followed."""
+
+    generator: Array
+    inverse_mass: Array
+    mass: Array
+    clearance: Array
+    omega: float
+    period: float
 
 
 class Sequence(NamedTuple):
@@ -66,243 +87,303 @@ class Sequence(NamedTuple):
     wall: Whole
 
 
-@njit(cache=True)
-def exponential(matrix: Array, time: float) -> Array:
-    """Matrix exponential of `matrix` times `time`, by a Taylor series with scaling and squaring."""
-    n = matrix.shape[0]
-    scaled = matrix * time
-    norm = 0.0
-    for i in range(n):
-        norm = max(norm, np.abs(scaled[i]).sum())
-    halvings = 0
-    while norm > 0.5:
-        norm *= 0.5
-        halvings += 1
-    scaled = scaled * 0.5**halvings
-    # The sum without the identity, so that small times keep their last bits: squaring maps s to 2 s + s s.
-    total = scaled / 14.0
-    for k in range(13, 0, -1):
-        total = (scaled + scaled @ total) / k
-    for _ in range(halvings):
-        total = 2.0 * total + total @ total
-    for i in range(n):
-        total[i, i] += 1.0
-    return total
+class Shot(NamedTuple):
+    """What a shot found.
 
-
-@njit(cache=True)
-def shoot(
-    equations: Equations, sequence: Sequence, period: float, unknowns: Array, derivatives: bool
-) -> tuple[Array, Array, Array, Array]:
-    """Evaluate the equations of an orbit.
-
-    Parameters
+    Attributes
     ----------
-    equations : Equations
-    sequence : Sequence
-    period : float
-        Length of the orbit, a multiple of the drive's period [s].
-    unknowns : ndarray, shape (unknowns,)
-        State at t = 0, height and velocity of each damper in flight there (in order), instants of the events
-        [s].
-    derivatives : bool
-        Whether to carry the sensitivities.
-
-    Returns
-    -------
     residual : ndarray, shape (unknowns,)
         Return to the start, then the events' own conditions.
-    jacobian : ndarray, shape (unknowns, unknowns)
-        Of the residual; zeros if not asked for.
+    jacobian : ndarray, shape (unknowns, unknowns + 1)
+        Of the residual; the last column is for the parameter.
     states : ndarray, shape (events + 1, states + 2 dampers)
         State, heights and velocities at the begin of each stretch.
     closing : ndarray, shape (events,)
         Closing speed of each impact [m/s].
     """
+
+    residual: Array
+    jacobian: Array
+    states: Array
+    closing: Array
+
+
+@njit(cache=True)
+def exponential(matrix: Array, time: float, rate: float) -> Array:
+    """Matrix exponential of `matrix` times `time`, by a Taylor series with scaling and squaring.
+
+    `rate` bounds a norm of the matrix in which its rows and columns are balanced.
+    """
+    size, halvings = rate * abs(time), 0
+    while size > 0.25 and halvings < 60:
+        size *= 0.5
+        halvings += 1
+    x = matrix * (time * 0.5**halvings)
+    # To degree 12, summed in three products of cubes. The sum without the identity, so that small times keep
+    # their last bits: squaring maps s to 2 s + s s.
+    square = x @ x
+    cube = square @ x
+    total = x / 3628800.0 + square / 39916800.0 + cube / 479001600.0
+    total = cube @ total + (x / 5040.0 + square / 40320.0 + cube / 362880.0)
+    total = cube @ total + (x / 24.0 + square / 120.0 + cube / 720.0)
+    total = cube @ total + (x + square / 2.0 + cube / 6.0)
+    for _ in range(halvings):
+        total = 2.0 * total + total @ total
+    for i in range(matrix.shape[0]):
+        total[i, i] += 1.0
+    return total
+
+
+@njit(cache=True)
+def _drift(matrix: Array, change: Array, start: Array, slope: Array, time: float, rate: float) -> Array:
+    """Differentiate exp(matrix time) start, matrix and start both changing: s' = A s + E z, s(0) = slope."""
+    n = matrix.shape[0]
+    entries, row, column = 0, np.empty(n * n, dtype=np.int64), np.empty(n * n, dtype=np.int64)
+    of_matrix, of_change = np.empty(n * n), np.empty(n * n)
+    for i in range(n):
+        for j in range(n):
+            if matrix[i, j] != 0.0 or change[i, j] != 0.0:
+                row[entries], column[entries] = i, j
+                of_matrix[entries], of_change[entries] = matrix[i, j], change[i, j]
+                entries += 1
+    z, s = start.copy(), slope.copy()
+    substeps = max(1, int(np.ceil(0.5 * rate * abs(time))))
+    h = time / substeps
+    term, other, next_term, next_other = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    for _ in range(substeps):
+        term[:], other[:] = z, s
+        # 2^20 / 20! is 4e-13, which a derivative does not need to know better.
+        for k in range(1, 21):
+            next_term[:], next_other[:] = 0.0, 0.0
+            for m in range(entries):
+                i, j = row[m], column[m]
+                next_term[i] += of_matrix[m] * term[j]
+                next_other[i] += of_matrix[m] * other[j] + of_change[m] * term[j]
+            for i in range(n):
+                term[i], other[i] = h / k * next_term[i], h / k * next_other[i]
+                z[i] += term[i]
+                s[i] += other[i]
+    return s
+
+
+@njit(cache=True)
+def shoot(equations: Equations, change: Change, sequence: Sequence, unknowns: Array) -> Shot:
+    """Evaluate the equations of an orbit.
+
+    Parameters
+    ----------
+    equations : Equations
+    change : Change
+        With the parameter.
+    sequence : Sequence
+    unknowns : ndarray, shape (unknowns,)
+        State at t = 0, height and velocity of each damper in flight there (in order), instants of the events
+        [s].
+    """
     n = equations.generator.shape[1] - 3
     nq, nd = equations.inverse_mass.shape[1], equations.position.shape[0]
     events, size = sequence.kind.shape[0], unknowns.shape[0]
     omega, gravity = equations.omega, equations.gravity
-    x = np.zeros(n + 3)
+    x, begun, turn = np.zeros(n + 3), np.zeros(n + 3), np.zeros(n + 3)
     x[:n] = unknowns[:n]
     height, speed = np.zeros(nd), np.zeros(nd)
-    columns = size if derivatives else 0
-    sx, sh, sv = np.zeros((n, columns)), np.zeros((nd, columns)), np.zeros((nd, columns))
-    for i in range(min(n, columns)):
+    # Sensitivities of state, heights and speeds; the last column is that to the parameter.
+    sx, sh, sv = np.zeros((n, size + 1)), np.zeros((nd, size + 1)), np.zeros((nd, size + 1))
+    for i in range(n):
         sx[i, i] = 1.0
     at = n
     for j in range(nd):
         if sequence.wall[0, j] == 0:
             height[j], speed[j] = unknowns[at], unknowns[at + 1]
-            if derivatives:
-                sh[j, at] = 1.0
-                sv[j, at + 1] = 1.0
+            sh[j, at] = 1.0
+            sv[j, at + 1] = 1.0
             at += 2
     first = at
-    residual, jacobian = np.zeros(size), np.zeros((size, columns))
+    residual, jacobian = np.zeros(size), np.zeros((size, size + 1))
     states, closing = np.zeros((events + 1, n + 2 * nd)), np.zeros(events)
     time = 0.0
+    x[n], x[n + 1], x[n + 2] = 1.0, 0.0, 1.0
     for k in range(events + 1):
         states[k, :n] = x[:n]
         states[k, n : n + nd] = height
         states[k, n + nd :] = speed
-        end = unknowns[first + k] if k < events else period
-        a = equations.generator[sequence.slot[k]]
-        x[n], x[n + 1], x[n + 2] = np.cos(omega * time), np.sin(omega * time), 1.0
-        flow = exponential(a, end - time)
-        begun = x.copy()
-        x = flow @ begun
-        length = end - time
+        end = unknowns[first + k] if k < events else equations.period
+        slot, length = sequence.slot[k], end - time
+        a = equations.generator[slot]
+        flow = exponential(a, length, equations.rate[slot])
+        begun[:] = x
+        x[:] = flow @ begun
+        turn[:n] = sx[:, size]
+        turn[n], turn[n + 1] = -time * change.omega * begun[n + 1], time * change.omega * begun[n]
+        sx[:] = np.ascontiguousarray(flow[:n, :n]) @ sx
+        sx[:, size] = _drift(a, change.generator[slot], begun, turn, length, equations.rate[slot])[:n]
         for j in range(nd):
-            height[j] += speed[j] * length - 0.5 * gravity * length * length
+            height[j] += (speed[j] - 0.5 * gravity * length) * length
             speed[j] -= gravity * length
-        if derivatives:
-            turning = flow[:n, n] * (-omega * begun[n + 1]) + flow[:n, n + 1] * (omega * begun[n])
-            rate = a[:n] @ x
-            sx = np.ascontiguousarray(flow[:n, :n]) @ sx
-            sh = sh + length * sv
-            for edge in range(2):
-                # The stretch begins at event k - 1 and ends at event k; the ends of the period are fixed.
-                column = first + k - 1 + edge
-                if (edge == 0 and k == 0) or (edge == 1 and k == events):
-                    continue
-                sign = 1.0 if edge == 1 else -1.0
-                for i in range(n):
-                    sx[i, column] += sign * rate[i] + (turning[i] if edge == 0 else 0.0)
-                for j in range(nd):
-                    sh[j, column] += sign * speed[j]
-                    sv[j, column] -= sign * gravity
+            for c in range(size + 1):
+                sh[j, c] += length * sv[j, c]
+        # The stretch ends at its own unknown instant, or with the period, which the parameter may change; it
+        # begins at the last event's.
+        column, moved = (first + k, 1.0) if k < events else (size, change.period)
+        for i in range(n):
+            rate = 0.0
+            for m in range(n + 3):
+                rate += a[i, m] * x[m]
+            sx[i, column] += moved * rate
+            if k > 0:
+                turned = omega * (flow[i, n + 1] * begun[n] - flow[i, n] * begun[n + 1])
+                sx[i, first + k - 1] += turned - rate
+        for j in range(nd):
+            sh[j, column] += moved * speed[j]
+            sv[j, column] -= moved * gravity
+            if k > 0:
+                sh[j, first + k - 1] -= speed[j]
+                sv[j, first + k - 1] += gravity
         time = end
         if k == events:
             break
+        x[n], x[n + 1], x[n + 2] = np.cos(omega * time), np.sin(omega * time), 1.0
         j, kind = sequence.damper[k], sequence.kind[k]
         body, row = equations.position[j], first + k
-        x[n], x[n + 1], x[n + 2] = np.cos(omega * time), np.sin(omega * time), 1.0
-        offset = 0.0
-        if kind in (CEILING, CEILING_BOUNCE):
-            offset = equations.clearance[j]
         if kind in (SEPARATION, WITH_LAST):
             if kind == SEPARATION:
-                residual[row] = a[nq + body] @ x + gravity
-                if derivatives:
-                    jacobian[row] = a[nq + body, :n] @ sx
-                    jacobian[row, row] += omega * (a[nq + body, n + 1] * x[n] - a[nq + body, n] * x[n + 1])
+                force = a[nq + body]
+                residual[row] = gravity
+                for m in range(n + 3):
+                    residual[row] += force[m] * x[m]
+                    jacobian[row, size] += change.generator[slot, nq + body, m] * x[m]
+                for c in range(size + 1):
+                    for m in range(n):
+                        jacobian[row, c] += force[m] * sx[m, c]
+                tilt = force[n + 1] * x[n] - force[n] * x[n + 1]
+                jacobian[row, row] += omega * tilt
+                jacobian[row, size] += time * change.omega * tilt
             else:
                 residual[row] = time - (unknowns[row - 1] if k > 0 else 0.0)
-                if derivatives:
-                    jacobian[row, row] = 1.0
-                    if k > 0:
-                        jacobian[row, row - 1] = -1.0
-            height[j] = x[body] + (equations.clearance[j] if sequence.wall[k, j] == 2 else 0.0)
-            speed[j] = x[nq + body]
-            if derivatives:
-                sh[j], sv[j] = sx[body], sx[nq + body]
+                jacobian[row, row] = 1.0
+                if k > 0:
+                    jacobian[row, row - 1] = -1.0
+            height[j], speed[j] = x[body], x[nq + body]
+            sh[j], sv[j] = sx[body], sx[nq + body]
+            if sequence.wall[k, j] == 2:
+                height[j] += equations.clearance[j]
+                sh[j, size] += change.clearance[j]
             continue
+        offset, raised = 0.0, 0.0
+        if kind in (CEILING, CEILING_BOUNCE):
+            offset, raised = equations.clearance[j], change.clearance[j]
         residual[row] = height[j] - x[body] - offset
-        inverse = equations.inverse_mass[sequence.slot[k]]
-        share = 1.0 / (1.0 / equations.mass[j] + inverse[body, body])
+        rebound = 1.0
+        if kind in (FLOOR_BOUNCE, CEILING_BOUNCE):
+            rebound += equations.restitution[j]
+        inverse, inverse_change = equations.inverse_mass[slot], change.inverse_mass[slot]
+        share = rebound / (1.0 / equations.mass[j] + inverse[body, body])
+        thinner = change.mass[j] / equations.mass[j] ** 2
+        share_change = share * share / rebound * (thinner - inverse_change[body, body])
         relative = speed[j] - x[nq + body]
         closing[k] = relative if offset > 0.0 else -relative
-        height[j] = x[body] + offset
-        if derivatives:
-            jacobian[row] = sh[j] - sx[body]
-            change = sv[j] - sx[nq + body]
+        for c in range(size + 1):
+            jacobian[row, c] = sh[j, c] - sx[body, c]
+            opened = sv[j, c] - sx[nq + body, c]
+            impulse = share * opened
+            if c == size:
+                jacobian[row, c] -= raised
+                impulse += share_change * relative
+                for i in range(nq):
+                    sx[nq + i, c] += inverse_change[i, body] * share * relative
+                sv[j, c] += share * relative * thinner
             for i in range(nq):
-                sx[nq + i] += inverse[i, body] * share * change
-            sv[j] = sv[j] - share / equations.mass[j] * change
-            sh[j] = sx[body].copy()
+                sx[nq + i, c] += inverse[i, body] * impulse
+            sv[j, c] -= impulse / equations.mass[j]
+            sh[j, c] = sx[body, c]
+        height[j] = x[body] + offset
+        sh[j, size] += raised
         for i in range(nq):
             x[nq + i] += inverse[i, body] * share * relative
         speed[j] -= share / equations.mass[j] * relative
-    residual[:n] = x[:n] - unknowns[:n]
-    if derivatives:
-        jacobian[:n] = sx
-        for i in range(n):
-            jacobian[i, i] -= 1.0
+    for i in range(n):
+        residual[i] = x[i] - unknowns[i]
+        jacobian[i] = sx[i]
+        jacobian[i, i] -= 1.0
     at = n
     for j in range(nd):
         if sequence.wall[0, j] == 0:
             residual[at], residual[at + 1] = height[j] - unknowns[at], speed[j] - unknowns[at + 1]
-            if derivatives:
-                jacobian[at], jacobian[at + 1] = sh[j], sv[j]
-                jacobian[at, at] -= 1.0
-                jacobian[at + 1, at + 1] -= 1.0
+            jacobian[at], jacobian[at + 1] = sh[j], sv[j]
+            jacobian[at, at] -= 1.0
+            jacobian[at + 1, at + 1] -= 1.0
             at += 2
-    return residual, jacobian, states, closing
+    return Shot(residual, jacobian, states, closing)
 
 
 @njit(cache=True)
-def sample(
-    equations: Equations, sequence: Sequence, period: float, instants: Array, states: Array, points: int
-) -> tuple[Array, Array, Array, NDArray[np.complex128]]:
-    """Follow an orbit between its events at evenly spaced instants of every stretch.
-
-    The stretch after the last event goes on into the next period until the first event.
+def correct(
+    equations: Equations,
+    change: Change,
+    sequence: Sequence,
+    unknowns: Array,
+    scale: Array,
+    rows: Array,
+    most: int,
+) -> tuple[Array, Shot, float, int]:
+    """Solve the equations of an orbit by Newton's iteration, the parameter fixed.
 
     Parameters
     ----------
-    equations, sequence, period
+    equations, change, sequence, unknowns
         As in `shoot`.
-    instants : ndarray, shape (events,)
-        Instants of the events.
-    states : ndarray, shape (events + 1, states + 2 dampers)
-        As `shoot` returns them.
-    points : int
-        Intervals in each stretch.
+    scale, rows : ndarray, shape (unknowns,)
+        Sizes of the unknowns and of the residuals.
+    most : int
+        Corrections allowed.
 
     Returns
     -------
-    times : ndarray, shape (stretches, points + 1)
-    motion : ndarray, shape (stretches, points + 1, states)
-    harmonic : complex ndarray, shape (states,), the last of the four
-        Integral of the state times exp(-i w t) over the orbit.
-    guards : ndarray, shape (stretches, points + 1, dampers, 2)
-        For each damper and its slope in time: the gap in flight [m], or q'' + g of the body while riding
-        [m/s^2].
+    unknowns : ndarray
+    shot : Shot
+        There.
+    last : float
+        Size of the last correction.
+    corrections : int
+        How many were made; -1 if they did not settle.
     """
-    n = equations.generator.shape[1] - 3
-    nq, nd = equations.inverse_mass.shape[1], equations.position.shape[0]
-    events = sequence.kind.shape[0]
-    stretches = max(events, 1)
-    times = np.zeros((stretches, points + 1))
-    motion = np.zeros((stretches, points + 1, n))
-    guards = np.zeros((stretches, points + 1, nd, 2))
-    harmonic = np.zeros(n, dtype=np.complex128)
-    # Y = exp(i w t) times the integral of x exp(-i w t) obeys Y' = i w Y + x: with it the integral is exact.
-    beside = np.zeros((3 * n + 3, 3 * n + 3))
-    for i in range(n):
-        beside[n + 3 + i, i] = 1.0
-        beside[n + 3 + i, 2 * n + 3 + i], beside[2 * n + 3 + i, n + 3 + i] = -equations.omega, equations.omega
-    for s in range(stretches):
-        k = s + 1 if events > 0 else 0
-        begin = instants[s] if events > 0 else 0.0
-        end = period
-        if events > 0:
-            end = instants[s + 1] if s + 1 < events else period + instants[0]
-        a = equations.generator[sequence.slot[k]]
-        step = (end - begin) / points
-        flow = exponential(a, step)
-        x = np.ones(n + 3)
-        x[:n] = states[k, :n]
-        x[n], x[n + 1] = np.cos(equations.omega * begin), np.sin(equations.omega * begin)
-        beside[: n + 3, : n + 3] = a
-        gathered = np.ascontiguousarray(exponential(beside, end - begin)[n + 3 :, : n + 3]) @ x
-        turned = np.exp(-1j * equations.omega * end)
-        for i in range(n):
-            harmonic[i] += turned * (gathered[i] + 1j * gathered[n + i])
-        for i in range(points + 1):
-            rate = a @ x
-            times[s, i] = begin + i * step
-            motion[s, i] = x[:n]
-            for j in range(nd):
-                body = equations.position[j]
-                if sequence.wall[k, j] == 0:
-                    t = i * step
-                    fallen = states[k, n + j] + (states[k, n + nd + j] - 0.5 * equations.gravity * t) * t
-                    guards[s, i, j, 0] = fallen - x[body]
-                    guards[s, i, j, 1] = states[k, n + nd + j] - equations.gravity * t - x[nq + body]
-                else:
-                    guards[s, i, j, 0] = rate[nq + body] + equations.gravity
-                    guards[s, i, j, 1] = a[nq + body] @ rate
-            x = flow @ x
-    return times, motion, guards, harmonic
+    x, last = unknowns.copy(), np.inf
+    shot = shoot(equations, change, sequence, x)
+    for iteration in range(most):
+        system = shot.jacobian[:, : x.size].copy()
+        right = np.empty(x.size)
+        for i in range(x.size):
+            right[i] = -shot.residual[i] / rows[i]
+            for j in range(x.size):
+                system[i, j] *= scale[j] / rows[i]
+        if not (np.isfinite(system).all() and np.isfinite(right).all()):
+            return x, shot, last, -1
+        move = np.linalg.solve(system, right)
+        size = np.abs(move).max()
+        if size < SETTLED or (size < 1e-9 and size > 0.3 * last):
+            return x, shot, size, iteration
+        # An iteration that runs away is stopped before its instants leave all bounds.
+        if not size < 1e3 * min(1.0, max(last, 1e-3)):
+            return x, shot, size, -1
+        x += move * scale
+        last = size
+        shot = shoot(equations, change, sequence, x)
+    return x, shot, last, -1
+
+
+@njit(cache=True)
+def monodromy(shot: Shot, events: int, scale: Array, rows: Array) -> Array:
+    """Map of deviations over an orbit (scaled): the events' rows are solved for the instants."""
+    size = scale.size
+    cut = size - events
+    jacobian = shot.jacobian[:, :size].copy()
+    for i in range(size):
+        for j in range(size):
+            jacobian[i, j] *= scale[j] / rows[i]
+    period_map = jacobian[:cut, :cut].copy()
+    for i in range(cut):
+        period_map[i, i] += 1.0
+    if events > 0:
+        moved = np.linalg.solve(jacobian[cut:, cut:].copy(), jacobian[cut:, :cut].copy())
+        period_map -= jacobian[:cut, cut:].copy() @ moved
+    return period_map

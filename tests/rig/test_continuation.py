@@ -29,11 +29,15 @@ def test_given_a_range_when_the_curve_leaves_it_then_it_ends_on_the_bound_exactl
 
 def test_given_a_border_when_the_curve_crosses_it_then_it_ends_just_before_with_the_borders_name() -> None:
     curve = trace(
-        circle, np.array([1.0, 0.0]), (-2, 2), np.ones(2), border=lambda x: "too high" if x[1] > 0.3 else ""
+        circle,
+        np.array([1.0, 0.0]),
+        (-2, 2),
+        np.ones(2),
+        rooms=lambda x: (np.array([0.3 - x[1]]), ["too high"]),
     )
 
     assert curve.ends == ("too high", "too high")
-    assert 0.2999 < curve.points[-1, 1] <= 0.3
+    assert 0.3 - 1e-9 < curve.points[-1, 1] <= 0.3
 
 
 def test_given_a_curve_that_ends_in_nowhere_when_followed_then_the_last_good_point_is_told() -> None:

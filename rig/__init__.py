@@ -14,7 +14,7 @@ _HOME: dict[str, str] = {
     "Response": "rig.response",
     "Run": "rig.simulation",
     "Approximation": "rig.approximate",
-    "Orbit": "rig.orbit",
+    "Orbit": "rig.orbit_following",
     "OrbitCurve": "rig.orbit_curve",
     "Explanation": "rig.effects",
     "approximate_response": "rig.approximate",

@@ -204,7 +204,7 @@ class Problem:
         np.add.at(added, (rows, rows), masses)
         weight = -system.gravity * added.sum(axis=0)
         constant = system.force_constant + mass_ratio * weight
-        inverse = np.linalg.inv(system.mass + mass_ratio * added)
+        inverse = np.asarray(np.linalg.inv(system.mass + mass_ratio * added), dtype=np.float64)
         inverse_change = -inverse @ added @ inverse
         matrix, inflow = np.zeros((n, n)), np.zeros((n, len(system.inputs) + 1))
         matrix_change, inflow_change = np.zeros_like(matrix), np.zeros_like(inflow)
@@ -217,7 +217,7 @@ class Problem:
         matrix_change[nq : 2 * nq] = inverse_change @ system.force_state
         inflow_change[nq : 2 * nq, :-1] = inverse_change @ system.force_drive
         inflow_change[nq : 2 * nq, -1] = inverse_change @ constant + inverse @ weight
-        rate: Array = np.array(float(np.linalg.norm(matrix_balance(matrix, permute=False)[0], 1)))
+        rate = np.array(float(np.linalg.norm(matrix_balance(matrix, permute=False)[0], 1)))
         return _Linear(
             matrix,
             inflow,

@@ -42,6 +42,6 @@ def about(recording: Recording, motion: RecordedMotion, view: RigView) -> str:
         lines.append(f"| {name} | {info.at} | {info.quantity} | {info.unit} | {info.sensitivity:.4g} |")
     if recording.gaps:
         lost = sum(gap.last_sample + 1 - gap.first_sample for gap in recording.gaps)
-        lines += ["", f"**{len(recording.gaps)} gaps, {lost} samples lost** (see the markers)"]
+        lines += ["", f"**{lost} samples lost, in {len(recording.gaps)} gap(s)** (see the markers)"]
     lines += ["", "## Scene", "```yaml", scene.to_yaml().rstrip(), "```"]
     return "\n".join(lines) + "\n"

@@ -65,7 +65,7 @@ def layout(content: Content) -> rrb.Blueprint:
     phases = rrb.StateTimelineView(
         origin="test",
         contents="test/phase",
-        name="test (grey: settling, green: measuring)",
+        name="test (grey: settling, green: measuring, or the decay after a hit)",
         time_view=axis,
     )
     near = [

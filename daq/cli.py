@@ -69,8 +69,10 @@ def replay(
         part = Replay(recording, start, stop, speed)
         if save is not None:
             show.save(part, save, progress)
+            print(f"{save}: {save.stat().st_size / 1e6:.1f} MB; to look at it: rerun {save}")
         elif screenshot is not None:
-            show.photograph(part, screenshot, at, progress)
+            drawn = show.photograph(part, screenshot, at, progress)
+            print(f"{screenshot}: the rig at {drawn:.3f} s")
         elif web:
             show.in_browser(part, print, progress)
         else:

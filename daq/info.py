@@ -40,12 +40,18 @@ def describe(recording: Recording) -> Iterator[str]:
     counts = Counter(marker.kind for marker in recording.markers)
     yield f"  markers   {', '.join(f'{count} {kind}' for kind, count in counts.items()) or 'none'}"
     gaps = recording.gaps
-    yield f"  lost      {f'{len(gaps)} stretches of samples' if gaps else 'none noted'}"
+    yield f"  lost      {_stretches(len(gaps))}"
     for gap in gaps[:MOST_LINES]:
         first, last = gap.first_sample / recording.rate, (gap.last_sample + 1) / recording.rate
         yield f"            {first:.6g} s to {last:.6g} s of {', '.join(gap.channels)}: {gap.reason}"
     if len(gaps) > MOST_LINES:
         yield f"            and {len(gaps) - MOST_LINES} more"
+
+
+def _stretches(count: int) -> str:
+    if count == 0:
+        return "none noted"
+    return "1 stretch of samples" if count == 1 else f"{count} stretches of samples"
 
 
 def _duration(recording: Recording) -> str:

@@ -10,7 +10,14 @@ if TYPE_CHECKING:
 
 UNITS = {"frequency": "Hz", "force": "N", "peak": "N", "width": "s", "amplitude": "m"}
 WORRYING = ("overload", "gap", "lost", "abort", "double_hit")
-COLOURS = {"settle": 0x55606EFF, "measure": 0x3D8B5FFF, "gap": 0xC4453BFF, "lost": 0xC4453BFF}
+OF_CHANNELS = ("overload", "alarm")
+COLOURS = {
+    "settle": 0x55606EFF,
+    "measure": 0x3D8B5FFF,
+    "hit": 0x3D8B5FFF,
+    "gap": 0xC4453BFF,
+    "lost": 0xC4453BFF,
+}
 OTHER = 0x7A6AA8FF
 
 
@@ -48,15 +55,25 @@ def log_lines(recording: Recording, start: int, stop: int) -> list[Line]:
 def phases(recording: Recording, start: int, stop: int) -> list[Phase]:
     """Give the markers that last, cut to [start, stop), in order of time and without overlap.
 
-    Of two that overlap the later one is shown from its start on.
+    Of two that overlap the later one is shown from its start on. A hit is over in milliseconds; what is shown is
+    the decay that follows, up to the next hit. What happens to single channels is no phase of the test.
     """
     found: list[Phase] = []
-    for mark in sorted(recording.markers, key=lambda mark: mark.first_sample):
-        if mark.last_sample is None or mark.last_sample < start or mark.first_sample >= stop:
+    lasting = [
+        mark for mark in recording.markers if mark.last_sample is not None and mark.kind not in OF_CHANNELS
+    ]
+    hits = sorted(mark.first_sample for mark in lasting if mark.kind == "hit")
+    for mark in sorted(lasting, key=lambda mark: mark.first_sample):
+        end = mark.end + 1
+        if mark.kind == "hit":
+            end = min((hit for hit in hits if hit > mark.first_sample), default=recording.samples)
+        if end <= start or mark.first_sample >= stop:
             continue
         frequency = mark.fields.get("frequency")
         label = f"{frequency:.2f} Hz" if isinstance(frequency, int | float) else mark.kind
-        first, last = max(start, mark.first_sample), min(stop, mark.last_sample + 1)
+        if mark.kind == "hit":
+            label = f"hit {hits.index(mark.first_sample) + 1}"
+        first, last = max(start, mark.first_sample), min(stop, end)
         if found and found[-1].stop > first:
             found[-1] = found[-1]._replace(stop=first)
         found.append(Phase(first, last, label, COLOURS.get(mark.kind, OTHER)))

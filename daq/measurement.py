@@ -158,18 +158,25 @@ class Run:
         drive = next(test)
         bench, path = self.bench, self._path
         path.parent.mkdir(parents=True, exist_ok=True)
-        with Recorder(path, bench.scene, bench.channels, bench.rate, overwrite=overwrite) as recorder:
-            self._recorder = recorder
-            with _interruptible() as interrupted:
-                try:
-                    self._play(test, drive, interrupted)
-                except ShotrigError as error:
-                    self._mark("abort", self._station.now, self._station.now + 1, reason=str(error))
-                    raise type(error)(f"{error}; {self._holds()}") from error
-                finally:
-                    self._note_loss()
-                    self._limits.close()
-                    self._overloads.close()
+        try:
+            with Recorder(path, bench.scene, bench.channels, bench.rate, overwrite=overwrite) as recorder:
+                self._recorder = recorder
+                with _interruptible() as interrupted:
+                    try:
+                        self._play(test, drive, interrupted)
+                    except (ShotrigError, _Stopped) as error:
+                        self._mark("abort", self._station.now, self._station.now + 1, reason=str(error))
+                        raise
+                    finally:
+                        self._note_loss()
+                        self._limits.close()
+                        self._overloads.close()
+        except _Stopped as stopped:
+            raise KeyboardInterrupt(self._holds()) from stopped
+        except ShotrigError as error:
+            if self._recorder is None:
+                raise
+            raise type(error)(f"{error}; {self._holds()}") from error
         for message in dict.fromkeys(self._warnings):
             warnings.warn(message, RunWarning, stacklevel=4)
         return path
@@ -188,8 +195,7 @@ class Run:
                     raise RunError(f"test aborted: {ends}")
                 if interrupted():
                     self._ramp_down()
-                    self._mark("abort", self._station.now, self._station.now + 1, reason="interrupted")
-                    raise KeyboardInterrupt(self._holds())
+                    raise _Stopped("interrupted")
             try:
                 drive = test.send(readings[0] if len(readings) == 1 else np.concatenate(readings, axis=1))
             except StopIteration:
@@ -251,6 +257,10 @@ class Run:
 
     def _holds(self) -> str:
         return f"{self._path} holds the {self._station.now / self.bench.rate:.2f} s up to there"
+
+
+class _Stopped(KeyboardInterrupt):
+    """Somebody has pressed Ctrl-C, and the drive has been brought to rest."""
 
 
 def stretches_of_equals(values: NDArray[np.bool_]) -> list[tuple[int, int]]:

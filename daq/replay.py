@@ -99,7 +99,8 @@ class Replay:
     @cached_property
     def view(self) -> RigView:
         """The drawing of the rig, its exaggeration fit to the motion of this stretch."""
-        return RigView(self.recording.scene, self._survey[0], self.motion.gaps_known)
+        unknown = [source.point for source in self.motion.sources if source.quantity == "nothing"]
+        return RigView(self.recording.scene, self._survey[0], self.motion.gaps_known, unknown)
 
     @property
     def liveliest_s(self) -> float:

@@ -7,7 +7,7 @@ and every displacement and gap is multiplied by one exaggeration. z points up, x
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -122,15 +122,20 @@ class RigView:
         The largest motions to come; they set the exaggeration.
     gaps_known : bool
         Whether the dampers' motion will be given; if not, they are drawn pale on their floors and say so.
+    unknown : collection of str
+        Points, ``body 1``, ..., ``table``, whose motion nobody knows: drawn pale and at rest, and say so.
     """
 
-    def __init__(self, scene: Scene, extremes: Extremes, gaps_known: bool) -> None:
+    def __init__(
+        self, scene: Scene, extremes: Extremes, gaps_known: bool, unknown: Collection[str] = ()
+    ) -> None:
         from rig.damper import damper_masses
 
         self.scene = scene
         self.magnification = exaggeration(extremes)
         self.damper_masses = damper_masses(scene)
         self.gaps_known = gaps_known
+        self._unknown = unknown
         self._excursion = extremes.body * self.magnification
         self.bodies = scene.structure.bodies
         self._damper_at = {damper.body: place for place, damper in enumerate(scene.dampers)}
@@ -181,10 +186,11 @@ class RigView:
         yield from self._rest_marks()
 
     def _body(self, body: int) -> Iterator[tuple[str, rr.AsComponents]]:
-        colour, height = body_colour(body), self._height[body - 1]
+        colour, height = self._colour(f"body {body}", body_colour(body)), self._height[body - 1]
         name = f"rig/body_{body}"
         masses = self.scene.structure.masses
         text = f"body {body}" + (f"  {masses[body - 1]:g} kg" if masses is not None else "")
+        text += self._remark(f"body {body}")
         if body in self._damper_at:
             yield f"{name}/frame", boxes(self._cavity(body), colour)
             yield from self._damper(body)
@@ -195,6 +201,12 @@ class RigView:
         yield f"{name}/name", label((WIDTH / 2 + 0.12, -DEPTH / 2, 0.75 * height), text, colour)
         pointer: list[Point] = [(-WIDTH / 2 - out, -DEPTH / 2, height / 2) for out in (0.0, 0.028)]
         yield f"{name}/pointer", lines([pointer], colour, 0.0012)
+
+    def _colour(self, point: str, colour: Colour) -> Colour:
+        return GLUED if point in self._unknown else colour
+
+    def _remark(self, point: str) -> str:
+        return ", not measured" if point in self._unknown else ""
 
     def _cavity(self, body: int) -> list[tuple[Point, Point]]:
         """Boxes (centre, size) of a body with a cavity, open to the front; the ceiling where in sight."""
@@ -245,9 +257,11 @@ class RigView:
             yield "rig/shaker", boxes([(middle, (0.07, 0.07, height))], DARK_STEEL)
         plate = ((self._table_x, 0, -PLATE / 2), (0.085, 0.085, PLATE))
         stem = ((self._table_x, 0, -PLATE - 0.02), (0.022, 0.022, 0.04))
-        yield "rig/table/plate", boxes([plate, stem], DRIVE)
+        colour = self._colour("table", DRIVE)
+        yield "rig/table/plate", boxes([plate, stem], colour)
         text_at = (self._table_x + 0.055, -0.09, -PLATE)
-        yield "rig/table/name", label(text_at, "table" if kind == "table" else "armature", DRIVE)
+        text = ("table" if kind == "table" else "armature") + self._remark("table")
+        yield "rig/table/name", label(text_at, text, colour)
         yield "rig/coil_spring", coil(self._table_x, COIL_LENGTH)
 
     def _drive_arrows(self) -> Iterator[tuple[str, rr.AsComponents]]:

@@ -32,7 +32,7 @@ def record_and_report(scene: str, path: Path, overwrite: bool, block: int | None
     if path.exists() and not overwrite:
         raise RecordingError(f"{path} exists: give another name with -o, or --overwrite to replace it")
     setting = rig.load(scene)
-    print(f"recording {scene} to {path}", file=sys.stderr)
+    print(f"recording {scene} to {path.absolute()}", file=sys.stderr)
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always", daq.RunWarning)
         try:
@@ -94,4 +94,5 @@ def summary(path: Path) -> str:
 def _overloads(rec: Recording) -> str:
     stretches = [mark for mark in rec.markers if mark.kind == "overload"]
     names = sorted({str(mark.fields["channel"]) for mark in stretches})
-    return f"{len(stretches)} stretches in {', '.join(names)}" if stretches else "none"
+    count = "1 stretch" if len(stretches) == 1 else f"{len(stretches)} stretches"
+    return f"{count} in {', '.join(names)}" if stretches else "none"

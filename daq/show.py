@@ -66,7 +66,7 @@ def photograph(
     at_s: float | None = None,
     progress: Progress | None = None,
     size: tuple[int, int] = (1600, 1000),
-) -> None:
+) -> float:
     """Draw a replay at one instant into a PNG file, without a window.
 
     Parameters
@@ -81,6 +81,11 @@ def photograph(
         Told the share that is done.
     size : tuple of int
         Width and height in pixels.
+
+    Returns
+    -------
+    float
+        The instant that was drawn, s.
 
     Raises
     ------
@@ -107,6 +112,7 @@ def photograph(
     problems = [f"{view.name}: {report.summary}" for view in views for report in view.reports]
     if problems:
         raise RunError(f"{file} is written, but the viewer could not draw all of it: {'; '.join(problems)}")
+    return at
 
 
 def window(instead: str) -> AbstractContextManager[Viewer]:

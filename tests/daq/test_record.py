@@ -228,6 +228,7 @@ def test_given_ctrl_c_when_recording_then_the_recording_is_readable_and_says_so(
         assert 0.3 * rec.rate < rec.samples < 0.75 * rec.rate
         assert [mark.kind for mark in rec.markers][-1] == "abort"
         assert rec.markers[-1].fields["reason"] == "interrupted"
+        assert (rec.status, rec.metadata["outcome"]["reason"]) == ("interrupted", "interrupted")
         assert np.isfinite(rec.read("body1")).all()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 

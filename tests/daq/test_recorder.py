@@ -394,3 +394,11 @@ def test_given_a_recording_when_rerun_alone_loads_it_then_it_has_plots_and_the_m
     assert any(name.startswith("Transform3D") for name in drawn["/tf"])
     shapes = {entity.split("/")[-2] for entity, names in drawn.items() if "Boxes3D:half_sizes" in names}
     assert shapes == {"world", "body_1", "body_2", "body_3", "table", "damper_1"}
+
+
+def test_given_a_display_when_nothing_is_recorded_then_the_file_is_whole_and_empty_of_samples(tmp_path):
+    path = tmp_path / "empty.mcap"
+    with Recorder(path, scene(recording={"display": True}), channels(), RATE):
+        pass
+    with daq.open(path) as recording:
+        assert (recording.samples, recording.status) == (0, "complete")

@@ -9,6 +9,9 @@ from rerun.chunk import RrdReader
 
 import daq
 import rig
+from daq.chain import Chain
+from daq.marks import phases
+from daq.recorder import Recorder
 from daq.replay import Replay
 from daq.rig_motion import HIGH_PASS_HZ, RecordedMotion
 from daq.show import save
@@ -193,3 +196,17 @@ def test_given_a_name_that_is_no_rrd_when_saved_then_nothing_is_overwritten(reco
 def test_given_no_folder_when_saved_then_the_error_names_it(recording, tmp_path):
     with pytest.raises(RunError, match="there is no folder"):
         save(Replay(recording), tmp_path / "nowhere" / "x.rrd")
+
+
+def test_given_hits_when_phases_are_shown_then_each_lasts_to_the_next_and_overloads_do_not_cut_it(tmp_path):
+    scene = rig.load("bare-structure").replace(shaker=None, test=None)
+    path = tmp_path / "hits.mcap"
+    channels = Chain(scene, 5120.0, ["body 1", "body 2", "body 3"]).channels
+    with Recorder(path, scene, channels, 5120.0) as recorder:
+        recorder.write(np.zeros((3, 5120)))
+        recorder.mark("hit", 512, 530)
+        recorder.mark("overload", 515, 520, channel="body1")
+        recorder.mark("hit", 2560, 2580)
+    with daq.open(path) as opened:
+        found = [(phase.label, phase.start, phase.stop) for phase in phases(opened, 0, 5120)]
+    assert found == [("hit 1", 512, 2560), ("hit 2", 2560, 5120)]

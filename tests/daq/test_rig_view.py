@@ -126,3 +126,11 @@ def test_given_lost_samples_when_extremes_are_found_then_they_do_not_count():
     motion = Motion(np.array([[1e-3, np.nan], [0.0, np.nan]]), np.array([np.nan, 0.0]), None)
     extremes = Extremes().widened(motion, 1)
     assert extremes.body == extremes.spring == 1e-3
+
+
+def test_given_points_that_nobody_measured_when_drawn_then_their_names_say_so():
+    view = RigView(SCENE, Extremes(), gaps_known=True, unknown=["body 2", "table"])
+    names = {path: part for path, part in view.still_parts() if path.endswith("/name")}
+    texts = {path: str(part.labels.as_arrow_array()) for path, part in names.items()}
+    silent = {path for path, text in texts.items() if "not measured" in text}
+    assert silent == {"rig/body_2/name", "rig/table/name"}

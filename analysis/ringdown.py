@@ -149,10 +149,10 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
 
 
 def hits(rec: Recording) -> list[tuple[int, int]]:
-    """First and last sample of every hit; a free decay counts as one hit of no length at its start."""
-    marked = sorted((m.first_sample, m.last_sample) for m in rec.markers if m.kind == "hit")
+    """First sample of every hit and the last one of it; a free decay is a hit of one sample at its start."""
+    marked = sorted((m.first_sample, m.end) for m in rec.markers if m.kind == "hit")
     if marked:
-        return [(int(first), int(last if last is not None else first)) for first, last in marked]
+        return marked
     test = rec.scene.test
     if test is not None and test.kind == "free":
         return [(0, 0)]
@@ -172,7 +172,7 @@ def _stretch(rec: Recording, hit: int) -> tuple[int, int, int, list[str]]:
     stop = marked[hit][0] if hit < len(marked) else rec.samples
     begin = last + 1
     # Enough before the hit for the band-pass to see the structure at rest.
-    before = max(first - int(0.5 * rec.rate), marked[hit - 2][1] if hit > 1 else 0, 0)
+    before = max(first - int(0.5 * rec.rate), marked[hit - 2][1] + 1 if hit > 1 else 0, 0)
     length = (stop - begin) / rec.rate
     if length < 0.5:
         raise RecordingError(

@@ -79,14 +79,14 @@ def sweeps(rec: Recording, progress: Callable[[int, int], None] | None = None) -
     notes: dict[tuple[float, str], list[str]] = {}
     windows = [_window(rec, marker) for marker in markers]
     parts = [
-        parts_of_whole_periods(first, last, frequency, rec.rate, PARTS) for frequency, first, last in windows
+        parts_of_whole_periods(first, stop, frequency, rec.rate, PARTS) for frequency, first, stop in windows
     ]
     source = spans(rec, names, (part for group in parts for part in group))
-    for index, (marker, (frequency, first, last), group) in enumerate(
+    for index, (marker, (frequency, first, stop), group) in enumerate(
         zip(markers, windows, parts, strict=True)
     ):
         key = _setting(marker)
-        shortest = min(stop - start for start, stop in group)
+        shortest = min(end - begin for begin, end in group)
         harmonics = int(max(1, min(HARMONICS, 0.45 * rec.rate / frequency, (shortest - 2) // 4)))
         lockin = LockIn(frequency, rec.rate, harmonics)
         whole = True
@@ -101,8 +101,8 @@ def sweeps(rec: Recording, progress: Callable[[int, int], None] | None = None) -
         if not whole:
             note.append(f"{frequency:.4g} Hz left out: samples were lost in its window.")
             continue
-        hit = [name for name in names if _overlaps(clipped.get(name), first, last)]
-        worst = max((_covered(clipped[name], first, last) for name in hit), default=0.0)
+        hit = [name for name in names if _overlaps(clipped.get(name), first, stop)]
+        worst = max((_covered(clipped[name], first, stop) for name in hit), default=0.0)
         if worst > MOST_CLIPPED:
             note.append(
                 f"{frequency:.4g} Hz left out: {', '.join(hit)} overloaded for {worst:.0%} of the window."
@@ -115,7 +115,7 @@ def sweeps(rec: Recording, progress: Callable[[int, int], None] | None = None) -
             )
         if marker.fields.get("settled") is False:
             unsteady.setdefault(key, []).append(f"{frequency:.4g}")
-        runs.setdefault(key, []).append((lockin.tone(), (first, last)))
+        runs.setdefault(key, []).append((lockin.tone(), (first, stop)))
     if not runs:
         raise RecordingError(_why_nothing(rec, bool(markers), overloaded))
     for key, points in unsteady.items():
@@ -128,7 +128,7 @@ def sweeps(rec: Recording, progress: Callable[[int, int], None] | None = None) -
 
 def _window(rec: Recording, marker: Any) -> tuple[float, int, int]:
     frequency = float(marker.fields["frequency"])
-    stop = rec.samples if marker.last_sample is None else int(marker.last_sample) + 1
+    stop = rec.samples if marker.last_sample is None else marker.stop
     return frequency, int(marker.first_sample), min(stop, rec.samples)
 
 
@@ -137,22 +137,21 @@ def _setting(marker: Any) -> tuple[float, str]:
 
 
 def _clipped(rec: Recording) -> dict[str, NDArray[np.int64]]:
-    """Overloaded samples of each channel as rows (first, last)."""
+    """Overloaded samples of each channel as rows [first, stop)."""
     found: dict[str, list[tuple[int, int]]] = {}
     for marker in rec.overloads:
-        last = marker.first_sample if marker.last_sample is None else marker.last_sample
-        found.setdefault(str(marker.fields.get("channel", "")), []).append((marker.first_sample, last))
+        found.setdefault(str(marker.fields.get("channel", "")), []).append((marker.first_sample, marker.stop))
     return {name: np.array(rows) for name, rows in found.items()}
 
 
-def _overlaps(ranges: NDArray[np.int64] | None, first: int, last: int) -> bool:
-    return ranges is not None and bool(np.any((ranges[:, 0] < last) & (ranges[:, 1] >= first)))
+def _overlaps(ranges: NDArray[np.int64] | None, first: int, stop: int) -> bool:
+    return ranges is not None and bool(np.any((ranges[:, 0] < stop) & (ranges[:, 1] > first)))
 
 
-def _covered(ranges: NDArray[np.int64], first: int, last: int) -> float:
-    """Part of the window ``[first, last)`` that the ranges cover."""
-    inside = np.minimum(ranges[:, 1] + 1, last) - np.maximum(ranges[:, 0], first)
-    return float(np.maximum(inside, 0).sum() / max(last - first, 1))
+def _covered(ranges: NDArray[np.int64], first: int, stop: int) -> float:
+    """Part of the window ``[first, stop)`` that the ranges cover."""
+    inside = np.minimum(ranges[:, 1], stop) - np.maximum(ranges[:, 0], first)
+    return float(np.maximum(inside, 0).sum() / max(stop - first, 1))
 
 
 def _why_nothing(rec: Recording, marked: bool, overloaded: int) -> str:

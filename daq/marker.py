@@ -77,6 +77,16 @@ class Marker:
         """Number of the last sample that it is about."""
         return self.first_sample if self.last_sample is None else self.last_sample
 
+    @property
+    def stop(self) -> int:
+        """Number of the sample after it, as slices want it.
+
+        >>> marker = Marker("measure", 100, 199)
+        >>> marker.end, marker.stop
+        (199, 200)
+        """
+        return self.end + 1
+
     def to_json(self) -> bytes:
         """Write the marker as the JSON of its topic.
 

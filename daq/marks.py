@@ -46,7 +46,7 @@ def log_lines(recording: Recording, start: int, stop: int) -> list[Line]:
             continue
         lasting = ""
         if mark.last_sample is not None:
-            lasting = f"for {(mark.last_sample + 1 - mark.first_sample) / recording.rate:.3f} s"
+            lasting = f"for {(mark.stop - mark.first_sample) / recording.rate:.3f} s"
         text = ", ".join(part for part in (f"{mark.kind} {lasting}".strip(), described(mark.fields)) if part)
         lines.append(Line(mark.first_sample, "WARN" if mark.kind in WORRYING else "INFO", text))
     return sorted(lines)
@@ -64,7 +64,7 @@ def phases(recording: Recording, start: int, stop: int) -> list[Phase]:
     ]
     hits = sorted(mark.first_sample for mark in lasting if mark.kind == "hit")
     for mark in sorted(lasting, key=lambda mark: mark.first_sample):
-        end = mark.end + 1
+        end = mark.stop
         if mark.kind == "hit":
             end = min((hit for hit in hits if hit > mark.first_sample), default=recording.samples)
         if end <= start or mark.first_sample >= stop:

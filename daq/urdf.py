@@ -169,7 +169,7 @@ class RobotDescription:
         """
         seconds, rest_ns = divmod(time_ns, 10**9)
         stamp = _field(1, b"\x08" + varint(seconds) + b"\x10" + varint(rest_ns))
-        parts = []
+        parts: list[bytes] = []
         for rest, frames, moved in zip(self._rest, self._frames, displacements, strict=True):
             size = varint(len(stamp) + len(frames) + _HEIGHT.size + len(_UPRIGHT))
             parts += b"\x0a", size, stamp, frames, _HEIGHT.pack(rest + self.exaggeration * moved), _UPRIGHT

@@ -279,7 +279,12 @@ def check(chassis: Chassis, terminal: Terminal) -> None:
         raise _bad(
             terminal,
             f"limits {low:g} to {high:g} {unit} go beyond what the module can do, {-scale:g} to {scale:g} "
-            f"{unit}" + ("" if output else f" ({chassis.input_range:g} V over the sensitivity)"),
+            f"{unit}"
+            + (
+                f" ({scale / terminal.per_volt:g} V over the sensitivity)"
+                if "sensitivity" in settings
+                else ""
+            ),
         )
 
 

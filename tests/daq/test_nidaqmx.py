@@ -193,3 +193,10 @@ def test_given_no_scene_when_a_script_asks_for_ten_volts_then_the_default_bench_
         assert (channels.ai_min, channels.ai_max) == (-10.0, 10.0)
     assert [each.quantity for each in chassis.inputs] == ["acceleration"] * 4
     assert chassis.outputs == 1
+
+
+def test_given_a_constant_of_other_instruments_when_asked_for_then_the_error_names_it():
+    with pytest.raises(nidaqmx.DaqError, match="ThermocoupleType is not supported") as raised:
+        from daq.nidaqmx.constants import ThermocoupleType  # noqa: F401
+    assert raised.value.error_code == -200452
+    assert not hasattr(constants, "no_such_name")

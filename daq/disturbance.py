@@ -79,9 +79,11 @@ class SettlingOffset:
 @unfused
 def _settle(samples: Array, level: float, loss: float, missing: Array) -> None:
     """Fill in the samples one by one, so that they do not depend on where a block ends."""
+    left = missing[0]
     for i in range(samples.size):
-        samples[i] = level - missing[0]
-        missing[0] -= loss * missing[0]
+        samples[i] = level - left
+        left -= loss * left
+    missing[0] = left
 
 
 class Disturbances:
@@ -115,14 +117,14 @@ class Disturbances:
         self.ends = slice(-first % self._oversampling, intervals, self._oversampling)
         if not self._sources or intervals == 0:
             return np.zeros((len(self._sources), intervals))
-        # The sample at which each interval ends, or which it leads up to.
-        sample = -(-np.arange(first, stop) // self._oversampling)
-        count = int(sample[-1]) + 1 - self._drawn
+        count = -(-(stop - 1) // self._oversampling) + 1 - self._drawn
         held = np.empty((len(self._sources), count))
         for row, source in zip(held, self._sources, strict=True):
             row[:] = source.sample(count)
         if self._oversampling > 1:
-            # A sample that began in the last block goes on with what was drawn for it there.
+            # The sample at which each interval ends, or which it leads up to; one that began in the last block
+            # goes on with what was drawn for it there.
+            sample = -(-np.arange(first, stop) // self._oversampling)
             drawn = np.concatenate([self._last, held], axis=1)
             held, self._last = drawn[:, sample - (self._drawn - 1)], drawn[:, -1:]
         self._drawn += count

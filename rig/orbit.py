@@ -13,16 +13,20 @@ from rig.orbit_following import Orbit, solve
 from rig.orbit_plan import Plan, make_plan, plan_from
 from rig.orbit_problem import Problem, Setting
 from rig.scene import Scene
-from rig.steady_state import settle
+from rig.steady_state import LONGEST_REPETITION, settle
 
 Array = NDArray[np.float64]
 
 # Periods that a search follows the motion for before it takes the motion for irregular.
 LONGEST = 4000
-# Periods after which a search tries, so many times, whether Newton's iteration already leads to an orbit near by.
-EARLY, EARLY_TRIALS = 160, 3
+# Periods after which a search tries whether Newton's iteration already leads to an orbit near by, again and again.
+EARLY = (16, 64, 256)
+# Change from period to period, relative to the motion, of one that almost repeats.
+ALMOST = 1e-6
 # Distance to the motion, relative to it, of an orbit that counts as the one it was settling to.
 NEAR = 0.05
+# Periods over which it must come nearer, unless it is this close.
+CONFIRMED, CLOSE = 16, 1e-6
 
 
 def periodic_orbit(scene: Scene, frequency: float, start: Orbit | None = None) -> Orbit:
@@ -67,34 +71,54 @@ def periodic_orbit(scene: Scene, frequency: float, start: Orbit | None = None) -
     return search(problem, setting)
 
 
-def search(problem: Problem, setting: Setting, start: March | None = None) -> Orbit:
-    """Simulate until the motion repeats, and make it exact."""
+def search(problem: Problem, setting: Setting, start: March | None = None, longest: int = LONGEST) -> Orbit:
+    """Simulate until the motion repeats, for at most some `longest` periods, and make it exact."""
     march, steps = start_march(problem, setting) if start is None else (start, period_steps(start, setting))
     march.start_period(1.0)
-    for _ in range(EARLY_TRIALS):
-        _run(march, steps, EARLY)
-        early = _early(problem, setting, march, steps)
-        if early is not None:
-            return early
-    steady = settle(march, steps, 1.0, 1e-7, LONGEST)
-    repetition = steady.repetition or (1 if steady.residual < 1e-6 else 0)
-    if not repetition:
-        raise RunError(
-            f"no periodic motion found at {setting.frequency:.6g} Hz: after {LONGEST} periods the motion "
-            f"still changes by {steady.residual:.1e} of itself from period to period"
-        )
-    return refine(problem, setting, march, steps, repetition)
+    for periods in EARLY:
+        _run(march, steps, periods)
+        found = _near(problem, setting, march, steps, 1)
+        if found is not None:
+            return found
+    steady = settle(march, steps, 1.0, 1e-7, longest)
+    if steady.repetition:
+        return refine(problem, setting, march, steps, steady.repetition)
+    if steady.residual < ALMOST:
+        # It repeats, but its slow decay does not tell after how many periods.
+        for repetition in range(1, LONGEST_REPETITION + 1):
+            found = _near(problem, setting, march, steps, repetition)
+            if found is not None:
+                return found
+    raise RunError(
+        f"no periodic motion found at {setting.frequency:.6g} Hz: after {longest} periods the motion "
+        f"still changes by {steady.residual:.1e} of itself from period to period"
+    )
 
 
-def _early(problem: Problem, setting: Setting, march: March, steps: float) -> Orbit | None:
+def _near(problem: Problem, setting: Setting, march: March, steps: float, repetition: int) -> Orbit | None:
     """Find the stable orbit that a motion is settling to, if Newton's iteration leads to one near by."""
-    before = march.state.z[: problem.system.coordinates].copy()
     try:
-        orbit = refine(problem, setting, march, steps, 1)
+        orbit = refine(problem, setting, march, steps, repetition)
     except RunError:
         return None
-    away = np.abs(orbit.unknowns[: before.size] - before).max()
-    return orbit if orbit.stable and not orbit.flaw and away < NEAR * orbit.peak.max() else None
+    if orbit.flaw or not orbit.stable:
+        return None
+    away = _distance(march, orbit)
+    if away > NEAR:
+        return None
+    # A motion that only passes by, as irregular ones do, moves away again.
+    course = _run(march, steps, CONFIRMED * repetition)
+    struck = np.count_nonzero(course.event_kind) // repetition
+    same = struck == CONFIRMED * np.count_nonzero(orbit.events["kind"] != "separation") // orbit.repetition
+    return orbit if same and _distance(march, orbit) < max(away, CLOSE) else None
+
+
+def _distance(march: March, orbit: Orbit) -> float:
+    """Distance of a march at the start of a period from an orbit, relative to the motion."""
+    nq = march.system.coordinates
+    away = march.state.z[: 2 * nq] - orbit.unknowns[: 2 * nq]
+    away[nq:] /= 2 * np.pi * orbit.frequency
+    return float(np.abs(away).max() / orbit.peak.max())
 
 
 def _run(march: March, steps: float, periods: int) -> Course:

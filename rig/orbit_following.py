@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dgeev
 
 from rig.assembly import spring_force_row
 from rig.contact import CEILING_IMPACT, FLOOR_IMPACT
@@ -13,7 +14,7 @@ from rig.contact import SEPARATION as SEPARATED
 from rig.course import EVENT, KINDS
 from rig.errors import RunError
 from rig.motion_type import overall
-from rig.orbit_motion import Track, follow, rooms
+from rig.orbit_motion import survey
 from rig.orbit_plan import Plan
 from rig.orbit_problem import Parameter, Problem, Setting, vary
 from rig.shaker_settings import ForceShaker
@@ -113,7 +114,7 @@ def solve(problem: Problem, plan: Plan, setting: Setting, unknowns: Array, most:
     equations, change = curve.tables(setting.frequency)
     where = f"no orbit with events [{plan.label}] near {setting.frequency:.6g} Hz"
     try:
-        x, shot, last, count = correct(
+        x, _, shot, last, count = correct(
             equations, change, plan.sequence, unknowns, curve.scale[:-1], curve.rows, most
         )
     except np.linalg.LinAlgError:
@@ -180,7 +181,8 @@ class Following:
         """Room to each border, and the borders' names, as `rig.continuation.trace` takes them."""
         equations, change = self.tables(float(x[-1]))
         shot = shoot(equations, change, self.plan.sequence, x[:-1])
-        return self._track(equations, x[:-1], shot)[1] + ROUNDING, self.borders
+        distances = survey(equations, self.plan.sequence, shot, self._instants(x[:-1]))[2]
+        return distances + ROUNDING, self.borders
 
     def multipliers(self, x: Array) -> NDArray[np.complex128]:
         """Floquet multipliers at a solution."""
@@ -188,28 +190,20 @@ class Following:
 
     def _multipliers(self, shot: Shot) -> NDArray[np.complex128]:
         period_map = monodromy(shot, len(self.plan.sequence.kind), self.scale[:-1], self.rows)
-        return np.asarray(np.linalg.eigvals(period_map), dtype=np.complex128)
+        real, imaginary, *_ = dgeev(period_map, compute_vl=0, compute_vr=0)
+        return np.asarray(real + 1j * imaginary, dtype=np.complex128)
 
-    def _track(self, equations: Equations, unknowns: Array, shot: Shot) -> tuple[Track, Array]:
-        """Follow the motion between the events, and measure its room to each border."""
-        sequence = self.plan.sequence
-        instants = unknowns[len(unknowns) - len(sequence.kind) :]
-        track = follow(equations, sequence, instants, shot.states)
-        return track, rooms(equations, sequence, track, instants, shot.closing).ravel()
-
-    def slope(self, shot: Shot) -> Array:
-        """Return the derivative of the unknowns with respect to the parameter."""
-        rows = shot.jacobian / self.rows[:, None]
-        return np.asarray(-np.linalg.solve(rows[:, :-1] * self.scale[:-1], rows[:, -1]) * self.scale[:-1])
+    def _instants(self, unknowns: Array) -> Array:
+        return unknowns[len(unknowns) - len(self.plan.sequence.kind) :]
 
     def describe(self, setting: Setting, unknowns: Array, equations: Equations, shot: Shot) -> Orbit:
         """Describe the orbit that a shot has met."""
         problem, plan = self.problem, self.plan
-        track, distances = self._track(equations, unknowns, shot)
+        instants = self._instants(unknowns)
+        reach, integral, distances = survey(equations, plan.sequence, shot, instants)
         nearest = int(distances.argmin())
-        instants = unknowns[len(unknowns) - len(plan.sequence.kind) :]
         bodies = problem.scene.structure.bodies
-        harmonic = 2 / equations.period * track.harmonic
+        harmonic = 2 / equations.period * integral
         if isinstance(problem.scene.shaker, ForceShaker):
             force = -1j * setting.force
         else:
@@ -221,7 +215,7 @@ class Following:
             motion_type=overall(list(self.types)),
             damper_motion=self.types,
             compliance=harmonic[:bodies] / force,
-            peak=0.5 * (track.reach[:bodies, 1] - track.reach[:bodies, 0]),
+            peak=0.5 * (reach[:bodies, 1] - reach[:bodies, 0]),
             multipliers=self._multipliers(shot),
             room=float(distances[nearest]),
             border=self.borders[nearest] if distances[nearest] < 1 else "",

@@ -23,6 +23,7 @@ from rig.shooting import (
     Array,
     Equations,
     Sequence,
+    Shot,
     exponential,
 )
 
@@ -272,3 +273,12 @@ def rooms(equations: Equations, sequence: Sequence, track: Track, instants: Arra
             if sequence.kind[landing] == (CEILING if ceiling else FLOOR):
                 found[FLIGHT_ENDS, j] = min(found[FLIGHT_ENDS, j], length - SHORTEST_FLIGHT)
     return found
+
+
+@njit(cache=True)
+def survey(
+    equations: Equations, sequence: Sequence, shot: Shot, instants: Array
+) -> tuple[Array, NDArray[np.complex128], Array]:
+    """Follow an orbit that a shot has met; its `reach` and `harmonic` as in `Track`, and its `rooms`, made flat."""
+    track = follow(equations, sequence, instants, shot.states)
+    return track.reach, track.harmonic, rooms(equations, sequence, track, instants, shot.closing).ravel()

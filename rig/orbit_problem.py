@@ -187,12 +187,14 @@ class Problem:
     def _configurations(self, configurations: tuple[int, ...], mass_ratio: float) -> _Linear:
         """Equations of some configurations (bit j set: damper j rides), one after the other."""
         key = (configurations, mass_ratio)
-        if key not in self._linear:
+        if key not in self._linear and len(configurations) == 1:
+            self._linear[key] = self._configuration(configurations[0], mass_ratio)
+        elif key not in self._linear:
             # A mass ratio that is followed takes a new value at every step: keep but the last few.
             if len(self._linear) > KEPT:
                 self._linear.clear()
-            each = [self._configuration(configuration, mass_ratio) for configuration in configurations]
-            self._linear[key] = _Linear(*(np.array(parts) for parts in zip(*each, strict=True)))
+            each = [self._configurations((one,), mass_ratio) for one in configurations]
+            self._linear[key] = _Linear(*(np.concatenate(parts) for parts in zip(*each, strict=True)))
         return self._linear[key]
 
     def _configuration(self, configuration: int, mass_ratio: float) -> _Linear:
@@ -218,15 +220,8 @@ class Problem:
         inflow_change[nq : 2 * nq, :-1] = inverse_change @ system.force_drive
         inflow_change[nq : 2 * nq, -1] = inverse_change @ constant + inverse @ weight
         rate = np.array(float(np.linalg.norm(matrix_balance(matrix, permute=False)[0], 1)))
-        return _Linear(
-            matrix,
-            inflow,
-            inverse,
-            rate,
-            matrix_change,
-            inflow_change,
-            inverse_change,
-        )
+        parts = (matrix, inflow, inverse, rate, matrix_change, inflow_change, inverse_change)
+        return _Linear(*(part[None] for part in parts))
 
     def setting(self, frequency: float) -> Setting:
         """Return the scene's own setting at a frequency."""

@@ -325,7 +325,7 @@ def correct(
     scale: Array,
     rows: Array,
     most: int,
-) -> tuple[Array, Shot, float, int]:
+) -> tuple[Array, Array, Shot, float, int]:
     """Solve the equations of an orbit by Newton's iteration, the parameter fixed.
 
     Parameters
@@ -340,6 +340,8 @@ def correct(
     Returns
     -------
     unknowns : ndarray
+    slope : ndarray
+        Their derivative with respect to the parameter.
     shot : Shot
         There.
     last : float
@@ -347,28 +349,29 @@ def correct(
     corrections : int
         How many were made; -1 if they did not settle.
     """
-    x, last = unknowns.copy(), np.inf
+    x, slope, last = unknowns.copy(), np.zeros(unknowns.size), np.inf
     shot = shoot(equations, change, sequence, x)
     for iteration in range(most):
         system = shot.jacobian[:, : x.size].copy()
-        right = np.empty(x.size)
+        right = np.empty((x.size, 2))
         for i in range(x.size):
-            right[i] = -shot.residual[i] / rows[i]
+            right[i, 0], right[i, 1] = -shot.residual[i] / rows[i], -shot.jacobian[i, x.size] / rows[i]
             for j in range(x.size):
                 system[i, j] *= scale[j] / rows[i]
         if not (np.isfinite(system).all() and np.isfinite(right).all()):
-            return x, shot, last, -1
-        move = np.linalg.solve(system, right)
+            return x, slope, shot, last, -1
+        solved = np.linalg.solve(system, right)
+        move, slope = solved[:, 0], solved[:, 1] * scale
         size = np.abs(move).max()
         if size < SETTLED or (size < 1e-9 and size > 0.3 * last):
-            return x, shot, size, iteration
+            return x, slope, shot, size, iteration
         # An iteration that runs away is stopped before its instants leave all bounds.
         if not size < 1e3 * min(1.0, max(last, 1e-3)):
-            return x, shot, size, -1
+            return x, slope, shot, size, -1
         x += move * scale
         last = size
         shot = shoot(equations, change, sequence, x)
-    return x, shot, last, -1
+    return x, slope, shot, last, -1
 
 
 @njit(cache=True)

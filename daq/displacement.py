@@ -37,7 +37,7 @@ class DisplacementEstimate:
 
     def run(self, samples: NDArray[np.float64]) -> NDArray[np.float64]:
         """Give the displacement at the next samples, metres for SI input."""
-        if self._sections is None:
+        if self._sections is None or not samples.size:
             return samples
         from scipy.signal import sosfilt
 

@@ -230,6 +230,9 @@ class Run:
     def _write(self, samples: NDArray[Any], first: int) -> None:
         """Write samples, except those that are lost on the way to the recording."""
         assert self._recorder is not None
+        if not samples.size:
+            # At a low rate a whole stretch may be shorter than the filter's delay that is taken out.
+            return
         kept = np.ones(samples.shape[1], dtype=bool)
         for begin, end in self.bench.lost:
             kept[max(0, begin - first) : max(0, end + 1 - first)] = False

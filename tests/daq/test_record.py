@@ -50,6 +50,16 @@ def test_given_a_scene_when_recorded_with_another_block_size_then_the_bytes_are_
     assert files[0] == files[1] == files[2]
 
 
+def test_given_a_filter_delay_longer_than_a_stretch_when_recorded_then_the_first_sample_is_number_zero(
+    tmp_path: Path,
+) -> None:
+    scene = hit(converter={"rate": "250 Hz", "filter": "delta_sigma", "remove_delay": True})
+    scene = scene.replace(test=scene.test.replace(width=0.02))
+    with daq.open(daq.record(scene, tmp_path / "slow.mcap")) as recording:
+        assert recording.samples > 0 and not recording.gaps
+        assert np.isfinite(recording.read("body1")).all()
+
+
 def test_given_another_seed_when_recorded_then_the_noise_is_another(tmp_path: Path) -> None:
     one, two = (daq.record(hit(seed=seed), tmp_path / f"{seed}.mcap") for seed in (1, 2))
     with daq.open(one) as first, daq.open(two) as second:

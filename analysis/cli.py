@@ -133,6 +133,38 @@ def export(
 
 
 @app.command()
+def cost(
+    scene: Annotated[
+        str,
+        typer.Argument(
+            metavar="SCENE", help="A bundled scene (see: rig scenes) or the path of a scene file."
+        ),
+    ],
+    frequency: Annotated[
+        list[float] | None,
+        typer.Option(
+            metavar="HZ", help="Measure here; may be repeated; default the test's ends and hardest."
+        ),
+    ] = None,
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", metavar="DIR", help="Where to write the figure and the table."),
+    ] = Path(),
+) -> None:
+    """Measure what the measurement chain costs: error of the compliance against time, one effect at a time."""
+    from analysis.chain_cost import chain_study
+    from analysis.chain_cost_figure import table, write
+    from rig.scene_file import load
+
+    with _progress("recording and analysing") as progress:
+        study = chain_study(load(scene), frequency, progress)
+    files = write(study, output)
+    print(table(study))
+    for path in files:
+        print(f"wrote {path}")
+
+
+@app.command()
 def paper(
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="DIR", help="Where data, figures and the page go.")
@@ -155,7 +187,7 @@ def _show(result: Result) -> None:
 
 
 @contextmanager
-def _progress() -> Iterator[Callable[[int, int], None]]:
+def _progress(title: str = "analysing") -> Iterator[Callable[[int, int], None]]:
     """Draw a bar on the terminal, if there is one, for work that takes more than a moment."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -163,7 +195,7 @@ def _progress() -> Iterator[Callable[[int, int], None]]:
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("analysing")
+        task = bar.add_task(title)
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
-from typing import IO, TYPE_CHECKING, Any, Self, cast
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 # What packs best for its time: nothing shrinks float64 samples by more than a tenth, and what does not shrink
 # lz4 unpacks eight times as fast as zstd; counts shrink by a fifth under zstd.
-COMPRESSION = {"float64": "LZ4", "float32": "ZSTD", "counts": "ZSTD"}
+COMPRESSION = {"float64": "lz4", "float32": "zstd", "counts": "zstd"}
 # Groups of samples that wait for the truth beside them before something must be wrong.
 AHEAD = 16
 # Room kept on the disk for the end of the file, whose index grows with every chunk, and for the display.
@@ -75,8 +75,6 @@ class Recorder:
         start_ns: int = 0,
         overwrite: bool = False,
     ) -> None:
-        from mcap.writer import CompressionType, Writer
-
         self.path = Path(path)
         self.channels = tuple(channels)
         self.clock = Clock(rate, start_ns)
@@ -91,10 +89,6 @@ class Recorder:
         self._full = False
         self._schemas: dict[str, int] = {}
         self._disk = Disk(self.path, overwrite)
-        # A chunk ends where it is flushed and nowhere else.
-        stream = cast(IO[bytes], self._disk)
-        compression = CompressionType[COMPRESSION[self._stored]]
-        self._writer = Writer(stream, chunk_size=2**62, compression=compression)
         with self._disk.removed_on_failure():
             self._begin()
 
@@ -207,7 +201,9 @@ class Recorder:
 
     def _begin(self) -> None:
         """Write what a reader needs before any sample; damage further on cannot orphan the samples then."""
-        self._writer.start(profile="", library=f"shotrig {version('shotrig')}")
+        from daq.chunked_file import ChunkedFile
+
+        self._file = ChunkedFile(self._disk, f"shotrig {version('shotrig')}", COMPRESSION[self._stored])
         self._markers = self._register(layout.MARKERS, MARKER_SCHEMA, {})
         common = {"stored": self._stored, "start_ns": str(self.clock.start_ns), "layout": layout.VERSION}
         schema = block_schema(SCHEMAS[self._stored][0])
@@ -253,17 +249,17 @@ class Recorder:
         run = {"scene": scene.name, "seed": str(scene.seed), "test": test, "layout": layout.VERSION}
         records["run"] = run | {"shotrig": version("shotrig")}
         for name, fields in records.items():
-            self._writer.add_metadata(name, layout.checked(fields))
+            self._file.add_metadata(name, layout.checked(fields))
         text = scene.to_yaml().encode()
-        self._writer.add_attachment(int(start), int(start), layout.SCENE_FILE, "application/yaml", text)
+        self._file.add_attachment(int(start), int(start), layout.SCENE_FILE, "application/yaml", text)
 
     def _register(self, topic: str, schema: Schema, metadata: Mapping[str, str]) -> int:
         """Announce a topic and give the number of its channel in the file."""
         number = self._schemas.get(schema.name)
         if number is None:
-            number = int(self._writer.register_schema(schema.name, schema.encoding, schema.data))
+            number = self._file.add_schema(schema.name, schema.encoding, schema.data)
             self._schemas[schema.name] = number
-        return int(self._writer.register_channel(topic, schema.message_encoding, number, dict(metadata)))
+        return self._file.add_channel(topic, schema.message_encoding, number, metadata)
 
     def _end(self, status: str, reason: str) -> None:
         if not self._full:
@@ -278,8 +274,8 @@ class Recorder:
                 self._send(self._display.finish())
         self._write_markers(None)
         outcome = {"status": status, "reason": reason, "samples": str(self._written)}
-        self._writer.add_metadata("outcome", layout.checked(outcome | {"markers": str(self._marked)}))
-        self._writer.finish()
+        self._file.add_metadata("outcome", layout.checked(outcome | {"markers": str(self._marked)}))
+        self._file.finish()
         self._disk.commit()
 
     # -- its middle: group after group -------------------------------------------------------------------
@@ -351,10 +347,7 @@ class Recorder:
 
     def _send(self, messages: Iterable[Message]) -> None:
         """Write messages as a chunk of their own, so that readers of other topics need not decode them."""
-        for channel, log_time, publish_time, data, sequence in messages:
-            self._writer.add_message(channel, log_time, data, publish_time, sequence)
-        self._writer.flush()
-        self._chunks += 1
+        self._chunks += self._file.add_chunk(messages)
 
 
 def stored_as(scene: Scene, channels: Sequence[ChannelInfo]) -> str:

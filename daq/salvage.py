@@ -8,14 +8,14 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from daq import layout
 from daq.block import SAMPLE_TYPE, decode
 from daq.chunk import Damage, Stored, messages_in, records_in
 from daq.container import Container
 from daq.disk import Disk
-from daq.layout import Clock
+from daq.layout import Clock, Message
 from daq.marker import Marker
 from daq.summary import CHANNEL, SCHEMA, parse
 from daq.wreck import Intact, Ruin, Wreck
@@ -23,7 +23,6 @@ from rig.errors import RecordingError
 
 if TYPE_CHECKING:
     from mcap.records import Attachment, Channel, Metadata, Schema
-    from mcap.writer import Writer
 
 Span = tuple[int, int]
 
@@ -106,8 +105,6 @@ def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Sal
     RunError
         If the disk is full.
     """
-    from mcap.writer import CompressionType, Writer
-
     source, target = Path(path), Path(fixed)
     if source.exists() and target.exists() and source.samefile(target):
         raise RecordingError(f"{source} cannot be recovered into itself; name another file")
@@ -116,9 +113,7 @@ def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Sal
         registry = _Registry.of(source, wreck)
         disk = Disk(target, overwrite)
         with disk.removed_on_failure():
-            stream = cast(IO[bytes], disk)
-            writer = Writer(stream, chunk_size=2**62, compression=CompressionType.ZSTD)
-            salvage = _Salvage(source, target, registry, writer, disk).run(wreck)
+            salvage = _Salvage(source, target, registry, disk).run(wreck)
         disk.close()
     return salvage
 
@@ -163,9 +158,12 @@ class _Registry:
 class _Salvage:
     """One salvage: parts of the wreck come in, the whole recording goes out."""
 
-    def __init__(self, source: Path, target: Path, registry: _Registry, writer: Writer, disk: Disk) -> None:
+    def __init__(self, source: Path, target: Path, registry: _Registry, disk: Disk) -> None:
+        from daq.chunked_file import ChunkedFile
+
         self._source, self._target, self._registry = source, target, registry
-        self._writer, self._disk = writer, disk
+        self._disk = disk
+        self._file = ChunkedFile(disk, f"shotrig {version('shotrig')}", "zstd")
         self._numbers: dict[int, int] = {}
         self._spans: dict[int, list[Span]] = {}
         self._seen: dict[int, int] = defaultdict(int)
@@ -179,7 +177,6 @@ class _Salvage:
 
     def run(self, wreck: Wreck) -> Salvage:
         """Write the whole recording."""
-        self._writer.start(profile="", library=f"shotrig {version('shotrig')}")
         self._announce()
         for part in wreck.parts():
             if isinstance(part, Ruin):
@@ -201,12 +198,12 @@ class _Salvage:
     def _announce(self) -> None:
         schemas: dict[int, int] = {0: 0}
         for number, schema in sorted(self._registry.schemas.items()):
-            schemas[number] = self._writer.register_schema(schema.name, schema.encoding, schema.data)
+            schemas[number] = self._file.add_schema(schema.name, schema.encoding, schema.data)
         for number, channel in sorted(self._registry.channels.items()):
             if channel.schema_id not in schemas:
                 self._notes.append(f"{channel.topic} has no schema")
                 continue
-            self._numbers[number] = self._writer.register_channel(
+            self._numbers[number] = self._file.add_channel(
                 channel.topic, channel.message_encoding, schemas[channel.schema_id], channel.metadata
             )
             if self._schema(number) in SAMPLE_TYPE:
@@ -219,24 +216,20 @@ class _Salvage:
     def _chunk(self, records: memoryview) -> None:
         """Copy the messages of a chunk into a chunk of their own."""
         try:
-            messages = list(messages_in(records))
+            stored = list(messages_in(records))
         except Damage as damage:
             self._notes.append(f"a chunk with a right checksum was written wrongly: {damage}")
             return
-        for message in messages:
+        sound = []
+        for message in stored:
             if message.channel not in self._numbers:
                 self._orphans += 1
             elif self._is_sound(message):
-                self._writer.add_message(
-                    self._numbers[message.channel],
-                    message.log_time,
-                    bytes(message.data),
-                    message.publish_time,
-                    message.sequence,
-                )
+                number, times = self._numbers[message.channel], (message.log_time, message.publish_time)
+                sound.append(Message(number, *times, bytes(message.data), message.sequence))
                 self._seen[message.channel] += 1
                 self._beyond[message.channel] = max(self._beyond[message.channel], message.sequence + 1)
-        self._writer.flush()
+        self._file.add_chunk(sound)
 
     def _is_sound(self, message: Stored) -> bool:
         """Note which samples a message brings; say whether it can be read at all."""
@@ -264,11 +257,11 @@ class _Salvage:
         if isinstance(record, Attachment):
             self._has_scene |= record.name == layout.SCENE_FILE
             times = record.create_time, record.log_time
-            self._writer.add_attachment(*times, record.name, record.media_type, record.data)
+            self._file.add_attachment(*times, record.name, record.media_type, record.data)
             return
         self._metadata[record.name] = record.metadata
         if record.name != "outcome":
-            self._writer.add_metadata(record.name, record.metadata)
+            self._file.add_metadata(record.name, record.metadata)
 
     # -- what was lost -----------------------------------------------------------------------------------
 
@@ -319,13 +312,14 @@ class _Salvage:
                 at[span].append(topic.removeprefix(layout.RAW))
         assert self._clock is not None
         if layout.MARKERS in numbers:
+            lost = []
             for (first, stop), names in sorted(at.items()):
                 marker = Marker(
                     "lost", first, stop - 1, {"channels": names, "reason": "lost with the damaged file"}
                 )
                 times = self._clock.time_ns(stop - 1), self._clock.time_ns(first)
-                self._writer.add_message(numbers[layout.MARKERS], times[0], marker.to_json(), times[1])
-            self._writer.flush()
+                lost.append(Message(numbers[layout.MARKERS], *times, marker.to_json(), 0))
+            self._file.add_chunk(lost)
         outcome = self._metadata.get("outcome")
         if outcome is None or not salvage.whole:
             before = (
@@ -338,8 +332,8 @@ class _Salvage:
                 "samples": samples,
             }
             outcome = layout.checked({**before, **told, "report": json.dumps(list(salvage.report()))})
-        self._writer.add_metadata("outcome", outcome)
-        self._writer.finish()
+        self._file.add_metadata("outcome", outcome)
+        self._file.finish()
         self._disk.commit()
 
 

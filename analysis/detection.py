@@ -2,39 +2,42 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.frf import MOTIONS
+from analysis.jump_signature import SHIFT, Signature, signature
 from analysis.measurands import named
 from analysis.spans import spans
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
-    from daq.channel import ChannelInfo
     from daq.recording import Recording
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
-# Samples on either side from which the velocity is extrapolated to the jump, per 5 kHz of sample rate.
-_SIDE_PER_HZ = 1e-3
-_FEWEST_SIDE = 5
-# A jump counts when it exceeds the noise of its estimate by this factor: one false alarm in some 1e9
-# samples of Gaussian noise, and room for what is not Gaussian.
+# A jump counts when it exceeds the standard deviation of its estimate by this factor: one false alarm in
+# some 1e9 samples of Gaussian noise. One larger by so much more is found for certain, as noise may take off
+# three standard deviations.
 SIGMAS = 6.0
-# Of a large jump so much may be left after it was taken out; jumps smaller than that are not told from it.
+_CERTAINTY = 3.0
+# What is left of a jump after it was taken out; smaller ones in its ringing are not told from that.
 _LEFT_OVER = 0.05
-# With its velocity a body's acceleration jumps too; that kink reads as a small jump a few samples off the
-# large one.
-_SHADOW = 0.25
-_PASSES = 12
-_EDGE_SIDES = 8
-# After a blow, a sensor's resonance is waited for during so many of its decay times; read at a random
-# phase, it shows at least this part of its amplitude nine times out of ten.
-_HOLD = 8.0
-_RANDOM_PHASE = 0.15
+# An impact on a neighbour kinks the acceleration of a body, and the kink is bent a little; the bend passes for
+# a jump of at most this part of the velocity that the kink brings about in a sample.
+_BEND = 1.0
+_PASSES = 4
+# Noise is taken to be the same over so many windows.
+_STEADY = 8
+# Orders of the polynomial the acceleration follows around a jump: the one that leaves less is taken.
+_CURVATURES = (2, 4)
+_CLEARLY = 0.7
 
 
 @dataclass(frozen=True)
@@ -49,38 +52,44 @@ class Impacts:
         s after sample 0.
     jump : ndarray, shape (n,)
         Velocity jump of the body, m/s: down (negative) from a blow on the floor, up from one on the
-        ceiling. NaN where the sensor rings above half the sample rate and only the time can be told.
-    threshold : float
-        Smallest jump told from noise, m/s: `SIGMAS` standard deviations of the estimate, or 1 % of the
-        largest.
+        ceiling.
     noise : float
-        That standard deviation, m/s.
+        Standard deviation of a jump's estimate where there is none, m/s: from the channel's noise, as found
+        between the impacts, through the filter that looks for jumps. Where the noise varies, its 95th
+        percentile.
+    resolution : float
+        Impacts nearer to each other than this are seen as one, the largest, s.
     searched : float
-        Length of the stretch searched, s.
+        Length of what was searched, s: the stretch without its ends, lost samples and overloads.
     """
 
     channel: str
     time: Array
     jump: Array
-    threshold: float
     noise: float
+    resolution: float
     searched: float
 
     @property
+    def threshold(self) -> float:
+        """Smallest jump that is not missed, m/s: the noise taken `SIGMAS` + 3 times."""
+        return (SIGMAS + _CERTAINTY) * self.noise
+
+    @property
     def kind(self) -> NDArray[np.str_]:
-        """``"floor"`` or ``"ceiling"``, from the direction of the jump; ``"unknown"`` without one."""
-        known = np.where(self.jump < 0, "floor", "ceiling")
-        return np.where(np.isnan(self.jump), "unknown", known)
+        """``"floor"`` or ``"ceiling"``, from the direction of the jump."""
+        return np.where(self.jump < 0, "floor", "ceiling")
 
 
 def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = None) -> Impacts:
     """Find impacts in a stretch of one channel.
 
-    The velocity is extrapolated by straight lines from a millisecond before and a millisecond after each
-    sample; the difference at the sample is its jump (curvature cancels between the two sides). The
-    velocity at the jump's own sample, between those before and after, tells where inside the sample the
-    jump was. Jumps are taken out, largest of each neighbourhood first, so that they do not hide each
-    other; then the smooth rest is taken off too, and what is left is the noise.
+    How the channel reads a jump of velocity at any instant follows from its data sheet: sensor resonance,
+    integrator, averaging and decimation included. At every sample that reading, together with a step and
+    a kink of the acceleration (both come with an impact, on the body itself and on its neighbours) and a
+    smooth motion, is fitted to the samples around by least squares. Where a jump explains them best and
+    exceeds `SIGMAS` standard deviations, it is an impact. It is then taken out and the search repeated for
+    smaller ones.
 
     Parameters
     ----------
@@ -96,162 +105,204 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
     Impacts
     """
     info = named(rec, channel)
-    stop = rec.samples if stop is None else min(stop, rec.samples)
-    side = max(_FEWEST_SIDE, round(_SIDE_PER_HZ * rec.rate))
-    if stop - start < 20 * side:
+    if info.quantity not in MOTIONS:
         raise RecordingError(
-            f"{stop - start} samples are too few to tell impacts from noise: take at least {20 * side}"
+            f"channel {info.name!r} measures {info.quantity}: impacts show in motion channels only"
+        )
+    stop = rec.samples if stop is None else min(stop, rec.samples)
+    choices = [_signature(json.dumps(info.to_metadata()), order) for order in _CURVATURES]
+    least = 4 * max(one.reach for one in choices)
+    if stop - start < least:
+        raise RecordingError(
+            f"{stop - start} samples are too few to tell impacts from noise: take at least {least}"
         )
     samples = next(spans(rec, [info.name], [(start, stop)]))[0]
-    velocity, offset = _velocity(info, samples)
-    position, jumps, after, noise, threshold = _jumps(velocity, side, np.isfinite(velocity))
-    time = (start + position + offset - after) / rec.rate - _delay(info)
-    searched = (samples.size - 2 * _EDGE_SIDES * side) / rec.rate
-    ringing = _ringing(info)
-    if ringing is None:
-        return Impacts(info.name, time, jumps, threshold, noise, searched)
-    decay, gain = ringing
-    largest = _largest_of_groups(time, jumps, _HOLD * decay)
-    if info.average:
-        return Impacts(info.name, time[largest], jumps[largest], threshold, noise, searched)
-    unknown = np.full(largest.size, np.nan)
-    return Impacts(info.name, time[largest], unknown, threshold / gain, noise / gain, searched)
-
-
-def _velocity(info: ChannelInfo, samples: Array) -> tuple[Array, float]:
-    """Velocity whose value n is that of an interval; and the end of interval n, in samples."""
-    if info.quantity == "displacement":
-        return np.diff(samples) * info.rate, 1.0
-    if info.quantity == "velocity":
-        return samples, 0.5
-    if info.quantity == "acceleration":
-        filled = np.where(np.isfinite(samples), samples, 0.0)
-        return np.where(np.isfinite(samples), np.cumsum(filled - np.mean(filled)) / info.rate, np.nan), 0.5
-    raise RecordingError(
-        f"channel {info.name!r} measures {info.quantity}: impacts show in motion channels only"
+    good = np.isfinite(samples)
+    for marker in rec.overloads:
+        if marker.fields.get("channel") == info.name:
+            # What follows is ringing whose beginning is not known.
+            good[max(marker.first_sample - start, 0) : max(marker.end + 1 + choices[0].ring - start, 0)] = (
+                False
+            )
+    if np.sum(good) < least:
+        raise RecordingError(
+            f"all but {np.sum(good)} samples of {info.name} in this stretch are lost or overloaded: choose "
+            "another stretch, or record with a lower level or a larger converter range"
+        )
+    scale = float(abs(samples[good]).max())
+    # Rounding in the converter is noise too, even where a steady reading hides it.
+    floor = max(0.0 if info.volts_per_count is None else info.unit_per_count / 12.0**0.5, 1e-14 * scale)
+    searches = [_Search(one, samples, good, floor, rec.rate) for one in choices]
+    if not all(search.open.any() for search in searches):
+        raise RecordingError(
+            f"lost or overloaded samples leave no {least} samples of {info.name} together: choose another "
+            "stretch, or record with a lower level or a larger converter range"
+        )
+    quiet = [search.signature.gain * float(np.median(search.noise()[2])) for search in searches]
+    search = searches[0] if quiet[0] * _CLEARLY <= quiet[1] else searches[1]
+    place, jump = search.run()
+    noise = float(np.percentile(search.noise()[2], 95.0)) * search.signature.gain
+    clear = abs(jump) > SIGMAS * noise
+    return Impacts(
+        info.name,
+        (start + place[clear]) / rec.rate - info.delay,
+        jump[clear],
+        noise,
+        search.signature.reach / rec.rate,
+        float(search.open.sum()) / rec.rate,
     )
 
 
-def _delay(info: ChannelInfo) -> float:
-    """Delay of the chain at low frequencies, beyond the averaging that the velocity accounts for."""
-    frequency = 0.05 * info.rate
-    phase = np.angle(info.response(np.array([frequency, 2.0 * frequency])))
-    total = -np.diff(np.unwrap(phase))[0] / (2 * np.pi * frequency)
-    return float(total)
+@lru_cache(maxsize=16)
+def _signature(metadata: str, curvature: int) -> Signature:
+    from daq.channel import ChannelInfo
+
+    return signature(ChannelInfo.from_metadata(json.loads(metadata)), curvature)
 
 
-def _ringing(info: ChannelInfo) -> tuple[float, float] | None:
-    """Find the decay time in s of a resonance above half the sample rate, and what a unit jump reads, if any.
+@dataclass
+class _Jump:
+    """A jump, or a mere kink, fitted: sample, instant, sizes (jump, step, kink), and how much it explains."""
 
-    After a blow such a sensor rings on over several samples. Averaged, the readings still add up to the jump;
-    taken at instants, they catch the ringing at random phases: the blow shows, but its size is lost.
-    """
-    fast = [pole for pole in info.poles if pole.imag > np.pi * info.rate]
-    if info.quantity != "acceleration" or not fast:
-        return None
-    pole = max(fast, key=lambda pole: pole.real)
-    return -1.0 / pole.real, _RANDOM_PHASE * abs(pole) / info.rate
+    place: int
+    instant: float
+    sizes: Array
+    explains: float
+    significant: bool
 
 
-def _largest_of_groups(time: Array, jump: Array, hold: float) -> NDArray[np.int64]:
-    """Index of the largest jump in each group of times less than `hold` after the group's first."""
-    out: list[int] = []
-    first = -np.inf
-    for index, value in enumerate(time):
-        if value - first > hold:
-            out.append(index)
-            first = value
-        elif abs(jump[index]) > abs(jump[out[-1]]):
-            out[-1] = index
-    return np.array(out, dtype=np.int64)
+class _Search:
+    """Search of one stretch: what is left of its differences, and what was taken out."""
 
+    def __init__(
+        self, of: Signature, samples: Array, good: NDArray[np.bool_], floor: float, rate: float
+    ) -> None:
+        self.signature, self.floor, self.rate = of, floor, rate
+        filled = np.interp(np.arange(samples.size), np.flatnonzero(good), samples[good])
+        self.rest = np.diff(filled, of.difference)
+        # Position i of a window's first difference, of its sample 0, and of the sample itself.
+        self.zero = of.difference - of.window_start
+        self.open = np.convolve(~good, np.ones(of.reach), mode="full")[of.reach - 1 :] == 0
+        self.open = self.open[: self.rest.size - of.window + 1]
+        self.found: list[_Jump] = []
 
-def _kernel(side: int) -> Array:
-    """Weights that turn velocities around a sample into the jump there; the sample itself has none."""
-    t = np.arange(1, side + 1, dtype=float)
-    fit = np.linalg.pinv(np.stack([np.ones(side), t], axis=1))[0]
-    return np.concatenate([-fit[::-1], [0.0], fit])
+    def run(self) -> tuple[Array, Array]:
+        """Places in samples, and sizes in m/s."""
+        from scipy.ndimage import maximum_filter1d
 
-
-def _jumps(
-    velocity: Array, side: int, good: NDArray[np.bool_]
-) -> tuple[NDArray[np.int64], Array, Array, float, float]:
-    """Find samples with a jump, its size, the part of its interval after it; and noise and threshold."""
-    from scipy.signal import savgol_filter
-
-    kernel = _kernel(side)
-    filled = np.where(good, velocity, 0.0)
-    usable = np.convolve(~good, np.ones(2 * side + 1), mode="same") == 0
-    # At the ends the smooth part is extrapolated, and no smaller than what is looked for.
-    usable[: _EDGE_SIDES * side] = usable[-_EDGE_SIDES * side :] = False
-    steps = np.zeros(filled.size + 1)
-    size, after = np.zeros(filled.size), np.zeros(filled.size)
-    noise = threshold = 0.0
-    for number in range(_PASSES):
-        smooth = filled - np.cumsum(steps)[:-1]
-        # Without the jumps the velocity is smooth: taking its smooth part off leaves the noise to compare
-        # with.
-        rest = smooth - savgol_filter(smooth, 16 * side + 1, 5) if number else smooth
-        estimate = np.where(usable, np.correlate(rest, kernel, mode="same"), 0.0)
-        noise = float(1.4826 * np.median(abs(estimate[usable]))) if usable.any() else 0.0
-        threshold = max(SIGMAS * noise, _LEFT_OVER * max(abs(size).max(), abs(estimate).max()), 1e-12)
-        peaks = _peaks(abs(estimate), threshold, side)
-        if not peaks.size:
-            if number:
+        of = self.signature
+        for _ in range(_PASSES):
+            strength, noise = self.scan()
+            taken = np.zeros(strength.size)
+            for one in self.found:
+                at = min(max(one.place - self.zero, 0), strength.size - 1)
+                taken[at] = max(taken[at], one.explains)
+            near = maximum_filter1d(taken, 2 * of.reach + 1) > 0
+            rings = maximum_filter1d(taken, 2 * (of.reach + of.ring) + 1)
+            free = np.where(near | ~self.open, 0.0, strength)
+            peaks = (free >= maximum_filter1d(free, 2 * of.reach + 1)) & (free > SIGMAS**2)
+            peaks &= free > _LEFT_OVER**2 * rings
+            where = np.flatnonzero(peaks)
+            if not where.size:
                 break
-            continue
-        jump = estimate[peaks]
-        part = _after(rest, peaks, jump, side)
-        both = size[peaks] + jump
-        shared = np.where(abs(both) > 1e-12, (size[peaks] * after[peaks] + jump * part) / both, 0.0)
-        size[peaks], after[peaks] = both, np.clip(shared, 0.0, 1.0)
-        steps[:-1] = size * after
-        steps[1:] += size * (1.0 - after)
-    place, jump, part = _merged(size, after, threshold)
-    own = _own(place, jump, 2 * side)
-    return place[own], jump[own], part[own], noise, threshold
+            for first in where[np.argsort(-strength[where], kind="stable")]:
+                one = self.fitted(int(first), float(noise[2, first]))
+                self.take_out(one)
+                self.found.append(one)
+        real = sorted((one.place + one.instant, one.sizes[0]) for one in self.found if one.significant)
+        return np.array([at for at, _ in real]), np.array([jump for _, jump in real])
 
+    def coordinates(self, row: int) -> Array:
+        """Kink, step and jump coordinates at every place, shape (3, places), for one instant."""
+        from scipy import signal
 
-def _peaks(size: Array, threshold: float, apart: int) -> NDArray[np.int64]:
-    """Find samples that exceed the threshold and everything within `apart` samples of them."""
-    from scipy.ndimage import maximum_filter1d
+        long = self.rest.size * self.signature.window > 1 << 20
+        how = "fft" if long and self.signature.window > 32 else "direct"
+        return np.stack(
+            [signal.correlate(self.rest, part, "valid", how) for part in self.signature.filters[row]]
+        )
 
-    return np.flatnonzero((size > threshold) & (size >= maximum_filter1d(size, 2 * apart + 1)))
+    def noise(self) -> Array:
+        """Find the standard deviation of the coordinates at every place, shape (3, places), from medians."""
+        from scipy.ndimage import maximum_filter1d
 
+        of = self.signature
+        size = abs(self.coordinates((2 * SHIFT + 1) * of.instants // 2))
+        middle = np.median(size[:, self.open], axis=1)[:, None]
+        parts = np.array_split(
+            np.where(self.open, size, middle), max(1, size.shape[1] // (_STEADY * of.window)), axis=1
+        )
+        medians = np.stack([np.median(part, axis=1) for part in parts], axis=1)
+        steady = np.maximum(maximum_filter1d(medians, 3, axis=1), middle)
+        return np.maximum(1.4826 * np.repeat(steady, [part.shape[1] for part in parts], axis=1), self.floor)
 
-def _merged(size: Array, after: Array, threshold: float) -> tuple[NDArray[np.int64], Array, Array]:
-    """Put together what was taken out of one sample and the next: a jump near their border shows in both."""
-    positions = np.flatnonzero(size)
-    groups = np.split(positions, np.flatnonzero(np.diff(positions) > 2) + 1) if positions.size else []
-    place, jump, part = [], [], []
-    for group in groups:
-        total = float(size[group].sum())
-        if abs(total) <= threshold:
-            continue
-        # Where the jump was, as the centre of its pieces, each `after` before the end of its interval.
-        at = float(np.sum(size[group] * (group - after[group])) / total)
-        at = min(max(at, group[0] - 1.0), float(group[-1]))
-        place.append(int(np.ceil(at)))
-        part.append(float(np.ceil(at) - at))
-        jump.append(total)
-    return np.array(place, dtype=np.int64), np.array(jump), np.array(part)
+    def scan(self) -> tuple[Array, Array]:
+        """Largest squared jump coordinate at every place, in variances, and the noise."""
+        of = self.signature
+        noise = self.noise()
+        best = np.zeros(noise.shape[1])
+        first = SHIFT * of.instants + of.coarse // 2
+        for row in range(first, first + of.instants, of.coarse):
+            np.maximum(best, (self.coordinates(row)[2] / noise[2]) ** 2, out=best)
+        return best, noise
 
+    def fitted(self, first: int, noise: float) -> _Jump:
+        """Best jump near a place, in a window that has it in its middle."""
+        last = self.rest.size - self.signature.window
+        for _ in range(_PASSES):
+            one = self.best(first, noise)
+            middle = min(max(one.place - self.zero, 0), last)
+            if middle == first:
+                break
+            first = middle
+        return one
 
-def _own(place: NDArray[np.int64], jump: Array, reach: int) -> NDArray[np.bool_]:
-    """Tell jumps of their own from shadows of a much larger one near by."""
-    own = np.ones(place.size, dtype=bool)
-    for index in range(place.size):
-        low, high = np.searchsorted(place, [place[index] - reach, place[index] + reach + 1])
-        own[index] = abs(jump[index]) >= _SHADOW * abs(jump[low:high]).max()
-    return own
+    def best(self, first: int, noise: float) -> _Jump:
+        """Best jump in the window that begins at a place: the instant that explains most of it."""
+        of = self.signature
+        window = self.rest[first : first + of.window]
+        rough = of.filters[of.coarse // 2 :: of.coarse] @ window
+        best = int(np.argmax(np.sum(rough**2, axis=1))) * of.coarse + of.coarse // 2
+        low = max(best - of.coarse, 0)
+        near = of.filters[low : best + of.coarse + 1] @ window
+        explains = np.sum(near**2, axis=1) / noise**2
+        best = int(np.argmax(explains))
+        row, toward = low + best, 0.0
+        if 0 < best < explains.size - 1:
+            left, mid, right = explains[best - 1 : best + 2]
+            bend = left - 2.0 * mid + right
+            toward = float(np.clip(0.5 * (left - right) / bend, -0.5, 0.5)) if bend < 0 else 0.0
+        sizes = self.sizes(row, near[best])
+        if toward:
+            side = 1 if toward > 0 else -1
+            sizes = (1.0 - abs(toward)) * sizes + abs(toward) * self.sizes(row + side, near[best + side])
+        instant = (row + toward) / of.instants - SHIFT
+        whole = int(np.floor(instant))
+        return _Jump(
+            first + self.zero + whole,
+            instant - whole + 0.5 / of.instants,
+            sizes,
+            float(explains[best]),
+            bool(
+                abs(near[best, 2]) > SIGMAS * noise and abs(sizes[0]) > _BEND * abs(sizes[2]) / self.rate**2
+            ),
+        )
 
+    def sizes(self, row: int, coordinates: Array) -> Array:
+        """Jump [m/s], step [m/s²] and kink [m/s³] from coordinates."""
+        return np.asarray(np.linalg.solve(self.signature.triangles[row], coordinates)[::-1])
 
-def _after(velocity: Array, position: NDArray[np.int64], jump: Array, side: int) -> Array:
-    """Part of the jump's own interval that was left after the jump, 0 to 1."""
-    t = np.arange(1, side + 1, dtype=float)
-    fit = np.linalg.pinv(np.stack([np.ones(side), t], axis=1))[0]
-    before = velocity[position[:, None] - t.astype(int)] @ fit
-    return np.clip((velocity[position] - before) / jump, 0.0, 1.0)
+    def take_out(self, one: _Jump) -> None:
+        """Subtract a fitted jump, its instant between two of those tabulated."""
+        of = self.signature
+        at = (one.instant * of.instants - 0.5) + SHIFT * of.instants
+        row = int(np.clip(np.floor(at), 0, len(of.shapes) - 2))
+        part = at - row
+        shape = one.sizes @ ((1.0 - part) * of.shapes[row] + part * of.shapes[row + 1])
+        begin = one.place + of.shape_start - of.difference
+        low, high = max(0, -begin), min(shape.size, self.rest.size - begin)
+        if high > low:
+            self.rest[begin + low : begin + high] -= shape[low:high]
 
 
 def score(found: Array, true: Array, tolerance: float) -> tuple[float, NDArray[np.bool_], NDArray[np.bool_]]:

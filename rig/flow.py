@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.complementarity import ROUNDING
 from rig.lanes import padded
 from rig.polynomial import LENGTH
 from rig.system import Drive, System
@@ -42,12 +43,15 @@ DIRECT_UP_TO = 12
 class Flow(NamedTuple):
     """Tables by slot; matrices are stored [column, row] with padded rows.
 
-    propagate: z over a full step. series: (A h)^k / k! for every k, in rows. guard: for each damper the position
-    (flight) or acceleration (riding) of its body, then for each damper the derivative of that with respect to
-    tau. bound: times |z|, bounds the fourth derivative of the same with respect to tau over the step, then the
-    size of the terms that it is the sum of.
-    acceleration: of every coordinate. rates: nonzero elements of A in compressed rows (pointer, column), all that
-    there is if the system is not tabulated. neighbour[slot, j]: slot with damper j toggled, or -1.
+    propagate: z over a full step, and behind it the accelerations of the coordinates then. derivative: the
+    accelerations of a state itself, then their derivatives with respect to tau. series: (A h)^k / k! for every k.
+    margin: times |z|, what the guard of each damper may at most fall below its values at the ends of a step (an
+    eighth of its second derivative's bound, and rounding). bound: times |z|, for each damper bounds the fourth
+    derivative of its guard with respect to tau over the step, then the size of the terms that it is the sum of.
+    rates: nonzero elements of A in compressed rows (pointer, column), all that there is if the system is not
+    tabulated. neighbour[slot, j]: slot with damper j toggled, or -1.
+
+    The guard of a damper goes with the position of its body in flight, with the body's acceleration while riding.
     """
 
     tabulated: bool
@@ -56,12 +60,12 @@ class Flow(NamedTuple):
     propagate_constant: np.ndarray
     series: np.ndarray
     series_constant: np.ndarray
-    guard: np.ndarray
-    guard_constant: np.ndarray
+    margin: np.ndarray
+    margin_constant: np.ndarray
     bound: np.ndarray
     bound_constant: np.ndarray
-    acceleration: np.ndarray
-    acceleration_constant: np.ndarray
+    derivative: np.ndarray
+    derivative_constant: np.ndarray
     pointer: np.ndarray
     column: np.ndarray
     rates: np.ndarray
@@ -199,15 +203,14 @@ class FlowTables:
         return pointer, np.nonzero(everything)[1].astype(np.int64)
 
     def _shapes(self) -> dict[str, tuple[int, ...]]:
-        rows, points = padded(self.size), padded(self.system.coordinates)
-        guards = padded(2 * self.system.dampers)
+        rows = padded(self.size)
         shapes: dict[str, tuple[int, ...]] = {}
         widths = {
-            "propagate": rows,
+            "propagate": padded(self.size + self.system.coordinates),
+            "margin": padded(self.system.dampers),
             "series": (LENGTH + 1) * rows,
-            "guard": guards,
-            "bound": guards,
-            "acceleration": points,
+            "bound": padded(2 * self.system.dampers),
+            "derivative": padded(2 * self.system.coordinates),
         }
         for name, width in widths.items():
             shapes[name] = (self.size if self.tabulated else 0, width)
@@ -261,47 +264,51 @@ class FlowTables:
             constants[k] = terms[k - 1] @ offset * h / k
         rows = slice(0, size)
         # Small terms first, so that the sum keeps its last bits.
-        flow.propagate[slot][:, rows] = terms[::-1].sum(axis=0).T
-        flow.propagate_constant[slot][rows] = constants[::-1].sum(axis=0)
+        over, over_constant = terms[::-1].sum(axis=0), constants[::-1].sum(axis=0)
+        flow.propagate[slot][:, rows] = over.T
+        flow.propagate_constant[slot][rows] = over_constant
         series = flow.series[slot].reshape(size, LENGTH + 1, -1)
         series[:, :, rows] = terms[: LENGTH + 1].transpose(2, 0, 1)
         flow.series_constant[slot].reshape(LENGTH + 1, -1)[:, rows] = constants[: LENGTH + 1]
-        flow.acceleration[slot][:, :nq] = matrix[nq : 2 * nq].T
-        flow.acceleration_constant[slot][:nq] = offset[nq : 2 * nq]
+        second = matrix[nq : 2 * nq]
+        derivative = np.concatenate([second, second @ scaled])
+        constant = np.concatenate([offset[nq : 2 * nq], second @ offset * h])
+        behind = slice(size, size + nq)
+        flow.propagate[slot][:, behind] = (second @ over).T
+        flow.propagate_constant[slot][behind] = second @ over_constant + offset[nq : 2 * nq]
+        flow.derivative[slot][:, : 2 * nq] = derivative.T
+        flow.derivative_constant[slot][: 2 * nq] = constant
         for j in range(system.dampers):
-            self._fill_guard(slot, j, bool(configuration >> j & 1), matrix, offset, terms, constants)
+            self._fill_guard(slot, j, bool(configuration >> j & 1), terms, constants)
 
     def _fill_guard(
         self,
         slot: int,
         j: int,
         rides: bool,
-        matrix: np.ndarray,
-        offset: np.ndarray,
         terms: np.ndarray,
         constants: np.ndarray,
     ) -> None:
-        """Rows of damper j in the guard and bound tables."""
+        """Rows of damper j in the bound and margin tables."""
         flow, nq, nd = self.flow, self.system.coordinates, self.system.dampers
         row = int(self.system.damper_coordinate[j])
         k = np.arange(TERMS)
         if rides:
             # The acceleration's series is (k + 1) terms[k + 1] / h.
             row += nq
-            flow.guard[slot][:, j] = matrix[row]
-            flow.guard_constant[slot][j] = offset[row]
-            flow.guard[slot][:, nd + j] = matrix[row] @ matrix * self.step
-            flow.guard_constant[slot][nd + j] = matrix[row] @ offset * self.step
             size, power = k / self.step, k - 1
         else:
-            flow.guard[slot][row, j] = 1.0
-            flow.guard[slot][nq + row, nd + j] = self.step
             size, power = np.ones(TERMS), k
         fourth = size * power * (power - 1) * (power - 2) * (power - 3)
         used, used_constant = (np.abs(part[:, row]).astype(np.float64) for part in (terms, constants))
         for weight, place in ((np.abs(fourth), j), (np.abs(size), nd + j)):
             flow.bound[slot][:, place] = weight @ used
             flow.bound_constant[slot][place] = weight @ used_constant
+        # Between its values at both ends a guard sags by at most an eighth of its second derivative's bound.
+        weight = np.abs(size * power * (power - 1)) / 8 + 2 * ROUNDING * np.abs(size)
+        fall = 0.0 if rides else float(self.system.gravity) * self.step**2 / 8
+        flow.margin[slot][:, j] = weight @ used
+        flow.margin_constant[slot][j] = weight @ used_constant + fall
 
 
 def _solve(mass: np.ndarray, right: np.ndarray) -> np.ndarray:

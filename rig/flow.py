@@ -43,8 +43,9 @@ DIRECT_UP_TO = 12
 class Flow(NamedTuple):
     """Tables by slot; matrices are stored [column, row] with padded rows.
 
-    propagate: z over a full step, and behind it the accelerations of the coordinates then. derivative: the
-    accelerations of a state itself, then their derivatives with respect to tau. series: (A h)^k / k! for every k.
+    smooth: the drive has no corners, so the accelerations' derivatives are continuous from step to step.
+    propagate: z over a full step, and behind it the accelerations of the coordinates then, and as far as there is
+    room their derivatives with respect to tau. derivative: both of a state itself. series: (A h)^k / k! for every k.
     margin: times |z|, what the guard of each damper may at most fall below its values at the ends of a step (an
     eighth of its second derivative's bound, and rounding). bound: times |z|, for each damper bounds the fourth
     derivative of its guard with respect to tau over the step, then the size of the terms that it is the sum of.
@@ -55,7 +56,7 @@ class Flow(NamedTuple):
     """
 
     tabulated: bool
-
+    smooth: bool
     propagate: np.ndarray
     propagate_constant: np.ndarray
     series: np.ndarray
@@ -224,6 +225,7 @@ class FlowTables:
         neighbour = np.full((capacity, max(1, self.system.dampers)), -1, dtype=np.int64)
         return Flow(
             tabulated=self.tabulated,
+            smooth=self.drive.fastest > 0.0,
             pointer=self._pointer,
             column=self._column,
             neighbour=neighbour,
@@ -273,9 +275,10 @@ class FlowTables:
         second = matrix[nq : 2 * nq]
         derivative = np.concatenate([second, second @ scaled])
         constant = np.concatenate([offset[nq : 2 * nq], second @ offset * h])
-        behind = slice(size, size + nq)
-        flow.propagate[slot][:, behind] = (second @ over).T
-        flow.propagate_constant[slot][behind] = second @ over_constant + offset[nq : 2 * nq]
+        behind = slice(size, size + 2 * nq)
+        room = flow.propagate.shape[2] - size
+        flow.propagate[slot][:, behind] = (derivative @ over).T[:, :room]
+        flow.propagate_constant[slot][behind] = (derivative @ over_constant + constant)[:room]
         flow.derivative[slot][:, : 2 * nq] = derivative.T
         flow.derivative_constant[slot][: 2 * nq] = constant
         for j in range(system.dampers):

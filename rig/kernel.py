@@ -426,6 +426,7 @@ def advance(
         Of the state now.
     """
     columns = flow.rates_constant.shape[1]
+    has_room = columns + 2 * model.first_velocity <= flow.propagate_constant.shape[1]
     while left > 0.0:
         slot = state.counters[SLOT]
         if slot < 0:
@@ -453,22 +454,24 @@ def advance(
             _expand(flow, model, slot, state.z, scratch.tableau)
             _sum_series(scratch, length, scratch.new)
         if flow.tabulated:
-            differentiate(flow, model, slot, state.z, scratch.derivative, known)
-            differentiate(flow, model, slot, scratch.new, scratch.derivative, CURRENT if whole else STALE)
+            if known == STALE or not flow.smooth:
+                differentiate(flow, model, slot, state.z, scratch.derivative, known)
+            if not (whole and has_room):
+                differentiate(flow, model, slot, scratch.new, scratch.derivative, CURRENT if whole else STALE)
             _bound_by_tables(flow, slot, state.z, scratch)
         else:
             _bound_by_series(
                 model, state.mode, scratch.tableau, length, state.z, scratch.new, columns, scratch.bound
             )
-        tau, j, guard = _first_event(
-            flow, model, state, scratch, slot, length, duration, not whole
-        )
+        tau, j, guard = _first_event(flow, model, state, scratch, slot, length, duration, not whole)
         if tau == NONE:
             copy(scratch.new, state.z, 0)
             _fly(model, state, duration)
             state.counters[IN_A_ROW] = 0
             left -= length
-            if flow.tabulated:
+            if flow.tabulated and flow.smooth:
+                known = CURRENT
+            elif flow.tabulated:
                 if known == STALE or exceeds(state.z, scratch.envelope):
                     _draw_envelope(flow, slot, state.z, scratch)
                 clear = _above_margins(model, state, scratch.margin, state.z, columns, 0.0)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
@@ -50,50 +51,71 @@ def _store(context: Any, builder: Any, kind: Any, array: Any, index: Any, regist
     builder.store(register, _place(context, builder, kind, array, index)).align = 8
 
 
-@intrinsic
-def _lane_sums(
-    typing_context: Any, matrix: Any, start: Any, constant: Any, offset: Any, vector: Any, columns: Any,
-    stride: Any, out: Any, row: Any,
-) -> Any:  # fmt: skip
-    """out[row + 0..7] = constant[offset + 0..7] + sum_c matrix[start + c stride + 0..7] vector[c], flat indices."""
-    signature = types.void(
-        matrix, types.intp, constant, types.intp, vector, types.intp, types.intp, out, types.intp
-    )
+def _lane_sums(registers: int) -> Any:
+    """Make the product for a number of registers of rows, a divisor of `SUMS`.
 
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        matrix, start, constant, offset, vector, columns, stride, out, row = arguments
-        kinds = signature.args
-        undefined = ir.Constant(_WIDE, ir.Undefined)
-        everywhere = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
-        data = context.make_array(kinds[4])(context, builder, vector).data
+    out[row + i] = constant[offset + i] + sum_c matrix[start + c stride + i] vector[c], flat indices, for the rows
+    i of all registers. An addition takes longer than the next may be started, so `SUMS` of them run beside each
+    other: of several registers, or of several columns.
+    """
+    beside = SUMS // registers
 
-        def add_column(total: Any, column: Any) -> None:
-            factor = builder.load(builder.gep(data, [column]))
-            one = builder.insert_element(undefined, factor, ir.Constant(ir.IntType(32), 0))
-            factors = builder.shuffle_vector(one, undefined, everywhere)
-            place = builder.add(start, builder.mul(column, stride))
-            rows = _load(context, builder, kinds[0], matrix, place)
-            product = builder.fmul(rows, factors, flags=("contract",))
-            builder.store(builder.fadd(builder.load(total), product, flags=("contract",)), total)
+    @intrinsic
+    def lane_sums(
+        typing_context: Any, matrix: Any, start: Any, constant: Any, offset: Any, vector: Any, columns: Any,
+        stride: Any, out: Any, row: Any,
+    ) -> Any:  # fmt: skip
+        signature = types.void(
+            matrix, types.intp, constant, types.intp, vector, types.intp, types.intp, out, types.intp
+        )
 
-        # Several sums at a time: an addition takes longer than the next may be started.
-        first = _load(context, builder, kinds[2], constant, offset)
-        zero = ir.Constant(_WIDE, [0.0] * LANES)
-        totals = [cgutils.alloca_once_value(builder, value) for value in (first, *[zero] * (SUMS - 1))]
-        number = [ir.Constant(columns.type, count) for count in range(SUMS + 1)]
-        whole = builder.sub(columns, builder.srem(columns, number[SUMS]))
-        with cgutils.for_range_slice(builder, number[0], whole, number[SUMS], columns.type) as (column, _):
-            for count, total in enumerate(totals):
-                add_column(total, builder.add(column, number[count]))
-        with cgutils.for_range_slice(builder, whole, columns, number[1], columns.type) as (column, _):
-            add_column(totals[0], column)
-        sums = [builder.load(total) for total in totals]
-        while len(sums) > 1:
-            sums = [builder.fadd(*pair) for pair in zip(sums[::2], sums[1::2], strict=True)]
-        _store(context, builder, kinds[7], out, row, sums[0])
-        return context.get_dummy_value()
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            matrix, start, constant, offset, vector, columns, stride, out, row = arguments
+            kinds, number = signature.args, columns.type
+            undefined, zero = ir.Constant(_WIDE, ir.Undefined), ir.Constant(_WIDE, [0.0] * LANES)
+            everywhere = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
+            data = context.make_array(kinds[4])(context, builder, vector).data
 
-    return signature, generate
+            def at(index: Any, register: int) -> Any:
+                return builder.add(index, ir.Constant(number, register * LANES))
+
+            def add_column(column: Any, count: int) -> None:
+                factor = builder.load(builder.gep(data, [column]))
+                one = builder.insert_element(undefined, factor, ir.Constant(ir.IntType(32), 0))
+                factors = builder.shuffle_vector(one, undefined, everywhere)
+                place = builder.add(start, builder.mul(column, stride))
+                for register in range(registers):
+                    total = totals[register][count]
+                    rows = _load(context, builder, kinds[0], matrix, at(place, register))
+                    product = builder.fmul(rows, factors, flags=("contract",))
+                    builder.store(builder.fadd(builder.load(total), product, flags=("contract",)), total)
+
+            totals = []
+            for register in range(registers):
+                first = _load(context, builder, kinds[2], constant, at(offset, register))
+                values = (first, *[zero] * (beside - 1))
+                totals.append([cgutils.alloca_once_value(builder, value) for value in values])
+            step, one = ir.Constant(number, beside), ir.Constant(number, 1)
+            whole = builder.sub(columns, builder.srem(columns, step))
+            with cgutils.for_range_slice(builder, ir.Constant(number, 0), whole, step, number) as (column, _):
+                for count in range(beside):
+                    add_column(builder.add(column, ir.Constant(number, count)), count)
+            if beside > 1:
+                with cgutils.for_range_slice(builder, whole, columns, one, number) as (column, _):
+                    add_column(column, 0)
+            for register in range(registers):
+                sums = [builder.load(total) for total in totals[register]]
+                while len(sums) > 1:
+                    sums = [builder.fadd(*pair) for pair in zip(sums[::2], sums[1::2], strict=True)]
+                _store(context, builder, kinds[7], out, at(row, register), sums[0])
+            return context.get_dummy_value()
+
+        return signature, generate
+
+    return lane_sums
+
+
+_one, _two, _four = _lane_sums(1), _lane_sums(2), _lane_sums(4)
 
 
 @intrinsic
@@ -113,6 +135,51 @@ def _lanes_exceed(typing_context: Any, vector: Any, bound: Any, row: Any) -> Any
         return builder.icmp_unsigned("!=", mask, ir.Constant(mask.type, 0))
 
     return signature, generate
+
+
+@intrinsic
+def _lane_minimum(typing_context: Any, vector: Any, row: Any) -> Any:
+    """Smallest of vector[row + 0..7], none of which is not a number."""
+    signature = types.float64(vector, types.intp)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kind = ir.FunctionType(ir.DoubleType(), [_WIDE])
+        minimum = cgutils.get_or_insert_function(builder.module, kind, f"llvm.vector.reduce.fmin.v{LANES}f64")
+        register = _load(context, builder, signature.args[0], *arguments)
+        return builder.call(minimum, [register], fastmath=("nnan",))
+
+    return signature, generate
+
+
+@intrinsic
+def _negative_lanes(typing_context: Any, vector: Any, row: Any) -> Any:
+    """Bit i is set where vector[row + i] is below zero."""
+    signature = types.int64(vector, types.intp)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        register = _load(context, builder, signature.args[0], *arguments)
+        below = builder.fcmp_ordered("<", register, ir.Constant(_WIDE, [0.0] * LANES))
+        return builder.zext(builder.bitcast(below, ir.IntType(LANES)), ir.IntType(64))
+
+    return signature, generate
+
+
+@inlined
+def lowest(vector: Any) -> float:
+    """Smallest element of a vector of shape (multiple of LANES,)."""
+    least = np.inf
+    for row in range(0, vector.shape[0], LANES):
+        least = min(least, _lane_minimum(vector, row))  # type: ignore[call-arg]  # numba supplies the context
+    return least
+
+
+@inlined
+def negatives(vector: Any) -> int:
+    """Bit i is set where element i of a vector of shape (multiple of LANES, at most 56,) is below zero."""
+    found = 0
+    for row in range(0, vector.shape[0], LANES):
+        found |= _negative_lanes(vector, row) << row  # type: ignore[call-arg]
+    return found
 
 
 @intrinsic
@@ -151,7 +218,9 @@ def _transpose_tile(
             return builder.add(begin, builder.mul(number[count], step))
 
         def choose(one: Any, other: Any, lanes: list[int]) -> Any:
-            return builder.shuffle_vector(one, other, ir.Constant(ir.VectorType(ir.IntType(32), LANES), lanes))
+            return builder.shuffle_vector(
+                one, other, ir.Constant(ir.VectorType(ir.IntType(32), LANES), lanes)
+            )
 
         tile = [
             _load(context, builder, signature.args[0], source, along(start, i, width)) for i in range(LANES)
@@ -202,7 +271,12 @@ def combine(matrix: Any, constant: Any, slot: int, vector: Any, columns: int, ou
     out : float64 (rows,), or any contiguous array of that size
     """
     rows = constant.shape[1]
-    for row in range(0, rows, LANES):
-        _lane_sums(  # type: ignore[call-arg]  # numba supplies the typing context
-            matrix, slot * columns * rows + row, constant, slot * rows + row, vector, columns, rows, out, row
-        )
+    start, offset, row = slot * columns * rows, slot * rows, 0
+    while row + 4 * LANES <= rows:
+        _four(matrix, start + row, constant, offset + row, vector, columns, rows, out, row)
+        row += 4 * LANES
+    if row + 2 * LANES <= rows:
+        _two(matrix, start + row, constant, offset + row, vector, columns, rows, out, row)
+        row += 2 * LANES
+    if row < rows:
+        _one(matrix, start + row, constant, offset + row, vector, columns, rows, out, row)

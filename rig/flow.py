@@ -8,9 +8,10 @@ converges to rounding at degree `rig.polynomial.DEGREE` because the step is chos
 rate of the system is at most `REACH`. No eigenvectors are formed and no particular solution is subtracted:
 repeated, zero and critically damped eigenvalues, and a drive at exact resonance, are cases like any other.
 
-A small system has its matrix powers tabulated, and a step is one matrix product. For a large one that would cost
-the cube of its size for every configuration; there only the sparse matrix A is kept, and the series is summed
-from A z, A (A z), ..., at a cost in proportion to the number of springs.
+How much is tabulated for a configuration goes with the system's size and with the number of configurations it can
+be in. A small system has all its matrix powers tabulated. A larger one has the matrix of a whole step, and its
+series is summed from the sparse matrix A when a contact has to be looked for: A z, A (A z), ..., at a cost in
+proportion to the number of springs. A large system with many dampers does every step that way.
 """
 
 from __future__ import annotations
@@ -34,8 +35,9 @@ TERMS = 30
 TABULATED_UP_TO = 16
 TABULATED_WITH_FEW = 40
 FEW_DAMPERS = 3
-
-
+#: States and dampers up to which the matrix of a whole step is.
+STEPS_UP_TO = 400
+STEPS_WITH_DAMPERS = 6
 #: Dampers up to which slots are looked up in an array of all configurations.
 DIRECT_UP_TO = 12
 
@@ -43,19 +45,20 @@ DIRECT_UP_TO = 12
 class Flow(NamedTuple):
     """Tables by slot; matrices are stored [column, row] with padded rows.
 
-    smooth: the drive has no corners, so the accelerations' derivatives are continuous from step to step.
-    propagate: z over a full step, and behind it the accelerations of the coordinates then, and as far as there is
-    room their derivatives with respect to tau. derivative: both of a state itself. series: (A h)^k / k! for every k.
+    tabulated: the series is; stepping: everything else is. smooth: the drive has no corners, so the derivatives of
+    the accelerations are continuous from step to step. propagate: z over a full step, and behind it the
+    accelerations of the coordinates then, and as far as there is room their derivatives with respect to tau.
+    derivative: both of a state itself. series: (A h)^k / k! for every k.
     margin: times |z|, what the guard of each damper may at most fall below its values at the ends of a step (an
     eighth of its second derivative's bound, and rounding). bound: times |z|, for each damper bounds the fourth
     derivative of its guard with respect to tau over the step, then the size of the terms that it is the sum of.
-    rates: nonzero elements of A in compressed rows (pointer, column), all that there is if the system is not
-    tabulated. neighbour[slot, j]: slot with damper j toggled, or -1.
+    rates: nonzero elements of A in compressed rows (pointer, column). neighbour[slot, j]: slot with damper j toggled, or -1.
 
     The guard of a damper goes with the position of its body in flight, with the body's acceleration while riding.
     """
 
     tabulated: bool
+    stepping: bool
     smooth: bool
     propagate: np.ndarray
     propagate_constant: np.ndarray
@@ -113,6 +116,9 @@ class FlowTables:
         self._direct = np.full(1 << min(system.dampers, DIRECT_UP_TO), -1, dtype=np.int64)
         most = TABULATED_WITH_FEW if system.dampers <= FEW_DAMPERS else TABULATED_UP_TO
         self.tabulated = self.size <= most
+        self.stepping = self.tabulated or (
+            self.size <= STEPS_UP_TO and system.dampers <= STEPS_WITH_DAMPERS
+        )
         # What is tabulated is used a million times over: it is computed with digits to spare.
         self._precision = np.longdouble if self.tabulated else np.float64
         self._pointer, self._column = self._pattern()
@@ -214,7 +220,8 @@ class FlowTables:
             "derivative": padded(2 * self.system.coordinates),
         }
         for name, width in widths.items():
-            shapes[name] = (self.size if self.tabulated else 0, width)
+            filled = self.tabulated if name == "series" else self.stepping
+            shapes[name] = (self.size if filled else 0, width)
             shapes[f"{name}_constant"] = (width,)
         shapes["rates"] = (len(self._column),)
         shapes["rates_constant"] = (self.size,)
@@ -225,6 +232,7 @@ class FlowTables:
         neighbour = np.full((capacity, max(1, self.system.dampers)), -1, dtype=np.int64)
         return Flow(
             tabulated=self.tabulated,
+            stepping=self.stepping,
             smooth=self.drive.fastest > 0.0,
             pointer=self._pointer,
             column=self._column,
@@ -245,7 +253,7 @@ class FlowTables:
         row = np.repeat(np.arange(self.size), np.diff(self._pointer))
         flow.rates[slot] = matrix[row, self._column]
         flow.rates_constant[slot] = offset
-        if self.tabulated:
+        if self.stepping:
             self._tabulate(slot, configuration, matrix, offset)
         for j in range(system.dampers):
             other = self.slots.get(configuration ^ (1 << j))
@@ -269,9 +277,10 @@ class FlowTables:
         over, over_constant = terms[::-1].sum(axis=0), constants[::-1].sum(axis=0)
         flow.propagate[slot][:, rows] = over.T
         flow.propagate_constant[slot][rows] = over_constant
-        series = flow.series[slot].reshape(size, LENGTH + 1, -1)
-        series[:, :, rows] = terms[: LENGTH + 1].transpose(2, 0, 1)
-        flow.series_constant[slot].reshape(LENGTH + 1, -1)[:, rows] = constants[: LENGTH + 1]
+        if self.tabulated:
+            series = flow.series[slot].reshape(size, LENGTH + 1, -1)
+            series[:, :, rows] = terms[: LENGTH + 1].transpose(2, 0, 1)
+            flow.series_constant[slot].reshape(LENGTH + 1, -1)[:, rows] = constants[: LENGTH + 1]
         second = matrix[nq : 2 * nq]
         derivative = np.concatenate([second, second @ scaled])
         constant = np.concatenate([offset[nq : 2 * nq], second @ offset * h])

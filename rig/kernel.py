@@ -125,11 +125,11 @@ def _expand(flow: Flow, model: Model, slot: int, z: Array, tableau: Array) -> No
 def differentiate(flow: Flow, model: Model, slot: int, z: Array, work: Array, known: int) -> None:
     """Put behind a state its accelerations, unless they are known, and their derivatives with respect to tau.
 
-    The derivatives of a system without tables come from its series.
+    The derivatives of a system without tables for whole steps come from its series.
     """
     columns = flow.rates_constant.shape[1]
     points = model.first_velocity
-    if flow.tabulated:
+    if flow.stepping:
         combine(flow.derivative, flow.derivative_constant, slot, z, columns, work)
         for i in range(points if known != STALE else 0, 2 * points):
             z[columns + i] = work[i]
@@ -433,7 +433,7 @@ def advance(
             return NEED_TABLE, left, STALE
         length = min(left, 1.0)
         duration = length * model.step
-        whole = flow.tabulated and length == 1.0
+        whole = flow.stepping and length == 1.0
         if whole:
             combine(flow.propagate, flow.propagate_constant, slot, state.z, columns, scratch.new)
             if (
@@ -453,7 +453,7 @@ def advance(
         if not whole:
             _expand(flow, model, slot, state.z, scratch.tableau)
             _sum_series(scratch, length, scratch.new)
-        if flow.tabulated:
+        if flow.stepping:
             if known == STALE or not flow.smooth:
                 differentiate(flow, model, slot, state.z, scratch.derivative, known)
             if not (whole and has_room):
@@ -469,9 +469,9 @@ def advance(
             _fly(model, state, duration)
             state.counters[IN_A_ROW] = 0
             left -= length
-            if flow.tabulated and flow.smooth:
+            if flow.stepping and flow.smooth:
                 known = CURRENT
-            elif flow.tabulated:
+            elif flow.stepping:
                 if known == STALE or exceeds(state.z, scratch.envelope):
                     _draw_envelope(flow, slot, state.z, scratch)
                 clear = _above_margins(model, state, scratch.margin, state.z, columns, 0.0)

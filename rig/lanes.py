@@ -251,10 +251,10 @@ def transpose(window: Any, rows: Any, column: int) -> None:
 @inlined
 def exceeds(vector: Any, bound: Any) -> bool:
     """Whether any element is larger than its bound in size, or not a number; shapes (multiple of LANES,)."""
+    found = False
     for row in range(0, bound.shape[0], LANES):
-        if _lanes_exceed(vector, bound, row):  # type: ignore[call-arg]
-            return True
-    return False
+        found |= _lanes_exceed(vector, bound, row)  # type: ignore[call-arg]
+    return found
 
 
 @inlined

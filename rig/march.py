@@ -29,7 +29,7 @@ from rig.kernel import (
     fold_envelope,
     scratch_for,
 )
-from rig.lanes import LANES, copy, padded, transpose
+from rig.lanes import LANES, padded, transpose
 from rig.system import Drive, System, sampled, tone
 
 LOG_ROWS = 1024
@@ -335,9 +335,12 @@ class March:
             elif status == LOG_FULL:
                 pages.append(self._page())
             elif status == STUCK:
+                damper = self.system.damper_number[self.log.damper[self.log.filled[0] - 1]]
+                farthest = np.abs(self.state.z[: self.system.coordinates]).max()
                 raise RunError(
-                    "a damper separates and lands again and again at one instant; this contradicts the contact "
-                    "law and should be reported with the scene"
+                    f"damper {damper} separates and lands again and again at one instant, with bodies up to "
+                    f"{farthest:.3g} m away from rest; if the motion has not run away, the contact law is "
+                    "contradicted: report it with the scene"
                 )
             else:
                 break

@@ -52,7 +52,8 @@ class Flow(NamedTuple):
     margin: times |z|, what the guard of each damper may at most fall below its values at the ends of a step (an
     eighth of its second derivative's bound, and rounding). bound: times |z|, for each damper bounds the fourth
     derivative of its guard with respect to tau over the step, then the size of the terms that it is the sum of.
-    rates: nonzero elements of A in compressed rows (pointer, column). neighbour[slot, j]: slot with damper j toggled, or -1.
+    rates: nonzero elements of A in compressed rows (pointer, column). neighbour[slot, j]: slot with damper j
+    toggled, or -1.
 
     The guard of a damper goes with the position of its body in flight, with the body's acceleration while riding.
     """
@@ -116,9 +117,7 @@ class FlowTables:
         self._direct = np.full(1 << min(system.dampers, DIRECT_UP_TO), -1, dtype=np.int64)
         most = TABULATED_WITH_FEW if system.dampers <= FEW_DAMPERS else TABULATED_UP_TO
         self.tabulated = self.size <= most
-        self.stepping = self.tabulated or (
-            self.size <= STEPS_UP_TO and system.dampers <= STEPS_WITH_DAMPERS
-        )
+        self.stepping = self.tabulated or (self.size <= STEPS_UP_TO and system.dampers <= STEPS_WITH_DAMPERS)
         # What is tabulated is used a million times over: it is computed with digits to spare.
         self._precision = np.longdouble if self.tabulated else np.float64
         self._pointer, self._column = self._pattern()

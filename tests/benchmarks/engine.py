@@ -93,7 +93,9 @@ def sampled(name: str, amplitude: float, noise: float) -> float:
 
 def chain_of(bodies: int, dampers: int) -> rig.Scene:
     """Give a chain of equal bodies with dampers spread over it, driven near a low mode."""
-    places = np.unique(np.linspace(1, bodies, dampers).round().astype(int)) if dampers else []
+    places: np.ndarray | list[int] = (
+        np.unique(np.linspace(1, bodies, dampers).round().astype(int)) if dampers else []
+    )
     return rig.Scene.model_validate(
         {
             "name": f"{bodies} bodies, {dampers} dampers",

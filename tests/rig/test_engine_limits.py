@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import rig
-from rig.receptance import receptance
 from rig.bouncing_ball import fly, take_off
 from rig.receptance import receptance
 from tests.rig.exact import Segment
@@ -78,9 +77,10 @@ def test_given_a_million_periods_of_a_linear_structure_when_run_then_amplitude_a
     scene = rig.load("bare-structure").replace(
         test={"kind": "sine", "frequency": 32.0, "force": 2.6}, shaker={"kind": "force", "body": 1}
     )
-    run = rig.simulate(scene, 1e6 / 32.0, rate=32.0 / 5000)
-    exact = 2.6 * receptance(scene, [32.0])[:, 0].imag
-    np.testing.assert_allclose(run.displacement[:, -100:], exact[:, None] * np.ones(100), rtol=1e-12)
+    every = 8192
+    run = rig.simulate(scene, 123 * every / 32.0, rate=32.0 / every)
+    exact = 2.6 * receptance(scene, [32.0])
+    assert np.abs(run.displacement[:, -100:] - exact.imag).max() < 1e-12 * np.abs(exact).min()
 
 
 def test_given_a_vanishing_mass_when_run_then_the_damper_is_the_inelastic_bouncing_ball() -> None:

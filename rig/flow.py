@@ -8,9 +8,10 @@ converges to rounding at degree `rig.polynomial.DEGREE` because the step is chos
 rate of the system is at most `REACH`. No eigenvectors are formed and no particular solution is subtracted:
 repeated, zero and critically damped eigenvalues, and a drive at exact resonance, are cases like any other.
 
-A small system has its matrix powers tabulated, and a step is one matrix product. For a large one that would cost
-the cube of its size for every configuration; there only the sparse matrix A is kept, and the series is summed
-from A z, A (A z), ..., at a cost in proportion to the number of springs.
+How much is tabulated for a configuration goes with the system's size and with the number of configurations it can
+be in. A small system has all its matrix powers tabulated. A larger one has the matrix of a whole step, and its
+series is summed from the sparse matrix A when a contact has to be looked for: A z, A (A z), ..., at a cost in
+proportion to the number of springs. A large system with many dampers does every step that way.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.complementarity import ROUNDING
 from rig.lanes import padded
 from rig.polynomial import LENGTH
 from rig.system import Drive, System
@@ -33,8 +35,9 @@ TERMS = 30
 TABULATED_UP_TO = 16
 TABULATED_WITH_FEW = 40
 FEW_DAMPERS = 3
-
-
+#: States and dampers up to which the matrix of a whole step is.
+STEPS_UP_TO = 400
+STEPS_WITH_DAMPERS = 6
 #: Dampers up to which slots are looked up in an array of all configurations.
 DIRECT_UP_TO = 12
 
@@ -42,26 +45,32 @@ DIRECT_UP_TO = 12
 class Flow(NamedTuple):
     """Tables by slot; matrices are stored [column, row] with padded rows.
 
-    propagate: z over a full step. series: (A h)^k / k! for every k, in rows. guard: for each damper the position
-    (flight) or acceleration (riding) of its body, then for each damper the derivative of that with respect to
-    tau. bound: times |z|, bounds the fourth derivative of the same with respect to tau over the step, then the
-    size of the terms that it is the sum of.
-    acceleration: of every coordinate. rates: nonzero elements of A in compressed rows (pointer, column), all that
-    there is if the system is not tabulated. neighbour[slot, j]: slot with damper j toggled, or -1.
+    tabulated: the series is; stepping: everything else is. smooth: the drive has no corners, so the derivatives of
+    the accelerations are continuous from step to step. propagate: z over a full step, and behind it the
+    accelerations of the coordinates then, and as far as there is room their derivatives with respect to tau.
+    derivative: both of a state itself. series: (A h)^k / k! for every k.
+    margin: times |z|, what the guard of each damper may at most fall below its values at the ends of a step (an
+    eighth of its second derivative's bound, and rounding). bound: times |z|, for each damper bounds the fourth
+    derivative of its guard with respect to tau over the step, then the size of the terms that it is the sum of.
+    rates: nonzero elements of A in compressed rows (pointer, column). neighbour[slot, j]: slot with damper j
+    toggled, or -1.
+
+    The guard of a damper goes with the position of its body in flight, with the body's acceleration while riding.
     """
 
     tabulated: bool
-
+    stepping: bool
+    smooth: bool
     propagate: np.ndarray
     propagate_constant: np.ndarray
     series: np.ndarray
     series_constant: np.ndarray
-    guard: np.ndarray
-    guard_constant: np.ndarray
+    margin: np.ndarray
+    margin_constant: np.ndarray
     bound: np.ndarray
     bound_constant: np.ndarray
-    acceleration: np.ndarray
-    acceleration_constant: np.ndarray
+    derivative: np.ndarray
+    derivative_constant: np.ndarray
     pointer: np.ndarray
     column: np.ndarray
     rates: np.ndarray
@@ -108,6 +117,7 @@ class FlowTables:
         self._direct = np.full(1 << min(system.dampers, DIRECT_UP_TO), -1, dtype=np.int64)
         most = TABULATED_WITH_FEW if system.dampers <= FEW_DAMPERS else TABULATED_UP_TO
         self.tabulated = self.size <= most
+        self.stepping = self.tabulated or (self.size <= STEPS_UP_TO and system.dampers <= STEPS_WITH_DAMPERS)
         # What is tabulated is used a million times over: it is computed with digits to spare.
         self._precision = np.longdouble if self.tabulated else np.float64
         self._pointer, self._column = self._pattern()
@@ -199,18 +209,18 @@ class FlowTables:
         return pointer, np.nonzero(everything)[1].astype(np.int64)
 
     def _shapes(self) -> dict[str, tuple[int, ...]]:
-        rows, points = padded(self.size), padded(self.system.coordinates)
-        guards = padded(2 * self.system.dampers)
+        rows = padded(self.size)
         shapes: dict[str, tuple[int, ...]] = {}
         widths = {
-            "propagate": rows,
+            "propagate": padded(self.size + self.system.coordinates),
+            "margin": padded(self.system.dampers),
             "series": (LENGTH + 1) * rows,
-            "guard": guards,
-            "bound": guards,
-            "acceleration": points,
+            "bound": padded(2 * self.system.dampers),
+            "derivative": padded(2 * self.system.coordinates),
         }
         for name, width in widths.items():
-            shapes[name] = (self.size if self.tabulated else 0, width)
+            filled = self.tabulated if name == "series" else self.stepping
+            shapes[name] = (self.size if filled else 0, width)
             shapes[f"{name}_constant"] = (width,)
         shapes["rates"] = (len(self._column),)
         shapes["rates_constant"] = (self.size,)
@@ -221,6 +231,8 @@ class FlowTables:
         neighbour = np.full((capacity, max(1, self.system.dampers)), -1, dtype=np.int64)
         return Flow(
             tabulated=self.tabulated,
+            stepping=self.stepping,
+            smooth=self.drive.fastest > 0.0,
             pointer=self._pointer,
             column=self._column,
             neighbour=neighbour,
@@ -240,7 +252,7 @@ class FlowTables:
         row = np.repeat(np.arange(self.size), np.diff(self._pointer))
         flow.rates[slot] = matrix[row, self._column]
         flow.rates_constant[slot] = offset
-        if self.tabulated:
+        if self.stepping:
             self._tabulate(slot, configuration, matrix, offset)
         for j in range(system.dampers):
             other = self.slots.get(configuration ^ (1 << j))
@@ -261,47 +273,53 @@ class FlowTables:
             constants[k] = terms[k - 1] @ offset * h / k
         rows = slice(0, size)
         # Small terms first, so that the sum keeps its last bits.
-        flow.propagate[slot][:, rows] = terms[::-1].sum(axis=0).T
-        flow.propagate_constant[slot][rows] = constants[::-1].sum(axis=0)
-        series = flow.series[slot].reshape(size, LENGTH + 1, -1)
-        series[:, :, rows] = terms[: LENGTH + 1].transpose(2, 0, 1)
-        flow.series_constant[slot].reshape(LENGTH + 1, -1)[:, rows] = constants[: LENGTH + 1]
-        flow.acceleration[slot][:, :nq] = matrix[nq : 2 * nq].T
-        flow.acceleration_constant[slot][:nq] = offset[nq : 2 * nq]
+        over, over_constant = terms[::-1].sum(axis=0), constants[::-1].sum(axis=0)
+        flow.propagate[slot][:, rows] = over.T
+        flow.propagate_constant[slot][rows] = over_constant
+        if self.tabulated:
+            series = flow.series[slot].reshape(size, LENGTH + 1, -1)
+            series[:, :, rows] = terms[: LENGTH + 1].transpose(2, 0, 1)
+            flow.series_constant[slot].reshape(LENGTH + 1, -1)[:, rows] = constants[: LENGTH + 1]
+        second = matrix[nq : 2 * nq]
+        derivative = np.concatenate([second, second @ scaled])
+        constant = np.concatenate([offset[nq : 2 * nq], second @ offset * h])
+        behind = slice(size, size + 2 * nq)
+        room = flow.propagate.shape[2] - size
+        flow.propagate[slot][:, behind] = (derivative @ over).T[:, :room]
+        flow.propagate_constant[slot][behind] = (derivative @ over_constant + constant)[:room]
+        flow.derivative[slot][:, : 2 * nq] = derivative.T
+        flow.derivative_constant[slot][: 2 * nq] = constant
         for j in range(system.dampers):
-            self._fill_guard(slot, j, bool(configuration >> j & 1), matrix, offset, terms, constants)
+            self._fill_guard(slot, j, bool(configuration >> j & 1), terms, constants)
 
     def _fill_guard(
         self,
         slot: int,
         j: int,
         rides: bool,
-        matrix: np.ndarray,
-        offset: np.ndarray,
         terms: np.ndarray,
         constants: np.ndarray,
     ) -> None:
-        """Rows of damper j in the guard and bound tables."""
+        """Rows of damper j in the bound and margin tables."""
         flow, nq, nd = self.flow, self.system.coordinates, self.system.dampers
         row = int(self.system.damper_coordinate[j])
         k = np.arange(TERMS)
         if rides:
             # The acceleration's series is (k + 1) terms[k + 1] / h.
             row += nq
-            flow.guard[slot][:, j] = matrix[row]
-            flow.guard_constant[slot][j] = offset[row]
-            flow.guard[slot][:, nd + j] = matrix[row] @ matrix * self.step
-            flow.guard_constant[slot][nd + j] = matrix[row] @ offset * self.step
             size, power = k / self.step, k - 1
         else:
-            flow.guard[slot][row, j] = 1.0
-            flow.guard[slot][nq + row, nd + j] = self.step
             size, power = np.ones(TERMS), k
         fourth = size * power * (power - 1) * (power - 2) * (power - 3)
         used, used_constant = (np.abs(part[:, row]).astype(np.float64) for part in (terms, constants))
         for weight, place in ((np.abs(fourth), j), (np.abs(size), nd + j)):
             flow.bound[slot][:, place] = weight @ used
             flow.bound_constant[slot][place] = weight @ used_constant
+        # Between its values at both ends a guard sags by at most an eighth of its second derivative's bound.
+        weight = np.abs(size * power * (power - 1)) / 8 + 2 * ROUNDING * np.abs(size)
+        fall = 0.0 if rides else float(self.system.gravity) * self.step**2 / 8
+        flow.margin[slot][:, j] = weight @ used
+        flow.margin_constant[slot][j] = weight @ used_constant + fall
 
 
 def _solve(mass: np.ndarray, right: np.ndarray) -> np.ndarray:

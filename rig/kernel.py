@@ -4,9 +4,13 @@ Between contact changes the state z = (coordinates, velocities, coil current, dr
 with A and b of the contact configuration. A step of length h is a matrix product. Every guard (gap, contact
 force) is proven free of zeros over the step, or its first crossing is isolated and the step ends there:
 
-1. Hermite test: the cubic through values and slopes at both ends is positive by more than its error, which a
+1. Envelope: as long as no state outgrows the envelope of its size, no guard can sag by more than a margin below
+   its values at the ends of a step, and while those stay above it there is nothing to examine;
+2. Hermite test: the cubic through values and slopes at both ends is positive by more than its error, which a
    bound of the guard's fourth derivative limits;
-2. otherwise its power series over the step goes through `rig.polynomial.first_crossing`.
+3. otherwise its power series over the step goes through `rig.polynomial.first_crossing`.
+
+Each proof is rigorous, so which of them served has no influence on the motion.
 
 Everything is float64 and allocates nothing; the tables come from `rig.flow`, the contact laws from
 `rig.contact`.
@@ -36,7 +40,7 @@ from rig.contact import (
 )
 from rig.flow import Flow, Model
 from rig.jit import compiled, inlined
-from rig.lanes import combine
+from rig.lanes import combine, copy, exceeds, padded
 from rig.polynomial import BERNSTEIN, DEEPEST, LENGTH, NONE, first_crossing
 
 Array = NDArray[np.float64]
@@ -45,6 +49,11 @@ Array = NDArray[np.float64]
 DONE, NEED_TABLE, LOG_FULL, STUCK = 0, 1, 2, 3
 #: This many events at one instant, per damper, is no motion of the system any more.
 EVENTS_AT_ONE_INSTANT = 100
+#: What is known of the present state: nothing; the accelerations, which stand behind it, and the margins of its
+#: configuration; and also that every guard lies above its margin.
+STALE, CURRENT, CLEAR = 0, 1, 2
+#: An envelope is drawn this much wider than the state is large.
+WIDER = 2.0
 #: Guards of a damper.
 FLOOR_GAP, CEILING_GAP, CONTACT_FORCE = 1, 2, 0
 
@@ -54,10 +63,11 @@ class Scratch(NamedTuple):
 
     new: np.ndarray
     size: np.ndarray
+    envelope: np.ndarray
+    margin: np.ndarray
     tableau: np.ndarray
-    value: np.ndarray
-    value_new: np.ndarray
     bound: np.ndarray
+    derivative: np.ndarray
     contact: ContactWork
     series_rows: np.ndarray
     powers: np.ndarray
@@ -68,22 +78,24 @@ class Scratch(NamedTuple):
     bernstein: np.ndarray
 
 
-def scratch_for(flow: Flow) -> Scratch:
-    """Allocate the work space for a flow."""
-    rows = flow.propagate_constant.shape[1]
-    guards = flow.guard_constant.shape[1]
-    tableau = np.zeros((LENGTH + 1, rows))
+def scratch_for(flow: Flow, size: int) -> Scratch:
+    """Allocate the work space for a flow and states of a padded size."""
+    columns = flow.rates_constant.shape[1]
+    tableau = np.zeros((LENGTH + 1, padded(columns)))
+    envelope = np.zeros(padded(columns))
+    envelope[columns:] = np.inf
     return Scratch(
-        new=np.zeros(rows),
-        size=np.zeros(rows),
+        new=np.zeros(size),
+        size=np.zeros(padded(columns)),
+        envelope=envelope,
+        margin=np.zeros(flow.margin_constant.shape[1]),
         tableau=tableau,
         series_rows=tableau[None],
         powers=np.zeros(LENGTH + 1),
-        nothing=np.zeros((1, rows)),
-        value=np.zeros(guards),
-        value_new=np.zeros(guards),
-        bound=np.zeros(guards),
-        contact=contact_work(flow.neighbour.shape[1], flow.acceleration_constant.shape[1]),
+        nothing=np.zeros((1, padded(columns))),
+        bound=np.zeros(flow.bound_constant.shape[1]),
+        derivative=np.zeros(flow.derivative_constant.shape[1]),
+        contact=contact_work(flow.neighbour.shape[1], flow.derivative_constant.shape[1]),
         series=np.zeros(LENGTH),
         work=np.zeros((DEEPEST + 3, LENGTH)),
         spans=np.zeros((DEEPEST + 3, 2)),
@@ -110,26 +122,78 @@ def _expand(flow: Flow, model: Model, slot: int, z: Array, tableau: Array) -> No
 
 
 @inlined
-def _look_at_tables(flow: Flow, slot: int, z: Array, known: bool, scratch: Scratch) -> None:
-    """Guards' values and slopes at both ends of the step, and their bounds, from the tables."""
-    size = flow.rates_constant.shape[1]
+def differentiate(flow: Flow, model: Model, slot: int, z: Array, work: Array, known: int) -> None:
+    """Put behind a state its accelerations, unless they are known, and their derivatives with respect to tau.
+
+    The derivatives of a system without tables for whole steps come from its series.
+    """
+    columns = flow.rates_constant.shape[1]
+    points = model.first_velocity
+    if flow.stepping:
+        combine(flow.derivative, flow.derivative_constant, slot, z, columns, work)
+        for i in range(points if known != STALE else 0, 2 * points):
+            z[columns + i] = work[i]
+        return
+    for i in range(points, 2 * points):
+        rate = flow.rates_constant[slot, i]
+        for entry in range(flow.pointer[i], flow.pointer[i + 1]):
+            rate += flow.rates[slot, entry] * z[flow.column[entry]]
+        z[columns + i - points] = rate
+
+
+@inlined
+def _above_margins(
+    model: Model, state: State, margin: Array, z: Array, columns: int, duration: float
+) -> bool:
+    """Whether every guard lies above its margin at a state with its accelerations, `duration` from now."""
+    for j in range(model.mass.shape[0]):
+        if state.mode[j] == FLIGHT:
+            height = state.height[j] + duration * (state.speed[j] - 0.5 * model.gravity * duration)
+            gap = height - z[model.position[j]]
+            lowest = min(gap, model.clearance[j] - gap) - 2 * ROUNDING * abs(height)
+        else:
+            lowest = model.gravity + z[columns + model.position[j]]
+            if state.mode[j] != FLOOR:
+                lowest = -lowest
+        if not lowest > margin[j]:
+            return False
+    return True
+
+
+@inlined
+def _draw_envelope(flow: Flow, slot: int, z: Array, scratch: Scratch) -> None:
+    """Widen the envelope around a state, and fit the margins to it and to the configuration."""
+    columns = flow.rates_constant.shape[1]
+    for i in range(columns):
+        scratch.envelope[i] = max(scratch.envelope[i], WIDER * abs(z[i]))
+    combine(flow.margin, flow.margin_constant, slot, scratch.envelope, columns, scratch.margin)
+
+
+@inlined
+def fold_envelope(flow: Flow, scratch: Scratch) -> None:
+    """Begin the envelope anew."""
+    for i in range(flow.rates_constant.shape[1]):
+        scratch.envelope[i] = 0.0
+
+
+@inlined
+def _bound_by_tables(flow: Flow, slot: int, z: Array, scratch: Scratch) -> None:
+    """Bounds of the guards over the step, from the tables."""
     for i in range(scratch.size.shape[0]):
         scratch.size[i] = abs(z[i])
-    if not known:
-        combine(flow.guard, flow.guard_constant, slot, z, size, scratch.value)
-    combine(flow.guard, flow.guard_constant, slot, scratch.new, size, scratch.value_new)
-    combine(flow.bound, flow.bound_constant, slot, scratch.size, size, scratch.bound)
+    combine(flow.bound, flow.bound_constant, slot, scratch.size, flow.rates_constant.shape[1], scratch.bound)
 
 
 @compiled
-def _look_at_series(
-    model: Model, mode: Array, tableau: Array, length: float, value: Array, value_new: Array, bound: Array
+def _bound_by_series(
+    model: Model, mode: Array, tableau: Array, length: float, z: Array, new: Array, behind: int, bound: Array
 ) -> None:
-    """Guards' values and slopes at both ends of the step, and their bounds, from the series itself."""
-    dampers = model.mass.shape[0]
+    """Bounds of the guards over the step, and behind both states what riding dampers need, from the series itself."""
+    dampers, points = model.mass.shape[0], model.first_velocity
     for j in range(dampers):
         rides = mode[j] != FLIGHT
         row = model.velocity[j] if rides else model.position[j]
+        place = behind + model.position[j]
         shift = 1 if rides else 0
         end = 0.0
         slope = 0.0
@@ -142,12 +206,11 @@ def _look_at_series(
             end = end * length + term
             fourth += k * (k - 1) * (k - 2) * (k - 3) * abs(term)
             size += abs(term)
-            if k == 0:
-                value[j] = term
-            if k == 1:
-                value[dampers + j] = term
-        value_new[j] = end
-        value_new[dampers + j] = slope
+            if rides and k <= 1:
+                z[place + k * points] = term
+        if rides:
+            new[place] = end
+            new[place + points] = slope
         bound[j] = fourth
         bound[dampers + j] = size
 
@@ -259,30 +322,27 @@ def _first_event(
     length: float,
     duration: float,
     expanded: bool,
-) -> tuple[float, int, int, bool]:
+) -> tuple[float, int, int]:
     """Earliest event of the step over all guards that fail the Hermite test.
 
-    Returns (fraction of `length` or NONE, damper, guard, whether the tableau has been filled).
+    Returns (fraction of `length` or NONE, damper, guard). The tableau is filled if anything is examined.
     """
     first = NONE
     which = -1
     what = 0
-    dampers = model.mass.shape[0]
-    for j in range(dampers):
+    behind = flow.rates_constant.shape[1]
+    for j in range(model.mass.shape[0]):
         error = scratch.bound[j] * length**4
-        value = scratch.value[j]
-        slope = scratch.value[dampers + j] * length
-        value_new = scratch.value_new[j]
-        slope_new = scratch.value_new[dampers + j] * length
         mode = state.mode[j]
         multiplicity = 0
         near_ceiling = False
         if mode == FLIGHT:
+            position, velocity = model.position[j], model.velocity[j]
             fall = model.gravity * duration
-            value = state.height[j] - value
-            slope = state.speed[j] * duration - slope
-            value_new = state.height[j] + duration * (state.speed[j] - 0.5 * fall) - value_new
-            slope_new = (state.speed[j] - fall) * duration - slope_new
+            value = state.height[j] - state.z[position]
+            slope = (state.speed[j] - state.z[velocity]) * duration
+            value_new = state.height[j] + duration * (state.speed[j] - 0.5 * fall) - scratch.new[position]
+            slope_new = (state.speed[j] - fall - scratch.new[velocity]) * duration
             multiplicity = state.multiplicity[j]
             clearance = model.clearance[j]
             if clearance < np.inf:
@@ -292,14 +352,14 @@ def _first_event(
                     )
                     <= 0.0
                 )
-        elif mode == FLOOR:
-            value += model.gravity
-            value_new += model.gravity
         else:
-            value = -value - model.gravity
-            slope = -slope
-            value_new = -value_new - model.gravity
-            slope_new = -slope_new
+            place = behind + model.position[j]
+            value = model.gravity + state.z[place]
+            value_new = model.gravity + scratch.new[place]
+            slope = state.z[place + model.first_velocity] * length
+            slope_new = scratch.new[place + model.first_velocity] * length
+            if mode != FLOOR:
+                value, slope, value_new, slope_new = -value, -slope, -value_new, -slope_new
         near = _margin(value, slope, value_new, slope_new, error, multiplicity) <= 0.0
         if not (near or near_ceiling):
             continue
@@ -316,7 +376,7 @@ def _first_event(
             first = tau
             which = j
             what = guard
-    return first, which, what, expanded
+    return first, which, what
 
 
 @inlined
@@ -340,7 +400,8 @@ def advance(
     steps: float,
     left: float,
     coupling: bool | None,
-) -> tuple[int, float]:
+    known: int,
+) -> tuple[int, float, int]:
     """Advance to the end of a segment of `steps` step lengths (a real number), or come back earlier.
 
     Parameters
@@ -352,6 +413,8 @@ def advance(
         so that they have the same bits wherever the kernel came back in between.
     coupling : bool or None
         None where the mass matrix couples no dampers at an impact.
+    known : int
+        STALE, CURRENT or CLEAR: what is known of the state.
 
     Returns
     -------
@@ -359,56 +422,72 @@ def advance(
         DONE, or NEED_TABLE / LOG_FULL / STUCK: call again with what is left when that is seen to.
     left : float
         Steps still to go.
+    known : int
+        Of the state now.
     """
     columns = flow.rates_constant.shape[1]
-    known = False
+    has_room = columns + 2 * model.first_velocity <= flow.propagate_constant.shape[1]
     while left > 0.0:
         slot = state.counters[SLOT]
         if slot < 0:
-            return NEED_TABLE, left
+            return NEED_TABLE, left, STALE
+        length = min(left, 1.0)
+        duration = length * model.step
+        whole = flow.stepping and length == 1.0
+        if whole:
+            combine(flow.propagate, flow.propagate_constant, slot, state.z, columns, scratch.new)
+            if (
+                known == CLEAR
+                and not exceeds(state.z, scratch.envelope)
+                and _above_margins(model, state, scratch.margin, scratch.new, columns, duration)
+            ):
+                copy(scratch.new, state.z, 0)
+                _fly(model, state, duration)
+                left -= 1.0
+                continue
         if (
             log.filled[0] + 4 * model.mass.shape[0] > log.segment.shape[0]
             or log.filled[1] == log.before.shape[0]
         ):
-            return LOG_FULL, left
-        length = min(left, 1.0)
-        duration = length * model.step
-        expanded = False
-        if length == 1.0 and flow.tabulated:
-            combine(flow.propagate, flow.propagate_constant, slot, state.z, columns, scratch.new)
-        else:
+            return LOG_FULL, left, STALE
+        if not whole:
             _expand(flow, model, slot, state.z, scratch.tableau)
-            expanded = True
             _sum_series(scratch, length, scratch.new)
-        if flow.tabulated:
-            _look_at_tables(flow, slot, state.z, known, scratch)
+        if flow.stepping:
+            if known == STALE or not flow.smooth:
+                differentiate(flow, model, slot, state.z, scratch.derivative, known)
+            if not (whole and has_room):
+                differentiate(flow, model, slot, scratch.new, scratch.derivative, CURRENT if whole else STALE)
+            _bound_by_tables(flow, slot, state.z, scratch)
         else:
-            _look_at_series(
-                model, state.mode, scratch.tableau, length, scratch.value, scratch.value_new, scratch.bound
+            _bound_by_series(
+                model, state.mode, scratch.tableau, length, state.z, scratch.new, columns, scratch.bound
             )
-        tau, j, guard, expanded = _first_event(flow, model, state, scratch, slot, length, duration, expanded)
+        tau, j, guard = _first_event(flow, model, state, scratch, slot, length, duration, not whole)
         if tau == NONE:
-            for i in range(state.z.shape[0]):
-                state.z[i] = scratch.new[i]
-            for i in range(scratch.value.shape[0]):
-                scratch.value[i] = scratch.value_new[i]
-            known = True
-            state.counters[IN_A_ROW] = 0
+            copy(scratch.new, state.z, 0)
             _fly(model, state, duration)
+            state.counters[IN_A_ROW] = 0
             left -= length
+            if flow.stepping and flow.smooth:
+                known = CURRENT
+            elif flow.stepping:
+                if known == STALE or exceeds(state.z, scratch.envelope):
+                    _draw_envelope(flow, slot, state.z, scratch)
+                clear = _above_margins(model, state, scratch.margin, state.z, columns, 0.0)
+                known = CLEAR if clear else CURRENT
             continue
-        known = False
+        known = STALE
         if tau > 0.0:
             _sum_series(scratch, tau * length, scratch.new)
-            for i in range(state.z.shape[0]):
-                state.z[i] = scratch.new[i]
+            copy(scratch.new, state.z, 0)
             _fly(model, state, tau * duration)
             left -= tau * length
             state.counters[IN_A_ROW] = 0
         else:
             state.counters[IN_A_ROW] += 1
             if state.counters[IN_A_ROW] > EVENTS_AT_ONE_INSTANT * model.mass.shape[0]:
-                return STUCK, left
+                return STUCK, left, known
         offset = (steps - left) * model.step
         open_break(model, state, log, segment, offset)
         if guard == CONTACT_FORCE:
@@ -416,4 +495,4 @@ def advance(
         else:
             impact(flow, model, state, log, segment, offset, j, guard, scratch.contact, coupling)
         close_break(model, state, log)
-    return DONE, 0.0
+    return DONE, 0.0, known

@@ -17,11 +17,24 @@ from rig.course import Array, Course
 from rig.errors import RunError
 from rig.flow import REACH, Flow, FlowTables, Model
 from rig.jit import compiled, inlined
-from rig.kernel import DONE, LOG_FULL, NEED_TABLE, STUCK, Scratch, advance, scratch_for
-from rig.lanes import combine, padded
+from rig.kernel import (
+    DONE,
+    LOG_FULL,
+    NEED_TABLE,
+    STALE,
+    STUCK,
+    Scratch,
+    advance,
+    differentiate,
+    fold_envelope,
+    scratch_for,
+)
+from rig.lanes import LANES, padded, transpose
 from rig.system import Drive, System, sampled, tone
 
 LOG_ROWS = 1024
+#: Every segment begins with the drive set anew.
+EVERY = np.ones(1, dtype=bool)
 
 
 class Kept(NamedTuple):
@@ -34,13 +47,16 @@ class Kept(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What can be seen of the motion at samples, as in `rig.motion.Motion`; without columns nothing is."""
+    """What can be seen of the motion at samples, as in `rig.motion.Motion`; without columns nothing is.
 
-    displacement: Array
-    velocity: Array
-    acceleration: Array
-    gap: Array
+    rows (displacements, velocities, accelerations, gaps; samples); contact (dampers, samples); begin (1,), the first
+    column that is filled next; window (LANES, rows).
+    """
+
+    rows: Array
     contact: NDArray[np.int8]
+    begin: NDArray[np.int64]
+    window: Array
 
 
 @inlined
@@ -54,34 +70,28 @@ def _keep(state: State, row: int, kept: Kept) -> None:
 
 
 @inlined
-def _accelerate(flow: Flow, slot: int, z: Array, first: int, count: int, out: Array) -> None:
-    """Accelerations of the coordinates, whose velocities begin at state `first`."""
-    if flow.tabulated:
-        columns = flow.rates_constant.shape[1]
-        combine(flow.acceleration, flow.acceleration_constant, slot, z, columns, out)
-        return
-    for i in range(first, first + count):
-        rate = flow.rates_constant[slot, i]
-        for entry in range(flow.pointer[i], flow.pointer[i + 1]):
-            rate += flow.rates[slot, entry] * z[flow.column[entry]]
-        out[i - first] = rate
-
-
-@inlined
-def _see(flow: Flow, model: Model, state: State, work: Array, column: int, seen: Seen) -> None:
-    count = seen.displacement.shape[0]
-    _accelerate(flow, state.counters[SLOT], state.z, count, count, work)
-    for i in range(count):
-        seen.displacement[i, column] = state.z[i]
-        seen.velocity[i, column] = state.z[count + i]
-        seen.acceleration[i, column] = work[i]
-    for j in range(seen.gap.shape[0]):
+def _see(flow: Flow, model: Model, state: State, seen: Seen, column: int, last: bool) -> None:
+    """Show the present motion in a column: by way of a window, because the rows lie far apart in memory."""
+    row, points = column % LANES, model.first_velocity
+    behind = flow.rates_constant.shape[1]
+    for i in range(2 * points):
+        seen.window[row, i] = state.z[i]
+    for i in range(points):
+        seen.window[row, 2 * points + i] = state.z[behind + i]
+    for j in range(seen.contact.shape[0]):
         mode = state.mode[j]
-        seen.contact[j, column] = mode
+        gap = 0.0 if mode == FLOOR else model.clearance[j]
         if mode == FLIGHT:
-            seen.gap[j, column] = max(state.height[j] - state.z[model.position[j]], 0.0)
-        else:
-            seen.gap[j, column] = 0.0 if mode == FLOOR else model.clearance[j]
+            gap = max(state.height[j] - state.z[model.position[j]], 0.0)
+        seen.contact[j, column] = mode
+        seen.window[row, 3 * points + j] = gap
+    first = column - row
+    if row == LANES - 1 and first >= seen.begin[0]:
+        transpose(seen.window, seen.rows, first)
+    elif row == LANES - 1 or last:
+        for there in range(max(first, seen.begin[0]), column + 1):
+            for i in range(seen.rows.shape[0]):
+                seen.rows[i, there] = seen.window[there % LANES, i]
 
 
 @compiled
@@ -89,38 +99,46 @@ def _march(
     flow: Any, model: Any, state: Any, scratch: Any, log: Any, steps: Array, renew: NDArray[np.bool_], drive: Array,
     row: NDArray[np.int64], begin: int, left: float, kept: Kept, seen: Seen, coupling: bool | None,
 ) -> tuple[int, int, float]:  # fmt: skip
-    """Segments of `steps` step lengths; a segment with `renew` begins with the drive states in `drive`.
+    """Segments of `steps` step lengths between the columns of a drive.
 
-    The motion at the end of segment k goes to row (column) row[k] of what is kept (seen) unless that is negative.
-    Comes back with the segment and the steps left in it (negative: not begun) if the kernel needs something.
+    A segment with `renew` begins with the drive and its change over the segment as drive states. `steps` and
+    `renew` have one entry, or one for each segment. The motion at the end of segment k goes to row (column) row[k]
+    of what is kept (seen) unless that is negative. Comes back with the segment and the steps left in it (negative:
+    not begun) if the kernel needs something.
     """
-    first = flow.rates_constant.shape[1] - drive.shape[1]
-    for k in range(begin, steps.shape[0]):
+    inputs, segments = drive.shape[0], drive.shape[1] - 1
+    first = flow.rates_constant.shape[1] - 2 * inputs
+    stride = 1 if steps.shape[0] > 1 else 0
+    known = STALE
+    fold_envelope(flow, scratch)
+    for k in range(begin, segments):
+        whole = steps[stride * k]
         if left < 0.0:
-            left = steps[k]
-            if renew[k]:
-                for i in range(drive.shape[1]):
-                    state.z[first + i] = drive[k, i]
-        status, left = advance(flow, model, state, scratch, log, k, steps[k], left, coupling)
+            left = whole
+            if renew[stride * k]:
+                for i in range(inputs):
+                    state.z[first + i] = drive[i, k]
+                    state.z[first + inputs + i] = drive[i, k + 1] - drive[i, k]
+        status, left, known = advance(flow, model, state, scratch, log, k, whole, left, coupling, known)
         if status != DONE:
             return status, k, left
         if state.counters[SLOT] < 0:
             return NEED_TABLE, k, 0.0
         if row[k] >= 0:
+            if known == STALE:
+                differentiate(flow, model, state.counters[SLOT], state.z, scratch.derivative, STALE)
             if kept.slot.shape[0] > 0:
                 _keep(state, row[k], kept)
-            if seen.displacement.shape[1] > 0:
-                _see(flow, model, state, scratch.contact.force, row[k], seen)
+            if seen.rows.shape[1] > 0:
+                _see(flow, model, state, seen, row[k], k == segments - 1)
         left = -1.0
-    return DONE, steps.shape[0], -1.0
+    return DONE, segments, -1.0
 
 
 @compiled
-def _accelerations(flow: Any, states: Array, slots: NDArray[np.int64], row: Array, out: Array) -> None:
+def _accelerations(flow: Any, model: Any, states: Array, slots: NDArray[np.int64], work: Array) -> None:
     for k in range(states.shape[0]):
-        _accelerate(flow, slots[k], states[k], out.shape[0], out.shape[0], row)
-        for i in range(out.shape[0]):
-            out[i, k] = row[i]
+        differentiate(flow, model, slots[k], states[k], work, STALE)
 
 
 @compiled
@@ -130,7 +148,8 @@ def _let_go(flow: Any, model: Any, state: Any, scratch: Any, log: Any, coupling:
 
 @compiled
 def _see_now(flow: Any, model: Any, state: Any, work: Array, column: int, seen: Seen) -> None:
-    _see(flow, model, state, work, column, seen)
+    differentiate(flow, model, state.counters[SLOT], state.z, work, STALE)
+    _see(flow, model, state, seen, column, True)
 
 
 class March:
@@ -148,9 +167,9 @@ class March:
         self.system, self.drive = system, drive
         self.tables = FlowTables(system, drive, step)
         self._coupling = True if system.coupled else None
-        dampers, size = system.dampers, self.tables.size
+        dampers, size = system.dampers, padded(self.tables.size + 2 * system.coordinates)
         self.state = State(
-            z=np.zeros(padded(size)),
+            z=np.zeros(size),
             height=np.zeros(dampers),
             speed=np.zeros(dampers),
             mode=np.full(dampers, FLOOR, dtype=np.int64),
@@ -167,13 +186,13 @@ class March:
             closing=np.zeros(rows),
             break_segment=np.zeros(rows, dtype=np.int64),
             break_offset=np.zeros(rows),
-            before=np.zeros((rows, padded(size))),
-            after=np.zeros((rows, padded(size))),
+            before=np.zeros((rows, size)),
+            after=np.zeros((rows, size)),
             speed_before=np.zeros((rows, dampers)),
             speed_after=np.zeros((rows, dampers)),
             configuration=np.zeros((rows, 2), dtype=np.int64),
         )
-        self.scratch: Scratch = scratch_for(self.tables.flow)
+        self.scratch: Scratch = scratch_for(self.tables.flow, size)
         self.state.counters[CONFIGURATION] = (1 << dampers) - 1
         self._find_table()
 
@@ -226,27 +245,33 @@ class March:
         """Run through the sample intervals between the columns of a sampled drive (inputs, samples + 1)."""
         intervals = drive.shape[1] - 1
         kept, unseen = self._kept(intervals), self.sight(0)
-        return self._run(*_held(drive, interval_steps), np.arange(intervals), kept, unseen)
+        return self._run(np.array([interval_steps]), EVERY, drive, np.arange(intervals), kept, unseen)
 
     def watch_samples(self, drive: Array, interval_steps: float, seen: Seen, column: int) -> Course:
         """Do the same, but instead of keeping states fill what is seen, from a column on."""
+        seen.begin[0] = column
         rows = np.arange(column, column + drive.shape[1] - 1)
-        return self._run(*_held(drive, interval_steps), rows, self._kept(0), seen)
+        return self._run(np.array([interval_steps]), EVERY, drive, rows, self._kept(0), seen)
 
     def sight(self, samples: int) -> Seen:
         """Room for what is seen at a number of samples."""
-        points, dampers = self.system.coordinates, self.system.dampers
+        dampers = self.system.dampers
+        rows = padded(3 * self.system.coordinates + dampers)
         return Seen(
-            displacement=np.empty((points, samples)),
-            velocity=np.empty((points, samples)),
-            acceleration=np.empty((points, samples)),
-            gap=np.empty((dampers, samples)),
+            rows=np.empty((rows, samples)),
             contact=np.empty((dampers, samples), dtype=np.int8),
+            begin=np.zeros(1, dtype=np.int64),
+            window=np.zeros((LANES, rows)),
         )
+
+    def parts(self, seen: Seen) -> tuple[Array, Array, Array, Array]:
+        """Displacements, velocities and accelerations (points, samples) and gaps (dampers, samples) in it."""
+        n, rows = self.system.coordinates, seen.rows
+        return rows[:n], rows[n : 2 * n], rows[2 * n : 3 * n], rows[3 * n : 3 * n + self.system.dampers]
 
     def see(self, seen: Seen, column: int) -> None:
         """Fill one column of what is seen with the present motion."""
-        work = self.scratch.contact.force
+        work = self.scratch.derivative
         _see_now(self.tables.flow, self.tables.model, self.state, work, column, seen)
 
     def over_marks(
@@ -269,17 +294,16 @@ class March:
         level : float
             Times the amplitudes of the tone.
         """
-        phase = np.zeros((len(steps), 2))
-        phase[:, 0] = level
+        # The tone's states (cos, sin) begin a period as a drive that does not change would.
+        drive = np.full((1, len(steps) + 1), level)
         kept = self._kept(int(sample_row.max(initial=-1)) + 1)
-        return self._run(steps, new_period, phase, sample_row, kept, self.sight(0))
+        return self._run(steps, new_period, drive, sample_row, kept, self.sight(0))
 
     def accelerations(self, states: Array, slots: NDArray[np.int64]) -> Array:
-        """Acceleration of every coordinate for states (samples, padded size), shape (coordinates, samples)."""
-        out = np.zeros((self.system.coordinates, len(states)))
-        row = np.zeros(self.tables.flow.acceleration_constant.shape[1])
-        _accelerations(self.tables.flow, states, slots, row, out)
-        return out
+        """Acceleration of every coordinate for rows of a `Course`, shape (coordinates, samples)."""
+        _accelerations(self.tables.flow, self.tables.model, states, slots, self.scratch.derivative)
+        behind = self.tables.size
+        return np.ascontiguousarray(states[:, behind : behind + self.system.coordinates].T)
 
     def _kept(self, samples: int) -> Kept:
         size, dampers = self.state.z.shape[0], self.system.dampers
@@ -311,13 +335,19 @@ class March:
             elif status == LOG_FULL:
                 pages.append(self._page())
             elif status == STUCK:
+                damper = self.system.damper_number[self.log.damper[self.log.filled[0] - 1]]
+                farthest = np.abs(self.state.z[: self.system.coordinates]).max()
                 raise RunError(
-                    "a damper separates and lands again and again at one instant; this contradicts the contact "
-                    "law and should be reported with the scene"
+                    f"damper {damper} separates and lands again and again at one instant, with bodies up to "
+                    f"{farthest:.3g} m away from rest; if the motion has not run away, the contact law is "
+                    "contradicted: report it with the scene"
                 )
             else:
                 break
-        pages.append(self._page())
+        last = self._page()
+        if not pages:
+            return Course(*kept, *last)
+        pages.append(last)
         return Course(*kept, *(np.concatenate(parts) for parts in zip(*pages, strict=True)))
 
     def _find_table(self) -> None:
@@ -338,15 +368,6 @@ class March:
         )
         log.filled[:] = 0
         return page
-
-
-def _held(drive: Array, interval_steps: float) -> tuple[Array, NDArray[np.bool_], Array]:
-    """Segments of a sampled drive with first-order hold: their lengths, where the drive is set, and to what."""
-    inputs, intervals = drive.shape[0], drive.shape[1] - 1
-    states = np.empty((intervals, 2 * inputs))
-    states[:, :inputs] = drive[:, :-1].T
-    np.subtract(drive[:, 1:].T, drive[:, :-1].T, out=states[:, inputs:])
-    return np.full(intervals, interval_steps), np.ones(intervals, dtype=bool), states
 
 
 def step_for(span: float, fastest: float) -> tuple[float, float]:

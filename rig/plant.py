@@ -102,7 +102,7 @@ class Plant:
                 f"drive: {block[row, column]} at sample {self._next + column} of input {self.inputs[row]}; "
                 "expected finite numbers"
             )
-        return np.clip(block, -self._limit, self._limit)
+        return np.clip(block, -self._limit, self._limit) if np.isfinite(self._limit).any() else block
 
     def _motion(
         self, seen: Seen, course: Course, first_end: int, first: int, lifted: NDArray[np.int64]
@@ -110,6 +110,7 @@ class Plant:
         """Put a block together; segment s of the course ends at sample `first_end` + s."""
         system, n = self.system, self.system.coordinates
         interval = 1.0 / self.rate
+        displacement, velocity, acceleration, gap = self._march.parts(seen)
         before, after = course.before, course.after
         at_once = np.zeros(len(lifted))
         times = (first_end + course.event_segment - 1) * interval + course.event_offset
@@ -122,10 +123,10 @@ class Plant:
         )
         return Motion(
             first=first,
-            displacement=seen.displacement,
-            velocity=seen.velocity,
-            acceleration=seen.acceleration,
-            gap=seen.gap,
+            displacement=displacement,
+            velocity=velocity,
+            acceleration=acceleration,
+            gap=gap,
             contact=seen.contact,
             break_sample=first_end + course.break_segment,
             break_offset=np.minimum(course.break_offset, interval),

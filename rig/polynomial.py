@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.jit import compiled, inlined
-from rig.lanes import combine
+from rig.lanes import combine, lowest, negatives
 
 Array = NDArray[np.float64]
 
@@ -41,19 +41,12 @@ def _bernstein_matrices() -> np.ndarray:
 
 
 BERNSTEIN = _bernstein_matrices()
-ZEROS = np.zeros((LENGTH, LENGTH))
-
-
-@compiled
-def to_bernstein(series: Array, start: int, out: Array, bernstein: Array) -> float:
-    """Bernstein coefficients of series[start:] (degree DEGREE - start) into out; the lowest is returned."""
-    degree = DEGREE - start
-    combine(bernstein, ZEROS, start, series, LENGTH, out)
-    return lowest_of(out, degree)
+#: Behind the coefficients that a deflated series has stands infinity.
+BEYOND = np.where(np.add.outer(np.arange(LENGTH), np.arange(LENGTH)) > DEGREE, np.inf, 0.0)
 
 
 @inlined
-def lowest_of(coefficients: Array, degree: int) -> float:
+def _lowest_of(coefficients: Array, degree: int) -> float:
     """Smallest of the first degree + 1 coefficients (two chains, because comparing has latency)."""
     even = coefficients[0]
     odd = coefficients[degree]
@@ -64,25 +57,41 @@ def lowest_of(coefficients: Array, degree: int) -> float:
 
 
 @inlined
-def _polish(
-    series: Array, start: int, left: float, right: float, value_left: float, value_right: float
-) -> float:
+def _value_slope_bend(series: Array, start: int, tau: float) -> tuple[float, float, float]:
+    """Value, slope and half the second derivative of series[start:] at tau.
+
+    Even and odd powers are two polynomials in tau^2, E + tau O, so that the additions wait half as often.
+    """
+    square = tau * tau
+    even, even_slope, even_bend = 0.0, 0.0, 0.0
+    odd, odd_slope, odd_bend = 0.0, 0.0, 0.0
+    top = DEGREE
+    if (DEGREE - start) % 2 == 0:
+        even = series[DEGREE]
+        top = DEGREE - 1
+    for k in range(top, start, -2):
+        odd_bend = odd_bend * square + odd_slope
+        even_bend = even_bend * square + even_slope
+        odd_slope = odd_slope * square + odd
+        even_slope = even_slope * square + even
+        odd = odd * square + series[k]
+        even = even * square + series[k - 1]
+    value = even + tau * odd
+    slope = odd + 2.0 * tau * (even_slope + tau * odd_slope)
+    bend = even_slope + 3.0 * tau * odd_slope + 4.0 * square * (even_bend + tau * odd_bend)
+    return value, slope, bend
+
+
+@inlined
+def _polish(series: Array, start: int, left: float, right: float, tau: float) -> float:
     """Root in a bracket that holds exactly one (positive at left, negative at right): Halley, else bisection."""
-    tau = left + (right - left) * value_left / (value_left - value_right)
     for _ in range(200):
-        value = series[DEGREE]
-        slope = 0.0
-        bend = 0.0
-        for k in range(DEGREE - 1, start - 1, -1):
-            bend = bend * tau + slope
-            slope = slope * tau + value
-            value = value * tau + series[k]
+        value, slope, bend = _value_slope_bend(series, start, tau)
         if value > 0.0:
             left = tau
         else:
             right = tau
-        # `bend` is half the second derivative. Between two roots close together the slope vanishes, and Halley's
-        # step with it: there the bracket is halved.
+        # Between two roots close together the slope vanishes, and Halley's step with it: there the bracket is halved.
         curved = value * bend
         following = right
         if slope < 0.0 and abs(curved) < 0.5 * slope * slope:
@@ -98,6 +107,20 @@ def _polish(
         if right - left <= 4e-16 * right:
             break
     return tau
+
+
+@inlined
+def _only_crossing(coefficients: Array, degree: int) -> float:
+    """Guess at the only root, where the coefficients change sign once: their polygon's; else `NONE`."""
+    positive = ~negatives(coefficients) & ((1 << (degree + 1)) - 1)
+    if positive & (positive + 1) != 0:
+        return NONE
+    last = -1
+    while positive > 0:
+        positive >>= 1
+        last += 1
+    before, after = coefficients[last], coefficients[last + 1]
+    return (last + before / (before - after)) / degree
 
 
 @compiled
@@ -159,8 +182,14 @@ def first_crossing(
     if series[start] < 0.0:
         return 0.0, 0
     degree = DEGREE - start
-    if to_bernstein(series, start, work[0], bernstein) > allowance:
+    whole = work[0]
+    combine(bernstein, BEYOND, start, series, LENGTH, whole)
+    if lowest(whole) > allowance:
         return NONE, 0
+    if whole[0] > allowance and whole[degree] < -allowance:
+        guess = _only_crossing(whole, degree)
+        if guess != NONE:
+            return _polish(series, start, 0.0, 1.0, guess), 0
     ambiguous = 0
     touched = -1.0
     spans[0, 0] = 0.0
@@ -170,12 +199,12 @@ def first_crossing(
         coefficients = work[level]
         left = spans[level, 0]
         right = spans[level, 1]
-        lowest = lowest_of(coefficients, degree)
+        deepest = _lowest_of(coefficients, degree)
         # A dip of the deflated guard counts when it is one of the guard itself, tau^start times larger.
         rounding = allowance / right**start
-        if lowest >= -rounding:
+        if deepest >= -rounding:
             # No dip deeper than rounding here; what touches zero within rounding is counted, once for a dip.
-            if lowest <= allowance and right < 1.0:
+            if deepest <= allowance and right < 1.0:
                 if left != touched:
                     ambiguous += 1
                 touched = right
@@ -183,7 +212,9 @@ def first_crossing(
             continue
         falls = coefficients[degree] < -rounding
         if falls and coefficients[0] > allowance and _changes(coefficients, degree) == 1:
-            return _polish(series, start, left, right, coefficients[0], coefficients[degree]), ambiguous
+            before, after = coefficients[0], coefficients[degree]
+            guess = left + (right - left) * before / (before - after)
+            return _polish(series, start, left, right, guess), ambiguous
         if level >= DEEPEST or right - left < 1e-15 * max(right, 1e-3):
             return left, ambiguous
         middle = 0.5 * (left + right)

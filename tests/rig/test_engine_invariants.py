@@ -96,6 +96,26 @@ def test_given_any_scene_when_a_damper_rides_then_its_contact_pushes(scene: rig.
     assert pressure.min() > -1e-9 * max(scene.gravity, np.abs(run.acceleration).max())
 
 
+@settings(max_examples=15)
+@given(scene=scenes(), seed=st.integers(0, 2**32 - 1))
+def test_given_any_scene_when_every_guard_is_looked_at_in_every_step_then_no_more_is_found_than_behind_an_envelope(
+    scene: rig.Scene, seed: int
+) -> None:
+    # A block begins without an envelope, so in blocks of one sample none is ever drawn.
+    random = np.random.default_rng(seed)
+    rate = 800 * scene.test.frequency
+    time = np.arange(1000) / rate
+    tone = np.sin(2 * np.pi * scene.test.frequency * time) + 0.1 * random.standard_normal(len(time))
+    drive = 3.0 * scene.test.force * tone[None]
+    whole = rig.Plant(scene, rate).advance(drive)
+    plant = rig.Plant(scene, rate)
+    samples = [plant.advance(drive[:, k : k + 1]) for k in range(len(time))]
+    np.testing.assert_array_equal(np.concatenate([sample.events for sample in samples]), whole.events)
+    for field in ("displacement", "acceleration", "gap", "contact"):
+        joined = np.concatenate([getattr(sample, field) for sample in samples], axis=1)
+        np.testing.assert_array_equal(joined, getattr(whole, field))
+
+
 @settings(max_examples=40)
 @given(scene=scenes(), seed=st.integers(0, 2**32 - 1))
 def test_given_any_scene_and_drive_when_cut_into_blocks_then_every_bit_is_the_same(

@@ -73,6 +73,16 @@ def test_given_a_hundred_thousand_periods_when_run_then_the_motion_has_not_drift
     assert np.ptp(settled) < 1e-16
 
 
+def test_given_a_million_periods_of_a_linear_structure_when_run_then_amplitude_and_phase_are_exact() -> None:
+    scene = rig.load("bare-structure").replace(
+        test={"kind": "sine", "frequency": 32.0, "force": 2.6}, shaker={"kind": "force", "body": 1}
+    )
+    every = 8192
+    run = rig.simulate(scene, 123 * every / 32.0, rate=32.0 / every)
+    exact = 2.6 * receptance(scene, [32.0])
+    assert np.abs(run.displacement[:, -100:] - exact.imag).max() < 1e-12 * np.abs(exact).min()
+
+
 def test_given_a_vanishing_mass_when_run_then_the_damper_is_the_inelastic_bouncing_ball() -> None:
     scene = single({"mass": 1e-9}, damping=0.1, force=25.0)
     run = rig.simulate(scene, 12.0, rate=100.0)

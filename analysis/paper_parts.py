@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import rig
-from analysis import paper_experiment, paper_simulation
+from analysis import paper_experiment, paper_scan, paper_simulation
 from analysis.paper_store import Part
 from rig.scene import Scene
 
@@ -19,6 +19,7 @@ MODE_BANDS = {1: (11.5, 14.0), 2: (31.0, 36.0), 3: (45.5, 51.5)}
 DAMPINGS = np.array([0.003, 0.005, 0.0075, 0.01, 0.015])
 NEAR_PAPER = 1e-3 * np.array([0.9, 0.98, 1.05, 1.1, 1.15, 1.2, 1.3])
 MASS_RATIOS = (0.03, 0.06, 0.10)
+WIDE_MASS_RATIOS = np.array([0.02, 0.04, 0.06, 0.08, 0.10])
 # Third resonance, finer where the single damper peaks.
 RESONANCE = np.unique(np.concatenate([np.linspace(45.5, 53.0, 16), np.linspace(46.2, 50.4, 22)]))
 # Fig 8 covers all resonances: coarse in between, fine about them, with and without the dampers' masses.
@@ -49,21 +50,25 @@ def all_parts(folder: Path) -> list[Part]:
     single, three = rig.load("fig5-single-damper"), rig.load("fig5-three-dampers")
     grid = {"forces": FORCES, "clearances": CLEARANCES, "frequencies": RESONANCE, "mass_ratio": 0.10}
     parts.append(
-        _part(
-            "scan-three", "scan of force and clearance, three dampers", paper_simulation.scan, three, **grid
-        )
+        _part("scan-three", "scan of force and clearance, three dampers", paper_scan.scan, three, **grid)
     )
     parts.append(
-        _part("scan-single", "scan of force and clearance, one damper", paper_simulation.scan, single, **grid)
+        _part("scan-single", "scan of force and clearance, one damper", paper_scan.scan, single, **grid)
     )
     for ratio in MASS_RATIOS:
         parts.append(
             _part(
                 f"best-{round(100 * ratio):02d}", f"best clearance, mass ratio {100 * ratio:.0f} %",
-                paper_simulation.best_clearance, rig.load("fig9"), force=3.3, mass_ratio=ratio, clearances=CLEARANCES,
+                paper_scan.best_clearance, rig.load("fig9"), force=3.3, mass_ratio=ratio, clearances=CLEARANCES,
                 frequencies=RESONANCE,
             )
         )  # fmt: skip
+    parts.append(
+        _part(
+            "optimum", "best clearance and mass ratio", paper_scan.best_damper, rig.load("fig9"), force=3.3,
+            mass_ratios=WIDE_MASS_RATIOS, clearances=CLEARANCES[1:-1], frequencies=RESONANCE,
+        )
+    )  # fmt: skip
     parts.append(
         _part(
             "approx-peaks", "approximate method over force and clearance", paper_simulation.approximate_peaks, single,
@@ -96,7 +101,7 @@ def all_parts(folder: Path) -> list[Part]:
     )
     parts.append(
         _part(
-            "fig9-damping", "Fig 9 over damping and clearance", paper_simulation.stays_over_damping, rig.load("fig9"),
+            "fig9-damping", "Fig 9 over damping and clearance", paper_scan.stays_over_damping, rig.load("fig9"),
             dampings=DAMPINGS, clearances=NEAR_PAPER, frequencies=RESONANCE,
         )
     )  # fmt: skip

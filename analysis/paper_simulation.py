@@ -5,28 +5,23 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.paper_scan import BODY, curve, resonance
 from analysis.paper_store import Arrays
 from rig.approximate import Branch, follow_mode
 from rig.errors import SceneError
-from rig.motion_type import motion_types, overall
-from rig.orbit import periodic_orbit, start_march
+from rig.orbit import periodic_orbit
 from rig.orbit_curve import follow_orbits
 from rig.orbit_following import Orbit
 from rig.orbit_motion import follow
-from rig.orbit_problem import Problem, Setting, pure_force
+from rig.orbit_problem import Problem, pure_force
 from rig.receptance import receptance
 from rig.response import frequency_response
 from rig.scene import Scene
 from rig.shooting import shoot
 from rig.single_mode import Weighting, single_mode
-from rig.steady_state import MARKS, one_cycle, settle
 from rig.structure import natural_modes, structure_matrices
 
 Floats = NDArray[np.float64]
-
-# A scan needs the curve, not its last digits; what has not settled by then is drawn as irregular.
-SCAN_TOLERANCE, SCAN_LONGEST = 1e-4, 3000
-BODY = 2
 
 
 def structure_numbers(scene: Scene, frequencies: Floats) -> Arrays:
@@ -180,64 +175,6 @@ def waveforms(scene: Scene, frequency: float, periods: float = 2.0) -> Arrays:
     }
 
 
-def scan(
-    scene: Scene, forces: Floats, clearances: Floats, frequencies: Floats, mass_ratio: float, body: int = BODY
-) -> Arrays:
-    """Peak compliance and motion type about a resonance, over force (rows) and clearance (columns).
-
-    Returns
-    -------
-    dict
-        peak (forces, clearances): largest |X| / F_1 of the body; where (same): its frequency; type_there: the
-        motion type at the peak; types: all types met by any damper, joined by spaces; settled: share of the
-        frequencies at which the motion repeats.
-    """
-    shape = (len(forces), len(clearances))
-    peak, where, settled = np.zeros(shape), np.zeros(shape), np.zeros(shape)
-    there, types = np.empty(shape, dtype="U24"), np.empty(shape, dtype="U400")
-    for column, clearance in enumerate(clearances):
-        dampers = [
-            d.replace(clearance=float(clearance), mass=None, mass_ratio=mass_ratio) for d in scene.dampers
-        ]
-        problem = Problem(scene.replace(dampers=dampers))
-        for row, force in enumerate(forces):
-            size, motions = _sizes(problem, float(force), frequencies, body)
-            i = int(size.argmax())
-            peak[row, column], where[row, column] = size[i], frequencies[i]
-            there[row, column] = overall(motions[i])
-            types[row, column] = " ".join(sorted({kind for kinds in motions for kind in kinds}))
-            settled[row, column] = np.mean(["irregular" not in kinds for kinds in motions])
-    return {
-        "force": forces,
-        "clearance": clearances,
-        "peak": peak,
-        "where": where,
-        "type_there": there,
-        "types": types,
-        "settled": settled,
-    }
-
-
-def _sizes(problem: Problem, force: float, frequencies: Floats, body: int) -> tuple[Floats, list[list[str]]]:
-    """Compliance of a body and motion types, each frequency from the motion at the one before."""
-    sizes, motions = np.zeros(len(frequencies)), []
-    last = None
-    for i, frequency in enumerate(frequencies):
-        march, steps = start_march(problem, Setting(float(frequency), force))
-        if last is not None:
-            march.resume(last)
-            march.start_period(1.0)
-        steady = settle(march, steps, 1.0, SCAN_TOLERANCE, SCAN_LONGEST)
-        course, begins = one_cycle(march, steps, 1.0, steady.repetition or 16)
-        # The mean over evenly spaced instants: kinks of the velocity leave an error of some 1e-5 of the
-        # motion.
-        turns = np.exp(-2j * np.pi * np.arange(len(begins)) / MARKS)
-        sizes[i] = 2 * abs(np.mean(begins[:, body - 1] * turns)) / force
-        motions.append(motion_types(course, problem.system.dampers, steady.repetition))
-        last = march.snapshot()
-    return sizes, motions
-
-
 def weightings(scene: Scene, bands: dict[int, tuple[float, float]]) -> Arrays:
     """Peaks of the approximate method with either weight of the mass ratio, beside those of the simulation.
 
@@ -250,8 +187,9 @@ def weightings(scene: Scene, bands: dict[int, tuple[float, float]]) -> Arrays:
     Returns
     -------
     dict
-        mode (modes,), and rows simulation, printed, energy: peak (3, modes) of the body that moves most in
-        the mode [m/N], frequency (3, modes) Hz, mass_ratio (3, modes); NaN where the printed sum is no mass.
+        mode (modes,), and rows all modes (exact orbits), printed, energy: peak (3, modes) of the body that moves
+        most in the mode [m/N], frequency (3, modes) Hz, mass_ratio (3, modes); NaN where the printed sum is no
+        mass.
     """
     peak, where, ratio = (np.full((3, len(bands)), np.nan) for _ in range(3))
     forced = pure_force(scene)
@@ -271,85 +209,9 @@ def weightings(scene: Scene, bands: dict[int, tuple[float, float]]) -> Arrays:
                 size = np.where(branch.valid & branch.stable, np.abs(branch.compliance), 0)
                 if not peak[row, column] >= size.max():
                     peak[row, column], where[row, column] = size.max(), branch.frequency[size.argmax()]
-        size, _ = _sizes(problem, problem.level, frequencies, body + 1)
-        peak[0, column], where[0, column] = size.max(), frequencies[size.argmax()]
+        response = curve(problem, problem.level, frequencies)
+        peak[0, column], where[0, column] = resonance(problem, response, body + 1)
     return {"mode": np.array(list(bands)), "peak": peak, "frequency": where, "mass_ratio": ratio}
-
-
-def stays_over_damping(
-    scene: Scene, dampings: Floats, clearances: Floats, frequencies: Floats, body: int = BODY
-) -> Arrays:
-    """Whether Type III appears about the resonance, over damping ratio (rows) and clearance (columns).
-
-    Returns
-    -------
-    dict
-        third (dampings, clearances): whether; peak (same): largest compliance of the body [m/N].
-    """
-    third, peak = (
-        np.zeros((len(dampings), len(clearances)), dtype=bool),
-        np.zeros((len(dampings), len(clearances))),
-    )
-    for row, damping in enumerate(dampings):
-        structure = scene.structure.replace(damping={"modal": float(damping)})
-        for column, clearance in enumerate(clearances):
-            dampers = [d.replace(clearance=float(clearance)) for d in scene.dampers]
-            problem = Problem(scene.replace(structure=structure, dampers=dampers))
-            size, motions = _sizes(problem, problem.level, frequencies, body)
-            third[row, column], peak[row, column] = any("III" in kinds for kinds in motions), size.max()
-    return {"damping": dampings, "clearance": clearances, "third": third, "peak": peak}
-
-
-def best_clearance(
-    scene: Scene, force: float, mass_ratio: float, clearances: Floats, frequencies: Floats, body: int = BODY
-) -> Arrays:
-    """Clearance with the smallest peak compliance over a range of forces about a nominal one.
-
-    A coarse search over the given clearances, then golden sections about the best of them. Robust means: the
-    worst peak at 0.8, 1 and 1.25 times the force.
-
-    Returns
-    -------
-    dict
-        clearance, worst (trials,) in the order of the search; best, peak (): the optimum and its worst peak.
-    """
-    trials: dict[float, float] = {}
-
-    def worst(log_clearance: float) -> float:
-        clearance = float(np.exp(log_clearance))
-        if clearance not in trials:
-            found = scan(
-                scene,
-                force * np.array([0.8, 1.0, 1.25]),
-                np.array([clearance]),
-                frequencies,
-                mass_ratio,
-                body,
-            )
-            trials[clearance] = float(found["peak"].max())
-        return trials[clearance]
-
-    grid = np.log(clearances)
-    values = [worst(x) for x in grid]
-    i = int(np.clip(np.argmin(values), 1, len(grid) - 2))
-    low, high = grid[i - 1], grid[i + 1]
-    golden = (np.sqrt(5) - 1) / 2
-    left, right = high - golden * (high - low), low + golden * (high - low)
-    for _ in range(7):
-        if worst(left) < worst(right):
-            high, right = right, left
-            left = high - golden * (high - low)
-        else:
-            low, left = left, right
-            right = low + golden * (high - low)
-    best = min(trials, key=lambda c: trials[c])
-    return {
-        "clearance": np.array(list(trials)),
-        "worst": np.array(list(trials.values())),
-        "best": np.array(best),
-        "peak": np.array(trials[best]),
-        "mass_ratio": np.array(mass_ratio),
-    }
 
 
 def approximate_peaks(

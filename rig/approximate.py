@@ -25,7 +25,7 @@ from rig.single_mode import SingleMode, Weighting, single_mode
 Floats = NDArray[np.float64]
 
 _NEAR = continuation.Steps(iterations=25)
-_STEPS = continuation.Steps(first=3e-3, longest=0.05, turn=0.12)
+_STEPS = continuation.Steps(first=3e-3, longest=0.1, turn=0.15)
 
 
 @dataclass(frozen=True)

@@ -52,6 +52,8 @@ class OrbitResponse:
         Half the range of each displacement [m].
     motion_type : ndarray of str, shape (values,)
         As in `rig.frequency_response`.
+    damper_motion : ndarray of str, shape (dampers, values)
+        The same for each damper that moves.
     repetition : ndarray of int, shape (values,)
         Periods of the drive after which the motion repeats; 0 where it is irregular.
     multiplier : ndarray, shape (values,)
@@ -67,6 +69,7 @@ class OrbitResponse:
     compliance: NDArray[np.complex128]
     peak: Array
     motion_type: NDArray[np.str_]
+    damper_motion: NDArray[np.str_]
     repetition: NDArray[np.int64]
     multiplier: Array
     orbits: tuple[Orbit | None, ...]
@@ -146,7 +149,8 @@ def sweep(
         value=values,
         compliance=np.array([p.compliance for p in points]).T,
         peak=np.array([p.peak for p in points]).T,
-        motion_type=np.array([p.motion_type for p in points]),
+        motion_type=np.array([overall(list(p.damper_motion)) for p in points]),
+        damper_motion=np.array([p.damper_motion for p in points], dtype=np.str_).reshape(len(points), -1).T,
         repetition=np.array([p.orbit.repetition if p.orbit else 0 for p in points]),
         multiplier=np.array([np.abs(p.orbit.multipliers).max() if p.orbit else np.nan for p in points]),
         orbits=tuple(p.orbit for p in points),
@@ -158,7 +162,7 @@ def sweep(
 class _Point:
     compliance: NDArray[np.complex128]
     peak: Array
-    motion_type: str
+    damper_motion: tuple[str, ...]
     orbit: Orbit | None
     reason: str
 
@@ -267,7 +271,7 @@ class _Follower:
 
 
 def _of_orbit(orbit: Orbit) -> _Point:
-    return _Point(orbit.compliance, orbit.peak, orbit.motion_type, orbit, "")
+    return _Point(orbit.compliance, orbit.peak, orbit.damper_motion, orbit, "")
 
 
 def _averaged(problem: Problem, setting: Setting, march: March, reason: str) -> _Point:
@@ -286,7 +290,7 @@ def _averaged(problem: Problem, setting: Setting, march: March, reason: str) -> 
     return _Point(
         compliance=harmonic[:bodies] / force,
         peak=0.5 * np.ptp(course.state[:, :bodies], axis=0),
-        motion_type=overall(motion_types(course, problem.system.dampers, 0)),
+        damper_motion=tuple(motion_types(course, problem.system.dampers, 0)),
         orbit=None,
         reason=reason,
     )

@@ -8,11 +8,12 @@ import pytest
 import rig
 from analysis.paper import FIGURES, reproduce
 from analysis.paper_charts import holds_c2, short
-from analysis.paper_claims import Claim
+from analysis.paper_claims import Claim, Evidence
 from analysis.paper_experiment import damper_sweep
 from analysis.paper_page import CAPTIONS, write_pages
 from analysis.paper_parts import all_parts
-from analysis.paper_simulation import approximated, exact_orbits, scan, stays_over_damping, waveforms
+from analysis.paper_scan import LEVELS, best_damper, scan, stays_over_damping
+from analysis.paper_simulation import approximated, exact_orbits, waveforms
 from analysis.paper_store import Arrays, Part
 from rig.errors import SceneError
 from rig.orbit_problem import pure_force
@@ -110,11 +111,36 @@ def test_given_a_cell_of_the_scan_when_simulated_otherwise_then_peak_and_type_ar
 
     cell = scan(scene, np.array([10.0]), np.array([1e-3]), frequencies, 0.10)
 
-    response = rig.frequency_response(pure_force(scene), frequencies)
+    response = rig.frequency_response(
+        pure_force(scene), [*frequencies[:2], *cell["where"][0], frequencies[2]]
+    )
     size = np.abs(response.compliance[1])
-    assert cell["peak"][0, 0] == pytest.approx(size.max(), rel=1e-3)
+    # The peak is sought between the frequencies of the grid, so that it is the highest of all.
+    assert cell["peak"][0, 0] == pytest.approx(size.max(), rel=1e-6)
     assert cell["where"][0, 0] == response.frequency[size.argmax()]
+    assert cell["where"][0, 0] not in frequencies
+    assert cell["exact"].all()
     assert cell["type_there"][0, 0] == "III"
+
+
+def test_given_mass_ratios_and_clearances_when_optimised_then_no_trial_is_better_at_any_level() -> None:
+    scene = rig.load("fig9")
+    frequencies = np.linspace(47.0, 50.0, 7)
+
+    found = best_damper(
+        scene, 3.3, np.array([0.03, 0.06]), 1e-3 * np.array([0.6, 1.2]), frequencies, trials=6
+    )
+
+    assert found["peak"] == found["worst"].min()
+    assert len(found["worst"]) > 4
+    assert found["peak"] < found["worst"][:4].min()
+    assert 0.03 <= found["mass_ratio"] <= 0.06
+    damper = {"body": 2, "mass_ratio": float(found["mass_ratio"]), "clearance": float(found["best"])}
+    for force in 3.3 * LEVELS:
+        test = scene.test.replace(force=float(force))
+        varied = pure_force(scene.replace(dampers=[damper], test=test))
+        response = rig.frequency_response(varied, frequencies)
+        assert np.abs(response.compliance[1]).max() < 1.001 * found["peak"]
 
 
 def test_given_more_damping_when_fig_9_is_scanned_then_type_iii_vanishes() -> None:
@@ -153,19 +179,35 @@ def test_given_scans_when_c2_is_judged_then_ratio_and_types_must_fit() -> None:
 def test_given_claims_when_the_page_is_written_then_it_shows_verdicts_evidence_and_figures(
     tmp_path: Path,
 ) -> None:
-    judged = [Claim("C9", "Less is <more>.", ("It was 42 %.",), "holds in part: because", ("fig9",))]
+    judged = [
+        Claim(
+            "C9",
+            "Less is <more>.",
+            (Evidence("It was 42 %.", ("rec-one",)),),
+            "holds in part: because",
+            ("fig9",),
+        )
+    ]
     nothing: Arrays = {
         "branch": np.array([0]), "type": np.array(["II"]), "special": np.array([], dtype=str),
         "special_frequency": np.array([]), "failures": np.array(["at 50 Hz: none"]),
     }  # fmt: skip
     weights = {"mode": np.array([2]), "peak": np.array([[1.0], [1.3], [0.9]])}
 
-    paths = write_pages(tmp_path, judged, {"orbit-fig9": nothing, "weights-one-damper": weights})
+    best: Arrays = {
+        "mass_ratio": np.array(0.1), "mass_ratios": np.array([0.1]), "best": np.array(9e-4),
+        "peak": np.array(1.4e-4), "worst": np.array([1.4e-4]), "orbits": np.array(0.9),
+    }  # fmt: skip
+    cells: Arrays = {"exact": np.array([[True, False]])}
+    parts = {"orbit-fig9": nothing, "weights-one-damper": weights, "best-10": best, "optimum": best}
+
+    paths = write_pages(tmp_path, judged, {**parts, "scan-single": cells, "scan-three": cells})
 
     markdown, html = (path.read_text(encoding="utf-8") for path in paths)
     for text in (markdown, html):
         assert "holds in part: because" in text
         assert "It was 42 %." in text
+        assert "analysis paper --fresh rec-one" in text
         assert "fig9.png" in text
         assert "at 50 Hz: none" in text
         assert "one damper, mode 2: +30 % against -10 %" in text

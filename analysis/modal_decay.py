@@ -9,7 +9,12 @@ from numpy.typing import NDArray
 from scipy import fft, signal
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 _SAME_MODE = 0.1
+# A damping ratio counts when noise leaves it uncertain by less than this part (one standard deviation).
+WORST = 0.05
+# Levels in nepers: the damping ratio at an amplitude is read off the fall by 6 dB around it, every 1.5 dB.
+_HALF = 3.0 / 20.0 * np.log(10.0)
 
 
 @dataclass(frozen=True)
@@ -22,18 +27,19 @@ class ModalDecay:
         Hz, of the mode at small amplitude.
     time, envelope : ndarray, shape (n,)
         s after the hit; amplitude of the acceleration in m/s².
-    floor : float
-        Amplitude at which the envelope drowns in noise, m/s².
+    noise : float
+        Root mean square of what noise adds to the envelope, m/s².
     amplitude : ndarray, shape (levels,)
-        Acceleration amplitudes, m/s², falling.
+        Acceleration amplitudes, m/s², falling; only those at which noise lets the damping ratio be told to
+        `WORST`.
     damping, damping_error : ndarray, shape (levels,)
-        Damping ratio at those amplitudes, and its standard deviation.
+        Damping ratio at those amplitudes, and its standard deviation from noise.
     """
 
     frequency: float
     time: Array
     envelope: Array
-    floor: float
+    noise: float
     amplitude: Array
     damping: Array
     damping_error: Array
@@ -106,8 +112,9 @@ def modal_decay(
 
     A Gaussian band-pass over positive frequencies gives the analytic signal at once; a Gaussian changes an
     exponential decay by a constant factor only, so the slope of the envelope is unbiased from three of its
-    widths in time after the hit on. The damping ratio at an amplitude is the slope of the logarithm of the
-    envelope over the 6 dB around it.
+    widths in time after the hit on. The damping ratio at an amplitude follows from the time in which the
+    envelope falls by 6 dB around it, from when it is last above the upper level to when it is last above
+    the lower one.
 
     Parameters
     ----------
@@ -120,7 +127,8 @@ def modal_decay(
     begin : int
         Sample at which the free decay begins.
     amplitudes : ndarray, optional
-        Amplitudes in m/s² at which the damping ratio is wanted; omitted, every 1.5 dB down to the noise.
+        Amplitudes in m/s² at which the damping ratio is wanted, NaN where the decay has none; omitted, every
+        1.5 dB down to the noise.
     """
     size = fft.next_fast_len(acceleration.size + int(8 * rate / (2 * np.pi * width)))
     spectrum = fft.fft(acceleration, size)
@@ -131,52 +139,65 @@ def modal_decay(
     edge = int(np.ceil(3.0 * rate / (2 * np.pi * width)))
     time = (np.arange(acceleration.size) - begin) / rate
     usable = slice(begin + edge, max(acceleration.size - edge, begin + edge))
-    floor = _floor(
-        envelope[: max(begin - 2 * edge, 0)], envelope[usable][-max(1, envelope[usable].size // 20) :]
-    )
-    amplitude, damping, error = _damping(time[usable], envelope[usable], frequency, width, floor, amplitudes)
-    return ModalDecay(frequency, time[begin:], envelope[begin:], floor, amplitude, damping, error)
+    noise = _noise(analytic[usable], rate, frequency, width)
+    amplitude, damping, error = _damping(envelope[usable], rate, frequency, noise, amplitudes)
+    return ModalDecay(frequency, time[begin:], envelope[begin:], noise, amplitude, damping, error)
 
 
-def _floor(before: Array, tail: Array) -> float:
-    """Find the envelope below which noise decides: before the hit, and at the end when nothing rings."""
-    floor = 3.0 * float(np.mean(before)) if before.size else 0.0
-    # Noise through the band has an envelope with a Rayleigh scatter (52 % of its mean); a ringing mode has
-    # not.
-    if tail.size > 1 and float(np.std(tail)) > 0.2 * float(np.mean(tail)):
-        floor = max(floor, 3.0 * float(np.mean(tail)))
-    return floor
+def _noise(analytic: ComplexArray, rate: float, frequency: float, width: float) -> float:
+    """Find what noise adds to the envelope, rms: what the end of the decay differs by from an exponential.
+
+    At the end all dampers are at rest and the structure rings linearly; while they are not, their doing
+    counts as noise.
+    """
+    step = max(1, int(rate / (8.0 * width)))
+    tail = analytic[-(analytic.size // 4) :][::step]
+    if tail.size < 8:
+        return 0.0
+    t = np.arange(tail.size) * step / rate
+    slow = tail * np.exp(-2j * np.pi * frequency * t)
+    weight = abs(slow)
+    decay, size = np.polyfit(t, np.log(np.maximum(weight, 1e-300)), 1, w=weight)
+    turn, angle = np.polyfit(t, np.unwrap(np.angle(slow)), 1, w=weight)
+    left = slow - np.exp(decay * t + size + 1j * (turn * t + angle))
+    # Four numbers were fitted to as many complex readings as are independent.
+    independent = max(t[-1] * np.sqrt(np.pi) * width, 3.0)
+    return float(np.sqrt(np.mean(abs(left) ** 2) * independent / (independent - 2.0)))
 
 
 def _damping(
-    time: Array, envelope: Array, frequency: float, width: float, floor: float, wanted: Array | None
+    envelope: Array, rate: float, frequency: float, noise: float, wanted: Array | None
 ) -> tuple[Array, Array, Array]:
+    """Amplitudes, damping ratios and their standard deviations."""
     if envelope.size < 8 or envelope.max() <= 0:
         return np.empty(0), np.empty(0), np.empty(0)
-    logarithm = np.log(np.maximum(envelope, 1e-300))
-    half = np.log(10.0) * 3.0 / 20.0
-    top = logarithm.max() - half
-    bottom = max(logarithm[-1] + half, np.log(floor) + half if floor > 0 else -np.inf)
-    levels = np.arange(top, bottom, -half / 2.0) if wanted is None else np.log(wanted)
-    amplitude, damping, error = [], [], []
-    for level in levels:
-        # From the last time above the level's upper edge to the first time below its lower edge after that.
-        above = np.flatnonzero(logarithm >= level + half)
-        start = int(above[-1]) if above.size else 0
-        below = np.flatnonzero(logarithm[start:] < level - half)
-        stop = start + int(below[0]) if below.size else time.size
-        if stop - start < 8:
-            continue
-        t, y = time[start:stop] - time[start], logarithm[start:stop]
-        slope, offset = np.polyfit(t, y, 1)
-        rest = y - slope * t - offset
-        independent = max(2.0, t[-1] * width * 2.0)
-        spread = np.std(rest) / (np.std(t) * np.sqrt(independent))
-        omega = 2.0 * np.pi * frequency
-        amplitude.append(np.exp(level))
-        damping.append(-slope / np.hypot(omega, slope))
-        error.append(spread / omega)
-    # At the end the slope of noise is left; irregular damping higher up is kept, however scattered.
-    while wanted is None and damping and error[-1] > 0.2 * damping[-1]:
-        del amplitude[-1], damping[-1], error[-1]
-    return np.array(amplitude), np.array(damping), np.array(error)
+    # The largest amplitude still to come: falls steadily, so that each level is passed once.
+    hull = np.log(np.maximum(np.maximum.accumulate(envelope[::-1])[::-1], 1e-300))
+    levels = (
+        np.arange(hull[0] - 1.25 * _HALF, hull[-1] + _HALF, -_HALF / 2.0)
+        if wanted is None
+        else np.log(wanted)
+    )
+    upper, lower = _passed(hull, levels + _HALF), _passed(hull, levels - _HALF)
+    fall = (lower - upper) / rate
+    rate_of_fall = np.divide(2.0 * _HALF, fall, out=np.full(fall.shape, np.nan), where=fall > 0)
+    damping = rate_of_fall / np.hypot(2.0 * np.pi * frequency, rate_of_fall)
+    # Half of the noise changes the envelope; at the two levels it is independent.
+    amplitude = np.exp(levels)
+    both = np.hypot(np.exp(-_HALF), np.exp(_HALF)) * noise / np.sqrt(2.0) / amplitude
+    error = damping * both / (2.0 * _HALF)
+    if wanted is not None:
+        return amplitude, damping, error
+    good = np.isfinite(damping) & (both < WORST * 2.0 * _HALF)
+    return amplitude[good], damping[good], error[good]
+
+
+def _passed(hull: Array, levels: Array) -> Array:
+    """Place, between samples, at which a falling curve passes each level; NaN where it does not."""
+    after = hull.size - np.searchsorted(hull[::-1], levels, side="left")
+    inside = (after > 0) & (after < hull.size)
+    after = np.clip(after, 1, hull.size - 1)
+    high, low = hull[after - 1], hull[after]
+    part = np.divide(high - levels, high - low, out=np.zeros(levels.shape), where=high > low)
+    at_start = levels >= hull[0] - 1e-9
+    return np.where(inside, after - 1 + part, np.where(at_start & (levels <= hull[0] + 1e-9), 0.0, np.nan))

@@ -17,6 +17,7 @@ from analysis.transfer import frequency_responses
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
+    from analysis.modal_decay import ModalDecay
     from daq.recording import Recording
 
 Progress = Callable[[int, int], None]
@@ -160,14 +161,20 @@ def describe_decay(one: Decay) -> list[str]:
     ]
     for mode in one.modes:
         if mode.damping.size:
-            out.append(
-                f"  {mode.frequency:.2f} Hz: damping ratio {100 * mode.damping[0]:.3g} % at "
-                f"{mode.amplitude[0]:.3g} m/s², {100 * mode.damping[-1]:.3g} % at {mode.amplitude[-1]:.2g} "
-                "m/s²"
-            )
+            ends = ", ".join(_damping_at(mode, index) for index in (0, -1))
+            out.append(f"  {mode.frequency:.2f} Hz: damping ratio {ends}; noise {mode.noise:.1g} m/s²")
         else:
-            out.append(f"  {mode.frequency:.2f} Hz: too short or too noisy for a damping ratio")
+            out.append(
+                f"  {mode.frequency:.2f} Hz: too short, or too near its noise of {mode.noise:.1g} m/s², for a "
+                "damping ratio"
+            )
     return out
+
+
+def _damping_at(mode: ModalDecay, index: int) -> str:
+    """Tell the damping ratio at one amplitude, with its 95 % bound from noise."""
+    ratio, bound = 100.0 * mode.damping[index], 200.0 * mode.damping_error[index]
+    return f"{ratio:.3g} % ± {bound:.1g} % at {mode.amplitude[index]:.3g} m/s²"
 
 
 def present_modes(

@@ -22,8 +22,10 @@ def test_given_a_linear_decay_when_analysed_then_every_mode_has_its_damping_at_e
     assert [round(mode.frequency, 1) for mode in decay.modes] == [13.0, 34.8, 49.7]
     for mode in decay.modes:
         assert mode.damping.size > 4
-        np.testing.assert_allclose(mode.damping, 0.005, rtol=0.01)
-        np.testing.assert_allclose(mode.decrement, 2 * np.pi * 0.005, rtol=0.011)
+        # Without noise what is left of the neighbouring modes decides; it counts as noise.
+        bound = np.maximum(2.0 * mode.damping_error, 0.01 * 0.005)
+        assert np.all(abs(mode.damping - 0.005) < bound)
+        np.testing.assert_allclose(mode.decrement, 2 * np.pi * mode.damping, rtol=1e-4)
     assert decay.warnings == ()
 
 
@@ -92,6 +94,12 @@ def test_given_a_decay_of_a_tenth_of_a_second_when_analysed_then_it_is_too_short
         analysis.decay(rec)
 
 
+def agreement(mode, expected):
+    """Where noise leaves a bound below 3 %, the difference has to be below 3 %; elsewhere, within the bound."""
+    bound = 2.0 * mode.damping_error / mode.damping
+    return abs(mode.damping / expected.damping - 1.0) < np.maximum(bound, 0.03)
+
+
 def test_given_three_dampers_when_a_decay_is_measured_then_its_damping_is_that_of_the_true_motion(tmp_path):
     scene = rig.load("fig10b-three-dampers")
     test = scene.test.model_dump(exclude_none=True) | {"repeats": 1, "interval": 4.0}
@@ -103,17 +111,51 @@ def test_given_three_dampers_when_a_decay_is_measured_then_its_damping_is_that_o
         [(_, last)] = hits(rec)
     frequencies = np.array([mode.frequency for mode in decay.modes])
     np.testing.assert_allclose(frequencies, [12.4, 34.7, 49.0], rtol=0.05)
-    close = []
     for index, mode in enumerate(decay.modes):
-        width, loud = band_width(frequencies, index), mode.amplitude > 0.02 * mode.amplitude[0]
-        at = mode.amplitude[loud]
-        expected = modal_decay(true, rec.rate, mode.frequency, width, last + 1, amplitudes=at)
-        np.testing.assert_allclose(expected.amplitude, at)
-        relative = abs(mode.damping[loud] / expected.damping - 1.0)
-        # Where the dampers stop, damping falls tenfold inside one 6 dB step; there the error bar has to hold it.
-        close.append(relative < 0.03)
-        assert np.all(close[-1] | (relative < mode.damping_error[loud] / expected.damping))
-    assert np.mean(np.concatenate(close)) > 0.95
+        width = band_width(frequencies, index)
+        expected = modal_decay(true, rec.rate, mode.frequency, width, last + 1, amplitudes=mode.amplitude)
+        assert mode.damping.size > 5 and agreement(mode, expected).mean() > 0.95
     # Above g the dampers work; once all is below, the structure's own 0.5 % is left, shared with the riding masses.
     assert max(mode.damping.max() for mode in decay.modes) > 0.02
     assert 0.003 < decay.modes[1].small_damping() < 0.006
+
+
+@pytest.mark.parametrize("order", [0, 2])
+def test_given_a_free_decay_when_measured_then_its_damping_is_that_of_the_engines_noise_free_run(
+    tmp_path, order
+):
+    accelerometer = {"sensitivity": 0.0102, "noise": 1.96e-4, "resonance": 30e3, "low_cutoff": 0.5}
+    amplifier = {"integrator": {"order": 2, "corner": 1.0, "gain": 1000.0}} if order else {}
+    scene = rig.load("fig10b-three-dampers").replace(
+        test={"kind": "free", "velocity": (0.9, -0.5, 0.4), "duration": 5.0},
+        channels=[{"name": "body3", "at": "body 3", "accelerometer": accelerometer, **amplifier}],
+        converter={"rate": 5120.0, "bits": 24, "range": 20.0},
+        recording={"display": False},
+    )
+    with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
+        decay = analysis.decay(rec)
+    run = rig.simulate(scene, duration=5.0, rate=5120.0)
+    ideal = ChannelInfo("true", "body 3", "displacement", 1.0, 5120.0)
+    true = corrected(ideal, run.displacement[2], "acceleration", 2.0, 800.0)
+    frequencies = np.array([mode.frequency for mode in decay.modes])
+    assert len(frequencies) >= 2
+    for index, mode in enumerate(decay.modes):
+        width = band_width(frequencies, index)
+        expected = modal_decay(true, 5120.0, mode.frequency, width, 0, amplitudes=mode.amplitude)
+        assert mode.damping.size > 5 and agreement(mode, expected).mean() > 0.95
+
+
+def test_given_noise_when_a_decay_is_analysed_then_only_amplitudes_above_it_are_reported(tmp_path):
+    for noise in (1e-3, 1e-2):
+        with daq.open(synthetic.impulses(tmp_path / "a.mcap", noise=noise)) as rec:
+            decay = analysis.decay(rec, channel="body3")
+        for mode in decay.modes:
+            assert mode.amplitude.min() > 20.0 * mode.noise
+            assert np.all(mode.damping_error <= 0.05 * mode.damping)
+            pull = (mode.damping - 0.005) / np.maximum(mode.damping_error, 0.005 * 0.01)
+            assert np.max(abs(pull)) < 4.0
+
+
+def test_given_a_recording_in_which_nothing_is_heard_when_analysed_then_no_damping_is_claimed(tmp_path):
+    with daq.open(synthetic.impulses(tmp_path / "a.mcap", noise=30.0)) as rec:
+        assert all(mode.damping.size == 0 for mode in analysis.decay(rec, channel="body3").modes)

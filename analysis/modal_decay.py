@@ -112,9 +112,9 @@ def modal_decay(
 
     A Gaussian band-pass over positive frequencies gives the analytic signal at once; a Gaussian changes an
     exponential decay by a constant factor only, so the slope of the envelope is unbiased from three of its
-    widths in time after the hit on. The damping ratio at an amplitude follows from the time in which the
-    envelope falls by 6 dB around it, from when it is last above the upper level to when it is last above
-    the lower one.
+    widths in time after the hit on. The damping ratio at an amplitude is the slope of the logarithm of the
+    envelope while it falls by 6 dB around it, from when it is last above the upper level to when it is last
+    above the lower one.
 
     Parameters
     ----------
@@ -179,8 +179,8 @@ def _damping(
         else np.log(wanted)
     )
     upper, lower = _passed(hull, levels + _HALF), _passed(hull, levels - _HALF)
-    fall = (lower - upper) / rate
-    rate_of_fall = np.divide(2.0 * _HALF, fall, out=np.full(fall.shape, np.nan), where=fall > 0)
+    logarithm = np.log(np.maximum(envelope, 1e-300))
+    rate_of_fall = np.array([_slope(logarithm, a, b, rate) for a, b in zip(upper, lower, strict=True)])
     damping = rate_of_fall / np.hypot(2.0 * np.pi * frequency, rate_of_fall)
     # Half of the noise changes the envelope; at the two levels it is independent.
     amplitude = np.exp(levels)
@@ -190,6 +190,15 @@ def _damping(
         return amplitude, damping, error
     good = np.isfinite(damping) & (both < WORST * 2.0 * _HALF)
     return amplitude[good], damping[good], error[good]
+
+
+def _slope(logarithm: Array, first: float, last: float, rate: float) -> float:
+    """Rate of fall between two places, 1/s: by a straight line through all between, along which beats average out."""
+    if not (np.isfinite(first) and np.isfinite(last)) or last - first < 4.0:
+        return float("nan")
+    part = logarithm[round(first) : round(last) + 1]
+    t = np.arange(part.size) - (part.size - 1) / 2.0
+    return float(-(t @ part) / (t @ t) * rate)
 
 
 def _passed(hull: Array, levels: Array) -> Array:

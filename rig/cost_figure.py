@@ -57,6 +57,11 @@ def table(study: Study, steady: SteadyStudy) -> str:
     return "\n".join(line.rstrip() for line in lines)
 
 
+def _steady_title(steady: SteadyStudy) -> str:
+    motion = f", {steady.motion_type}" if steady.motion_type else ""
+    return f"steady state at {steady.frequency:.4g} Hz{motion}"
+
+
 def _line(point: Point, milliseconds: float, events: str) -> str:
     start = f"{point.method:24}{point.setting:30}"
     if np.isnan(point.error):
@@ -124,7 +129,7 @@ def _draw(study: Study, steady: SteadyStudy, files: list[Path]) -> None:
         right = panels[0, 1]
         _panel(right, steady.points, "CPU time in all, s")
         right.set_ylabel("error of the compliance, relative")
-        right.set_title(f"steady state: type {steady.motion_type}", fontsize=10)
+        right.set_title(_steady_title(steady), fontsize=10)
     figure.suptitle(study.scene.name)
     for file in files:
         figure.savefig(file, dpi=160)

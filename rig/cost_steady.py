@@ -8,14 +8,16 @@ from functools import partial
 from typing import get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rig.approximate import approximate_response
-from rig.cost import Point, timed
-from rig.errors import ShotrigError
+from rig.cost import BETTER, Point, timed
+from rig.errors import RunError, ShotrigError
 from rig.open_loop import with_force_itself
 from rig.orbit import periodic_orbit
+from rig.orbit_following import Orbit
 from rig.receptance import receptance
+from rig.reference import DIGITS
+from rig.reference_orbit import ExactOrbit, exact_orbit
 from rig.response import frequency_response
 from rig.scene import Scene
 from rig.single_mode import Weighting
@@ -23,10 +25,10 @@ from rig.structure import natural_modes, structure_matrices
 
 #: Tolerances to wait for.
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
+#: Where the motion is irregular, the steady state is sought so far from there, relative.
+NEARBY = (0.0, 0.01, -0.01, 0.02, -0.02, 0.03, -0.03, 0.05, -0.05, 0.08, -0.08)
 #: The approximate method looks at this band around the frequency, relative.
 BAND = 0.04
-
-Complex = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -37,12 +39,15 @@ class SteadyStudy:
     ----------
     points : tuple of Point
         Errors are of the compliance of all bodies, relative to the largest.
+    frequency : float
+        Hz.
     motion_type : str
     reference : str
         What the errors refer to; why there are none, if there is no periodic motion.
     """
 
     points: tuple[Point, ...]
+    frequency: float
     motion_type: str
     reference: str
 
@@ -57,32 +62,37 @@ def steady_study(
     scene : Scene
         Where its test holds the amplitude of the spring force, that force acts on the body as a pure tone.
     frequency : float
-        Hz.
+        Hz. Where the motion never repeats there, the nearest of some around it at which it does.
     progress : callable, optional
         Called with the name of each method before it runs.
+
+    Raises
+    ------
+    RunError
+        If the reference is not a thousand times better than the best method.
     """
     say = progress if progress is not None else lambda name: None
     scene = with_force_itself(scene)
     say("shooting")
     try:
-        # Once unmeasured: what is compiled is compiled or loaded then.
-        periodic_orbit(scene, frequency)
-        cpu, orbit = timed(partial(periodic_orbit, scene, frequency))
+        orbit = _orbit_near(scene, frequency)
+        # Once more: what is compiled is compiled or loaded by now.
+        cpu, orbit = timed(partial(periodic_orbit, scene, orbit.frequency))
+        say("reference for the steady state")
+        true = exact_orbit(scene, orbit)
     except ShotrigError as error:
-        return SteadyStudy((), "", f"no steady state to compare with: {error}")
-    true = orbit.compliance
+        return SteadyStudy((), frequency, "", f"no steady state to compare with: {error}")
+    frequency = orbit.frequency
+    miss = true.miss(orbit.compliance)
     points = [
-        Point(
-            "shooting", f"Newton to {orbit.residual:.0e}", cpu, float(orbit.residual), np.nan, True,
-            "error: what the orbit misses its start by",
-        )
-    ]  # fmt: skip
+        Point("shooting", f"Newton to {orbit.residual:.0e}", cpu, miss, np.nan, True, orbit.motion_type)
+    ]
     for tolerance in TOLERANCES:
         say(f"waiting, {tolerance:.0e}")
         cpu, response = timed(partial(frequency_response, scene, [frequency], tolerance=tolerance))
         points.append(
             Point(
-                "waiting", f"tolerance {tolerance:.0e}", cpu, _miss(response.compliance[:, 0], true), np.nan,
+                "waiting", f"tolerance {tolerance:.0e}", cpu, true.miss(response.compliance[:, 0]), np.nan,
                 bool(response.converged[0]), str(response.motion_type[0]),
             )
         )  # fmt: skip
@@ -91,19 +101,36 @@ def steady_study(
     riding = tuple(range(1, len(scene.dampers) + 1))
     for name, dampers in (("dampers riding", riding), ("no dampers", ())):
         cpu, linear = timed(partial(receptance, scene, [frequency], riding=dampers))
-        points.append(Point("linear", name, cpu, _miss(linear[:, 0], true), np.nan, False))
+        points.append(Point("linear", name, cpu, true.miss(linear[:, 0]), np.nan, False))
+    best = min((point.error for point in points if point.error > 0.0), default=np.inf)
+    margin = best / max(true.agreement, 10.0**-DIGITS)
+    if margin < BETTER:
+        raise RunError(
+            "the reference of the steady state is not a thousand times better than the best method; report the scene"
+        )
     return SteadyStudy(
         tuple(points),
+        frequency,
         orbit.motion_type,
-        f"the periodic orbit, by shooting; it misses its start by {orbit.residual:.0e} of the motion",
+        f"the periodic orbit in decimal arithmetic of {DIGITS} digits, which misses its start by {true.residual:.0e} "
+        f"of the motion; with fewer digits the compliance differs by {true.agreement:.0e};\n"
+        f"           the best method's error is {margin:.0e} times that.",
     )
 
 
-def _miss(value: Complex, true: Complex) -> float:
-    return float(np.abs(value - true).max() / np.abs(true).max())
+def _orbit_near(scene: Scene, frequency: float) -> Orbit:
+    """Find the periodic motion at a frequency or, where there is none, near by."""
+    first: ShotrigError | None = None
+    for share in NEARBY:
+        try:
+            return periodic_orbit(scene, frequency * (1.0 + share))
+        except RunError as error:
+            first = first or error
+    assert first is not None
+    raise first
 
 
-def _approximate(scene: Scene, frequency: float, true: Complex) -> Point:
+def _approximate(scene: Scene, frequency: float, true: ExactOrbit) -> Point:
     """Use the one-mode method for the mode nearest by; it finds the whole curve at once."""
     mass, _, stiffness = structure_matrices(scene.structure)
     omega = natural_modes(mass, stiffness)[0]
@@ -124,7 +151,7 @@ def _approximate(scene: Scene, frequency: float, true: Complex) -> Point:
             )
         ]
         if values:
-            error = min(_miss(value, true) for value in values)
+            error = min(true.miss(value) for value in values)
             return Point(
                 "approximate",
                 f"mode {mode}, {weighting} weights",

@@ -67,13 +67,13 @@ def exact_motion(system: System, tone: ToneDrive, run: Run, samples_per_period: 
     RunError
         If an event of the run is no event of the motion.
     """
-    coarse, _ = _Motion(system, tone, CHECK_DIGITS).follow(run, samples_per_period)
-    fine, fine_times = _Motion(system, tone, DIGITS).follow(run, samples_per_period)
+    coarse, _ = DecimalMotion(system, tone, CHECK_DIGITS).follow(run, samples_per_period)
+    fine, fine_times = DecimalMotion(system, tone, DIGITS).follow(run, samples_per_period)
     scale = np.abs(fine).max()
     return Exact(fine, fine_times, float(np.abs(coarse - fine).max() / scale))
 
 
-class _Motion:
+class DecimalMotion:
     """The system in decimal arithmetic: state (q, q', further, cos, sin, 1), and dampers on ballistic paths."""
 
     def __init__(self, system: System, tone: ToneDrive, digits: int) -> None:
@@ -101,13 +101,13 @@ class _Motion:
         sample_times = [
             Decimal(k) / (per_period * Decimal(self.tone.frequency)) for k in range(len(run.time))
         ]
-        rebounds = self._rebounds(run, events)
+        rebounds = self.rebounds(events, [bool(mode) for mode in run.contact[:, -1]])
         last_guess = -1.0
         for (guess, j, kind), restitution in zip(
             [*events, (float("inf"), -1, "end")], [*rebounds, Decimal(0)], strict=True
         ):
             while taken < len(sample_times) and float(sample_times[taken]) < guess:
-                state, flight = self._carry(state, flight, sample_times[taken] - now)
+                state, flight = self.carry(state, flight, sample_times[taken] - now)
                 now = sample_times[taken]
                 out.append(state[:n])
                 taken += 1
@@ -116,33 +116,43 @@ class _Motion:
             # Separations that an impact or the start brings about have no root of their own.
             forced = kind == "separation" and (guess == last_guess or guess == 0.0)
             if not forced:
-                state, flight, now = self._to_event(state, flight, now, Decimal(guess), j, kind, wall[j])
+                state, flight, now = self.to_event(state, flight, now, Decimal(guess), j, kind, wall[j])
             last_guess = guess
             times.append(now)
             if kind == "separation":
-                flight[j] = (state[self._row(j)] + self._lift(j, wall[j]), state[n + self._row(j)])
+                flight[j] = (state[self.row(j)] + self.lift(j, wall[j]), state[n + self.row(j)])
             else:
-                self._collide(state, flight, j, kind, restitution)
+                self.collide(state, flight, j, kind, restitution)
                 if j not in flight:
                     wall[j] = kind
         return np.array(out, dtype=object).T, np.array(times, dtype=object)
 
-    def _row(self, j: int) -> int:
+    def row(self, j: int) -> int:
+        """Coordinate that damper j (from 0) sits in."""
         return int(self.system.damper_coordinate[j])
 
-    def _lift(self, j: int, wall: str) -> Decimal:
+    def lift(self, j: int, wall: str) -> Decimal:
+        """Height of a wall above the floor, m."""
         return Decimal(float(self.system.clearance[j])) if wall == "ceiling" else Decimal(0)
 
-    def _rebounds(self, run: Run, events: list[tuple[float, int, str]]) -> list[Decimal]:
-        """Restitution of each event: none in the impact that ends a sequence of bounces with the damper riding."""
-        after = {j: bool(run.contact[j, -1]) for j in range(self.system.dampers)}
+    def rebounds(self, events: list[tuple[float, int, str]], riding: list[bool]) -> list[Decimal]:
+        """Restitution of each event: none in the impact that ends a sequence of bounces with the damper riding.
+
+        Parameters
+        ----------
+        events : list of tuple
+            Time, damper (from 0), kind.
+        riding : list of bool
+            Whether each damper rides after the last of them.
+        """
+        after = dict(enumerate(riding))
         found: list[Decimal] = []
         for _, j, kind in reversed(events):
             found.append(Decimal(0) if after[j] else Decimal(float(self.system.restitution[j])))
             after[j] = kind == "separation"
         return found[::-1]
 
-    def _collide(
+    def collide(
         self,
         state: Vector,
         flight: dict[int, tuple[Decimal, Decimal]],
@@ -151,27 +161,27 @@ class _Motion:
         restitution: Decimal,
     ) -> None:
         """Newton's impact law at one damper; with restitution it flies on."""
-        n, row = self.system.coordinates, self._row(j)
+        n, row = self.system.coordinates, self.row(j)
         _, speed = flight.pop(j)
         closing = speed - state[n + row]
         own, bed = Decimal(float(self.system.mass[row, row])), Decimal(float(self.system.damper_mass[j]))
         state[n + row] += (1 + restitution) * closing * bed / (own + bed)
         if restitution:
-            flight[j] = (state[row] + self._lift(j, kind), state[n + row] - restitution * closing)
+            flight[j] = (state[row] + self.lift(j, kind), state[n + row] - restitution * closing)
 
-    def _to_event(
+    def to_event(
         self, state: Vector, flight: dict[int, tuple[Decimal, Decimal]], now: Decimal, guess: Decimal, j: int,
         kind: str, wall: str,
     ) -> tuple[Vector, dict[int, tuple[Decimal, Decimal]], Decimal]:  # fmt: skip
         """Carry everything to the root of the event's guard near `guess`."""
-        state, flight = self._carry(state, flight, guess - now)
+        state, flight = self.carry(state, flight, guess - now)
         now = guess
         for _ in range(ITERATIONS):
             value, slope = self._guard(state, flight, j, kind)
             if slope == 0:
                 break
             step = -value / slope
-            state, flight = self._carry(state, flight, step)
+            state, flight = self.carry(state, flight, step)
             now += step
             if abs(step) < self.smallest * 10**4:
                 break
@@ -185,15 +195,15 @@ class _Motion:
         self, state: Vector, flight: dict[int, tuple[Decimal, Decimal]], j: int, kind: str
     ) -> tuple[Decimal, Decimal]:
         """Guard of an event and its rate of change."""
-        n, row = self.system.coordinates, self._row(j)
+        n, row = self.system.coordinates, self.row(j)
         if kind == "separation":
             flow = self._flow(flight)
             rate = self._rates(flow, state)
             return rate[n + row] + self.gravity, self._rates(flow, rate)[n + row]
         height, speed = flight[j]
-        return height - state[row] - self._lift(j, kind), speed - state[n + row]
+        return height - state[row] - self.lift(j, kind), speed - state[n + row]
 
-    def _carry(
+    def carry(
         self, state: Vector, flight: dict[int, tuple[Decimal, Decimal]], duration: Decimal
     ) -> tuple[Vector, dict[int, tuple[Decimal, Decimal]]]:
         """Everything a time later, no contact changing."""
@@ -246,8 +256,8 @@ class _Motion:
         for j in range(system.dampers):
             if riding >> j & 1:
                 bed = Decimal(float(system.damper_mass[j]))
-                mass[self._row(j), self._row(j)] += bed
-                force[self._row(j), -1] -= bed * self.gravity
+                mass[self.row(j), self.row(j)] += bed
+                force[self.row(j), -1] -= bed * self.gravity
         acceleration = _solve(mass, force)
         matrix = exact(np.zeros((ns + 3, ns + 3)))
         for i in range(n):

@@ -17,8 +17,9 @@ from rig.cost import Point, Study, hardest_frequency
 from rig.cost_figure import table, write
 from rig.cost_steady import SteadyStudy, steady_study
 from rig.errors import SceneError
-from rig.open_loop import tone_drive
+from rig.open_loop import tone_drive, with_force_itself
 from rig.reference import exact_motion
+from rig.reference_orbit import exact_orbit
 from rig.schemes import PER_PERIOD, Problem
 from rig.schemes_adaptive import BLIND, follow, scipy_leg
 from rig.schemes_fixed import moreau_jean, penalty_newmark, penalty_runge_kutta
@@ -96,7 +97,9 @@ def test_given_the_alternatives_when_the_packages_are_searched_then_only_the_cos
                 names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
                 if any(name.startswith(("rig.schemes", "rig.reference")) for name in names):
                     users.add(path.name)
-    assert users <= {"cost.py", "schemes_adaptive.py", "schemes_fixed.py"}
+    assert users <= {
+        "cost.py", "cost_steady.py", "reference_orbit.py", "schemes_adaptive.py", "schemes_fixed.py",
+    }  # fmt: skip
 
 
 def test_given_a_periodic_motion_when_ways_to_it_are_measured_then_waiting_converges_to_the_orbit() -> None:
@@ -105,6 +108,44 @@ def test_given_a_periodic_motion_when_ways_to_it_are_measured_then_waiting_conve
     assert study.motion_type == "II"
     assert waits[0] > waits[2] > waits[-1]
     assert waits[-1] < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("name", "frequency", "motion"), [("fig9", 49.6, "II"), ("fig5-three-dampers", 50.0, "I/II/III")]
+)
+def test_given_a_periodic_orbit_when_improved_to_forty_digits_then_two_precisions_agree_and_shooting_was_right(
+    name: str, frequency: float, motion: str
+) -> None:
+    scene = rig.load(name)
+    orbit = rig.periodic_orbit(scene, frequency)
+    exact = exact_orbit(with_force_itself(scene), orbit)
+    assert orbit.motion_type == motion
+    assert exact.residual < 1e-33
+    assert exact.agreement < 1e-22
+    assert exact.miss(orbit.compliance) < 1e-12
+
+
+def test_given_a_table_that_is_driven_when_its_orbit_is_improved_then_the_spring_force_is_the_reference() -> (
+    None
+):
+    scene = rig.loads(
+        "structure: {masses: [1 kg], springs: [20 kN/m], damping: {modal: 5 %}}\n"
+        "dampers: [{body: 1, mass_ratio: 10 %, clearance: .inf}]\n"
+        "shaker: {kind: table, body: 1, spring: 5 kN/m}\n"
+        "test: {kind: sine, frequency: 24 Hz, drive: 0.5 mm}\n"
+    )
+    orbit = rig.periodic_orbit(scene, 24.0)
+    exact = exact_orbit(scene, orbit)
+    assert exact.agreement < 1e-20
+    assert exact.miss(orbit.compliance) < 1e-12
+
+
+def test_given_an_irregular_motion_when_ways_to_a_steady_state_are_measured_then_one_is_found_near_by() -> (
+    None
+):
+    study = steady_study(rig.load("fig8-three-dampers"), 33.1275)
+    assert 0.0 < abs(study.frequency / 33.1275 - 1.0) < 0.081
+    assert study.points and study.motion_type
 
 
 def test_given_a_stepped_test_when_its_hardest_frequency_is_sought_then_it_is_a_resonance_of_its_range() -> (
@@ -127,7 +168,7 @@ def test_given_a_study_with_a_failure_when_written_then_table_and_file_say_so(tm
         Point("scipy LSODA", "rtol 1e-09", float("nan"), float("nan"), float("nan"), False, "takes too long"),
     )
     study = Study(rig.load("reference-B"), 49.7, 20, 37, points, "forty digits", 1e9)
-    steady = SteadyStudy((), "", "no steady state")
+    steady = SteadyStudy((), 49.7, "", "no steady state")
     files = write(study, steady, tmp_path / "new")
     assert [file.suffix for file in files] == [".png", ".svg", ".csv"]
     assert all(file.stat().st_size > 0 for file in files)

@@ -61,8 +61,6 @@ class Tables(NamedTuple):
         Exponentials of the generator over k/64 and k/4096 of the interval.
     generator : ndarray, shape (size, size)
         The generator.
-    place : ndarray of int64, shape (entries, 2)
-        Column and row of what is not zero in the generator.
     terms : int
         Terms of the Taylor series that make it exact over 1/4096.
     moments : ndarray, shape (integrals, integrals)
@@ -79,7 +77,6 @@ class Tables(NamedTuple):
     coarse: Array
     fine: Array
     generator: Array
-    place: NDArray[np.int64]
     terms: int
     moments: Array
 
@@ -150,7 +147,6 @@ def discretise(
     while remainder > 1e-18:
         terms += 1
         remainder *= norm / (terms - 3)
-    columns = np.ascontiguousarray(generator.T)
     return Tables(
         states=states,
         width=width,
@@ -161,8 +157,7 @@ def discretise(
         impulse=generator[:width, width].copy(),
         coarse=_powers(expm(generator / PARTS)),
         fine=_powers(expm(generator / PARTS**2)),
-        generator=columns,
-        place=np.argwhere(columns),
+        generator=np.ascontiguousarray(generator.T),
         terms=terms,
         moments=np.ascontiguousarray(to_moments[states:, states:].T),
     )

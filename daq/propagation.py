@@ -130,14 +130,19 @@ def propagate(
 @unfused
 def _lay_out(pieces: Pieces, held: Array, first: int, stop: int, states: int, course: Array) -> None:
     """Put input and disturbances of a stretch below the states."""
-    for k in range(stop - first):
-        course[states, k] = pieces.start[first + k]
-        course[states + 1, k] = pieces.end[first + k]
-        course[states + 2, k] = pieces.mean[first + k]
-        course[states + 3, k] = pieces.moment[first + k]
+    _copy(pieces.start[first:stop], course[states])
+    _copy(pieces.end[first:stop], course[states + 1])
+    _copy(pieces.mean[first:stop], course[states + 2])
+    _copy(pieces.moment[first:stop], course[states + 3])
     for e in range(held.shape[0]):
-        for k in range(stop - first):
-            course[states + 4 + e, k] = held[e, first + k]
+        _copy(held[e, first:stop], course[states + 4 + e])
+
+
+@unfused
+def _copy(values: Array, row: Array) -> None:
+    """Copy into the beginning of a row; one row at a time, several samples are moved at once."""
+    for k in range(values.size):
+        row[k] = values[k]
 
 
 @unfused
@@ -215,8 +220,22 @@ def _limit(tables: Tables, overload: Array, shift: Array, course: Array, out: Ar
     """Find what the watched output lacks in each interval."""
     _gather(tables.weights[tables.width - 1], course, out)
     lack = course[tables.states + 4]
+    if shift[0] == 0.0 and not _beyond(out, overload[0]):
+        # As a rule nothing is lacking; this is what the sums below come to then.
+        for k in range(out.size):
+            lack[k] = -0.0
+        return
     for k in range(out.size):
         lack[k] = _lack(out[k], overload, shift)
+
+
+@unfused
+def _beyond(values: Array, limit: float) -> bool:
+    """Whether any magnitude exceeds a limit; without branches, so that several are compared at a time."""
+    count = 0
+    for k in range(values.size):
+        count += abs(values[k]) > limit
+    return count > 0
 
 
 @unfused
@@ -302,9 +321,11 @@ def _advance(tables: Tables, share: float, vector: Array, work: Array, term: Arr
             term[r] = vector[r]
         for k in range(tables.terms):
             work[:] = 0.0
-            for e in range(tables.place.shape[0]):
-                j, r = tables.place[e, 0], tables.place[e, 1]
-                work[r] += tables.generator[j, r] * term[j]
+            # Most of the generator is zero, but whole rows take less time than looking for what is not.
+            for j in range(vector.size):
+                value = term[j]
+                for r in range(vector.size):
+                    work[r] += tables.generator[j, r] * value
             factor = rest / (k + 1)
             for r in range(vector.size):
                 term[r] = work[r] * factor

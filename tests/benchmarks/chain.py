@@ -1,16 +1,23 @@
-"""How fast the measurement chain is, effect by effect: `python -m tests.benchmarks.chain`."""
+"""How fast the measurement chain is, effect by effect and as a whole: `python -m tests.benchmarks.chain`.
+
+CPU time of one thread; set OPENBLAS_NUM_THREADS=1, or idle threads of a linear algebra library count as well.
+"""
 
 from __future__ import annotations
 
+import tempfile
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import rig
+from daq.bench import Bench
 from daq.chain import Chain
 from daq.converter import Converter, SampleClock
+from daq.recorder import Recorder
 from rig.plant import Plant
 from rig.scene import Scene
 
@@ -97,6 +104,22 @@ def measure() -> Iterator[str]:
             f"{name:36s} {each * 1e9:6.1f} ns per channel and sample, {SECONDS / best:5.0f} times real time, "
             f"{breaks / SECONDS:.0f} breaks a second"
         )
+    scene = full_scene()
+    for name, display in (("all, and recorded", False), ("all, recorded with display", True)):
+        took = min(record(scene.replace(recording={"display": display})) for _ in range(4))
+        yield f"{name:36s} motion and all: {SECONDS / took:5.1f} times real time"
+
+
+def record(scene: Scene) -> float:
+    """Run a bench and record what it gives; give the CPU time that takes, s."""
+    bench = Bench(scene)
+    with tempfile.TemporaryDirectory() as folder:
+        began = time.process_time()
+        with Recorder(Path(folder) / "chain.mcap", scene, bench.channels, bench.rate) as recorder:
+            for first in range(0, round(SECONDS * RATE), BLOCK):
+                drive = 3.0 * np.sin(2 * np.pi * 34.8 / RATE * np.arange(first, first + BLOCK))[None]
+                recorder.write(bench.acquire(drive).samples)
+        return time.process_time() - began
 
 
 if __name__ == "__main__":

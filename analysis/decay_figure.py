@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.figures import colour, drawing
+from analysis.figures import colour, drawing, plain_logarithmic
 from analysis.ringdown import Decay
 
 if TYPE_CHECKING:
@@ -74,7 +74,8 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
         trace.set_ylabel("acceleration / (m/s²)")
         trace.tick_params(labelbottom=False)
         trace.set_title(title)
-        trace.legend(loc="upper right")
+        if trace.get_legend_handles_labels()[0]:
+            trace.legend(loc="upper right")
         level.set_yscale("log")
         level.set_ylim(1e-3 * highest, 1.6 * highest)
         level.axhline(gravity, color="#777777", lw=0.8, ls=":")
@@ -103,7 +104,7 @@ def _damping_row(
                     mode.amplitude, percent - half, percent + half, color=shade, alpha=0.25, lw=0
                 )
                 axes.plot(mode.amplitude, percent, "o-", color=shade)
-        axes.set_xscale("log")
+        plain_logarithmic(axes, [mode.amplitude for _, mode in members] + [np.array([gravity])])
         axes.axvline(gravity, color="#777777", lw=0.8, ls=":")
         axes.set_xlabel("amplitude / (m/s²)")
         axes.set_title(f"{members[0][1].frequency:.1f} Hz", fontsize=9, fontweight="normal")

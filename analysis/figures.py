@@ -115,3 +115,19 @@ def decades(axes: Axes, values: Any, most: float = 6.0, least: float = 1.0) -> N
         high = values.max() * 1.6
         low = max(values.min() / 1.6, high / 10.0**most)
         axes.set_ylim(min(low, high / 10.0**least), high)
+
+
+def plain_logarithmic(axes: Axes, values: Any) -> None:
+    """Logarithmic horizontal axis over positive values whose few ticks read as plain numbers."""
+    import numpy as np
+    from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
+
+    values = np.concatenate([np.ravel(v) for v in values])
+    low, high = 0.8 * float(values.min()), 1.25 * float(values.max())
+    digits = (1,) if high / low > 30.0 else (1, 3) if high / low > 8.0 else (1, 2, 5)
+    ticks = [d * 10.0**e for e in range(-9, 9) for d in digits if low <= d * 10.0**e <= high]
+    axes.set_xscale("log")
+    axes.set_xlim(low, high)
+    axes.xaxis.set_major_locator(FixedLocator(ticks))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())

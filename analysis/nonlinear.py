@@ -45,9 +45,11 @@ def jumps(frf: Frf) -> list[tuple[float, str]]:
     if frf.frequency.size < 4:
         return []
     steps = np.log(frf.value[1:] / frf.value[:-1])
-    size = abs(steps)
-    before, after = np.append(0.0, size[:-1]), np.append(size[1:], 0.0)
-    relative = np.nan_to_num(frf.error / abs(frf.value))
+    size, apart = abs(steps), np.maximum(abs(np.diff(frf.frequency)), 1e-12)
+    # What the slopes on either side would make of as wide a step.
+    before, after = np.append(0.0, (size / apart)[:-1]) * apart, np.append((size / apart)[1:], 0.0) * apart
+    # Without an error bar a step cannot be told from noise.
+    relative = np.nan_to_num(frf.error / abs(frf.value), nan=np.inf)
     noise = np.hypot(relative[1:], relative[:-1])
     found = (size > JUMP) & (size > _STANDS_OUT * np.maximum(before, after)) & (size > _ERRORS * noise)
     return [

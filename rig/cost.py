@@ -183,6 +183,8 @@ def _methods(scene: Scene, system: System, tone: ToneDrive, problem: Problem, pe
     )
     yield "engine, tone", "warm", _warm(system, tone, periods)
     if np.array_equal(tone.state, system.initial):
+        # Once unmeasured: what is compiled is compiled or loaded then.
+        _sampled(scene, system, tone, SAMPLED[0], 1)()
         for share in SAMPLED:
             yield (
                 "engine, sampled drive",

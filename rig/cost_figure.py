@@ -50,7 +50,7 @@ def table(study: Study, steady: SteadyStudy) -> str:
     lines += [
         "", f"reference: {study.reference};",
         f"           the best method's error is {study.margin:.0e} times that.", "",
-        f"steady state {steady.motion_type}".rstrip(), f"{'method':24}{'setting':30}{'ms in all':>12}{'error':>9}",
+        _steady_title(steady), f"{'method':24}{'setting':30}{'ms in all':>12}{'error':>9}",
     ]  # fmt: skip
     lines += [_line(point, 1e3 * point.cpu, "") for point in steady.points]
     lines += ["", f"reference: {steady.reference}"]
@@ -58,7 +58,9 @@ def table(study: Study, steady: SteadyStudy) -> str:
 
 
 def _steady_title(steady: SteadyStudy) -> str:
-    motion = f", {steady.motion_type}" if steady.motion_type else ""
+    kinds = steady.motion_type.split("/")
+    word = "type " if set(kinds) <= {"I", "II", "III"} else ""
+    motion = f": {word}{steady.motion_type}" if steady.motion_type else ""
     return f"steady state at {steady.frequency:.4g} Hz{motion}"
 
 

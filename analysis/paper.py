@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +12,8 @@ from analysis.figures import save
 from analysis.paper_claims import claims
 from analysis.paper_page import write_pages
 from analysis.paper_parts import all_parts
-from analysis.paper_store import Arrays, Part
+from analysis.paper_store import Arrays, Part, remove_partial
+from analysis.paper_workers import compute
 from rig.errors import SceneError
 
 if TYPE_CHECKING:
@@ -67,6 +66,7 @@ def reproduce(folder: Path, say: Callable[[str], None], fresh: Sequence[str] = (
         raise SceneError(
             f"no part {', '.join(sorted(unknown))}; there are {', '.join(part.name for part in parts)}"
         )
+    remove_partial(folder)
     stored: dict[str, Arrays] = {}
     missing: list[Part] = []
     for part in parts:
@@ -77,18 +77,15 @@ def reproduce(folder: Path, say: Callable[[str], None], fresh: Sequence[str] = (
             stored[part.name] = found
     say(f"{len(stored)} of {len(parts)} parts are there, {len(missing)} to do, on two cores.")
     if missing:
-        with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-            jobs = {pool.submit(part.run, folder): part for part in missing}
-            for done, job in enumerate(as_completed(jobs), 1):
-                job.result()
-                part = jobs[job]
-                say(
-                    f"  [{done}/{len(missing)}] {part.title} ({part.name}), {time.monotonic() - began:.0f} s after "
-                    "the start"
-                )
-                arrays = part.stored(folder)
-                assert arrays is not None
-                stored[part.name] = arrays
+        progress = _Progress(missing, say)
+
+        def done(part: Part) -> None:
+            arrays = part.stored(folder)
+            assert arrays is not None
+            stored[part.name] = arrays
+            progress.add(part)
+
+        compute(missing, folder, done)
     files: list[Path] = []
     for name, draw in FIGURES.items():
         files += save(draw(stored), folder / name)
@@ -98,3 +95,34 @@ def reproduce(folder: Path, say: Callable[[str], None], fresh: Sequence[str] = (
         say(f"  {claim.name}: {claim.verdict}")
     say(f"Done in {time.monotonic() - began:.0f} s. Read {folder / 'index.html'} or {folder / 'index.md'}.")
     return files
+
+
+class _Progress:
+    """Says after each part how much of the work is done, and how long the rest will take at that pace."""
+
+    def __init__(self, parts: Sequence[Part], say: Callable[[str], None]) -> None:
+        self.say, self.began = say, time.monotonic()
+        self.count, self.total = len(parts), sum(part.effort for part in parts)
+        self.finished, self.done = 0, 0.0
+
+    def add(self, part: Part) -> None:
+        """Report a part that has been finished."""
+        self.finished += 1
+        self.done += part.effort
+        gone = time.monotonic() - self.began
+        left = gone * (self.total - self.done) / self.done
+        self.say(
+            f"  [{self.finished}/{self.count}] {part.title} ({part.name}): {100 * self.done / self.total:.0f} % done "
+            f"after {_span(gone)}, "
+            + (f"about {_span(left)} left" if self.finished < self.count else "the last part")
+        )
+
+
+def _span(seconds: float) -> str:
+    """Write a length of time.
+
+    >>> _span(42.3), _span(192)
+    ('42 s', '3 min 12 s')
+    """
+    whole = round(seconds)
+    return f"{whole // 60} min {whole % 60} s" if whole >= 60 else f"{whole} s"

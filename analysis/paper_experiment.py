@@ -12,7 +12,7 @@ import daq
 from analysis.detection import impacts
 from analysis.measurands import reference_of
 from analysis.modal import identify
-from analysis.paper_store import Arrays
+from analysis.paper_store import Arrays, partial_name
 from analysis.ringdown import decay
 from analysis.transfer import frequency_responses
 from daq.recording import Recording
@@ -33,7 +33,7 @@ def recorded(scene: Scene, path: Path) -> Recording:
         # None, or one that an interruption tore: recorded anew.
         pass
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f"{path.stem}.partial.mcap")
+    partial = partial_name(path)
     with warnings.catch_warnings():
         # What the test has to warn of is in the recording's markers, and the analysis says it.
         warnings.simplefilter("ignore", daq.RunWarning)

@@ -36,6 +36,12 @@ SWEEP = np.unique(
         3,
     )
 )
+# Seconds that parts took on one core; all others take less than a few.
+EFFORT = {
+    "approx-peaks": 70.0, "rec-one": 32.0, "rec-two": 31.0, "rec-three": 30.0, "rec-bare": 27.0, "scan-three": 26.0,
+    "optimum": 20.0, "rec-fig9": 14.0, "scan-single": 10.0, "best-03": 7.0, "best-06": 7.0, "best-10": 7.0,
+    "fig9-damping": 6.0, "sim-three": 5.0, "orbit-fig9": 3.0, "sim-fig5-three": 3.0,
+}  # fmt: skip
 # Points of Fig 5 whose waveforms Fig 6 shows.
 WAVES = {
     "a": ("fig5-single-damper", 48.5),
@@ -45,7 +51,7 @@ WAVES = {
 
 
 def all_parts(folder: Path) -> list[Part]:
-    """List the parts, longest first so that two cores end together."""
+    """List the parts."""
     parts = [_recording(folder, name, scene, extra) for name, scene, extra in _experiments()]
     single, three = rig.load("fig5-single-damper"), rig.load("fig5-three-dampers")
     grid = {"forces": FORCES, "clearances": CLEARANCES, "frequencies": RESONANCE, "mass_ratio": 0.10}
@@ -146,7 +152,7 @@ def _experiments() -> list[tuple[str, Scene, dict[str, Any]]]:
     jobs: list[tuple[str, Scene, dict[str, Any]]] = [
         (
             name,
-            scene.replace(test=test),
+            scene.replace(test=test, recording={"display": False}),
             {"compute": paper_experiment.bare_sweep if name == "rec-bare" else paper_experiment.sweep},
         )
         for name, scene in sweeps
@@ -167,6 +173,7 @@ def _recording(folder: Path, name: str, scene: Scene, extra: dict[str, Any]) -> 
         extra["compute"],
         {"scene": scene, "path": path, **arguments},
         f"virtual experiment: {scene.name}",
+        EFFORT.get(name, 1.0),
     )
 
 
@@ -175,4 +182,5 @@ def _part(name: str, title: str, compute: Any, scene: Scene, **arguments: Any) -
         key: value if isinstance(value, dict) else np.asarray(value).tolist()
         for key, value in arguments.items()
     }
-    return Part(name, f"{name}\n{scene.to_yaml()}\n{written}", compute, {"scene": scene, **arguments}, title)
+    depends = f"{name}\n{scene.to_yaml()}\n{written}"
+    return Part(name, depends, compute, {"scene": scene, **arguments}, title, EFFORT.get(name, 1.0))

@@ -7,6 +7,7 @@ with a digest of the text; a part whose digest is there already is read, not com
 from __future__ import annotations
 
 import hashlib
+import os
 import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -19,6 +20,18 @@ import numpy as np
 from rig.errors import RunError
 
 Arrays = dict[str, np.ndarray]
+
+
+def partial_name(target: Path) -> Path:
+    """Name of a file while it is written; one for each process, as a run that was killed may leave one at work."""
+    return target.with_name(f"{target.stem}.{os.getpid()}.partial{target.suffix}")
+
+
+def remove_partial(folder: Path) -> None:
+    """Remove what earlier runs left half written."""
+    for place in (folder / "data", folder / "recordings"):
+        for path in place.glob("*.partial.*"):
+            path.unlink(missing_ok=True)
 
 
 @dataclass(frozen=True)
@@ -37,6 +50,8 @@ class Part:
         What `compute` is called with.
     title : str
         For the progress report.
+    effort : float
+        About how long it takes compared with the others; for the order, and for the time that is left.
     """
 
     name: str
@@ -44,6 +59,7 @@ class Part:
     compute: Callable[..., Arrays]
     arguments: Mapping[str, Any]
     title: str
+    effort: float = 1.0
 
     @property
     def digest(self) -> str:
@@ -68,7 +84,7 @@ class Part:
         """Compute and store; the file appears when it is whole."""
         arrays: dict[str, Any] = {**self.compute(**self.arguments), "digest": np.array(self.digest)}
         target = self.path(folder)
-        partial = target.with_name(f"{target.stem}.partial.npz")
+        partial = partial_name(target)
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
             np.savez_compressed(partial, **arrays)

@@ -82,7 +82,13 @@ def search(problem: Problem, setting: Setting, start: March | None = None, longe
             return found
     steady = settle(march, steps, 1.0, 1e-7, longest)
     if steady.repetition:
-        return refine(problem, setting, march, steps, steady.repetition)
+        orbit = refine(problem, setting, march, steps, steady.repetition)
+        if orbit.flaw:
+            raise RunError(
+                f"the motion at {setting.frequency:.6g} Hz repeats after {steady.repetition} periods, but the orbit with "
+                f"its events [{orbit.plan.label}] is impossible: {orbit.flaw}"
+            )
+        return orbit
     if steady.residual < ALMOST:
         # It repeats, but its slow decay does not tell after how many periods.
         for repetition in range(1, LONGEST_REPETITION + 1):
@@ -187,7 +193,7 @@ def read_cycle(march: March, steps: float, repetition: int) -> tuple[Plan, Array
     heights, speeds = state.height.copy(), state.speed.copy()
     z = state.z[: system.states].copy()
     course = _run(march, steps, repetition)
-    plan, order = plan_from(course, start, repetition, system.restitution)
+    plan, order = plan_from(course, start, repetition, system)
     instants = course.event_segment[order] * steps * march.tables.step + course.event_offset[order]
     flights = np.array([[heights[j], speeds[j]] for j in np.flatnonzero(start == FLIGHT)]).ravel()
     return plan, np.concatenate([z, flights, instants])

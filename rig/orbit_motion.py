@@ -35,8 +35,8 @@ MOST_POINTS = 1500
 SHORTEST_FLIGHT = 0.02
 
 # Borders: of events, and of dampers.
-ORDER, RELEASE, MISS, FLIGHT_ENDS, HITS_FLOOR, HITS_CEILING, LEAVES, STAYS = range(8)
-KINDS_OF_BORDERS = 8
+ORDER, RELEASE, MISS, FLIGHT_ENDS, HITS_FLOOR, HITS_CEILING, LEAVES, STAYS, KICKED = range(9)
+KINDS_OF_BORDERS = 9
 
 # Bernoulli's numbers over factorials, for the ends of a trapezoidal sum (Euler and Maclaurin).
 _ENDS = np.array([1 / 12, -1 / 720, 1 / 30240, -1 / 1209600, 1 / 47900160])
@@ -223,7 +223,7 @@ def rooms(equations: Equations, sequence: Sequence, track: Track, instants: Arra
     omega, gravity = equations.omega, equations.gravity
     size = gravity / omega**2 if gravity > 0.0 else np.abs(track.reach).max()
     pull = size * omega**2
-    events, nd = sequence.kind.shape[0], equations.position.shape[0]
+    events, nd, nq = sequence.kind.shape[0], equations.position.shape[0], equations.inverse_mass.shape[1]
     found = np.ones((KINDS_OF_BORDERS, max(events, nd, 1)))
     for s in range(track.times.shape[0]):
         k = s + 1 if events > 0 else 0
@@ -264,14 +264,22 @@ def rooms(equations: Equations, sequence: Sequence, track: Track, instants: Arra
             found[RELEASE, e] = min(1.0, -away * track.guards[e - 1, -1, j, 1] / (pull * omega))
         elif kind != WITH_LAST:
             found[MISS, e] = min(1.0, closing[e] * omega / pull)
+            # Through a full mass matrix an impact presses riding dampers on their walls, or kicks them off.
+            for i in range(nd):
+                body = equations.position[i]
+                coupling = equations.inverse_mass[sequence.slot[e], body, equations.position[j]]
+                if i != j and sequence.wall[e, i] != 0 and coupling != 0.0:
+                    kick = track.motion[e, 0, nq + body] - track.motion[e - 1, -1, nq + body]
+                    sign = 1.0 if sequence.wall[e, i] == 1 else -1.0
+                    found[KICKED, i] = min(found[KICKED, i], sign * kick * omega / pull)
         if leaves:
             # At length 0 the equations of a flight say nothing, so a curve ends before.
             landing = (e + 1) % events
             while sequence.damper[landing] != j:
                 landing = (landing + 1) % events
-            length = (instants[landing] - instants[e]) % equations.period * omega
+            length = instants[landing] - instants[e] + (equations.period if landing <= e else 0.0)
             if sequence.kind[landing] == (CEILING if ceiling else FLOOR):
-                found[FLIGHT_ENDS, j] = min(found[FLIGHT_ENDS, j], length - SHORTEST_FLIGHT)
+                found[FLIGHT_ENDS, j] = min(found[FLIGHT_ENDS, j], length * omega - SHORTEST_FLIGHT)
     return found
 
 

@@ -12,6 +12,7 @@ from rig.contact import CEILING_IMPACT, FLOOR_IMPACT
 from rig.course import Course
 from rig.errors import RunError
 from rig.shooting import CEILING, CEILING_BOUNCE, FLOOR, FLOOR_BOUNCE, SEPARATION, WITH_LAST, Sequence
+from rig.system import System
 
 Array = NDArray[np.float64]
 BOUNCE = {FLOOR: FLOOR_BOUNCE, CEILING: CEILING_BOUNCE}
@@ -70,6 +71,7 @@ class Plan:
             "damper {} hits the ceiling early",
             "damper {} leaves its wall early",
             "damper {} stays at the wall that it should leave at once",
+            "damper {} is kicked off its wall by the impact of another",
         ):
             names.append([text.format(number) for number in range(1, count + 1)])
         return tuple(name for row in names for name in [*row, *[""] * (count - len(row))])
@@ -80,9 +82,7 @@ class Plan:
         return len(own) == len(others) and (own == others or " ".join(own) in " ".join(others + others))
 
 
-def plan_from(
-    course: Course, start: NDArray[np.int8], repetition: int, restitution: Array
-) -> tuple[Plan, Array]:
+def plan_from(course: Course, start: NDArray[np.int8], repetition: int, system: System) -> tuple[Plan, Array]:
     """Read the sequence of events off a simulated cycle.
 
     Parameters
@@ -93,7 +93,7 @@ def plan_from(
         Walls at its start.
     repetition : int
         Periods in the cycle.
-    restitution : ndarray, shape (dampers,)
+    system : System
 
     Returns
     -------
@@ -104,7 +104,8 @@ def plan_from(
     Raises
     ------
     RunError
-        If a damper that rebounds comes to rest on a wall, after impacts without end.
+        If a damper that rebounds comes to rest on a wall, after impacts without end; or one is thrown off its wall
+        by another's impact through a full mass matrix.
     """
     kinds: list[int] = []
     dampers: list[int] = []
@@ -115,14 +116,20 @@ def plan_from(
     ):
         now = [i for i in range(len(order)) if instants[order[i]] == instants[k]]
         hit = [i for i in now if dampers[i] == damper and kinds[i] in (FLOOR, CEILING)]
+        if system.coupled and any(dampers[i] != damper for i in now):
+            raise RunError(
+                f"an impact throws a damper off its wall through the mass matrix (dampers {damper + 1} and "
+                f"{dampers[now[-1]] + 1}), for which orbits are not computed; a settled simulation "
+                "(rig.frequency_response) covers it"
+            )
         if kind in (FLOOR_IMPACT, CEILING_IMPACT):
             landed = FLOOR if kind == FLOOR_IMPACT else CEILING
-            kinds.append(landed if restitution[damper] == 0 else BOUNCE[landed])
+            kinds.append(landed if system.restitution[damper] == 0 else BOUNCE[landed])
         elif hit:
             # It hit in this very instant: one event, a bounce, and no stay in between.
             kinds[hit[-1]] = BOUNCE[kinds[hit[-1]]]
             continue
-        elif restitution[damper] > 0:
+        elif system.restitution[damper] > 0:
             raise RunError(
                 f"damper {damper + 1} rebounds ever lower until it rests on a wall: impacts without end in every "
                 "period, for which orbits are not computed; a settled simulation (rig.frequency_response) covers it"

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from scipy.linalg import matrix_balance
 
 from rig.assembly import assemble
-from rig.errors import SceneError
 from rig.open_loop import drive_per_level, level_of
 from rig.orbit_plan import Plan
 from rig.scene import Scene
@@ -92,18 +91,13 @@ class Problem:
     Raises
     ------
     SceneError
-        If nothing drives the scene, or the mass matrix couples dampers at an impact.
+        If nothing drives the scene.
     """
 
     def __init__(self, scene: Scene) -> None:
         self.scene = pure_force(scene)
         self.system = assemble(self.scene)
         self.level = level_of(self.scene)
-        if self.system.coupled:
-            raise SceneError(
-                f"scene {scene.name!r}: its mass matrix lets one damper's impact lift another one; periodic "
-                "orbits are computed for structures whose damped bodies the mass matrix does not couple"
-            )
         self._position = self.system.damper_coordinate.astype(np.int64)
         self._linear: dict[tuple[tuple[int, ...], float], _Linear] = {}
 

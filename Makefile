@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: demo test lint types layers quick bench clean
+.PHONY: demo test lint types layers quick bench peers clean
 .DEFAULT_GOAL := demo
 
 $(VENV)/bin/python:
@@ -38,6 +38,13 @@ bench: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[dev,peers]"
 	$(BIN)/python -m tests.benchmarks
 
+# Independent packages in an environment of their own, beside our numbers.
+peers: $(STAMP)
+	test -x $(VENV)-peers/bin/python || $(PYTHON) -m venv $(VENV)-peers
+	$(VENV)-peers/bin/python -m pip install --quiet --disable-pip-version-check "pyFRF==1.5.0" "sdypy-EMA==0.31.0"
+	$(BIN)/python -m tests.peers.ours build/peers
+	MPLBACKEND=agg $(VENV)-peers/bin/python tests/peers/theirs.py build/peers
+
 clean:
-	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(VENV)-peers build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

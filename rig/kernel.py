@@ -40,7 +40,7 @@ from rig.contact import (
 )
 from rig.flow import Flow, Model
 from rig.jit import compiled, inlined
-from rig.lanes import combine, copy, exceeds, padded
+from rig.lanes import combine, combine_many, copy, exceeds, padded
 from rig.polynomial import BERNSTEIN, DEEPEST, LENGTH, NONE, first_crossing
 
 Array = NDArray[np.float64]
@@ -108,7 +108,7 @@ def _expand(flow: Flow, model: Model, slot: int, z: Array, tableau: Array) -> No
     """Power series of the state over one step: tableau[k] = (A h)^k z / k!, with what the constant adds."""
     size = flow.rates_constant.shape[1]
     if flow.tabulated:
-        combine(flow.series, flow.series_constant, slot, z, size, tableau)
+        combine_many(flow.series, flow.series_constant, slot, z, size, tableau)
         return
     for i in range(size):
         tableau[0, i] = z[i]
@@ -292,7 +292,9 @@ def _examine_ride(
         power *= length
     series[0] += sign * model.gravity
     size = model.gravity + scratch.bound[model.mass.shape[0] + j]
-    return first_crossing(series, 0, ROUNDING * size, scratch.work, scratch.spans, scratch.bernstein)
+    return first_crossing(
+        series, np.int64(0), ROUNDING * size, scratch.work, scratch.spans, scratch.bernstein
+    )
 
 
 @inlined
@@ -435,7 +437,7 @@ def advance(
         duration = length * model.step
         whole = flow.stepping and length == 1.0
         if whole:
-            combine(flow.propagate, flow.propagate_constant, slot, state.z, columns, scratch.new)
+            combine_many(flow.propagate, flow.propagate_constant, slot, state.z, columns, scratch.new)
             if (
                 known == CLEAR
                 and not exceeds(state.z, scratch.envelope)

@@ -109,7 +109,7 @@ def _march(
     inputs, segments = drive.shape[0], drive.shape[1] - 1
     first = flow.rates_constant.shape[1] - 2 * inputs
     stride = 1 if steps.shape[0] > 1 else 0
-    known = STALE
+    known = np.int64(STALE)
     fold_envelope(flow, scratch)
     for k in range(begin, segments):
         whole = steps[stride * k]

@@ -59,8 +59,10 @@ class Tables(NamedTuple):
         What a unit impulse adds to the vector at once.
     coarse, fine : ndarray, shape (65, size, size)
         Exponentials of the generator over k/64 and k/4096 of the interval.
-    generator : ndarray, shape (size, size)
-        The generator.
+    entry_start : ndarray of int64, shape (size + 1,)
+        For each row of the generator, the first of its entries that are not zero; then their number.
+    entry_column, entry_value : ndarray, shape (entries,)
+        Column and value of each of them, row after row.
     terms : int
         Terms of the Taylor series that make it exact over 1/4096.
     moments : ndarray, shape (integrals, integrals)
@@ -76,7 +78,9 @@ class Tables(NamedTuple):
     impulse: Array
     coarse: Array
     fine: Array
-    generator: Array
+    entry_start: NDArray[np.int64]
+    entry_column: NDArray[np.int64]
+    entry_value: Array
     terms: int
     moments: Array
 
@@ -147,6 +151,7 @@ def discretise(
     while remainder > 1e-18:
         terms += 1
         remainder *= norm / (terms - 3)
+    rows, columns = np.nonzero(generator)
     return Tables(
         states=states,
         width=width,
@@ -157,7 +162,9 @@ def discretise(
         impulse=generator[:width, width].copy(),
         coarse=_powers(expm(generator / PARTS)),
         fine=_powers(expm(generator / PARTS**2)),
-        generator=np.ascontiguousarray(generator.T),
+        entry_start=np.searchsorted(rows, np.arange(size + 1)),
+        entry_column=columns,
+        entry_value=generator[rows, columns],
         terms=terms,
         moments=np.ascontiguousarray(to_moments[states:, states:].T),
     )

@@ -40,7 +40,7 @@ class Scratch(NamedTuple):
 
 def scratch_for(tables: Tables) -> Scratch:
     """Make room to work in for a circuit."""
-    size = tables.generator.shape[0]
+    size = tables.width + 4
     # Rows a little longer than needed: at even distances they would compete for the same places in a cache.
     course = np.zeros((tables.weights.shape[1], STRETCH + 8))
     return Scratch(np.zeros(size), np.zeros(size), np.zeros(size), course, np.zeros((2, STRETCH)))
@@ -320,12 +320,11 @@ def _advance(tables: Tables, share: float, vector: Array, work: Array, term: Arr
         for r in range(vector.size):
             term[r] = vector[r]
         for k in range(tables.terms):
-            work[:] = 0.0
-            # Most of the generator is zero, but whole rows take less time than looking for what is not.
-            for j in range(vector.size):
-                value = term[j]
-                for r in range(vector.size):
-                    work[r] += tables.generator[j, r] * value
+            for r in range(vector.size):
+                total = 0.0
+                for e in range(tables.entry_start[r], tables.entry_start[r + 1]):
+                    total += tables.entry_value[e] * term[tables.entry_column[e]]
+                work[r] = total
             factor = rest / (k + 1)
             for r in range(vector.size):
                 term[r] = work[r] * factor

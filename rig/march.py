@@ -14,22 +14,14 @@ from numpy.typing import NDArray
 
 from rig.contact import CONFIGURATION, FLIGHT, FLOOR, SLOT, Log, State, release_tensile
 from rig.course import Array, Course
+from rig.envelope import fold_envelope
 from rig.errors import RunError
 from rig.flow import REACH, Flow, FlowTables, Model
 from rig.jit import compiled, inlined
-from rig.kernel import (
-    DONE,
-    LOG_FULL,
-    NEED_TABLE,
-    STALE,
-    STUCK,
-    Scratch,
-    advance,
-    differentiate,
-    fold_envelope,
-    scratch_for,
-)
+from rig.kernel import DONE, LOG_FULL, NEED_TABLE, STUCK, advance
 from rig.lanes import LANES, padded, transpose
+from rig.scratch import Scratch, scratch_for
+from rig.stepping import STALE, differentiate
 from rig.system import Drive, System, sampled, tone
 
 LOG_ROWS = 1024
@@ -97,7 +89,7 @@ def _see(flow: Flow, model: Model, state: State, seen: Seen, column: int, last: 
 @compiled
 def _march(
     flow: Any, model: Any, state: Any, scratch: Any, log: Any, steps: Array, renew: NDArray[np.bool_], drive: Array,
-    row: NDArray[np.int64], begin: int, left: float, kept: Kept, seen: Seen, coupling: bool | None,
+    row: NDArray[np.int64], begin: int, left: float, kept: Kept, seen: Seen, coupling: bool | None, known: int,
 ) -> tuple[int, int, float]:  # fmt: skip
     """Segments of `steps` step lengths between the columns of a drive.
 
@@ -109,7 +101,6 @@ def _march(
     inputs, segments = drive.shape[0], drive.shape[1] - 1
     first = flow.rates_constant.shape[1] - 2 * inputs
     stride = 1 if steps.shape[0] > 1 else 0
-    known = np.int64(STALE)
     fold_envelope(flow, scratch)
     for k in range(begin, segments):
         whole = steps[stride * k]
@@ -328,7 +319,7 @@ class March:
         while True:
             status, begin, left = _march(
                 self.tables.flow, self.tables.model, self.state, self.scratch, self.log, steps, renew, drive, row,
-                begin, left, kept, seen, self._coupling,
+                begin, left, kept, seen, self._coupling, STALE,
             )  # fmt: skip
             if status == NEED_TABLE:
                 self._find_table()

@@ -85,8 +85,8 @@ def search(problem: Problem, setting: Setting, start: March | None = None, longe
         orbit = refine(problem, setting, march, steps, steady.repetition)
         if orbit.flaw:
             raise RunError(
-                f"the motion at {setting.frequency:.6g} Hz repeats after {steady.repetition} periods, but the orbit with "
-                f"its events [{orbit.plan.label}] is impossible: {orbit.flaw}"
+                f"the motion at {setting.frequency:.6g} Hz repeats after {steady.repetition} periods, but the orbit "
+                f"with its events [{orbit.plan.label}] is impossible: {orbit.flaw}"
             )
         return orbit
     if steady.residual < ALMOST:

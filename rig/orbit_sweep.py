@@ -22,7 +22,7 @@ from rig.orbit_following import Following, Orbit
 from rig.orbit_problem import PARAMETERS, Parameter, Problem, Setting, vary
 from rig.scene import Scene
 from rig.shaker_settings import ForceShaker
-from rig.shooting import correct
+from rig.shooting import correct, distance
 from rig.steady_state import MARKS, one_cycle
 
 Array = NDArray[np.float64]
@@ -31,6 +31,8 @@ Array = NDArray[np.float64]
 HALVINGS = 6
 # Corrections allowed where the orbit is predicted, and how far, relative to the way gone, a prediction may be off.
 CORRECTIONS, MISS = 6, 0.3
+# Points that a prediction is based on.
+POINTS = 4
 # Periods that the motion is followed for before it counts as irregular.
 LONGEST = 1500
 # Periods over which an irregular motion is averaged.
@@ -204,7 +206,7 @@ class _Follower:
                 continue
             if there.orbit.flaw or not there.orbit.stable:
                 return None
-            self.known = [*self.known[-1:], there]
+            self.known = [*self.known[1 - POINTS :], there]
             if target == value:
                 return there.orbit
             target = value
@@ -223,25 +225,22 @@ class _Follower:
             )
         except np.linalg.LinAlgError:
             return None
-        gone, missed = (np.abs((x - y) / scale).max() for y in (last.unknowns, guess))
-        if count < 0 or missed > MISS * max(gone, 0.01):
+        if count < 0 or distance(x, guess, scale) > MISS * max(distance(x, last.unknowns, scale), 0.01):
             return None
         orbit = following.describe(self.at(value), x, equations, shot)
         return _Known(value, x, slope, orbit)
 
     def _predicted(self, value: float) -> Array:
-        """Unknowns at a value, by the cubic through the last two points and their derivatives."""
-        last = self.known[-1]
-        step = value - last.value
-        guess = last.unknowns + step * last.slope
-        if len(self.known) > 1 and self.known[0].value != last.value:
-            before = self.known[0]
-            length = last.value - before.value
-            misses = before.unknowns - last.unknowns + length * last.slope
-            bends = length * (before.slope - last.slope)
-            t = step / length
-            guess = guess + t * t * (3 * misses + bends + t * (bends + 2 * misses))
-        return np.asarray(guess)
+        """Unknowns at a value, by Hermite's polynomial through the last points and their derivatives."""
+        at = [point.value for point in self.known]
+        guess = np.zeros_like(self.known[-1].unknowns)
+        for i, point in enumerate(self.known):
+            others = [x for k, x in enumerate(at) if k != i]
+            basis = float(np.prod([(value - x) / (at[i] - x) for x in others])) ** 2
+            steepness = 2 * sum(1 / (at[i] - x) for x in others)
+            step = value - at[i]
+            guess += basis * ((1 - steepness * step) * point.unknowns + step * point.slope)
+        return guess
 
     def _settled(self, value: float) -> _Point:
         """Run the motion on from where it was until an orbit takes over, else average it."""

@@ -375,6 +375,12 @@ def correct(
 
 
 @njit(cache=True)
+def distance(one: Array, other: Array, scale: Array) -> float:
+    """Largest difference between two sets of unknowns, in their scales."""
+    return float(np.abs((one - other) / scale).max())
+
+
+@njit(cache=True)
 def monodromy(shot: Shot, events: int, scale: Array, rows: Array) -> Array:
     """Map of deviations over an orbit (scaled): the events' rows are solved for the instants."""
     size = scale.size

@@ -7,7 +7,10 @@ took longer than its arithmetic did; in exchange, compiled functions cannot crea
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 from typing import TypeVar
 
 import numba
@@ -17,14 +20,36 @@ F = TypeVar("F", bound=Callable[..., object])
 _OPTIONS = {"cache": True, "nogil": True, "fastmath": {"contract"}, "_nrt": False}
 
 
+@functools.cache
+def _forget_outdated(folder: Path) -> None:
+    """Remove machine code that is older than a source in which other functions of it are.
+
+    numba looks only at the file of the function that is called, not at those that were compiled into it.
+    """
+    code = {path: path.stat().st_mtime for path in (folder / "__pycache__").glob("*.nbi")}
+    oldest = min(code.values(), default=float("inf"))
+    sources = {*folder.glob("*.py"), *Path(__file__).parent.glob("*.py")}
+    newer = {path: path.stat().st_mtime for path in sources if path.stat().st_mtime > oldest}
+    changed = max((time for path, time in newer.items() if "rig.jit" in path.read_text()), default=0.0)
+    for path, time in code.items():
+        if time < changed:
+            with suppress(OSError):
+                path.unlink()
+
+
+def _options(function: Callable[..., object]) -> dict[str, object]:
+    _forget_outdated(Path(function.__code__.co_filename).parent)
+    return _OPTIONS
+
+
 def compiled(function: F) -> F:
     """Compile a function of the kernel."""
-    return numba.njit(**_OPTIONS)(function)  # type: ignore[call-overload]
+    return numba.njit(**_options(function))(function)  # type: ignore[call-overload]
 
 
 def inlined(function: F) -> F:
     """Compile a function of the kernel into each of its callers: handing it hundreds of arrays takes longer."""
-    return numba.njit(forceinline=True, **_OPTIONS)(function)  # type: ignore[call-overload]
+    return numba.njit(forceinline=True, **_options(function))(function)  # type: ignore[call-overload]
 
 
 def unfused(function: F) -> F:
@@ -33,5 +58,5 @@ def unfused(function: F) -> F:
     For loops over samples: a processor works them off several at a time and what is left one by one, and both have
     to give the same bits, however samples come in blocks.
     """
-    options = {**_OPTIONS, "fastmath": False}
+    options = {**_options(function), "fastmath": False}
     return numba.njit(**options)(function)  # type: ignore[call-overload]

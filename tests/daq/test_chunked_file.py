@@ -1,0 +1,65 @@
+"""The package mcap's own writer is the oracle: what it makes of the same content has the same bytes."""
+
+from io import BytesIO
+
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+
+from daq.chunked_file import ChunkedFile
+from daq.layout import Message
+
+CHUNKS = [
+    [Message(1, 5, 3, b"first", 0), Message(2, 4, 4, b"", 7), Message(1, 9, 9, b"x" * 300, 1)],
+    [],
+    [Message(2, 2**63, 2**63, bytes(1000), 8)],
+]
+
+
+def ours(compression):
+    stream = BytesIO()
+    file = ChunkedFile(stream, "test 1", compression)
+    schema = file.add_schema("pkg.Thing", "protobuf", b"\x01\x02")
+    for topic in ("/a", "/b"):
+        file.add_channel(topic, "protobuf", schema, {"unit": "m", "name": topic})
+    held = [file.add_chunk(chunk) for chunk in CHUNKS[:2]]
+    file.add_metadata("run", {"seed": "1"})
+    file.add_attachment(1, 2, "scene.yaml", "application/yaml", b"name: x")
+    held.append(file.add_chunk(CHUNKS[2]))
+    file.finish()
+    assert held == [True, False, True]
+    return stream.getvalue()
+
+
+def theirs(compression):
+    stream = BytesIO()
+    writer = Writer(stream, chunk_size=2**62, compression=CompressionType[compression.upper()])
+    writer.start(profile="", library="test 1")
+    schema = writer.register_schema("pkg.Thing", "protobuf", b"\x01\x02")
+    for topic in ("/a", "/b"):
+        writer.register_channel(topic, "protobuf", schema, {"unit": "m", "name": topic})
+
+    def add(chunk):
+        for channel, log_time, publish_time, data, sequence in chunk:
+            writer.add_message(channel, log_time, data, publish_time, sequence)
+        writer.flush()
+
+    add(CHUNKS[0])
+    writer.add_metadata("run", {"seed": "1"})
+    writer.add_attachment(1, 2, "scene.yaml", "application/yaml", b"name: x")
+    add(CHUNKS[2])
+    writer.finish()
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+def test_given_the_same_content_when_written_then_the_bytes_are_those_of_the_packages_writer(compression):
+    assert ours(compression) == theirs(compression)
+
+
+def test_given_no_chunk_at_all_when_finished_then_the_file_can_be_read():
+    stream = BytesIO()
+    ChunkedFile(stream, "test 1", "zstd").finish()
+    summary = make_reader(BytesIO(stream.getvalue())).get_summary()
+    assert summary is not None
+    assert summary.statistics.message_count == 0

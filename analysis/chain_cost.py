@@ -96,7 +96,8 @@ class ChainStudy:
     own : Measurement
         The scene as it is.
     quiet : Measurement
-        The same without noise and quantisation: from here one thing is changed at a time.
+        The same without what no data sheet can correct (noise, quantisation, the sensors' tolerances and bias): from here
+        one thing is changed at a time.
     points : tuple of Measurement
         One thing changed at a time.
     reference : str
@@ -164,16 +165,16 @@ def chain_study(
             raise type(error)(f"the scene as it is cannot be measured: {error}") from None
         todo = [
             Variant("", "as it is", base),
-            Variant("", "without noise and counts", quiet(base)),
+            Variant("", "without the uncorrectable", quiet(base)),
             *variants(base, min(chosen), hardest, max(chosen), volts),
         ]
-        found = []
+        found: list[Measurement] = []
         for number, variant in enumerate(todo):
             if progress is not None:
                 progress(number, len(todo))
             found.append(bench.measurement(variant))
-    if np.isnan(found[0].error):
-        raise RunError(f"the scene as it is cannot be measured: {found[0].note}")
+            if np.isnan(found[0].error):
+                raise RunError(f"the scene as it is cannot be measured: {found[0].note}")
     reference = (
         "the exact solution of the linear equations"
         if linear

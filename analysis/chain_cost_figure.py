@@ -43,7 +43,7 @@ def table(study: ChainStudy) -> str:
         "",
         "ms a second: CPU time to record and analyse a second of the test. error: of the compliance, corrected by the",
         "data sheets, relative. corrected for: the error of a displacement without that. One thing is changed at a",
-        "time in the scene without noise and counts, which would hide the rest.",
+        "time in the scene without what no data sheet can correct: noise, counts, sensors' tolerances and bias.",
         f"reference: {study.reference}",
     ]
     return "\n".join(line.rstrip() for line in lines)
@@ -98,7 +98,7 @@ def write(study: ChainStudy, folder: Path) -> list[Path]:
 
 _COMMON = (
     "the scene as it is",
-    "without noise and counts",
+    "without noise, counts, tolerances and bias",
     "compliance, each channel corrected by its data sheet",
     "displacement, not corrected",
 )

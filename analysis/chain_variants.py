@@ -23,13 +23,17 @@ RESONANCES = (10.0, 100.0, 1000.0)
 BITS = (24, 16, 12)
 #: An integrator that the scene has not got stops integrating at this share of the lowest frequency.
 CORNER = 0.1
+#: What of a sensor differs from its data sheet, or comes from being switched on.
+UNCORRECTABLE = (
+    "sensitivity_tolerance", "temperature_drift", "temperature_change", "transverse", "lateral", "bias", "bias_settling",
+)  # fmt: skip
 #: Room in the converter's range above the largest reading, where the scene gives no range.
 HEADROOM = 1.5
 
 #: What channels with an integrator of order 0, 1, 2 read besides the acceleration.
 NAMES = ("none", "velocity", "displacement")
 #: What is changed, in the order of the signal.
-GROUPS = ("sensor resonance", "noise", "integrator", "anti-alias filter", "sample rate", "bits")
+GROUPS = ("sensor", "noise", "integrator", "anti-alias filter", "sample rate", "bits")
 
 
 @dataclass(frozen=True)
@@ -103,17 +107,26 @@ def own_setting(scene: Scene, group: str) -> str:
         found = [
             NAMES[0 if c.integrator is None else c.integrator.order] for c in channels if c.at != "hammer"
         ]
-    elif group == "sensor resonance":
+    elif group == "sensor":
         sensors = [channel.accelerometer for channel in channels if channel.at != "hammer"]
-        found = ["none" if s is None or s.resonance is None else f"{s.resonance:.6g} Hz" for s in sensors]
+        found = [
+            "no resonance" if s is None or s.resonance is None else f"{s.resonance:.6g} Hz" for s in sensors
+        ]
     else:
         found = []
     return " and ".join(dict.fromkeys(found))
 
 
 def quiet(scene: Scene) -> Scene:
-    """Take noise and quantisation away from a plain scene."""
-    return _without_counts(_with_noise(scene, 0.0))
+    """Take from a plain scene what no data sheet can correct: noise, quantisation, sensors' tolerances and bias."""
+    return _exact_sensors(_without_counts(_with_noise(scene, 0.0)))
+
+
+def _exact_sensors(scene: Scene) -> Scene:
+    if scene.channels is None:
+        return scene
+    off = dict.fromkeys(UNCORRECTABLE)
+    return _sensors(scene, **off)
 
 
 def _without_counts(scene: Scene) -> Scene:
@@ -123,7 +136,7 @@ def _without_counts(scene: Scene) -> Scene:
 def variants(
     scene: Scene, lowest: float, hardest: float, highest: float, largest_volts: float
 ) -> Iterator[Variant]:
-    """Change one thing at a time; noise and counts, which would hide the rest, are on where they are what changes.
+    """Change one thing at a time in the scene that `quiet` gives: what that takes away would hide the rest.
 
     Parameters
     ----------
@@ -137,7 +150,9 @@ def variants(
     for name, factor in (("the scene's", 1.0), ("ten times", 10.0)):
         loud = _with_noise(scene, factor)
         if loud != _with_noise(scene, 0.0):
-            yield Variant("noise", name, _without_counts(loud))
+            yield Variant("noise", name, _exact_sensors(_without_counts(loud)))
+    if _exact_sensors(scene) != scene:
+        yield Variant("sensor", "tolerances, bias", _without_counts(_with_noise(scene, 0.0)))
     full_scale = scene.converter.range or HEADROOM * largest_volts
     scene = quiet(scene)
     yield from _resonances(scene, highest)
@@ -164,9 +179,9 @@ def _sensors(scene: Scene, **changes: Any) -> Scene:
     """Change the accelerometers of all channels."""
     assert scene.channels is not None
     channels = [
-        channel
-        if channel.at == "hammer"
-        else channel.replace(accelerometer=(channel.accelerometer or Accelerometer()).replace(**changes))
+        channel.replace(accelerometer=(channel.accelerometer or Accelerometer()).replace(**changes))
+        if channel.at != "hammer" and (channel.accelerometer is not None or any(changes.values()))
+        else channel
         for channel in scene.channels
     ]
     return scene.replace(channels=channels)
@@ -176,14 +191,14 @@ def _resonances(scene: Scene, highest: float) -> Iterator[Variant]:
     if scene.channels is None:
         return
     if any(c.accelerometer is not None and c.accelerometer.resonance is not None for c in scene.channels):
-        yield Variant("sensor resonance", "none", _sensors(scene, resonance=None, q=None))
+        yield Variant("sensor", "no resonance", _sensors(scene, resonance=None, q=None))
     for factor in RESONANCES:
         resonance = float(f"{factor * highest:.1g}")
-        yield Variant("sensor resonance", f"{resonance:g} Hz", _sensors(scene, resonance=resonance))
+        yield Variant("sensor", f"resonance {resonance:g} Hz", _sensors(scene, resonance=resonance))
 
 
 def _with_noise(scene: Scene, factor: float) -> Scene:
-    """Multiply every noise density of a plain scene; by 0 to take the noise away."""
+    """Multiply every noise density of a plain scene, and the jitter; by 0 to take them away."""
 
     def scaled(noise: float | None) -> float | None:
         return None if noise is None or factor == 0.0 else factor * noise
@@ -197,7 +212,8 @@ def _with_noise(scene: Scene, factor: float) -> Scene:
         if amplifier is not None:
             amplifier = amplifier.replace(noise=scaled(amplifier.noise))
         channels.append(channel.replace(accelerometer=sensor, integrator=amplifier))
-    scene = _converter(scene, noise=scaled(scene.converter.noise))
+    converter = scene.converter
+    scene = _converter(scene, noise=scaled(converter.noise), jitter=scaled(converter.jitter))
     return scene if scene.channels is None else scene.replace(channels=channels)
 
 

@@ -76,7 +76,7 @@ def test_given_any_chain_when_studied_then_every_group_has_points_with_a_time(st
 def test_given_a_sensor_without_data_sheet_correction_when_it_resonates_low_then_a_displacement_is_far_off(
     study: ChainStudy,
 ) -> None:
-    low = next(p for p in study.points if p.group == "sensor resonance" and p.setting == "200 Hz")
+    low = next(p for p in study.points if p.setting == "resonance 200 Hz")
     # 1 / (1 - (24/200)^2) is 1.5 % above 1; averaging over the sample interval delays by half a sample besides.
     assert low.corrected > 0.014
     assert low.error < 1e-3
@@ -99,11 +99,28 @@ def test_given_a_scene_when_one_thing_is_changed_then_the_motion_and_the_rest_of
         assert variant.scene.dampers == scene.dampers
         assert variant.scene.shaker == scene.shaker
         base = scene if variant.group == "noise" else quiet(scene)
+        assert variant.group in GROUPS
         if variant.group in ("sample rate", "bits", "anti-alias filter"):
             assert variant.scene.channels == base.channels
         else:
             assert variant.scene.converter.rate == base.converter.rate
             assert [c.at for c in variant.scene.channels] == [c.at for c in base.channels]
+
+
+def test_given_sensors_with_tolerances_when_varied_then_only_their_own_point_has_them() -> None:
+    scene = rig.load("fig9")
+    scene = scene.replace(
+        channels=[c.replace(accelerometer={"preset": "PCB 352C33"}) for c in scene.channels]
+    )
+    having = [
+        variant.setting
+        for variant in variants(plain(scene), 46.0, 49.0, 54.0, 1.0)
+        if any(
+            c.accelerometer is not None and c.accelerometer.sensitivity_tolerance
+            for c in variant.scene.channels
+        )
+    ]
+    assert having == ["tolerances, bias"]
 
 
 def test_given_parts_by_name_when_written_out_then_the_chain_is_the_same() -> None:

@@ -101,15 +101,13 @@ class MotionPieces:
                     np.stack([motion.break_displacement[self._row]] * 2),
                 ]
             )
-            nodes = np.empty((3, samples + 1))
-            nodes[:, 0] = self._last
-            nodes[0, 1:], nodes[1, 1:], nodes[2, 1:] = acceleration, velocity, displacement
             interval = motion.break_sample - motion.first
             count = _cut(
                 interval,
                 motion.break_offset,
                 at_break,
-                nodes,
+                (acceleration, velocity, displacement),
+                self._last,
                 h,
                 count,
                 broken,
@@ -171,13 +169,18 @@ def _smooth(
     moment: Array,
 ) -> None:
     """Describe every interval as if it were one piece; `last` holds the last sample, before and after."""
-    a, v, x = last[0], last[1], last[2]
-    for i in range(acceleration.size):
-        start[i] = a
-        mean[i] = (velocity[i] - v) / h
-        moment[i] = ((displacement[i] - x) / h - v) / h
-        a, v, x = acceleration[i], velocity[i], displacement[i]
-    last[0], last[1], last[2] = a, v, x
+    end = acceleration.size
+    start[0] = last[0]
+    mean[0] = (velocity[0] - last[1]) / h
+    moment[0] = ((displacement[0] - last[2]) / h - last[1]) / h
+    # One number at a time: several samples are then worked off at once.
+    for i in range(1, end):
+        start[i] = acceleration[i - 1]
+    for i in range(1, end):
+        mean[i] = (velocity[i] - velocity[i - 1]) / h
+    for i in range(1, end):
+        moment[i] = ((displacement[i] - displacement[i - 1]) / h - velocity[i - 1]) / h
+    last[0], last[1], last[2] = acceleration[end - 1], velocity[end - 1], displacement[end - 1]
 
 
 @unfused
@@ -185,7 +188,8 @@ def _cut(
     interval: NDArray[np.int64],
     offset: Array,
     at_break: Array,
-    nodes: Array,
+    rows: tuple[Array, Array, Array],
+    last: Array,
     h: float,
     count: int,
     broken: NDArray[np.int64],
@@ -196,15 +200,18 @@ def _cut(
 ) -> int:
     """Fill in the parts of broken intervals; give their number.
 
-    `at_break` is (3, 2, breaks): acceleration, velocity and displacement, before and after. `nodes` is the
-    same at the samples, (3, 1 + samples), from the one before the block on.
+    `at_break` is (3, 2, breaks): acceleration, velocity and displacement, before and after. `rows` are the
+    same at the samples, `last` at the one before the block.
     """
     left, right = ends
     done = 0.0
     for b in range(interval.size):
         k = interval[b]
         if b == 0 or interval[b - 1] != k:
-            put(nodes[:, k], left)
+            if k == 0:
+                put(last, left)
+            else:
+                _pick(rows, k - 1, left)
             done = 0.0
         put(at_break[:, 0, b], right)
         reached = min(max(offset[b] / h, done), 1.0)
@@ -215,11 +222,17 @@ def _cut(
         put(at_break[:, 1, b], left)
         done = reached
         if b + 1 == interval.size or interval[b + 1] != k:
-            put(nodes[:, k + 1], right)
+            _pick(rows, k, right)
             _part(left, right, 1.0 - done, h, part[count])
             broken[count], length[count], jump[count] = k, 1.0 - done, 0.0
             count += 1
     return count
+
+
+@unfused
+def _pick(rows: tuple[Array, Array, Array], sample: int, out: Array) -> None:
+    """Take acceleration, velocity and displacement at a sample."""
+    out[0], out[1], out[2] = rows[0][sample], rows[1][sample], rows[2][sample]
 
 
 @unfused

@@ -143,12 +143,11 @@ class Disturbances:
         ndarray, shape (samples,)
             V.
         """
-        total = np.zeros(held.shape[1])
+        queue = np.zeros(self._waiting.size + held.shape[1])
+        queue[: self._waiting.size] = self._waiting
+        total = queue[self._waiting.size :]
         for share, row in zip(self._direct, held, strict=True):
             if share:
                 total += share * row
-        if self._waiting.size == 0:
-            return total
-        queue = np.concatenate([self._waiting, total])
         self._waiting = queue[total.size :].copy()
         return queue[: total.size]

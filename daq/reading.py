@@ -144,7 +144,11 @@ class Jitter:
         """
         if voltage.size == 0:
             return voltage
-        slope = np.concatenate([self._waiting, np.diff(voltage, prepend=self._last)])
+        held = self._waiting.size
+        slope = np.empty(held + voltage.size)
+        slope[:held] = self._waiting
+        slope[held] = voltage[0] - self._last
+        np.subtract(voltage[1:], voltage[:-1], out=slope[held + 1 :])
         self._last = float(voltage[-1])
         self._waiting = slope[voltage.size :].copy()
         return self._deviation * late * slope[: voltage.size]

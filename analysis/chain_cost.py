@@ -96,8 +96,8 @@ class ChainStudy:
     own : Measurement
         The scene as it is.
     quiet : Measurement
-        The same without what no data sheet can correct (noise, quantisation, the sensors' tolerances and bias): from here
-        one thing is changed at a time.
+        The same without what no data sheet can correct (noise, quantisation, tolerances and bias of the sensors): from
+        here one thing is changed at a time.
     points : tuple of Measurement
         One thing changed at a time.
     reference : str

@@ -98,8 +98,8 @@ def write(study: ChainStudy, folder: Path) -> list[Path]:
 
 _COMMON = (
     "the scene as it is",
-    "without noise, counts, tolerances and bias",
-    "compliance, each channel corrected by its data sheet",
+    "without noise, counts, tolerances, bias",
+    "compliance, corrected by the data sheets",
     "displacement, not corrected",
 )
 
@@ -107,6 +107,7 @@ _COMMON = (
 def _panel(axes: Axes, study: ChainStudy, group: str) -> None:
     axes.set_xscale("log")
     axes.set_yscale("log")
+    axes.margins(y=0.12)
     points = [p for p in study.points if p.group == group and np.isfinite(p.error)]
     for marker, colour, point, label in (
         ("*", OWN, study.own, _COMMON[0]),
@@ -130,10 +131,13 @@ def _panel(axes: Axes, study: ChainStudy, group: str) -> None:
     failed = [p.setting for p in study.points if p.group == group and not np.isfinite(p.error)]
     if failed:
         axes.annotate(
-            f"cannot be measured: {', '.join(failed)}", (0.03, 0.03), xycoords="axes fraction", fontsize=7
+            f"cannot be measured: {', '.join(failed)}", (0.03, 0.02), xycoords="axes fraction", fontsize=7
         )
     if own_handles:
-        axes.legend(handles=own_handles, fontsize=7.5, loc="upper right", labelspacing=0.3, handletextpad=0.2)
+        axes.legend(
+            handles=own_handles, fontsize=7.5, loc="upper right", labelspacing=0.3, handletextpad=0.2,
+            frameon=True, framealpha=0.85, edgecolor="none",
+        )  # fmt: skip
     _time_axis(axes, [_place(p)[0] for p in (study.own, study.quiet, *study.points) if np.isfinite(p.error)])
 
 

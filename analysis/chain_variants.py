@@ -25,7 +25,8 @@ BITS = (24, 16, 12)
 CORNER = 0.1
 #: What of a sensor differs from its data sheet, or comes from being switched on.
 UNCORRECTABLE = (
-    "sensitivity_tolerance", "temperature_drift", "temperature_change", "transverse", "lateral", "bias", "bias_settling",
+    "sensitivity_tolerance", "temperature_drift", "temperature_change", "transverse", "lateral",
+    "bias", "bias_settling",
 )  # fmt: skip
 #: Room in the converter's range above the largest reading, where the scene gives no range.
 HEADROOM = 1.5
@@ -110,7 +111,8 @@ def own_setting(scene: Scene, group: str) -> str:
     elif group == "sensor":
         sensors = [channel.accelerometer for channel in channels if channel.at != "hammer"]
         found = [
-            "no resonance" if s is None or s.resonance is None else f"{s.resonance:.6g} Hz" for s in sensors
+            "no resonance" if s is None or s.resonance is None else f"resonance {s.resonance:.6g} Hz"
+            for s in sensors
         ]
     else:
         found = []

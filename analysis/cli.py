@@ -86,6 +86,16 @@ def modes(
 
 
 @app.command()
+def dampers(files: Files, output: Output = None) -> None:
+    """Motion of the dampers and energy they take out, at each frequency of a stepped sine."""
+    from analysis.damper_findings import present_dampers
+
+    with _progress() as progress:
+        result = present_dampers(files, output, progress)
+    _show(result)
+
+
+@app.command()
 def report(files: Files, output: Output = None) -> None:
     """One self-contained HTML page about recordings."""
     from analysis.report import write_report

@@ -17,6 +17,7 @@ from analysis.spans import spans
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
+    from daq.channel import ChannelInfo
     from daq.recording import Recording
 
 Array = NDArray[np.float64]
@@ -33,6 +34,9 @@ _LEFT_OVER = 0.05
 # a jump of at most this part of the velocity that the kink brings about in a sample.
 _BEND = 1.0
 _PASSES = 4
+# Acceleration at an impact: from so much time on either side, s, less so many decay times of the sensor's
+# resonance, by a polynomial of this order.
+_AROUND, _FEWEST_AROUND, _RUNG_OUT, _BENDS = 2e-3, 8, 4.0, 3
 # Noise is taken to be the same over so many windows.
 _STEADY = 8
 # Orders of the polynomial the acceleration follows around a jump: the one that leaves less is taken.
@@ -53,6 +57,8 @@ class Impacts:
     jump : ndarray, shape (n,)
         Velocity jump of the body, m/s: down (negative) from a blow on the floor, up from one on the
         ceiling.
+    acceleration : ndarray, shape (n,)
+        Smooth acceleration of the body then, m/s²; NaN where the stretch ends before it can be told.
     noise : float
         Standard deviation of a jump's estimate where there is none, m/s: from the channel's noise, as found
         between the impacts, through the filter that looks for jumps. Where the noise varies, its 95th
@@ -66,6 +72,7 @@ class Impacts:
     channel: str
     time: Array
     jump: Array
+    acceleration: Array
     noise: float
     resolution: float
     searched: float
@@ -147,10 +154,33 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
         info.name,
         (start + place[clear]) / rec.rate - info.delay,
         jump[clear],
+        _acceleration(samples, place[clear], info),
         noise,
         search.signature.reach / rec.rate,
         float(search.open.sum()) / rec.rate,
     )
+
+
+def _acceleration(samples: Array, places: Array, info: ChannelInfo) -> Array:
+    """Acceleration at jumps at places in samples: a polynomial through what is around, across the jump."""
+    order = 2 - MOTIONS.index(info.quantity)
+    # What the sensor rings on for is left out; and the average over an interval belongs to its middle.
+    slowest = min((-pole.real for pole in info.poles if abs(pole) > info.rate), default=np.inf)
+    gap = 2 + int(np.ceil(_RUNG_OUT * info.rate / slowest))
+    side = max(_FEWEST_AROUND, round(_AROUND * info.rate))
+    out = np.full(places.size, np.nan)
+    for index, place in enumerate(places):
+        whole = int(np.floor(place))
+        if whole < side or whole + gap + side > samples.size:
+            continue
+        around = np.concatenate([np.arange(whole - side, whole), np.arange(whole + gap, whole + gap + side)])
+        time = (around - place - 0.5 * info.average) / (side + gap)
+        columns = [time**power for power in range(order + _BENDS + 1)]
+        if order:
+            columns.append(np.maximum(time, 0.0) ** (order - 1) * (time > 0))
+        fit = np.linalg.lstsq(np.stack(columns, axis=1), samples[around], rcond=None)[0]
+        out[index] = fit[order] * (1.0, 1.0, 2.0)[order] * (info.rate / (side + gap)) ** order
+    return out
 
 
 @lru_cache(maxsize=16)

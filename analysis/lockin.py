@@ -14,6 +14,9 @@ from rig.errors import RecordingError
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+# Samples multiplied at a time: they and the tones' values fit into a core's cache, which is many times quicker.
+_CACHED = 2048
+
 
 @dataclass(frozen=True)
 class Tone:
@@ -95,7 +98,11 @@ class LockIn:
         """Take the next part of the window, shape (channels, samples); parts follow without a gap."""
         length = samples.shape[1]
         basis, _ = self._of_length(length)
-        self._parts.append((self._samples, length, basis @ samples.T))
+        projection = np.zeros((len(basis), len(samples)))
+        for start in range(0, length, _CACHED):
+            piece = slice(start, start + _CACHED)
+            projection += basis[:, piece] @ samples[:, piece].T
+        self._parts.append((self._samples, length, projection))
         self._squares.append(np.einsum("ij,ij->i", samples, samples))
         self._samples += length
 

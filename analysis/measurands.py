@@ -115,10 +115,13 @@ def reference_of(rec: Recording, reference: str) -> Quantity:
             return Quantity((info.name,), (1.0,), "force")
     shaker = rec.scene.shaker
     if shaker is None or shaker.spring is None:
+        hint = (
+            "add {name: hammer, at: hammer} to the scene's channels"
+            if rec.scene.test is not None and rec.scene.test.kind == "impulse"
+            else "drive the structure through a coil spring, shaker: {kind: table, body: 1, spring: 6.6 kN/m}"
+        )
         raise RecordingError(
-            f"nothing in the recording tells the force: it has {_places(rec)} and no coil spring; "
-            "add a force channel ({name: force, at: hammer}) to the scene, or drive through a table and "
-            "its spring"
+            f"nothing in the recording tells the force: it has {_places(rec)} and no coil spring; {hint}"
         )
     driven = f"body {shaker.body}"
     ends = [located(rec, "table"), located(rec, driven)]

@@ -180,3 +180,26 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
         power = np.einsum("ik,ij,jk->k", motion.conj(), damping, motion).real
         structure.append(np.pi * 2 * np.pi * tone.frequency * np.sum(orders**2 * power))
     return CycleEnergy(sweep.lines.frequency, np.array(supplied), np.array(structure))
+
+
+def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
+    """Energy truly lost in impacts in a period of each tone, J, where the truth was recorded.
+
+    Each impact takes (1 - e²) of half the reduced mass of damper and body times the closing speed squared.
+    """
+    from rig.damper import damper_masses
+    from rig.structure import structure_matrices
+
+    mass, _, _ = structure_matrices(rec.scene.structure)
+    bodies = np.array([damper.body - 1 for damper in rec.scene.dampers])
+    rebound = np.array([damper.restitution for damper in rec.scene.dampers])
+    damper, body = np.asarray(damper_masses(rec.scene)), np.diag(mass)[bodies]
+    factor = 0.5 * damper * body / (damper + body) * (1.0 - rebound**2)
+    events = rec.events
+    events = events[events["kind"] != "separation"]
+    loss = factor[events["damper"] - 1] * events["speed"] ** 2
+    out = []
+    for frequency, (first, stop) in zip(sweep.lines.frequency, sweep.windows, strict=True):
+        inside = (events["time"] >= first / rec.rate) & (events["time"] < stop / rec.rate)
+        out.append(loss[inside].sum() / ((stop - first) / rec.rate * frequency))
+    return np.array(out)

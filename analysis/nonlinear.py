@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 JUMP = 0.25
 _STANDS_OUT = 4.0
 _ERRORS = 5.0
+# So far from one a period impacts may be: of some twenty one or two fall on the edge of a window, or lie too
+# near to another.
+_ONCE = 0.15
 
 
 def jumps(frf: Frf) -> list[tuple[float, str]]:
@@ -73,47 +76,74 @@ class DamperMotion:
         Channel on the damper's body.
     floor, ceiling : float
         Impacts a period.
+    stays : bool
+        Whether the damper stays at the ceiling after it struck: it does so while the body's acceleration is
+        below -g.
     threshold : float
-        Smallest velocity jump that would have been seen, m/s.
+        Smallest velocity jump that would have been seen for certain, m/s.
     """
 
     frequency: float
     channel: str
     floor: float
     ceiling: float
+    stays: bool
     threshold: float
 
     @property
     def name(self) -> str:
-        """Kind of motion.
-
-        Types II and III of the paper both strike floor and ceiling once a period; how long the damper
-        stays at the ceiling does not show in impacts.
-        """
+        """Kind of motion, in the paper's terms where they apply."""
         if self.floor == 0 and self.ceiling == 0:
-            return "at rest on its body, or impacts below the threshold"
-        if abs(self.floor - 1.0) < 0.05 and self.ceiling < 0.05:
-            return "Type I: floor once a period"
-        if abs(self.floor - 1.0) < 0.05 and abs(self.ceiling - 1.0) < 0.05:
-            return "Type II or III: floor and ceiling once a period"
-        return "other: several impacts a period, subharmonic or irregular"
+            return "riding"
+        once = abs(self.floor - 1.0) < _ONCE
+        if once and self.ceiling < _ONCE:
+            return "I"
+        if once and abs(self.ceiling - 1.0) < _ONCE:
+            return "III" if self.stays else "II"
+        return f"other: {self.floor:.3g} floor and {self.ceiling:.3g} ceiling impacts a period"
 
 
 def damper_motion(rec: Recording, sweep: Sweep, channel: str) -> list[DamperMotion]:
-    """Count impacts a period in every measured window of one channel."""
+    """Tell the motion of the damper under a channel in every measured window.
+
+    A body may hold several dampers: their impacts are then counted together.
+    """
+    gravity = rec.scene.gravity
     out = []
     for frequency, (first, stop) in zip(sweep.lines.frequency, sweep.windows, strict=True):
         found = impacts(rec, channel, int(first), int(stop))
         # The search leaves out the ends of its stretch.
         inner = found.searched * float(frequency)
-        kinds = found.kind
+        struck = found.kind == "ceiling"
+        then = found.acceleration[struck & np.isfinite(found.acceleration)]
         out.append(
             DamperMotion(
                 float(frequency),
                 found.channel,
-                float(np.sum(kinds == "floor")) / inner,
-                float(np.sum(kinds == "ceiling")) / inner,
+                float(np.sum(found.kind == "floor")) / inner,
+                float(np.sum(struck)) / inner,
+                bool(then.size and np.median(then) < -gravity),
                 found.threshold,
             )
         )
+    return out
+
+
+def describe_motion(motions: list[DamperMotion]) -> list[str]:
+    """One line for each range of frequencies in which the motion is of one kind."""
+    out = []
+    first = 0
+    for index, one in enumerate(motions):
+        kind = one.name.split(":")[0]
+        following = motions[index + 1].name.split(":")[0] if index + 1 < len(motions) else ""
+        if kind != following:
+            ends = f"{motions[first].frequency:.4g}"
+            if index > first:
+                ends += f" to {one.frequency:.4g}"
+            text = f"type {kind}" if set(kind) == {"I"} else one.name
+            if kind == "riding":
+                least = max(each.threshold for each in motions[first : index + 1])
+                text = f"riding: no jump of velocity above {least:.2g} m/s"
+            out.append(f"{one.channel}, {ends} Hz: {text}")
+            first = index + 1
     return out

@@ -12,6 +12,7 @@ from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING
 
+from analysis.damper_findings import present_dampers
 from analysis.presentation import (
     Progress,
     Result,
@@ -34,12 +35,16 @@ def write_report(
     """Write the page beside the first recording, or into `output`."""
     sweeps: list[Path] = []
     decays: list[Path] = []
+    damped: list[Path] = []
     body: list[str] = []
     commands: list[str] = []
     notes: list[str] = []
     for path in paths:
         with opened(path) as rec:
             body.append(_tested(path, rec))
+            stepped = any(m.kind == "measure" and "frequency" in m.fields for m in rec.markers)
+            if stepped and rec.scene.dampers:
+                damped.append(path)
             has_hits = any(marker.kind in ("hit", "free") for marker in rec.markers)
         (decays if has_hits else sweeps).append(path)
     with tempfile.TemporaryDirectory() as scratch:
@@ -57,6 +62,9 @@ def write_report(
             for path in sweeps:
                 body.append(_part(f"Modes: {path.name}", partial(present_modes, [path], folder), notes))
             commands.append(f"analysis modes {names}")
+        for path in damped:
+            body.append(_part(f"Dampers: {path.name}", partial(present_dampers, [path], folder), notes))
+            commands.append(f"analysis dampers {path}")
         if len(sweeps) > 1:
             body.append(_part("What the dampers are worth", partial(_worth, sweeps), notes))
         if decays:

@@ -1,10 +1,13 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import analysis
 import daq
+from analysis.frf import Frf
 from analysis.polynomials import chart, stable_poles
 from rig.errors import RecordingError
 from rig.structure import natural_modes, structure_matrices
@@ -75,3 +78,35 @@ def test_given_white_noise_when_charted_then_no_pole_is_stable(seed):
     frequency = np.linspace(5.0, 60.0, 200)
     value = random.standard_normal((2, 200)) + 1j * random.standard_normal((2, 200))
     assert stable_poles(chart(frequency, value, np.ones((2, 200)))) == []
+
+
+@pytest.mark.parametrize(("ratio", "warned"), [(0.33, False), (0.6, True)])
+def test_given_leakage_when_identified_then_it_warns_just_where_damping_is_off_by_two_percent(ratio, warned):
+    # One mode, as random through Hann windows measures it: smeared by the square of the window's spectrum.
+    natural, zeta = 30.0, 0.01
+    resolution = ratio * zeta * natural
+    bins = resolution / 1.5
+    away = np.linspace(-30.0, 30.0, 6001)
+    window = (np.sinc(away) + 0.5 * np.sinc(away - 1.0) + 0.5 * np.sinc(away + 1.0)) ** 2
+    frequency = np.arange(24.0, 36.0, bins)
+    s = 2j * np.pi * (frequency[:, None] - bins * away)
+    pole = 2 * np.pi * natural * (-zeta + 1j * np.sqrt(1.0 - zeta**2))
+    value = (1.0 / ((s - pole) * (s - pole.conjugate()))) @ (window / window.sum())
+    nothing = np.zeros(frequency.size)
+    frf = Frf(
+        frequency, value, nothing + 1e-3 * abs(value).max(), nothing + 1.0, nothing + 38.0, "body1",
+        resolution=resolution,
+    )  # fmt: skip
+    modes = analysis.identify([frf], count=1)
+    assert any("smears" in warning for warning in modes.warnings) == warned
+    assert (modes.damping[0] / zeta - 1.0 > 0.02) == warned
+    assert modes.damping[0] / zeta - 1.0 == pytest.approx(0.16 * ratio**2, rel=0.25)
+
+
+def test_given_a_peak_without_a_pole_when_identified_then_it_is_said_and_not_listed(tmp_path):
+    frequencies = np.linspace(8.0, 60.0, 105)
+    with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", frequencies, noise=1e-7)) as rec:
+        [curves] = analysis.frequency_responses(rec)
+    step = np.where(frequencies > 24.3, 0.8 + 0.3j, 1.0)
+    modes = analysis.identify([replace(curve, value=curve.value * step) for curve in curves])
+    assert np.all(modes.damping > 1e-4) and np.all(modes.damping_error < 0.5 * modes.damping)

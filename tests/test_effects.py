@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+import daq
 import rig
 from daq.bench import Bench
 
@@ -56,6 +59,19 @@ def test_given_a_measuring_effect_when_it_is_taken_away_then_the_motion_keeps_ev
     with_it, without = (Bench(scene).acquire(drive).motion for scene in (full(), full().replace(**part)))
     for field in ("displacement", "velocity", "acceleration", "gap", "break_offset", "events"):
         np.testing.assert_array_equal(getattr(without, field), getattr(with_it, field))
+
+
+@pytest.mark.parametrize("part", ["display", "truth"])
+def test_given_something_recorded_beside_the_channels_when_it_is_taken_away_then_they_keep_every_bit(
+    part: str, tmp_path: Path
+) -> None:
+    scene = full().replace(test={"kind": "sine", "frequency": 34.8, "drive": 8.0, "duration": 0.3})
+    recorded = []
+    for on in (True, False):
+        settings = {"display": True, "truth": True} | {part: on}
+        with daq.open(daq.record(scene.replace(recording=settings), tmp_path / f"{on}.mcap")) as recording:
+            recorded.append(np.array([recording.read(name) for name in recording.channels]))
+    np.testing.assert_array_equal(*recorded)
 
 
 def test_given_a_ceiling_out_of_reach_when_it_is_added_then_the_motion_keeps_every_bit() -> None:

@@ -141,7 +141,7 @@ def follow_orbits(
     low, high = bounds
     for value in np.linspace(low, high, searches + 2)[1:-1]:
         explorer.search(float(value))
-    return OrbitCurve(tuple(explorer.branches), tuple(explorer.failures))
+    return OrbitCurve(tuple(explorer.branches), tuple(dict.fromkeys(explorer.failures)))
 
 
 class _Explorer:

@@ -25,8 +25,8 @@ Whole = NDArray[np.int64]
 # before, at the same instant.
 SEPARATION, FLOOR, CEILING, FLOOR_BOUNCE, CEILING_BOUNCE, WITH_LAST = 0, 1, 2, 3, 4, 5
 
-# Corrections of a solution below this, relative to the motion, are rounding.
-SETTLED = 1e-13
+# A solution is accepted when its next correction and its residuals, relative to the motion, are below this.
+SETTLED = 3e-13
 
 
 class Equations(NamedTuple):
@@ -363,7 +363,8 @@ def correct(
         solved = np.linalg.solve(system, right)
         move, slope = solved[:, 0], solved[:, 1] * scale
         size = np.abs(move).max()
-        if size < SETTLED or (size < 1e-9 and size > 0.3 * last):
+        missed = np.abs(right[:, 0]).max()
+        if (size < SETTLED and missed < SETTLED) or (size < 1e-9 and size > 0.3 * last):
             return x, slope, shot, size, iteration
         # An iteration that runs away is stopped before its instants leave all bounds.
         if not size < 1e3 * min(1.0, max(last, 1e-3)):

@@ -22,7 +22,7 @@ from analysis.transfer import frequency_responses
 from daq.measurement import record
 from daq.recording import open as open_recording
 from rig.assembly import assemble
-from rig.errors import RunError, ShotrigError
+from rig.errors import RunError, SceneError, ShotrigError
 from rig.excitation_settings import Measure, Settle, SteppedSine
 from rig.map_grid import columns
 from rig.open_loop import accelerations_per_level, drive_per_level, level_of, with_force_itself
@@ -150,7 +150,11 @@ def chain_study(
     """
     base = plain(scene)
     level_of(base)
-    chosen = tuple(frequencies) if frequencies is not None else steady_frequencies(base)
+    if frequencies is not None and not all(np.isfinite(f) and f > 0.0 for f in frequencies):
+        raise SceneError(
+            f"frequencies: got {', '.join(map(str, frequencies))}; expected them above 0 Hz and finite"
+        )
+    chosen = tuple(sorted(set(frequencies))) if frequencies else steady_frequencies(base)
     base = base.replace(
         test=_test(base, chosen), recording=base.recording.replace(display=False, truth=False)
     )

@@ -164,8 +164,10 @@ def cost(
     """Measure what the measurement chain costs: error of the compliance against time, one effect at a time."""
     from analysis.chain_cost import chain_study
     from analysis.chain_cost_figure import table, write
+    from rig.file_name import make_ready
     from rig.scene_file import load
 
+    make_ready(output)
     with _progress("recording and analysing") as progress:
         study = chain_study(load(scene), frequency, progress)
     files = write(study, output)

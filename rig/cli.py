@@ -160,9 +160,11 @@ def cost(
     from rig.cost import motion_study
     from rig.cost_figure import table, write
     from rig.cost_steady import steady_study
+    from rig.file_name import make_ready
     from rig.quantities import FREQUENCY
 
     loaded = rig.load(scene)
+    make_ready(output)
     with _status() as say:
         study = motion_study(loaded, _quantity(frequency, FREQUENCY, "--frequency"), periods, say)
         steady = steady_study(loaded, study.frequency, say)
@@ -196,6 +198,7 @@ def map_(
 ) -> None:
     """Map where it gets hard: type of motion and computing time over level (or clearance) and frequency."""
     import rig
+    from rig.file_name import make_ready
     from rig.map_figure import summary, write
     from rig.map_grid import columns, rows_of, vertical_axis
     from rig.quantities import FORCE, FREQUENCY, LENGTH, VOLTAGE
@@ -207,6 +210,7 @@ def map_(
     kind = {"N": FORCE, "V": VOLTAGE, "m": LENGTH}[unit]
     ends = _quantity(least, kind, "--least"), _quantity(most, kind, "--most")
     values = rows_of(loaded, over, frequencies, *ends, rows)
+    make_ready(output)
     with _progress("following the motion") as progress:
         found = rig.map_motion(loaded, over, values, frequencies, progress)
     files = write(found, output)

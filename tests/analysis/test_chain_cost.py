@@ -166,6 +166,11 @@ def test_given_a_scene_without_a_shaker_when_studied_then_the_error_says_so() ->
         chain_study(rig.load("fig10b-no-damper"))
 
 
+def test_given_a_frequency_that_is_none_when_studied_then_the_error_quotes_it() -> None:
+    with pytest.raises(SceneError, match="got -3.0"):
+        chain_study(rig.loads(ONE_BODY), [-3.0])
+
+
 def test_given_a_range_too_small_when_studied_then_the_error_says_that_it_cannot_be_measured() -> None:
     scene = rig.loads(ONE_BODY.replace("5 V", "1 mV"))
     with pytest.raises(RunError, match="cannot be measured"):

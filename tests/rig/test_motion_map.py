@@ -10,6 +10,7 @@ import pytest
 
 import rig
 from rig.errors import SceneError
+from rig.file_name import make_ready
 from rig.map_figure import summary, write
 from rig.map_grid import columns, rows_of, take_off, vertical_axis
 from rig.motion_map import KINDS
@@ -145,3 +146,12 @@ def test_given_a_map_when_written_then_the_file_has_a_row_for_every_point(
     assert len(rows) == fig9_map.kind.size
     assert {row["damper1_motion"] for row in rows} == set(fig9_map.motion.ravel())
     assert "riding" in summary(fig9_map)
+
+
+def test_given_a_place_that_is_a_file_when_results_are_to_go_there_then_the_error_comes_before_the_work(
+    tmp_path: Path,
+) -> None:
+    taken = tmp_path / "taken"
+    taken.write_text("", encoding="utf-8")
+    with pytest.raises(SceneError, match="choose another place"):
+        make_ready(taken / "maps")

@@ -161,6 +161,8 @@ class Following:
         self.rows = np.concatenate([start, guards])
         self.borders = plan.borders
         self.types = tuple(_type(plan, j) for j in range(system.dampers))
+        self.motion_type = overall(list(self.types))
+        self.bodies = problem.scene.structure.bodies
 
     def tables(self, value: float) -> tuple[Equations, Change]:
         """Equations at a value of the parameter, and how they change with it."""
@@ -202,7 +204,7 @@ class Following:
         instants = self._instants(unknowns)
         reach, integral, distances = survey(equations, plan.sequence, shot, instants)
         nearest = int(distances.argmin())
-        bodies = problem.scene.structure.bodies
+        bodies = self.bodies
         harmonic = 2 / equations.period * integral
         if isinstance(problem.scene.shaker, ForceShaker):
             force = -1j * setting.force
@@ -212,7 +214,7 @@ class Following:
             setting=setting,
             repetition=plan.repetition,
             events=_event_table(problem, plan, instants, shot.closing),
-            motion_type=overall(list(self.types)),
+            motion_type=self.motion_type,
             damper_motion=self.types,
             compliance=harmonic[:bodies] / force,
             peak=0.5 * (reach[:bodies, 1] - reach[:bodies, 0]),

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from rig.assembly import spring_force_row
@@ -179,6 +180,21 @@ class _Known:
     orbit: Orbit
 
 
+@njit(cache=True)
+def _hermite(at: Array, values: Array, slopes: Array, x: float) -> Array:
+    """Value at x of the polynomial through values and slopes (points, unknowns) at some points."""
+    found = np.zeros(values.shape[1])
+    for i in range(at.size):
+        basis, steepness = 1.0, 0.0
+        for k in range(at.size):
+            if k != i:
+                basis *= ((x - at[k]) / (at[i] - at[k])) ** 2
+                steepness += 2 / (at[i] - at[k])
+        step = x - at[i]
+        found += basis * ((1 - steepness * step) * values[i] + step * slopes[i])
+    return found
+
+
 class _Follower:
     """Follows the steady motion from value to value."""
 
@@ -232,15 +248,9 @@ class _Follower:
 
     def _predicted(self, value: float) -> Array:
         """Unknowns at a value, by Hermite's polynomial through the last points and their derivatives."""
-        at = [point.value for point in self.known]
-        guess = np.zeros_like(self.known[-1].unknowns)
-        for i, point in enumerate(self.known):
-            others = [x for k, x in enumerate(at) if k != i]
-            basis = float(np.prod([(value - x) / (at[i] - x) for x in others])) ** 2
-            steepness = 2 * sum(1 / (at[i] - x) for x in others)
-            step = value - at[i]
-            guess += basis * ((1 - steepness * step) * point.unknowns + step * point.slope)
-        return guess
+        at = np.array([point.value for point in self.known])
+        unknowns = np.array([point.unknowns for point in self.known])
+        return _hermite(at, unknowns, np.array([point.slope for point in self.known]), value)
 
     def _settled(self, value: float) -> _Point:
         """Run the motion on from where it was until an orbit takes over, else average it."""

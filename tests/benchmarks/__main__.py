@@ -5,15 +5,17 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from tests.benchmarks import chain, engine, recordings
+from tests.benchmarks import chain, engine, orbits, recordings
 
 
 def main() -> None:
     """Print them, part by part."""
-    for part in (engine, chain, recordings):
+    for part in (engine, orbits, chain, recordings):
         print(f"\n== {(part.__doc__ or '').splitlines()[0]}", flush=True)
         if part is engine:
             engine.main()
+        elif part is orbits:
+            print(*orbits.measure(), sep="\n")
         elif part is chain:
             print(*chain.measure(), sep="\n")
         else:

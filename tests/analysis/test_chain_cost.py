@@ -167,7 +167,7 @@ def test_given_a_scene_without_a_shaker_when_studied_then_the_error_says_so() ->
 
 
 def test_given_a_frequency_that_is_none_when_studied_then_the_error_quotes_it() -> None:
-    with pytest.raises(SceneError, match="got -3.0"):
+    with pytest.raises(SceneError, match=r"got -3\.0"):
         chain_study(rig.loads(ONE_BODY), [-3.0])
 
 

@@ -18,6 +18,7 @@ from rig.cost_figure import table, write
 from rig.cost_steady import SteadyStudy, steady_study
 from rig.errors import SceneError
 from rig.open_loop import tone_drive, with_force_itself
+from rig.receptance import receptance
 from rig.reference import exact_motion
 from rig.reference_orbit import exact_orbit
 from rig.schemes import PER_PERIOD, Problem
@@ -123,6 +124,12 @@ def test_given_a_periodic_orbit_when_improved_to_forty_digits_then_two_precision
     assert exact.residual < 1e-33
     assert exact.agreement < 1e-22
     assert exact.miss(orbit.compliance) < 1e-12
+
+
+def test_given_a_linear_scene_when_its_orbit_is_improved_then_it_is_the_solution_of_the_equations() -> None:
+    scene = rig.load("fig8-no-damper")
+    exact = exact_orbit(with_force_itself(scene), rig.periodic_orbit(scene, 34.8))
+    assert exact.miss(receptance(scene, [34.8])[:, 0]) < 1e-12
 
 
 def test_given_a_table_that_is_driven_when_its_orbit_is_improved_then_the_spring_force_is_the_reference() -> (

@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 STEPS = continuation.Steps(first=5e-3, longest=0.25, turn=0.12, shortest=1e-7, points=1500)
 # Distance past a border, relative to the parameter, at which the motion beyond is looked for.
 BEYOND = 2e-6
+# The same for where the motion settles.
+FARTHER = (2e-5, 3e-4, 3e-3)
 # Branches after which no more are followed: near irregular motion there is no end of them.
 MOST = 60
 
@@ -296,7 +298,16 @@ class _Explorer:
                 )
                 if close and not found.flaw and not found.plan.same_cycle(orbit.plan):
                     return found
-        setting = self.at(float(np.clip(value * (1 + way * 10 * BEYOND), *self.bounds)))
+        # So near to the border the new event may be too small to be seen in a motion that has settled to 1e-7.
+        for past in FARTHER[:-1]:
+            try:
+                return self._settled_past(orbit, value, way * past)
+            except RunError:
+                continue
+        return self._settled_past(orbit, value, way * FARTHER[-1])
+
+    def _settled_past(self, orbit: Orbit, value: float, past: float) -> Orbit:
+        setting = self.at(float(np.clip(value * (1 + past), *self.bounds)))
         march, _ = start_march(self.problem, setting)
         enter(march, orbit)
         return search(self.problem, setting, march)

@@ -1,5 +1,6 @@
 """The reproduction of the paper: it restarts, its pieces agree with each other, and its page says what was found."""
 
+import multiprocessing
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,9 @@ from analysis.paper_experiment import damper_sweep
 from analysis.paper_page import CAPTIONS, write_pages
 from analysis.paper_parts import all_parts
 from analysis.paper_scan import LEVELS, best_damper, scan, stays_over_damping
-from analysis.paper_simulation import approximated, exact_orbits, waveforms
-from analysis.paper_store import Arrays, Part
+from analysis.paper_simulation import approximated, exact_orbits, structure_numbers, waveforms
+from analysis.paper_store import Arrays, Part, partial_name, remove_partial
+from analysis.paper_workers import compute
 from rig.errors import SceneError
 from rig.orbit_problem import pure_force
 
@@ -212,6 +214,51 @@ def test_given_claims_when_the_page_is_written_then_it_shows_verdicts_evidence_a
         assert "at 50 Hz: none" in text
         assert "one damper, mode 2: +30 % against -10 %" in text
     assert "Less is &lt;more&gt;." in html
+
+
+def test_given_parts_when_computed_by_workers_then_all_are_stored_longest_first(tmp_path: Path) -> None:
+    scene, done = rig.load("fig9"), []
+    parts = [
+        Part(
+            name,
+            name,
+            structure_numbers,
+            {"scene": scene, "frequencies": np.array([value])},
+            "a part",
+            effort,
+        )
+        for name, value, effort in (("short", 20.0, 1.0), ("long", 30.0, 5.0), ("middle", 40.0, 3.0))
+    ]
+
+    compute(parts, tmp_path, lambda part: done.append(part.name))
+
+    assert sorted(done) == ["long", "middle", "short"]
+    assert "short" not in done[:1]
+    stored = [part.stored(tmp_path) for part in parts]
+    assert [float(arrays["frequency"][0]) for arrays in stored if arrays is not None] == [20.0, 30.0, 40.0]
+
+
+def test_given_a_part_that_fails_when_computed_by_workers_then_its_error_is_raised_and_nothing_is_left(
+    tmp_path: Path,
+) -> None:
+    wrong = Part("wrong", "wrong", exact_orbits, {"scene": rig.load("fig9"), "band": (50.0, 40.0)}, "a part")
+
+    with pytest.raises(SceneError, match="two rising values"):
+        compute([wrong], tmp_path, lambda part: None)
+
+    assert not multiprocessing.active_children()
+    assert not list(tmp_path.rglob("*.npz"))
+
+
+def test_given_files_left_half_written_when_started_again_then_they_are_removed(tmp_path: Path) -> None:
+    (tmp_path / "data").mkdir()
+    whole = tmp_path / "data" / "one.npz"
+    for path in (whole, partial_name(whole)):
+        path.write_bytes(b"x")
+
+    remove_partial(tmp_path)
+
+    assert list((tmp_path / "data").iterdir()) == [whole]
 
 
 def test_given_the_figures_when_listed_then_each_has_a_caption() -> None:

@@ -12,7 +12,7 @@ from rig.march import March
 from rig.orbit import enter, period_steps, periodic_orbit, read_cycle, start_march
 from rig.orbit_curve import OrbitCurve, follow_orbits
 from rig.orbit_following import Orbit
-from rig.orbit_problem import Problem, pure_force
+from rig.orbit_problem import Parameter, Problem, pure_force
 from rig.receptance import receptance
 from rig.scene import Scene
 from rig.single_mode import SingleMode, single_mode
@@ -203,6 +203,37 @@ def test_given_other_parameters_when_followed_then_the_curve_passes_through_the_
         assert branch.motion_type == "II"
         assert here == pytest.approx(abs(orbit.compliance[1]), rel=2e-3)
         assert len(branch.value) > 5
+
+
+FOLLOWED: list[tuple[Scene, Parameter, tuple[float, float], float | None]] = [
+    (varied("fig9", 5.0, 0.15, 0.5e-3), "frequency", (46.0, 50.0), None),
+    (varied("fig8-two-dampers", 3.0, 0.1, np.inf), "mass_ratio", (0.2, 2.0), 48.3),
+    (varied("fig5-three-dampers", 6.0, 0.04, 1e-3), "force", (3.0, 9.0), 50.2),
+    (varied("fig8-two-dampers", 4.0, 0.05, 0.8e-3), "clearance", (0.3e-3, 1.0e-3), 48.7),
+]
+
+
+@pytest.mark.parametrize(
+    ("scene", "parameter", "bounds", "frequency"), FOLLOWED, ids=[case[1] for case in FOLLOWED]
+)
+def test_given_scenes_with_one_to_three_dampers_when_followed_then_branches_end_on_borders_and_nothing_is_missing(
+    scene: Scene, parameter: Parameter, bounds: tuple[float, float], frequency: float | None
+) -> None:
+    curve = follow_orbits(scene, parameter, bounds, frequency=frequency, searches=1)
+
+    # The whole range is covered by stable orbits, from border to border.
+    spans = sorted(
+        (b.value[b.stable].min(), b.value[b.stable].max()) for b in curve.branches if b.stable.any()
+    )
+    reached = bounds[0]
+    for low, high in spans:
+        assert low < reached + 1e-3 * bounds[1]
+        reached = max(reached, high)
+    assert reached == pytest.approx(bounds[1], rel=1e-9)
+    for branch in curve.branches:
+        assert all(orbit.residual < 1e-11 and not orbit.flaw for orbit in branch.orbits)
+        for end, orbit in zip(branch.ends, (branch.orbits[0], branch.orbits[-1]), strict=True):
+            assert end in ("range", "closed") or (end in orbit.plan.borders and orbit.room < 1e-5)
 
 
 def test_given_a_locked_damper_when_solved_then_the_orbit_is_the_exact_linear_response() -> None:

@@ -13,7 +13,7 @@ from analysis.paper_claims import claims
 from analysis.paper_page import write_pages
 from analysis.paper_parts import all_parts
 from analysis.paper_store import Arrays, Part, remove_partial
-from analysis.paper_workers import compute
+from analysis.paper_workers import WORKERS, compute
 from rig.errors import SceneError
 
 if TYPE_CHECKING:
@@ -75,7 +75,11 @@ def reproduce(folder: Path, say: Callable[[str], None], fresh: Sequence[str] = (
             missing.append(part)
         else:
             stored[part.name] = found
-    say(f"{len(stored)} of {len(parts)} parts are there, {len(missing)} to do, on two cores.")
+    effort = sum(part.effort for part in missing) / WORKERS
+    say(
+        f"{len(stored)} of {len(parts)} parts are there, {len(missing)} to do"
+        + (f": about {_span(effort)} on {WORKERS} free cores, the longest parts first." if missing else ".")
+    )
     if missing:
         progress = _Progress(missing, say)
 

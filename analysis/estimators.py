@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.frf import Frf
-from analysis.measurands import motion_of, reference_of
+from analysis.measurands import driven, motion_of, reference_of
 from rig.errors import SceneError
 
 if TYPE_CHECKING:
@@ -95,6 +95,7 @@ class Averages:
         sxx = np.einsum("in,nij,jn->n", upper, self.cross, upper.conj()).real
         sff = np.einsum("in,nij,jn->n", lower, self.cross, lower.conj()).real
         sxf = np.einsum("in,nij,jn->n", upper, self.cross, lower.conj())
+        driven(reference, sff)
         value = estimate(estimator, sxx, sff, sxf)
         coherence = np.minimum(abs(sxf) ** 2 / (sxx * sff), 1.0)
         if self.averages > 1.0:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.frf import Frf
-from analysis.measurands import motion_of, reference_of
+from analysis.measurands import driven, motion_of, reference_of
 
 if TYPE_CHECKING:
     from daq.recording import Recording
@@ -55,6 +55,7 @@ class Lines:
         upper = above.row(rec, names, self.frequency)
         lower = reference_of(rec, reference).row(rec, names, self.frequency)
         x, f = np.sum(upper * self.mean, axis=0), np.sum(lower * self.mean, axis=0)
+        driven(reference, f)
         value = x / f
         # d(x/f) = (dx - value df) / f, and both are sums over the same channels.
         off = (upper - value * lower) / f

@@ -134,6 +134,16 @@ def reference_of(rec: Recording, reference: str) -> Quantity:
     return Quantity((ends[0].name, ends[1].name), (shaker.spring, -shaker.spring), "displacement")
 
 
+def driven(reference: str, amplitude: NDArray[np.generic]) -> None:
+    """Refuse a reference that is nothing throughout: there is no response to nothing."""
+    if not np.any(np.abs(amplitude) > 0):
+        what = "force on the structure" if reference == "force" else "displacement of the table"
+        raise RecordingError(
+            f"the {what} is zero throughout what was measured: nothing was driven, or its channels were off; "
+            "look at the channels with `daq info` and record again"
+        )
+
+
 def _places(rec: Recording) -> str:
     return (
         ", ".join(f"{name} ({info.quantity} at {info.at})" for name, info in rec.channels.items())

@@ -114,6 +114,8 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
     -------
     Modes
     """
+    if count is not None and count < 1:
+        raise SceneError(f"{count} modes asked for: expected at least 1")
     curves = [frf.to("displacement").sorted() for frf in frfs]
     frequency = curves[0].frequency
     if any(

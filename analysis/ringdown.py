@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 STANDARD_GRAVITY = 9.80665
 LOWEST_MODE = 2.0
 HIGHEST_MODE = 200.0
+# A decay that is clipped for more than this part has no amplitudes worth reporting.
+_MOST_CLIPPED = 0.1
 
 
 @dataclass(frozen=True)
@@ -115,6 +117,21 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
             )
         samples = np.interp(np.arange(samples.size), np.flatnonzero(~lost), samples[~lost])
         notes.append(f"{int(lost.sum())} lost samples were bridged by straight lines.")
+    if not np.any(abs(samples - samples[0]) > 0):
+        raise RecordingError(
+            f"{info.name} reads the same value throughout hit {hit}'s decay: the channel is dead, or the hit "
+            "did not reach it; choose another channel or record again"
+        )
+    clipped = _clipped(rec, info.name, begin, stop)
+    if clipped > _MOST_CLIPPED:
+        raise RecordingError(
+            f"{info.name} was overloaded for {clipped:.0%} of hit {hit}'s decay: hit more softly, or widen the "
+            "converter's range or lower the sensitivity in the scene"
+        )
+    if clipped:
+        notes.append(
+            f"{info.name} was overloaded for {clipped:.2%} of the decay; amplitudes at its beginning are too low."
+        )
     most = modes if modes is not None else rec.scene.structure.bodies
     high = min(0.4 * rec.rate, 4.0 * HIGHEST_MODE)
     acceleration = corrected(info, samples, "acceleration", LOWEST_MODE, high)
@@ -161,6 +178,13 @@ def hits(rec: Recording) -> list[tuple[int, int]]:
         f"no free decay in this recording: it holds {kind} and no hit is marked; "
         "record a scene with test: {kind: impulse, ...} or {kind: free, ...}"
     )
+
+
+def _clipped(rec: Recording, channel: str, begin: int, stop: int) -> float:
+    """Part of a stretch in which a channel was overloaded."""
+    spans = [(m.first_sample, m.end) for m in rec.overloads if m.fields.get("channel") == channel]
+    inside = sum(max(min(last + 1, stop) - max(first, begin), 0) for first, last in spans)
+    return inside / max(stop - begin, 1)
 
 
 def _stretch(rec: Recording, hit: int) -> tuple[int, int, int, list[str]]:

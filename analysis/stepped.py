@@ -73,7 +73,7 @@ def sweeps(rec: Recording, progress: Callable[[int, int], None] | None = None) -
     )
     names = list(rec.channels)
     clipped = _clipped(rec)
-    overloaded = 0
+    overloaded = short = 0
     unsteady: dict[tuple[float, str], list[str]] = {}
     runs: dict[tuple[float, str], list[tuple[Tone, tuple[int, int]]]] = {}
     notes: dict[tuple[float, str], list[str]] = {}
@@ -86,6 +86,13 @@ def sweeps(rec: Recording, progress: Callable[[int, int], None] | None = None) -
         zip(markers, windows, parts, strict=True)
     ):
         key = _setting(marker)
+        if (stop - first) * frequency < 0.99 * rec.rate:
+            short += 1
+            for _ in group:
+                next(source)
+            note = notes.setdefault(key, [])
+            note.append(f"{frequency:.4g} Hz left out: its window is shorter than a period.")
+            continue
         shortest = min(end - begin for begin, end in group)
         harmonics = int(max(1, min(HARMONICS, 0.45 * rec.rate / frequency, (shortest - 2) // 4)))
         lockin = LockIn(frequency, rec.rate, harmonics)
@@ -117,7 +124,7 @@ def sweeps(rec: Recording, progress: Callable[[int, int], None] | None = None) -
             unsteady.setdefault(key, []).append(f"{frequency:.4g}")
         runs.setdefault(key, []).append((lockin.tone(), (first, stop)))
     if not runs:
-        raise RecordingError(_why_nothing(rec, bool(markers), overloaded))
+        raise RecordingError(_why_nothing(rec, bool(markers), overloaded, short))
     for key, points in unsteady.items():
         notes[key].append(
             f"No steady state at {', '.join(points)} Hz: the motion is irregular there, or needs longer to "
@@ -154,12 +161,17 @@ def _covered(ranges: NDArray[np.int64], first: int, stop: int) -> float:
     return float(np.maximum(inside, 0).sum() / max(stop - first, 1))
 
 
-def _why_nothing(rec: Recording, marked: bool, overloaded: int) -> str:
+def _why_nothing(rec: Recording, marked: bool, overloaded: int, short: int) -> str:
     if overloaded:
         return (
             "the channels were overloaded in every measured window: lower the level, or widen the "
             "converter's range "
             "or lower the sensitivity in the scene"
+        )
+    if short:
+        return (
+            "every measured window is too short: it holds less than a period of its tone; measure longer "
+            "(test: measure: periods)"
         )
     if marked:
         return "every measured window has lost samples: record again, or repair the file with `daq recover`"

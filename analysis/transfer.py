@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from analysis.estimators import Averages
-from analysis.frf import Frf
+from analysis.estimators import ESTIMATORS, Averages
+from analysis.frf import MOTIONS, Frf
 from analysis.measurands import responses
 from rig.errors import RecordingError, SceneError
 
@@ -51,6 +51,10 @@ def frequency_responses(
     list of list of Frf
         One list per sweep (level and direction), with one curve per response.
     """
+    if estimator not in ESTIMATORS:
+        raise SceneError(f"unknown estimator {estimator!r}: expected {', '.join(ESTIMATORS)}")
+    if motion not in MOTIONS:
+        raise SceneError(f"unknown motion {motion!r}: expected {', '.join(MOTIONS)}")
     names = list(channels) if channels else responses(rec)
     if not names:
         raise RecordingError("no channel on a body: there is no response to divide")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
@@ -30,7 +30,7 @@ def frequencies() -> list[float]:
     return [float(f) for f in np.unique(np.round(np.concatenate([_COARSE, *_FINE]), 3))]
 
 
-def demonstrate(folder: Path, say: Callable[[str], None]) -> list[Path]:
+def demonstrate(folder: Path, say: Callable[[str], None], at: Sequence[float] | None = None) -> list[Path]:
     """Record two sweeps and two impulse tests side by side, analyse them, and say what to do next.
 
     Parameters
@@ -39,6 +39,8 @@ def demonstrate(folder: Path, say: Callable[[str], None]) -> list[Path]:
         Where recordings, figures and tables go.
     say : callable
         Takes one line of text at a time.
+    at : sequence of float, optional
+        Frequencies of the sweeps, Hz; omitted, `frequencies`.
 
     Returns
     -------
@@ -49,7 +51,7 @@ def demonstrate(folder: Path, say: Callable[[str], None]) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     say("Recording two stepped sines (without and with three dampers) and two impulse tests ...")
     recordings = {name: folder / f"{name}.mcap" for name in (*SWEEPS, *IMPULSES)}
-    for name, seconds in _recorded(recordings):
+    for name, seconds in _recorded(recordings, tuple(at or frequencies())):
         say(f"  {recordings[name]} holds {seconds:.0f} s ({time.monotonic() - began:.0f} s after the start)")
     files = list(recordings.values())
     say("Reading the recordings, and nothing else, for compliance, decay and modes ...")
@@ -78,18 +80,18 @@ def demonstrate(folder: Path, say: Callable[[str], None]) -> list[Path]:
     return files
 
 
-def _recorded(recordings: dict[str, Path]) -> Iterator[tuple[str, float]]:
+def _recorded(recordings: dict[str, Path], at: tuple[float, ...]) -> Iterator[tuple[str, float]]:
     """Record on two cores; yield each name and the seconds it holds as it is done."""
     # Two processes with a thread each: more threads would wait for each other on two cores.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Sweeps first: the short impulse tests fill in where a core becomes free.
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        jobs = {pool.submit(_record, name, path): name for name, path in recordings.items()}
+        jobs = {pool.submit(_record, name, path, at): name for name, path in recordings.items()}
         for job in as_completed(jobs):
             yield jobs[job], job.result()
 
 
-def _record(name: str, path: Path) -> float:
+def _record(name: str, path: Path, at: tuple[float, ...]) -> float:
     """Record one scene; the length of its recording in s."""
     import warnings
 
@@ -100,7 +102,7 @@ def _record(name: str, path: Path) -> float:
     if name in SWEEPS:
         test = {
             "kind": "stepped_sine",
-            "frequencies": frequencies(),
+            "frequencies": at,
             "force": 2.6,
             "settle": {"longest": 20.0},
         }

@@ -16,7 +16,9 @@ proportion to the number of springs. A large system with many dampers does every
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections import OrderedDict
+from threading import Lock
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +42,8 @@ STEPS_UP_TO = 400
 STEPS_WITH_DAMPERS = 6
 #: Dampers up to which slots are looked up in an array of all configurations.
 DIRECT_UP_TO = 12
+#: Systems whose tables are kept for the next run; only small ones are.
+RECENT = 32
 
 
 class Flow(NamedTuple):
@@ -95,6 +99,10 @@ class Model(NamedTuple):
     coupled: bool
 
 
+_RECENT: OrderedDict[tuple[Any, ...], FlowTables] = OrderedDict()
+_LOCK = Lock()
+
+
 class FlowTables:
     """The flow of one system under one kind of drive, for as many configurations as have been visited.
 
@@ -114,6 +122,7 @@ class FlowTables:
         self.step = step
         self.size = system.states + drive.states
         self.slots: dict[int, int] = {}
+        self._lock = Lock()
         self._direct = np.full(1 << min(system.dampers, DIRECT_UP_TO), -1, dtype=np.int64)
         most = TABULATED_WITH_FEW if system.dampers <= FEW_DAMPERS else TABULATED_UP_TO
         self.tabulated = self.size <= most
@@ -126,17 +135,18 @@ class FlowTables:
 
     def slot(self, configuration: int) -> int:
         """Slot of a configuration (bit j set: damper j rides), made now if it is new."""
-        known = self.slots.get(configuration)
-        if known is not None:
-            return known
-        slot = len(self.slots)
-        if slot == self.flow.neighbour.shape[0]:
-            self._grow()
-        self.slots[configuration] = slot
-        if self.system.dampers <= DIRECT_UP_TO:
-            self._direct[configuration] = slot
-        self._fill(slot, configuration)
-        return slot
+        with self._lock:
+            known = self.slots.get(configuration)
+            if known is not None:
+                return known
+            slot = len(self.slots)
+            if slot == self.flow.neighbour.shape[0]:
+                self._grow()
+            self._fill(slot, configuration)
+            self.slots[configuration] = slot
+            if self.system.dampers <= DIRECT_UP_TO:
+                self._direct[configuration] = slot
+            return slot
 
     def slots_of(self, configurations: NDArray[np.int64]) -> NDArray[np.int64]:
         """Slots of many configurations, shape as given; new ones are made."""
@@ -320,6 +330,21 @@ class FlowTables:
         fall = 0.0 if rides else float(self.system.gravity) * self.step**2 / 8
         flow.margin[slot][:, j] = weight @ used
         flow.margin_constant[slot][j] = weight @ used_constant + fall
+
+
+def tables_for(system: System, drive: Drive, step: float) -> FlowTables:
+    """Give the tables of a system: those made for it the last time, if that is not long ago."""
+    arrays = [
+        value for part in (system, drive) for value in vars(part).values() if isinstance(value, np.ndarray)
+    ]
+    key = (step, drive.fastest, system.gravity, *(array.tobytes() for array in arrays))
+    with _LOCK:
+        tables = _RECENT.pop(key, None) or FlowTables(system, drive, step)
+        if tables.tabulated:
+            _RECENT[key] = tables
+        while len(_RECENT) > RECENT:
+            _RECENT.popitem(last=False)
+    return tables
 
 
 def _solve(mass: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from rig.contact import CONFIGURATION, FLIGHT, FLOOR, SLOT, Log, State, release_
 from rig.course import Array, Course
 from rig.envelope import fold_envelope
 from rig.errors import RunError
-from rig.flow import REACH, Flow, FlowTables, Model
+from rig.flow import REACH, Flow, Model, tables_for
 from rig.jit import compiled, inlined
 from rig.kernel import DONE, LOG_FULL, NEED_TABLE, STUCK, advance
 from rig.lanes import LANES, padded, transpose
@@ -156,7 +156,7 @@ class March:
 
     def __init__(self, system: System, drive: Drive, step: float) -> None:
         self.system, self.drive = system, drive
-        self.tables = FlowTables(system, drive, step)
+        self.tables = tables_for(system, drive, step)
         self._coupling = True if system.coupled else None
         dampers, size = system.dampers, padded(self.tables.size + 2 * system.coordinates)
         self.state = State(

@@ -42,6 +42,8 @@ STEPS_UP_TO = 400
 STEPS_WITH_DAMPERS = 6
 #: Dampers up to which slots are looked up in an array of all configurations.
 DIRECT_UP_TO = 12
+#: Steps that turn a tone by less than this are seldom near a contact, on an envelope's coarse view too.
+FINE = 0.2
 #: Systems whose tables are kept for the next run; only small ones are.
 RECENT = 32
 
@@ -50,9 +52,9 @@ class Flow(NamedTuple):
     """Tables by slot; matrices are stored [column, row] with padded rows.
 
     tabulated: the series is; stepping: everything else is. smooth: the drive has no corners, so the derivatives of
-    the accelerations are continuous from step to step. propagate: z over a full step, and behind it the
-    accelerations of the coordinates then, and as far as there is room their derivatives with respect to tau.
-    derivative: both of a state itself. series: (A h)^k / k! for every k.
+    the accelerations are continuous from step to step. enveloping: steps are so short that an envelope pays.
+    propagate: z over a full step, and behind it the accelerations of the coordinates then, and as far as there is
+    room their derivatives with respect to tau. derivative: both of a state itself. series: (A h)^k / k! for every k.
     margin: times |z|, what the guard of each damper may at most fall below its values at the ends of a step (an
     eighth of its second derivative's bound, and rounding). bound: times |z|, for each damper bounds the fourth
     derivative of its guard with respect to tau over the step, then the size of the terms that it is the sum of.
@@ -65,6 +67,7 @@ class Flow(NamedTuple):
     tabulated: bool
     stepping: bool
     smooth: bool
+    enveloping: bool
     propagate: np.ndarray
     propagate_constant: np.ndarray
     series: np.ndarray
@@ -243,6 +246,7 @@ class FlowTables:
             tabulated=self.tabulated,
             stepping=self.stepping,
             smooth=self.drive.fastest > 0.0,
+            enveloping=self.step * self.drive.fastest < FINE,
             pointer=self._pointer,
             column=self._column,
             neighbour=neighbour,

@@ -373,7 +373,10 @@ def sampled_march(system: System, interval: float) -> tuple[March, float]:
     return March(system, sampled(len(system.inputs), interval), step), steps
 
 
-def tone_march(system: System, amplitudes: NDArray[np.complex128], omega: float) -> tuple[March, float]:
-    """March under a tone u(t) = Re(U e^{i omega t}), and the number of steps in a period."""
-    step, steps = step_for(2.0 * np.pi / omega, max(system.fastest, omega))
+def tone_march(
+    system: System, amplitudes: NDArray[np.complex128], omega: float, interval: float | None = None
+) -> tuple[March, float]:
+    """March under a tone u(t) = Re(U e^{i omega t}), and the number of steps in a period, or in a shorter interval."""
+    span = 2.0 * np.pi / omega if interval is None else interval
+    step, steps = step_for(span, max(system.fastest, omega))
     return March(system, tone(amplitudes, omega), step), steps

@@ -16,7 +16,9 @@ proportion to the number of springs. A large system with many dampers does every
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections import OrderedDict
+from threading import Lock
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,15 +42,19 @@ STEPS_UP_TO = 400
 STEPS_WITH_DAMPERS = 6
 #: Dampers up to which slots are looked up in an array of all configurations.
 DIRECT_UP_TO = 12
+#: Steps that turn a tone by less than this are seldom near a contact, on an envelope's coarse view too.
+FINE = 0.2
+#: Systems whose tables are kept for the next run; only small ones are.
+RECENT = 32
 
 
 class Flow(NamedTuple):
     """Tables by slot; matrices are stored [column, row] with padded rows.
 
     tabulated: the series is; stepping: everything else is. smooth: the drive has no corners, so the derivatives of
-    the accelerations are continuous from step to step. propagate: z over a full step, and behind it the
-    accelerations of the coordinates then, and as far as there is room their derivatives with respect to tau.
-    derivative: both of a state itself. series: (A h)^k / k! for every k.
+    the accelerations are continuous from step to step. enveloping: steps are so short that an envelope pays.
+    propagate: z over a full step, and behind it the accelerations of the coordinates then, and as far as there is
+    room their derivatives with respect to tau. derivative: both of a state itself. series: (A h)^k / k! for every k.
     margin: times |z|, what the guard of each damper may at most fall below its values at the ends of a step (an
     eighth of its second derivative's bound, and rounding). bound: times |z|, for each damper bounds the fourth
     derivative of its guard with respect to tau over the step, then the size of the terms that it is the sum of.
@@ -61,6 +67,7 @@ class Flow(NamedTuple):
     tabulated: bool
     stepping: bool
     smooth: bool
+    enveloping: bool
     propagate: np.ndarray
     propagate_constant: np.ndarray
     series: np.ndarray
@@ -95,6 +102,10 @@ class Model(NamedTuple):
     coupled: bool
 
 
+_RECENT: OrderedDict[tuple[Any, ...], FlowTables] = OrderedDict()
+_LOCK = Lock()
+
+
 class FlowTables:
     """The flow of one system under one kind of drive, for as many configurations as have been visited.
 
@@ -114,6 +125,7 @@ class FlowTables:
         self.step = step
         self.size = system.states + drive.states
         self.slots: dict[int, int] = {}
+        self._lock = Lock()
         self._direct = np.full(1 << min(system.dampers, DIRECT_UP_TO), -1, dtype=np.int64)
         most = TABULATED_WITH_FEW if system.dampers <= FEW_DAMPERS else TABULATED_UP_TO
         self.tabulated = self.size <= most
@@ -126,17 +138,18 @@ class FlowTables:
 
     def slot(self, configuration: int) -> int:
         """Slot of a configuration (bit j set: damper j rides), made now if it is new."""
-        known = self.slots.get(configuration)
-        if known is not None:
-            return known
-        slot = len(self.slots)
-        if slot == self.flow.neighbour.shape[0]:
-            self._grow()
-        self.slots[configuration] = slot
-        if self.system.dampers <= DIRECT_UP_TO:
-            self._direct[configuration] = slot
-        self._fill(slot, configuration)
-        return slot
+        with self._lock:
+            known = self.slots.get(configuration)
+            if known is not None:
+                return known
+            slot = len(self.slots)
+            if slot == self.flow.neighbour.shape[0]:
+                self._grow()
+            self._fill(slot, configuration)
+            self.slots[configuration] = slot
+            if self.system.dampers <= DIRECT_UP_TO:
+                self._direct[configuration] = slot
+            return slot
 
     def slots_of(self, configurations: NDArray[np.int64]) -> NDArray[np.int64]:
         """Slots of many configurations, shape as given; new ones are made."""
@@ -233,6 +246,7 @@ class FlowTables:
             tabulated=self.tabulated,
             stepping=self.stepping,
             smooth=self.drive.fastest > 0.0,
+            enveloping=self.step * self.drive.fastest < FINE,
             pointer=self._pointer,
             column=self._column,
             neighbour=neighbour,
@@ -320,6 +334,21 @@ class FlowTables:
         fall = 0.0 if rides else float(self.system.gravity) * self.step**2 / 8
         flow.margin[slot][:, j] = weight @ used
         flow.margin_constant[slot][j] = weight @ used_constant + fall
+
+
+def tables_for(system: System, drive: Drive, step: float) -> FlowTables:
+    """Give the tables of a system: those made for it the last time, if that is not long ago."""
+    arrays = [
+        value for part in (system, drive) for value in vars(part).values() if isinstance(value, np.ndarray)
+    ]
+    key = (step, drive.fastest, system.gravity, *(array.tobytes() for array in arrays))
+    with _LOCK:
+        tables = _RECENT.pop(key, None) or FlowTables(system, drive, step)
+        if tables.tabulated:
+            _RECENT[key] = tables
+        while len(_RECENT) > RECENT:
+            _RECENT.popitem(last=False)
+    return tables
 
 
 def _solve(mass: np.ndarray, right: np.ndarray) -> np.ndarray:

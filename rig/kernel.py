@@ -123,7 +123,7 @@ def advance(
             _fly(model, state, duration)
             state.counters[IN_A_ROW] = 0
             left -= length
-            if flow.stepping and flow.smooth:
+            if flow.stepping and not flow.enveloping:
                 known = CURRENT
             elif flow.stepping:
                 if known == STALE or exceeds(state.z, scratch.envelope):

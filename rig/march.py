@@ -16,7 +16,7 @@ from rig.contact import CONFIGURATION, FLIGHT, FLOOR, SLOT, Log, State, release_
 from rig.course import Array, Course
 from rig.envelope import fold_envelope
 from rig.errors import RunError
-from rig.flow import REACH, Flow, FlowTables, Model
+from rig.flow import REACH, Flow, Model, tables_for
 from rig.jit import compiled, inlined
 from rig.kernel import DONE, LOG_FULL, NEED_TABLE, STUCK, advance
 from rig.lanes import LANES, padded, transpose
@@ -156,7 +156,7 @@ class March:
 
     def __init__(self, system: System, drive: Drive, step: float) -> None:
         self.system, self.drive = system, drive
-        self.tables = FlowTables(system, drive, step)
+        self.tables = tables_for(system, drive, step)
         self._coupling = True if system.coupled else None
         dampers, size = system.dampers, padded(self.tables.size + 2 * system.coordinates)
         self.state = State(
@@ -373,7 +373,10 @@ def sampled_march(system: System, interval: float) -> tuple[March, float]:
     return March(system, sampled(len(system.inputs), interval), step), steps
 
 
-def tone_march(system: System, amplitudes: NDArray[np.complex128], omega: float) -> tuple[March, float]:
-    """March under a tone u(t) = Re(U e^{i omega t}), and the number of steps in a period."""
-    step, steps = step_for(2.0 * np.pi / omega, max(system.fastest, omega))
+def tone_march(
+    system: System, amplitudes: NDArray[np.complex128], omega: float, interval: float | None = None
+) -> tuple[March, float]:
+    """March under a tone u(t) = Re(U e^{i omega t}), and the number of steps in a period, or in a shorter interval."""
+    span = 2.0 * np.pi / omega if interval is None else interval
+    step, steps = step_for(span, max(system.fastest, omega))
     return March(system, tone(amplitudes, omega), step), steps

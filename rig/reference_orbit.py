@@ -104,7 +104,9 @@ class _Polish:
         self.events = [(float(e["time"]), number[int(e["damper"])], str(e["kind"])) for e in orbit.events]
         # Where a damper is at the start is where its last event in the period before has left it.
         last = {j: kind for _, j, kind in self.events}
-        self.flying = [j for j, kind in sorted(last.items()) if kind == "separation" or self._rebounds_for_ever(j)]
+        self.flying = [
+            j for j, kind in sorted(last.items()) if kind == "separation" or self._rebounds_for_ever(j)
+        ]
         self.walls = ["floor"] * self.system.dampers
         for _, j, kind in self.events:
             self.walls[j] = kind if kind != "separation" else self.walls[j]

@@ -18,6 +18,9 @@ from rig.open_loop import ToneDrive, sampled_drive, tone_drive
 from rig.scene import Scene
 from rig.system import System
 
+#: Samples in a period from which on steps are made to end at samples rather than at periods.
+DENSE = 10
+
 
 @dataclass(frozen=True)
 class Run:
@@ -145,13 +148,17 @@ def _tone_run(
     samples: int,
     rate: float,
 ) -> Run:
-    march, _ = tone_march(system, tone.amplitudes, tone.omega)
+    is_dense = rate > DENSE * tone.frequency
+    march, steps = tone_march(system, tone.amplitudes, tone.omega, 1.0 / rate if is_dense else None)
     lifted = march.place(tone.state, np.array([1.0, 0.0]))
     times, is_sample, new_period = _marks(duration, samples, rate, tone.frequency)
     start = _whole(march)
     first = march.standing()
     durations = np.diff(times).astype(np.float64)
-    course = march.over_marks(durations / march.tables.step, np.arange(len(durations)), new_period[:-1])
+    lengths = durations / march.tables.step
+    if is_dense:
+        lengths[is_sample[:-1] & is_sample[1:]] = steps
+    course = march.over_marks(lengths, np.arange(len(durations)), new_period[:-1])
     starts = times[:-1].astype(np.float64)
     begins = np.concatenate([first.state, course.state[:-1]])
     books = (scene, march.tables, start, _whole(march), course, begins, durations)

@@ -31,7 +31,7 @@ from rig.system import Drive, System
 #: Step length times the fastest rate; 0.7^16 / 16! is below the rounding of float64.
 REACH = 0.7
 #: The matrix exponential itself is summed further than the series that guards use.
-TERMS = 30
+TERMS = 25
 #: States, drive included, up to which the matrix powers are tabulated; and up to which they are if there are so
 #: few dampers that the configurations can be counted on two hands.
 TABULATED_UP_TO = 16
@@ -278,13 +278,10 @@ class FlowTables:
         flow, system, size = self.flow, self.system, self.size
         nq = system.coordinates
         h = self._precision(self.step)
-        terms = np.empty((TERMS, size, size), dtype=self._precision)
-        constants = np.zeros((TERMS, size), dtype=self._precision)
-        terms[0] = np.eye(size, dtype=self._precision)
         scaled = matrix * h
-        for k in range(1, TERMS):
-            terms[k] = scaled @ terms[k - 1] / k
-            constants[k] = terms[k - 1] @ offset * h / k
+        terms = _power_terms(scaled)
+        constants = np.zeros((TERMS, size), dtype=self._precision)
+        constants[1:] = terms[:-1] @ offset * h / np.arange(1, TERMS)[:, None]
         rows = slice(0, size)
         # Small terms first, so that the sum keeps its last bits.
         over, over_constant = terms[::-1].sum(axis=0), constants[::-1].sum(axis=0)
@@ -303,37 +300,30 @@ class FlowTables:
         flow.propagate_constant[slot][behind] = (derivative @ over_constant + constant)[:room]
         flow.derivative[slot][:, : 2 * nq] = derivative.T
         flow.derivative_constant[slot][: 2 * nq] = constant
-        for j in range(system.dampers):
-            self._fill_guard(slot, j, bool(configuration >> j & 1), terms, constants)
+        self._fill_bounds(slot, configuration, terms, constants)
 
-    def _fill_guard(
-        self,
-        slot: int,
-        j: int,
-        rides: bool,
-        terms: np.ndarray,
-        constants: np.ndarray,
-    ) -> None:
-        """Rows of damper j in the bound and margin tables."""
-        flow, nq, nd = self.flow, self.system.coordinates, self.system.dampers
-        row = int(self.system.damper_coordinate[j])
-        k = np.arange(TERMS)
-        if rides:
-            # The acceleration's series is (k + 1) terms[k + 1] / h.
-            row += nq
-            size, power = k / self.step, k - 1
-        else:
-            size, power = np.ones(TERMS), k
-        fourth = size * power * (power - 1) * (power - 2) * (power - 3)
-        used, used_constant = (np.abs(part[:, row]).astype(np.float64) for part in (terms, constants))
-        for weight, place in ((np.abs(fourth), j), (np.abs(size), nd + j)):
-            flow.bound[slot][:, place] = weight @ used
-            flow.bound_constant[slot][place] = weight @ used_constant
+    def _fill_bounds(self, slot: int, configuration: int, terms: np.ndarray, constants: np.ndarray) -> None:
+        """Bound and margin tables, from the series of every guard."""
+        flow, system, dampers = self.flow, self.system, self.system.dampers
+        rides = np.array([configuration >> j & 1 for j in range(dampers)], dtype=bool)
+        rows = system.damper_coordinate + system.coordinates * rides
+        used, used_constant = (np.abs(part[:, rows]).astype(np.float64) for part in (terms, constants))
+        # The acceleration's series is (k + 1) terms[k + 1] / h.
+        k = np.arange(TERMS)[:, None]
+        size = np.where(rides, k / self.step, 1.0)
+        power = np.where(rides, k - 1, k)
+        fourth = size * np.abs(power * (power - 1) * (power - 2) * (power - 3))
         # Between its values at both ends a guard sags by at most an eighth of its second derivative's bound.
-        weight = np.abs(size * power * (power - 1)) / 8 + 2 * ROUNDING * np.abs(size)
-        fall = 0.0 if rides else float(self.system.gravity) * self.step**2 / 8
-        flow.margin[slot][:, j] = weight @ used
-        flow.margin_constant[slot][j] = weight @ used_constant + fall
+        sag = size * np.abs(power * (power - 1)) / 8 + 2 * ROUNDING * size
+        fall = np.where(rides, 0.0, float(system.gravity) * self.step**2 / 8)
+        for table, constant, weight, place in (
+            (flow.bound, flow.bound_constant, fourth, slice(0, dampers)),
+            (flow.bound, flow.bound_constant, size, slice(dampers, 2 * dampers)),
+            (flow.margin, flow.margin_constant, sag, slice(0, dampers)),
+        ):
+            table[slot][:, place] = np.einsum("kj,kjc->cj", weight, used)
+            constant[slot][place] = np.einsum("kj,kj->j", weight, used_constant)
+        flow.margin_constant[slot][:dampers] += fall
 
 
 def tables_for(system: System, drive: Drive, step: float) -> FlowTables:
@@ -349,6 +339,20 @@ def tables_for(system: System, drive: Drive, step: float) -> FlowTables:
         while len(_RECENT) > RECENT:
             _RECENT.popitem(last=False)
     return tables
+
+
+def _power_terms(matrix: np.ndarray) -> np.ndarray:
+    """matrix^k / k! for k below TERMS, in the precision of the matrix."""
+    powers = np.empty((TERMS, *matrix.shape), dtype=matrix.dtype)
+    powers[0] = np.eye(len(matrix), dtype=matrix.dtype)
+    powers[1] = matrix
+    known = 2
+    while known < TERMS:
+        more = min(known - 1, TERMS - known)
+        powers[known : known + more] = powers[known - 1] @ powers[1 : 1 + more]
+        known += more
+    factorials = np.cumprod(np.maximum(np.arange(TERMS), 1).astype(matrix.dtype))
+    return powers / factorials[:, None, None]
 
 
 def _solve(mass: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.complementarity import ROUNDING
-from rig.lanes import padded
+from rig.lanes import SUMS, padded
 from rig.polynomial import LENGTH
 from rig.system import Drive, System
 
@@ -233,7 +233,9 @@ class FlowTables:
         }
         for name, width in widths.items():
             filled = self.tabulated if name == "series" else self.stepping
-            shapes[name] = (self.size if filled else 0, width)
+            # With columns of zeros up to a full number of sums the product of every step is quicker.
+            columns = -(-self.size // SUMS) * SUMS if name == "propagate" else self.size
+            shapes[name] = (columns if filled else 0, width)
             shapes[f"{name}_constant"] = (width,)
         shapes["rates"] = (len(self._column),)
         shapes["rates_constant"] = (self.size,)
@@ -285,7 +287,7 @@ class FlowTables:
         rows = slice(0, size)
         # Small terms first, so that the sum keeps its last bits.
         over, over_constant = terms[::-1].sum(axis=0), constants[::-1].sum(axis=0)
-        flow.propagate[slot][:, rows] = over.T
+        flow.propagate[slot][:size, rows] = over.T
         flow.propagate_constant[slot][rows] = over_constant
         if self.tabulated:
             series = flow.series[slot].reshape(size, LENGTH + 1, -1)
@@ -296,7 +298,7 @@ class FlowTables:
         constant = np.concatenate([offset[nq : 2 * nq], second @ offset * h])
         behind = slice(size, size + 2 * nq)
         room = flow.propagate.shape[2] - size
-        flow.propagate[slot][:, behind] = (derivative @ over).T[:, :room]
+        flow.propagate[slot][:size, behind] = (derivative @ over).T[:, :room]
         flow.propagate_constant[slot][behind] = (derivative @ over_constant + constant)[:room]
         flow.derivative[slot][:, : 2 * nq] = derivative.T
         flow.derivative_constant[slot][: 2 * nq] = constant

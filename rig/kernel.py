@@ -89,7 +89,8 @@ def advance(
         duration = length * model.step
         whole = flow.stepping and length == 1.0
         if whole:
-            combine_many(flow.propagate, flow.propagate_constant, slot, state.z, columns, scratch.new)
+            filled = flow.propagate.shape[1]
+            combine_many(flow.propagate, flow.propagate_constant, slot, state.z, filled, scratch.new)
             if (
                 known == CLEAR
                 and not exceeds(state.z, scratch.envelope)

@@ -263,11 +263,12 @@ def combine(matrix: Any, constant: Any, slot: int, vector: Any, columns: int, ou
 
     Parameters
     ----------
-    matrix : float64 (slots, columns, rows), C-contiguous, rows a multiple of LANES
+    matrix : float64 (slots, at least columns, rows), C-contiguous, rows a multiple of LANES
     constant : float64 (slots, rows)
     slot : int
     vector : float64 (at least columns,)
     columns : int
+        A multiple of SUMS is quickest.
     out : float64 (rows,), or any contiguous array of that size
     """
     _combine_from(matrix, constant, slot, vector, columns, out, 0)
@@ -279,7 +280,7 @@ def combine_many(matrix: Any, constant: Any, slot: int, vector: Any, columns: in
     rows = constant.shape[1]
     most = rows - rows % (4 * LANES)
     for row in range(0, most, 4 * LANES):
-        place = slot * columns * rows + row
+        place = slot * matrix.shape[1] * rows + row
         _four(matrix, place, constant, slot * rows + row, vector, columns, rows, out, row)
     _combine_from(matrix, constant, slot, vector, columns, out, most)
 
@@ -290,5 +291,5 @@ def _combine_from(
 ) -> None:
     rows = constant.shape[1]
     for row in range(first, rows, LANES):
-        place = slot * columns * rows + row
+        place = slot * matrix.shape[1] * rows + row
         _one(matrix, place, constant, slot * rows + row, vector, columns, rows, out, row)

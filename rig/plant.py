@@ -132,12 +132,11 @@ class Plant:
             break_offset=np.minimum(course.break_offset, interval),
             break_displacement=np.ascontiguousarray(before[:, :n].T),
             break_velocity=np.stack([before[:, n : 2 * n].T, after[:, n : 2 * n].T]),
-            break_acceleration=np.stack(
-                [
-                    self._march.accelerations(before, course.before_slot),
-                    self._march.accelerations(after, course.after_slot),
-                ]
-            ),
+            break_acceleration=self._march.accelerations(
+                np.concatenate([before, after]), np.concatenate([course.before_slot, course.after_slot])
+            )
+            .reshape(n, 2, len(before))
+            .transpose(1, 0, 2),
             events=events,
         )
 

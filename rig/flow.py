@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.complementarity import ROUNDING
-from rig.lanes import SUMS, padded
+from rig.lanes import SUMS, padded, zeros
 from rig.polynomial import LENGTH
 from rig.system import Drive, System
 
@@ -242,7 +242,7 @@ class FlowTables:
         return shapes
 
     def _empty(self, capacity: int) -> Flow:
-        arrays = {name: np.zeros((capacity, *shape)) for name, shape in self._shapes().items()}
+        arrays = {name: zeros(capacity, *shape) for name, shape in self._shapes().items()}
         neighbour = np.full((capacity, max(1, self.system.dampers)), -1, dtype=np.int64)
         return Flow(
             tabulated=self.tabulated,

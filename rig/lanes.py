@@ -7,6 +7,7 @@ fixed, so results do not depend on the number of columns handled at once, the bl
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,14 @@ def padded(count: int) -> int:
     (8, 8, 16)
     """
     return max(LANES, -(-count // LANES) * LANES)
+
+
+def zeros(*shape: int) -> np.ndarray:
+    """Zeros that begin on the boundary of a register in memory: then no register has to be read in two halves."""
+    count = math.prod(shape)
+    room = np.zeros(count + LANES)
+    start = -(room.ctypes.data // room.itemsize) % LANES
+    return room[start : start + count].reshape(shape)
 
 
 _WIDE = ir.VectorType(ir.DoubleType(), LANES)

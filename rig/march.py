@@ -19,7 +19,7 @@ from rig.errors import RunError
 from rig.flow import REACH, Flow, Model, tables_for
 from rig.jit import compiled, inlined
 from rig.kernel import DONE, LOG_FULL, NEED_TABLE, STUCK, advance
-from rig.lanes import LANES, padded, transpose
+from rig.lanes import LANES, padded, transpose, zeros
 from rig.scratch import Scratch, scratch_for
 from rig.stepping import STALE, differentiate
 from rig.system import Drive, System, sampled, tone
@@ -160,7 +160,7 @@ class March:
         self._coupling = True if system.coupled else None
         dampers, size = system.dampers, padded(self.tables.size + 2 * system.coordinates)
         self.state = State(
-            z=np.zeros(size),
+            z=zeros(size),
             height=np.zeros(dampers),
             speed=np.zeros(dampers),
             mode=np.full(dampers, FLOOR, dtype=np.int64),
@@ -252,7 +252,7 @@ class March:
             rows=np.empty((rows, samples)),
             contact=np.empty((dampers, samples), dtype=np.int8),
             begin=np.zeros(1, dtype=np.int64),
-            window=np.zeros((LANES, rows)),
+            window=zeros(LANES, rows),
         )
 
     def parts(self, seen: Seen) -> tuple[Array, Array, Array, Array]:

@@ -112,15 +112,12 @@ class Plant:
         interval = 1.0 / self.rate
         displacement, velocity, acceleration, gap = self._march.parts(seen)
         before, after = course.before, course.after
-        at_once = np.zeros(len(lifted))
         times = (first_end + course.event_segment - 1) * interval + course.event_offset
-        events = event_table(
-            np.concatenate([at_once, times]),
-            np.concatenate([lifted, course.event_damper]),
-            np.concatenate([at_once.astype(np.int64), course.event_kind]),
-            np.concatenate([at_once, course.event_speed]),
-            system,
-        )
+        events = event_table(times, course.event_damper, course.event_kind, course.event_speed, system)
+        if len(lifted):
+            at_once = np.zeros(len(lifted))
+            early = event_table(at_once, lifted, at_once.astype(np.int64), at_once, system)
+            events = np.concatenate([early, events])
         return Motion(
             first=first,
             displacement=displacement,

@@ -8,7 +8,7 @@ import numpy as np
 
 from rig.complementarity import ContactWork, contact_work
 from rig.flow import Flow
-from rig.lanes import padded
+from rig.lanes import padded, zeros
 from rig.polynomial import BERNSTEIN, DEEPEST, LENGTH
 
 
@@ -35,23 +35,23 @@ class Scratch(NamedTuple):
 def scratch_for(flow: Flow, size: int) -> Scratch:
     """Allocate the work space for a flow and states of a padded size."""
     columns = flow.rates_constant.shape[1]
-    tableau = np.zeros((LENGTH + 1, padded(columns)))
-    envelope = np.zeros(padded(columns))
+    tableau = zeros(LENGTH + 1, padded(columns))
+    envelope = zeros(padded(columns))
     envelope[columns:] = np.inf
     return Scratch(
-        new=np.zeros(size),
-        size=np.zeros(padded(columns)),
+        new=zeros(size),
+        size=zeros(padded(columns)),
         envelope=envelope,
-        margin=np.zeros(flow.margin_constant.shape[1]),
+        margin=zeros(flow.margin_constant.shape[1]),
         tableau=tableau,
         series_rows=tableau[None],
         powers=np.zeros(LENGTH + 1),
-        nothing=np.zeros((1, padded(columns))),
-        bound=np.zeros(flow.bound_constant.shape[1]),
-        derivative=np.zeros(flow.derivative_constant.shape[1]),
+        nothing=zeros(1, padded(columns)),
+        bound=zeros(flow.bound_constant.shape[1]),
+        derivative=zeros(flow.derivative_constant.shape[1]),
         contact=contact_work(flow.neighbour.shape[1], flow.derivative_constant.shape[1]),
-        series=np.zeros(LENGTH),
-        work=np.zeros((DEEPEST + 3, LENGTH)),
+        series=zeros(LENGTH),
+        work=zeros(DEEPEST + 3, LENGTH),
         spans=np.zeros((DEEPEST + 3, 2)),
         bernstein=BERNSTEIN,
     )

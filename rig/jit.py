@@ -26,7 +26,10 @@ def _forget_outdated(folder: Path) -> None:
 
     numba looks only at the file of the function that is called, not at those that were compiled into it.
     """
-    code = {path: path.stat().st_mtime for path in (folder / "__pycache__").glob("*.nbi")}
+    code: dict[Path, float] = {}
+    for path in (folder / "__pycache__").glob("*.nbi"):
+        with suppress(FileNotFoundError):  # another process may be renewing it
+            code[path] = path.stat().st_mtime
     oldest = min(code.values(), default=float("inf"))
     sources = {*folder.glob("*.py"), *Path(__file__).parent.glob("*.py")}
     newer = {path: path.stat().st_mtime for path in sources if path.stat().st_mtime > oldest}

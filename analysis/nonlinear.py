@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.detection import impacts
 from analysis.frf import Frf
@@ -81,6 +82,8 @@ class DamperMotion:
         below -g.
     threshold : float
         Smallest velocity jump that would have been seen for certain, m/s.
+    lifts : bool
+        Whether the body's acceleration exceeds g, so that the damper cannot ride all the time.
     """
 
     frequency: float
@@ -89,12 +92,13 @@ class DamperMotion:
     ceiling: float
     stays: bool
     threshold: float
+    lifts: bool
 
     @property
     def name(self) -> str:
         """Kind of motion, in the paper's terms where they apply."""
         if self.floor == 0 and self.ceiling == 0:
-            return "riding"
+            return "unseen" if self.lifts else "riding"
         once = abs(self.floor - 1.0) < _ONCE
         if once and self.ceiling < _ONCE:
             return "I"
@@ -109,8 +113,9 @@ def damper_motion(rec: Recording, sweep: Sweep, channel: str) -> list[DamperMoti
     A body may hold several dampers: their impacts are then counted together.
     """
     gravity = rec.scene.gravity
+    lifts = _acceleration(rec, sweep, channel) > gravity
     out = []
-    for frequency, (first, stop) in zip(sweep.lines.frequency, sweep.windows, strict=True):
+    for frequency, lift, (first, stop) in zip(sweep.lines.frequency, lifts, sweep.windows, strict=True):
         found = impacts(rec, channel, int(first), int(stop))
         # The search leaves out the ends of its stretch.
         inner = found.searched * float(frequency)
@@ -124,9 +129,18 @@ def damper_motion(rec: Recording, sweep: Sweep, channel: str) -> list[DamperMoti
                 float(np.sum(struck)) / inner,
                 bool(then.size and np.median(then) < -gravity),
                 found.threshold,
+                bool(lift),
             )
         )
     return out
+
+
+def _acceleration(rec: Recording, sweep: Sweep, channel: str) -> NDArray[np.float64]:
+    """Amplitude of the acceleration under a channel at the frequencies of a sweep, shape (n,)."""
+    info, frequency = rec.channels[channel], sweep.lines.frequency
+    integrations = {"acceleration": 0, "velocity": 1, "displacement": 2}[info.quantity]
+    read = np.abs(sweep.lines.mean[sweep.lines.channels.index(channel)] / info.response(frequency))
+    return np.asarray(read * (2 * np.pi * frequency) ** integrations, dtype=np.float64)
 
 
 def describe_motion(motions: list[DamperMotion]) -> list[str]:
@@ -141,9 +155,14 @@ def describe_motion(motions: list[DamperMotion]) -> list[str]:
             if index > first:
                 ends += f" to {one.frequency:.4g}"
             text = f"type {kind}" if set(kind) == {"I"} else one.name
+            least = max(each.threshold for each in motions[first : index + 1])
             if kind == "riding":
-                least = max(each.threshold for each in motions[first : index + 1])
                 text = f"riding: no jump of velocity above {least:.2g} m/s"
+            if kind == "unseen":
+                text = (
+                    f"more than g, so the damper flies, but no jump of velocity above {least:.2g} m/s; a higher rate "
+                    "or less noise would show smaller ones"
+                )
             out.append(f"{one.channel}, {ends} Hz: {text}")
             first = index + 1
     return out

@@ -67,7 +67,7 @@ def test_given_a_curve_with_a_resonance_only_when_searched_then_no_jump_is_claim
     ],
 )
 def test_given_impacts_a_period_when_named_then_the_papers_types_are_used(floor, ceiling, stays, name):
-    assert DamperMotion(30.0, "body2", floor, ceiling, stays, 1e-3).name == name
+    assert DamperMotion(30.0, "body2", floor, ceiling, stays, 1e-3, False).name == name
 
 
 @pytest.fixture(scope="module")
@@ -95,6 +95,12 @@ def true_types(rec, sweep):
         struck = np.any(events["kind"][inside] == "ceiling")
         out.append(("III" if np.any(contact[first:stop] == 2) else "II") if struck else "I")
     return out
+
+
+def test_given_no_impacts_at_more_than_1_g_when_named_then_the_motion_is_not_called_riding() -> None:
+    motion = DamperMotion(30.0, "body2", 0, 0, False, 0.2, True)
+    assert motion.name == "unseen"
+    assert "more than g" in describe_motion([motion])[0]
 
 
 def test_given_the_papers_fig_9_when_recorded_then_its_types_are_told_from_the_channels(fig9):

@@ -32,6 +32,7 @@ layers: $(STAMP)
 	$(BIN)/lint-imports
 
 quick: $(STAMP)
+	$(BIN)/python -m tests.warm_up
 	$(BIN)/python -m pytest -n 2 -q
 
 bench: $(STAMP)

@@ -10,11 +10,11 @@ import numpy as np
 
 from rig.cost import Point, Study
 from rig.cost_steady import SteadyStudy
-from rig.errors import SceneError
-from rig.file_name import stem
+from rig.file_name import write_study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 #: Colour and marker of each method: one hue for each kind of method, so that print and colour-blind eyes agree.
 LOOK = {
@@ -91,14 +91,9 @@ def write(study: Study, steady: SteadyStudy, folder: Path) -> list[Path]:
     SceneError
         If a file cannot be written.
     """
-    files = [folder / f"{stem('cost', study.scene.name)}.{ending}" for ending in ("png", "svg", "csv")]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        _write_csv(study, steady, files[2])
-        _draw(study, steady, files[:2])
-    except OSError as error:
-        raise SceneError(f"{folder}: cannot be written ({error.strerror})") from None
-    return files
+    return write_study(
+        "cost", study.scene.name, folder, _draw(study, steady), lambda path: _write_csv(study, steady, path)
+    )
 
 
 def _write_csv(study: Study, steady: SteadyStudy, path: Path) -> None:
@@ -112,7 +107,7 @@ def _write_csv(study: Study, steady: SteadyStudy, path: Path) -> None:
                 writer.writerow([quantity, p.method, p.setting, *numbers, str(p.right).lower(), p.note])
 
 
-def _draw(study: Study, steady: SteadyStudy, files: list[Path]) -> None:
+def _draw(study: Study, steady: SteadyStudy) -> Figure:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -133,8 +128,7 @@ def _draw(study: Study, steady: SteadyStudy, files: list[Path]) -> None:
         right.set_ylabel("error of the compliance, relative")
         right.set_title(_steady_title(steady), fontsize=10)
     figure.suptitle(study.scene.name)
-    for file in files:
-        figure.savefig(file, dpi=160)
+    return figure
 
 
 def _shown(point: Point) -> float:

@@ -113,9 +113,7 @@ def _examine_flight(
 
 
 @inlined
-def _examine_ride(
-    flow: Flow, model: Model, state: State, scratch: Scratch, slot: int, j: int, length: float
-) -> tuple[float, int]:
+def _examine_ride(model: Model, state: State, scratch: Scratch, j: int, length: float) -> tuple[float, int]:
     """First instant at which the contact force of damper j falls through zero: (fraction of the step, ambiguous)."""
     series = scratch.series
     row = model.velocity[j]
@@ -205,7 +203,7 @@ def first_event(
         if mode == FLIGHT:
             tau, guard, ambiguous = _examine_flight(model, state, scratch, j, length, near, near_ceiling)
         else:
-            tau, ambiguous = _examine_ride(flow, model, state, scratch, slot, j, length)
+            tau, ambiguous = _examine_ride(model, state, scratch, j, length)
             guard = CONTACT_FORCE
         state.counters[AMBIGUOUS] += ambiguous
         if tau < first:

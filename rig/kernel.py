@@ -96,7 +96,7 @@ def advance(
                 and not exceeds(state.z, scratch.envelope)
                 and above_margins(model, state, scratch.margin, scratch.new, columns, duration)
             ):
-                copy(scratch.new, state.z, 0)
+                copy(scratch.new, state.z)
                 _fly(model, state, duration)
                 left -= 1.0
                 continue
@@ -120,7 +120,7 @@ def advance(
             )
         tau, j, guard = first_event(flow, model, state, scratch, slot, length, duration, not whole)
         if tau == NONE:
-            copy(scratch.new, state.z, 0)
+            copy(scratch.new, state.z)
             _fly(model, state, duration)
             state.counters[IN_A_ROW] = 0
             left -= length
@@ -135,7 +135,7 @@ def advance(
         known = STALE
         if tau > 0.0:
             sum_series(scratch, tau * length, scratch.new)
-            copy(scratch.new, state.z, 0)
+            copy(scratch.new, state.z)
             _fly(model, state, tau * duration)
             left -= tau * length
             state.counters[IN_A_ROW] = 0

@@ -192,24 +192,24 @@ def negatives(vector: Any) -> int:
 
 
 @intrinsic
-def _copy_lanes(typing_context: Any, source: Any, target: Any, offset: Any, row: Any) -> Any:
-    """target[offset + row + 0..7] = source[row + 0..7], flat indices."""
-    signature = types.void(source, target, types.intp, types.intp)
+def _copy_lanes(typing_context: Any, source: Any, target: Any, row: Any) -> Any:
+    """target[row + 0..7] = source[row + 0..7]."""
+    signature = types.void(source, target, types.intp)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        source, target, offset, row = arguments
+        source, target, row = arguments
         register = _load(context, builder, signature.args[0], source, row)
-        _store(context, builder, signature.args[1], target, builder.add(offset, row), register)
+        _store(context, builder, signature.args[1], target, row, register)
         return context.get_dummy_value()
 
     return signature, generate
 
 
 @inlined
-def copy(source: Any, target: Any, offset: int) -> None:
-    """Copy a vector of shape (multiple of LANES,) into a contiguous array, from a flat index on."""
+def copy(source: Any, target: Any) -> None:
+    """Copy a vector of shape (multiple of LANES,) into another."""
     for row in range(0, source.shape[0], LANES):
-        _copy_lanes(source, target, offset, row)  # type: ignore[call-arg]  # numba supplies the context
+        _copy_lanes(source, target, row)  # type: ignore[call-arg]  # numba supplies the context
 
 
 @intrinsic

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rig.course import Array
-from rig.errors import SceneError
-from rig.file_name import stem
+from rig.file_name import write_study
 from rig.motion_map import KINDS, MotionMap
 from rig.open_loop import level_of
 
@@ -66,16 +65,7 @@ def write(map_: MotionMap, folder: Path) -> list[Path]:
     SceneError
         If a file cannot be written.
     """
-    files = [folder / f"{stem('map', map_.scene.name)}.{ending}" for ending in ("png", "svg", "csv")]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        _write_csv(map_, files[2])
-        figure = _draw(map_)
-        for file in files[:2]:
-            figure.savefig(file, dpi=160)
-    except OSError as error:
-        raise SceneError(f"{folder}: cannot be written ({error.strerror})") from None
-    return files
+    return write_study("map", map_.scene.name, folder, _draw(map_), lambda path: _write_csv(map_, path))
 
 
 def _write_csv(map_: MotionMap, path: Path) -> None:

@@ -46,17 +46,6 @@ BEYOND = np.where(np.add.outer(np.arange(LENGTH), np.arange(LENGTH)) > DEGREE, n
 
 
 @inlined
-def _lowest_of(coefficients: Array, degree: int) -> float:
-    """Smallest of the first degree + 1 coefficients (two chains, because comparing has latency)."""
-    even = coefficients[0]
-    odd = coefficients[degree]
-    for i in range(1, degree, 2):
-        even = min(even, coefficients[i])
-        odd = min(odd, coefficients[i + 1])
-    return min(even, odd)
-
-
-@inlined
 def _value_slope_bend(series: Array, start: int, tau: float) -> tuple[float, float, float]:
     """Value, slope and half the second derivative of series[start:] at tau.
 
@@ -111,7 +100,7 @@ def _polish(series: Array, start: int, left: float, right: float, tau: float) ->
 
 @inlined
 def _only_crossing(coefficients: Array, degree: int) -> float:
-    """Guess at the only root, where the coefficients change sign once: their polygon's; else `NONE`."""
+    """Guess at the only root, where the coefficients change sign once: their polygon's, on [0, 1]; else `NONE`."""
     positive = ~negatives(coefficients) & ((1 << (degree + 1)) - 1)
     if positive & (positive + 1) != 0:
         return NONE
@@ -124,19 +113,6 @@ def _only_crossing(coefficients: Array, degree: int) -> float:
 
 
 @compiled
-def _changes(coefficients: Array, degree: int) -> int:
-    """Sign changes in a coefficient sequence, zeros ignored."""
-    changes = 0
-    last = coefficients[0]
-    for i in range(1, degree + 1):
-        if coefficients[i] != 0.0:
-            if (coefficients[i] < 0.0) != (last < 0.0) and last != 0.0:
-                changes += 1
-            last = coefficients[i]
-    return changes
-
-
-@compiled
 def _split(work: Array, level: int, degree: int) -> None:
     """De Casteljau at the middle: the right half stays in work[level], the left half goes to work[level + 1]."""
     right = work[level]
@@ -146,6 +122,8 @@ def _split(work: Array, level: int, degree: int) -> None:
         for k in range(degree - i + 1):
             right[k] = 0.5 * (right[k] + right[k + 1])
         left[i] = right[0]
+    for i in range(degree + 1, LENGTH):
+        left[i] = np.inf
     # The triangle leaves right[k] = b_k^(degree - k), which is the k-th coefficient of the right half.
 
 
@@ -182,14 +160,9 @@ def first_crossing(
     if series[start] < 0.0:
         return 0.0, 0
     degree = DEGREE - start
-    whole = work[0]
-    combine(bernstein, BEYOND, start, series, LENGTH, whole)
-    if lowest(whole) > allowance:
+    combine(bernstein, BEYOND, start, series, LENGTH, work[0])
+    if lowest(work[0]) > allowance:
         return NONE, 0
-    if whole[0] > allowance and whole[degree] < -allowance:
-        guess = _only_crossing(whole, degree)
-        if guess != NONE:
-            return _polish(series, start, 0.0, 1.0, guess), 0
     ambiguous = 0
     touched = -1.0
     spans[0, 0] = 0.0
@@ -199,7 +172,7 @@ def first_crossing(
         coefficients = work[level]
         left = spans[level, 0]
         right = spans[level, 1]
-        deepest = _lowest_of(coefficients, degree)
+        deepest = lowest(coefficients)
         # A dip of the deflated guard counts when it is one of the guard itself, tau^start times larger.
         rounding = allowance / right**start
         if deepest >= -rounding:
@@ -210,11 +183,11 @@ def first_crossing(
                 touched = right
             level -= 1
             continue
-        falls = coefficients[degree] < -rounding
-        if falls and coefficients[0] > allowance and _changes(coefficients, degree) == 1:
-            before, after = coefficients[0], coefficients[degree]
-            guess = left + (right - left) * before / (before - after)
-            return _polish(series, start, left, right, guess), ambiguous
+        if coefficients[degree] < -rounding and coefficients[0] > allowance:
+            part = _only_crossing(coefficients, degree)
+            if part != NONE:
+                guess = left + (right - left) * part
+                return _polish(series, start, left, right, guess), ambiguous
         if level >= DEEPEST or right - left < 1e-15 * max(right, 1e-3):
             return left, ambiguous
         middle = 0.5 * (left + right)

@@ -1,22 +1,26 @@
 """Writing an MCAP file chunk by chunk: whoever writes decides what goes into a chunk.
 
 The records are those of the package mcap. Its own writer takes messages one by one, which took longer than
-all else about the thousand small ones that a second of display holds; here the messages of a chunk are
-encoded, indexed and counted together. https://mcap.dev/spec describes the records.
+all else about the thousand small ones that a second of display holds; here those of one size are encoded and
+indexed together. https://mcap.dev/spec describes the records.
 """
 
 from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterable, Mapping
-from typing import Protocol
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache
+from typing import Any, Protocol
 
+import numpy as np
 from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
+from numpy.typing import NDArray
 
-from daq.layout import Message
+from daq.layout import Message, Messages
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -24,6 +28,9 @@ _RECORD = struct.Struct("<BQ")
 # Opcode, length, channel, sequence, log time, publish time.
 _MESSAGE = struct.Struct("<BQHIQQ")
 _MESSAGE_FIELDS = _MESSAGE.size - _RECORD.size
+# Log time, place in the chunk.
+_ENTRY = struct.Struct("<QQ")
+_ENTRIES = np.dtype([("log_time", "<u8"), ("place", "<u8")])
 _INDEX = struct.Struct("<BQHI")
 _INDEX_FIELDS = _INDEX.size - _RECORD.size
 _FOOTER = struct.Struct("<BQQQ")
@@ -54,6 +61,7 @@ class ChunkedFile:
 
     def __init__(self, stream: Stream, library: str, compression: str) -> None:
         self._stream, self._compression = stream, compression
+        self._packed = _packer(compression)
         self._schemas: list[records.Schema] = []
         self._channels: list[records.Channel] = []
         # Schemas and channels that the next chunk announces.
@@ -95,21 +103,35 @@ class ChunkedFile:
         channel.write(self._announced)
         return channel.id
 
-    def add_chunk(self, messages: Iterable[Message]) -> bool:
+    def add_chunk(self, messages: Iterable[Message | Messages]) -> bool:
         """Write messages as a chunk, in their order; say whether there were any."""
         announced = self._announced.end()
         parts, place = [announced], len(announced)
-        entries: dict[int, list[int]] = {}
-        earliest, latest = 2**64, 0
-        for channel, log_time, publish_time, data, sequence in messages:
+        entries: defaultdict[int, list[bytes]] = defaultdict(list)
+        times: list[int] = []
+        for each in messages:
+            if isinstance(each, Messages):
+                encoded = _encoded(each)
+                log_times, channels = encoded["log_time"], encoded["channel"]
+                times += int(log_times.min()), int(log_times.max())
+                index = np.empty(encoded.size, _ENTRIES)
+                index["log_time"] = log_times
+                index["place"] = np.arange(place, place + encoded.nbytes, encoded.itemsize)
+                for channel in dict.fromkeys(np.ravel(each.channel).tolist()):
+                    entries[channel].append(index[channels == channel].tobytes())
+                parts.append(encoded.tobytes())
+                place += encoded.nbytes
+                continue
+            channel, log_time, publish_time, data, sequence = each
             size = _MESSAGE_FIELDS + len(data)
             parts += _MESSAGE.pack(Opcode.MESSAGE, size, channel, sequence, log_time, publish_time), data
-            entries.setdefault(channel, []).extend((log_time, place))
+            entries[channel].append(_ENTRY.pack(log_time, place))
+            times.append(log_time)
             place += _RECORD.size + size
-            earliest, latest = min(earliest, log_time), max(latest, log_time)
-        if not entries:
+        if not times:
             self._announced.write(announced)
             return False
+        earliest, latest = min(times), max(times)
         content = b"".join(parts)
         packed = self._packed(content)
         begin = self._stream.tell()
@@ -124,13 +146,13 @@ class ChunkedFile:
             )
         )
         places, indexes, end = {}, [], begin + length
-        for channel, pairs in entries.items():
+        for channel, pieces in entries.items():
             places[channel] = end
-            listed = 8 * len(pairs)
-            head = _INDEX.pack(Opcode.MESSAGE_INDEX, _INDEX_FIELDS + listed, channel, listed)
-            indexes.append(head + struct.pack(f"<{len(pairs)}Q", *pairs))
-            end += len(indexes[-1])
-            self._counts[channel] = self._counts.get(channel, 0) + len(pairs) // 2
+            listed = sum(map(len, pieces))
+            indexes.append(_INDEX.pack(Opcode.MESSAGE_INDEX, _INDEX_FIELDS + listed, channel, listed))
+            indexes += pieces
+            end += _INDEX.size + listed
+            self._counts[channel] = self._counts.get(channel, 0) + listed // _ENTRY.size
         self._stream.write(b"".join(indexes))
         before = self._times
         self._times = (
@@ -150,15 +172,6 @@ class ChunkedFile:
             )
         )
         return True
-
-    def _packed(self, content: bytes) -> bytes:
-        if self._compression == "lz4":
-            import lz4.frame  # type: ignore[import-untyped]
-
-            return bytes(lz4.frame.compress(content))
-        import zstandard
-
-        return bytes(zstandard.compress(content))
 
     def add_attachment(
         self, create_time: int, log_time: int, name: str, media_type: str, data: bytes
@@ -229,3 +242,34 @@ class ChunkedFile:
         footer = _FOOTER.pack(Opcode.FOOTER, 8 + 8 + 4, begin, offsets_begin)
         checksum = zlib.crc32(footer, zlib.crc32(summary))
         self._stream.write(b"".join((summary, footer, struct.pack("<I", checksum), MAGIC)))
+
+
+def _packer(compression: str) -> Callable[[bytes], bytes]:
+    """Give what packs the chunks of a file: making a compressor takes as long as packing a small chunk."""
+    if compression == "lz4":
+        import lz4.frame  # type: ignore[import-untyped]
+
+        pack: Callable[[bytes], bytes] = lz4.frame.compress
+        return pack
+    from zstandard import ZstdCompressor
+
+    return ZstdCompressor().compress
+
+
+@cache
+def _record_of(size: int) -> np.dtype[Any]:
+    """Describe the record of a message of so many bytes, as `_MESSAGE` and the content."""
+    fields = {"opcode": "u1", "length": "<u8", "channel": "<u2", "sequence": "<u4"}
+    times = {"log_time": "<u8", "publish_time": "<u8"}
+    return np.dtype([*(fields | times).items(), ("data", "u1", (size,))])
+
+
+def _encoded(messages: Messages) -> NDArray[Any]:
+    """Encode messages of one size as records."""
+    size = messages.data.shape[-1]
+    encoded = np.empty(messages.data.shape[:-1], _record_of(size))
+    encoded["opcode"], encoded["length"] = Opcode.MESSAGE, _MESSAGE_FIELDS + size
+    encoded["channel"], encoded["sequence"] = messages.channel, messages.sequence
+    encoded["log_time"] = encoded["publish_time"] = messages.time
+    encoded["data"] = messages.data
+    return encoded.ravel()

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.layout import DISPLAY, ROBOT, TRANSFORMS, Clock, Message, Schema
+from daq.layout import DISPLAY, ROBOT, TRANSFORMS, Clock, Message, Messages, Schema
 
 if TYPE_CHECKING:
     from daq.channel import ChannelInfo
@@ -42,17 +42,20 @@ FLOAT_SCHEMA = Schema(
 TEXT_SCHEMA = Schema("std_msgs/msg/String", "ros2msg", b"string data\n", "cdr")
 
 _LITTLE_ENDIAN = b"\x00\x01\x00\x00"
-# Encapsulation, no dimensions, no offset, one element, padding to eight bytes, the element.
-_FLOAT = struct.Struct("<4sIII4xd")
+# What stands before the one element: no dimensions, no offset, one element, padding to eight bytes.
+_BEFORE = np.frombuffer(struct.pack("<4sIII4x", _LITTLE_ENDIAN, 0, 0, 1), np.uint8)
 
 
-def encode_float(value: float) -> bytes:
-    """Encode a std_msgs/msg/Float64MultiArray of one element.
+def encode_floats(values: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Encode each number as a std_msgs/msg/Float64MultiArray of one element, along a further, last axis.
 
-    >>> len(encode_float(1.0))
-    28
+    >>> encode_floats(np.ones((2, 3))).shape
+    (2, 3, 28)
     """
-    return _FLOAT.pack(_LITTLE_ENDIAN, 0, 0, 1, value)
+    messages = np.empty((*values.shape, _BEFORE.size + 8), np.uint8)
+    messages[..., : _BEFORE.size] = _BEFORE
+    messages[..., _BEFORE.size :] = np.ascontiguousarray(values, "<f8")[..., None].view(np.uint8)
+    return messages
 
 
 def encode_text(text: str) -> bytes:
@@ -197,27 +200,29 @@ class Display:
 
         self._clock, self._truth = clock, truth
         self._decimator = Decimator(display_step(clock.rate))
-        self._topics = []
+        topics = []
         for info in channels:
             fields = {"unit": info.unit, "sensor": info.name, "direction": "up"}
             names = (f"{DISPLAY}{info.name}{suffix}" for suffix in ("", "/rms", "/peak"))
-            self._topics.append([register(name, FLOAT_SCHEMA, fields) for name in names])
+            topics.append([register(name, FLOAT_SCHEMA, fields) for name in names])
+        self._waveforms, self._levels = np.split(np.array(topics), [1], axis=1)
         self._robot = RobotDescription(scene, with_dampers=truth is not None)
         factor = {"exaggeration": f"{self._robot.exaggeration:g}"}
         self._description = register(ROBOT, TEXT_SCHEMA, factor)
         self._transforms = register(TRANSFORMS, TRANSFORMS_SCHEMA, factor)
         self._sources = [_Source(point, channels, clock.rate, truth) for point in self._robot.points]
-        self._sent: dict[int, int] = {}
+        # Messages so far on each topic of a kind.
+        self._sent = {"waveform": 0, "level": 0, "transform": 0}
 
-    def _message(self, channel: int, at: int, data: bytes) -> Message:
-        """Make the next message of a channel, at a time in ns."""
-        sequence = self._sent.get(channel, 0)
-        self._sent[channel] = sequence + 1
-        return Message(channel, at, at, data, sequence)
+    def _sequence(self, kind: str, count: int) -> NDArray[np.int64]:
+        """Give the numbers of the next messages on each topic of a kind."""
+        self._sent[kind] += count
+        return np.arange(self._sent[kind] - count, self._sent[kind])
 
     def introduction(self) -> Message:
         """Give the message that describes the rig, once, before anything moves."""
-        return self._message(self._description, self._clock.time_ns(0), encode_text(self._robot.urdf()))
+        at = self._clock.time_ns(0)
+        return Message(self._description, at, at, encode_text(self._robot.urdf()), 0)
 
     def description(self) -> dict[str, str]:
         """Say how the signals were made, for the metadata."""
@@ -236,41 +241,47 @@ class Display:
             **sources,
         }
 
-    def level(self, first: int, samples: NDArray[np.float64]) -> Iterator[Message]:
-        """Give rms and peak of a block of samples, (channels, samples), at its end."""
-        at = self._clock.time_ns(first + samples.shape[1])
-        rms = np.sqrt(np.mean(samples * samples, axis=1)).tolist()
-        peak = np.abs(samples).max(axis=1).tolist()
-        for (_, rms_topic, peak_topic), rms_value, peak_value in zip(self._topics, rms, peak, strict=True):
-            yield self._message(rms_topic, at, encode_float(rms_value))
-            yield self._message(peak_topic, at, encode_float(peak_value))
+    def levels(self, blocks: Iterable[tuple[int, NDArray[np.float64]]]) -> Messages:
+        """Give rms and peak of blocks of samples at their ends.
 
-    def waveform(self, first: int, samples: NDArray[np.float64]) -> Iterator[Message]:
+        Parameters
+        ----------
+        blocks : iterable of (int, ndarray)
+            At least one: the number of its first sample, and its samples, (channels, samples).
+        """
+        ends, found = [], []
+        for first, samples in blocks:
+            count = samples.shape[1]
+            rms = np.sqrt(np.add.reduce(samples * samples, axis=1) / count)
+            found.append((rms, np.maximum.reduce(np.abs(samples), axis=1)))
+            ends.append(first + count)
+        data = encode_floats(np.array(found).transpose(0, 2, 1))
+        times, sequence = self._clock.times_ns(ends), self._sequence("level", len(ends))
+        return Messages(self._levels, times[:, None, None], data, sequence[:, None, None])
+
+    def waveforms(self, first: int, samples: NDArray[np.float64]) -> Iterator[Messages]:
         """Give waveforms and transforms as far as further samples, (channels, samples), make them known."""
         if self._decimator.stop not in (None, first):
             yield from self.finish()
-        yield from self._drawn(*self._decimator.run(first, samples))
+        yield from self._draw(*self._decimator.run(first, samples))
 
-    def finish(self) -> Iterator[Message]:
+    def finish(self) -> Iterator[Messages]:
         """Give waveforms and transforms up to the last sample."""
         if self._decimator.stop is not None:
-            yield from self._drawn(*self._decimator.finish())
+            yield from self._draw(*self._decimator.finish())
 
-    def _drawn(self, places: NDArray[np.int64], values: NDArray[np.float64]) -> Iterator[Message]:
-        at = [self._clock.time_ns(place) for place in places.tolist()]
-        for topics, row in zip(self._topics, values.tolist(), strict=True):
-            for time, value in zip(at, row, strict=True):
-                yield self._message(topics[0], time, encode_float(value))
-        moved = [source.displacement(values) for source in self._sources]
-        step = self._decimator.step
-        for column, (place, time) in enumerate(zip(places.tolist(), at, strict=True)):
-            if place // step % TRANSFORM_STEP:
-                continue
-            truth = None if self._truth is None else self._truth.positions(place)
-            drawn = [
-                source.pick(row, column, truth) for source, row in zip(self._sources, moved, strict=True)
-            ]
-            yield self._message(self._transforms, time, self._robot.transforms(time, drawn))
+    def _draw(self, places: NDArray[np.int64], values: NDArray[np.float64]) -> Iterator[Messages]:
+        if not places.size:
+            return
+        times = self._clock.times_ns(places.tolist())
+        yield Messages(self._waveforms, times, encode_floats(values), self._sequence("waveform", places.size))
+        moves = places // self._decimator.step % TRANSFORM_STEP == 0
+        truth = None if self._truth is None else self._truth.positions(places[moves])
+        moved = np.array([source.displacements(values, moves, truth) for source in self._sources])
+        rest = times[moves]
+        for data in self._robot.transforms(rest, moved):
+            now, rest = rest[: len(data)], rest[len(data) :]
+            yield Messages(self._transforms, now, data, self._sequence("transform", len(data)))
 
 
 class _Source:
@@ -286,7 +297,6 @@ class _Source:
         self._row: int | None = at.get("displacement")
         self._true: int | None = None
         self.said = "not measured, drawn at rest"
-        self._last = 0.0
         if self._row is not None:
             self.said = f"channel {channels[self._row].name}"
             self._estimate = DisplacementEstimate("displacement", rate)
@@ -302,14 +312,22 @@ class _Source:
                     )
                     self._estimate = DisplacementEstimate(quantity, rate / display_step(rate))
 
-    def displacement(self, values: NDArray[np.float64]) -> list[float]:
-        """Give the displacements that belong to further display samples, (channels, samples)."""
-        return [] if self._row is None else list(self._estimate.run(values[self._row]))
+    def displacements(
+        self, values: NDArray[np.float64], moves: NDArray[np.bool_], truth: NDArray[np.float64] | None
+    ) -> NDArray[np.float64]:
+        """Give the displacement at some of further display samples.
 
-    def pick(self, row: list[float], column: int, truth: NDArray[np.float64] | None) -> float:
-        """Give the displacement at one of them; where the truth is missing, the point stays where it was."""
+        Parameters
+        ----------
+        values : ndarray, (channels, samples)
+            All of them.
+        moves : ndarray of bool, (samples,)
+            Which are wanted.
+        truth : ndarray or None, (drawn, wanted)
+            The true positions there.
+        """
         if self._row is not None:
-            return row[column]
+            return self._estimate.run(values[self._row])[moves]
         if self._true is not None and truth is not None:
-            self._last = float(truth[self._true])
-        return self._last
+            return truth[self._true]
+        return np.zeros(np.count_nonzero(moves))

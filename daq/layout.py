@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
@@ -45,6 +45,29 @@ class Message(NamedTuple):
     publish_time: int
     data: bytes
     sequence: int
+
+
+class Messages(NamedTuple):
+    """At least one message, all of one size, on their way into the file together, in the order of `data`.
+
+    They are logged when published. Numbers and times are broadcast to the messages, as numpy does.
+
+    Attributes
+    ----------
+    channel : ndarray or int
+        Numbers of their channels.
+    time : ndarray or int
+        Nanoseconds.
+    data : ndarray of uint8, (..., bytes)
+        Their content.
+    sequence : ndarray or int
+        Their places in their topics.
+    """
+
+    channel: NDArray[np.int64] | int
+    time: NDArray[np.uint64] | int
+    data: NDArray[np.uint8]
+    sequence: NDArray[np.int64] | int
 
 
 BLOCK_S = 0.1
@@ -99,6 +122,14 @@ class Clock:
         numerator, denominator = float(self.rate).as_integer_ratio()
         doubled = 2 * sample * 10**9 * denominator + numerator
         return self.start_ns + doubled // (2 * numerator)
+
+    def times_ns(self, samples: Iterable[int]) -> NDArray[np.uint64]:
+        """Give the times of samples in nanoseconds, as exact as `time_ns`."""
+        numerator, denominator = float(self.rate).as_integer_ratio()
+        step, divisor = 2 * 10**9 * denominator, 2 * numerator
+        return np.array(
+            [self.start_ns + (step * sample + numerator) // divisor for sample in samples], np.uint64
+        )
 
     def samples_at(self, time_ns: NDArray[np.uint64]) -> NDArray[np.int64]:
         """Give the sample numbers nearest to some times.

@@ -17,7 +17,7 @@ from daq.block import SCHEMAS, block_schema, encode
 from daq.disk import Disk
 from daq.grouping import Group, Grouping
 from daq.interrupts import held_back
-from daq.layout import Clock, Message, Schema
+from daq.layout import Clock, Message, Messages, Schema
 from daq.marker import MARKER_SCHEMA, Marker
 from rig.errors import RunError
 
@@ -327,12 +327,15 @@ class Recorder:
             times = self.clock.time_ns(stop), self.clock.time_ns(first)
             yield Message(topic, *times, data, first // self._block % 2**32)
 
-    def _shown(self, raw: Group) -> Iterable[Message]:
+    def _shown(self, raw: Group) -> Iterable[Messages]:
         assert self._display is not None
-        for first, samples in raw.acquired():
-            yield from self._display.waveform(first, samples * self._scale)
-        for first, samples in raw.blocks(self._block):
-            yield from self._display.level(first, samples * self._scale)
+        read = [
+            Group(first, samples * self._scale, [(first, first + samples.shape[1])])
+            for first, samples in raw.acquired()
+        ]
+        for part in read:
+            yield from self._display.waveforms(part.first, part.samples)
+        yield self._display.levels(block for part in read for block in part.blocks(self._block))
 
     def _write_markers(self, stop: int | None) -> None:
         """Write the markers that end before a sample; None: all that are left."""
@@ -345,7 +348,7 @@ class Recorder:
             self._marked += 1
         self._send(messages)
 
-    def _send(self, messages: Iterable[Message]) -> None:
+    def _send(self, messages: Iterable[Message | Messages]) -> None:
         """Write messages as a chunk of their own, so that readers of other topics need not decode them."""
         self._chunks += self._file.add_chunk(messages)
 

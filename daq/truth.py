@@ -68,6 +68,9 @@ class Truth:
         self._events: deque[tuple[float, int, str, float]] = deque()
         self._sent = 0
         self._recent: dict[int, Group] = {}
+        points = len(self.points)
+        self._rows = np.r_[:points, len(MOTION) * points : len(MOTION) * points + dampers]
+        self._last = np.zeros(len(self.drawn))
         real, whole = block_schema(SCHEMAS["float64"][0]), block_schema(SCHEMAS["counts"][0])
         self.chunks: list[list[tuple[int, int, int]]] = []
         for place, point in enumerate(self.points):
@@ -138,11 +141,19 @@ class Truth:
             self._sent += 1
         return due
 
-    def positions(self, sample: int) -> NDArray[np.float64] | None:
-        """Give the position of all that is `drawn`, metres, at a sample of the last two groups taken."""
-        group = self._recent.get(sample // self._length)
-        if group is None or not any(start <= sample < stop for start, stop in group.spans):
-            return None
-        column = group.samples[:, sample - group.first]
-        points = len(self.points)
-        return np.concatenate([column[:points], column[len(MOTION) * points :]])
+    def positions(self, samples: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Give the positions of all that is `drawn`, (drawn, samples), metres, at further samples.
+
+        They are known in the last two groups taken. Elsewhere everything stays where it was.
+        """
+        positions = np.empty((len(self.drawn), 1 + samples.size))
+        positions[:, 0] = self._last
+        known = np.zeros(1 + samples.size, dtype=np.int64)
+        for group in self._recent.values():
+            for start, stop in group.spans:
+                (inside,) = np.nonzero((start <= samples) & (samples < stop))
+                known[1 + inside] = 1 + inside
+                positions[:, 1 + inside] = group.samples[self._rows[:, None], samples[inside] - group.first]
+        positions = positions[:, np.maximum.accumulate(known)]
+        self._last = positions[:, -1]
+        return positions[:, 1:]

@@ -8,8 +8,11 @@ from __future__ import annotations
 
 import math
 import struct
+from itertools import groupby
 from typing import TYPE_CHECKING
 from xml.sax.saxutils import quoteattr
+
+import numpy as np
 
 from daq.layout import Schema, descriptors, varint
 from daq.palette import DRIVE, GROUND, LEAD, Colour, body_colour
@@ -27,7 +30,9 @@ from daq.rig_view import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
 
     from rig.scene import Scene
 
@@ -60,7 +65,7 @@ TRANSFORMS_SCHEMA = Schema(
     ),
     "protobuf",
 )
-_HEIGHT = struct.Struct("<d")
+_HEIGHT = 8
 # Translation: x and y, and what stands before z.
 _ABOVE = b"\x22\x1b" + struct.pack("<BdBdB", 0x09, 0.0, 0x11, 0.0, 0x19)
 _UPRIGHT = b"\x2a\x09\x21" + struct.pack("<d", 1.0)
@@ -157,23 +162,43 @@ class RobotDescription:
         name = quoteattr(f"rig, motion drawn x {self.exaggeration:g}")
         return f'<?xml version="1.0"?><robot name={name}>{"".join(self._links + self._joints)}</robot>'
 
-    def transforms(self, time_ns: int, displacements: Sequence[float]) -> bytes:
-        """Encode a foxglove.FrameTransforms.
+    def transforms(
+        self, times_ns: NDArray[np.uint64], displacements: NDArray[np.float64]
+    ) -> Iterator[NDArray[np.uint8]]:
+        """Encode messages foxglove.FrameTransforms.
 
         Parameters
         ----------
-        time_ns : int
+        times_ns : ndarray of uint64, (messages,)
             Nanoseconds since the epoch of the recording.
-        displacements : sequence of float
+        displacements : ndarray, (points, messages)
             Of each of `points`, metres; for a damper its gap.
+
+        Yields
+        ------
+        ndarray of uint8, (some messages, bytes)
+            The messages in order, in runs of one size.
         """
-        seconds, rest_ns = divmod(time_ns, 10**9)
-        stamp = _field(1, b"\x08" + varint(seconds) + b"\x10" + varint(rest_ns))
-        parts: list[bytes] = []
-        for rest, frames, moved in zip(self._rest, self._frames, displacements, strict=True):
-            size = varint(len(stamp) + len(frames) + _HEIGHT.size + len(_UPRIGHT))
-            parts += b"\x0a", size, stamp, frames, _HEIGHT.pack(rest + self.exaggeration * moved), _UPRIGHT
-        return b"".join(parts)
+        heights = np.array(self._rest)[:, None] + self.exaggeration * displacements
+        done = 0
+        for size, run in groupby(map(_stamp, times_ns.tolist()), len):
+            stamps = np.frombuffer(b"".join(run), np.uint8).reshape(-1, size)
+            yield self._stamped(stamps, heights[:, done : done + len(stamps)])
+            done += len(stamps)
+
+    def _stamped(self, stamps: NDArray[np.uint8], heights: NDArray[np.float64]) -> NDArray[np.uint8]:
+        """Encode messages whose stamps take the same number of bytes: the rest of them has fixed places."""
+        count, size = stamps.shape
+        places, message = [], b""
+        for frames in self._frames:
+            message += b"\x0a" + varint(size + len(frames) + _HEIGHT + len(_UPRIGHT))
+            places.append((len(message), len(message) + size + len(frames)))
+            message += bytes(size) + frames + bytes(_HEIGHT) + _UPRIGHT
+        messages = np.tile(np.frombuffer(message, np.uint8), (count, 1))
+        for (stamp, height), row in zip(places, np.ascontiguousarray(heights, "<f8"), strict=True):
+            messages[:, stamp : stamp + size] = stamps
+            messages[:, height : height + _HEIGHT] = row.view(np.uint8).reshape(count, _HEIGHT)
+        return messages
 
 
 def _cavity(height: float, clearance: float) -> list[Box]:
@@ -192,6 +217,11 @@ def _cavity(height: float, clearance: float) -> list[Box]:
 
 def _numbers(values: Sequence[float]) -> str:
     return " ".join(f"{value:g}" for value in values)
+
+
+def _stamp(time_ns: int) -> bytes:
+    seconds, rest_ns = divmod(time_ns, 10**9)
+    return _field(1, b"\x08" + varint(seconds) + b"\x10" + varint(rest_ns))
 
 
 def _field(number: int, content: bytes) -> bytes:

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from mcap.reader import make_reader
+from mcap.records import Message
 from numpy.typing import NDArray
 
 import rig
@@ -16,6 +18,7 @@ from daq.recorder import Recorder
 RATE = 2560.0
 GROUP = 1280
 BITS = {"converter": {"rate": RATE, "bits": 24, "range": 5.0}}
+ALL = {"display": True, "truth": True}
 DAMPERS = {"dampers": [{"body": 2, "mass_ratio": 0.1, "clearance": 1e-3}]}
 
 
@@ -60,6 +63,13 @@ def write(
             place, turn = place + size, turn + 1
         recorder.mark("measure", 100, 199, frequency=13.5)
     return path
+
+
+def messages(path: Path, topic: str) -> list[Message]:
+    """Messages of a topic in the order of the file, read by the reference implementation with all checks."""
+    with path.open("rb") as stream:
+        found = list(make_reader(stream, validate_crcs=True).iter_messages([topic], log_time_order=False))
+    return [message for _, _, message in found]
 
 
 def motion(first: int, samples: int, dampers: int = 0, points: int = 4, rate: float = RATE) -> rig.Motion:

@@ -2,12 +2,13 @@
 
 from io import BytesIO
 
+import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from daq.chunked_file import ChunkedFile
-from daq.layout import Message
+from daq.layout import Message, Messages
 
 CHUNKS = [
     [Message(1, 5, 3, b"first", 0), Message(2, 4, 4, b"", 7), Message(1, 9, 9, b"x" * 300, 1)],
@@ -55,6 +56,35 @@ def theirs(compression):
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])
 def test_given_the_same_content_when_written_then_the_bytes_are_those_of_the_packages_writer(compression):
     assert ours(compression) == theirs(compression)
+
+
+@pytest.mark.parametrize("channels_first", [True, False])
+def test_given_messages_of_one_size_when_written_together_then_the_bytes_are_those_of_one_by_one(
+    channels_first,
+):
+    times, sequence, channels = np.array([7, 9, 2**63], np.uint64), np.arange(3), np.array([2, 1])
+    data = np.random.default_rng(0).integers(0, 256, (2, 3, 28)).astype(np.uint8)
+    if channels_first:
+        together = Messages(channels[:, None], times, data, sequence)
+        order = [(row, column) for row in range(2) for column in range(3)]
+    else:
+        together = Messages(channels, times[:, None], data.transpose(1, 0, 2), sequence[:, None])
+        order = [(row, column) for column in range(3) for row in range(2)]
+    alone = [
+        Message(
+            int(channels[row]), int(times[column]), int(times[column]), data[row, column].tobytes(), column
+        )
+        for row, column in order
+    ]
+    before, after = Message(1, 2**63 + 5, 1, b"before", 0), Messages(3, 5, data[0, :1], 4)
+    written = []
+    for chunk in ([before, together, after], [before, *alone, Message(3, 5, 5, data[0, 0].tobytes(), 4)]):
+        stream = BytesIO()
+        file = ChunkedFile(stream, "test 1", "zstd")
+        assert file.add_chunk(chunk)
+        file.finish()
+        written.append(stream.getvalue())
+    assert written[0] == written[1]
 
 
 def test_given_no_chunk_at_all_when_finished_then_the_file_can_be_read():

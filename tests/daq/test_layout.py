@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq.block import SAMPLE_TYPE, SCHEMAS, block_schema, decode, encode
-from daq.display import FLOAT_SCHEMA, encode_float, encode_text
+from daq.display import FLOAT_SCHEMA, encode_floats, encode_text
 from daq.layout import Clock, block_length, flush_length, message_class
 from daq.marker import EVENT_SCHEMA, MARKER_SCHEMA, Marker, event_from_json, event_to_json
 from daq.urdf import TRANSFORMS_SCHEMA
@@ -27,6 +27,8 @@ def test_given_any_rate_when_blocks_are_sized_then_they_last_about_a_tenth_of_a_
 def test_given_any_sample_when_its_time_is_taken_then_the_nearest_sample_at_that_time_is_itself(sample, rate):
     clock = Clock(rate, start_ns=1_700_000_000_000_000_000)
     time = clock.time_ns(sample)
+    if time < 2**64:
+        assert clock.times_ns([sample, 0]).tolist() == [time, clock.start_ns]
     assert abs((time - clock.start_ns) * rate - sample * 1e9) <= 0.51 * rate + sample * 1e9 * 1e-15
     if time < 2**64 and sample < 2**42:
         assert clock.samples_at(np.array([time], np.uint64))[0] == sample
@@ -99,7 +101,7 @@ def test_given_a_protobuf_schema_when_read_back_then_it_describes_its_message_an
 
 
 def test_given_a_number_when_encoded_as_cdr_then_it_lies_where_ros_readers_look():
-    data = encode_float(-2.5)
+    data = encode_floats(np.array([[0.0, 1.0], [-2.5, 3.0]]))[1, 0].tobytes()
     assert data[:4] == b"\x00\x01\x00\x00"
     assert struct.unpack_from("<III", data, 4) == (0, 0, 1)
     # Eight-byte numbers are aligned relative to the end of the four-byte header.

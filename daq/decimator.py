@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.history import History
+from rig.fused import WEIGHED, spread
 from rig.jit import unfused
+from rig.lanes import LANES, zeros
 
 Array = NDArray[np.float64]
 
@@ -20,57 +23,59 @@ class Decimator:
     """
 
     def __init__(self, taps: Array) -> None:
-        # Zeros fill the rows up to what a processor works off at a time; singles at the end would take as long.
-        self._taps = np.pad(taps, [(0, 0), (0, 0), (0, -taps.shape[2] % 16)])
-        self._pending = np.zeros(self._taps.shape[2])
+        self._oversampling, moments, length = taps.shape
+        self._weights = _beside(taps)
+        self._moments = History(length * self._oversampling - 1, WEIGHED * self._oversampling, moments)
         self._interval = 0
+        self._samples = zeros(0)
 
-    def filter(self, moments: Array, count: int) -> Array:
-        """Give the samples that fall due.
+    def room(self, count: int) -> Array:
+        """Give the place for the moments of the next intervals, shape (count and TOGETHER or more, MOMENTS)."""
+        return self._moments.room(count)
+
+    def filter(self, count: int) -> Array:
+        """Give the samples that fall due with the intervals whose moments are in `room` now.
 
         Parameters
         ----------
-        moments : ndarray, shape (MOMENTS, intervals or more)
-            Moments of the following intervals. The first interval of all ends at sample 0.
         count : int
-            Number of intervals.
+            Number of intervals. The first interval of all ends at sample 0.
 
         Returns
         -------
         ndarray, shape (samples,)
-            One sample for every interval that ends at one.
+            One sample for every interval that ends at one, until the next call.
         """
-        oversampling = self._taps.shape[0]
-        due = -(-(self._interval + count) // oversampling) - -(-self._interval // oversampling)
-        sums = np.zeros(due + self._pending.size + 1)
-        sums[: self._pending.size] = self._pending
-        _accumulate(moments, count, self._taps, -self._interval % oversampling, sums)
+        oversampling = self._oversampling
+        wait = -self._interval % oversampling
+        due = max(0, -(-(count - wait) // oversampling))
+        if self._samples.size < due + WEIGHED:
+            self._samples = zeros(due + WEIGHED)
+        _weigh(self._weights, self._moments.samples, wait, oversampling, self._samples, due)
         self._interval += count
-        self._pending = sums[due : due + self._pending.size]
-        return sums[:due]
+        return self._samples[:due]
+
+
+def _beside(taps: Array) -> Array:
+    """Lay out the taps for as many samples beside each other as a register holds.
+
+    Returns
+    -------
+    ndarray, shape (intervals x MOMENTS, LANES)
+        Weight of every moment, interval after interval, in each of these samples.
+    """
+    oversampling, moments, _ = taps.shape
+    # Row (p, j) of the taps weighs the interval j samples and p intervals before the sample.
+    before = taps.transpose(2, 0, 1).reshape(-1, moments)
+    weights = zeros(len(before) + (LANES - 1) * oversampling, moments, LANES)
+    for lane in range(LANES):
+        weights[lane * oversampling :, :, lane][: len(before)] = before[::-1]
+    return weights.reshape(-1, LANES)
 
 
 @unfused
-def _accumulate(moments: Array, count: int, taps: Array, phase: int, sums: Array) -> None:
-    """Add what each interval contributes to this and the following samples.
-
-    `phase` is the number of intervals from the end of the first one to the sample it falls to; `sums` holds
-    the samples from that one on. Each contribution is a sum in one fixed order, however the intervals are
-    split.
-    """
-    sample = 0
-    for i in range(count):
-        m0, m1, m2, m3 = moments[0, i], moments[1, i], moments[2, i], moments[3, i]
-        m4, m5, m6, m7 = moments[4, i], moments[5, i], moments[6, i], moments[7, i]
-        for j in range(taps.shape[2]):
-            sums[sample + j] += (
-                (m0 * taps[phase, 0, j] + m1 * taps[phase, 1, j])
-                + (m2 * taps[phase, 2, j] + m3 * taps[phase, 3, j])
-            ) + (
-                (m4 * taps[phase, 4, j] + m5 * taps[phase, 5, j])
-                + (m6 * taps[phase, 6, j] + m7 * taps[phase, 7, j])
-            )
-        if phase == 0:
-            sample += 1
-            phase = taps.shape[0]
-        phase -= 1
+def _weigh(weights: Array, moments: Array, first: int, oversampling: int, samples: Array, count: int) -> None:
+    """Weigh what belongs to each sample, beginning with the intervals from `first` on."""
+    width = moments.shape[1]
+    registers = -(-count // LANES)
+    spread(weights, moments, first * width, 1, LANES * oversampling * width, samples, 0, registers)

@@ -10,7 +10,6 @@ exponentials carry them over a whole interval (one matrix) or over any part of i
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 from math import comb, factorial
 from typing import NamedTuple
 
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from daq.circuit import Circuit
+from rig.lanes import LANES, padded, zeros
 
 Array = NDArray[np.float64]
 
@@ -43,26 +43,28 @@ class Tables(NamedTuple):
 
     Attributes
     ----------
-    states, width : int
-        Number of states, and of states and integrals.
+    states, integrals, width : int
+        Number of states, of moments of the output, and of all that is carried besides the input.
     sections : ndarray of int64, shape (sections + 1,)
         First state of each section, and the number of states.
     watched : int
         Number of sections up to the watched output; -1: none is watched.
-    weights : ndarray, shape (width, states + 4 + disturbances)
-        The same the other way round, without what a section's own states and later ones add, and for the
-        watched output without disturbances; zeros fill up the rows to a multiple of 8.
+    weights : ndarray, shape (states and the watched output if any, 4 + disturbances + states)
+        What the input's start, end, mean and moment, then 1 V of each disturbance, then the states of the sections
+        before its own add to each state over an interval; and what all of them, without disturbances, make of
+        the watched output.
+    spread : ndarray, shape (4 + disturbances + states, LANES)
+        What they add to the moments, and zeros.
     step : ndarray, shape (states + 4 + disturbances, width)
         What each state, then the input's start, end, mean and moment, then 1 V of each disturbance become or
         add over an interval.
     impulse : ndarray, shape (width,)
         What a unit impulse adds to the vector at once.
     coarse, fine : ndarray, shape (65, size, size)
-        Exponentials of the generator over k/64 and k/4096 of the interval.
-    entry_start : ndarray of int64, shape (size + 1,)
-        For each row of the generator, the first of its entries that are not zero; then their number.
-    entry_column, entry_value : ndarray, shape (entries,)
-        Column and value of each of them, row after row.
+        Exponentials of the generator over k/64 and k/4096 of the interval. Here and in `generator` zeros fill up
+        the size to whole registers.
+    generator : ndarray, shape (1, size, size)
+        Rate of change of the vector.
     terms : int
         Terms of the Taylor series that make it exact over 1/4096.
     moments : ndarray, shape (integrals, integrals)
@@ -70,17 +72,17 @@ class Tables(NamedTuple):
     """
 
     states: int
+    integrals: int
     width: int
     sections: NDArray[np.int64]
     watched: int
     weights: Array
+    spread: Array
     step: Array
     impulse: Array
     coarse: Array
     fine: Array
-    entry_start: NDArray[np.int64]
-    entry_column: NDArray[np.int64]
-    entry_value: Array
+    generator: Array
     terms: int
     moments: Array
 
@@ -151,41 +153,53 @@ def discretise(
     while remainder > 1e-18:
         terms += 1
         remainder *= norm / (terms - 3)
-    rows, columns = np.nonzero(generator)
+    spread = zeros(4 + constants + states, LANES)
+    spread[:, :integrals] = _input_first(step[states : states + integrals], states).T
     return Tables(
         states=states,
+        integrals=integrals,
         width=width,
         sections=np.array(circuit.sections),
         watched=-1 if watched is None else len(watched.sections) - 1,
-        weights=_weights(step, circuit.sections, watched is not None),
+        weights=_weights(step, states, watched is not None),
+        spread=spread,
         step=np.ascontiguousarray(step.T),
         impulse=generator[:width, width].copy(),
-        coarse=_powers(expm(generator / PARTS)),
-        fine=_powers(expm(generator / PARTS**2)),
-        entry_start=np.searchsorted(rows, np.arange(size + 1)),
-        entry_column=columns,
-        entry_value=generator[rows, columns],
+        coarse=_laid_out(_powers(expm(generator / PARTS))),
+        fine=_laid_out(_powers(expm(generator / PARTS**2))),
+        generator=_laid_out(generator[None]),
         terms=terms,
         moments=np.ascontiguousarray(to_moments[states:, states:].T),
     )
 
 
-def _weights(step: Array, sections: Sequence[int], watched: bool) -> Array:
-    """Leave out of the rows of a step what is not known when they are summed up."""
-    weights = np.pad(step, [(0, 0), (0, -step.shape[1] % 8)])
-    for begin, end in pairwise(sections):
-        weights[begin:end, begin : sections[-1]] = 0.0
+def _input_first(rows: Array, states: int) -> Array:
+    """Put the columns of the states behind those of input and disturbances."""
+    return np.roll(rows, -states, axis=1)
+
+
+def _weights(step: Array, states: int, watched: bool) -> Array:
+    """Rows of a step for the states and the watched output."""
+    rows = _input_first(np.concatenate([step[:states], step[-1:]]) if watched else step[:states], states)
     if watched:
-        weights[-1, sections[-1] + 4 :] = 0.0
-    return weights
+        rows[-1, 4 : rows.shape[1] - states] = 0.0
+    return np.ascontiguousarray(rows)
 
 
 def _powers(matrix: Array) -> Array:
-    """Powers 0 to 64 of a matrix, transposed; each a product of few factors, so that rounding does not pile up."""
+    """Powers 0 to 64 of a matrix; each a product of few factors, so that rounding does not pile up."""
     powers = [np.eye(len(matrix)), matrix]
     for k in range(2, PARTS + 1):
         powers.append(powers[k // 2] @ powers[k - k // 2])
-    return np.ascontiguousarray(np.array(powers).transpose(0, 2, 1))
+    return np.array(powers)
+
+
+def _laid_out(matrices: Array) -> Array:
+    """Transpose matrices of shape (count, size, size) and fill them up to whole registers."""
+    count, size, _ = matrices.shape
+    room = zeros(count, padded(size), padded(size))
+    room[:, :size, :size] = matrices.transpose(0, 2, 1)
+    return room
 
 
 def _moments(count: int) -> Array:

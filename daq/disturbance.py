@@ -8,6 +8,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.history import History
+from rig.fused import fused
 from rig.jit import unfused
 
 Array = NDArray[np.float64]
@@ -16,16 +18,16 @@ Array = NDArray[np.float64]
 class Source(Protocol):
     """Anything that gives a voltage for every sample, in order."""
 
-    def sample(self, count: int) -> Array:
-        """Give the next samples, V."""
+    def fill(self, samples: Array) -> None:
+        """Fill in the next samples, V, shape (samples,)."""
 
 
 class Zero:
     """No voltage, in a place that is filled in later."""
 
-    def sample(self, count: int) -> Array:
-        """Give the next samples, V."""
-        return np.zeros(count)
+    def fill(self, samples: Array) -> None:
+        """Fill in the next samples, V."""
+        samples[:] = 0.0
 
 
 class Offset:
@@ -40,9 +42,9 @@ class Offset:
     def __init__(self, level: float) -> None:
         self._level = level
 
-    def sample(self, count: int) -> Array:
-        """Give the next samples, V."""
-        return np.full(count, self._level)
+    def fill(self, samples: Array) -> None:
+        """Fill in the next samples, V."""
+        samples[:] = self._level
 
 
 class SettlingOffset:
@@ -60,8 +62,11 @@ class SettlingOffset:
     Examples
     --------
     >>> bias = SettlingOffset(10.0, 2.0, 1.0)
-    >>> bias.sample(5).round(3).tolist(), bias.sample(1).round(3).tolist()
-    ([0.0, 3.935, 6.321, 7.769, 8.647], [9.179])
+    >>> samples = np.empty(6)
+    >>> bias.fill(samples[:5])
+    >>> bias.fill(samples[5:])
+    >>> samples.round(3).tolist()
+    [0.0, 3.935, 6.321, 7.769, 8.647, 9.179]
     """
 
     def __init__(self, level: float, time: float, rate: float) -> None:
@@ -69,11 +74,9 @@ class SettlingOffset:
         # What is missing to the final level.
         self._missing = np.array([level])
 
-    def sample(self, count: int) -> Array:
-        """Give the next samples, V."""
-        samples = np.empty(count)
+    def fill(self, samples: Array) -> None:
+        """Fill in the next samples, V."""
         _settle(samples, self._level, self._loss, self._missing)
-        return samples
 
 
 @unfused
@@ -82,7 +85,7 @@ def _settle(samples: Array, level: float, loss: float, missing: Array) -> None:
     left = missing[0]
     for i in range(samples.size):
         samples[i] = level - left
-        left -= loss * left
+        left = fused(-loss, left, left)
     missing[0] = left
 
 
@@ -107,7 +110,7 @@ class Disturbances:
         self._sources, self._direct, self._oversampling = tuple(sources), direct, oversampling
         self._interval, self._drawn = 0, 0
         self._last = np.zeros((len(sources), 1))
-        self._waiting = np.zeros(wait)
+        self._passed = History(wait)
         self.ends = slice(0, 0, oversampling)
 
     def hold(self, intervals: int) -> Array:
@@ -120,7 +123,7 @@ class Disturbances:
         count = -(-(stop - 1) // self._oversampling) + 1 - self._drawn
         held = np.empty((len(self._sources), count))
         for row, source in zip(held, self._sources, strict=True):
-            row[:] = source.sample(count)
+            source.fill(row)
         if self._oversampling > 1:
             # The sample at which each interval ends, or which it leads up to; one that began in the last block
             # goes on with what was drawn for it there.
@@ -141,13 +144,18 @@ class Disturbances:
         Returns
         -------
         ndarray, shape (samples,)
-            V.
+            V, until the next call.
         """
-        queue = np.zeros(self._waiting.size + held.shape[1])
-        queue[: self._waiting.size] = self._waiting
-        total = queue[self._waiting.size :]
-        for share, row in zip(self._direct, held, strict=True):
-            if share:
-                total += share * row
-        self._waiting = queue[total.size :].copy()
-        return queue[: total.size]
+        count = held.shape[1]
+        _sum_up(self._direct, held, self._passed.room(count))
+        return self._passed.samples[:count]
+
+
+@unfused
+def _sum_up(shares: Array, rows: Array, out: Array) -> None:
+    """Sum up rows, each times its share."""
+    out[:] = 0.0
+    for e in range(shares.size):
+        if shares[e] != 0.0:
+            for k in range(out.size):
+                out[k] = fused(shares[e], rows[e, k], out[k])

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, nnls
 
+from rig.fused import follow
 from rig.jit import unfused
+from rig.lanes import padded, zeros
 
 Array = NDArray[np.float64]
 
@@ -45,7 +47,9 @@ class Noise:
     Examples
     --------
     >>> source = Noise(1e-6, None, 5120.0, generator(1, "body1", "noise"))
-    >>> f"{source.sample(100_000).std():.3g}"  # 1 uV/sqrt(Hz) over 2560 Hz
+    >>> samples = np.empty(100_000)
+    >>> source.fill(samples)
+    >>> f"{samples.std():.3g}"  # 1 uV/sqrt(Hz) over 2560 Hz
     '5.06e-05'
     """
 
@@ -54,16 +58,18 @@ class Noise:
     ) -> None:
         self._deviation = density * np.sqrt(0.5 * rate)
         self._random = random
-        self._shape = None if corner is None else shape(corner, rate)
-        self._memory = np.zeros(0 if self._shape is None else self._shape[0].size)
+        self._coloured = corner is not None
+        if corner is not None:
+            loss, weight, self._gain = shape(corner, rate)
+            self._keep, self._weight, self._states = (zeros(padded(loss.size)) for _ in range(3))
+            self._keep[: loss.size], self._weight[: loss.size] = 1.0 - loss, weight
 
-    def sample(self, count: int) -> Array:
-        """Give the next samples, V."""
-        white = self._random.standard_normal(count)
-        white *= self._deviation
-        if self._shape is not None:
-            _colour(white, *self._shape, self._memory)
-        return white
+    def fill(self, samples: Array) -> None:
+        """Fill in the next samples, V, shape (samples,)."""
+        self._random.standard_normal(out=samples)
+        samples *= self._deviation
+        if self._coloured:
+            _colour(samples, self._keep, self._weight, self._gain, self._states)
 
 
 def shape(corner: float, rate: float) -> tuple[Array, Array, float]:
@@ -128,12 +134,8 @@ def _loss(y: Array) -> Array:
 
 
 @unfused
-def _colour(samples: Array, loss: Array, weight: Array, gain: float, memory: Array) -> None:
+def _colour(samples: Array, keep: Array, weight: Array, gain: float, states: Array) -> None:
     """Pass samples through first-order states in parallel, in place."""
     for i in range(samples.size):
         white = samples[i]
-        total = white
-        for k in range(loss.size):
-            total += weight[k] * memory[k]
-            memory[k] += white - loss[k] * memory[k]
-        samples[i] = gain * total
+        samples[i] = gain * (white + follow(states, keep, weight, white))

@@ -67,7 +67,7 @@ class MotionPieces:
 
     def __init__(self, row: int, rate: float) -> None:
         self._row = row
-        self._step = 1.0 / rate
+        self._rate = rate
         # Acceleration, velocity and displacement at the last sample.
         self._last = np.zeros(3)
 
@@ -80,7 +80,7 @@ class MotionPieces:
         acceleration, velocity, displacement = (
             rows[self._row] for rows in (motion.acceleration, motion.velocity, motion.displacement)
         )
-        samples, h = acceleration.size, self._step
+        samples, h = acceleration.size, 1.0 / self._rate
         start, mean, moment = np.empty(samples), np.empty(samples), np.empty(samples)
         if samples == 0:
             return Pieces(start, start, mean, moment, *no_parts(0))
@@ -94,18 +94,11 @@ class MotionPieces:
             jump[0] = velocity[0] / h
             count = 1
         if breaks:
-            at_break = np.stack(
-                [
-                    motion.break_acceleration[:, self._row],
-                    motion.break_velocity[:, self._row],
-                    np.stack([motion.break_displacement[self._row]] * 2),
-                ]
-            )
-            interval = motion.break_sample - motion.first
             count = _cut(
-                interval,
+                motion.break_sample - motion.first,
                 motion.break_offset,
-                at_break,
+                (motion.break_acceleration, motion.break_velocity, motion.break_displacement),
+                self._row,
                 (acceleration, velocity, displacement),
                 self._last,
                 h,
@@ -116,7 +109,7 @@ class MotionPieces:
                 jump,
                 (np.empty(3), np.empty(3)),
             )
-        _smooth(acceleration, velocity, displacement, self._last, h, start, mean, moment)
+        _smooth(acceleration, velocity, displacement, self._last, self._rate, start, mean, moment)
         return Pieces(
             start, acceleration, mean, moment, broken[:count], length[:count], part[:count], jump[:count]
         )
@@ -163,7 +156,7 @@ def _smooth(
     velocity: Array,
     displacement: Array,
     last: Array,
-    h: float,
+    rate: float,
     start: Array,
     mean: Array,
     moment: Array,
@@ -171,15 +164,15 @@ def _smooth(
     """Describe every interval as if it were one piece; `last` holds the last sample, before and after."""
     end = acceleration.size
     start[0] = last[0]
-    mean[0] = (velocity[0] - last[1]) / h
-    moment[0] = ((displacement[0] - last[2]) / h - last[1]) / h
+    mean[0] = (velocity[0] - last[1]) * rate
+    moment[0] = ((displacement[0] - last[2]) * rate - last[1]) * rate
     # One number at a time: several samples are then worked off at once.
     for i in range(1, end):
         start[i] = acceleration[i - 1]
     for i in range(1, end):
-        mean[i] = (velocity[i] - velocity[i - 1]) / h
+        mean[i] = (velocity[i] - velocity[i - 1]) * rate
     for i in range(1, end):
-        moment[i] = ((displacement[i] - displacement[i - 1]) / h - velocity[i - 1]) / h
+        moment[i] = ((displacement[i] - displacement[i - 1]) * rate - velocity[i - 1]) * rate
     last[0], last[1], last[2] = acceleration[end - 1], velocity[end - 1], displacement[end - 1]
 
 
@@ -187,7 +180,8 @@ def _smooth(
 def _cut(
     interval: NDArray[np.int64],
     offset: Array,
-    at_break: Array,
+    at_break: tuple[Array, Array, Array],
+    row: int,
     rows: tuple[Array, Array, Array],
     last: Array,
     h: float,
@@ -200,10 +194,11 @@ def _cut(
 ) -> int:
     """Fill in the parts of broken intervals; give their number.
 
-    `at_break` is (3, 2, breaks): acceleration, velocity and displacement, before and after. `rows` are the
-    same at the samples, `last` at the one before the block.
+    `at_break` are acceleration and velocity, before and after, and displacement of all points at the breaks;
+    `rows` are those of the point in this row at the samples, `last` at the one before the block.
     """
     left, right = ends
+    acceleration, velocity, displacement = at_break
     done = 0.0
     for b in range(interval.size):
         k = interval[b]
@@ -213,13 +208,13 @@ def _cut(
             else:
                 _pick(rows, k - 1, left)
             done = 0.0
-        put(at_break[:, 0, b], right)
+        right[0], right[1], right[2] = acceleration[0, row, b], velocity[0, row, b], displacement[row, b]
         reached = min(max(offset[b] / h, done), 1.0)
         _part(left, right, reached - done, h, part[count])
         broken[count], length[count] = k, reached - done
-        jump[count] = (at_break[1, 1, b] - at_break[1, 0, b]) / h
+        jump[count] = (velocity[1, row, b] - velocity[0, row, b]) / h
         count += 1
-        put(at_break[:, 1, b], left)
+        left[0], left[1], left[2] = acceleration[1, row, b], velocity[1, row, b], displacement[row, b]
         done = reached
         if b + 1 == interval.size or interval[b + 1] != k:
             _pick(rows, k, right)

@@ -9,13 +9,17 @@ from numpy.typing import NDArray
 
 from daq.discretisation import CUBIC, PARTS, Tables
 from daq.pieces import Pieces
+from rig.fused import WEIGHED, fused, spread, weigh
 from rig.jit import unfused
+from rig.lanes import LANES, copy, multiply, zeros
 
 Array = NDArray[np.float64]
 
 # Intervals worked off together: enough to keep a processor's pipelines busy, few enough for its nearest
 # memory.
-STRETCH = 128
+STRETCH = 2 * WEIGHED
+# Below this, V, what is left of an overload is gone: a number that fades for ever becomes slow to work with.
+GONE = 1e-30
 
 
 class Scratch(NamedTuple):
@@ -23,27 +27,29 @@ class Scratch(NamedTuple):
 
     Attributes
     ----------
-    vector, work, term : ndarray, shape (size,)
-        Vectors carried through parts of an interval.
-    course : ndarray, shape (states + 4 + disturbances, intervals of a stretch and more)
-        States, input and disturbances through a stretch; zeros fill up the rows to a multiple of 8.
+    vector, term, work, nothing : ndarray, shape (size,)
+        Vectors carried through parts of an interval; and zeros.
+    course : ndarray, shape (4 + disturbances + states, intervals of a stretch and more)
+        Input, disturbances and states through a stretch.
     sums : ndarray, shape (2, intervals of a stretch)
         What is added to the states of a section.
     """
 
     vector: Array
-    work: Array
     term: Array
+    work: Array
+    nothing: Array
     course: Array
     sums: Array
 
 
 def scratch_for(tables: Tables) -> Scratch:
     """Make room to work in for a circuit."""
-    size = tables.width + 4
-    # Rows a little longer than needed: at even distances they would compete for the same places in a cache.
-    course = np.zeros((tables.weights.shape[1], STRETCH + 8))
-    return Scratch(np.zeros(size), np.zeros(size), np.zeros(size), course, np.zeros((2, STRETCH)))
+    size = tables.generator.shape[1]
+    # Rows a little longer than needed: the state at the end, and at even distances they would compete for the
+    # same places in a cache.
+    course = zeros(tables.spread.shape[0], STRETCH + LANES)
+    return Scratch(zeros(size), zeros(size), zeros(size), zeros(size), course, zeros(2, STRETCH))
 
 
 @unfused
@@ -89,12 +95,13 @@ def propagate(
         Outputs at the samples, from state and input.
     points : ndarray, shape (outputs, intervals)
         These outputs; filled in.
-    averages : ndarray, shape (integrals, intervals or more)
-        Moments of the output over each interval; filled in.
+    averages : ndarray, shape (intervals + TOGETHER, LANES), or (0, LANES) where there are no integrals
+        Moments of the output over each interval; filled in, the last rows with anything.
     scratch : Scratch
         Of the circuit.
     """
-    vector, work, term, course, sums = scratch
+    vector, term, work, nothing, course, sums = scratch
+    behind = 4 + held.shape[0]
     part = 0
     first = 0
     while first < pieces.start.size:
@@ -102,40 +109,36 @@ def propagate(
         if part < pieces.broken.size:
             stop = min(stop, pieces.broken[part])
         if stop > first:
-            _lay_out(pieces, held, first, stop, tables.states, course)
-            _through_stretch(tables, state, rails, overload, shift, course, sums, averages, first, stop)
+            _lay_out(pieces, held, first, stop, course)
+            _through_stretch(tables, state, rails, overload, shift, course, sums, stop - first)
             if overload.size:
-                for k in range(stop - first):
-                    held[0, first + k] = course[tables.states + 4, k]
+                _copy(course[4][: stop - first], held[0][first:])
+            if tables.integrals:
+                spread(tables.spread, course, 0, course.shape[1], 1, averages, first, stop - first)
         else:
             stop = first + 1
-            part = _in_parts(pieces, part, tables, state, vector, work, term)
+            part = _in_parts(pieces, part, tables, state, vector, term, work, nothing)
             _disturb(tables, state, held[:, first], rails, overload, shift, vector)
             for j in range(tables.states):
-                course[j, 1] = state[j]
-            for k in range(averages.shape[0]):
-                averages[k, first] = vector[tables.states + k]
-        end = pieces.end[first:stop]
+                course[behind + j, 1] = state[j]
+            for k in range(tables.integrals):
+                averages[first, k] = vector[tables.states + k]
         for r in range(rows.shape[0]):
-            out = points[r][first:stop]
-            for k in range(out.size):
-                out[k] = rows_input[r] * end[k]
-            for j in range(tables.states):
-                weight, after = rows[r, j], course[j][1:]
-                for k in range(out.size):
-                    out[k] += weight * after[k]
+            weigh(course, behind, 1, rows[r], tables.states, sums[0], stop - first)
+            for k in range(first, stop):
+                points[r, k] = fused(rows_input[r], pieces.end[k], sums[0, k - first])
         first = stop
 
 
 @unfused
-def _lay_out(pieces: Pieces, held: Array, first: int, stop: int, states: int, course: Array) -> None:
-    """Put input and disturbances of a stretch below the states."""
-    _copy(pieces.start[first:stop], course[states])
-    _copy(pieces.end[first:stop], course[states + 1])
-    _copy(pieces.mean[first:stop], course[states + 2])
-    _copy(pieces.moment[first:stop], course[states + 3])
+def _lay_out(pieces: Pieces, held: Array, first: int, stop: int, course: Array) -> None:
+    """Put input and disturbances of a stretch above the states."""
+    _copy(pieces.start[first:stop], course[0])
+    _copy(pieces.end[first:stop], course[1])
+    _copy(pieces.mean[first:stop], course[2])
+    _copy(pieces.moment[first:stop], course[3])
     for e in range(held.shape[0]):
-        _copy(held[e, first:stop], course[states + 4 + e])
+        _copy(held[e, first:stop], course[4 + e])
 
 
 @unfused
@@ -154,78 +157,81 @@ def _through_stretch(
     shift: Array,
     course: Array,
     sums: Array,
-    averages: Array,
-    first: int,
-    stop: int,
+    count: int,
 ) -> None:
     """Carry the circuit through intervals without breaks; `course` gets the states from start to end."""
-    count, states = stop - first, tables.states
-    out, second = sums[0][:count], sums[1][:count]
+    behind = course.shape[0] - tables.states
     if tables.watched == 0:
-        _limit(tables, overload, shift, course, out)
+        _limit(tables, overload, shift, course, sums, behind, count)
     for section in range(tables.sections.size - 1):
         begin, end = tables.sections[section], tables.sections[section + 1]
-        _gather(tables.weights[begin], course, out)
-        path = course[begin]
+        known = behind + begin
+        weigh(course, 0, 0, tables.weights[begin], known, sums[0], count)
         if end == begin + 1:
-            own, limit, x = tables.step[begin, begin], rails[begin], state[begin]
-            if limit == np.inf:
-                for k in range(count):
-                    path[k] = x
-                    x = own * x + out[k]
-            else:
-                for k in range(count):
-                    path[k] = x
-                    x = own * x + out[k]
-                    if x > limit:
-                        x = limit
-                    elif x < -limit:
-                        x = -limit
-            path[count] = x
-            state[begin] = x
-        else:
-            _gather(tables.weights[begin + 1], course, second)
-            aa, ab = tables.step[begin, begin], tables.step[begin + 1, begin]
-            ba, bb = tables.step[begin, begin + 1], tables.step[begin + 1, begin + 1]
-            x, y = state[begin], state[begin + 1]
-            other = course[begin + 1]
-            for k in range(count):
-                path[k], other[k] = x, y
-                x, y = (aa * x + ab * y) + out[k], (ba * x + bb * y) + second[k]
-            path[count], other[count] = x, y
-            state[begin], state[begin + 1] = x, y
-        if section + 1 == tables.watched:
-            _limit(tables, overload, shift, course, out)
-    for m in range(averages.shape[0]):
-        _gather(tables.weights[states + m], course, averages[m][first:stop])
-
-
-@unfused
-def _gather(weights: Array, course: Array, out: Array) -> None:
-    """Sum up the rows of `course`, each times its weight; eight at a time keep a processor busy."""
-    out[:] = 0.0
-    for j in range(0, weights.size, 8):
-        w0, w1, w2, w3 = weights[j], weights[j + 1], weights[j + 2], weights[j + 3]
-        w4, w5, w6, w7 = weights[j + 4], weights[j + 5], weights[j + 6], weights[j + 7]
-        c0, c1, c2, c3 = course[j], course[j + 1], course[j + 2], course[j + 3]
-        c4, c5, c6, c7 = course[j + 4], course[j + 5], course[j + 6], course[j + 7]
-        for k in range(out.size):
-            out[k] += ((w0 * c0[k] + w1 * c1[k]) + (w2 * c2[k] + w3 * c3[k])) + (
-                (w4 * c4[k] + w5 * c5[k]) + (w6 * c6[k] + w7 * c7[k])
+            state[begin] = _first_order(
+                tables.step[begin, begin], rails[begin], state[begin], sums[0][:count], course[known]
             )
+        else:
+            weigh(course, 0, 0, tables.weights[begin + 1], known, sums[1], count)
+            _second_order(
+                tables.step, begin, state, sums[0][:count], sums[1], course[known], course[known + 1]
+            )
+        if section + 1 == tables.watched:
+            _limit(tables, overload, shift, course, sums, behind + end, count)
 
 
 @unfused
-def _limit(tables: Tables, overload: Array, shift: Array, course: Array, out: Array) -> None:
-    """Find what the watched output lacks in each interval."""
-    _gather(tables.weights[tables.width - 1], course, out)
-    lack = course[tables.states + 4]
-    if shift[0] == 0.0 and not _beyond(out, overload[0]):
-        # As a rule nothing is lacking; this is what the sums below come to then.
-        for k in range(out.size):
-            lack[k] = -0.0
+def _first_order(own: float, limit: float, first: float, added: Array, path: Array) -> float:
+    """Carry the state of a section of first order, which cannot exceed a limit; give the last one."""
+    x = first
+    for k in range(added.size):
+        path[k] = x
+        x = fused(own, x, added[k])
+    path[added.size] = x
+    if limit == np.inf or not _beyond(path[1 : added.size + 1], limit):
+        return x
+    x = first
+    for k in range(added.size):
+        path[k] = x
+        x = min(max(fused(own, x, added[k]), -limit), limit)
+    path[added.size] = x
+    return x
+
+
+@unfused
+def _second_order(
+    step: Array, begin: int, state: Array, added: Array, also: Array, path: Array, other: Array
+) -> None:
+    """Carry both states of a section of second order."""
+    aa, ab = step[begin, begin], step[begin + 1, begin]
+    ba, bb = step[begin, begin + 1], step[begin + 1, begin + 1]
+    x, y = state[begin], state[begin + 1]
+    for k in range(added.size):
+        path[k], other[k] = x, y
+        x, y = fused(aa, x, fused(ab, y, added[k])), fused(bb, y, fused(ba, x, also[k]))
+    path[added.size], other[added.size] = x, y
+    state[begin], state[begin + 1] = x, y
+
+
+@unfused
+def _limit(
+    tables: Tables, overload: Array, shift: Array, course: Array, sums: Array, known: int, count: int
+) -> None:
+    """Find what the watched output lacks in each interval, from the rows of `course` known by then."""
+    out, free, lack = sums[0], sums[1], course[4]
+    weigh(course, 0, 0, tables.weights[tables.states], known, out, count)
+    left = shift[0]
+    for k in range(count):
+        lack[k] = -left
+        if left != 0.0:
+            left = _relaxed(left, overload)
+    for k in range(count):
+        free[k] = out[k] + lack[k]
+    if not _beyond(free[:count], overload[0]):
+        # As a rule nothing more is lacking than the shift.
+        shift[0] = left
         return
-    for k in range(out.size):
+    for k in range(count):
         lack[k] = _lack(out[k], overload, shift)
 
 
@@ -239,12 +245,18 @@ def _beyond(values: Array, limit: float) -> bool:
 
 
 @unfused
+def _relaxed(shift: float, overload: Array) -> float:
+    """Give what is left of a shift after an interval; less than any voltage that counts is nothing."""
+    return overload[1] * shift if abs(shift) > GONE else 0.0
+
+
+@unfused
 def _lack(output: float, overload: Array, shift: Array) -> float:
     """Find what an output lacks, and let its shift go on by an interval."""
     free = output - shift[0]
     excess = free - min(max(free, -overload[0]), overload[0])
     lack = -shift[0] - excess
-    shift[0] = overload[1] * shift[0] + overload[2] * excess
+    shift[0] = fused(overload[2], excess, _relaxed(shift[0], overload))
     return lack
 
 
@@ -271,7 +283,14 @@ def _disturb(
 
 @unfused
 def _in_parts(
-    pieces: Pieces, part: int, tables: Tables, state: Array, vector: Array, work: Array, term: Array
+    pieces: Pieces,
+    part: int,
+    tables: Tables,
+    state: Array,
+    vector: Array,
+    term: Array,
+    work: Array,
+    nothing: Array,
 ) -> int:
     """Carry the circuit through an interval with breaks; give the first part of the next.
 
@@ -292,7 +311,7 @@ def _in_parts(
                     total += CUBIC[k, j] * pieces.part[part, j]
                 vector[width + k] = total * scale
                 scale /= share
-            _advance(tables, share, vector, work, term)
+            _advance(tables, share, vector, term, work, nothing)
         for r in range(width):
             vector[r] += tables.impulse[r] * pieces.jump[part]
         part += 1
@@ -306,39 +325,20 @@ def _in_parts(
 
 
 @unfused
-def _advance(tables: Tables, share: float, vector: Array, work: Array, term: Array) -> None:
+def _advance(tables: Tables, share: float, vector: Array, term: Array, work: Array, nothing: Array) -> None:
     """Multiply a vector by the exponential of the generator times `share` of an interval."""
     coarse = min(int(share * PARTS), PARTS)
     rest = share - coarse / PARTS
     fine = min(int(rest * PARTS * PARTS), PARTS - 1)
     rest -= fine / (PARTS * PARTS)
-    if coarse > 0:
-        _multiply(tables.coarse, coarse, vector, work)
-    if fine > 0:
-        _multiply(tables.fine, fine, vector, work)
+    multiply(tables.coarse, coarse, vector, nothing, term)
+    multiply(tables.fine, fine, term, nothing, vector)
     if rest > 0.0:
-        for r in range(vector.size):
-            term[r] = vector[r]
-        for k in range(tables.terms):
-            for r in range(vector.size):
-                total = 0.0
-                for e in range(tables.entry_start[r], tables.entry_start[r + 1]):
-                    total += tables.entry_value[e] * term[tables.entry_column[e]]
-                work[r] = total
-            factor = rest / (k + 1)
-            for r in range(vector.size):
-                term[r] = work[r] * factor
-                vector[r] += term[r]
-
-
-@unfused
-def _multiply(matrices: Array, index: int, vector: Array, work: Array) -> None:
-    """Multiply a vector by one of several matrices, given by their columns."""
-    work[:] = 0.0
-    for j in range(vector.size):
-        value = vector[j]
-        if value != 0.0:
-            for r in range(vector.size):
-                work[r] += matrices[index, j, r] * value
-    for r in range(vector.size):
-        vector[r] = work[r]
+        # The series from its end.
+        copy(vector, term)
+        for k in range(tables.terms, 0, -1):
+            for r in range(term.size):
+                term[r] *= rest / k
+            multiply(tables.generator, 0, term, vector, work)
+            copy(work, term)
+        copy(term, vector)

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 from daq.circuit import Circuit
 from daq.decimation import MOMENTS, Decimation
 from daq.decimator import Decimator
+from daq.history import History
+from rig.fused import TOGETHER
+from rig.lanes import LANES, zeros
 
 Array = NDArray[np.float64]
 
@@ -29,20 +32,24 @@ class Reading(Protocol):
     rows: Array
     rows_input: Array
 
-    def read(self, points: Array, averages: Array) -> Array:
-        """Give the samples.
+    def room(self, intervals: int) -> Array:
+        """Give the place for moments, shape (at least intervals + TOGETHER, LANES).
+
+        The first `integrals` lanes of the first rows are needed.
+        """
+
+    def read(self, points: Array) -> Array:
+        """Give the samples, the moments being in the `room` that was given last.
 
         Parameters
         ----------
         points : ndarray, shape (outputs, intervals)
             What `rows` gave.
-        averages : ndarray, shape (integrals, intervals or more)
-            Moments.
 
         Returns
         -------
         ndarray, shape (samples,)
-            V.
+            V, until the next call.
         """
 
 
@@ -60,7 +67,11 @@ class PointReading:
     def __init__(self, circuit: Circuit) -> None:
         self.rows, self.rows_input = circuit.c[None], np.zeros(1)
 
-    def read(self, points: Array, averages: Array) -> Array:
+    def room(self, intervals: int) -> Array:
+        """Give no place: no moments are needed."""
+        return np.zeros((0, LANES))
+
+    def read(self, points: Array) -> Array:
         """Give the samples; see `Reading.read`."""
         return points[0].copy()
 
@@ -78,10 +89,17 @@ class AverageReading:
 
     def __init__(self, circuit: Circuit) -> None:
         self.rows, self.rows_input = np.zeros((0, circuit.c.size)), np.zeros(0)
+        self._averages = zeros(0, LANES)
 
-    def read(self, points: Array, averages: Array) -> Array:
+    def room(self, intervals: int) -> Array:
+        """Give the place for the averages; see `Reading.room`."""
+        if len(self._averages) < intervals + TOGETHER:
+            self._averages = zeros(intervals + TOGETHER, LANES)
+        return self._averages
+
+    def read(self, points: Array) -> Array:
         """Give the samples; see `Reading.read`."""
-        return averages[0, : points.shape[1]].copy()
+        return self._averages[: points.shape[1], 0].copy()
 
 
 class FilteredReading:
@@ -103,9 +121,13 @@ class FilteredReading:
         self.rows, self.rows_input = np.zeros((0, circuit.c.size)), np.zeros(0)
         self._filter = Decimator(low_pass.taps(oversampling))
 
-    def read(self, points: Array, averages: Array) -> Array:
+    def room(self, intervals: int) -> Array:
+        """Give the place for the moments; see `Reading.room`."""
+        return self._filter.room(intervals)
+
+    def read(self, points: Array) -> Array:
         """Give the samples; see `Reading.read`."""
-        return self._filter.filter(averages, points.shape[1])
+        return self._filter.filter(points.shape[1])
 
 
 class Jitter:
@@ -129,8 +151,7 @@ class Jitter:
     def __init__(self, circuit: Circuit, gain: float, deviation: float, wait: int) -> None:
         self.row, self.row_input = circuit.c, float(circuit.d[0] * gain)
         self._deviation = deviation
-        self._last = 0.0
-        self._waiting = np.zeros(wait)
+        self._voltage = History(wait + 1)
 
     def error(self, voltage: Array, late: Array) -> Array:
         """Give what it adds to the samples.
@@ -142,13 +163,10 @@ class Jitter:
         late : ndarray, shape (samples,)
             Lateness, in standard deviations.
         """
-        if voltage.size == 0:
-            return voltage
-        held = self._waiting.size
-        slope = np.empty(held + voltage.size)
-        slope[:held] = self._waiting
-        slope[held] = voltage[0] - self._last
-        np.subtract(voltage[1:], voltage[:-1], out=slope[held + 1 :])
-        self._last = float(voltage[-1])
-        self._waiting = slope[voltage.size :].copy()
-        return self._deviation * late * slope[: voltage.size]
+        count = voltage.size
+        self._voltage.room(count)[:] = voltage
+        due = self._voltage.samples
+        error = np.subtract(due[1 : count + 1], due[:count])
+        error *= late
+        error *= self._deviation
+        return error

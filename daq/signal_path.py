@@ -106,20 +106,19 @@ class SignalPath:
         intervals = pieces.start.size
         held = self._disturbances.hold(intervals)
         points = np.empty((self._rows_input.size, intervals))
-        # Rows a little longer than needed: at even distances they would compete for the same places in a
-        # cache.
-        averages = np.empty((self._reading.integrals, intervals + 8))
         propagate(
             pieces, self._tables, self._state, held, self._rails, self._overload, self._shift,
-            self._rows, self._rows_input, points, averages, self._scratch,
+            self._rows, self._rows_input, points, self._reading.room(intervals), self._scratch,
         )  # fmt: skip
-        volts = self._reading.read(points, averages)
+        volts = self._reading.read(points)
         ends = self._disturbances.ends
         volts += self._disturbances.reach_output(held[:, ends])
         if self._jitter is not None and late is not None:
             volts += self._jitter.error(points[-1, ends], late)
         if self._noise is not None:
-            volts += self._noise.sample(volts.size)
+            noise = np.empty(volts.size)
+            self._noise.fill(noise)
+            volts += noise
         return volts
 
 

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from daq.pieces import Pieces, no_parts, put
 from rig.errors import SceneError
+from rig.fused import fused
 from rig.jit import unfused
 
 Array = NDArray[np.float64]
@@ -148,18 +149,17 @@ def _shift(
     """
     for r in range(4):
         _join(pieces, joined[r], last, smooth[r])
-    count = 0
-    at = 0
+    count, at, i = 0, 0, 0
     head = 1.0 - share
-    for i in range(pieces.start.size):
-        whole[0], whole[1], whole[2], whole[3] = (
-            pieces.start[i], pieces.end[i], pieces.mean[i], pieces.moment[i],
-        )  # fmt: skip
+    while i < pieces.start.size:
+        if tail == 0:
+            # Whole intervals after whole ones are joined already.
+            broken_next = pieces.broken[at] if at < pieces.broken.size else pieces.start.size
+            if broken_next > i:
+                i = broken_next
+                _take(pieces, i - 1, last)
+                continue
         whole_now = at == pieces.broken.size or pieces.broken[at] != i
-        if whole_now and tail == 0:
-            # Both intervals are whole, and joined already.
-            put(whole, last)
-            continue
         # The end of the interval before.
         if tail == 0:
             broken[count], length[count], jump[count] = i, share, 0.0
@@ -171,11 +171,12 @@ def _shift(
             count += 1
         tail = 0
         # The beginning of this one; if it is broken, its end in parts for the next.
-        put(whole, last)
+        _take(pieces, i, last)
         if whole_now:
             broken[count], length[count], jump[count] = i, head, 0.0
-            _between(whole, 0.0, head, part[count])
+            _between(last, 0.0, head, part[count])
             count += 1
+            i += 1
             continue
         done = 0.0
         while at < pieces.broken.size and pieces.broken[at] == i:
@@ -206,20 +207,38 @@ def _shift(
             broken[count], length[count], jump[count] = i, 0.0, 0.0
             part[count][:] = 0.0
             count += 1
+        i += 1
     return count, tail
+
+
+@unfused
+def _take(pieces: Pieces, interval: int, out: Array) -> None:
+    """Take the four numbers of an interval."""
+    out[0], out[1] = pieces.start[interval], pieces.end[interval]
+    out[2], out[3] = pieces.mean[interval], pieces.moment[interval]
 
 
 @unfused
 def _join(pieces: Pieces, weights: Array, last: Array, out: Array) -> None:
     """Join every interval with the one before as if both were whole; one number of the result."""
-    a, b, c, d = weights[0], weights[1], weights[2], weights[3]
-    e, f, g, h = weights[4], weights[5], weights[6], weights[7]
     start, end, mean, moment = pieces.start, pieces.end, pieces.mean, pieces.moment
+    out[0] = _joined_up(
+        weights, last[0], last[1], last[2], last[3], start[0], end[0], mean[0], moment[0],
+    )  # fmt: skip
     for i in range(1, out.size):
-        before = (a * start[i - 1] + b * end[i - 1]) + (c * mean[i - 1] + d * moment[i - 1])
-        out[i] = before + ((e * start[i] + f * end[i]) + (g * mean[i] + h * moment[i]))
-    before = (a * last[0] + b * last[1]) + (c * last[2] + d * last[3])
-    out[0] = before + ((e * start[0] + f * end[0]) + (g * mean[0] + h * moment[0]))
+        out[i] = _joined_up(
+            weights, start[i - 1], end[i - 1], mean[i - 1], moment[i - 1], start[i], end[i], mean[i], moment[i],
+        )  # fmt: skip
+
+
+@unfused
+def _joined_up(
+    weights: Array,
+    a: float, b: float, c: float, d: float, e: float, f: float, g: float, h: float,
+) -> float:  # fmt: skip
+    """Weigh the four numbers of two intervals."""
+    before = fused(weights[0], a, fused(weights[1], b, fused(weights[2], c, weights[3] * d)))
+    return fused(weights[4], e, fused(weights[5], f, fused(weights[6], g, fused(weights[7], h, before))))
 
 
 @unfused

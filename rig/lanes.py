@@ -16,7 +16,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from rig.jit import inlined
+from rig.jit import compiled, inlined
 
 #: Rows are padded to a multiple of this.
 LANES = 8
@@ -41,23 +41,33 @@ def zeros(*shape: int) -> np.ndarray:
     return room[start : start + count].reshape(shape)
 
 
-_WIDE = ir.VectorType(ir.DoubleType(), LANES)
+#: A register.
+WIDE = ir.VectorType(ir.DoubleType(), LANES)
 
 
 def _place(context: Any, builder: Any, kind: Any, array: Any, index: Any) -> Any:
     """Pointer to eight lanes of an array, from a flat index on."""
     data = context.make_array(kind)(context, builder, array).data
-    return builder.bitcast(builder.gep(data, [index]), _WIDE.as_pointer())
+    return builder.bitcast(builder.gep(data, [index]), WIDE.as_pointer())
 
 
-def _load(context: Any, builder: Any, kind: Any, array: Any, index: Any) -> Any:
+def load(context: Any, builder: Any, kind: Any, array: Any, index: Any) -> Any:
+    """Load eight lanes of an array, from a flat index on."""
     register = builder.load(_place(context, builder, kind, array, index))
     register.align = 8
     return register
 
 
-def _store(context: Any, builder: Any, kind: Any, array: Any, index: Any, register: Any) -> None:
+def store(context: Any, builder: Any, kind: Any, array: Any, index: Any, register: Any) -> None:
+    """Store eight lanes in an array, from a flat index on."""
     builder.store(register, _place(context, builder, kind, array, index)).align = 8
+
+
+def broadcast(builder: Any, value: Any) -> Any:
+    """Fill a register with one number."""
+    undefined, lane = ir.Constant(WIDE, ir.Undefined), ir.VectorType(ir.IntType(32), LANES)
+    one = builder.insert_element(undefined, value, ir.Constant(ir.IntType(32), 0))
+    return builder.shuffle_vector(one, undefined, ir.Constant(lane, [0] * LANES))
 
 
 def _lane_sums(registers: int) -> Any:
@@ -81,27 +91,24 @@ def _lane_sums(registers: int) -> Any:
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             matrix, start, constant, offset, vector, columns, stride, out, row = arguments
             kinds, number = signature.args, columns.type
-            undefined, zero = ir.Constant(_WIDE, ir.Undefined), ir.Constant(_WIDE, [0.0] * LANES)
-            everywhere = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
+            zero = ir.Constant(WIDE, [0.0] * LANES)
             data = context.make_array(kinds[4])(context, builder, vector).data
 
             def at(index: Any, register: int) -> Any:
                 return builder.add(index, ir.Constant(number, register * LANES))
 
             def add_column(column: Any, count: int) -> None:
-                factor = builder.load(builder.gep(data, [column]))
-                one = builder.insert_element(undefined, factor, ir.Constant(ir.IntType(32), 0))
-                factors = builder.shuffle_vector(one, undefined, everywhere)
+                factors = broadcast(builder, builder.load(builder.gep(data, [column])))
                 place = builder.add(start, builder.mul(column, stride))
                 for register in range(registers):
                     total = totals[register][count]
-                    rows = _load(context, builder, kinds[0], matrix, at(place, register))
+                    rows = load(context, builder, kinds[0], matrix, at(place, register))
                     product = builder.fmul(rows, factors, flags=("contract",))
                     builder.store(builder.fadd(builder.load(total), product, flags=("contract",)), total)
 
             totals = []
             for register in range(registers):
-                first = _load(context, builder, kinds[2], constant, at(offset, register))
+                first = load(context, builder, kinds[2], constant, at(offset, register))
                 values = (first, *[zero] * (beside - 1))
                 totals.append([cgutils.alloca_once_value(builder, value) for value in values])
             step, one = ir.Constant(number, beside), ir.Constant(number, 1)
@@ -116,7 +123,7 @@ def _lane_sums(registers: int) -> Any:
                 sums = [builder.load(total) for total in totals[register]]
                 while len(sums) > 1:
                     sums = [builder.fadd(*pair) for pair in zip(sums[::2], sums[1::2], strict=True)]
-                _store(context, builder, kinds[7], out, at(row, register), sums[0])
+                store(context, builder, kinds[7], out, at(row, register), sums[0])
             return context.get_dummy_value()
 
         return signature, generate
@@ -124,7 +131,7 @@ def _lane_sums(registers: int) -> Any:
     return lane_sums
 
 
-_one, _four = _lane_sums(1), _lane_sums(4)
+_one, _two, _four = _lane_sums(1), _lane_sums(2), _lane_sums(4)
 
 
 @intrinsic
@@ -134,10 +141,10 @@ def _lanes_exceed(typing_context: Any, vector: Any, bound: Any, row: Any) -> Any
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         vector, bound = (
-            _load(context, builder, kind, array, arguments[2])
+            load(context, builder, kind, array, arguments[2])
             for kind, array in zip(signature.args[:2], arguments[:2], strict=True)
         )
-        kind = ir.FunctionType(_WIDE, [_WIDE])
+        kind = ir.FunctionType(WIDE, [WIDE])
         absolute = cgutils.get_or_insert_function(builder.module, kind, f"llvm.fabs.v{LANES}f64")
         exceeds = builder.fcmp_unordered(">", builder.call(absolute, [vector]), bound)
         mask = builder.bitcast(exceeds, ir.IntType(LANES))
@@ -152,9 +159,9 @@ def _lane_minimum(typing_context: Any, vector: Any, row: Any) -> Any:
     signature = types.float64(vector, types.intp)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        kind = ir.FunctionType(ir.DoubleType(), [_WIDE])
+        kind = ir.FunctionType(ir.DoubleType(), [WIDE])
         minimum = cgutils.get_or_insert_function(builder.module, kind, f"llvm.vector.reduce.fmin.v{LANES}f64")
-        register = _load(context, builder, signature.args[0], *arguments)
+        register = load(context, builder, signature.args[0], *arguments)
         return builder.call(minimum, [register], fastmath=("nnan",))
 
     return signature, generate
@@ -166,8 +173,8 @@ def _negative_lanes(typing_context: Any, vector: Any, row: Any) -> Any:
     signature = types.int64(vector, types.intp)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        register = _load(context, builder, signature.args[0], *arguments)
-        below = builder.fcmp_ordered("<", register, ir.Constant(_WIDE, [0.0] * LANES))
+        register = load(context, builder, signature.args[0], *arguments)
+        below = builder.fcmp_ordered("<", register, ir.Constant(WIDE, [0.0] * LANES))
         return builder.zext(builder.bitcast(below, ir.IntType(LANES)), ir.IntType(64))
 
     return signature, generate
@@ -198,8 +205,8 @@ def _copy_lanes(typing_context: Any, source: Any, target: Any, row: Any) -> Any:
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         source, target, row = arguments
-        register = _load(context, builder, signature.args[0], source, row)
-        _store(context, builder, signature.args[1], target, row, register)
+        register = load(context, builder, signature.args[0], source, row)
+        store(context, builder, signature.args[1], target, row, register)
         return context.get_dummy_value()
 
     return signature, generate
@@ -232,7 +239,7 @@ def _transpose_tile(
             )
 
         tile = [
-            _load(context, builder, signature.args[0], source, along(start, i, width)) for i in range(LANES)
+            load(context, builder, signature.args[0], source, along(start, i, width)) for i in range(LANES)
         ]
         # Exchange blocks of one, two and four lanes across the diagonal.
         for size in (1, 2, 4):
@@ -242,7 +249,7 @@ def _transpose_tile(
                 high = [lane + size if not lane & size else LANES + lane for lane in range(LANES)]
                 tile[i], tile[i + size] = choose(one, other, low), choose(one, other, high)
         for i, register in enumerate(tile):
-            _store(context, builder, signature.args[3], target, along(place, i, stride), register)
+            store(context, builder, signature.args[3], target, along(place, i, stride), register)
         return context.get_dummy_value()
 
     return signature, generate
@@ -302,3 +309,24 @@ def _combine_from(
     for row in range(first, rows, LANES):
         place = slot * matrix.shape[1] * rows + row
         _one(matrix, place, constant, slot * rows + row, vector, columns, rows, out, row)
+
+
+@compiled
+def multiply(matrix: Any, slot: int, vector: Any, constant: Any, out: Any) -> None:
+    """Out = matrix[slot]^T vector + constant, the same for all slots.
+
+    Parameters
+    ----------
+    matrix : float64 (slots, columns, rows), C-contiguous, rows a multiple of LANES
+    slot : int
+    vector : float64 (columns,)
+    constant, out : float64 (rows,)
+        Not the same array.
+    """
+    columns, rows = matrix.shape[1], matrix.shape[2]
+    place = slot * columns * rows
+    pairs = rows - rows % (2 * LANES)
+    for row in range(0, pairs, 2 * LANES):
+        _two(matrix, place + row, constant, row, vector, columns, rows, out, row)
+    if pairs < rows:
+        _one(matrix, place + pairs, constant, pairs, vector, columns, rows, out, pairs)

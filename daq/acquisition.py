@@ -51,7 +51,7 @@ class InputPlan:
     samples : int or None
         Samples of a finite acquisition; None for a continuous one.
     buffer : int
-        Samples per channel the buffer holds.
+        Unread samples per channel the buffer holds.
     keep : bool
         Whether the acquisition stops rather than overwrite unread samples.
     start, reference : Source or None
@@ -78,6 +78,11 @@ class Acquisition:
     """The state of an input task from start to stop.
 
     Samples are numbered from 0, the first one after the start trigger; ticks are the bench's own count.
+
+    A reader that is late by more than the buffer has lost what is older than the buffer, and goes on with what
+    the buffer holds. It finds a full buffer then, whose oldest sample the very next one would overwrite: so the
+    ring keeps as much again in reserve, for a reader that has been late only, until it is half a buffer behind.
+    Without that, a reader that pauses between its reads would be late again and again.
 
     Parameters
     ----------
@@ -110,14 +115,17 @@ class Acquisition:
 
     def __init__(self, plan: InputPlan, tick: int, dtype: Any) -> None:
         self.plan = plan
-        self.ring = RingBuffer(len(plan.rows), plan.buffer, dtype)
-        self.overloads = RingBuffer(len(plan.rows), plan.buffer, bool)
+        self.ring = RingBuffer(len(plan.rows), 2 * plan.buffer, dtype)
+        self.overloads = RingBuffer(len(plan.rows), 2 * plan.buffer, bool)
         self.position = 0
         self.first_tick: int | None = None
         self.trigger: int | None = None
         self.done = False
         self.error: DaqError | None = None
         self.overloaded = np.zeros(len(plan.rows), bool)
+        self._late = False
+        # Number of the first sample that has not been told to be lost.
+        self._kept = 0
         self._record = 0
         # Number and tick of the first sample of each record, the latest last.
         self._records: deque[tuple[int, int]] = deque(maxlen=1000)
@@ -147,6 +155,26 @@ class Acquisition:
     def readable(self) -> int:
         """Number after the last sample that may be read; 0 until a reference trigger has been dealt with."""
         return 0 if self.plan.reference is not None and not self.done else self.ring.written
+
+    @property
+    def oldest(self) -> int:
+        """Number of the oldest sample that has not been lost."""
+        return max(self._kept, self.ring.written - self.plan.buffer * (2 if self._late else 1))
+
+    def skip_lost(self) -> int:
+        """Move the read position past samples that have been lost, and tell how many it has passed over."""
+        if not self.readable or self.position >= self.oldest:
+            return 0
+        at, self.position = self.position, max(0, self.ring.written - self.plan.buffer)
+        self._late, self._kept = True, self.position
+        return self.position - at
+
+    def take_out(self, count: int) -> NDArray[Any]:
+        """Read samples that are there, shape (channels, count)."""
+        samples = self.ring.read(self.position, count)
+        self.position += count
+        self._late &= self.ring.written - self.position > self.plan.buffer // 2
+        return samples
 
     @property
     def first_readable(self) -> int:
@@ -236,7 +264,7 @@ class Acquisition:
         return max(count, 1)
 
     def _fit(self, count: int) -> int:
-        room = self.ring.size - (self.ring.written - self.position)
+        room = self.plan.buffer - (self.ring.written - self.position)
         if count > room:
             self.stop(
                 DaqError(

@@ -163,7 +163,7 @@ class TaskLog:
             self._logged = acquisition.first_readable
             if acquisition.trigger is not None:
                 self._file.trigger(acquisition.trigger - self._logged)
-        oldest = acquisition.ring.oldest
+        oldest = acquisition.oldest
         if self._logged < oldest:
             self._file.gap(oldest - self._logged)
             self._logged = oldest

@@ -44,11 +44,10 @@ def collect(
 
     def piece() -> int:
         # In pieces of half the buffer, so that a read may be longer than the buffer.
-        return min(wanted - got, max(1, run.ring.size // 2))
+        return min(wanted - got, max(1, run.plan.buffer // 2))
 
     while True:
-        if run.readable and run.position < run.ring.oldest:
-            lost, run.position = run.ring.oldest - run.position, run.ring.oldest
+        if lost := run.skip_lost():
             raise DaqReadError(
                 f"{lost} samples per channel were overwritten before they were read; the next read begins "
                 "with the oldest one left. Read more often or more at a time, or enlarge "
@@ -59,9 +58,8 @@ def collect(
             )
         take = min(run.readable - run.position, wanted - got)
         if take > 0:
-            samples = run.ring.read(run.position, take)[rows]
+            samples = run.take_out(take)[rows]
             out[:, got : got + take] = samples if raw else samples * scale
-            run.position += take
             got += take
             task.run.log_read()
         if got == wanted:

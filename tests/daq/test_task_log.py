@@ -66,6 +66,29 @@ def test_given_an_overrun_when_logging_and_reading_then_the_gap_is_in_the_record
         np.testing.assert_allclose(volts[500:1000], later[0], rtol=1e-12)
 
 
+def test_given_an_overrun_when_the_script_pauses_before_it_reads_on_then_nothing_more_is_lost(
+    chassis, tmp_path
+):
+    path = tmp_path / "paused.mcap"
+    with Task() as task:
+        logging(task, path)
+        task.in_stream.input_buf_size = 500
+        task.start()
+        chassis.advance(900)
+        with pytest.raises(DaqReadError):
+            task.read(100)
+        later = []
+        for _ in range(5):
+            chassis.advance(100)
+            later.append(task.read(100))
+        task.stop()
+    with daq.open(path) as recording:
+        (gap,) = recording.gaps
+        assert (gap.first_sample, gap.last_sample) == (0, 399)
+        volts = recording.read("body1") * recording.channels["body1"].sensitivity
+        np.testing.assert_allclose(volts[400:900], np.concatenate(later, axis=1)[0], rtol=1e-12)
+
+
 def test_given_logging_alone_when_samples_come_then_nothing_is_lost_and_reading_is_refused(chassis, tmp_path):
     path = tmp_path / "alone.mcap"
     with Task() as task:

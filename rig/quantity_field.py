@@ -70,7 +70,8 @@ class Quantity:
             except ValueError:
                 continue
             if self._allows(number):
-                return number
+                # Minus zero becomes zero: the two are equal, but would be written differently.
+                return number + 0.0
             raise refusal(value, self.bounded)
         raise refusal(value, self.plain)
 

@@ -111,6 +111,13 @@ def test_given_any_matrices_when_written_and_loaded_then_they_are_equal_to_the_l
     assert rig.loads(scene.to_yaml()) == scene
 
 
+def test_given_minus_zero_when_written_then_it_is_zero() -> None:
+    channel = {"name": "a", "at": "body 1", "accelerometer": {"bias": -0.0}}
+    scene = Scene(structure={"masses": (1.0,), "springs": (1.0,)}, channels=[channel])
+    assert "bias: 0.0 V" in scene.to_yaml()
+    assert rig.loads(scene.to_yaml()).to_yaml() == scene.to_yaml()
+
+
 def test_given_a_written_scene_when_read_by_a_person_then_units_are_spelled_out() -> None:
     text = rig.load("fig9").to_yaml()
     assert "springs: [24300.0 N/m, 21800.0 N/m, 19800.0 N/m]" in text

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from daq.chain import Chain
 from daq.channel import ChannelInfo
 from daq.converter import Converter, SampleClock
+from daq.oversampling import DriveLine, oversampling
+from daq.preset import filled_in
+from rig.assembly import assemble
 from rig.errors import SceneError
 from rig.plant import Plant
 
@@ -80,9 +83,12 @@ class Bench:
         self.scene = scene
         clock = SampleClock.of(scene.converter)
         self.rate = clock.rate
+        self._intervals = oversampling(assemble(scene), filled_in(scene.converter), clock)
         # A clock with an error runs at its true rate and goes by the stated one.
-        self._plant = Plant(scene, clock.true_rate)
-        self._chain = Chain(scene, clock.true_rate, self._plant.points, self._plant.inputs)
+        rate = clock.true_rate * self._intervals
+        self._plant = Plant(scene, rate)
+        self._chain = Chain(scene, rate, self._plant.points, self._plant.inputs)
+        self._line = DriveLine(len(self._plant.inputs), self._intervals)
         self._converter = Converter(scene.converter, self._chain.channels)
         self.channels: tuple[ChannelInfo, ...] = tuple(self._converter.channels)
         self.latency: int = self._chain.latency
@@ -117,8 +123,11 @@ class Bench:
             )
         if not np.isfinite(drive).all():
             raise SceneError("the drive holds values that are not finite: check the signal that was written")
-        motion = self._plant.advance(drive)
-        block = self._converter.convert(self._chain.measure(motion, drive))
+        line = self._line.through(drive)
+        motion = self._plant.advance(line)
+        block = self._converter.convert(self._chain.measure(motion, line))
+        if self._intervals > 1:
+            motion = motion.every(self._intervals, 1.0 / self._plant.rate)
         return Block(max(motion.first - self.latency, 0), block.samples, block.overload, motion)
 
     def physical(self, samples: NDArray[np.float64] | NDArray[np.int32]) -> NDArray[np.float64]:

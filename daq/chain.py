@@ -84,7 +84,7 @@ class Chain:
         converter = filled_in(scene.converter)
         self._oversampling = _oversampling(rate, clock.true_rate, converter)
         channels = default_channels(scene, points) if scene.channels is None else scene.channels
-        late = delays(converter.skew, len(channels), rate)
+        late = delays(converter.skew, len(channels), clock.true_rate)
         lines = [stages(channel, converter, scene.seed) for channel in channels]
         self._inputs, self._at = tuple(inputs), [channel.at for channel in channels]
         self._cutters = [_cutter(channel, rate, points) for channel in channels]

@@ -20,12 +20,15 @@ class Decimator:
     ----------
     taps : ndarray, shape (oversampling, MOMENTS, length)
         From `Decimation.taps`.
+    late : int
+        Intervals by which what is weighed lies further back.
     """
 
-    def __init__(self, taps: Array) -> None:
+    def __init__(self, taps: Array, late: int) -> None:
         self._oversampling, moments, length = taps.shape
-        self._weights = _beside(taps)
-        self._moments = History(length * self._oversampling - 1, WEIGHED * self._oversampling, moments)
+        self._weights = _beside(taps, late)
+        kept = length * self._oversampling + late - 1
+        self._moments = History(kept, WEIGHED * self._oversampling, moments)
         self._interval = 0
         self._samples = zeros(0)
 
@@ -56,7 +59,7 @@ class Decimator:
         return self._samples[:due]
 
 
-def _beside(taps: Array) -> Array:
+def _beside(taps: Array, late: int) -> Array:
     """Lay out the taps for as many samples beside each other as a register holds.
 
     Returns
@@ -66,7 +69,7 @@ def _beside(taps: Array) -> Array:
     """
     oversampling, moments, _ = taps.shape
     # Row (p, j) of the taps weighs the interval j samples and p intervals before the sample.
-    before = taps.transpose(2, 0, 1).reshape(-1, moments)
+    before = np.concatenate([np.zeros((late, moments)), taps.transpose(2, 0, 1).reshape(-1, moments)])
     weights = zeros(len(before) + (LANES - 1) * oversampling, moments, LANES)
     for lane in range(LANES):
         weights[lane * oversampling :, :, lane][: len(before)] = before[::-1]

@@ -113,13 +113,15 @@ class FilteredReading:
         The filter.
     oversampling : int
         Intervals per sample.
+    late : int
+        Intervals by which what is read lies further back.
     """
 
     integrals = MOMENTS
 
-    def __init__(self, circuit: Circuit, low_pass: Decimation, oversampling: int) -> None:
+    def __init__(self, circuit: Circuit, low_pass: Decimation, oversampling: int, late: int) -> None:
         self.rows, self.rows_input = np.zeros((0, circuit.c.size)), np.zeros(0)
-        self._filter = Decimator(low_pass.taps(oversampling))
+        self._filter = Decimator(low_pass.taps(oversampling), late)
 
     def room(self, intervals: int) -> Array:
         """Give the place for the moments; see `Reading.room`."""
@@ -134,7 +136,7 @@ class Jitter:
     """Takes samples early or late, through the slope of the voltage.
 
     The slope is that between samples, so that jitter acts a little less than it should on fast signals (by
-    sinc(f / rate)); its second order is left out.
+    sinc(f / rate)); its second order is left out, and so is a delay of whole intervals.
 
     Parameters
     ----------

@@ -61,7 +61,9 @@ class SignalPath:
         circuit = Circuit.series([section for stage in stages for section in stage.sections])
         sensor, rate = stages[0], clock.true_rate * oversampling
         gain = sensor.nominal * (1.0 + sensor.deviation)
-        self._reading = _reading(stages, circuit, converter, clock, oversampling)
+        # Whole intervals of a delay are the filter's business.
+        late = int(delay * rate)
+        self._reading = _reading(stages, circuit, converter, clock, oversampling, late)
         entries, sources = _disturbances(stages, name, clock.true_rate, seed)
         watched, filtered, direct = None, [False] * len(entries), circuit.d[entries]
         if sensor.limit is not None:
@@ -73,7 +75,8 @@ class SignalPath:
         self._shift = np.zeros(min(1, self._overload.size))
         self._rows, self._rows_input = self._reading.rows, self._reading.rows_input
 
-        self._delay = Delay(delay * rate) if delay else None
+        share = delay * rate - late
+        self._delay = Delay(share) if share else None
         wait = DELAY if converter.filter is not None else 0
         self._disturbances = Disturbances(sources, direct, oversampling, wait)
         self._jitter = None
@@ -123,10 +126,15 @@ class SignalPath:
 
 
 def _reading(
-    stages: Sequence[Stage], circuit: Circuit, converter: Converter, clock: SampleClock, oversampling: int
+    stages: Sequence[Stage],
+    circuit: Circuit,
+    converter: Converter,
+    clock: SampleClock,
+    oversampling: int,
+    late: int,
 ) -> Reading:
     if converter.filter is not None:
-        return FilteredReading(circuit, Decimation.standard(clock.rate), oversampling)
+        return FilteredReading(circuit, Decimation.standard(clock.rate), oversampling, late)
     return PointReading(circuit) if is_integrated(stages) else AverageReading(circuit)
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,3 +51,28 @@ class Motion:
     break_velocity: Array
     break_acceleration: Array
     events: NDArray[Any]
+
+    def every(self, step: int, interval: float) -> Self:
+        """Give the same motion at every `step`-th sample, those whose numbers are multiples of it.
+
+        Parameters
+        ----------
+        step : int
+            The block must end at such a sample.
+        interval : float
+            Sample interval of this motion, s.
+        """
+        kept = slice(-self.first % step, None, step)
+        before = -(-self.break_sample // step) - 1
+        skipped = (self.break_sample - 1 - before * step) * interval
+        return replace(
+            self,
+            first=-(-self.first // step),
+            displacement=self.displacement[:, kept],
+            velocity=self.velocity[:, kept],
+            acceleration=self.acceleration[:, kept],
+            gap=self.gap[:, kept],
+            contact=self.contact[:, kept],
+            break_sample=before + 1,
+            break_offset=self.break_offset + skipped,
+        )

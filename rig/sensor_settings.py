@@ -260,7 +260,8 @@ class Converter(Settings):
     excitation : float, optional
         Constant current that feeds the sensors (IEPE) [A].
     filter : {"delta_sigma"}, optional
-        The decimation filter of a delta-sigma converter. None: no filter.
+        The decimation filter of a delta-sigma converter, which looks at the rig several times a sample where
+        the rig oscillates fast for the sample rate, or the rate is low. None: no filter.
     remove_delay : bool
         Whether the filter's delay is taken out of the samples' times.
     skew : float or tuple of float, optional

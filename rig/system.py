@@ -72,14 +72,19 @@ class System:
         return bool(np.count_nonzero(rows) > self.dampers)
 
     @property
-    def fastest(self) -> float:
-        """Fastest rate of the system, rad/s; riding dampers only slow it down."""
+    def poles(self) -> np.ndarray:
+        """Poles while no damper rides, rad/s; shape (states,), complex."""
         n, ns = self.coordinates, self.states
         matrix = np.zeros((ns, ns))
         matrix[:n, n : 2 * n] = np.eye(n)
         matrix[n : 2 * n] = np.linalg.solve(self.mass, self.force_state)
         matrix[2 * n :] = self.rate_state
-        return float(np.abs(np.linalg.eigvals(matrix)).max(initial=0.0))
+        return np.asarray(np.linalg.eigvals(matrix), dtype=complex)
+
+    @property
+    def fastest(self) -> float:
+        """Fastest rate of the system, rad/s; riding dampers only slow it down."""
+        return float(np.abs(self.poles).max(initial=0.0))
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,26 @@
 from __future__ import annotations
 
 from enum import Enum
-from pathlib import PurePath
 from typing import Any
 
 from nidaqmx.system import device, physical_channel, system
-from nidaqmx.system._collections import device_collection, physical_channel_collection
+from nidaqmx.system._collections import (
+    device_collection,
+    persisted_channel_collection,
+    persisted_scale_collection,
+    persisted_task_collection,
+    physical_channel_collection,
+)
 from nidaqmx.task import _in_stream, _out_stream, _task, _timing
 from nidaqmx.task.channels import _ai_channel, _ao_channel
-from nidaqmx.task.triggering import _reference_trigger, _start_trigger, _triggers
+from nidaqmx.task.triggering import (
+    _arm_start_trigger,
+    _handshake_trigger,
+    _pause_trigger,
+    _reference_trigger,
+    _start_trigger,
+    _triggers,
+)
 
 from daq import errors
 from daq.devices import Device, PhysicalChannel, System
@@ -23,16 +35,19 @@ from daq.virtual_channels import Channel
 
 
 def _properties(*classes: type) -> dict[int, str]:
-    """Read out of the package's classes which number stands for which property."""
+    """Read out of the package's classes which number stands for which property.
+
+    The number is the one constant of a property that asks the interpreter for an attribute; properties that do
+    not (old names of others, say) have constants that mean something else.
+    """
     found = {}
     for each in classes:
         for owner in reversed(each.__mro__):
             for name, value in vars(owner).items():
                 getter = value.fget if isinstance(value, property) else None
                 code = getattr(getter, "__code__", None)
-                for constant in code.co_consts if code is not None else ():
-                    if isinstance(constant, int) and constant > 0xFF:
-                        found[constant] = name
+                if code is not None and any("_attribute_" in called for called in code.co_names):
+                    found |= {constant: name for constant in code.co_consts if isinstance(constant, int)}
     return found
 
 
@@ -47,41 +62,63 @@ TASK = _properties(_task.Task)
 DEVICE = _properties(device.Device)
 PHYSICAL = _properties(physical_channel.PhysicalChannel)
 SYSTEM = _properties(system.System, device_collection.DeviceCollection)
+SAVED = _properties(
+    persisted_task_collection.PersistedTaskCollection,
+    persisted_channel_collection.PersistedChannelCollection,
+    persisted_scale_collection.PersistedScaleCollection,
+)
 AI_TERMINALS = _properties(physical_channel_collection.AIPhysicalChannelCollection)
 AO_TERMINALS = _properties(physical_channel_collection.AOPhysicalChannelCollection)
+# Counters and digital lines: there are none.
+OTHER_TERMINALS = _properties(
+    physical_channel_collection.CIPhysicalChannelCollection,
+    physical_channel_collection.COPhysicalChannelCollection,
+    physical_channel_collection.DILinesCollection,
+    physical_channel_collection.DOLinesCollection,
+    physical_channel_collection.DIPortsCollection,
+    physical_channel_collection.DOPortsCollection,
+)
+# Of triggers that the instrument does not have, for errors to name.
+ABSENT = _properties(
+    _arm_start_trigger.ArmStartTrigger, _handshake_trigger.HandshakeTrigger, _pause_trigger.PauseTrigger
+)
 # Asked for by the package's reads, but no property of any class.
 DEFAULT_SAMPLES = 0x31E8
 
 
-def _plain(value: Any) -> Any:
-    """Turn a property's value into what goes through the seam."""
-    if isinstance(value, Enum):
-        return value.value
-    if value is None:
-        return ""
-    if isinstance(value, PurePath):
-        return str(value)
+def as_text(value: Any) -> str:
+    """Turn what a property holds into the string that goes through the seam; lists of names are joined."""
+    if isinstance(value, list | tuple):
+        return flatten([as_text(each) for each in value])
     if isinstance(value, Channel | PhysicalChannel | Device):
         return value.name
-    if isinstance(value, list | tuple) and value and not isinstance(value[0], float | int):
-        return flatten([_plain(each) for each in value])
-    return value
+    return "" if value is None else str(value)
+
+
+def as_number(value: Any) -> Any:
+    """Turn what a property holds into the number, or list of numbers, that goes through the seam."""
+    return value.value if isinstance(value, Enum) else value
+
+
+def _named(names: dict[int, str], number: int, what: str) -> str:
+    if number not in names:
+        raise errors.unsupported(f"{what} property {ABSENT.get(number, hex(number))}")
+    return names[number]
 
 
 def get(target: Any, names: dict[int, str], number: int, what: str) -> Any:
     """Read a property by its number; `what` names its owner in errors."""
-    name = names.get(number)
-    if name is None:
-        raise errors.unsupported(f"{what} property {number:#x}")
-    return _plain(getattr(target, name))
+    return getattr(target, _named(names, number, what))
 
 
 def put(target: Any, names: dict[int, str], number: int, value: Any, what: str) -> None:
     """Set a property by its number; `what` names its owner in errors."""
-    name = names.get(number)
-    if name is None:
-        raise errors.unsupported(f"setting {what} property {number:#x}")
-    setattr(target, name, value)
+    setattr(target, _named(names, number, what), value)
+
+
+def reset(target: Any, names: dict[int, str], number: int, untouched: Any, what: str) -> None:
+    """Give a property by its number the value it has in an object that nobody has set anything of."""
+    put(target, names, number, get(untouched, names, number, what), what)
 
 
 def _channels(task: Task, names: str) -> Channel:
@@ -90,7 +127,8 @@ def _channels(task: Task, names: str) -> Channel:
 
 
 # The calls of the seam, in which `_` is the interpreter. It has one call for each type of value; the types make no
-# difference here, so they are left out of the names (get_timing_attribute_double is get_timing_attribute).
+# difference here, so they are left out of the names (get_timing_attribute_double is get_timing_attribute). What
+# these calls return is then turned into a string or a number, see `as_text` and `as_number`.
 
 
 def _get_task_attribute(_: Any, task: Task, number: int) -> Any:
@@ -116,13 +154,7 @@ def _set_read_attribute(_: Any, task: Task, number: int, value: Any) -> None:
 
 
 def _reset_read_attribute(_: Any, task: Task, number: int) -> None:
-    put(
-        task.in_stream,
-        READ,
-        number,
-        getattr(InStream(task), READ.get(number, "")),
-        "in_stream",
-    )
+    reset(task.in_stream, READ, number, InStream(task), "in_stream")
 
 
 def _get_write_attribute(_: Any, task: Task, number: int, size_hint: int = 0) -> Any:
@@ -134,13 +166,7 @@ def _set_write_attribute(_: Any, task: Task, number: int, value: Any) -> None:
 
 
 def _reset_write_attribute(_: Any, task: Task, number: int) -> None:
-    put(
-        task.out_stream,
-        WRITE,
-        number,
-        getattr(OutStream(task), WRITE.get(number, "")),
-        "out_stream",
-    )
+    reset(task.out_stream, WRITE, number, OutStream(task), "out_stream")
 
 
 def _buffer(task: Task, number: int) -> tuple[Any, dict[int, str]]:
@@ -165,13 +191,7 @@ def _set_timing_attribute(_: Any, task: Task, number: int, value: Any) -> None:
 
 
 def _reset_timing_attribute(_: Any, task: Task, number: int) -> None:
-    put(
-        task.timing,
-        TIMING,
-        number,
-        getattr(Timing(task), TIMING.get(number, "")),
-        "timing",
-    )
+    reset(task.timing, TIMING, number, Timing(task), "timing")
 
 
 def _get_timing_attribute_ex(_: Any, task: Task, device_names: str, number: int) -> Any:
@@ -186,11 +206,10 @@ def _trigger(task: Task, number: int) -> tuple[Any, dict[int, str]]:
     for target, names in (
         (task.triggers.start_trigger, START),
         (task.triggers.reference_trigger, REFERENCE),
-        (task.triggers, TRIGGERS),
     ):
         if number in names:
             return target, names
-    raise errors.unsupported(f"trigger property {number:#x}")
+    return task.triggers, TRIGGERS
 
 
 def _get_trig_attribute(_: Any, task: Task, number: int) -> Any:
@@ -203,21 +222,25 @@ def _set_trig_attribute(_: Any, task: Task, number: int, value: Any) -> None:
 
 
 def _get_system_info_attribute(_: Any, number: int) -> Any:
+    if number in SAVED:
+        return ""
     name = SYSTEM.get(number, "")
     version = {"_major_version": 0, "_minor_version": 1, "_update_version": 2}
     if name in version:
         return System.local().driver_version[version[name]]
     if name != "device_names":
         raise errors.unsupported(f"system property {name or hex(number)}")
-    return flatten(list(System.local().devices.device_names))
+    return System.local().devices.device_names
 
 
 def _get_device_attribute(_: Any, name: str, number: int) -> Any:
     found = Device(name)
     if number in AI_TERMINALS:
-        return flatten(found.ai_physical_chans.channel_names)
+        return found.ai_physical_chans.channel_names
     if number in AO_TERMINALS:
-        return flatten(found.ao_physical_chans.channel_names)
+        return found.ao_physical_chans.channel_names
+    if number in OTHER_TERMINALS:
+        return []
     return get(found, DEVICE, number, "Device")
 
 

@@ -273,13 +273,14 @@ _TYPES = (
 )
 
 
-def _translated(call: Callable[..., Any]) -> Callable[..., Any]:
-    """Make a call raise the package's own errors."""
+def _translated(call: Callable[..., Any], answer: Callable[[Any], Any] | None = None) -> Callable[..., Any]:
+    """Make a call raise the package's own errors, and give its result in the form of the seam."""
 
     @functools.wraps(call)
     def translate(*given: Any, **named: Any) -> Any:
         try:
-            return call(*given, **named)
+            result = call(*given, **named)
+            return result if answer is None else answer(result)
         except errors.DaqReadError as error:
             raise driver_errors.DaqReadError(
                 error.bare_message, error.error_code, error.samps_per_chan_read, error.task_name
@@ -307,12 +308,17 @@ def _calls(wanted: Iterable[str]) -> dict[str, Any]:
     """Give every call of the seam what answers it."""
     calls: dict[str, Any] = {}
     for name in wanted:
+        own = getattr(_RigDriver, name, None)
+        if isinstance(own, property):
+            calls[name] = own
+            continue
         base = next((name.removesuffix(f"_{kind}") for kind in _TYPES if name.endswith(f"_{kind}")), name)
-        found = getattr(_RigDriver, name, None) or properties.CALLS.get(name) or properties.CALLS.get(base)
-        if isinstance(found, property):
-            calls[name] = found
+        asked = properties.CALLS.get(name) or properties.CALLS.get(base)
+        if own is None and asked is not None:
+            answer = properties.as_text if name.endswith("_string") else properties.as_number
+            calls[name] = _translated(asked, answer)
         else:
-            calls[name] = _translated(found or _refusing(name))
+            calls[name] = _translated(own or _refusing(name))
     return calls
 
 

@@ -144,6 +144,7 @@ def test_given_the_system_when_listed_then_the_chassis_and_its_modules_are_there
     assert all(each.is_simulated for each in devices)
     assert Device("Dev1").ai_max_single_chan_rate == 51200.0
     assert devices["cDAQ1Mod1"].ai_physical_chans["cDAQ1Mod1/ai3"].sensor.at == "table"
+    assert System.local().tasks == System.local().global_channels == System.local().scales == []
     with pytest.raises(DaqError) as caught:
         Device("Nothing")
     assert caught.value.error_code == -200220

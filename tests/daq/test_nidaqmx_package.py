@@ -9,6 +9,7 @@ import pytest
 from nidaqmx.constants import (
     READ_ALL_AVAILABLE,
     AcquisitionType,
+    Coupling,
     LoggingMode,
     LoggingOperation,
     RegenerationMode,
@@ -216,12 +217,35 @@ def test_given_settings_when_the_package_changes_them_then_they_are_kept(chassis
         assert [each.name for each in task.devices] == ["Dev1"]
 
 
+def test_given_a_property_with_a_small_number_when_the_package_sets_it_then_it_is_kept(chassis):
+    with nidaqmx.Task() as task:
+        channel = task.ai_channels.add_ai_accel_chan("Dev1/ai0", sensitivity=100.0)
+        assert channel.ai_coupling is Coupling.AC
+        channel.ai_coupling = Coupling.DC
+        assert channel.ai_coupling is Coupling.DC
+
+
+def test_given_nothing_to_list_when_the_package_asks_for_a_list_then_it_is_empty(chassis):
+    system = nidaqmx.system.System.local()
+    module = system.devices["cDAQ1Mod1"]
+    with nidaqmx.Task() as task:
+        inputs(task, "Dev1/ai0", samps_per_chan=100)
+        task.read(READ_ALL_AVAILABLE)
+        assert not task.in_stream.overloaded_chans_exist
+        assert task.in_stream.overloaded_chans == []
+    assert module.chassis_module_devices == []
+    assert module.ai_voltage_rngs == []
+    assert [list(each) for each in (system.tasks, system.global_channels, system.scales)] == [[]] * 3
+    assert [list(each) for each in (module.ci_physical_chans, module.do_lines)] == [[]] * 2
+
+
 @pytest.mark.parametrize(
     "call, name",
     [
+        (lambda task: task.ai_channels.add_ai_voltage_chan("Dev1/ai0").ai_dither_enable, "ai_dither_enable"),
         (lambda task: task.ai_channels.add_ai_thrmcpl_chan("Dev1/ai0"), "create_ai_thrmcpl_chan"),
         (lambda task: task.ci_channels.add_ci_count_edges_chan("Dev1/ctr0"), "create_ci_count_edges_chan"),
-        (lambda task: task.triggers.pause_trigger.anlg_lvl_lvl, "trigger property"),
+        (lambda task: task.triggers.pause_trigger.anlg_lvl_lvl, "property anlg_lvl_lvl"),
         (lambda task: nidaqmx.scale.Scale.create_lin_scale("scale", 2.0), "create_lin_scale"),
         (lambda task: task.timing.ai_conv_rate, "timing.ai_conv_rate"),
     ],

@@ -131,7 +131,7 @@ def _lane_sums(registers: int) -> Any:
     return lane_sums
 
 
-_one, _two, _four = _lane_sums(1), _lane_sums(2), _lane_sums(4)
+_one, _four = _lane_sums(1), _lane_sums(4)
 
 
 @intrinsic
@@ -324,9 +324,5 @@ def multiply(matrix: Any, slot: int, vector: Any, constant: Any, out: Any) -> No
         Not the same array.
     """
     columns, rows = matrix.shape[1], matrix.shape[2]
-    place = slot * columns * rows
-    pairs = rows - rows % (2 * LANES)
-    for row in range(0, pairs, 2 * LANES):
-        _two(matrix, place + row, constant, row, vector, columns, rows, out, row)
-    if pairs < rows:
-        _one(matrix, place + pairs, constant, pairs, vector, columns, rows, out, pairs)
+    for row in range(0, rows, LANES):
+        _one(matrix, slot * columns * rows + row, constant, row, vector, columns, rows, out, row)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
+from daq import argument
 from daq.constants import (
     AccelSensitivityUnits,
     AccelUnits,
@@ -117,7 +118,7 @@ class ChannelCollection(Sequence[Channel]):
         for port, virtual in zip(ports, names, strict=True):
             terminal = Terminal(virtual, port.lstrip("/"), self._number(port), dict(settings), writable)
             taken = [*self.terminals, *new]
-            if any(virtual == each.name or terminal.number == each.number for each in taken):
+            if any(virtual == each.name or terminal.is_on(each) for each in taken):
                 raise DaqError(
                     f"channel {virtual!r} on {port} is in the task already: each terminal and each name once",
                     DAQmxErrors.CHAN_ALREADY_IN_TASK,
@@ -177,7 +178,7 @@ class AIChannelCollection(ChannelCollection):
                 "ai_term_cfg": terminal_config,
                 "ai_min": min_val,
                 "ai_max": max_val,
-                "units": VoltageUnits(units),
+                "units": argument.choice(VoltageUnits, units, "units"),
             },
             (ExcitationSource.NONE, 0.0),
         )
@@ -206,9 +207,11 @@ class AIChannelCollection(ChannelCollection):
                 "ai_term_cfg": terminal_config,
                 "ai_min": min_val,
                 "ai_max": max_val,
-                "units": AccelUnits(units),
-                "sensitivity": float(sensitivity),
-                "sensitivity_units": AccelSensitivityUnits(sensitivity_units),
+                "units": argument.choice(AccelUnits, units, "units"),
+                "sensitivity": argument.number(sensitivity, "sensitivity"),
+                "sensitivity_units": argument.choice(
+                    AccelSensitivityUnits, sensitivity_units, "sensitivity_units"
+                ),
             },
             (current_excit_source, current_excit_val),
         )
@@ -239,9 +242,11 @@ class AIChannelCollection(ChannelCollection):
                 "ai_term_cfg": terminal_config,
                 "ai_min": min_val,
                 "ai_max": max_val,
-                "units": ForceUnits(units),
-                "sensitivity": float(sensitivity),
-                "sensitivity_units": ForceIEPESensorSensitivityUnits(sensitivity_units),
+                "units": argument.choice(ForceUnits, units, "units"),
+                "sensitivity": argument.number(sensitivity, "sensitivity"),
+                "sensitivity_units": argument.choice(
+                    ForceIEPESensorSensitivityUnits, sensitivity_units, "sensitivity_units"
+                ),
             },
             (current_excit_source, current_excit_val),
         )
@@ -272,9 +277,11 @@ class AIChannelCollection(ChannelCollection):
                 "ai_term_cfg": terminal_config,
                 "ai_min": min_val,
                 "ai_max": max_val,
-                "units": VelocityUnits(units),
-                "sensitivity": float(sensitivity),
-                "sensitivity_units": VelocityIEPESensorSensitivityUnits(sensitivity_units),
+                "units": argument.choice(VelocityUnits, units, "units"),
+                "sensitivity": argument.number(sensitivity, "sensitivity"),
+                "sensitivity_units": argument.choice(
+                    VelocityIEPESensorSensitivityUnits, sensitivity_units, "sensitivity_units"
+                ),
             },
             (current_excit_source, current_excit_val),
         )
@@ -291,17 +298,18 @@ class AIChannelCollection(ChannelCollection):
         if custom_scale or settings["units"].name.startswith("FROM_"):
             raise unsupported("a custom scale", "Read in one of the physical units and scale the result.")
         coupling = self._task.chassis.converter.coupling
-        iepe = ExcitationSource(excitation[0]) is ExcitationSource.INTERNAL
+        source = argument.choice(ExcitationSource, excitation[0], "current_excit_source")
+        iepe = source is ExcitationSource.INTERNAL
         settings |= {
-            "ai_term_cfg": TerminalConfiguration(settings["ai_term_cfg"]),
-            "ai_min": float(settings["ai_min"]),
-            "ai_max": float(settings["ai_max"]),
+            "ai_term_cfg": argument.choice(TerminalConfiguration, settings["ai_term_cfg"], "terminal_config"),
+            "ai_min": argument.number(settings["ai_min"], "min_val"),
+            "ai_max": argument.number(settings["ai_max"], "max_val"),
             "chan_type": ChannelType.ANALOG_INPUT,
             "ai_meas_type": measures,
             # The usual vibration module feeds its sensors in AC coupling only.
             "ai_coupling": Coupling.AC if iepe or coupling == "AC" else Coupling.DC,
-            "ai_excit_src": ExcitationSource(excitation[0]),
-            "ai_excit_val": float(excitation[1]),
+            "ai_excit_src": source,
+            "ai_excit_val": argument.number(excitation[1], "current_excit_val"),
             "description": "",
         }
         return self._add(physical_channel, name, settings, _WRITABLE)
@@ -322,13 +330,13 @@ class AOChannelCollection(ChannelCollection):
         custom_scale_name: str = "",
     ) -> Channel:
         """Add the output to the shaker amplifier."""
-        if custom_scale_name or VoltageUnits(units) is not VoltageUnits.VOLTS:
+        if custom_scale_name or argument.choice(VoltageUnits, units, "units") is not VoltageUnits.VOLTS:
             raise unsupported("a custom scale", "Write volts.")
         settings = {
             "chan_type": ChannelType.ANALOG_OUTPUT,
             "ao_output_type": UsageTypeAO.VOLTAGE,
-            "ao_min": float(min_val),
-            "ao_max": float(max_val),
+            "ao_min": argument.number(min_val, "min_val"),
+            "ao_max": argument.number(max_val, "max_val"),
             "units": VoltageUnits.VOLTS,
             "description": "",
         }

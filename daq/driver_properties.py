@@ -40,7 +40,7 @@ def _properties(*classes: type) -> dict[int, str]:
     The number is the one constant of a property that asks the interpreter for an attribute; properties that do
     not (old names of others, say) have constants that mean something else.
     """
-    found = {}
+    found: dict[int, str] = {}
     for each in classes:
         for owner in reversed(each.__mro__):
             for name, value in vars(owner).items():

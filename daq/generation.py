@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from daq import argument
 from daq.acquisition import Moment
 from daq.errors import DaqError, DAQmxErrors
 from daq.triggers import OtherTask, SyncPulse
@@ -28,7 +29,7 @@ class OutputBuffer:
     """
 
     def __init__(self, channels: int, size: int | None) -> None:
-        self.data: Array = np.zeros((channels, size or 0))
+        self.data: Array = argument.room(channels, size or 0)
         self.written = 0
         self._grows = size is None
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq import argument
 from daq.constants import (
     READ_ALL_AVAILABLE,
     LoggingMode,
@@ -101,7 +102,9 @@ class InStream:
             raise unsupported(f"setting in_stream.{name}")
         if name in _FROZEN:
             self._task.check_idle(f"in_stream.{name}")
-        self.__dict__[name] = _KINDS[name](value) if name in _KINDS else value
+        if name in _KINDS:
+            value = argument.choice(_KINDS[name], value, f"in_stream.{name}")
+        self.__dict__[name] = value
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
@@ -143,13 +146,14 @@ class InStream:
     @input_buf_size.setter
     def input_buf_size(self, size: int) -> None:
         self._task.check_idle("in_stream.input_buf_size")
+        size = argument.whole(size, "in_stream.input_buf_size")
         if size < 1:
             raise DaqError(
                 f"input_buf_size {size}: expected 1 sample at least",
                 DAQmxErrors.INVALID_ATTRIBUTE_VALUE,
                 self._task.name,
             )
-        self.__dict__["_buffer"] = int(size)
+        self.__dict__["_buffer"] = size
 
     @property
     def avail_samp_per_chan(self) -> int:
@@ -274,6 +278,7 @@ class InStream:
         """
         task = self._task
         chassis = task.chassis
+        timeout = argument.seconds(timeout)
         with chassis.changed:
             task.require_inputs()
             if self.logging_mode is LoggingMode.LOG:
@@ -336,9 +341,8 @@ class InStream:
     def read(self, number_of_samples_per_channel: int = READ_ALL_AVAILABLE) -> NDArray[Any]:
         """Read converter counts, sample by sample: one array with all channels of a sample side by side."""
         count = number_of_samples_per_channel
-        out = np.zeros(
-            (self.num_chans, self.default_count() if count == READ_ALL_AVAILABLE else count), np.int32
-        )
+        samples = self.default_count() if count == READ_ALL_AVAILABLE else count
+        out = argument.room(self.num_chans, samples, np.int32)
         self.check_counts()
         got = self.fill(out, self.timeout, raw=True)
         return out[:, :got].T.ravel()

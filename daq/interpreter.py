@@ -25,15 +25,7 @@ from numpy.typing import NDArray
 
 from daq import driver_properties as properties
 from daq import errors
-from daq.constants import (
-    AcquisitionType,
-    Edge,
-    EveryNSamplesEventType,
-    LoggingMode,
-    LoggingOperation,
-    Slope,
-    TaskMode,
-)
+from daq.constants import EveryNSamplesEventType
 from daq.devices import System
 from daq.task import Task
 from daq.virtual_channels import Channel
@@ -78,8 +70,8 @@ class _RigDriver:
     def stop_task(self, task: Task) -> None:
         task.stop()
 
-    def task_control(self, task: Task, action: int) -> None:
-        task.control(TaskMode(action))
+    def task_control(self, task: Task, action: Any) -> None:
+        task.control(action)
 
     def is_task_done(self, task: Task) -> bool:
         return task.is_task_done()
@@ -116,24 +108,24 @@ class _RigDriver:
     # Timing and triggers
 
     def cfg_samp_clk_timing(
-        self, task: Task, rate: float, source: str, edge: int, mode: int, samples: int
+        self, task: Task, rate: float, source: str, edge: Any, mode: Any, samples: int
     ) -> None:
-        task.timing.cfg_samp_clk_timing(rate, source, Edge(edge), AcquisitionType(mode), samples)
+        task.timing.cfg_samp_clk_timing(rate, source, edge, mode, samples)
 
-    def cfg_anlg_edge_start_trig(self, task: Task, source: str, slope: int, level: float) -> None:
-        task.triggers.start_trigger.cfg_anlg_edge_start_trig(source, Slope(slope), level)
+    def cfg_anlg_edge_start_trig(self, task: Task, source: str, slope: Any, level: float) -> None:
+        task.triggers.start_trigger.cfg_anlg_edge_start_trig(source, slope, level)
 
-    def cfg_dig_edge_start_trig(self, task: Task, source: str, edge: int) -> None:
-        task.triggers.start_trigger.cfg_dig_edge_start_trig(source, Edge(edge))
+    def cfg_dig_edge_start_trig(self, task: Task, source: str, edge: Any) -> None:
+        task.triggers.start_trigger.cfg_dig_edge_start_trig(source, edge)
 
     def disable_start_trig(self, task: Task) -> None:
         task.triggers.start_trigger.disable_start_trig()
 
-    def cfg_anlg_edge_ref_trig(self, task: Task, source: str, before: int, slope: int, level: float) -> None:
-        task.triggers.reference_trigger.cfg_anlg_edge_ref_trig(source, before, Slope(slope), level)
+    def cfg_anlg_edge_ref_trig(self, task: Task, source: str, before: int, slope: Any, level: float) -> None:
+        task.triggers.reference_trigger.cfg_anlg_edge_ref_trig(source, before, slope, level)
 
-    def cfg_dig_edge_ref_trig(self, task: Task, source: str, before: int, edge: int) -> None:
-        task.triggers.reference_trigger.cfg_dig_edge_ref_trig(source, before, Edge(edge))
+    def cfg_dig_edge_ref_trig(self, task: Task, source: str, before: int, edge: Any) -> None:
+        task.triggers.reference_trigger.cfg_dig_edge_ref_trig(source, before, edge)
 
     def disable_ref_trig(self, task: Task) -> None:
         task.triggers.reference_trigger.disable_ref_trig()
@@ -243,8 +235,8 @@ class _RigDriver:
     ) -> int:
         return task.write(np.stack([each.scaled_data for each in waveforms]), auto_start, timeout)
 
-    def configure_logging(self, task: Task, path: str, mode: int, group: str, operation: int) -> None:
-        task.in_stream.configure_logging(path, LoggingMode(mode), group, LoggingOperation(operation))
+    def configure_logging(self, task: Task, path: str, mode: Any, group: str, operation: Any) -> None:
+        task.in_stream.configure_logging(path, mode, group, operation)
 
     # Events
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq import argument
 from daq.constants import RegenerationMode, WaitMode, WriteRelativeTo
 from daq.errors import DaqError, DAQmxErrors, DaqWriteError, unsupported
 from daq.generation import OutputBuffer
@@ -67,7 +68,9 @@ class OutStream:
             raise unsupported(f"setting out_stream.{name}")
         if name in _FROZEN:
             self._task.check_idle(f"out_stream.{name}")
-        self.__dict__[name] = _KINDS[name](value) if name in _KINDS else value
+        if name in _KINDS:
+            value = argument.choice(_KINDS[name], value, f"out_stream.{name}")
+        self.__dict__[name] = value
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
@@ -94,13 +97,14 @@ class OutStream:
     @output_buf_size.setter
     def output_buf_size(self, size: int) -> None:
         self._task.check_idle("out_stream.output_buf_size")
+        size = argument.whole(size, "out_stream.output_buf_size")
         if size < 1:
             raise DaqError(
                 f"output_buf_size {size}: expected 1 sample at least",
                 DAQmxErrors.INVALID_ATTRIBUTE_VALUE,
                 self._task.name,
             )
-        self.__dict__.update(_size=int(size), buffer=None)
+        self.__dict__.update(_size=size, buffer=None)
 
     @property
     def curr_write_pos(self) -> int:
@@ -169,6 +173,7 @@ class OutStream:
         """
         task = self._task
         task.require_outputs()
+        timeout = argument.seconds(timeout)
         self._check(samples)
         with task.chassis.changed:
             if not task.timing.clocked:

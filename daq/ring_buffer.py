@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from daq import argument
+
 
 class RingBuffer:
     """The last `size` samples of a stream whose samples are numbered from 0.
@@ -19,6 +21,11 @@ class RingBuffer:
         Samples per channel held.
     dtype : dtype_like
         Kind of sample.
+
+    Raises
+    ------
+    DaqError
+        With -200077, if there is no memory for so many.
 
     Attributes
     ----------
@@ -34,7 +41,7 @@ class RingBuffer:
     """
 
     def __init__(self, channels: int, size: int, dtype: DTypeLike) -> None:
-        self._data: NDArray[Any] = np.zeros((channels, size), dtype)
+        self._data: NDArray[Any] = argument.room(channels, size, dtype)
         self.written = 0
 
     @property

@@ -13,9 +13,9 @@ from contextlib import contextmanager
 from types import TracebackType
 from typing import Any, Self
 
-import numpy as np
 from numpy.typing import ArrayLike
 
+from daq import argument
 from daq.channel_collections import AIChannelCollection, AOChannelCollection
 from daq.chassis import Chassis
 from daq.connection import connected
@@ -231,7 +231,7 @@ class Task:
 
     def control(self, action: TaskMode) -> None:
         """Take a step of the task's life; COMMIT and RESERVE keep its modules until UNRESERVE or close."""
-        action = TaskMode(action)
+        action = argument.choice(TaskMode, action, "action")
         if action is TaskMode.TASK_START:
             self.start()
         elif action is TaskMode.TASK_STOP:
@@ -263,6 +263,7 @@ class Task:
             With -200560, if it is not done in time.
         """
         self._require(DAQmxErrors.INVALID_TASK, "", True)
+        timeout = argument.seconds(timeout)
         with self.chassis.changed:
             done = not self.is_running or self.chassis.clock.wait(
                 self.chassis, lambda: self.run.finished or not self.is_running, self.run.missing, timeout
@@ -319,7 +320,7 @@ class Task:
             count = 1
         elif count == READ_ALL_AVAILABLE:
             count = self.in_stream.default_count()
-        out = np.zeros((self.in_stream.num_chans, count))
+        out = argument.room(self.in_stream.num_chans, count)
         self.in_stream.fill(out, timeout)
         data = (out[:, 0] if unset else out).tolist()
         return data[0] if len(data) == 1 else data
@@ -331,7 +332,7 @@ class Task:
         self.require_inputs()
         every = number_of_samples_per_channel == READ_ALL_AVAILABLE
         count = self.in_stream.default_count() if every else number_of_samples_per_channel
-        out = np.zeros((self.in_stream.num_chans, count))
+        out = argument.room(self.in_stream.num_chans, count)
         self.in_stream.fill(out, timeout)
         found = waveforms(out, self)
         return found[0] if len(found) == 1 else found
@@ -354,7 +355,7 @@ class Task:
             Samples per channel written.
         """
         self.require_outputs()
-        samples = np.asarray(getattr(data, "scaled_data", data), dtype=np.float64)
+        samples = argument.table(getattr(data, "scaled_data", data), "data")
         channels = len(self.ao_channels)
         if samples.ndim < 2:
             samples = samples.reshape(channels, -1) if channels == 1 else samples.reshape(-1, 1)

@@ -16,6 +16,9 @@ from daq.errors import DaqError, DAQmxErrors
 
 CHASSIS, INPUTS, OUTPUTS = "cDAQ1", "cDAQ1Mod1", "cDAQ1Mod2"
 
+# What a range stands for, at most, as with the driver.
+MOST_NAMES = 14_999
+
 _DEVICE = re.compile(r"(Dev[1-9]|cDAQ[1-9](Mod[1-8])?|PXI[1-9]Slot\d{1,2})", re.IGNORECASE)
 
 
@@ -76,7 +79,7 @@ def unflatten(names: str) -> list[str]:
     Raises
     ------
     DaqError
-        With -200498, if a range is not of the form `ai0:3` or `Dev1/ai0:Dev1/ai3`.
+        With -200498, if a range is not of the form `ai0:3` or `Dev1/ai0:Dev1/ai3`, or too long.
 
     Examples
     --------
@@ -103,6 +106,11 @@ def _expand(item: str) -> list[str]:
             DAQmxErrors.INVALID_RANGE_OF_OBJECTS_SYNTAX_IN_STRING,
         )
     first, last = int(match[2]), int(match[4])
+    if abs(last - first) >= MOST_NAMES:
+        raise DaqError(
+            f"{item!r} is a range of {abs(last - first) + 1} names: expected {MOST_NAMES} at most",
+            DAQmxErrors.INVALID_RANGE_OF_OBJECTS_SYNTAX_IN_STRING,
+        )
     width = len(match[2]) if match[2].startswith("0") else 0
     step = 1 if last >= first else -1
     return [f"{match[1]}{number:0{width}d}" for number in range(first, last + step, step)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Any
 
+from daq import argument
 from daq.constants import AcquisitionType, Edge, SampleTimingType
 from daq.errors import DaqError, DAQmxErrors, unsupported
 
@@ -68,8 +69,9 @@ class Timing:
 
     @samp_clk_rate.setter
     def samp_clk_rate(self, rate: float) -> None:
-        self._task.chassis.coerce_rate(float(rate))
-        self.__dict__["_rate"] = float(rate)
+        wanted = argument.number(rate, "timing.samp_clk_rate")
+        self._task.chassis.coerce_rate(wanted)
+        self.__dict__["_rate"] = wanted
 
     @property
     def samp_clk_max_rate(self) -> float:
@@ -102,9 +104,11 @@ class Timing:
             "samp_timing_type": SampleTimingType,
             "samp_clk_active_edge": Edge,
             "samp_quant_samp_mode": AcquisitionType,
-            "samp_quant_samp_per_chan": int,
         }
-        value = kinds[name](value) if name in kinds else value
+        if name in kinds:
+            value = argument.choice(kinds[name], value, f"timing.{name}")
+        elif name == "samp_quant_samp_per_chan":
+            value = argument.whole(value, f"timing.{name}")
         if value is AcquisitionType.HW_TIMED_SINGLE_POINT:
             raise unsupported("hardware-timed single point", "Use CONTINUOUS and read one sample at a time.")
         if name == "samp_quant_samp_per_chan" and value < 1:

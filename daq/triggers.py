@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq import argument
 from daq.constants import Edge, Slope, SyncType, TriggerType
 from daq.errors import DaqError, DAQmxErrors, unsupported
 
@@ -166,8 +167,15 @@ class _Settings:
         if name not in self._NAMES:
             raise unsupported(f"triggers.{self._called}.{name}")
         self._task.check_idle(f"triggers.{self._called}.{name}")
-        kinds = {"trig_type": TriggerType, "anlg_edge_slope": Slope, "dig_edge_edge": Edge}
-        object.__setattr__(self, name, kinds[name](value) if name in kinds else value)
+        what = f"triggers.{self._called}.{name}"
+        kinds: dict[str, Any] = {"trig_type": TriggerType, "anlg_edge_slope": Slope, "dig_edge_edge": Edge}
+        if name in kinds:
+            value = argument.choice(kinds[name], value, what)
+        elif name in ("anlg_edge_lvl", "anlg_edge_hyst"):
+            value = argument.number(value, what)
+        elif name == "pretrig_samples":
+            value = argument.whole(value, what)
+        object.__setattr__(self, name, value)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
@@ -181,7 +189,7 @@ class _Settings:
         self.anlg_edge_lvl = self.anlg_edge_hyst = 0.0
 
     def _analog(self, source: str, slope: Slope, level: float) -> None:
-        self.anlg_edge_src, self.anlg_edge_slope, self.anlg_edge_lvl = source, slope, float(level)
+        self.anlg_edge_src, self.anlg_edge_slope, self.anlg_edge_lvl = source, slope, level
         self.trig_type = TriggerType.ANALOG_EDGE
 
     def _digital(self, source: str, edge: Edge) -> None:
@@ -239,14 +247,14 @@ class ReferenceTrigger(_Settings):
         trigger_level: float = 0.0,
     ) -> None:
         """Trigger when a channel of the task crosses a level, in the channel's units."""
-        self.pretrig_samples = int(pretrigger_samples)
+        self.pretrig_samples = pretrigger_samples
         self._analog(trigger_source, trigger_slope, trigger_level)
 
     def cfg_dig_edge_ref_trig(
         self, trigger_source: str, pretrigger_samples: int, trigger_edge: Edge = Edge.RISING
     ) -> None:
         """Trigger on an edge at a terminal."""
-        self.pretrig_samples = int(pretrigger_samples)
+        self.pretrig_samples = pretrigger_samples
         self._digital(trigger_source, trigger_edge)
 
     def disable_ref_trig(self) -> None:

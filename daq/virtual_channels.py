@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
+import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from enum import Enum
 from typing import TYPE_CHECKING, Any
 
+from daq import argument
 from daq.constants import (
     AccelSensitivityUnits,
     AccelUnits,
@@ -78,19 +82,32 @@ class Terminal:
     writable: frozenset[str] = frozenset()
 
     @property
+    def device(self) -> str:
+        """Name of its device, as the script calls it."""
+        return self.physical.partition("/")[0]
+
+    def is_on(self, other: Terminal) -> bool:
+        """Whether another channel has the same terminal; the output is one, whatever device it is named after."""
+        shared = self.device.lower() == other.device.lower() or "ai_meas_type" not in self.settings
+        return shared and self.number == other.number
+
+    @property
     def unit(self) -> str:
         """Unit of the readings."""
         return _UNIT[self.settings["units"]][1]
 
     @property
+    def volts_per_unit(self) -> float:
+        """Volts per unit of the readings."""
+        if "sensitivity" not in self.settings:
+            return 1.0
+        per_si = self.settings["sensitivity"] * _VOLTS_PER_SI[self.settings["sensitivity_units"]]
+        return float(per_si * _UNIT[self.settings["units"]][0])
+
+    @property
     def per_volt(self) -> float:
         """Readings per volt."""
-        sensitivity = self.settings.get("sensitivity")
-        if sensitivity is None:
-            return 1.0
-        return 1.0 / (
-            sensitivity * _VOLTS_PER_SI[self.settings["sensitivity_units"]] * _UNIT[self.settings["units"]][0]
-        )
+        return 1.0 / self.volts_per_unit
 
 
 class Channel:
@@ -116,7 +133,7 @@ class Channel:
     @property
     def device_names(self) -> list[str]:
         """Names of the devices in use, as the script calls them."""
-        return list(dict.fromkeys(each.physical.partition("/")[0] for each in self.terminals))
+        return list(dict.fromkeys(each.device for each in self.terminals))
 
     def __len__(self) -> int:
         return len(self.terminals)
@@ -219,12 +236,13 @@ def write(task: Task, terminal: Terminal, name: str, value: Any) -> None:
     if key not in terminal.settings or key not in terminal.writable:
         raise unsupported(f"setting property {name} of channel {terminal.name}")
     old = terminal.settings[key]
-    terminal.settings[key] = type(old)(value)
-    try:
-        check(task.chassis, terminal)
-    except DaqError:
-        terminal.settings[key] = old
-        raise
+    if isinstance(old, Enum):
+        value = argument.choice(type(old), value, name)
+    elif isinstance(old, float):
+        value = argument.number(value, name)
+    changed = replace(terminal, settings=terminal.settings | {key: value})
+    check(task.chassis, changed)
+    terminal.settings = changed.settings
 
 
 def _full_scale(chassis: Chassis, terminal: Terminal) -> float:
@@ -258,7 +276,7 @@ _COMPUTED: dict[str, Any] = {
 
 
 def check(chassis: Chassis, terminal: Terminal) -> None:
-    """Check a channel's limits against what its module can do.
+    """Check a channel's sensitivity, and its limits against what its module can do.
 
     Raises
     ------
@@ -269,11 +287,11 @@ def check(chassis: Chassis, terminal: Terminal) -> None:
     output = "ai_meas_type" not in settings
     kind = "ao" if output else "ai"
     low, high = settings[f"{kind}_min"], settings[f"{kind}_max"]
+    if not sys.float_info.min <= terminal.volts_per_unit < math.inf:
+        raise _bad(terminal, f"sensitivity {settings['sensitivity']:g}: must be positive, and finite")
     scale = OUTPUT_RANGE if output else _full_scale(chassis, terminal)
     if not low < high:
         raise _bad(terminal, f"limits {low:g} to {high:g}: the lower one must be below the upper one")
-    if not settings.get("sensitivity", 1.0) > 0:
-        raise _bad(terminal, f"sensitivity {settings['sensitivity']:g}: must be positive")
     if max(abs(low), abs(high)) > scale * (1 + 1e-9):
         unit = terminal.unit
         raise _bad(

@@ -10,11 +10,13 @@ from nidaqmx.constants import (
     READ_ALL_AVAILABLE,
     AcquisitionType,
     Coupling,
+    Edge,
     LoggingMode,
     LoggingOperation,
     RegenerationMode,
     Slope,
     TaskMode,
+    VoltageUnits,
 )
 from nidaqmx.stream_readers import AnalogMultiChannelReader, AnalogUnscaledReader
 from nidaqmx.stream_writers import AnalogSingleChannelWriter
@@ -119,6 +121,22 @@ def test_given_the_package_when_something_goes_wrong_then_its_own_errors_come():
         with pytest.warns(nidaqmx.DaqWarning) as warned:
             task.stop()
         assert warned[0].message.error_code == 200010
+
+
+def test_given_a_value_that_cannot_be_when_the_package_passes_it_then_its_own_error_comes(chassis):
+    with nidaqmx.Task() as task:
+        for call in (
+            lambda: task.ai_channels.add_ai_accel_chan("Dev1/ai0", sensitivity=0.0),
+            lambda: task.ai_channels.add_ai_accel_chan("Dev1/ai0", units=VoltageUnits.VOLTS),
+            lambda: task.timing.cfg_samp_clk_timing(RATE, sample_mode=Edge.RISING),
+            lambda: task.wait_until_done(float("nan")),
+        ):
+            with pytest.raises(nidaqmx.DaqError) as caught:
+                call()
+            assert caught.value.error_code == -200077
+        inputs(task, samps_per_chan=10**13)
+        with pytest.raises(nidaqmx.DaqError, match="memory"):
+            task.start()
 
 
 def test_given_a_reference_trigger_when_the_package_reads_then_the_edge_sits_at_pretrigger():

@@ -7,7 +7,7 @@ import pytest
 import daq
 import rig
 from daq.clock import ManualClock
-from daq.constants import AcquisitionType, Edge, OverwriteMode, RegenerationMode
+from daq.constants import AcquisitionType, Edge, OverwriteMode, RegenerationMode, VoltageUnits
 from daq.errors import DaqError, DaqReadError, DaqResourceWarning, DaqWarning, DaqWriteError
 from daq.task import Task
 
@@ -193,7 +193,9 @@ def test_given_a_running_task_when_settings_are_changed_then_it_says_to_stop_fir
         ("Dev1/ao0", -200170, "ai0:3"),
         ("Dev1", -200170, "cDAQ1Mod1/ai0"),
         ("Dev1/ai0:x", -200498, "Dev1/ai0:3"),
+        ("Dev1/ai0:99999999", -200498, "100000000"),
         ("Dev1/ai0,Dev1/ai0", -200489, "once"),
+        ("Dev1/ai0,dev1/ai0", -200489, "once"),
     ],
 )
 def test_given_a_channel_that_is_not_there_when_adding_it_then_the_error_says_what_is(
@@ -225,6 +227,97 @@ def test_given_a_rate_the_clock_cannot_make_when_asked_for_then_it_is_refused(ch
             task.timing.cfg_samp_clk_timing(rate)
     assert caught.value.error_code == -200077
     assert "51200" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "call, hint",
+    [
+        (
+            lambda task: task.ai_channels.add_ai_accel_chan("Dev1/ai1", units=VoltageUnits.VOLTS),
+            "AccelUnits.G",
+        ),
+        (lambda task: task.ai_channels.add_ai_voltage_chan("Dev1/ai1", terminal_config=7), "PSEUDO_DIFF"),
+        (lambda task: task.ai_channels.add_ai_accel_chan("Dev1/ai1", min_val="low"), "min_val is 'low'"),
+        (lambda task: task.ai_channels.add_ai_accel_chan("Dev1/ai1", max_val=np.inf), "max_val is inf"),
+        (lambda task: task.timing.cfg_samp_clk_timing(RATE, sample_mode=Edge.RISING), "Type.CONTINUOUS"),
+        (lambda task: task.timing.cfg_samp_clk_timing(np.nan), "samp_clk_rate is nan"),
+        (lambda task: task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=np.inf), "samp_per_chan is inf"),
+        (lambda task: setattr(task.in_stream, "overwrite", Edge.RISING), "OVERWRITE_UNREAD_SAMPLES"),
+        (lambda task: setattr(task.out_stream, "regen_mode", 1), "ALLOW_REGENERATION"),
+        (lambda task: setattr(task.in_stream, "input_buf_size", "big"), "input_buf_size is 'big'"),
+        (
+            lambda task: task.triggers.start_trigger.cfg_anlg_edge_start_trig(
+                "Dev1/ai0", trigger_level=np.nan
+            ),
+            "anlg_edge_lvl is nan",
+        ),
+        (lambda task: task.control(99), "TASK_COMMIT"),
+        (lambda task: task.wait_until_done(np.nan), "timeout is nan"),
+        (lambda task: task.read(10, timeout=np.nan), "timeout is nan"),
+        (lambda task: task.read(-7), "READ_ALL_AVAILABLE"),
+    ],
+)
+def test_given_a_value_that_cannot_be_when_it_is_passed_then_the_error_says_what_can(chassis, call, hint):
+    with Task() as task:
+        inputs(task)
+        with raised() as caught:
+            call(task)
+    assert caught.value.error_code == -200077
+    assert hint in str(caught.value)
+
+
+@pytest.mark.parametrize("samples", [10**13, 10**19])
+def test_given_more_samples_than_memory_when_they_are_to_be_acquired_then_it_says_so(chassis, samples):
+    with Task() as task:
+        inputs(task, samps_per_chan=samples)
+        for call in (task.start, lambda: task.read(samples), lambda: task.read(-1)):
+            with raised() as caught:
+                call()
+            assert caught.value.error_code == -200077
+            assert "memory" in str(caught.value)
+            assert not task.is_running
+
+
+@pytest.mark.parametrize("timeout", [-1.0, np.inf])
+def test_given_a_timeout_for_ever_when_waiting_then_it_waits_until_the_task_is_done(timeout):
+    daq.connect("bare-structure", clock="fast")
+    with Task() as task:
+        inputs(task, samps_per_chan=512)
+        task.start()
+        task.wait_until_done(timeout)
+        assert task.is_task_done()
+
+
+@pytest.mark.parametrize("data", [{}, "loud", [[1.0, 2.0], [3.0]], np.zeros((1, 1, 5)), np.array([1j])])
+def test_given_data_that_are_no_samples_when_writing_then_it_says_what_samples_are(chassis, data):
+    with Task() as task:
+        task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
+        with raised() as caught:
+            task.write(data)
+    assert caught.value.error_code == -200077
+    assert "(channels, n)" in str(caught.value)
+
+
+@pytest.mark.parametrize("sensitivity", [0.0, -100.0, 1e-310, np.inf, np.nan])
+def test_given_a_sensitivity_that_cannot_be_when_it_is_set_then_it_is_refused_and_the_old_one_kept(
+    chassis, sensitivity
+):
+    with Task() as task:
+        with raised() as caught:
+            task.ai_channels.add_ai_accel_chan("Dev1/ai0", sensitivity=sensitivity)
+        assert caught.value.error_code == -200077
+        assert "sensitivity" in str(caught.value)
+        channel = task.ai_channels.add_ai_accel_chan("Dev1/ai0", sensitivity=100.0)
+        with raised() as caught:
+            channel.ai_accel_sensitivity = sensitivity
+        assert caught.value.error_code == -200077
+        assert channel.ai_accel_sensitivity == 100.0
+        task.timing.cfg_samp_clk_timing(RATE)
+        task.start()
+        chassis.advance(5)
+        assert len(task.read(5)) == 5
+        with pytest.warns(DaqWarning):
+            task.stop()
 
 
 def test_given_two_tasks_for_one_module_when_both_start_then_the_second_is_told_who_has_it(chassis):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import builtins
 import importlib.util
+import math
 import runpy
 import signal
 import sys
@@ -54,9 +55,11 @@ def run_script(
     Raises
     ------
     SceneError
-        If there is no such script, or the scene cannot be used.
+        If there is no such script, the scene cannot be used, or `seconds` is no time.
     """
     path = Path(path)
+    if seconds is not None and not 0 < seconds < math.inf:
+        raise SceneError(f"seconds {seconds:g}: expected a time above 0; leave it out for no limit")
     if not path.is_file():
         raise SceneError(f"there is no script {path}: give the path of a Python file")
     chassis = connect(scene, clock)
@@ -162,8 +165,10 @@ def _exit_code(end: SystemExit) -> int:
 
 
 def _show(error: BaseException, path: Path) -> None:
-    """Print a traceback that begins in the script."""
+    """Print a traceback that begins in the script; there is none if the script cannot be compiled."""
     trace = error.__traceback__
     while trace is not None and Path(trace.tb_frame.f_code.co_filename) != path:
         trace = trace.tb_next
-    traceback.print_exception(type(error), error, trace or error.__traceback__)
+    if trace is None and getattr(error, "filename", None) != str(path):
+        print(f"cannot run {path}:", file=sys.stderr)
+    traceback.print_exception(type(error), error, trace)

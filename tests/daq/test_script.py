@@ -85,6 +85,28 @@ def test_given_a_script_when_it_ends_in_its_own_way_then_the_exit_code_is_its_ow
     assert "daq" not in shown.replace(str(script("")), "")
 
 
+@pytest.mark.parametrize("source", ["x = (", "x = 1\0", "if True:\npass"])
+def test_given_a_script_that_cannot_be_compiled_when_run_then_only_the_script_is_shown(
+    script, capsys, source
+):
+    path = script(source)
+    assert run_script(path, scene="bare-structure", clock="fast") == 1
+    shown = capsys.readouterr().err
+    assert str(path) in shown
+    assert "Error: " in shown
+    assert "runpy" not in shown and "daq/script.py" not in shown
+
+
+@pytest.mark.parametrize("seconds", [-1.0, 0.0, float("nan"), float("inf")])
+def test_given_seconds_that_are_no_time_when_run_then_they_are_refused_before_the_script(
+    script, capsys, seconds
+):
+    with pytest.raises(SceneError, match="seconds") as caught:
+        run_script(script("print('ran')"), scene="bare-structure", clock="fast", seconds=seconds)
+    assert caught.value.exit_code == 2
+    assert capsys.readouterr().out == ""
+
+
 def test_given_no_script_when_run_then_the_error_names_it(tmp_path):
     with pytest.raises(SceneError, match=r"nothing\.py"):
         run_script(tmp_path / "nothing.py")

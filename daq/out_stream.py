@@ -233,7 +233,10 @@ class OutStream:
             return min(wanted - done, max(1, buffer.size // 2))
 
         while True:
-            task.run.raise_failure()
+            failure = task.run.failure if task.is_running else None
+            if failure is not None:
+                task.run.failure_told = True
+                raise self._error(failure.error_code, failure.bare_message, done)
             if task.is_running and task.run.finished:
                 raise self._error(DAQmxErrors.SAMPLES_CAN_NOT_YET_BE_WRITTEN, "the output has ended", done)
             take = min(room(), wanted - done)
@@ -254,5 +257,5 @@ class OutStream:
                     done,
                 )
 
-    def _error(self, code: DAQmxErrors, message: str, done: int) -> DaqWriteError:
+    def _error(self, code: int, message: str, done: int) -> DaqWriteError:
         return DaqWriteError(message, code, done, self._task.name)

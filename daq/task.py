@@ -191,6 +191,7 @@ class Task:
         if not self.is_running:
             return
         early = not self.run.endless and not self.run.finished
+        failure = self.run.untold_failure
         self._stop()
         if early:
             warnings.warn(
@@ -200,7 +201,8 @@ class Task:
                 ),
                 stacklevel=2,
             )
-        self.run.raise_failure()
+        if failure is not None:
+            raise DaqError(failure.bare_message, failure.error_code, self.name)
 
     def _stop(self) -> None:
         # Callbacks end first, while what they read still comes.

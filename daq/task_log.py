@@ -33,6 +33,9 @@ class _File(Protocol):
     def trigger(self, sample: int) -> None:
         """Note the sample the reference trigger was found at."""
 
+    def abort(self, reason: str) -> None:
+        """Note that the acquisition ended early, here."""
+
     def close(self) -> None:
         """Complete the file."""
 
@@ -49,6 +52,7 @@ class _Recording:
         scene = scene.replace(recording=scene.recording.replace(truth=False))
         self._recorder = Recorder(path, scene, channels, channels[0].rate, start_ns, overwrite)
         self._overloads = Stretches("overload", channels, self._mark)
+        self._outcome = "complete", ""
 
     def _mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
         self._recorder.mark(kind, first, stop - 1, **fields)
@@ -64,9 +68,13 @@ class _Recording:
     def trigger(self, sample: int) -> None:
         self._recorder.mark("trigger", sample)
 
+    def abort(self, reason: str) -> None:
+        self._recorder.mark("abort", self._recorder.position, reason=reason)
+        self._outcome = "failed", reason
+
     def close(self) -> None:
         self._overloads.close()
-        self._recorder.close()
+        self._recorder.close(*self._outcome)
 
 
 class _Tdms:
@@ -122,6 +130,10 @@ class _Tdms:
         for properties in self._properties:
             properties["wf_trigger_offset"] = sample * properties["wf_increment"]
 
+    def abort(self, reason: str) -> None:
+        for properties in self._properties:
+            properties["error"] = reason
+
     def close(self) -> None:
         self._segment(np.zeros((len(self._properties), 0)))
         self._writer.close()
@@ -173,9 +185,11 @@ class TaskLog:
             self._logged = stop
 
     def close(self, acquisition: Acquisition) -> None:
-        """Log the rest and complete the file."""
+        """Log the rest, and why there is no more if that was not meant, and complete the file."""
         try:
             self.follow(acquisition)
+            if acquisition.error is not None:
+                self._file.abort(acquisition.error.bare_message)
         finally:
             self._file.close()
 
@@ -240,17 +254,28 @@ def open_log(
         if suffix == ".tdms":
             file = _Tdms(path, group, names, units, scale, channels[0].rate, start_ns, append)
         else:
-            # A name the script gave a channel is its name in the recording; one that is a terminal's is not.
-            named = [
-                replace(info, name=info.name if "/" in name else name)
-                for info, name in zip(channels, names, strict=True)
-            ]
-            file = _Recording(path, scene, named, start_ns, overwrite=exists)
+            file = _Recording(path, scene, _named(channels, names), start_ns, overwrite=exists)
     except DaqError:
         raise
     except (ShotrigError, OSError) as error:
         raise _refuse(f"cannot log to {path}: {error}") from error
     return TaskLog(file, mode)
+
+
+def _named(channels: Sequence[ChannelInfo], names: Sequence[str]) -> list[ChannelInfo]:
+    """Give channels their names in a recording: those a script gave them, otherwise those on the bench.
+
+    A channel that no script named goes by its terminal's name, which has a slash. Where its name on the bench
+    is taken (two modules on one sensor), the module tells it apart.
+    """
+    named: list[ChannelInfo] = []
+    for info, name in zip(channels, names, strict=True):
+        if "/" in name:
+            taken = {*names, *(each.name for each in named)}
+            device = name.partition("/")[0]
+            name = info.name if info.name not in taken else f"{info.name} on {device}"
+        named.append(replace(info, name=name))
+    return named
 
 
 def _refuse(message: str) -> DaqError:

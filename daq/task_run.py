@@ -84,10 +84,15 @@ class TaskRun:
         run = self.acquisition or self.generation
         return None if run is None else run.error
 
+    @property
+    def untold_failure(self) -> DaqError | None:
+        """Why the run ended early, unless the script has heard of it."""
+        return None if self.failure_told else self.failure
+
     def raise_failure(self) -> None:
-        """Raise the reason why the run ended early, once."""
+        """Raise the reason why the run ended early, as often as somebody asks until the task is stopped."""
         failure = self.failure
-        if failure is not None and not self.failure_told:
+        if failure is not None and self._task.is_running:
             self.failure_told = True
             raise DaqError(failure.bare_message, failure.error_code, self._task.name)
 

@@ -159,10 +159,28 @@ def test_given_an_output_without_regeneration_when_it_runs_dry_then_the_writer_h
             task.write(np.zeros(50), timeout=1.0)
         assert (caught.value.error_code, caught.value.samps_per_chan_written) == (-200292, 0)
         chassis.advance(150)
-        with raised() as caught:
-            task.write(np.zeros(50))
-        assert caught.value.error_code == -200290
+        for call in (task.is_task_done, lambda: task.write(np.zeros(50)), task.is_task_done) * 2:
+            with raised() as caught:
+                call()
+            assert caught.value.error_code == -200290
         assert chassis.held[0] == 0.5
+        task.stop()
+        assert task.is_task_done()
+        assert task.write(np.zeros(50)) == 50
+
+
+def test_given_an_output_that_ran_dry_when_nobody_has_been_told_then_stopping_says_so(chassis):
+    with Task() as task:
+        task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
+        task.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
+        task.out_stream.regen_mode = RegenerationMode.DONT_ALLOW_REGENERATION
+        task.write(np.full(100, 0.5))
+        task.start()
+        chassis.advance(150)
+        with raised() as caught:
+            task.stop()
+        assert caught.value.error_code == -200290
+        assert not task.is_running
 
 
 def test_given_a_running_task_when_settings_are_changed_then_it_says_to_stop_first(chassis):

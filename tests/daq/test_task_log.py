@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 import daq
+import rig
 from daq.clock import ManualClock
 from daq.constants import READ_ALL_AVAILABLE, AcquisitionType, LoggingMode, LoggingOperation, Slope
 from daq.errors import DaqError, DaqReadError
@@ -89,6 +90,28 @@ def test_given_an_overrun_when_the_script_pauses_before_it_reads_on_then_nothing
         np.testing.assert_allclose(volts[400:900], np.concatenate(later, axis=1)[0], rtol=1e-12)
 
 
+def test_given_two_modules_on_the_same_sensors_when_logging_then_both_are_in_the_recording(tmp_path):
+    chassis = daq.connect("fig8-three-dampers", clock=ManualClock())
+    path = tmp_path / "modules.mcap"
+    with Task() as task:
+        task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:2,cDAQ1Mod2/ai0:1")
+        task.ai_channels.add_ai_voltage_chan("cDAQ1Mod2/ai2", "third")
+        task.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
+        task.in_stream.configure_logging(path, operation=LoggingOperation.CREATE)
+        task.start()
+        chassis.advance(300)
+        read = np.array(task.read(300))
+        task.stop()
+        assert [each.name for each in task.devices] == ["cDAQ1Mod1", "cDAQ1Mod2"]
+    assert np.array_equal(read[:3], read[3:])
+    with daq.open(path) as recording:
+        assert [*recording.channels] == [
+            *("body1", "body2", "body3"),
+            *("body1 on cDAQ1Mod2", "body2 on cDAQ1Mod2", "third"),
+        ]
+        assert np.array_equal(recording.read("third"), recording.read("body3"))
+
+
 def test_given_logging_alone_when_samples_come_then_nothing_is_lost_and_reading_is_refused(chassis, tmp_path):
     path = tmp_path / "alone.mcap"
     with Task() as task:
@@ -118,6 +141,35 @@ def test_given_a_reference_trigger_when_logging_then_the_recording_is_what_was_c
     with daq.open(path) as recording:
         np.testing.assert_allclose(recording.read("force"), read, rtol=1e-12)
         assert [mark.first_sample for mark in recording.markers if mark.kind == "trigger"] == [100]
+
+
+@pytest.mark.parametrize("mode", [LoggingMode.LOG, LoggingMode.LOG_AND_READ])
+@pytest.mark.parametrize("name", ["dropped.mcap", "dropped.tdms"])
+def test_given_samples_lost_on_the_way_when_logging_then_the_file_says_where_it_broke_off(
+    tmp_path, mode, name
+):
+    scene = rig.load("fig8-three-dampers")
+    dropped = {"at": "0.1 s", "samples": 256}
+    scene = scene.replace(converter=scene.converter.replace(dropped_blocks=[dropped]))
+    chassis = daq.connect(scene, clock=ManualClock())
+    path = tmp_path / name
+    with Task("broken") as task:
+        logging(task, path, mode)
+        task.start()
+        chassis.advance(1000)
+        with pytest.raises(DaqError, match="lost on the way"):
+            task.stop()
+    if name.endswith(".tdms"):
+        import nptdms
+
+        assert "lost on the way" in nptdms.TdmsFile.read(path)["broken"]["Dev1/ai1"].properties["error"]
+        return
+    with daq.open(path) as recording:
+        assert (recording.status, recording.samples) == ("failed", 512)
+        (abort,) = [mark for mark in recording.markers if mark.kind == "abort"]
+        assert abort.first_sample == 512
+        assert "lost on the way" in abort.fields["reason"]
+        assert recording.metadata["outcome"]["reason"] == abort.fields["reason"]
 
 
 @pytest.mark.parametrize(

@@ -258,6 +258,8 @@ class Chassis:
         samples = self._operator.horizon(min(limit, _BLOCK))
         if self._output_waits_on_data():
             samples = 1
+        for task in self.running_inputs:
+            samples = min(samples, task.run.log_horizon())
         if not self.clock.runs_free:
             # Callbacks come exactly when they are due, so that what they find does not depend on who waits.
             for task in [*self.running_inputs, *self.running_outputs]:

@@ -185,10 +185,20 @@ class TaskRun:
 
     # Logging
 
+    @property
+    def _logs_by_itself(self) -> bool:
+        return self._log is not None and self._log.mode is LoggingMode.LOG
+
+    def log_horizon(self) -> int:
+        """Count the samples that may come before `log_samples` has to be called, so that none is lost."""
+        run = self.acquisition
+        return run.plan.buffer if run is not None and not run.done and self._logs_by_itself else 1 << 62
+
     def log_samples(self) -> None:
-        """Log what has come, if the task logs by itself."""
-        if self._log is not None and self._log.mode is LoggingMode.LOG:
+        """Log what has come, if the task logs by itself; for the buffer it is read then."""
+        if self.acquisition is not None and self._logs_by_itself:
             self.log_read()
+            self.acquisition.position = max(self.acquisition.position, self.acquisition.readable)
 
     def log_read(self) -> None:
         """Log what has been read."""

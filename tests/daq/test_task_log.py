@@ -4,7 +4,14 @@ import pytest
 import daq
 import rig
 from daq.clock import ManualClock
-from daq.constants import READ_ALL_AVAILABLE, AcquisitionType, LoggingMode, LoggingOperation, Slope
+from daq.constants import (
+    READ_ALL_AVAILABLE,
+    AcquisitionType,
+    LoggingMode,
+    LoggingOperation,
+    OverwriteMode,
+    Slope,
+)
 from daq.errors import DaqError, DaqReadError
 from daq.task import Task
 
@@ -127,6 +134,23 @@ def test_given_logging_alone_when_samples_come_then_nothing_is_lost_and_reading_
     with daq.open(path) as recording:
         assert recording.samples == 2000
         assert recording.gaps == []
+
+
+@pytest.mark.parametrize("overwrite", OverwriteMode)
+def test_given_logging_alone_when_more_than_the_buffer_passes_at_once_then_nothing_is_lost(
+    chassis, tmp_path, overwrite
+):
+    path = tmp_path / "at_once.mcap"
+    with Task() as task:
+        logging(task, path, LoggingMode.LOG, samps_per_chan=3000)
+        task.in_stream.input_buf_size = 500
+        task.in_stream.overwrite = overwrite
+        task.start()
+        chassis.advance(4000)
+        assert task.is_task_done()
+        task.stop()
+    with daq.open(path) as recording:
+        assert (recording.samples, recording.gaps, recording.status) == (3000, [], "complete")
 
 
 def test_given_a_reference_trigger_when_logging_then_the_recording_is_what_was_cut_out(tmp_path):

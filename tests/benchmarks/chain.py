@@ -22,6 +22,8 @@ from rig.plant import Plant
 from rig.scene import Scene
 
 RATE, SECONDS, BLOCK = 51200.0, 4, 5120
+# A recording takes some 10 ms to begin and to end, which is not what is asked for here.
+RECORDED_SECONDS = 20
 PLACES = ("body 1", "body 2", "body 3", "table")
 
 # Each rung adds to the accelerometer, the integrator or the converter of those before it.
@@ -107,7 +109,7 @@ def measure() -> Iterator[str]:
     scene = full_scene()
     for name, display in (("all, and recorded", False), ("all, recorded with display", True)):
         took = min(record(scene.replace(recording={"display": display})) for _ in range(4))
-        yield f"{name:36s} motion and all: {SECONDS / took:5.1f} times real time"
+        yield f"{name:36s} motion and all: {RECORDED_SECONDS / took:5.1f} times real time"
 
 
 def record(scene: Scene) -> float:
@@ -116,7 +118,7 @@ def record(scene: Scene) -> float:
     with tempfile.TemporaryDirectory() as folder:
         began = time.process_time()
         with Recorder(Path(folder) / "chain.mcap", scene, bench.channels, bench.rate) as recorder:
-            for first in range(0, round(SECONDS * RATE), BLOCK):
+            for first in range(0, round(RECORDED_SECONDS * RATE), BLOCK):
                 drive = 3.0 * np.sin(2 * np.pi * 34.8 / RATE * np.arange(first, first + BLOCK))[None]
                 recorder.write(bench.acquire(drive).samples)
         return time.process_time() - began

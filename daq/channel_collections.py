@@ -97,10 +97,10 @@ class ChannelCollection(Sequence[Channel]):
     ) -> Channel:
         task = self._task
         task.check_idle(f"adding {physical_channel}")
-        ports = unflatten(physical_channel)
+        ports = unflatten(physical_channel) if isinstance(physical_channel, str) else []
         if not ports:
             raise DaqError(
-                "no physical channel was given: expected for instance cDAQ1Mod1/ai0:3",
+                f"no physical channel was given but {physical_channel!r}: expected for instance cDAQ1Mod1/ai0:3",
                 DAQmxErrors.PHYSICAL_CHAN_DOES_NOT_EXIST,
                 task.name,
             )
@@ -111,9 +111,7 @@ class ChannelCollection(Sequence[Channel]):
                 DAQmxErrors.INVALID_ATTRIBUTE_VALUE,
                 task.name,
             )
-        names = (
-            ports if not name else [name] if len(ports) == 1 else [f"{name}{i}" for i in range(len(ports))]
-        )
+        names = _names(name, ports, task.name)
         new: list[Terminal] = []
         for port, virtual in zip(ports, names, strict=True):
             terminal = Terminal(virtual, port.lstrip("/"), self._number(port), dict(settings), writable)
@@ -151,6 +149,21 @@ class ChannelCollection(Sequence[Channel]):
         if name.startswith("add_"):
             raise unsupported(f"{name} ({self._what})")
         raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
+
+
+def _names(given: str, ports: list[str], task: str) -> list[str]:
+    """Name channels: a list gives each its name, one name for several is numbered; without, as their terminals."""
+    names = unflatten(given)
+    if len(names) > len(ports):
+        raise DaqError(
+            f"{len(names)} names for {len(ports)} channel(s), {given!r} for {', '.join(ports)}: expected a name "
+            "for each, or one for all",
+            DAQmxErrors.INVALID_ATTRIBUTE_VALUE,
+            task,
+        )
+    if len(names) == 1 and len(ports) > 1:
+        return [f"{names[0]}{i}" for i in range(len(ports))]
+    return [*names, *ports[len(names) :]]
 
 
 class AIChannelCollection(ChannelCollection):

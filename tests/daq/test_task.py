@@ -12,6 +12,7 @@ from daq.constants import (
     RegenerationMode,
     TaskMode,
 )
+from daq.errors import DaqError
 from daq.task import Task
 
 RATE = 5120.0
@@ -362,3 +363,26 @@ def test_given_a_fast_clock_when_different_things_are_looked_at_once_then_no_tim
         assert (stream.total_samp_per_chan_acquired, stream.avail_samp_per_chan) == (100, 0)
         assert not task.is_task_done()
         assert chassis.position == 100
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ("", ["Dev1/ai0", "Dev1/ai1", "Dev1/ai2"]),
+        ("body", ["body0", "body1", "body2"]),
+        ("low, middle, high", ["low", "middle", "high"]),
+        ("low, middle", ["low", "middle", "Dev1/ai2"]),
+    ],
+)
+def test_given_names_for_several_channels_when_they_are_added_then_each_has_its_own(chassis, given, expected):
+    with Task() as task:
+        task.ai_channels.add_ai_accel_chan("Dev1/ai0:2", given)
+        assert task.channel_names == expected
+
+
+@pytest.mark.parametrize(("port", "names"), [("Dev1/ai0", "a, b"), (5, "a"), ("", "a")])
+def test_given_more_names_than_channels_or_no_channel_when_one_is_added_then_it_is_refused(
+    chassis, port, names
+):
+    with Task() as task, pytest.raises(DaqError):
+        task.ai_channels.add_ai_accel_chan(port, names)

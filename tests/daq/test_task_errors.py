@@ -7,7 +7,7 @@ import pytest
 import daq
 import rig
 from daq.clock import ManualClock
-from daq.constants import AcquisitionType, Edge, OverwriteMode, RegenerationMode, VoltageUnits
+from daq.constants import AcquisitionType, Edge, RegenerationMode, VoltageUnits
 from daq.errors import DaqError, DaqReadError, DaqResourceWarning, DaqWarning, DaqWriteError
 from daq.task import Task
 
@@ -28,84 +28,6 @@ def inputs(task, channels="Dev1/ai0", **timing):
 
 def raised(kind=DaqError):
     return pytest.raises(kind)
-
-
-def test_given_a_slow_reader_when_samples_are_overwritten_then_the_error_counts_them_and_reading_goes_on(
-    chassis,
-):
-    with Task() as task:
-        inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
-        task.in_stream.input_buf_size = 1000
-        task.start()
-        chassis.advance(1300)
-        with raised(DaqReadError) as caught:
-            task.read(100)
-        assert caught.value.error_code == -200279
-        assert "300 samples" in str(caught.value)
-        assert task.in_stream.curr_read_pos == 300
-        assert len(task.read(1000)) == 1000
-        chassis.advance(10)
-        assert len(task.read(10)) == 10
-        assert not task.is_task_done()
-
-
-@pytest.mark.parametrize("pause", [1, 51, 512, 999])
-def test_given_a_reader_that_keeps_up_when_it_has_been_late_once_then_it_hears_of_it_once(chassis, pause):
-    with Task() as task:
-        inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
-        task.in_stream.input_buf_size = 1000
-        task.start()
-        chassis.advance(2600)
-        with raised(DaqReadError) as caught:
-            task.read(pause)
-        assert caught.value.error_code == -200279
-        assert "1600 samples" in str(caught.value)
-        for number in range(20):
-            assert task.in_stream.curr_read_pos == 1600 + number * pause
-            chassis.advance(pause)
-            assert len(task.read(pause)) == pause
-
-
-def test_given_a_reader_that_has_caught_up_when_it_is_late_again_then_it_hears_of_that_too(chassis):
-    with Task() as task:
-        inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
-        task.in_stream.input_buf_size = 1000
-        task.start()
-        for lost in (300, 200):
-            chassis.advance(1000 + lost)
-            with raised(DaqReadError) as caught:
-                task.read(10)
-            assert f"{lost} samples" in str(caught.value)
-            assert len(task.read(1000)) == 1000
-
-
-def test_given_a_reader_too_slow_for_good_when_it_reads_then_each_loss_is_counted_once(chassis):
-    with Task() as task:
-        inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
-        task.in_stream.input_buf_size = 1000
-        task.start()
-        read = lost = 0
-        for _ in range(40):
-            chassis.advance(400)
-            try:
-                read += len(task.read(100))
-            except DaqReadError as error:
-                lost += int(str(error).split()[0])
-            assert task.in_stream.curr_read_pos == read + lost
-        assert lost > 0
-
-
-def test_given_unread_samples_to_be_kept_when_the_buffer_is_full_then_the_acquisition_stops(chassis):
-    with Task() as task:
-        inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
-        task.in_stream.input_buf_size = 500
-        task.in_stream.overwrite = OverwriteMode.DO_NOT_OVERWRITE_UNREAD_SAMPLES
-        task.start()
-        chassis.advance(700)
-        assert len(task.read(500)) == 500
-        with raised(DaqReadError) as caught:
-            task.read(1)
-        assert caught.value.error_code == -200222
 
 
 def test_given_a_finished_acquisition_when_reading_on_then_the_partial_count_comes_with_the_error(chassis):

@@ -17,7 +17,7 @@ from daq.constants import (
     ReadRelativeTo,
     WaitMode,
 )
-from daq.errors import DaqError, DAQmxErrors, unsupported
+from daq.errors import DaqError, DAQmxErrors, DaqReadError, unsupported
 from daq.task_read import collect
 from daq.terminals import unflatten
 
@@ -316,13 +316,13 @@ class InStream:
 
     def _seek(self, run: Acquisition) -> None:
         """Go to where reads begin, if the script has said so."""
-        relative = self.relative_to
+        relative, position = self.relative_to, run.position
         if relative is ReadRelativeTo.CURRENT_READ_POSITION:
-            run.position += self.offset
+            position += self.offset
         elif relative is ReadRelativeTo.FIRST_SAMPLE:
-            run.position = self.offset
+            position = self.offset
         elif relative is ReadRelativeTo.MOST_RECENT_SAMPLE:
-            run.position = max(0, run.ring.written + self.offset)
+            position = max(0, run.ring.written + self.offset)
         elif run.plan.reference is None:
             raise DaqError(
                 f"in_stream.relative_to is {relative.name}, but the task has no reference trigger",
@@ -331,7 +331,16 @@ class InStream:
             )
         elif run.trigger is not None:
             at_trigger = relative is ReadRelativeTo.REFERENCE_TRIGGER
-            run.position = (run.trigger if at_trigger else run.first_readable) + self.offset
+            position = (run.trigger if at_trigger else run.first_readable) + self.offset
+        if position < 0:
+            raise DaqReadError(
+                f"the read would begin {-position} samples before the first one: in_stream.relative_to is "
+                f"{relative.name} and in_stream.offset {self.offset}",
+                DAQmxErrors.NEGATIVE_READ_SAMPLE_NUMBER,
+                0,
+                self._task.name,
+            )
+        run.position = position
 
     def _rows(self) -> list[int]:
         collection = self._task.ai_channels

@@ -308,6 +308,19 @@ def test_given_wrong_use_when_reading_or_writing_then_each_has_its_code(chassis)
     assert code(reading.read, 1) == -200088
 
 
+def test_given_an_offset_before_the_first_sample_when_reading_then_it_says_so_and_stays_where_it_was(chassis):
+    with Task() as task:
+        inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
+        task.start()
+        chassis.advance(100)
+        task.read(20)
+        task.in_stream.offset = -21
+        with raised(DaqReadError) as caught:
+            task.read(10)
+        assert caught.value.error_code == -200277
+        assert task.in_stream.curr_read_pos == 20
+
+
 def test_given_a_taken_name_when_a_task_is_made_then_it_is_refused(chassis):
     with Task("twice"), raised() as caught:
         Task("twice")

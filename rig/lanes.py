@@ -37,7 +37,7 @@ def zeros(*shape: int) -> np.ndarray:
     """Zeros that begin on the boundary of a register in memory: then no register has to be read in two halves."""
     count = math.prod(shape)
     room = np.zeros(count + LANES)
-    start = -(room.ctypes.data // room.itemsize) % LANES
+    start = -(room.__array_interface__["data"][0] // room.itemsize) % LANES
     return room[start : start + count].reshape(shape)
 
 

@@ -83,7 +83,7 @@ class Plant:
                 self.system.initial, np.concatenate([block[:, 0], np.zeros(len(self.inputs))])
             )
             self._march.see(seen, 0)
-        drive_in = np.hstack([self._last, block[:, lead:]])
+        drive_in = np.concatenate([self._last, block[:, lead:]], axis=1)
         course = self._march.watch_samples(drive_in, self._steps, seen, lead)
         self._last = drive_in[:, -1:].copy()
         self._next += samples
@@ -128,7 +128,7 @@ class Plant:
             break_sample=first_end + course.break_segment,
             break_offset=np.minimum(course.break_offset, interval),
             break_displacement=np.ascontiguousarray(before[:, :n].T),
-            break_velocity=np.stack([before[:, n : 2 * n].T, after[:, n : 2 * n].T]),
+            break_velocity=np.array([before[:, n : 2 * n].T, after[:, n : 2 * n].T]),
             break_acceleration=self._march.accelerations(
                 np.concatenate([before, after]), np.concatenate([course.before_slot, course.after_slot])
             )

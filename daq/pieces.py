@@ -23,35 +23,30 @@ Array = NDArray[np.float64]
 STRAIGHT = 1e-4
 
 
+# Columns of `Pieces.parts` behind the four numbers of a piece.
+LENGTH, JUMP = 4, 5
+
+
 class Pieces(NamedTuple):
     """Input over the sample intervals of a block; intervals that hold breaks are given in parts as well.
 
+    Four numbers describe a piece: input at its start and at its end, its average, and its moment, the average of
+    input times remaining share of the piece (1/2 for a constant 1).
+
     Attributes
     ----------
-    start, end : ndarray, shape (intervals,)
-        Input at both ends of the interval that ends at a sample.
-    mean : ndarray, shape (intervals,)
-        Its average.
-    moment : ndarray, shape (intervals,)
-        Average of input times remaining share of the interval: 1/2 for a constant 1.
+    smooth : ndarray, shape (4, intervals)
+        These numbers for the interval that ends at each sample.
     broken : ndarray of int64, shape (parts,)
-        Interval to which a part belongs, ascending; for these the four arrays above mean nothing.
-    length : ndarray, shape (parts,)
-        Length as a share of the interval.
-    part : ndarray, shape (parts, 4)
-        Start, end, mean and moment over a part.
-    jump : ndarray, shape (parts,)
-        Impulse at the end of a part, divided by the sample interval.
+        Interval to which a part belongs, ascending; for these the numbers above mean nothing.
+    parts : ndarray, shape (parts, 6)
+        The numbers of each part; its length as a share of the interval; the impulse at its end, divided by the
+        sample interval.
     """
 
-    start: Array
-    end: Array
-    mean: Array
-    moment: Array
+    smooth: Array
     broken: NDArray[np.int64]
-    length: Array
-    part: Array
-    jump: Array
+    parts: Array
 
 
 class MotionPieces:
@@ -68,8 +63,9 @@ class MotionPieces:
     def __init__(self, row: int, rate: float) -> None:
         self._row = row
         self._rate = rate
-        # Acceleration, velocity and displacement at the last sample.
+        # Acceleration, velocity and displacement at the last sample, and room for those at a part's ends.
         self._last = np.zeros(3)
+        self._ends = np.zeros(3), np.zeros(3)
 
     def cut(self, motion: Motion) -> Pieces:
         """Give the pieces of the next block.
@@ -80,20 +76,18 @@ class MotionPieces:
         acceleration, velocity, displacement = (
             rows[self._row] for rows in (motion.acceleration, motion.velocity, motion.displacement)
         )
-        samples, h = acceleration.size, 1.0 / self._rate
-        start, mean, moment = np.empty(samples), np.empty(samples), np.empty(samples)
-        if samples == 0:
-            return Pieces(start, start, mean, moment, *no_parts(0))
+        smooth = np.empty((4, acceleration.size))
+        if acceleration.size == 0:
+            return Pieces(smooth, *no_parts(0))
         if motion.first == 0:
             self._last[2] = displacement[0]
-        breaks = motion.break_sample.size
         # Each break ends a part and every broken interval has a last part more; a run begins with one.
-        broken, length, part, jump = no_parts(2 * breaks + 1)
+        broken, parts = no_parts(2 * motion.break_sample.size + 1)
         count = 0
         if motion.first == 0:
-            jump[0] = velocity[0] / h
+            parts[0, JUMP] = velocity[0] * self._rate
             count = 1
-        if breaks:
+        if motion.break_sample.size:
             count = _cut(
                 motion.break_sample - motion.first,
                 motion.break_offset,
@@ -101,23 +95,19 @@ class MotionPieces:
                 self._row,
                 (acceleration, velocity, displacement),
                 self._last,
-                h,
+                1.0 / self._rate,
                 count,
                 broken,
-                length,
-                part,
-                jump,
-                (np.empty(3), np.empty(3)),
+                parts,
+                self._ends,
             )
-        _smooth(acceleration, velocity, displacement, self._last, self._rate, start, mean, moment)
-        return Pieces(
-            start, acceleration, mean, moment, broken[:count], length[:count], part[:count], jump[:count]
-        )
+        _smooth(acceleration, velocity, displacement, self._last, self._rate, smooth)
+        return Pieces(smooth, broken[:count], parts[:count])
 
 
-def no_parts(count: int) -> tuple[NDArray[np.int64], Array, Array, Array]:
-    """Make room for parts of broken intervals: number, length, part, jump."""
-    return np.zeros(count, np.int64), np.zeros(count), np.zeros((count, 4)), np.zeros(count)
+def no_parts(count: int) -> tuple[NDArray[np.int64], Array]:
+    """Make room for parts of broken intervals: the intervals, and the parts."""
+    return np.zeros(count, np.int64), np.zeros((count, 6))
 
 
 class ForcePieces:
@@ -129,16 +119,13 @@ class ForcePieces:
 
     def cut(self, force: Array) -> Pieces:
         """Give the pieces of the next block; force is zero before sample 0 and may jump there."""
+        smooth = np.empty((4, force.size))
         if force.size == 0:
-            return Pieces(force, force, force, force, *no_parts(0))
-        before = np.concatenate([[self._last], force[:-1]])
-        pieces = Pieces(
-            before,
-            force,
-            0.5 * (before + force),
-            before / 3.0 + force / 6.0,
-            *no_parts(1 if self._fresh else 0),
-        )
+            return Pieces(smooth, *no_parts(0))
+        smooth[0, 0], smooth[0, 1:], smooth[1] = self._last, force[:-1], force
+        smooth[2] = 0.5 * (smooth[0] + force)
+        smooth[3] = smooth[0] / 3.0 + force / 6.0
+        pieces = Pieces(smooth, *no_parts(1 if self._fresh else 0))
         self._last, self._fresh = float(force[-1]), False
         return pieces
 
@@ -157,12 +144,12 @@ def _smooth(
     displacement: Array,
     last: Array,
     rate: float,
-    start: Array,
-    mean: Array,
-    moment: Array,
+    smooth: Array,
 ) -> None:
     """Describe every interval as if it were one piece; `last` holds the last sample, before and after."""
     end = acceleration.size
+    start, mean, moment = smooth[0], smooth[2], smooth[3]
+    put(acceleration, smooth[1])
     start[0] = last[0]
     mean[0] = (velocity[0] - last[1]) * rate
     moment[0] = ((displacement[0] - last[2]) * rate - last[1]) * rate
@@ -187,9 +174,7 @@ def _cut(
     h: float,
     count: int,
     broken: NDArray[np.int64],
-    length: Array,
-    part: Array,
-    jump: Array,
+    parts: Array,
     ends: tuple[Array, Array],
 ) -> int:
     """Fill in the parts of broken intervals; give their number.
@@ -210,16 +195,16 @@ def _cut(
             done = 0.0
         right[0], right[1], right[2] = acceleration[0, row, b], velocity[0, row, b], displacement[row, b]
         reached = min(max(offset[b] / h, done), 1.0)
-        _part(left, right, reached - done, h, part[count])
-        broken[count], length[count] = k, reached - done
-        jump[count] = (velocity[1, row, b] - velocity[0, row, b]) / h
+        _part(left, right, reached - done, h, parts[count])
+        broken[count] = k
+        parts[count, JUMP] = (velocity[1, row, b] - velocity[0, row, b]) / h
         count += 1
         left[0], left[1], left[2] = acceleration[1, row, b], velocity[1, row, b], displacement[row, b]
         done = reached
         if b + 1 == interval.size or interval[b + 1] != k:
             _pick(rows, k, right)
-            _part(left, right, 1.0 - done, h, part[count])
-            broken[count], length[count], jump[count] = k, 1.0 - done, 0.0
+            _part(left, right, 1.0 - done, h, parts[count])
+            broken[count] = k
             count += 1
     return count
 
@@ -232,8 +217,8 @@ def _pick(rows: tuple[Array, Array, Array], sample: int, out: Array) -> None:
 
 @unfused
 def _part(left: Array, right: Array, share: float, h: float, out: Array) -> None:
-    """Describe the input between two nodes, each given by acceleration, velocity and displacement."""
-    out[0], out[1] = left[0], right[0]
+    """Describe the input between two nodes, each given by acceleration, velocity and displacement; no impulse."""
+    out[0], out[1], out[LENGTH], out[JUMP] = left[0], right[0], share, 0.0
     if share == 0.0:
         out[2], out[3] = 0.0, 0.0
         return

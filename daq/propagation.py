@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.discretisation import CUBIC, PARTS, Tables
-from daq.pieces import Pieces
+from daq.pieces import JUMP, LENGTH, Pieces
 from rig.fused import WEIGHED, fused, spread, weigh
 from rig.jit import unfused
 from rig.lanes import LANES, copy, multiply, zeros
@@ -104,8 +104,9 @@ def propagate(
     behind = 4 + held.shape[0]
     part = 0
     first = 0
-    while first < pieces.start.size:
-        stop = min(first + STRETCH, pieces.start.size)
+    intervals = pieces.smooth.shape[1]
+    while first < intervals:
+        stop = min(first + STRETCH, intervals)
         if part < pieces.broken.size:
             stop = min(stop, pieces.broken[part])
         if stop > first:
@@ -126,17 +127,15 @@ def propagate(
         for r in range(rows.shape[0]):
             weigh(course, behind, 1, rows[r], tables.states, sums[0], stop - first)
             for k in range(first, stop):
-                points[r, k] = fused(rows_input[r], pieces.end[k], sums[0, k - first])
+                points[r, k] = fused(rows_input[r], pieces.smooth[1, k], sums[0, k - first])
         first = stop
 
 
 @unfused
 def _lay_out(pieces: Pieces, held: Array, first: int, stop: int, course: Array) -> None:
     """Put input and disturbances of a stretch above the states."""
-    _copy(pieces.start[first:stop], course[0])
-    _copy(pieces.end[first:stop], course[1])
-    _copy(pieces.mean[first:stop], course[2])
-    _copy(pieces.moment[first:stop], course[3])
+    for k in range(4):
+        _copy(pieces.smooth[k, first:stop], course[k])
     for e in range(held.shape[0]):
         _copy(held[e, first:stop], course[4 + e])
 
@@ -302,18 +301,18 @@ def _in_parts(
     for j in range(states):
         vector[j] = state[j]
     while part < pieces.broken.size and pieces.broken[part] == interval:
-        share = pieces.length[part]
+        share = pieces.parts[part, LENGTH]
         if share > 0.0:
             scale = 1.0
             for k in range(4):
                 total = 0.0
                 for j in range(4):
-                    total += CUBIC[k, j] * pieces.part[part, j]
+                    total += CUBIC[k, j] * pieces.parts[part, j]
                 vector[width + k] = total * scale
                 scale /= share
             _advance(tables, share, vector, term, work, nothing)
         for r in range(width):
-            vector[r] += tables.impulse[r] * pieces.jump[part]
+            vector[r] += tables.impulse[r] * pieces.parts[part, JUMP]
         part += 1
     for r in range(states, width):
         work[r] = vector[r]

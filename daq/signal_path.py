@@ -106,7 +106,7 @@ class SignalPath:
         """
         if self._delay is not None:
             pieces = self._delay.shift(pieces)
-        intervals = pieces.start.size
+        intervals = pieces.smooth.shape[1]
         held = self._disturbances.hold(intervals)
         points = np.empty((self._rows_input.size, intervals))
         propagate(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.pieces import Pieces, no_parts, put
+from daq.pieces import JUMP, LENGTH, Pieces, no_parts, put
 from rig.errors import SceneError
 from rig.fused import fused
 from rig.jit import unfused
@@ -72,42 +72,27 @@ class Delay:
     def __init__(self, share: float) -> None:
         self._share = share
         self._joined = _joined(share)
-        # The last interval as a whole, and its end in parts if it was broken: number of parts, then length,
-        # part and jump of each.
+        # The last interval as a whole, and its end in parts if it was broken.
         self._last = np.zeros(4)
-        self._tail = 0
-        self._tail_length, self._tail_part, self._tail_jump = np.zeros(0), np.zeros((0, 4)), np.zeros(0)
+        self._tail = np.zeros((0, 6))
 
     def shift(self, pieces: Pieces) -> Pieces:
         """Give the delayed input over the same number of intervals."""
-        intervals, parts = pieces.start.size, pieces.broken.size
-        if intervals == 0:
+        if pieces.smooth.size == 0:
             return pieces
-        smooth = np.empty((4, intervals))
+        smooth = np.empty(pieces.smooth.shape)
         # A broken interval makes two: each of its parts is in one of them or cut in two, and each has a part
         # more.
-        room = self._tail + 4 * parts + 4
-        broken, length, part, jump = no_parts(room)
-        _, tail_length, tail_part, tail_jump = no_parts(room)
-        tail_length[: self._tail] = self._tail_length
-        tail_part[: self._tail], tail_jump[: self._tail] = self._tail_part, self._tail_jump
-        count, tail = _shift(
-            pieces, self._share, self._joined, self._last, self._tail, smooth,
-            broken, length, part, jump, tail_length, tail_part, tail_jump, np.empty(4),
-        )  # fmt: skip
-        self._tail = tail
-        self._tail_length, self._tail_jump = tail_length[:tail].copy(), tail_jump[:tail].copy()
-        self._tail_part = tail_part[:tail].copy()
-        return Pieces(
-            smooth[0],
-            smooth[1],
-            smooth[2],
-            smooth[3],
-            broken[:count],
-            length[:count],
-            part[:count],
-            jump[:count],
+        waiting = len(self._tail)
+        room = waiting + 4 * pieces.broken.size + 4
+        broken, parts = no_parts(room)
+        tail = np.zeros((room, 6))
+        tail[:waiting] = self._tail
+        count, waiting = _shift(
+            pieces, self._share, self._joined, self._last, waiting, smooth, broken, parts, tail, np.empty(4)
         )
+        self._tail = tail[:waiting]
+        return Pieces(smooth, broken[:count], parts[:count])
 
 
 def _joined(share: float) -> Array:
@@ -115,9 +100,9 @@ def _joined(share: float) -> Array:
     matrix = np.zeros((4, 8))
     head = 1.0 - share
     for column in range(4):
-        unit, end, begin = np.eye(4)[column], np.empty(4), np.empty(4)
-        _between(unit, head, 1.0, end)
-        _between(unit, 0.0, head, begin)
+        unit, end, begin = np.eye(4)[column], np.empty(6), np.empty(6)
+        _between(unit, head, 1.0, share, 0.0, end)
+        _between(unit, 0.0, head, head, 0.0, begin)
         matrix[:, column] = (
             end[0], 0.0, share * end[2], share * (share * end[3] + head * end[2]),
         )  # fmt: skip
@@ -134,94 +119,83 @@ def _shift(
     tail: int,
     smooth: Array,
     broken: NDArray[np.int64],
-    length: Array,
-    part: Array,
-    jump: Array,
-    tail_length: Array,
-    tail_part: Array,
-    tail_jump: Array,
+    parts: Array,
+    ends: Array,
     whole: Array,
 ) -> tuple[int, int]:
     """Fill in the delayed intervals; give the number of their parts and of those left over.
 
     `last` is the interval before, and is kept up to date; if it was broken, its end is in the `tail` first
-    parts.
+    parts of `ends`.
     """
     for r in range(4):
-        _join(pieces, joined[r], last, smooth[r])
-    count, at, i = 0, 0, 0
+        _join(pieces.smooth, joined[r], last, smooth[r])
+    count, at, i, intervals = 0, 0, 0, smooth.shape[1]
     head = 1.0 - share
-    while i < pieces.start.size:
+    while i < intervals:
         if tail == 0:
             # Whole intervals after whole ones are joined already.
-            broken_next = pieces.broken[at] if at < pieces.broken.size else pieces.start.size
+            broken_next = pieces.broken[at] if at < pieces.broken.size else intervals
             if broken_next > i:
                 i = broken_next
-                _take(pieces, i - 1, last)
+                put(pieces.smooth[:, i - 1], last)
                 continue
         whole_now = at == pieces.broken.size or pieces.broken[at] != i
         # The end of the interval before.
         if tail == 0:
-            broken[count], length[count], jump[count] = i, share, 0.0
-            _between(last, head, 1.0, part[count])
+            broken[count] = i
+            _between(last, head, 1.0, share, 0.0, parts[count])
             count += 1
         for k in range(tail):
-            broken[count], length[count], jump[count] = i, tail_length[k], tail_jump[k]
-            put(tail_part[k], part[count])
+            broken[count] = i
+            put(ends[k], parts[count])
             count += 1
         tail = 0
         # The beginning of this one; if it is broken, its end in parts for the next.
-        _take(pieces, i, last)
+        put(pieces.smooth[:, i], last)
         if whole_now:
-            broken[count], length[count], jump[count] = i, head, 0.0
-            _between(last, 0.0, head, part[count])
+            broken[count] = i
+            _between(last, 0.0, head, head, 0.0, parts[count])
             count += 1
             i += 1
             continue
         done = 0.0
         while at < pieces.broken.size and pieces.broken[at] == i:
-            size = pieces.length[at]
-            put(pieces.part[at], whole)
+            part = pieces.parts[at]
+            size = part[LENGTH]
             if done + size <= head and size > 0.0:
-                broken[count], length[count], jump[count] = i, size, pieces.jump[at]
-                put(whole, part[count])
+                broken[count] = i
+                put(part, parts[count])
                 count += 1
             else:
+                put(part, whole)
                 before = max(head - done, 0.0) if size > 0.0 else 0.0
                 if before > 0.0:
-                    broken[count], length[count], jump[count] = i, before, 0.0
-                    _between(whole, 0.0, before / size, part[count])
+                    broken[count] = i
+                    _between(whole, 0.0, before / size, before, 0.0, parts[count])
                     count += 1
-                tail_length[tail], tail_jump[tail] = size - before, pieces.jump[at]
                 if size > 0.0:
-                    _between(whole, before / size, 1.0, tail_part[tail])
+                    _between(whole, before / size, 1.0, size - before, part[JUMP], ends[tail])
                 else:
-                    put(whole, tail_part[tail])
+                    put(part, ends[tail])
                 tail += 1
             done += size
             at += 1
         if done == 0.0:
             # The instant at which a run begins: before it there is rest, for as long as the delay.
-            tail_length[0] = share
-            tail_part[0][:] = 0.0
-            broken[count], length[count], jump[count] = i, 0.0, 0.0
-            part[count][:] = 0.0
+            ends[0, :LENGTH] = 0.0
+            ends[0, LENGTH] = share
+            broken[count] = i
+            parts[count][:] = 0.0
             count += 1
         i += 1
     return count, tail
 
 
 @unfused
-def _take(pieces: Pieces, interval: int, out: Array) -> None:
-    """Take the four numbers of an interval."""
-    out[0], out[1] = pieces.start[interval], pieces.end[interval]
-    out[2], out[3] = pieces.mean[interval], pieces.moment[interval]
-
-
-@unfused
-def _join(pieces: Pieces, weights: Array, last: Array, out: Array) -> None:
+def _join(pieces: Array, weights: Array, last: Array, out: Array) -> None:
     """Join every interval with the one before as if both were whole; one number of the result."""
-    start, end, mean, moment = pieces.start, pieces.end, pieces.mean, pieces.moment
+    start, end, mean, moment = pieces[0], pieces[1], pieces[2], pieces[3]
     out[0] = _joined_up(
         weights, last[0], last[1], last[2], last[3], start[0], end[0], mean[0], moment[0],
     )  # fmt: skip
@@ -242,8 +216,9 @@ def _joined_up(
 
 
 @unfused
-def _between(whole: Array, begin: float, end: float, out: Array) -> None:
-    """Describe the part of a cubic between two shares of its length."""
+def _between(whole: Array, begin: float, end: float, length: float, jump: float, out: Array) -> None:
+    """Describe the part of a cubic between two shares of its length, as a part of a length and with an impulse."""
+    out[LENGTH], out[JUMP] = length, jump
     a, b, mean, moment = whole[0], whole[1], whole[2], whole[3]
     c1 = -9.0 * a + 3.0 * b - 24.0 * mean + 60.0 * moment
     c2 = 18.0 * a - 12.0 * b + 84.0 * mean - 180.0 * moment

@@ -150,6 +150,8 @@ class Run:
         self._overloads = Stretches("overload", self.bench.channels, self._mark)
         self._control = ControlLoss(scene, self.bench.channels)
         self._control_lost: str | None = None
+        # Sample that broke the test off, where there is one.
+        self._ended: int | None = None
 
     def run(self, overwrite: bool) -> Path:
         """Run the test to its end and close the recording."""
@@ -165,7 +167,8 @@ class Run:
                     try:
                         self._play(test, drive, interrupted)
                     except (ShotrigError, _Stopped) as error:
-                        self._mark("abort", self._station.now, self._station.now + 1, reason=str(error))
+                        ended = self._last_sample if self._ended is None else self._ended
+                        self._mark("abort", ended, ended + 1, reason=str(error))
                         raise
                     finally:
                         self._note_loss()
@@ -191,6 +194,7 @@ class Run:
                 trip = self._limits.watch(came, readings[-1])
                 ends = trip if trip is not None else self._control_lost
                 if ends is not None:
+                    self._ended = trip.sample if trip is not None else self._last_sample
                     self._ramp_down()
                     raise RunError(f"test aborted: {ends}")
                 if interrupted():
@@ -257,6 +261,11 @@ class Run:
     def _mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
         assert self._recorder is not None
         self._recorder.mark(kind, first, stop - 1, **fields)
+
+    @property
+    def _last_sample(self) -> int:
+        """Number of the last sample that has come out of the converter."""
+        return max(0, self._station.now - self.bench.latency - 1)
 
     def _holds(self) -> str:
         return f"{self._path} holds the {self._station.now / self.bench.rate:.2f} s up to there"

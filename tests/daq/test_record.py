@@ -127,8 +127,12 @@ def test_given_an_abort_limit_when_it_is_exceeded_then_the_recording_ends_there_
         # The hit comes after a quarter of a second; what runs is let finish its tenth of a second.
         assert 0.25 * rec.rate < rec.samples < 0.45 * rec.rate
         assert np.abs(rec.read("b1")).max() > 20.0
-        assert rec.markers[-1].kind == "abort"
-        assert "abort limit" in rec.markers[-1].fields["reason"]
+        abort = rec.markers[-1]
+        assert abort.kind == "abort"
+        assert "abort limit" in abort.fields["reason"]
+        # The marker is at the sample that broke the limit, as an alarm's is.
+        beyond = np.flatnonzero(np.abs(rec.read("b1")) > 20.0)
+        assert (abort.first_sample, abort.last_sample) == (beyond[0], beyond[0])
 
 
 def test_given_an_abort_limit_when_the_shaker_runs_then_it_is_taken_down_without_a_jump(
@@ -145,6 +149,8 @@ def test_given_an_abort_limit_when_the_shaker_runs_then_it_is_taken_down_without
         daq.record(scene, tmp_path / "a.mcap")
     with daq.open(tmp_path / "a.mcap") as rec:
         table = rec.read("t")
+        abort = rec.markers[-1]
+        assert abort.first_sample == np.flatnonzero(np.abs(rec.read("b1")) > 5.0)[0]
         # A table that stopped at once would give hundreds of m/s^2.
         assert np.abs(table[-512:]).max() < 20.0
 
@@ -238,6 +244,7 @@ def test_given_ctrl_c_when_recording_then_the_recording_is_readable_and_says_so(
         assert 0.3 * rec.rate < rec.samples < 0.75 * rec.rate
         assert [mark.kind for mark in rec.markers][-1] == "abort"
         assert rec.markers[-1].fields["reason"] == "interrupted"
+        assert rec.markers[-1].end < rec.samples
         assert (rec.status, rec.metadata["outcome"]["reason"]) == ("interrupted", "interrupted")
         assert np.isfinite(rec.read("body1")).all()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

@@ -140,7 +140,8 @@ class Converter:
         if self._bits is None or self._count is None:
             samples = np.clip(volts, -self._range, self._range)
             return Conversion(samples, samples != volts)
-        codes = np.rint(volts / self._count)
+        codes = volts / self._count
+        np.rint(codes, out=codes)
         full = 2.0 ** (self._bits - 1)
         clipped = np.clip(codes, -full, full - 1.0)
         return Conversion(clipped.astype(np.int32), clipped != codes)

@@ -1,0 +1,70 @@
+"""Watches how well a sweep holds its force, notes where it does not, and says so at the end."""
+
+from __future__ import annotations
+
+from daq.excitation.station import Station
+
+# Share of the level by which the force may be off.
+ALLOWED = 0.1
+# Stretches closer than this are one, s.
+_PAUSE = 0.5
+
+
+class LevelWatch:
+    """Marks stretches in which the force is off its level by more than a tenth as ``level``.
+
+    Parameters
+    ----------
+    station : Station
+        Where the test runs.
+    level : float
+        Force amplitude to be held, N.
+
+    Attributes
+    ----------
+    lowest, highest : float
+        Force over level so far.
+    """
+
+    def __init__(self, station: Station, level: float) -> None:
+        self._station, self._level = station, level
+        self.lowest = self.highest = 1.0
+        self._open: tuple[int, int, float, float] | None = None
+        self._worst = (1.0, 0.0)
+        self._samples = self._stretches = 0
+
+    def add(self, first: int, stop: int, frequency: float, force: float) -> None:
+        """Take the force amplitude in N from the samples first to stop - 1, at a frequency in Hz."""
+        ratio = force / self._level
+        self.lowest, self.highest = min(self.lowest, ratio), max(self.highest, ratio)
+        if self._open is not None and first - self._open[1] >= self._station.samples(_PAUSE):
+            self._note()
+        if abs(ratio - 1.0) <= ALLOWED:
+            return
+        begin, _, worst, at = self._open or (first, stop, 1.0, frequency)
+        if abs(ratio - 1.0) > abs(worst - 1.0):
+            worst, at = ratio, frequency
+        self._open = begin, stop, worst, at
+
+    def close(self, samples: int) -> None:
+        """Note what is still open, and warn of a sweep of so many samples that was not held throughout."""
+        if self._open is not None:
+            self._note()
+        if self._stretches:
+            worst, at = self._worst
+            self._station.warn(
+                f"the spring force was off its level of {self._level:g} N by more than {ALLOWED:.0%} in "
+                f"{self._stretches} stretch{'es' if self._stretches > 1 else ''}, {self._samples / samples:.1%} of "
+                f"the sweep (marked as level): {worst:.3g} times the level at {at:.2f} Hz; sweep more slowly, or "
+                "step"
+            )
+
+    def _note(self) -> None:
+        assert self._open is not None
+        first, stop, worst, at = self._open
+        self._station.mark("level", first, stop, worst=worst, frequency=at, level=self._level)
+        self._samples += stop - first
+        self._stretches += 1
+        if abs(worst - 1.0) > abs(self._worst[0] - 1.0):
+            self._worst = worst, at
+        self._open = None

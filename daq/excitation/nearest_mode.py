@@ -1,0 +1,138 @@
+"""The driven body's answer to the force near the tone: one mode and a remainder, followed along a sweep."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# Fewest looks that say anything of a mode.
+_FEWEST = 6
+# Looks older than so many memories weigh nothing.
+_FADED = 3.0
+# Another mode altogether is looked for every so many looks, at these frequencies over the tone's and these
+# damping ratios; it has to leave this much less unexplained to be taken for the nearest.
+_LOOK_ELSEWHERE = 4
+_ELSEWHERE = np.geomspace(0.6, 1.7, 24)
+_RATIOS = np.array([0.005, 0.03])
+_BETTER = 0.7
+# Search around the mode known so far: steps of its frequency, relative, shrink and grow; the damping ratio
+# goes by a fifth.
+_STEP, _SHORTEST, _LONGEST = 0.01, 1e-4, 0.03
+_SHORTER, _LONGER = 0.6, 1.5
+_DAMPING_STEP, _DAMPING = 0.2, (0.002, 0.2)
+# Share by which both coefficients are drawn towards zero, where force and motion do not tell them apart.
+_RIDGE = 1e-4
+
+
+class NearestMode:
+    """Model of the driven body: the mode next to the tone, and the rest of them at once.
+
+    The envelopes X of the body's displacement and F of the force, both relative to the tone's phase, obey
+    X = c F + x and dx/dt = (s - i w) x + g F near a mode with pole s; c is what all other modes add. Frequency,
+    damping ratio, g and c come from what the channels told in the last looks, by least squares: g and c are
+    linear, the pole is searched for. So a mode is known well before the tone gets there, by how its answer grows,
+    and modes that change with the level, as those of a structure with dampers, are followed.
+
+    Attributes
+    ----------
+    pole : complex
+        s, 1/s.
+    gain : complex
+        g, m/(N s).
+    rest : complex
+        c, m/N.
+
+    Examples
+    --------
+    >>> mode, s, x, force = NearestMode(), (-0.01 + 1j) * 80.0, 0j, 1.0 + 0j
+    >>> for look in range(40):
+    ...     w = 60.0 + look / 4
+    ...     z = s - 1j * w
+    ...     x = np.exp(z * 0.05) * x + np.expm1(z * 0.05) / z * -5e-4j * force
+    ...     mode.add(0.05 * (look + 1), w + 0.125, x + 2e-5 * force, force, memory=2.0)
+    >>> round(mode.pole.imag)
+    80
+    """
+
+    def __init__(self) -> None:
+        self._looks: list[tuple[float, float, complex, complex]] = []
+        self._count = 0
+        self._step = _STEP
+        self.pole, self.gain, self.rest = 0j, 0j, 0j
+
+    def add(self, time: float, turn: float, motion: complex, force: complex, memory: float) -> None:
+        """Take a look: time in s, angular frequency of the tone in rad/s, X in m, F in N; memory in s."""
+        self._looks.append((time, turn, motion, force))
+        self._looks = [look for look in self._looks if time - look[0] < _FADED * memory]
+        self._count += 1
+        if self._count < _FEWEST or len(self._looks) < _FEWEST:
+            self.pole, self.gain, self.rest = (-0.02 + 1.3j) * turn, 0j, motion / force
+            return
+        near = self._around()
+        poles = near
+        if self._count % _LOOK_ELSEWHERE == 0:
+            far = [ratio * turn * (1j - damping) for ratio in _ELSEWHERE for damping in _RATIOS]
+            poles = np.concatenate([near, far])
+        gains, rests, unexplained = _explain(poles, np.array(self._looks), memory)
+        best, nearby = int(np.argmin(unexplained)), int(np.argmin(unexplained[: near.size]))
+        if best >= near.size and unexplained[best] > _BETTER * unexplained[nearby]:
+            best = nearby
+        self._adapt_step(best, near.size)
+        self.pole, self.gain, self.rest = complex(poles[best]), complex(gains[best]), complex(rests[best])
+
+    def _around(self) -> ComplexArray:
+        """Poles around the present one, frequency by frequency; the present frequency is in the middle."""
+        turn, damping = self.pole.imag, -self.pole.real / self.pole.imag
+        steps = np.array([-1.0, 0.0, 1.0])
+        turns = turn * (1 + self._step * steps)
+        dampings = np.clip(damping * (1 + _DAMPING_STEP * steps), *_DAMPING)
+        return np.asarray((turns[:, None] * (1j - dampings)).ravel())
+
+    def _adapt_step(self, best: int, near: int) -> None:
+        if best >= near:
+            self._step = _STEP
+        elif best // 3 == 1:
+            self._step = max(_SHORTEST, _SHORTER * self._step)
+        else:
+            self._step = min(_LONGEST, _LONGER * self._step)
+
+
+def _explain(
+    poles: ComplexArray, looks: ComplexArray, memory: float
+) -> tuple[ComplexArray, ComplexArray, Array]:
+    """Find g, c and what they leave unexplained for each pole, from the steps between looks."""
+    time, turn, motion, force = looks.T
+    time, turn = time.real, turn.real
+    step = np.diff(time)
+    power = abs(force) ** 2
+    weight = np.exp((time[1:] - time[-1]) / memory) / (power[1:] + power[:-1] + 1e-300)
+    decay = (poles[:, None] - 0.5j * (turn[1:] + turn[:-1])) * step
+    kept = np.exp(decay)
+    by_gain = integral(decay) * step * (force[1:] + force[:-1]) / 2
+    by_rest = force[1:] - kept * force[:-1]
+    seen = motion[1:] - kept * motion[:-1]
+
+    def dot(one: ComplexArray, other: ComplexArray) -> ComplexArray:
+        return np.asarray((one.conj() * other) @ weight)
+
+    gain_gain, rest_rest = ((1 + _RIDGE) * dot(term, term).real for term in (by_gain, by_rest))
+    cross, gain_seen, rest_seen = dot(by_gain, by_rest), dot(by_gain, seen), dot(by_rest, seen)
+    both = gain_gain * rest_rest - abs(cross) ** 2
+    gain = (rest_rest * gain_seen - cross * rest_seen) / both
+    rest = (gain_gain * rest_seen - cross.conj() * gain_seen) / both
+    left = dot(seen, seen).real - (gain.conj() * gain_seen + rest.conj() * rest_seen).real
+    return gain, rest, left
+
+
+def integral(decay: ComplexArray | complex) -> ComplexArray:
+    """Mean of e^(decay u) for u from 0 to 1.
+
+    >>> complex(integral(0.0))
+    (1+0j)
+    """
+    decay = np.asarray(decay, dtype=complex)
+    small = abs(decay) < 1e-6
+    return np.where(small, 1 + decay / 2, np.expm1(decay) / np.where(small, 1, decay))

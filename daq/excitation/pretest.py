@@ -1,0 +1,158 @@
+"""Pretest: what drive the shaker takes for a motion and a force at once, found from the channels beforehand."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass
+from math import comb, pi, sqrt
+
+import numpy as np
+from numpy.polynomial import polynomial
+from numpy.typing import NDArray
+
+from daq.excitation.shaping import generator, lines_between, wave_of
+from daq.excitation.station import Station
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# Analysed part of the burst: so many seconds and so many periods of the lowest tone at least; then silence.
+_SPAN, _PERIODS, _EDGE, _QUIET = 4.0, 12.0, 0.25, 1.0
+# The tones reach beyond the band of the test, so that its ends lie within.
+_BEYOND = 1.3
+# Largest drive of the burst over the cautious drive for the test's level.
+_STRENGTH = 5.0
+_TILT = 1.0
+# Orders in s of what the drive spends on moving the table and on pulling the coil spring.
+_MOTION, _PULL = 4, 2
+# Longest delay that is looked for between drive and channels, s.
+_LATEST = 0.05
+
+
+@dataclass(frozen=True)
+class ShakerLaw:
+    """Drive that a shaker takes: D = e^(s delay) (P(s) X0 + Q(s) F), for motion X0 e^(st) and force F e^(st).
+
+    A moving coil has P = Z (m s^2 + c s + k) / Bl + Bl s and Q = Z / Bl with Z = R + L s, per amplifier gain;
+    a table with a servo has P = (1 + s / w)^2 and Q = 0. Either way, P and Q hold whatever the structure
+    does: it enters by X0 and F only, both of which the channels tell.
+
+    Attributes
+    ----------
+    motion, pull : ndarray
+        Coefficients of P [drive/m] and Q [drive/N], rising powers of s.
+    spring : float
+        Stiffness of the coil spring, N/m.
+    delay : float
+        By which the channels lag behind the drive, s.
+    misfit : float
+        Root mean square of what the law leaves of the drive in the pretest, relative.
+    """
+
+    motion: Array
+    pull: Array
+    spring: float
+    delay: float
+    misfit: float
+
+    def at(self, s: complex) -> tuple[complex, complex]:
+        """Drive per newton of spring force, and per metre of the body, X0 being X1 + F / k0."""
+        late = np.exp(s * self.delay)
+        motion = late * polynomial.polyval(s, self.motion)
+        return complex(motion / self.spring + late * polynomial.polyval(s, self.pull)), complex(motion)
+
+    def slope(self, s: complex) -> tuple[complex, complex]:
+        """Give the derivatives of both by s: what a changing amplitude takes beyond a steady one."""
+        step = 1e-3 * abs(s)
+        after, before = self.at(s + step), self.at(s - step)
+        return (after[0] - before[0]) / (2 * step), (after[1] - before[1]) / (2 * step)
+
+
+def pretest(
+    station: Station, lowest: float, highest: float, level: float
+) -> Generator[Array, Array, ShakerLaw]:
+    """Play a short burst of weak tones and find the shaker's law.
+
+    Parameters
+    ----------
+    station : Station
+        Where the test is to run.
+    lowest, highest : float
+        Its band, Hz.
+    level : float
+        Its force amplitude, N.
+
+    Returns
+    -------
+    ShakerLaw
+    """
+    period = station.samples(max(_SPAN, _PERIODS / lowest))
+    lines = lines_between(lowest / _BEYOND, min(_BEYOND * highest, 0.45 * station.rate), period, station.rate)
+    # Random phases spread every tone over the whole burst; noise weighs most on the low ones.
+    phases = generator(station, "pretest").uniform(0.0, 2 * pi, lines.size)
+    wave = wave_of(lines, np.asarray(lines**-_TILT, dtype=np.float64), phases, period)
+    edge = station.samples(_EDGE)
+    wave = np.concatenate([wave[-edge:], wave, wave[:edge]])
+    wave *= np.minimum(1.0, np.minimum(np.arange(wave.size), np.arange(wave.size)[::-1]) / edge)
+    wave *= min(_STRENGTH * level * station.cautious_drive, station.drive_limit) / abs(wave).max()
+    first = station.now
+    readings = yield station.drive(wave)
+    part = slice(edge, edge + period)
+    law = _fit(station, wave[part], readings[:, part], lines)
+    yield station.quiet(station.samples(_QUIET))
+    station.mark("pretest", first, station.now, delay=law.delay, misfit=law.misfit)
+    return law
+
+
+def _fit(station: Station, drive: Array, readings: Array, lines: NDArray[np.int64]) -> ShakerLaw:
+    """Least squares for the coefficients, over the lines; the delay is the one that leaves least."""
+    shaker = station.scene.shaker
+    assert shaker is not None and shaker.spring is not None
+    period = drive.size
+    frequency = lines * station.rate / period
+    table, body = station.row("table"), station.row(f"body {shaker.body}")
+    windows = _windows(period, station.rate)
+    s = np.asarray(2j * pi * frequency, dtype=np.complex128)
+    # Powers of s are counted in units of the middle of the band, so that they are alike in size.
+    unit = 2 * pi * sqrt(frequency[0] * frequency[-1])
+    spectra = [np.fft.rfft(readings * window, axis=1)[:, lines] for window in windows]
+    to_table, to_body = (station.displacement(row, frequency) for row in (table, body))
+    terms = [to_table * _derivative(spectra, table, s, order) / unit**order for order in range(_MOTION)]
+    for order in range(_PULL):
+        terms.append(terms[order] - to_body * _derivative(spectra, body, s, order) / unit**order)
+    played = np.fft.rfft(drive * windows[0])[lines]
+    model, wanted = np.array(terms).T / abs(played)[:, None], played / abs(played)
+
+    def solve(delay: float) -> tuple[float, Array]:
+        """Find what is left, and the coefficients."""
+        turned = model * np.exp(s * delay)[:, None]
+        rows = np.concatenate([turned.real, turned.imag])
+        goal = np.concatenate([wanted.real, wanted.imag])
+        found = np.linalg.lstsq(rows, goal, rcond=None)[0]
+        return float(np.sqrt(2 * np.mean((rows @ found - goal) ** 2))), found
+
+    step = 1.0 / (16.0 * frequency[-1])
+    rough = min(np.arange(0.0, _LATEST, step), key=lambda delay: solve(delay)[0])
+    delay = float(min(rough + step * np.linspace(-1.0, 1.0, 17), key=lambda delay: solve(delay)[0]))
+    misfit, found = solve(delay)
+    motion = found[:_MOTION] / unit ** np.arange(_MOTION)
+    pull = found[_MOTION:] / unit ** np.arange(_PULL) / shaker.spring
+    return ShakerLaw(motion, pull, shaker.spring, delay, misfit)
+
+
+def _windows(samples: int, rate: float) -> list[Array]:
+    """Hann's window and its derivatives by time."""
+    angle, turn = 2 * pi * np.arange(samples) / samples, 2 * pi * rate / samples
+    return [
+        (1 - np.cos(angle)) / 2,
+        turn * np.sin(angle) / 2,
+        turn**2 * np.cos(angle) / 2,
+        -(turn**3) * np.sin(angle) / 2,
+    ]
+
+
+def _derivative(spectra: list[ComplexArray], row: int, s: ComplexArray, order: int) -> ComplexArray:
+    """Spectrum of a channel's derivative under the first window, by parts: exact where nothing is steady."""
+    return np.asarray(
+        sum(comb(order, j) * (-1) ** j * s ** (order - j) * spectra[j][row] for j in range(order + 1))
+    )

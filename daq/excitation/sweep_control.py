@@ -13,6 +13,7 @@ from daq.excitation.nearest_mode import NearestMode, integral
 from daq.excitation.pretest import ShakerLaw
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
 # Periods that a look at the channels takes in.
 LOOK_PERIODS = 2.0
@@ -165,8 +166,8 @@ def _mean_of_exponential(exponent: complex) -> complex:
     return complex(_HANN @ np.exp(exponent * _ABOUT))
 
 
-def look_at(samples: Array, phase: Array) -> NDArray[np.complex128]:
-    """Complex amplitudes X in x = Re(X e^{i phase}) + straight drift, under Hann's window.
+def look_at(samples: Array, phase: Array, rate: float) -> tuple[ComplexArray, ComplexArray]:
+    """Complex amplitudes X, in the middle, in x = Re(X e^{i phase}) + straight drift, under Hann's window.
 
     Parameters
     ----------
@@ -174,13 +175,18 @@ def look_at(samples: Array, phase: Array) -> NDArray[np.complex128]:
         About two periods or more.
     phase : ndarray, shape (samples,)
         Of the tone, rad.
+    rate : float
+        Samples per second.
 
     Returns
     -------
-    ndarray of complex, shape (channels,)
+    amplitude, slope : ndarray of complex, shape (channels,)
+        X, and what it changes by per second.
     """
     part = (np.arange(phase.size) + 0.5) / phase.size
-    model = np.column_stack([np.cos(phase), -np.sin(phase), np.ones(phase.size), part - 0.5])
+    time = (part - 0.5) * phase.size / rate
+    cosine, sine = np.cos(phase), -np.sin(phase)
+    model = np.column_stack([cosine, sine, time * cosine, time * sine, np.ones(phase.size), part - 0.5])
     weighted = model * (1 - np.cos(2 * np.pi * part))[:, None]
     found = np.linalg.solve(weighted.T @ model, weighted.T @ samples.T)
-    return np.asarray(found[0] + 1j * found[1])
+    return found[0] + 1j * found[1], found[2] + 1j * found[3]

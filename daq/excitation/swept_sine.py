@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from rig.excitation_settings import SweptSine
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
 # The drive of a held force is chosen anew every so many periods; otherwise windows of this length, s.
 _WINDOW_PERIODS, _FEWEST = 0.5, 4
@@ -97,7 +98,9 @@ def _sweep_held(
 ) -> Generator[Array, Array, complex]:
     """Sweep with a force amplitude that stays; return the drive's amplitude at the end."""
     total, done, rate = station.samples(test.duration), 0, station.rate
-    rows = [station.row("table"), station.row(f"body {_body(station)}")]
+    shaker = station.scene.shaker
+    assert shaker is not None and shaker.spring is not None
+    spring, rows = shaker.spring, [station.row("table"), station.row(f"body {shaker.body}")]
     seen, phases = np.zeros((2, 0)), np.zeros(0)
     goal = amplitude
     while done < total:
@@ -114,7 +117,8 @@ def _sweep_held(
         if phases.size < look:
             continue
         middle = sweep_frequency(test, (done - look / 2) / total)
-        motion, force = _motion_and_force(station, rows, middle, look_at(seen, phases))
+        table, body = _displacements(station, rows, middle, *look_at(seen, phases, rate))
+        motion, force = body, spring * (table - body)
         watch.add(station.now - look, station.now, middle, abs(force))
         pace = (sweep_frequency(test, done / total) - middle) / (look / 2 / rate)
         goal = control.next(Look(done / rate, middle, pace, motion, force), size / rate)
@@ -122,23 +126,17 @@ def _sweep_held(
     return amplitude
 
 
-def _motion_and_force(
-    station: Station, rows: list[int], frequency: float, amplitudes: NDArray[np.complex128]
-) -> tuple[complex, complex]:
-    """Displacement of the body and spring force, from the amplitudes of both channels that tell them."""
-    shaker = station.scene.shaker
-    assert shaker is not None and shaker.spring is not None
-    table, body = (
-        complex(amplitude * station.displacement(row, frequency))
-        for row, amplitude in zip(rows, amplitudes, strict=True)
-    )
-    return body, shaker.spring * (table - body)
-
-
-def _body(station: Station) -> int:
-    shaker = station.scene.shaker
-    assert shaker is not None
-    return shaker.bodies[0]
+def _displacements(
+    station: Station, rows: list[int], frequency: float, amplitudes: ComplexArray, slopes: ComplexArray
+) -> list[complex]:
+    """Displacements in m, from amplitudes of channels that change with slopes per second."""
+    step = 1e-3 * frequency
+    found = []
+    for row, amplitude, slope in zip(rows, amplitudes, slopes, strict=True):
+        below, here, above = station.displacement(row, frequency + step * np.array([-1.0, 0.0, 1.0]))
+        # An acceleration whose amplitude grows belongs to another displacement than a steady one.
+        found.append(complex(here * amplitude + (above - below) / (4j * np.pi * step) * slope))
+    return found
 
 
 def _phase(test: SweptSine, start: float, done: int, size: int, total: int) -> Array:

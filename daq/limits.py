@@ -69,14 +69,19 @@ class Stretches:
             return
         pause = max(1, round(_PAUSE * self._channels[0].rate))
         for row in range(len(self._channels)):
-            for sample in (np.flatnonzero(flags[row]) + first).tolist():
-                start, stop = self._open.get(row, (sample, sample))
-                if sample - stop >= pause:
-                    self._note(row)
-                    start = sample
-                self._open[row] = start, sample + 1
+            flagged = np.flatnonzero(flags[row]) + first
+            # Flagged samples with less than a pause between them belong together.
+            for together in np.split(flagged, np.flatnonzero(np.diff(flagged) > pause) + 1):
+                if together.size:
+                    self._join(row, int(together[0]), int(together[-1]) + 1, pause)
             if row in self._open and first + flags.shape[1] - self._open[row][1] >= pause:
                 self._note(row)
+
+    def _join(self, row: int, start: int, stop: int, pause: int) -> None:
+        """Join a stretch to the one that is open, if it is near."""
+        if row in self._open and start - self._open[row][1] >= pause:
+            self._note(row)
+        self._open[row] = self._open.get(row, (start, stop))[0], stop
 
     def close(self) -> None:
         """Note what is still open."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 import rig
 from daq.bench import Bench
-from daq.excitation import Station, excitation
+from daq.excitation import Excitation, Station, excitation
 
 Array = NDArray[np.float64]
 
@@ -67,8 +68,10 @@ class BenchRun:
         return np.asarray(cosine - 1j * sine)
 
 
-def run(scene: rig.Scene, split: int | None = None) -> BenchRun:
-    """Run a scene's test on its bench, acquiring at most `split` samples at a time."""
+def run(
+    scene: rig.Scene, split: int | None = None, excite: Callable[[Station], Excitation] = excitation
+) -> BenchRun:
+    """Run a scene's test on its bench, or another one, acquiring at most `split` samples at a time."""
     bench = Bench(scene)
     result = BenchRun(bench)
     station = Station(
@@ -81,7 +84,7 @@ def run(scene: rig.Scene, split: int | None = None) -> BenchRun:
         warn=result.warnings.append,
     )
     drives, readings = [], []
-    test = excitation(station)
+    test = excite(station)
     drive = next(test)
     while True:
         size = drive.shape[1] if split is None else split

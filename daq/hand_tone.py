@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -149,15 +150,15 @@ class HandTone:
         tone = Tone(station.rate, self.knobs.asked[0])
         while not self.knobs.off:
             asked = self.knobs.asked
-            work = self._at(station, tone, gauge, *asked)
-            phase, window = tone.phase, next(work)
-            while True:
-                readings = yield window
-                self.tell(self._reading(station, tone, gauge, readings, phase, asked))
-                if self.knobs.off or self.knobs.asked != asked:
-                    work.close()
-                    break
-                phase, window = tone.phase, work.send(readings)
+            # However it ends, by the knobs or with the run, what was held is marked at once.
+            with closing(self._at(station, tone, gauge, *asked)) as work:
+                phase, window = tone.phase, next(work)
+                while True:
+                    readings = yield window
+                    self.tell(self._reading(station, tone, gauge, readings, phase, asked))
+                    if self.knobs.off or self.knobs.asked != asked:
+                        break
+                    phase, window = tone.phase, work.send(readings)
         yield station.drive(tone.glide(station.samples(GLIDE), tone.frequency, 0.0))
 
     def _at(self, station: Station, tone: Tone, gauge: Gauge, frequency: float, level: float) -> Excitation:
@@ -183,7 +184,8 @@ class HandTone:
                     station, tone, gauge, control, frequency, drive, TOLERANCE, LONGEST
                 )
             finally:
-                station.mark("settle", first, station.now, drive=tone.amplitude, settled=settled, **facts)
+                if station.now > first:
+                    station.mark("settle", first, station.now, drive=tone.amplitude, settled=settled, **facts)
             yield from self._hold(station, tone, gauge, look, control, settled, facts)
             drive = tone.amplitude
 

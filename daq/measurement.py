@@ -6,7 +6,7 @@ import signal
 import threading
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from itertools import pairwise
 from pathlib import Path
 from types import FrameType
@@ -165,7 +165,9 @@ class Run:
                 self._recorder = recorder
                 with _interruptible() as interrupted:
                     try:
-                        self._play(test, drive, interrupted)
+                        # What the test still has to mark, it marks while the recorder takes it.
+                        with closing(test):
+                            self._play(test, drive, interrupted)
                     except (ShotrigError, _Stopped) as error:
                         ended = self._last_sample if self._ended is None else self._ended
                         self._mark("abort", ended, ended + 1, reason=str(error))
@@ -195,10 +197,10 @@ class Run:
                 ends = trip if trip is not None else self._control_lost
                 if ends is not None:
                     self._ended = trip.sample if trip is not None else self._last_sample
-                    self._ramp_down()
+                    self._end(test)
                     raise RunError(f"test aborted: {ends}")
                 if interrupted():
-                    self._ramp_down()
+                    self._end(test)
                     raise _Stopped("interrupted")
             try:
                 drive = test.send(readings[0] if len(readings) == 1 else np.concatenate(readings, axis=1))
@@ -248,19 +250,23 @@ class Run:
             self._recorder.write(samples[:, start:stop])
 
     def _note_loss(self) -> None:
-        if self._lost and self._recorder is not None:
+        if self._lost and self._recorder is not None and self._recorder.takes_more:
             self._recorder.gap(self._lost)
             self._lost = 0
 
-    def _ramp_down(self) -> None:
-        """Take the drive from where it is to zero, without a jump in it or in its slope."""
+    def _end(self, test: Excitation) -> None:
+        """End the test where it is and take the drive to zero, without a jump in it or in its slope."""
+        # First the test: what it marks as held must not reach into the ramp.
+        test.close()
         part = np.arange(1, self._station.samples(_RAMP) + 1)
         last, before = self._last[:, -1:], self._last[:, :1]
         self._acquire((last + (last - before) * part) * (1 + np.cos(np.pi * part / part[-1])) / 2)
 
     def _mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
         assert self._recorder is not None
-        self._recorder.mark(kind, first, stop - 1, **fields)
+        # After a full disk nothing is marked: what the user must hear is that the disk is full.
+        if self._recorder.takes_more:
+            self._recorder.mark(kind, first, stop - 1, **fields)
 
     @property
     def _last_sample(self) -> int:

@@ -97,6 +97,11 @@ class Recorder:
         """Number of the next sample to be written."""
         return self._raw.position
 
+    @property
+    def takes_more(self) -> bool:
+        """Whether anything more can be recorded: neither closed nor at the end of its disk."""
+        return not (self.closed or self._full or self._disk.failed)
+
     def write(self, samples: NDArray[np.float64] | NDArray[np.int32]) -> None:
         """Write the next samples of all channels.
 
@@ -194,7 +199,7 @@ class Recorder:
             error.add_note(str(another))
 
     def _need_open(self) -> None:
-        if self.closed or self._full or self._disk.failed:
+        if not self.takes_more:
             raise RunError(f"the recording {self.path} takes no more: it has ended")
 
     # -- the beginning and the end of the file -----------------------------------------------------------

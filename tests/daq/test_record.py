@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import sys
 from pathlib import Path
@@ -248,6 +249,19 @@ def test_given_ctrl_c_when_recording_then_the_recording_is_readable_and_says_so(
         assert (rec.status, rec.metadata["outcome"]["reason"]) == ("interrupted", "interrupted")
         assert np.isfinite(rec.read("body1")).all()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_given_a_disk_that_fills_up_when_recording_then_that_is_what_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usage = shutil.disk_usage(tmp_path)
+    free = iter([usage.free])
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=next(free, 1 << 20)))
+    with pytest.raises(RunError, match=r"disk is full.*a\.mcap holds the"):
+        daq.record(hit().replace(test={**HIT, "interval": "2 s"}), tmp_path / "a.mcap")
+    with daq.open(tmp_path / "a.mcap") as rec:
+        assert rec.status == "failed"
+        assert "disk is full" in rec.metadata["outcome"]["reason"]
 
 
 def run_command(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import os
+import signal
 import subprocess
 import sys
 
@@ -12,6 +14,7 @@ from rerun.chunk import RrdReader
 
 import daq
 import rig
+from analysis.transfer import frequency_responses
 from daq.hand_tone import Knobs
 from daq.scope import knobs_for, scope
 from daq.show import recording_stream
@@ -89,6 +92,48 @@ def test_given_a_run_when_shown_then_curves_and_rig_are_those_of_the_recording(t
         assert frames == pytest.approx(recording.samples / recording.rate * 200, rel=0.05)
     assert any("20.50 Hz, 3 N: held" in page for page in pages)
     assert any("silent" in page for page in pages)
+
+
+def interrupt(*ignored):
+    signal.raise_signal(signal.SIGINT)
+
+
+def test_given_a_held_tone_when_interrupted_then_it_is_marked_up_to_the_ramp_and_nothing_else_is_said(
+    tmp_path, monkeypatch
+):
+    unheard = []
+    monkeypatch.setattr(sys, "unraisablehook", unheard.append)
+    scene = SCENE.replace(test={"kind": "sine", "frequency": 12.0, "force": 1.5})
+    knobs = knobs_for(scene, None, 1.5)
+    with recording_stream() as stream, pytest.raises(KeyboardInterrupt, match="holds the"):
+        stream.save(tmp_path / "scope.rrd")
+        scope(scene, tmp_path / "scope.mcap", stream, knobs, interrupt, lambda position: None)
+    gc.collect()
+    assert unheard == []
+    with daq.open(tmp_path / "scope.mcap") as recording:
+        assert recording.status == "interrupted"
+        *_, held, abort = recording.markers
+        assert (held.kind, held.fields["level"], held.fields["settled"]) == ("measure", 1.5, True)
+        assert abort.kind == "abort"
+        volts = recording.read("table", held.first_sample, held.last_sample + 1)
+        half = len(volts) // 2
+        # A ramp in what is marked would show at its end.
+        assert np.std(volts[half:]) == pytest.approx(np.std(volts[:half]), rel=0.05)
+        ((curve,),) = frequency_responses(recording, ["body1"])
+        assert curve.frequency.tolist() == [12.0]
+
+
+def test_given_a_file_that_exists_when_scoped_with_a_force_then_nothing_goes_wrong_beside_the_refusal(
+    tmp_path, monkeypatch
+):
+    unheard = []
+    monkeypatch.setattr(sys, "unraisablehook", unheard.append)
+    (tmp_path / "scope.mcap").write_bytes(b"precious")
+    with recording_stream() as stream, pytest.raises(rig.errors.RecordingError, match="exists"):
+        knobs = knobs_for(SCENE, None, 2.0)
+        scope(SCENE, tmp_path / "scope.mcap", stream, knobs, str, lambda position: None)
+    gc.collect()
+    assert unheard == []
 
 
 def test_given_a_force_shaker_when_scoped_then_the_force_itself_is_turned(tmp_path):

@@ -43,12 +43,8 @@ class Disk:
             raise RecordingError(
                 f"{path} exists and is left as it is; choose another name, or ask for it to be overwritten"
             ) from None
-        except FileNotFoundError:
-            raise RecordingError(
-                f"cannot make {path}: there is no folder {path.parent}; make it first"
-            ) from None
         except OSError as error:
-            raise RecordingError(f"cannot make {path}: {error.strerror}") from error
+            raise RecordingError(f"cannot make {path}: {_reason(error, path.parent)}") from error
 
     def write(self, data: bytes) -> None:
         """Take bytes for the next commit."""
@@ -102,3 +98,13 @@ class Disk:
             self.close()
             self.path.unlink(missing_ok=True)
             raise
+
+
+def _reason(error: OSError, folder: Path) -> str:
+    """Say why a file could not be made in a folder, and what to do."""
+    if not isinstance(error, FileNotFoundError):
+        return f"{error.strerror}; choose a place that can be written to"
+    if folder.is_dir():
+        # Where the folder is there, it is one of the system's own, such as /proc.
+        return f"the folder {folder} takes no new files; choose another one"
+    return f"there is no folder {folder}; make it first"

@@ -19,7 +19,7 @@ from daq.bench import Bench, Block
 from daq.excitation import Excitation, Station, excitation
 from daq.limits import ControlLoss, Limits, Stretches
 from daq.recorder import Recorder
-from rig.errors import RunError, SceneError, ShotrigError
+from rig.errors import RecordingError, RunError, SceneError, ShotrigError
 from rig.scene import Scene
 from rig.scene_file import load
 
@@ -69,6 +69,8 @@ def record(
     ------
     SceneError
         If the scene or its test can not be run; no recording is left behind.
+    RecordingError
+        If the recording cannot be made where it is to lie, or there is one already.
     RunError
         If the run failed or a channel went beyond its abort limit; the recording up to there is closed and
         marked.
@@ -159,7 +161,7 @@ class Run:
         test = self._excite(self._station)
         drive = next(test)
         bench, path = self.bench, self._path
-        path.parent.mkdir(parents=True, exist_ok=True)
+        _make_folder(path)
         try:
             with Recorder(path, bench.scene, bench.channels, bench.rate, overwrite=overwrite) as recorder:
                 self._recorder = recorder
@@ -275,6 +277,17 @@ class Run:
 
     def _holds(self) -> str:
         return f"{self._path} holds the {self._station.now / self.bench.rate:.2f} s up to there"
+
+
+def _make_folder(path: Path) -> None:
+    """Make the folders that a recording is to lie in, where they are missing."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecordingError(
+            f"cannot make the folder {path.parent.absolute()} for the recording: {error.strerror}; choose a place "
+            "that can be written to (-o FILE.mcap)"
+        ) from None
 
 
 class _Stopped(KeyboardInterrupt):

@@ -251,6 +251,42 @@ def test_given_ctrl_c_when_recording_then_the_recording_is_readable_and_says_so(
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+def test_given_a_folder_that_may_not_be_made_when_the_command_records_then_one_line_says_so(
+    scene_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refuse(*ignored: Any, **ignored_too: Any) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.chdir(scene_file.parent)
+    monkeypatch.setattr(Path, "mkdir", refuse)
+    assert run_command(monkeypatch, "record", "hit.yaml") == 2
+    *_, said = capsys.readouterr().err.splitlines()
+    folder = scene_file.parent / "recordings"
+    assert said == (
+        f"error: cannot make the folder {folder} for the recording: Permission denied; choose a place that can be "
+        "written to (-o FILE.mcap)"
+    )
+
+
+def test_given_a_file_in_place_of_the_folder_when_recorded_then_it_is_said(tmp_path: Path) -> None:
+    (tmp_path / "new").write_text("a file")
+    with pytest.raises(RecordingError, match=r"cannot make the folder .*new"):
+        daq.record(hit(), tmp_path / "new" / "a.mcap")
+
+
+def test_given_a_folder_that_takes_no_files_when_recorded_then_it_is_not_said_to_be_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # What /proc answers.
+    def refuse(*ignored: Any, **ignored_too: Any) -> None:
+        raise FileNotFoundError(2, "No such file or directory")
+
+    scene = hit()
+    monkeypatch.setattr(Path, "open", refuse)
+    with pytest.raises(RecordingError, match=f"the folder {tmp_path} takes no new files; choose another one"):
+        daq.record(scene, tmp_path / "a.mcap")
+
+
 def test_given_a_disk_that_fills_up_when_recording_then_that_is_what_is_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -106,10 +106,10 @@ def own_setting(scene: Scene, group: str) -> str:
         return "off" if converter.filter is None else "on"
     if group == "integrator":
         found = [
-            NAMES[0 if c.integrator is None else c.integrator.order] for c in channels if c.at != "hammer"
+            NAMES[0 if c.integrator is None else c.integrator.order] for c in channels if not c.measures_force
         ]
     elif group == "sensor":
-        sensors = [channel.accelerometer for channel in channels if channel.at != "hammer"]
+        sensors = [channel.accelerometer for channel in channels if not channel.measures_force]
         found = [
             "no resonance" if s is None or s.resonance is None else f"resonance {s.resonance:.6g} Hz"
             for s in sensors
@@ -182,7 +182,7 @@ def _sensors(scene: Scene, **changes: Any) -> Scene:
     assert scene.channels is not None
     channels = [
         channel.replace(accelerometer=(channel.accelerometer or Accelerometer()).replace(**changes))
-        if channel.at != "hammer" and (channel.accelerometer is not None or any(changes.values()))
+        if not channel.measures_force and (channel.accelerometer is not None or any(changes.values()))
         else channel
         for channel in scene.channels
     ]
@@ -228,7 +228,7 @@ def _integrators(scene: Scene, lowest: float, hardest: float) -> Iterator[Varian
         channels = []
         for channel in scene.channels:
             own = channel.integrator
-            if order == 0 or channel.at == "hammer":
+            if order == 0 or channel.measures_force:
                 changed = None
             elif own is None:
                 changed = Integrator(order=order, corner=CORNER * lowest, gain=omega**order)

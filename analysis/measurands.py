@@ -115,11 +115,11 @@ def reference_of(rec: Recording, reference: str) -> Quantity:
             return Quantity((info.name,), (1.0,), "force")
     shaker = rec.scene.shaker
     if shaker is None or shaker.spring is None:
-        hint = (
-            "add {name: hammer, at: hammer} to the scene's channels"
-            if rec.scene.test is not None and rec.scene.test.kind == "impulse"
-            else "drive the structure through a coil spring, shaker: {kind: table, body: 1, spring: 6.6 kN/m}"
-        )
+        hint = "drive the structure through a coil spring, shaker: {kind: table, body: 1, spring: 6.6 kN/m}"
+        if rec.scene.test is not None and rec.scene.test.kind == "impulse":
+            hint = "add {name: hammer, at: hammer} to the scene's channels"
+        elif shaker is not None:
+            hint = "add {name: force, at: shaker} to the scene's channels"
         raise RecordingError(
             f"nothing in the recording tells the force: it has {_places(rec)} and no coil spring; {hint}"
         )

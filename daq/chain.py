@@ -111,7 +111,7 @@ class Chain:
         motion : Motion
             Motion of the points given, continuing the last block.
         forces : ndarray, shape (inputs, samples), optional
-            Forces at the same samples, joined by straight lines; only a channel at the hammer needs them.
+            Forces at the same samples, joined by straight lines; only a channel at the hammer or the shaker needs them.
 
         Returns
         -------
@@ -147,13 +147,13 @@ def default_channels(scene: Scene, points: Sequence[str]) -> tuple[Channel, ...]
     if isinstance(scene.test, Impulse):
         channels.append(Channel(name="force", at="hammer"))
     elif scene.shaker is not None and scene.shaker.kind == "force":
-        channels.append(Channel.model_construct(name="force", at="shaker"))
+        channels.append(Channel(name="force", at="shaker"))
     return tuple(channels)
 
 
 def stages(channel: Channel, converter: Converter, seed: int) -> tuple[Stage, ...]:
     """Describe the devices of a channel: sensor, then amplifier and the converter's coupling if any."""
-    if channel.at in ("hammer", "shaker"):
+    if channel.measures_force:
         line = [force_sensor(filled_in(channel.hammer or Hammer()), seed, channel.name)]
     else:
         line = [accelerometer(filled_in(channel.accelerometer or Accelerometer()), seed, channel.name)]
@@ -163,7 +163,7 @@ def stages(channel: Channel, converter: Converter, seed: int) -> tuple[Stage, ..
 
 
 def _cutter(channel: Channel, rate: float, points: Sequence[str]) -> MotionPieces | ForcePieces:
-    if channel.at in ("hammer", "shaker"):
+    if channel.measures_force:
         return ForcePieces()
     if channel.at not in points:
         raise SceneError(f"channel {channel.name!r} sits at {channel.at}: the rig has {', '.join(points)}")

@@ -30,7 +30,7 @@ class ChannelInfo:
     name : str
         Name of the channel, unique in a scene.
     at : str
-        Where the sensor sits: ``"body 2"``, ``"table"`` or ``"hammer"``.
+        Where the sensor sits: ``"body 2"``, ``"table"``, ``"hammer"`` or ``"shaker"``.
     quantity : {'acceleration', 'velocity', 'displacement', 'force'}
         What is read after integration, if any.
     sensitivity : float

@@ -1,4 +1,4 @@
-"""The force sensor in an impulse hammer."""
+"""The force sensor in an impulse hammer, or between a shaker and its body."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from rig.sensor_settings import Hammer
 
 
 def force_sensor(settings: Hammer, seed: int, channel: str) -> Stage:
-    """Describe the force sensor of a hammer, ideal where nothing is given.
+    """Describe a force sensor, ideal where nothing is given.
 
     Parameters and what is returned are those of `daq.accelerometer.accelerometer`.
     """

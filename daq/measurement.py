@@ -19,6 +19,7 @@ from daq.bench import Bench, Block
 from daq.excitation import Excitation, Station, excitation
 from daq.limits import ControlLoss, Limits, Stretches
 from daq.recorder import Recorder
+from daq.reference import force_untold
 from rig.errors import RecordingError, RunError, SceneError, ShotrigError
 from rig.scene import Scene
 from rig.scene_file import load
@@ -80,7 +81,7 @@ def record(
     Warns
     -----
     RunWarning
-        If points did not settle, or a level was not reached.
+        If points did not settle, or a level was not reached; at the start, if no channel tells the force.
 
     Examples
     --------
@@ -161,6 +162,9 @@ class Run:
         test = self._excite(self._station)
         drive = next(test)
         bench, path = self.bench, self._path
+        untold = force_untold(bench.scene, bench.channels)
+        if untold is not None:
+            warnings.warn(untold, RunWarning, stacklevel=4)
         _make_folder(path)
         try:
             with Recorder(path, bench.scene, bench.channels, bench.rate, overwrite=overwrite) as recorder:

@@ -116,6 +116,8 @@ def _channels(
             yield Mistake(
                 place, "there is no hammer; expected a body or the table, or a test of kind impulse"
             )
+        elif channel.at == "shaker":
+            yield from _at_shaker(shaker, test, place, given)
         if channel.name in first:
             other = first[channel.name] + 1
             yield Mistake(
@@ -123,6 +125,25 @@ def _channels(
                 f'"{channel.name}" is the name of channels[{other}]; expected each once',
             )
         first.setdefault(channel.name, k)
+
+
+def _at_shaker(
+    shaker: Shaker | None, test: Test | None, place: tuple[int | str, ...], given: frozenset[str]
+) -> Iterable[Mistake]:
+    """Check that there is a shaker whose force a sensor can sit in the way of, and that it works."""
+    if shaker is None:
+        if "shaker" not in given:
+            yield Mistake(
+                place, "there is no shaker; expected a body, or a shaker of kind force in the scene"
+            )
+    elif not isinstance(shaker, ForceShaker):
+        yield Mistake(
+            place,
+            f"a shaker of kind {shaker.kind} acts through its coil spring, whose force is told by channels at its "
+            f"two ends; expected at: table and at: body {shaker.bodies[0]}",
+        )
+    elif isinstance(test, Impulse):
+        yield Mistake(place, "the shaker rests while the hammer hits; expected at: hammer")
 
 
 def _sampling(

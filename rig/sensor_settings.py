@@ -36,6 +36,8 @@ Corner = Annotated[float, Quantity(FREQUENCY, above=0.0)]
 Tolerance = Annotated[float, Quantity(RATIO, at_least=0.0, below=1.0)]
 Time = Annotated[float, Quantity(TIME, at_least=0.0)]
 Limit = Annotated[float, Quantity(LENGTH, VELOCITY, ACCELERATION, FORCE, above=0.0)]
+# Where a channel measures force, not motion.
+FORCE_PLACES = ("hammer", "shaker")
 Preset = Annotated[str, Field(min_length=1, max_length=80, description="the name of a part")]
 
 
@@ -138,7 +140,7 @@ class Integrator(Settings):
 
 
 class Hammer(Settings):
-    """The force sensor in the head of an impulse hammer.
+    """A force sensor: in the head of an impulse hammer, or between a shaker and the body it pushes.
 
     Attributes
     ----------
@@ -172,11 +174,12 @@ class Channel(Settings):
     name : str
         Name in the recording: letters, digits, `_`, `-` and `.`.
     at : str
-        Where: `body 1` ..., `table`, or `hammer`.
+        Where: `body 1` ..., `table`, `hammer`, or `shaker`: between a shaker of kind force and its body. The
+        force of other shakers is read from the ends of their coil spring, the table and the driven body.
     accelerometer, integrator : optional
         Sensor and integrating amplifier at a body or the table.
     hammer : Hammer, optional
-        Force sensor, at the hammer.
+        Force sensor, at the hammer or the shaker.
     alarm, abort : float, optional
         Limits of the measured quantity, in the channel's unit [m, m/s, m/s^2 or N]: above the first the
         recording is marked, above the second the test ends.
@@ -192,7 +195,10 @@ class Channel(Settings):
     ]
     at: Annotated[
         str,
-        Field(pattern=r"^(body [1-9][0-9]{0,5}|table|hammer)$", description="body 1, ..., table or hammer"),
+        Field(
+            pattern=r"^(body [1-9][0-9]{0,5}|table|hammer|shaker)$",
+            description="body 1, ..., table, hammer or shaker",
+        ),
     ]
     accelerometer: Accelerometer | None = None
     integrator: Integrator | None = None
@@ -204,22 +210,29 @@ class Channel(Settings):
     def kind_by_neighbours(cls, given: Mapping[str, Any]) -> Mapping[Place, Kind]:
         """Limits are in what the channel measures."""
         kind = {"1": VELOCITY, "2": LENGTH}.get(str(at(given, ("integrator", "order"))), ACCELERATION)
-        if given.get("at") == "hammer":
+        if given.get("at") in FORCE_PLACES:
             kind = FORCE
         return {("alarm",): kind, ("abort",): kind}
 
     def relations(self) -> Iterable[Mistake]:
         """Check that the sensor suits the place."""
-        if self.at == "hammer":
+        if self.measures_force:
             for key in ("accelerometer", "integrator"):
                 if getattr(self, key) is not None:
-                    yield Mistake((key,), "given at the hammer; expected hammer: with its sensor's keys")
+                    yield Mistake(
+                        (key,), f"given at the {self.at}; expected hammer: with the keys of its force sensor"
+                    )
         elif self.hammer is not None:
-            yield Mistake(("hammer",), f"given at {self.at}; expected it at: hammer")
+            yield Mistake(("hammer",), f"given at {self.at}; expected it at: hammer or at: shaker")
+
+    @property
+    def measures_force(self) -> bool:
+        """Whether its sensor is one of force: at the hammer or the shaker."""
+        return self.at in FORCE_PLACES
 
     @property
     def body(self) -> int | None:
-        """The body it is mounted on, from 1; None at the table or the hammer."""
+        """The body it is mounted on, from 1; None elsewhere."""
         return int(self.at.removeprefix("body ")) if self.at.startswith("body ") else None
 
 

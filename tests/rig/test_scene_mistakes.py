@@ -141,7 +141,7 @@ MISTAKES = [
     ),
     (
         STRUCTURE + "channels: [{name: a, at: tabel}]",
-        ':2: channels[1].at: got "tabel"; expected body 1, ..., table or hammer',
+        ':2: channels[1].at: got "tabel"; expected body 1, ..., table, hammer or shaker',
     ),
     # what excludes or needs something else
     (
@@ -236,7 +236,7 @@ MISTAKES = [
     ),
     (
         STRUCTURE + "channels: [{name: a, at: body 1, hammer: {}}]",
-        ":2: channels[1].hammer: given at body 1; expected it at: hammer",
+        ":2: channels[1].hammer: given at body 1; expected it at: hammer or at: shaker",
     ),
     (STRUCTURE + "converter: {bits: 16}", ":2: converter.bits: given without range"),
     (STRUCTURE + "converter: {ac_corner: 1 Hz}", ":2: converter.ac_corner: given without coupling: AC"),
@@ -269,6 +269,28 @@ MISTAKES = [
         ":3: channels[1].at: there is no table; expected a body, or a shaker of kind table",
     ),
     (STRUCTURE + "channels: [{name: a, at: hammer}]", ":2: channels[1].at: there is no hammer"),
+    (
+        STRUCTURE + "channels: [{name: a, at: shaker}]",
+        ":2: channels[1].at: there is no shaker; expected a body, or a shaker of kind force in the scene",
+    ),
+    (
+        STRUCTURE + COIL + "channels: [{name: a, at: shaker}]",
+        ":3: channels[1].at: a shaker of kind electrodynamic acts through its coil spring, whose force is told by "
+        "channels at its two ends; expected at: table and at: body 1",
+    ),
+    (
+        STRUCTURE + FORCE + "test: {kind: impulse, body: 1, peak: 1 N, width: 1 ms}\n"
+        "channels: [{name: a, at: shaker}]",
+        ":4: channels[1].at: the shaker rests while the hammer hits; expected at: hammer",
+    ),
+    (
+        STRUCTURE + FORCE + "channels: [{name: a, at: shaker, integrator: {order: 1}}]",
+        ":3: channels[1].integrator: given at the shaker; expected hammer: with the keys of its force sensor",
+    ),
+    (
+        STRUCTURE + FORCE + "channels: [{name: a, at: shaker, abort: 1 m/s}]",
+        ':3: channels[1].abort: got "1 m/s"; expected a force such as',
+    ),
     (
         STRUCTURE + "channels:\n- {name: a, at: body 1}\n- {name: a, at: body 2}",
         ':4: channels[2].name: "a" is the name of channels[1]; expected each once',

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from cmath import exp
+from collections import deque
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,6 +26,8 @@ _BETTER = 0.7
 _STEP, _SHORTEST, _LONGEST = 0.01, 1e-4, 0.03
 _SHORTER, _LONGER = 0.6, 1.5
 _DAMPING_STEP, _DAMPING = 0.2, (0.002, 0.2)
+# Below this the mean of an exponential is a straight line, which rounding would spoil.
+_SMALL = 1e-6
 # Share by which both coefficients are drawn towards zero, where force and motion do not tell them apart.
 _RIDGE = 1e-4
 
@@ -58,7 +63,7 @@ class NearestMode:
     """
 
     def __init__(self) -> None:
-        self._looks: list[tuple[float, float, complex, complex]] = []
+        self._looks: deque[tuple[float, float, complex, complex]] = deque()
         self._count = 0
         self._step = _STEP
         self.pole, self.gain, self.rest = 0j, 0j, 0j
@@ -66,7 +71,8 @@ class NearestMode:
     def add(self, time: float, turn: float, motion: complex, force: complex, memory: float) -> None:
         """Take a look: time in s, angular frequency of the tone in rad/s, X in m, F in N; memory in s."""
         self._looks.append((time, turn, motion, force))
-        self._looks = [look for look in self._looks if time - look[0] < _FADED * memory]
+        while time - self._looks[0][0] >= _FADED * memory:
+            self._looks.popleft()
         self._count += 1
         if self._count < _FEWEST or len(self._looks) < _FEWEST:
             self.pole, self.gain, self.rest = (-0.02 + 1.3j) * turn, 0j, motion / force
@@ -108,16 +114,17 @@ def _explain(
     time, turn = time.real, turn.real
     step = np.diff(time)
     power = abs(force) ** 2
-    weight = np.exp((time[1:] - time[-1]) / memory) / (power[1:] + power[:-1] + 1e-300)
+    root = np.exp((time[1:] - time[-1]) / (2 * memory)) / np.sqrt(power[1:] + power[:-1] + 1e-300)
     decay = (poles[:, None] - 0.5j * (turn[1:] + turn[:-1])) * step
     kept = np.exp(decay)
-    by_gain = integral(decay) * step * (force[1:] + force[:-1]) / 2
-    by_rest = force[1:] - kept * force[:-1]
-    seen = motion[1:] - kept * motion[:-1]
+    small = abs(decay) < _SMALL
+    mean = np.where(small, 1 + decay / 2, (kept - 1) / np.where(small, 1, decay))
+    force, motion, earlier = force[1:] * root, motion[1:] * root, (force[:-1] * root, motion[:-1] * root)
+    by_gain = mean * (step / 2 * (force + earlier[0]))
+    by_rest = force - kept * earlier[0]
+    seen = motion - kept * earlier[1]
 
-    def dot(one: ComplexArray, other: ComplexArray) -> ComplexArray:
-        return np.asarray((one.conj() * other) @ weight)
-
+    dot = np.vecdot
     gain_gain, rest_rest = ((1 + _RIDGE) * dot(term, term).real for term in (by_gain, by_rest))
     cross, gain_seen, rest_seen = dot(by_gain, by_rest), dot(by_gain, seen), dot(by_rest, seen)
     both = gain_gain * rest_rest - abs(cross) ** 2
@@ -127,12 +134,10 @@ def _explain(
     return gain, rest, left
 
 
-def integral(decay: ComplexArray | complex) -> ComplexArray:
+def integral(decay: complex) -> complex:
     """Mean of e^(decay u) for u from 0 to 1.
 
-    >>> complex(integral(0.0))
-    (1+0j)
+    >>> integral(0.0)
+    1.0
     """
-    decay = np.asarray(decay, dtype=complex)
-    small = abs(decay) < 1e-6
-    return np.where(small, 1 + decay / 2, np.expm1(decay) / np.where(small, 1, decay))
+    return 1 + decay / 2 if abs(decay) < _SMALL else (exp(decay) - 1) / decay

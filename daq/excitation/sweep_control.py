@@ -18,8 +18,9 @@ ComplexArray = NDArray[np.complex128]
 # Periods that a look at the channels takes in.
 LOOK_PERIODS = 2.0
 # What is known of the nearest mode fades within the time in which a sweep passes a sharp one, 1 / sqrt(rate of
-# the frequency), times this; not within fewer periods than those.
-_MEMORY, _SHORTEST_MEMORY = 0.5, 6.0
+# the frequency), times this; not within fewer periods than these, and within more of them at the latest: a slow
+# sweep has seen enough by then, and the motion with dampers may be another.
+_MEMORY, _SHORTEST_MEMORY, _LONGEST_MEMORY = 0.5, 6.0, 20.0
 # Steps in which the delay of a look, half of it, is made up for.
 _STEPS = 6
 # Largest change of the drive from window to window, over the largest of the last ones.
@@ -101,7 +102,8 @@ class SweepControl:
         if self._goal is None:
             # The phase of the force does not matter; kept, it asks for the least change.
             self._goal = self._level * look.force / abs(look.force)
-        memory = max(_SHORTEST_MEMORY / look.frequency, _MEMORY / max(abs(look.rate), 1e-9) ** 0.5)
+        passing = _MEMORY * look.frequency / max(abs(look.rate), 1e-9) ** 0.5
+        memory = min(max(passing, _SHORTEST_MEMORY), _LONGEST_MEMORY) / look.frequency
         self._mode.add(look.middle, look.turn(look.middle), look.motion, look.force, memory)
         envelope, force = self._caught_up(look)
         return self._careful(self._wanted(look, window, envelope, force), abs(look.force))
@@ -118,7 +120,7 @@ class SweepControl:
             drive = complex(np.interp(time, times, drives))
             moved = 1j * look.turn(time - step / 2) - centre
             decay = mode.pole - centre - moved
-            kept, fed = exp(decay * step), mode.gain * step * complex(integral(decay * step))
+            kept, fed = exp(decay * step), mode.gain * step * integral(decay * step)
             free = kept * envelope + fed * force
             # X = c F + x; the rate of the force's change is taken at the end of the step, as it may be fast.
             motion = per_motion + moved * motion_slope
@@ -134,7 +136,7 @@ class SweepControl:
         assert self._goal is not None
         mode, goal = self._mode, self._goal
         decay = mode.pole - 1j * look.turn(look.end + window / 2)
-        fed = mode.gain * window * complex(integral(decay * window))
+        fed = mode.gain * window * integral(decay * window)
         envelope = exp(decay * window) * envelope + fed * (force + goal) / 2
         there = 1j * look.turn(look.end + window)
         (per_force, per_motion), (_, motion_slope) = self._law.at(there), self._law.slope(there)

@@ -9,8 +9,8 @@ if TYPE_CHECKING:
     from daq.recording import Recording
 
 UNITS = {"frequency": "Hz", "force": "N", "peak": "N", "width": "s", "amplitude": "m"}
-WORRYING = ("overload", "gap", "lost", "abort", "double_hit")
-OF_CHANNELS = ("overload", "alarm")
+WORRYING = ("overload", "gap", "lost", "abort", "double_hit", "level")
+NO_PHASES = ("overload", "alarm", "level")
 COLOURS = {
     "settle": 0x55606EFF,
     "measure": 0x3D8B5FFF,
@@ -56,11 +56,11 @@ def phases(recording: Recording, start: int, stop: int) -> list[Phase]:
     """Give the markers that last, cut to [start, stop), in order of time and without overlap.
 
     Of two that overlap the later one is shown from its start on. A hit is over in milliseconds; what is shown is
-    the decay that follows, up to the next hit. What happens to single channels is no phase of the test.
+    the decay that follows, up to the next hit. What is amiss meanwhile is no phase of the test.
     """
     found: list[Phase] = []
     lasting = [
-        mark for mark in recording.markers if mark.last_sample is not None and mark.kind not in OF_CHANNELS
+        mark for mark in recording.markers if mark.last_sample is not None and mark.kind not in NO_PHASES
     ]
     hits = sorted(mark.first_sample for mark in lasting if mark.kind == "hit")
     for mark in sorted(lasting, key=lambda mark: mark.first_sample):

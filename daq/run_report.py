@@ -85,10 +85,20 @@ def summary(path: Path) -> str:
         if measured:
             unsettled = [mark for mark in measured if not mark.fields["settled"]]
             lines.append(f"not settled: {len(unsettled) or 'none'} of {len(measured)} measurements")
+        lines += _levels(rec)
         lines += [f"aborted: {mark.fields['reason']}" for mark in rec.markers if mark.kind == "abort"]
         kind = rec.scene.test.kind if rec.scene.test is not None else ""
         lines.append(f"next: analysis {_NEXT.get(kind, 'frf')} {path}   or: daq replay {path}")
     return "\n".join(lines)
+
+
+def _levels(rec: Recording) -> list[str]:
+    """Say where a swept force was off its level, one line or none."""
+    off = [mark for mark in rec.markers if mark.kind == "level"]
+    if not off:
+        return []
+    seconds = sum(mark.stop - mark.first_sample for mark in off) / rec.rate
+    return [f"force off its level: {seconds:.2f} s in all (markers 'level' say where and by how much)"]
 
 
 def _overloads(rec: Recording) -> str:

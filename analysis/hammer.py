@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, signal
 
+from analysis.arrival import arrival
 from analysis.estimators import Averages
+from analysis.force_pulse import pulse_alone
 from analysis.ringdown import hits
 from rig.errors import RecordingError
 
@@ -20,9 +22,13 @@ Array = NDArray[np.float64]
 # What precedes the hit in a block, s; and the part of a response that may be left at a block's end
 # unwindowed.
 PRETRIGGER = 0.02
-_LEFT_OVER = 1e-3
+_LEFT_OVER = 5e-4
+# Part of a block over which its end is faded out.
+FADING = 0.1
 # Before a hit the structure must be at rest: its motion over this time, s, against the response that follows.
 REST, RINGING = 0.2, 0.01
+# The largest force belongs to the hit; where the window leaves less than this part of it, it missed the hit.
+MISSED = 0.5
 # A rebound is a second peak of at least this part of the first.
 REBOUND = 0.1
 
@@ -47,9 +53,10 @@ def rebounds(force: Array, rate: float) -> int:
 def averages(rec: Recording) -> Averages:
     """Average the spectra of all clean hits.
 
-    A force window keeps the pulse alone; where a response has not died away at the end of a block, an
-    exponential window takes it and the force down to 0.1 %, and the decay rate that adds to every mode is
-    kept as `shift`. Hits with a rebound are left out while clean ones remain.
+    A force window keeps the pulse alone, with what the channel's high-passes make of it; where a response has
+    not died away at the end of a block, an exponential window takes it and the force down to 0.05 %, and the
+    decay rate that adds to every mode is kept as `shift`. Hits with a rebound are left out while clean ones
+    remain.
     """
     names = list(rec.channels)
     forces = [i for i, name in enumerate(names) if rec.channels[name].quantity == "force"]
@@ -60,7 +67,8 @@ def averages(rec: Recording) -> Averages:
         )
     marked = hits(rec)
     pre = int(PRETRIGGER * rec.rate)
-    starts = [max(first - pre, 0) for first, _ in marked]
+    earliest = [min(arrival(info, first, first)[0] for info in rec.channels.values()) for first, _ in marked]
+    starts = [max(first - pre, 0) for first in earliest]
     length = int(min(np.diff([*starts, rec.samples])))
     if length < rec.rate * 0.2:
         raise RecordingError(
@@ -75,7 +83,6 @@ def averages(rec: Recording) -> Averages:
         if not np.isfinite(block).all():
             notes.append(f"Hit {index} left out: samples were lost.")
             continue
-        quiet = max(first - start, 1)
         before = np.stack([rec.read(name, max(start - rest, 0), max(start, 2)) for name in names]) - offset
         ringing = float(
             np.nanmax(np.sqrt(2.0 * np.mean(before**2, axis=1)) / np.maximum(abs(block).max(axis=1), 1e-300))
@@ -91,7 +98,18 @@ def averages(rec: Recording) -> Averages:
         if again:
             notes.append(f"Hit {index} left out: the hammer hit {again + 1} times.")
             continue
-        _force_window(block, forces, quiet, last - start, rec.rate)
+        raw = float(abs(block[forces[0]]).max())
+        for i in forces:
+            info = rec.channels[names[i]]
+            # What was there before is the tail of earlier hits, which hardly changes while this one lasts.
+            block[i] = pulse_alone(info, block[i] - before[i].mean(), arrival(info, first, last)[1] - start)
+        inside = float(abs(block[forces[0]]).max())
+        if inside < MISSED * raw:
+            notes.append(
+                f"Hit {index} left out: the force reads {inside:.3g} N at most where the hit is marked, at "
+                f"{first / rec.rate:.4g} s, and {raw:.3g} N elsewhere; the marker or the channel's delay is wrong."
+            )
+            continue
         blocks.append(block)
     if not blocks:
         raise RecordingError("no clean hit: " + " ".join(notes) + " Hit again, more briefly.")
@@ -106,8 +124,10 @@ def averages(rec: Recording) -> Averages:
     frequency = fft.rfftfreq(length, 1.0 / rec.rate)
     cross = np.einsum("bin,bjn->nij", spectra, spectra.conj()) / len(blocks)
     power = cross[:, forces[0], forces[0]].real
-    reach = np.flatnonzero(power < 1e-2 * power[: max(2, length // 1000)].max())
-    stop = int(reach[0]) if reach.size else frequency.size
+    # High-passes take the lowest frequencies off the force: its spectrum ends where it falls beyond its highest.
+    highest = int(np.argmax(power[: max(2, length // 1000)]))
+    reach = np.flatnonzero(power[highest:] < 1e-2 * power[highest])
+    stop = highest + int(reach[0]) if reach.size else frequency.size
     keep = slice(max(1, int(np.ceil(length / rec.rate))), min(stop, int(0.4 * length)))
     if len(blocks) == 1:
         notes.append("One hit: no coherence and no error bars; repeat the hit (test: repeats).")
@@ -123,18 +143,6 @@ def averages(rec: Recording) -> Averages:
     )
 
 
-def _force_window(block: Array, forces: list[int], begin: int, end: int, rate: float) -> None:
-    """Keep the pulse with a millisecond's slope after it; what follows is noise."""
-    slope = max(2, int(2e-3 * rate))
-    window = np.zeros(block.shape[1])
-    window[: end + 1 + slope] = 1.0
-    tail = np.arange(slope)
-    piece = 0.5 + 0.5 * np.cos(np.pi * (tail + 1) / (slope + 1))
-    stop = min(end + 1 + 2 * slope, window.size)
-    window[end + 1 + slope : stop] = piece[: stop - end - 1 - slope]
-    block[forces] *= window
-
-
 def _exponential(data: Array, forces: list[int], rate: float) -> float:
     """Window all channels in place where responses ring on; return the decay rate, 1/s."""
     others = [i for i in range(data.shape[1]) if i not in forces]
@@ -142,6 +150,9 @@ def _exponential(data: Array, forces: list[int], rate: float) -> float:
     left = float(
         np.max(abs(tail).max(axis=(0, 2)) / np.maximum(abs(data[:, others]).max(axis=(0, 2)), 1e-300))
     )
+    # What is left is faded out: were it cut off, its step would outweigh the small acceleration far below the modes.
+    fading = max(2, int(FADING * data.shape[2]))
+    data[:, :, -fading:] *= 0.5 + 0.5 * np.cos(np.pi * np.arange(1, fading + 1) / (fading + 1))
     if left < _LEFT_OVER:
         return 0.0
     duration = data.shape[2] / rate

@@ -75,12 +75,29 @@ class Quantity:
         out = np.zeros((len(names), frequency.size), dtype=complex)
         for name, weight in zip(self.channels, self.weights, strict=True):
             info = rec.channels[name]
-            factor = weight / info.response(frequency)
+            factor = weight / response_along(info, frequency, shift)
             if self.motion in MOTIONS:
                 order = MOTIONS.index(self.motion) - MOTIONS.index(info.quantity)
                 factor = factor * (2j * np.pi * frequency + shift) ** order
             out[names.index(name)] = factor
         return out
+
+
+def response_along(info: ChannelInfo, frequency: NDArray[np.float64], shift: float) -> NDArray[np.complex128]:
+    """Response of a channel along s = i w + `shift`: what an exponentially windowed reading is to be divided by.
+
+    A high-pass whose cut-off is not far below the frequency changes noticeably over the shift; filter and
+    averaging, flat there, do not.
+    """
+    out = info.response(frequency)
+    if shift:
+        s = 2j * np.pi * frequency
+        out = out * np.exp(-shift * info.delay)
+        for zero in info.zeros:
+            out *= 1.0 + shift / (s - zero)
+        for pole in info.poles:
+            out /= 1.0 + shift / (s - pole)
+    return out
 
 
 def motion_of(rec: Recording, name: str, motion: str = "displacement") -> Quantity:

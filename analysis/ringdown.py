@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
+from analysis.arrival import arrival
 from analysis.correction import corrected
 from analysis.measurands import named, responses
 from analysis.modal_decay import ModalDecay, band_width, modal_decay, spectral_peaks
 from rig.errors import RecordingError, SceneError
 
 if TYPE_CHECKING:
+    from daq.channel import ChannelInfo
     from daq.recording import Recording
 
 Array = NDArray[np.float64]
@@ -107,8 +109,9 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     if not names:
         raise RecordingError("no channel on a body: a decay needs at least one motion channel")
     info = named(rec, channel if channel is not None else names[-1])
-    before, begin, stop, notes = _stretch(rec, hit)
-    samples = rec.read(info.name, before, stop)
+    before, begin, stop, end = _stretch(rec, info, hit)
+    notes: list[str] = []
+    samples = rec.read(info.name, before, end)
     lost = ~np.isfinite(samples)
     if lost.any():
         if lost.mean() > 0.01:
@@ -122,7 +125,7 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
             f"{info.name} reads the same value throughout hit {hit}'s decay: the channel is dead, or the hit "
             "did not reach it; choose another channel or record again"
         )
-    clipped = _clipped(rec, info.name, begin, stop)
+    clipped = _clipped(rec, info.name, arrival(info, begin, begin)[0], end)
     if clipped > _MOST_CLIPPED:
         raise RecordingError(
             f"{info.name} was overloaded for {clipped:.0%} of hit {hit}'s decay: hit more softly, or widen the "
@@ -134,7 +137,7 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
         )
     most = modes if modes is not None else rec.scene.structure.bodies
     high = min(0.4 * rec.rate, 4.0 * HIGHEST_MODE)
-    acceleration = corrected(info, samples, "acceleration", LOWEST_MODE, high)
+    acceleration = corrected(info, samples, "acceleration", LOWEST_MODE, high)[: stop - before]
     free = begin - before
     found = spectral_peaks(acceleration[free:], rec.rate, most, LOWEST_MODE, min(HIGHEST_MODE, high))
     parts = tuple(
@@ -187,13 +190,16 @@ def _clipped(rec: Recording, channel: str, begin: int, stop: int) -> float:
     return inside / max(stop - begin, 1)
 
 
-def _stretch(rec: Recording, hit: int) -> tuple[int, int, int, list[str]]:
-    """Find the samples to read and where the decay begins: (first, begin, stop), and notes."""
+def _stretch(rec: Recording, info: ChannelInfo, hit: int) -> tuple[int, int, int, int]:
+    """Find where to read from, where the decay begins and stops, and to where samples are to be read for it."""
     marked = hits(rec)
     if not 1 <= hit <= len(marked):
         raise SceneError(f"hit {hit} of {len(marked)}: the recording holds hits 1 to {len(marked)}")
     first, last = marked[hit - 1]
-    stop = marked[hit][0] if hit < len(marked) else rec.samples
+    # What a filter delays is put back in time: the last of the decay is in samples after it, and the next
+    # hit shows in samples before.
+    end = arrival(info, marked[hit][0], marked[hit][0])[0] if hit < len(marked) else rec.samples
+    stop = end - arrival(info, 0, 0)[1]
     begin = last + 1
     # Enough before the hit for the band-pass to see the structure at rest.
     before = max(first - int(0.5 * rec.rate), marked[hit - 2][1] + 1 if hit > 1 else 0, 0)
@@ -204,4 +210,4 @@ def _stretch(rec: Recording, hit: int) -> tuple[int, int, int, list[str]]:
             "after a hit "
             "(test: interval)"
         )
-    return before, begin, stop, []
+    return before, begin, stop, end

@@ -48,7 +48,7 @@ def summary(map_: MotionMap) -> str:
 
 
 def write(map_: MotionMap, folder: Path) -> list[Path]:
-    """Write map-<scene>.png, .svg and .csv into a folder.
+    """Write map-<scene> or map-clearance-<scene>, as .png, .svg and .csv, into a folder.
 
     Parameters
     ----------
@@ -65,7 +65,8 @@ def write(map_: MotionMap, folder: Path) -> list[Path]:
     SceneError
         If a file cannot be written.
     """
-    return write_study("map", map_.scene.name, folder, _draw(map_), lambda path: _write_csv(map_, path))
+    study = "map-clearance" if map_.over == "clearance" else "map"
+    return write_study(study, map_.scene.name, folder, _draw(map_), lambda path: _write_csv(map_, path))
 
 
 def _write_csv(map_: MotionMap, path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -146,6 +147,14 @@ def test_given_a_map_when_written_then_the_file_has_a_row_for_every_point(
     assert len(rows) == fig9_map.kind.size
     assert {row["damper1_motion"] for row in rows} == set(fig9_map.motion.ravel())
     assert "riding" in summary(fig9_map)
+
+
+def test_given_maps_of_a_scene_over_level_and_clearance_when_written_then_neither_takes_the_others_place(
+    fig9_map: rig.MotionMap, tmp_path: Path
+) -> None:
+    other = replace(fig9_map, over="clearance", unit="m")
+    files = [*write(fig9_map, tmp_path), *write(other, tmp_path)]
+    assert len(set(files)) == 6
 
 
 def test_given_a_place_that_is_a_file_when_results_are_to_go_there_then_the_error_comes_before_the_work(

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.labels import opened, relabelled, scene_labels
 from analysis.measurands import located
 from analysis.merit import CycleEnergy, energy_per_cycle, impact_energy_per_cycle
 from analysis.nonlinear import damper_motion, describe_motion
-from analysis.presentation import Progress, Result, opened, output_stem
+from analysis.presentation import Progress, Result, output_stem
 from analysis.stepped import Sweep, sweeps
 from analysis.tables import write_table
 from rig.errors import RecordingError
@@ -38,14 +39,15 @@ def present_dampers(
         Called with (frequencies done, in all) of the lock-in.
     """
     files, lines, notes = [], [], []
-    for path in paths:
+    for path, label in zip(paths, scene_labels(paths), strict=True):
         with opened(path) as rec:
             if not rec.scene.dampers:
                 raise RecordingError(f"{path}: its scene has no dampers; there is nothing to tell of them")
             rows: list[tuple[str | float, ...]] = []
             for sweep in sweeps(rec, progress):
+                name = relabelled(sweep.lines, rec.scene.name, label).label
                 motions, found = _motions(rec, sweep)
-                lines += [f"{sweep.lines.label}", *(f"  {line}" for line in found)]
+                lines += [name, *(f"  {line}" for line in found)]
                 try:
                     energy = energy_per_cycle(rec, sweep)
                 except RecordingError as error:
@@ -54,7 +56,7 @@ def present_dampers(
                 true = impact_energy_per_cycle(rec, sweep) if rec.has_truth else None
                 if energy is not None:
                     lines += [f"  {line}" for line in describe_energy(energy, true)]
-                rows += _rows(sweep, motions, energy, true)
+                rows += _rows(name, sweep, motions, energy, true)
         stem = output_stem([path], output, "dampers")
         heading = [
             "scene", "frequency_Hz", "supplied_J", "structure_J", "dampers_J", "true_impacts_J", "channel",
@@ -95,6 +97,7 @@ def describe_energy(energy: CycleEnergy, true: np.ndarray | None = None) -> list
 
 
 def _rows(
+    name: str,
     sweep: Sweep,
     motions: list[list[tuple[str, str, float, float]]],
     energy: CycleEnergy | None,
@@ -105,7 +108,7 @@ def _rows(
         nothing if true is None else true,
     )
     return [
-        (sweep.lines.label, frequency, *(float(column[i]) for column in columns), *body[i])
+        (name, frequency, *(float(column[i]) for column in columns), *body[i])
         for i, frequency in enumerate(sweep.lines.frequency)
         for body in motions
     ]

@@ -100,15 +100,20 @@ def response_along(info: ChannelInfo, frequency: NDArray[np.float64], shift: flo
     return out
 
 
-def motion_of(rec: Recording, name: str, motion: str = "displacement") -> Quantity:
-    """Motion at the channel called `name`."""
+def motion_channel(rec: Recording, name: str) -> ChannelInfo:
+    """Channel called `name`, which must measure motion."""
     info = named(rec, name)
     if info.quantity not in MOTIONS:
         raise RecordingError(
             f"channel {info.name!r} measures {info.quantity}, not motion: choose one of "
             f"{', '.join(responses(rec))}"
         )
-    return Quantity((info.name,), (1.0,), motion)
+    return info
+
+
+def motion_of(rec: Recording, name: str, motion: str = "displacement") -> Quantity:
+    """Motion at the channel called `name`."""
+    return Quantity((motion_channel(rec, name).name,), (1.0,), motion)
 
 
 def reference_of(rec: Recording, reference: str) -> Quantity:

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.frf import Frf
+from analysis.labels import opened, relabelled, scene_labels
 from analysis.modal import Modes, identify, mac
 from analysis.nonlinear import jumps
 from analysis.ringdown import Decay, decay
 from analysis.transfer import frequency_responses
-from rig.errors import RecordingError
 
 if TYPE_CHECKING:
     from analysis.modal_decay import ModalDecay
@@ -78,10 +78,10 @@ def present_frf(
     curves: list[Frf] = []
     exact: list[Frf] = []
     notes: list[str] = []
-    for path in paths:
+    for path, label in zip(paths, scene_labels(paths), strict=True):
         with opened(path) as rec:
             groups = frequency_responses(rec, channels, reference, motion, estimator, block, progress)
-            curves += [frf for group in groups for frf in group]
+            curves += [relabelled(frf, rec.scene.name, label) for group in groups for frf in group]
             notes += _noted(path, [note for group in groups for note in group[0].warnings])
             if theory:
                 exact += [linear_theory(rec, frf) for frf in groups[0]]
@@ -154,9 +154,9 @@ def present_decay(
 
     decays: list[Decay] = []
     notes: list[str] = []
-    for path in paths:
+    for path, label in zip(paths, scene_labels(paths), strict=True):
         with opened(path) as rec:
-            decays.append(decay(rec, channel, hit))
+            decays.append(relabelled(decay(rec, channel, hit), rec.scene.name, label))
         notes += _noted(path, decays[-1].warnings)
     stem = output_stem(paths, output, "decay")
     first = decays[0]
@@ -209,12 +209,12 @@ def present_modes(
     files: list[Path] = []
     lines: list[str] = []
     notes: list[str] = []
-    for path in paths:
+    for path, label in zip(paths, scene_labels(paths), strict=True):
         with opened(path) as rec:
             for number, group in enumerate(
                 frequency_responses(rec, None, reference, block=block, progress=progress)
             ):
-                modes = identify(group, count)
+                modes = relabelled(identify(group, count), rec.scene.name, label)
                 found.append(modes)
                 stem = output_stem([path], output, "modes" if number == 0 else f"modes-{number + 1}")
                 files += save(modes_figure(group, modes, f"Modes: {modes.label}"), stem)
@@ -249,15 +249,6 @@ def theoretical_shapes(rec: Recording, modes: Modes) -> np.ndarray | None:
     _, shapes = natural_modes(mass, stiffness)
     bodies = [int(rec.channels[name].at.split()[1]) - 1 for name in modes.responses]
     return np.asarray(shapes)[bodies] if len(bodies) > 1 else None
-
-
-def opened(path: Path) -> Recording:
-    """Open a recording that must exist."""
-    import daq
-
-    if not path.exists():
-        raise RecordingError(f"{path}: no such file; `daq record SCENE -o {path}` would make one")
-    return daq.open(path)
 
 
 def _marks(curves: Sequence[Frf]) -> list[tuple[float, str]]:

@@ -13,10 +13,10 @@ from string import Template
 from typing import TYPE_CHECKING
 
 from analysis.damper_findings import present_dampers
+from analysis.labels import opened, scene_labels
 from analysis.presentation import (
     Progress,
     Result,
-    opened,
     output_stem,
     present_decay,
     present_frf,
@@ -117,8 +117,9 @@ def _worth(paths: Sequence[Path]) -> Result:
         with opened(path) as rec:
             curves.append(frequency_responses(rec)[0])
     lines: list[str] = []
-    for other in curves[1:]:
-        lines.append(f"{curves[0][0].label} -> {other[0].label}")
+    names = scene_labels(paths)
+    for name, other in zip(names[1:], curves[1:], strict=True):
+        lines.append(f"{names[0]} -> {name}")
         lines += [f"  {line}" for line in describe_changes(peak_changes(curves[0], other))]
     return Result((), tuple(lines), ())
 

@@ -11,7 +11,7 @@ from scipy import signal
 
 from analysis.arrival import arrival
 from analysis.correction import corrected
-from analysis.measurands import named, responses
+from analysis.measurands import motion_channel, responses
 from analysis.modal_decay import ModalDecay, band_width, modal_decay, spectral_peaks
 from rig.errors import RecordingError, SceneError
 
@@ -108,7 +108,7 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     names = responses(rec)
     if not names:
         raise RecordingError("no channel on a body: a decay needs at least one motion channel")
-    info = named(rec, channel if channel is not None else names[-1])
+    info = motion_channel(rec, channel if channel is not None else names[-1])
     before, begin, stop, end = _stretch(rec, info, hit)
     notes: list[str] = []
     samples = rec.read(info.name, before, end)

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from analysis.cli import app
-from analysis.presentation import present_frf
+from analysis.presentation import present_decay, present_frf
 from analysis.report import write_report
 from rig.errors import RecordingError
 from tests.analysis import synthetic
@@ -46,6 +46,35 @@ def test_given_two_recordings_when_drawn_then_each_response_has_one_figure_with_
     assert names[0] == "one+two-frf-body3.png" and names[-1] == "one+two-frf.csv"
     drawn = (tmp_path / "one+two-frf-body3.svg").read_text()
     assert "first scene" in drawn and "second scene" in drawn
+
+
+def test_given_scenes_of_one_name_when_overlaid_then_their_files_tell_them_apart(folder, tmp_path):
+    synthetic.stepped_sine(tmp_path / "again.mcap", FREQUENCIES, noise=1e-6, seed=2, name="first scene")
+    result = present_frf([folder / "one.mcap", tmp_path / "again.mcap"], tmp_path)
+    assert [path.name for path in result.files if path.suffix == ".png"] == [
+        f"one+again-frf-body{body}.png" for body in (1, 2, 3)
+    ]
+    for body in (1, 2, 3):
+        drawn = (tmp_path / f"one+again-frf-body{body}.svg").read_text()
+        assert drawn.count("first scene (one)") == drawn.count("first scene (again)") == 1
+    assert {row["scene"] for row in table(result.files[-1])} == {"first scene (one)", "first scene (again)"}
+    assert sum(line.startswith("first scene (again), body") for line in result.lines) == 3
+
+
+def test_given_decays_of_scenes_of_one_name_when_overlaid_then_their_files_tell_them_apart(folder, tmp_path):
+    synthetic.impulses(tmp_path / "again.mcap", interval=3.0, name="hit scene")
+    result = present_decay([folder / "hit.mcap", tmp_path / "again.mcap"], tmp_path)
+    drawn = next(path for path in result.files if path.suffix == ".svg").read_text()
+    assert "hit scene (hit)" in drawn and "hit scene (again)" in drawn
+    assert {row["scene"] for row in table(result.files[-1])} == {"hit scene (hit)", "hit scene (again)"}
+    assert sum(line.startswith("hit scene (again), body3") for line in result.lines) == 1
+
+
+def test_given_a_force_channel_when_a_decay_is_asked_for_then_motion_channels_are_offered(folder):
+    arguments = ["decay", str(folder / "hit.mcap"), "--channel", "hammer"]
+    run = CliRunner().invoke(app, arguments)
+    assert isinstance(run.exception, RecordingError)
+    assert "measures force, not motion: choose one of body1, body2, body3" in str(run.exception)
 
 
 def test_given_the_same_recording_when_drawn_twice_then_every_byte_is_the_same(folder, tmp_path):

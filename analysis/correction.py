@@ -37,12 +37,15 @@ def corrected(info: ChannelInfo, samples: Array, motion: str, low: float, high: 
 
     Notes
     -----
-    The samples are continued antisymmetrically about both ends before the transform, so that neither a
-    jump nor a kink between the last sample and the first is divided by the small response at low frequencies.
+    The samples are mirrored at both ends before the transform, so that there is no jump between the last
+    sample and the first. Where they are to be differentiated, the mirror image is turned upside down as well:
+    then there is no kink either, but the mean differs from side to side, which differentiation does not see.
     """
     count = samples.size
-    head = 2.0 * samples[0] - samples[:0:-1]
-    tail = 2.0 * samples[-1] - samples[-2::-1]
+    order = MOTIONS.index(motion) - MOTIONS.index(info.quantity) if info.quantity in MOTIONS else 0
+    head, tail = samples[:0:-1], samples[-2::-1]
+    if order > 0:
+        head, tail = 2.0 * samples[0] - head, 2.0 * samples[-1] - tail
     longer = np.concatenate([head, samples, tail])
     fade = np.hanning(2 * (count // 2) + 1)[: count // 2]
     longer[: fade.size] *= fade
@@ -52,7 +55,6 @@ def corrected(info: ChannelInfo, samples: Array, motion: str, low: float, high: 
     window = _band(frequency, low, high)
     inside = window > 0
     factor = np.zeros(frequency.size, dtype=complex)
-    order = MOTIONS.index(motion) - MOTIONS.index(info.quantity) if info.quantity in MOTIONS else 0
     factor[inside] = (
         window[inside] * (2j * np.pi * frequency[inside]) ** order / info.response(frequency[inside])
     )

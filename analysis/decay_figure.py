@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.figures import colour, drawing, plain_logarithmic
+from analysis.figures import colour, drawing, heading, plain_logarithmic, plain_ticks
 from analysis.ringdown import Decay
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
         )
         trace.set_ylabel("acceleration / (m/s²)")
         trace.tick_params(labelbottom=False)
-        trace.set_title(title)
+        heading(trace, title)
         if trace.get_legend_handles_labels()[0]:
             trace.legend(loc="upper right")
         level.set_yscale("log")
@@ -123,9 +123,8 @@ def _damping_row(
         flat = flat[flat > 0]
         if flat.size:
             low, high = float(flat.min()) / 1.5, float(flat.max()) * 1.5
-            ticks = [d * 10.0**e for e in range(-4, 4) for d in (1, 2, 5) if low <= d * 10.0**e <= high]
             first.set_ylim(low, high)
-            first.set_yticks(ticks)
+            first.set_yticks(plain_ticks(low, high))
 
 
 def _columns(decays: Sequence[Decay]) -> list[list[tuple[int, ModalDecay]]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 from rig.errors import RunError
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 # Colours that remain apart for every kind of colour blindness (Okabe and Ito's set, the darker ones first).
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#555555", "#000000")
 WIDTH_INCH = 7.2
+# Characters of a title that fit into this width.
+_LONGEST_LINE = 70
 
 _STYLE: Any = {
     "font.family": "DejaVu Sans",
@@ -72,6 +75,11 @@ def save(figure: Figure, stem: Path) -> list[Path]:
     return [png, svg]
 
 
+def heading(axes: Axes, text: str) -> None:
+    """Title above the uppermost axes, in lines no longer than the figure is wide."""
+    axes.set_title("\n".join(wrap(text, _LONGEST_LINE)))
+
+
 def colour(index: int) -> str:
     """Colour of the curve with this index."""
     return COLOURS[index % len(COLOURS)]
@@ -115,6 +123,27 @@ def decades(axes: Axes, values: Any, most: float = 6.0, least: float = 1.0) -> N
         high = values.max() * 1.6
         low = max(values.min() / 1.6, high / 10.0**most)
         axes.set_ylim(min(low, high / 10.0**least), high)
+
+
+def plain_ticks(low: float, high: float) -> list[float]:
+    """Round numbers along a logarithmic axis; where it is so short that hardly any lie on it, even steps.
+
+    Examples
+    --------
+    >>> plain_ticks(0.08, 3.0)
+    [0.1, 0.2, 0.5, 1.0, 2.0]
+    >>> plain_ticks(0.65, 1.5)
+    [0.8, 1.0, 1.2, 1.4]
+    """
+    from matplotlib.ticker import MaxNLocator
+
+    ticks = [d * 10.0**e for e in range(-9, 9) for d in (1, 2, 5)]
+    inside = [tick for tick in ticks if low <= tick <= high]
+    if len(inside) < 3:
+        inside = [
+            round(float(tick), 12) for tick in MaxNLocator(5).tick_values(low, high) if low <= tick <= high
+        ]
+    return inside
 
 
 def plain_logarithmic(axes: Axes, values: Any) -> None:

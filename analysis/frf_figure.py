@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from analysis.figures import colour, decades, drawing, frequency_axis
+from analysis.figures import colour, decades, drawing, frequency_axis, heading
 from analysis.frf import Frf
 
 Array = NDArray[np.float64]
@@ -71,7 +71,7 @@ def frf_figure(
         for axes, last in ((upper, False), (middle, False), (lower, True)):
             frequency_axis(axes, low, high, last)
         upper.set_ylabel(f"|{frfs[0].name}| / ({frfs[0].unit})" if "/" in frfs[0].unit else frfs[0].name)
-        upper.set_title(title)
+        heading(upper, title)
         if upper.get_legend_handles_labels()[0]:
             upper.legend(loc="best")
         middle.set_ylabel("phase / °")
@@ -89,7 +89,9 @@ def frf_figure(
         notes = ["shaded: 95 % confidence"] if any(np.any(frf.degrees > 0) for frf in frfs) else []
         if not all(told(frf).all() for frf in frfs):
             notes.append("grey: within the noise, phase left out")
-        figure.text(0.995, 0.995, "; ".join(notes), ha="right", va="top", fontsize=7, color="#777777")
+        if notes:
+            # Below all axes, where the layout makes room for it whatever the title's length.
+            figure.supxlabel("; ".join(notes), x=0.995, ha="right", fontsize=7, color="#777777")
         return figure
 
 

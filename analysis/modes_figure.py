@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.figures import colour, decades, drawing, frequency_axis
+from analysis.figures import colour, decades, drawing, frequency_axis, heading
 from analysis.frf import Frf
 from analysis.modal import Modes
 
@@ -43,7 +43,7 @@ def modes_figure(frfs: Sequence[Frf], modes: Modes, title: str) -> Figure:
         decades(fit, [abs(modes.receptance(dense)), *(abs(curve.value) for curve in curves)])
         frequency_axis(fit, low, high, False)
         fit.set_ylabel("|receptance| / (m/N)")
-        fit.set_title(title)
+        heading(fit, title)
         fit.legend(loc="best", title="dots measured, lines model", title_fontsize=8)
         kinds = ((False, "x", "#bbbbbb", "new pole"), (True, "o", "#009E73", "stable"))
         for stable, mark, shade, text in kinds:
@@ -53,7 +53,8 @@ def modes_figure(frfs: Sequence[Frf], modes: Modes, title: str) -> Figure:
             chart.plot(some[:, 0], some[:, 1], mark, ms=2.6, color=shade, label=text, ls="")
         frequency_axis(chart, low, high, True)
         chart.set_ylabel("order")
-        chart.legend(loc="upper left")
+        # Above the axes, as poles may lie anywhere inside.
+        chart.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.0, borderpad=0.0)
         for f in modes.frequency:
             for axes in (fit, chart):
                 axes.axvline(f, color="#777777", lw=0.7, ls=":", zorder=0)
@@ -66,7 +67,7 @@ def modes_figure(frfs: Sequence[Frf], modes: Modes, title: str) -> Figure:
             names = ["ground", *modes.responses] if i == 0 else [""] * (places.size + 1)
             axes.set_yticks(np.append(0, places), names)
             axes.set_title(
-                f"{modes.frequency[i]:.3f} Hz, {100 * modes.damping[i]:.3f} %",
+                f"{modes.frequency[i]:.3f} Hz\n{100 * modes.damping[i]:.3f} %",
                 fontsize=9,
                 fontweight="normal",
             )

@@ -145,11 +145,12 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     )
     if len(parts) < most:
         notes.append(f"Only {len(parts)} of {most} modes stand out in the decay of {info.name}.")
-    shown = acceleration[free:]
-    # Continued antisymmetrically, so that the transform finds no step between the last sample and the first.
-    longer = np.concatenate([acceleration, 2.0 * acceleration[-1] - acceleration[-2::-1]])
-    envelope = abs(signal.hilbert(longer))[free : acceleration.size]
     cycle = int(rec.rate / found[0]) if found.size else int(rec.rate / 10.0)
+    # What comes after the end would tell the envelope of the last cycle: it is left out.
+    last = acceleration.size - min(cycle, (acceleration.size - free) // 10)
+    shown = acceleration[free:last]
+    # Mirrored, so that the transform finds no step anywhere: one lifts its neighbourhood by its logarithm.
+    envelope = abs(signal.hilbert(np.concatenate([acceleration, acceleration[::-1]])))[free:last]
     where, _ = signal.find_peaks(abs(shown), distance=max(cycle, 1))
     power = np.cumsum(shown[::-1] ** 2)[::-1]
     return Decay(

@@ -2,12 +2,20 @@ from __future__ import annotations
 
 import csv
 import hashlib
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import analysis
+import daq
 from analysis.cli import app
+from analysis.decay_figure import decay_figure
+from analysis.frf import Frf
+from analysis.frf_figure import frf_figure
+from analysis.modal import ChartPole, Modes
+from analysis.modes_figure import modes_figure
 from analysis.presentation import present_decay, present_frf
 from analysis.report import write_report
 from rig.errors import RecordingError
@@ -118,3 +126,51 @@ def test_given_a_file_that_is_no_recording_when_drawn_then_it_is_a_recording_err
     (tmp_path / "no.mcap").write_bytes(b"\0" * 500)
     with pytest.raises(RecordingError):
         present_frf([tmp_path / "no.mcap"])
+
+
+def test_given_a_long_name_when_drawn_then_title_note_and_axis_keep_clear_of_each_other(folder):
+    with daq.open(folder / "one.mcap") as rec:
+        [curves] = analysis.frequency_responses(rec)
+    figure = frf_figure(curves, "Receptance: " + "a scene of many words, " * 5)
+    figure.canvas.draw()
+    upper, _, lower = figure.axes
+    note, label = figure._supxlabel.get_window_extent(), lower.xaxis.label.get_window_extent()
+    assert upper._left_title.get_window_extent().x1 < figure.bbox.x1
+    assert note.y1 <= label.y0 and note.y0 >= 0.0
+
+
+def test_given_five_modes_when_drawn_then_their_titles_do_not_touch():
+    frequency, many = np.geomspace(10.0, 130.0, 200), np.full(5, 0.01)
+    natural = np.array([20.54, 51.61, 81.117, 97.837, 115.513])
+    names = tuple(f"b{body}" for body in range(1, 6))
+    chart = tuple(ChartPole(order, f, 0.01, True) for f in natural for order in range(5, 25))
+    nothing = np.zeros(5)
+    modes = Modes(
+        natural, nothing, many, nothing, -1e-3j * np.ones((5, 5)), names, chart, nothing, nothing, "", ()
+    )
+    flat = np.ones(frequency.size)
+    curves = [
+        Frf(frequency, value, 0.0 * flat, flat, 4.0 * flat, name, "force")
+        for name, value in zip(names, modes.receptance(frequency), strict=True)
+    ]
+    figure = modes_figure(curves, modes, "Modes: five bodies")
+    figure.canvas.draw()
+    titles = [axes._left_title.get_window_extent() for axes in figure.axes[2:]]
+    assert all(left.x1 < right.x0 for left, right in pairwise(titles))
+    assert titles[-1].x1 < figure.bbox.x1
+    chart = figure.axes[1]
+    assert chart.get_legend().get_window_extent().y0 >= chart.get_window_extent().y1
+
+
+def test_given_damping_that_hardly_varies_when_drawn_then_its_axis_has_labels(folder):
+    with daq.open(folder / "hit.mcap") as rec:
+        figure = decay_figure([analysis.decay(rec)], "Free decay")
+    figure.canvas.draw()
+    axes = figure.axes[2]
+    low, high = axes.get_ylim()
+    labels = [
+        tick.get_text()
+        for tick in axes.get_yticklabels()
+        if tick.get_text() and low <= tick.get_position()[1] <= high
+    ]
+    assert len(labels) >= 3 and len(set(labels)) == len(labels)

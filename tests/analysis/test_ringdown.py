@@ -63,7 +63,7 @@ def test_given_a_displacement_channel_when_analysed_then_the_decay_is_that_of_th
     path = synthetic.write(tmp_path / "a.mcap", where, infos, rows, [("hit", 640, 655, {})])
     with daq.open(path) as rec:
         decay = analysis.decay(rec, channel="body3")
-    true = synthetic.simulate(force)[2][656:]
+    true = synthetic.simulate(force)[2][656 : 656 + decay.time.size]
     inner = slice(200, -2000)
     assert np.max(abs(decay.acceleration[inner] - true[inner])) < 0.01 * abs(true).max()
 
@@ -157,3 +157,29 @@ def test_given_noise_when_a_decay_is_analysed_then_only_amplitudes_above_it_are_
 def test_given_a_recording_in_which_nothing_is_heard_when_analysed_then_no_damping_is_claimed(tmp_path):
     with daq.open(synthetic.impulses(tmp_path / "a.mcap", noise=30.0)) as rec:
         assert all(mode.damping.size == 0 for mode in analysis.decay(rec, channel="body3").modes)
+
+
+def test_given_a_decay_that_is_cut_off_when_analysed_then_its_envelope_is_that_of_the_longer_one(tmp_path):
+    cut, whole = (synthetic.impulses(tmp_path / f"{t}.mcap", interval=t) for t in (2.0, 8.0))
+    with daq.open(cut) as rec, daq.open(whole) as longer:
+        decay, expected = analysis.decay(rec), analysis.decay(longer)
+    assert 1.8 < decay.time[-1] < 2.0
+    late = decay.time > 1.0
+    off = abs(decay.envelope - expected.envelope[: decay.time.size])[late]
+    assert off.max() < 0.1 * expected.envelope[: decay.time.size][late].max()
+
+
+def test_given_a_filter_that_delays_when_a_decay_is_followed_by_a_hit_then_it_ends_before_that_hit(tmp_path):
+    scene = rig.load("fig10b-no-damper")
+    test = scene.test.model_dump(exclude_none=True) | {"repeats": 2, "interval": 2.0}
+    for remove in (False, True):
+        converter = {"rate": 2560.0, "filter": "delta_sigma", "remove_delay": remove}
+        late = scene.replace(test=test, converter=converter, recording={"truth": True, "display": False})
+        with daq.open(daq.record(late, tmp_path / f"{remove}.mcap")) as rec:
+            decay = analysis.decay(rec, "body2")
+            ideal = ChannelInfo("true", "body 2", "displacement", 1.0, rec.rate)
+            true = corrected(ideal, rec.truth("displacement")[1], "acceleration", 2.0, 800.0)
+            begin = hits(rec)[0][1] + 1
+        assert 1.8 < decay.time[-1] < 2.0
+        off = abs(decay.acceleration - true[begin : begin + decay.time.size])[decay.time > 0.05]
+        assert off.max() < 0.02 * abs(decay.acceleration).max()

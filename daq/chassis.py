@@ -18,6 +18,7 @@ import math
 import threading
 import time
 import traceback
+import warnings
 import weakref
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -35,6 +36,7 @@ from daq.operator import Operator
 from daq.preset import filled_in
 from daq.rates import coerced
 from daq.triggers import OtherTask
+from rig.errors import SceneError
 
 if TYPE_CHECKING:
     from daq.task import Task
@@ -84,7 +86,7 @@ class Chassis:
     def _switch_on(self, rate: float) -> None:
         scene = self.scene
         if rate != scene.converter.rate:
-            scene = scene.replace(converter=scene.converter.replace(rate=rate))
+            scene = _at_rate(scene, rate)
         self._passed = self.elapsed if self.position else self._passed
         self._bench = Bench(scene)
         if self.clock.runs_free:
@@ -362,3 +364,19 @@ class Chassis:
             )
         )
         return True
+
+
+def _at_rate(scene: rig.Scene, rate: float) -> rig.Scene:
+    """Change a scene's sample rate; its test stays away where samples at that rate cannot tell its tones."""
+    converter = scene.converter.replace(rate=rate)
+    try:
+        return scene.replace(converter=converter)
+    except SceneError as error:
+        quiet = scene.replace(converter=converter, test=None)
+        warnings.warn(
+            f"the test of scene {scene.name!r} cannot be played, the bench stays quiet until a script drives it: "
+            f"{error}",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+        return quiet

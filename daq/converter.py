@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from daq.channel import ChannelInfo
 from daq.circuit import high_pass
-from daq.preset import filled_in, part
+from daq.preset import filled_in
 from daq.stage import Stage
-from rig.errors import SceneError
 from rig.sensor_settings import Converter as Settings
 
 Array = NDArray[np.float64]
@@ -43,7 +42,7 @@ class SampleClock:
         Raises
         ------
         SceneError
-            If the module cannot sample that fast or that slowly.
+            If the module cannot sample that fast.
 
         Examples
         --------
@@ -52,19 +51,7 @@ class SampleClock:
         >>> round(SampleClock.of(Settings(rate="5 kHz", clock_error="20 ppm")).true_rate, 6)
         5000.1
         """
-        rate = settings.rate
-        if settings.preset is not None:
-            sheet = part(settings.preset, "converter")
-            if sheet.clock is not None:
-                slowest = sheet.clock / sheet.largest_divisor
-                # A rate that was printed with a few digits still means the one it was rounded from.
-                divisor = int(sheet.clock / rate * (1.0 + 1e-4))
-                if divisor < 1:
-                    raise SceneError(
-                        f"converter.rate: got {rate:g} Hz; expected {slowest:g} to {sheet.clock:g} Hz, "
-                        f"which is what {sheet.name} samples at"
-                    )
-                rate = sheet.clock / min(divisor, sheet.largest_divisor)
+        rate = settings.sample_rate
         return cls(rate, rate * (1.0 + (settings.clock_error or 0.0)))
 
 

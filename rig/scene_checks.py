@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
-from rig.excitation_settings import Free, Impulse
+from rig.excitation_settings import Free, Impulse, Sine, SteppedSine
 from rig.sensor_settings import Channel, Converter
-from rig.settings import Mistake
+from rig.settings import Mistake, Place
 from rig.shaker_settings import ForceShaker
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ def mistakes_between(
         *_test(bodies, shaker, test, given),
         *_channels(bodies, shaker, test, channels or (), given),
         *_sampling(channels, converter, recording, given),
+        *_too_high(test, converter),
     ]
 
 
@@ -163,3 +164,29 @@ def _sampling(
         yield Mistake(
             ("recording", "samples"), "counts of a converter without bits; expected bits in converter"
         )
+
+
+def _too_high(test: Test | None, converter: Converter | None) -> Iterable[Mistake]:
+    """Check that samples can tell the test's frequencies, and that the drive can be made of samples."""
+    highest = _highest(test)
+    if highest is None or converter is None:
+        return
+    (place, frequency), rate = highest, converter.sample_rate
+    if frequency >= rate / 2:
+        yield Mistake(
+            place,
+            f"{frequency:.6g} Hz at {rate:.6g} samples a second; expected less than half of that, "
+            f"{rate / 2:.6g} Hz, or a higher converter: rate",
+        )
+
+
+def _highest(test: Test | None) -> tuple[Place, float] | None:
+    """Find the highest frequency of a test and where it stands; None where a test names none."""
+    if test is None or isinstance(test, Impulse | Free):
+        return None
+    if isinstance(test, Sine):
+        return ("test", "frequency"), test.frequency
+    if isinstance(test, SteppedSine) and test.frequencies is not None:
+        return ("test", "frequencies", len(test.frequencies) - 1), test.frequencies[-1]
+    first, last = test.from_ or 0.0, test.to or 0.0
+    return (("test", "to"), last) if last > first else (("test", "from"), first)

@@ -10,6 +10,8 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
+from rig.errors import SceneError
+from rig.parts import part
 from rig.quantities import (
     ACCELERATION,
     ACCELERATION_NOISE,
@@ -107,6 +109,7 @@ class Accelerometer(Settings):
 
     def relations(self) -> Iterable[Mistake]:
         """Check that nothing is given without what it belongs to; a preset may supply that."""
+        yield from _unknown(self.preset, "accelerometer")
         for key, other in self.needs.items():
             if self.preset is None and getattr(self, key) is not None and getattr(self, other) is None:
                 yield Mistake((key,), f"given without {other}, to which it belongs")
@@ -164,6 +167,10 @@ class Hammer(Settings):
     noise: Annotated[float, Quantity(FORCE_NOISE, at_least=0.0)] | None = None
     low_cutoff: Corner | None = None
     saturation: Annotated[float, Quantity(FORCE, above=0.0)] | None = None
+
+    def relations(self) -> Iterable[Mistake]:
+        """Check that the part is known."""
+        return _unknown(self.preset, "hammer")
 
 
 class Channel(Settings):
@@ -304,10 +311,34 @@ class Converter(Settings):
     dropped_blocks: tuple[DroppedBlock, ...] = ()
 
     def relations(self) -> Iterable[Mistake]:
-        """Check that nothing is given without what it belongs to."""
+        """Check that nothing is given without what it belongs to, and that its module can do it."""
+        unknown = list(_unknown(self.preset, "converter"))
+        yield from unknown
+        if not unknown:
+            yield from self._too_fast()
         if self.bits is not None and self.range is None and self.preset is None:
             yield Mistake(("bits",), "given without range, the voltage at full scale such as 5 V")
         if self.ac_corner is not None and self.coupling != "AC" and self.preset is None:
             yield Mistake(("ac_corner",), "given without coupling: AC")
         if self.clock_error is not None and abs(self.clock_error) >= 0.1:
             yield Mistake(("clock_error",), f"got {self.clock_error}; expected a small ratio such as 20 ppm")
+
+    def _too_fast(self) -> Iterable[Mistake]:
+        try:
+            _ = self.sample_rate
+        except SceneError as error:
+            yield Mistake(("rate",), str(error))
+
+    @property
+    def sample_rate(self) -> float:
+        """Rate of its samples [Hz]: as asked for or, from a module, the next one above that its clock allows."""
+        return self.rate if self.preset is None else part(self.preset, "converter").divided(self.rate)
+
+
+def _unknown(preset: str | None, kind: str) -> Iterable[Mistake]:
+    """Check that there is a data sheet of the part that is named."""
+    if preset is not None:
+        try:
+            part(preset, kind)
+        except SceneError as error:
+            yield Mistake(("preset",), str(error))

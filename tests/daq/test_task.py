@@ -87,6 +87,19 @@ def test_given_another_rate_when_a_task_runs_then_the_bench_really_samples_at_it
     assert chassis.inputs[0].rate == 10240.0
 
 
+def test_given_a_rate_too_low_for_the_scenes_test_when_a_task_runs_then_the_bench_stays_quiet_and_says_so():
+    scene = rig.load("bare-structure").replace(
+        test={"kind": "sine", "frequency": 2000.0, "drive": 1e-6}, converter={"rate": 10240.0}
+    )
+    daq.connect(scene, clock="fast")
+    with Task() as task:
+        inputs(task)
+        with pytest.warns(RuntimeWarning, match=r"cannot be played.*2000 Hz at 2048 samples"):
+            task.timing.cfg_samp_clk_timing(2048.0, samps_per_chan=50)
+            read = task.read(50)
+    assert not np.any(read)
+
+
 def test_given_a_finite_task_when_read_without_start_then_it_starts_reads_all_and_stops(chassis):
     with Task() as task:
         inputs(task, samps_per_chan=64)

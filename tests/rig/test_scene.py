@@ -133,10 +133,10 @@ channels:
     alarm: 0.1 m/s
     abort: 200 mm/s
   - {name: again, at: body 1, accelerometer: *part}
-  - {name: preset, at: body 1, accelerometer: {preset: some part, noise_corner: 10 Hz}}
+  - {name: preset, at: body 1, accelerometer: {preset: PCB 352C33, noise_corner: 10 Hz}}
   - {name: hammer, at: hammer, hammer: {sensitivity: 2.25 mV/N, sensitivity_tolerance: 15 %,
      noise: 1 mN/sqrt(Hz), low_cutoff: 5 mHz, saturation: 2 kN}, abort: 1 kN}
-converter: {preset: some module, rate: 51.2 kHz, bits: 24, range: 5 V, noise: 1 uV/sqrt(Hz), coupling: AC,
+converter: {preset: NI 9234, rate: 51.2 kHz, bits: 24, range: 5 V, noise: 1 uV/sqrt(Hz), coupling: AC,
   ac_corner: 0.5 Hz, excitation: 2 mA, filter: delta_sigma, remove_delay: on, skew: 1 us, clock_error: -5 ppm,
   jitter: 0.01 ns, dropped_blocks: [{at: 1.5 s, samples: 1024}]}
 recording: {samples: counts}

@@ -238,6 +238,24 @@ MISTAKES = [
         STRUCTURE + "channels: [{name: a, at: body 1, hammer: {}}]",
         ":2: channels[1].hammer: given at body 1; expected it at: hammer or at: shaker",
     ),
+    # parts by name
+    (
+        STRUCTURE + "channels: [{name: a, at: body 1, accelerometer: {preset: PCB 352C34}}]",
+        ':2: channels[1].accelerometer.preset: unknown accelerometer preset "PCB 352C34"; there is PCB 352C33; did '
+        'you mean "PCB 352C33"?',
+    ),
+    (
+        STRUCTURE + "channels: [{name: a, at: body 1, accelerometer: {preset: NI 9234}}]",
+        ':2: channels[1].accelerometer.preset: unknown accelerometer preset "NI 9234"',
+    ),
+    (
+        STRUCTURE + "converter: {preset: NI 9999}",
+        ':2: converter.preset: unknown converter preset "NI 9999"; there is NI 9234',
+    ),
+    (
+        STRUCTURE + "converter: {preset: NI 9234, rate: 60 kHz}",
+        ":2: converter.rate: got 60000 Hz; expected 1651.61 to 51200 Hz, which is what NI 9234 samples at",
+    ),
     (STRUCTURE + "converter: {bits: 16}", ":2: converter.bits: given without range"),
     (STRUCTURE + "converter: {ac_corner: 1 Hz}", ":2: converter.ac_corner: given without coupling: AC"),
     (
@@ -302,6 +320,39 @@ MISTAKES = [
     (
         STRUCTURE + "recording: {samples: counts}",
         ":2: recording.samples: counts of a converter without bits",
+    ),
+    # what the samples cannot tell
+    (
+        STRUCTURE + FORCE + "test: {kind: sine, frequency: 2000 Hz, force: 1}\nconverter: {rate: 2048 Hz}",
+        ":3: test.frequency: 2000 Hz at 2048 samples a second; expected less than half of that, 1024 Hz, or a "
+        "higher converter: rate",
+    ),
+    (
+        STRUCTURE + FORCE + "test: {kind: stepped_sine, from: 9, to: 1500, points: 3, force: 1}\n"
+        "converter: {rate: 2048 Hz}",
+        ":3: test.to: 1500 Hz at 2048 samples",
+    ),
+    (
+        STRUCTURE + FORCE + "test: {kind: stepped_sine, force: 1, frequencies: [9,\n 1024]}\n"
+        "converter: {rate: 2048 Hz}",
+        ":4: test.frequencies[2]: 1024 Hz at 2048 samples",
+    ),
+    (
+        STRUCTURE + FORCE + "test: {kind: swept_sine, from: 3 kHz, to: 8, duration: 1, force: 1}",
+        ":3: test.from: 3000 Hz at 5120 samples",
+    ),
+    (
+        STRUCTURE + FORCE + "test: {kind: random, from: 5, to: 3000, duration: 1, force: 1}",
+        ":3: test.to: 3000 Hz at 5120 samples",
+    ),
+    (
+        STRUCTURE + FORCE + "test: {kind: multisine, from: 5, to: 3000, lines: 9, force: 1}",
+        ":3: test.to: 3000 Hz at 5120 samples",
+    ),
+    (
+        STRUCTURE + FORCE + "test: {kind: sine, frequency: 5 kHz, force: 1}\n"
+        "converter: {preset: NI 9234, rate: 8 kHz}",
+        ":3: test.frequency: 5000 Hz at 8533.33 samples",
     ),
     # matrices
     (
@@ -382,6 +433,31 @@ def test_given_one_mistake_when_loaded_then_place_value_and_expectation_are_name
     said = complaints(text)
     assert f"scene.yaml{message}" in said
     assert len(said.splitlines()) == 1
+
+
+def test_given_a_module_that_samples_faster_than_asked_when_loaded_then_its_own_rate_counts() -> None:
+    module = "converter: {preset: NI 9234, rate: 8 kHz}"
+    scene = rig.loads(STRUCTURE + FORCE + "test: {kind: sine, frequency: 4.2 kHz, force: 1}\n" + module)
+    assert scene.converter.sample_rate == pytest.approx(51200 / 6)
+
+
+def test_given_wrong_presets_and_a_wrong_unit_when_loaded_then_all_are_named_at_once() -> None:
+    said = complaints(
+        STRUCTURE
+        + """gravity: heavy
+channels:
+  - {name: a, at: body 1, accelerometer: {preset: PCB 1}}
+  - {name: b, at: body 2, accelerometer: {preset: PCB 2}}
+converter:
+  preset: NI 9999
+"""
+    )
+    assert [line.split(": ")[:2] for line in said.splitlines()] == [
+        ["scene.yaml:2", "gravity"],
+        ["scene.yaml:4", "channels[1].accelerometer.preset"],
+        ["scene.yaml:5", "channels[2].accelerometer.preset"],
+        ["scene.yaml:7", "converter.preset"],
+    ]
 
 
 def test_given_many_mistakes_when_loaded_then_each_has_its_line_and_none_is_invented() -> None:

@@ -17,6 +17,8 @@ from rig.scene_file import SCENES, bundled
 from rig.scene_schema import schema_text
 
 positive = st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
+# Three times as much is a number still: the sample rate that goes with it.
+frequency = st.floats(min_value=0.0, exclude_min=True, max_value=1e300)
 share = st.floats(min_value=0.0, max_value=1.0, exclude_max=True)
 level = st.sampled_from(["force", "drive"])
 
@@ -27,7 +29,7 @@ def optional(**choices: st.SearchStrategy[Any]) -> st.SearchStrategy[dict[str, A
 
 @st.composite
 def excitations(draw: st.DrawFn) -> dict[str, Any]:
-    low, high = sorted(draw(st.tuples(positive, positive).filter(lambda pair: pair[0] != pair[1])))
+    low, high = sorted(draw(st.tuples(frequency, frequency).filter(lambda pair: pair[0] != pair[1])))
     band = {"from": low, "to": high, draw(level): draw(positive)}
     return draw(
         st.sampled_from(
@@ -63,6 +65,12 @@ def scenes(draw: st.DrawFn) -> Scene:
     accelerometer = optional(sensitivity=positive, noise=positive, low_cutoff=positive, bias=st.floats(-5, 5))
     channel = {"name": "7", "at": f"body {n}", "accelerometer": draw(accelerometer), "abort": draw(positive)}
     spring = {"body": 1, "spring": draw(positive)}
+    test = draw(st.none() | excitations())
+    converter = draw(optional(rate=positive, jitter=positive, skew=st.tuples(positive)))
+    # Fast enough for any of the test's frequencies.
+    tones = [value for key in ("frequency", "from", "to") if (value := (test or {}).get(key)) is not None]
+    tones += (test or {}).get("frequencies", [])
+    converter["rate"] = max([converter.get("rate", 5120.0), *(3.0 * tone for tone in tones)])
     return Scene(
         name=draw(st.text(st.characters(codec="utf-8", exclude_categories=["C"]), min_size=1)),
         structure={
@@ -84,9 +92,9 @@ def scenes(draw: st.DrawFn) -> Scene:
                 ]
             )
         ),
-        test=draw(st.none() | excitations()),
+        test=test,
         channels=draw(st.none() | st.just([channel])),
-        converter=draw(optional(rate=positive, jitter=positive, skew=st.tuples(positive))),
+        converter=converter,
         recording=draw(optional(truth=st.booleans(), samples=st.sampled_from(["float32", "float64"]))),
         seed=draw(st.integers(0, 2**63 - 1)),
     )

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.bias import bias_overload
 from daq.channel import ChannelInfo
 
 if TYPE_CHECKING:
@@ -153,7 +154,7 @@ class ControlLoss:
         held = getattr(scene.test, "force", None) is not None
         places = () if shaker is None or shaker.kind == "force" else ("table", f"body {shaker.bodies[0]}")
         self._rows = [row for row, info in enumerate(channels) if held and info.at in places]
-        self._channels = channels
+        self._scene, self._channels = scene, channels
         self._since: int | None = None
 
     def watch(self, first: int, flags: NDArray[np.bool_]) -> str | None:
@@ -163,10 +164,12 @@ class ControlLoss:
             self._since = None
             return None
         self._since = first if self._since is None else self._since
-        info = self._channels[clipped[0]]
-        if first + flags.shape[1] - self._since <= _CLIPPED * info.rate:
+        info, stop = self._channels[clipped[0]], first + flags.shape[1]
+        if stop - self._since <= _CLIPPED * info.rate:
             return None
+        cause = bias_overload(self._scene, clipped[0], stop / info.rate)
         return (
             f"input {info.name} has been overloaded since {self._since / info.rate:.2f} s, so that the spring force "
-            "cannot be read and held; expected a lower force, a larger converter range or a lower sensitivity"
+            "cannot be read and held; "
+            + (cause or "expected a lower force, a larger converter range or a lower sensitivity")
         )

@@ -21,3 +21,57 @@ def test_given_clipped_control_channels_when_a_force_is_held_then_the_test_ends_
     with daq.open(tmp_path / "clipped.mcap") as recording:
         assert any(marker.kind == "overload" for marker in recording.markers)
         assert any(marker.kind == "abort" for marker in recording.markers)
+
+
+HELD = """
+structure: {masses: [0.74 kg, 0.71 kg], springs: [24.3 kN/m, 21.8 kN/m], damping: {modal: 2 %}}
+shaker: {kind: table, body: 1, spring: 6.6 kN/m}
+test: {kind: stepped_sine, frequencies: [45 Hz], force: 3.3 N}
+channels:
+  - {name: body1, at: body 1, accelerometer: {preset: PCB 352C33}}
+  - {name: table, at: table, accelerometer: {preset: PCB 352C33}}
+converter: {rate: 5120 Hz, bits: 24, range: 5 V}
+"""
+INTEGRATED = ", integrator: {order: 2, corner: 1 Hz, gain: 1000"
+
+
+@pytest.mark.parametrize(
+    ("more", "cause"),
+    [
+        (
+            f"{INTEGRATED}}}",
+            r"overloads it behind its integrator as well; expected bias: 0 V .* low_cutoff of",
+        ),
+        ("", r"overloads it as well; expected bias: 0 V .* coupling: AC in the converter, or a larger"),
+    ],
+)
+def test_given_a_bias_that_overloads_a_control_channel_when_recorded_then_it_is_named_with_its_cures(
+    more, cause, tmp_path
+) -> None:
+    scene = rig.loads(HELD.replace("PCB 352C33}", "PCB 352C33}" + more))
+    with pytest.raises(RunError, match=rf"bias of its sensor, 9 V \(time constant 2 s\), {cause}"):
+        daq.record(scene, tmp_path / "biased.mcap")
+
+
+@pytest.mark.parametrize(
+    "cured",
+    [
+        HELD.replace("PCB 352C33}", "PCB 352C33, bias: 0 V}" + INTEGRATED + "}"),
+        HELD.replace("PCB 352C33}", "PCB 352C33}" + INTEGRATED + ", low_cutoff: 5 Hz}"),
+        HELD.replace("5120 Hz", "5120 Hz, coupling: AC"),
+    ],
+    ids=["no bias", "low cut-off", "AC coupling"],
+)
+def test_given_a_cure_that_was_named_when_recorded_then_the_test_goes_through(cured, tmp_path) -> None:
+    with daq.open(daq.record(rig.loads(cured), tmp_path / "cured.mcap")) as recording:
+        assert [marker.fields["settled"] for marker in recording.markers if marker.kind == "measure"] == [
+            True
+        ]
+
+
+def test_given_a_bias_that_is_not_to_blame_when_clipped_then_it_is_not_named(tmp_path) -> None:
+    scene = rig.loads(
+        HELD.replace("range: 5 V", "range: 5 mV").replace("PCB 352C33}", "PCB 352C33, bias: 1 mV}")
+    )
+    with pytest.raises(RunError, match="expected a lower force, a larger converter range"):
+        daq.record(scene, tmp_path / "clipped.mcap")

@@ -20,7 +20,7 @@ SLOPE = 2e-3
 _TIME_CONSTANTS = 7.0
 
 
-def pulse_alone(info: ChannelInfo, force: Array, last: int) -> Array:
+def pulse_alone(info: ChannelInfo, force: Array, first: int, last: int) -> Array:
     """Take what is not the hit out of a force channel's samples.
 
     Sensor discharge, amplifier and converter with AC coupling let a pulse be followed by a long faint tail of
@@ -34,8 +34,8 @@ def pulse_alone(info: ChannelInfo, force: Array, last: int) -> Array:
         The force channel.
     force : ndarray, shape (n,)
         Its samples, N, from before the hit on, with nothing left of earlier ones.
-    last : int
-        Last sample that the hit itself reaches.
+    first, last : int
+        First and last sample that the hit itself reaches.
 
     Returns
     -------
@@ -49,7 +49,7 @@ def pulse_alone(info: ChannelInfo, force: Array, last: int) -> Array:
     stop = min(flat + slope, force.size)
     high_passes = [_high_pass(pole, info.rate) for pole in slow]
     out = np.zeros(force.size, dtype=complex)
-    out[:stop] = force[:stop]
+    out[first:stop] = force[first:stop]
     for above, below in high_passes:
         out[:stop] = signal.lfilter(below, above, out[:stop])
     out[flat:stop] *= 0.5 + 0.5 * np.cos(np.pi * np.arange(1, stop - flat + 1) / (slope + 1))

@@ -19,13 +19,12 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# What precedes the hit in a block, s; and the part of a response that may be left at a block's end
-# unwindowed.
-PRETRIGGER = 0.02
+# Part of a response that may be left at a block's end unwindowed.
 _LEFT_OVER = 5e-4
 # Part of a block over which its end is faded out.
 FADING = 0.1
-# Before a hit the structure must be at rest: its motion over this time, s, against the response that follows.
+# A block begins so long before its hit, s; what then rings from the hit before must be below this part of the
+# response that follows.
 REST, RINGING = 0.2, 0.01
 # The largest force belongs to the hit; where the window leaves less than this part of it, it missed the hit.
 MISSED = 0.5
@@ -66,24 +65,25 @@ def averages(rec: Recording) -> Averages:
             "add {name: hammer, at: hammer} to the scene's channels, or use `analysis decay`"
         )
     marked = hits(rec)
-    pre = int(PRETRIGGER * rec.rate)
-    earliest = [min(arrival(info, first, first)[0] for info in rec.channels.values()) for first, _ in marked]
-    starts = [max(first - pre, 0) for first in earliest]
+    rest = max(int(REST * rec.rate), 2)
+    # First sample in which any channel can hold the hit, but two: a recording may begin with one.
+    arrivals = [
+        max(min(arrival(info, first, first)[0] for info in rec.channels.values()), 2) for first, _ in marked
+    ]
+    starts = [max(first - rest, 0) for first in arrivals]
     length = int(min(np.diff([*starts, rec.samples])))
     if length < rec.rate * 0.2:
         raise RecordingError(
             f"blocks of {length / rec.rate:.3g} s between hits are too short: test: interval"
         )
     blocks, notes = [], []
-    rest = max(int(REST * rec.rate), 2)
-    first_rest = np.stack([rec.read(name, max(starts[0] - rest, 0), max(starts[0], 2)) for name in names])
-    offset = first_rest.mean(axis=1, keepdims=True)
-    for index, (start, (first, last)) in enumerate(zip(starts, marked, strict=True), 1):
+    offset = np.stack([rec.read(name, starts[0], arrivals[0]) for name in names]).mean(axis=1, keepdims=True)
+    for index, (start, arrived, (first, last)) in enumerate(zip(starts, arrivals, marked, strict=True), 1):
         block = np.stack([rec.read(name, start, start + length) for name in names]) - offset
         if not np.isfinite(block).all():
             notes.append(f"Hit {index} left out: samples were lost.")
             continue
-        before = np.stack([rec.read(name, max(start - rest, 0), max(start, 2)) for name in names]) - offset
+        before = block[:, : arrived - start].copy()
         ringing = float(
             np.nanmax(np.sqrt(2.0 * np.mean(before**2, axis=1)) / np.maximum(abs(block).max(axis=1), 1e-300))
         )
@@ -102,7 +102,8 @@ def averages(rec: Recording) -> Averages:
         for i in forces:
             info = rec.channels[names[i]]
             # What was there before is the tail of earlier hits, which hardly changes while this one lasts.
-            block[i] = pulse_alone(info, block[i] - before[i].mean(), arrival(info, first, last)[1] - start)
+            begin, end = arrival(info, first, last)
+            block[i] = pulse_alone(info, block[i] - before[i].mean(), max(begin - start, 0), end - start)
         inside = float(abs(block[forces[0]]).max())
         if inside < MISSED * raw:
             notes.append(
@@ -110,6 +111,8 @@ def averages(rec: Recording) -> Averages:
                 f"{first / rec.rate:.4g} s, and {raw:.3g} N elsewhere; the marker or the channel's delay is wrong."
             )
             continue
+        # What still rings from the hit before is faded in: its sudden beginning would show far below the modes.
+        block[:, : arrived - start] *= _rise(arrived - start)
         blocks.append(block)
     if not blocks:
         raise RecordingError("no clean hit: " + " ".join(notes) + " Hit again, more briefly.")
@@ -152,10 +155,15 @@ def _exponential(data: Array, forces: list[int], rate: float) -> float:
     )
     # What is left is faded out: were it cut off, its step would outweigh the small acceleration far below the modes.
     fading = max(2, int(FADING * data.shape[2]))
-    data[:, :, -fading:] *= 0.5 + 0.5 * np.cos(np.pi * np.arange(1, fading + 1) / (fading + 1))
+    data[:, :, -fading:] *= _rise(fading)[::-1]
     if left < _LEFT_OVER:
         return 0.0
     duration = data.shape[2] / rate
     shift = float(np.log(left / _LEFT_OVER) / duration)
     data *= np.exp(-shift * np.arange(data.shape[2]) / rate)
     return shift
+
+
+def _rise(count: int) -> Array:
+    """Half a cosine wave from zero to one."""
+    return 0.5 - 0.5 * np.cos(np.pi * np.arange(1, count + 1) / (count + 1))

@@ -100,7 +100,8 @@ def test_given_two_levels_of_sensor_noise_when_detected_then_the_threshold_is_pr
             shaker={"kind": "force", "body": 1},
             test={"kind": "sine", "frequency": 34.7, "force": 2.6, "duration": 1.0},
             channels=[
-                {"name": "body1", "at": "body 1", "accelerometer": {"sensitivity": 0.01, "noise": noise}}
+                {"name": "body1", "at": "body 1", "accelerometer": {"sensitivity": 0.01, "noise": noise}},
+                {"name": "force", "at": "shaker"},
             ],
             recording={"display": False},
         )

@@ -15,7 +15,7 @@ from tests.analysis import synthetic
 HIT = """
 name: two bodies
 structure: {{masses: [2 kg, 1 kg], springs: [80 kN/m, 20 kN/m], damping: {{modal: 1 %}}}}
-test: {{kind: impulse, body: 1, peak: 100 N, width: 4 ms, repeats: 1, interval: 6 s}}
+test: {{kind: impulse, body: 1, peak: 100 N, width: 4 ms, repeats: 2, interval: 6 s}}
 channels:
   - {{name: a1, at: body 1, accelerometer: {{sensitivity: 100 mV/g, low_cutoff: 0.3 Hz}}}}
   - {{name: a2, at: body 2, accelerometer: {{sensitivity: 100 mV/g}}}}
@@ -68,7 +68,7 @@ def test_given_no_force_channel_when_averaged_then_it_says_what_to_add(tmp_path)
 
 
 def hit(path, where):
-    """A recording of a hit on body 1 with a scene's sensors and converter."""
+    """A recording of two hits on body 1 with a scene's sensors and converter."""
     scene = rig.loads(HIT.format(**where), where="a test")
     return daq.record(scene, path)
 

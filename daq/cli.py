@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from rig.command import application, run
+from rig.errors import RecordingError
 
 app = application("The instrument: record, look at, repair and replay tests.")
 
@@ -35,7 +36,7 @@ def record(
     """Run the test of a scene and record it; Ctrl-C ends it early (exit code 130) and keeps what there is."""
     from daq.run_report import record_and_report
 
-    path = output if output is not None else Path("recordings") / f"{Path(scene).stem}.mcap"
+    path = _free(output if output is not None else Path("recordings") / f"{Path(scene).stem}.mcap", overwrite)
     raise typer.Exit(record_and_report(scene, path, overwrite, block))
 
 
@@ -82,7 +83,9 @@ def replay(
 @app.command()
 def info(
     files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings.")],
-    check: Annotated[bool, typer.Option("--check", help="Read all of it and verify every checksum.")] = False,
+    check: Annotated[
+        bool, typer.Option("--check", help="Read all of it and verify every checksum there is.")
+    ] = False,
 ) -> None:
     """Say what recordings hold: scene, channels, markers, what was lost."""
     from daq.info import describe
@@ -94,7 +97,9 @@ def info(
                 print(line)
             if check:
                 recording.check()
-                print("  checked   every checksum is right")
+                print(
+                    "  checked   all was read; what carries a checksum matches it (message indexes carry none)"
+                )
 
 
 @app.command()
@@ -137,8 +142,9 @@ def scope(
     from daq.run_report import summary
     from daq.scope import knobs_for, live, say
 
+    default = Path("recordings") / f"{Path(scene).stem}-scope.mcap"
+    path = _free(output if output is not None else default, overwrite)
     bench = rig.load(scene)
-    path = output if output is not None else Path("recordings") / f"{Path(scene).stem}-scope.mcap"
     knobs = knobs_for(bench, frequency, force)
     viewing = show.server(say) if web else show.window("use --web to look with a browser")
     live(bench, path, knobs, viewing, overwrite)
@@ -170,6 +176,22 @@ def run_a_script(
     from daq.script import run_script
 
     raise typer.Exit(run_script(script, arguments or [], scene, clock, seconds))
+
+
+def _free(path: Path, overwrite: bool) -> Path:
+    """Give back the path of a recording to make, unless a file is there that is not to be replaced.
+
+    The recorder looks as well, but only when everything else has been switched on.
+    """
+    try:
+        there = path.exists()
+    except OSError as error:
+        raise RecordingError(
+            f"cannot make {path}: {error.strerror}; choose another name or place with -o FILE.mcap"
+        ) from None
+    if there and not overwrite:
+        raise RecordingError(f"{path} exists: give another name with -o, or --overwrite to replace it")
+    return path
 
 
 def main() -> None:

@@ -329,6 +329,16 @@ def test_given_a_scene_file_when_the_command_records_then_it_tells_what_it_wrote
     assert run_command(monkeypatch, "record", "hit.yaml", "--overwrite", "--block", "100") == 0
 
 
+@pytest.mark.parametrize("command", ["record", "scope"])
+def test_given_a_name_that_no_file_can_have_when_a_command_is_to_record_then_one_line_says_so(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name = tmp_path / f"{'a' * 300}.mcap"
+    assert run_command(monkeypatch, command, "fig8-no-damper", "-o", str(name)) == 2
+    (said,) = capsys.readouterr().err.splitlines()
+    assert said.startswith(f"error: cannot make {name}: ") and said.endswith("with -o FILE.mcap")
+
+
 @pytest.mark.parametrize("scene", ["no-such-scene", "missing.yaml"])
 def test_given_no_such_scene_when_the_command_records_then_it_ends_with_2_and_leaves_nothing(
     scene: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

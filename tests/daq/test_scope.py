@@ -13,8 +13,10 @@ import pytest
 from rerun.chunk import RrdReader
 
 import daq
+import daq.show
 import rig
 from analysis.transfer import frequency_responses
+from daq.cli import main
 from daq.hand_tone import Knobs
 from daq.scope import knobs_for, scope
 from daq.show import recording_stream
@@ -154,6 +156,20 @@ def test_given_a_recording_that_exists_when_scoped_then_it_is_kept(tmp_path):
     (tmp_path / "scope.mcap").write_bytes(b"precious")
     with pytest.raises((RunError, rig.errors.RecordingError), match="exists"):
         run_scope(SCENE, tmp_path, {0.1: "q"})
+    assert (tmp_path / "scope.mcap").read_bytes() == b"precious"
+
+
+def test_given_a_recording_that_exists_when_the_command_scopes_then_no_viewer_starts_and_overwrite_is_named(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr(daq.show, "viewer", lambda *options: pytest.fail("the viewer was started"))
+    (tmp_path / "scope.mcap").write_bytes(b"precious")
+    words = ["daq", "scope", "bare-structure", "--web", "-o", str(tmp_path / "scope.mcap")]
+    monkeypatch.setattr(sys, "argv", words)
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    assert "exists: give another name with -o, or --overwrite to replace it" in capsys.readouterr().err
     assert (tmp_path / "scope.mcap").read_bytes() == b"precious"
 
 

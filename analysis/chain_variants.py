@@ -67,11 +67,10 @@ def plain(scene: Scene) -> Scene:
     converter = filled_in(scene.converter).replace(preset=None, rate=SampleClock.of(scene.converter).rate)
     channels = scene.channels
     if shaker is not None and shaker.kind == "force":
-        if channels is not None:
+        if channels is not None and not any(channel.measures_force for channel in channels):
             raise SceneError(
                 "a force that acts on the body itself is in none of the scene's channels, so that nothing tells the "
-                "compliance; expected a shaker of kind table or electrodynamic with its coil spring, or no channels, "
-                "which stands for ideal ones"
+                "compliance; expected a channel {name: force, at: shaker}, or no channels, which stands for ideal ones"
             )
     elif channels is None:
         bodies = [f"body {number}" for number in range(1, scene.structure.bodies + 1)]
@@ -85,7 +84,8 @@ def _written_out(channel: Channel) -> Channel:
     sensor = channel.accelerometer
     if sensor is not None:
         sensor = filled_in(sensor).replace(preset=None)
-    return channel.replace(accelerometer=sensor, alarm=None, abort=None)
+    hammer = None if channel.hammer is None else filled_in(channel.hammer).replace(preset=None)
+    return channel.replace(accelerometer=sensor, hammer=hammer, alarm=None, abort=None)
 
 
 def own_setting(scene: Scene, group: str) -> str:
@@ -128,7 +128,14 @@ def _exact_sensors(scene: Scene) -> Scene:
     if scene.channels is None:
         return scene
     off = dict.fromkeys(UNCORRECTABLE)
-    return _sensors(scene, **off)
+    scene = _sensors(scene, **off)
+    exact = [
+        channel
+        if channel.hammer is None
+        else channel.replace(hammer=channel.hammer.replace(sensitivity_tolerance=None))
+        for channel in scene.channels or ()
+    ]
+    return scene.replace(channels=exact)
 
 
 def _without_counts(scene: Scene) -> Scene:
@@ -213,7 +220,10 @@ def _with_noise(scene: Scene, factor: float) -> Scene:
             sensor = sensor.replace(noise=scaled(sensor.noise), noise_corner=corner)
         if amplifier is not None:
             amplifier = amplifier.replace(noise=scaled(amplifier.noise))
-        channels.append(channel.replace(accelerometer=sensor, integrator=amplifier))
+        hammer = channel.hammer
+        if hammer is not None:
+            hammer = hammer.replace(noise=scaled(hammer.noise))
+        channels.append(channel.replace(accelerometer=sensor, integrator=amplifier, hammer=hammer))
     converter = scene.converter
     scene = _converter(scene, noise=scaled(converter.noise), jitter=scaled(converter.jitter))
     return scene if scene.channels is None else scene.replace(channels=channels)

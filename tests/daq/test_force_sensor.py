@@ -9,6 +9,7 @@ import pytest
 
 import daq
 import rig
+from analysis.chain_variants import plain, quiet
 from analysis.transfer import frequency_responses
 from daq.bench import Bench
 from daq.reference import force_untold
@@ -72,6 +73,19 @@ def test_given_no_channel_that_tells_the_force_when_recorded_then_it_is_said_bef
     ):
         daq.record(scene, tmp_path / "a.mcap", progress=progress)
     assert len(told) == 2
+
+
+def test_given_a_force_sensor_by_preset_when_its_chain_is_studied_then_its_tolerance_and_noise_are_taken_off() -> (
+    None
+):
+    scene = scene_of(STEPS, BODY, "{name: f, at: shaker, hammer: {preset: PCB 086C03, noise: 1 mN/sqrt(Hz)}}")
+    written = plain(scene).channels
+    assert written is not None and written[1].hammer is not None
+    assert written[1].hammer.sensitivity_tolerance == 0.15 and written[1].hammer.preset is None
+    silent = quiet(plain(scene)).channels
+    assert silent is not None and silent[1].hammer is not None
+    assert silent[1].hammer.sensitivity_tolerance is None and silent[1].hammer.noise is None
+    assert silent[1].hammer.sensitivity == written[1].hammer.sensitivity
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from daq.converter import SampleClock, coupling
 from daq.decimation import DELAY
 from daq.description import channel_effects, channel_info
 from daq.hammer import force_sensor
+from daq.history import Room
 from daq.noise import generator
 from daq.pieces import ForcePieces, MotionPieces
 from daq.preset import filled_in
@@ -88,8 +89,9 @@ class Chain:
         lines = [stages(channel, converter, scene.seed) for channel in channels]
         self._inputs, self._at = tuple(inputs), [channel.at for channel in channels]
         self._cutters = [_cutter(channel, rate, points) for channel in channels]
+        room = Room()
         self._paths = [
-            SignalPath(channel.name, line, converter, clock, self._oversampling, delay, scene.seed)
+            SignalPath(channel.name, line, converter, clock, self._oversampling, delay, scene.seed, room)
             for channel, line, delay in zip(channels, lines, late, strict=True)
         ]
         self._jitter = generator(scene.seed, "", "jitter") if converter.jitter else None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.history import History
+from daq.history import Room
 from rig.fused import WEIGHED, spread
 from rig.jit import unfused
 from rig.lanes import LANES, zeros
@@ -22,19 +22,29 @@ class Decimator:
         From `Decimation.taps`.
     late : int
         Intervals by which what is weighed lies further back.
+    room : Room
+        For the moments of a block.
     """
 
-    def __init__(self, taps: Array, late: int) -> None:
+    def __init__(self, taps: Array, late: int, room: Room) -> None:
         self._oversampling, moments, length = taps.shape
         self._weights = _beside(taps, late)
-        kept = length * self._oversampling + late - 1
-        self._moments = History(kept, WEIGHED * self._oversampling, moments)
+        self._room = room
+        # The last moments of the block before; in a block, they come first.
+        self._last = zeros(length * self._oversampling + late - 1, moments)
+        self._moments = room.rows(0)
         self._interval = 0
         self._samples = zeros(0)
 
     def room(self, count: int) -> Array:
         """Give the place for the moments of the next intervals, shape (count and TOGETHER or more, MOMENTS)."""
-        return self._moments.room(count)
+        kept = len(self._last)
+        end = kept + count + WEIGHED * self._oversampling
+        self._moments = self._room.rows(end)
+        self._moments[:kept] = self._last
+        # Nothing weighs these, but they must be numbers.
+        self._moments[kept + count : end] = 0.0
+        return self._moments[kept:]
 
     def filter(self, count: int) -> Array:
         """Give the samples that fall due with the intervals whose moments are in `room` now.
@@ -54,8 +64,9 @@ class Decimator:
         due = max(0, -(-(count - wait) // oversampling))
         if self._samples.size < due + WEIGHED:
             self._samples = zeros(due + WEIGHED)
-        _weigh(self._weights, self._moments.samples, wait, oversampling, self._samples, due)
+        _weigh(self._weights, self._moments, wait, oversampling, self._samples, due)
         self._interval += count
+        self._last[:] = self._moments[count : count + len(self._last)]
         return self._samples[:due]
 
 

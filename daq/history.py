@@ -1,13 +1,29 @@
-"""A signal's latest past in front of its next block."""
+"""Memory for blocks: a signal's latest past in front of its next block, and room that channels share."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.lanes import zeros
+from rig.lanes import LANES, zeros
 
 Array = NDArray[np.float64]
+
+
+class Room:
+    """Memory that channels use one after another, for what each needs only while it is measured.
+
+    Of its own for each, it would not stay in a processor's nearer memory.
+    """
+
+    def __init__(self) -> None:
+        self._rows = zeros(0, LANES)
+
+    def rows(self, count: int) -> Array:
+        """Give rows of the width of a register, at least so many, with anything in them."""
+        if len(self._rows) < count:
+            self._rows = zeros(count, LANES)
+        return self._rows
 
 
 class History:
@@ -19,14 +35,10 @@ class History:
     ----------
     kept : int
         Samples to keep.
-    beyond : int
-        Room behind a block; what is put there is forgotten.
-    width : int
-        Numbers of a sample; 1: samples are single numbers.
 
     Attributes
     ----------
-    samples : ndarray, shape (at least kept + samples of the block + beyond,) or the same by width
+    samples : ndarray, shape (at least kept + samples of the block,)
         What was kept, then the block. The memory is used again for the next block.
 
     Examples
@@ -38,18 +50,16 @@ class History:
     [2.0, 3.0, 4.0]
     """
 
-    def __init__(self, kept: int, beyond: int = 0, width: int = 1) -> None:
-        self._kept, self._beyond = kept, beyond
-        self._width = () if width == 1 else (width,)
-        self._count = 0
-        self.samples = zeros(kept + beyond, *self._width)
+    def __init__(self, kept: int) -> None:
+        self._kept, self._count = kept, 0
+        self.samples = np.zeros(kept)
 
     def room(self, count: int) -> Array:
-        """Give the place for the next block, shape (count + beyond,) or the same by width."""
+        """Give the place for the next block, shape (count,)."""
         kept = self.samples[self._count : self._count + self._kept]
-        needed = self._kept + count + self._beyond
-        if len(self.samples) < needed:
-            self.samples = zeros(needed, *self._width)
+        needed = self._kept + count
+        if self.samples.size < needed:
+            self.samples = np.zeros(needed)
         self.samples[: self._kept] = kept
         self._count = count
         return self.samples[self._kept : needed]

@@ -21,7 +21,7 @@ _MARKER: dict[str, Any] = {
     "properties": {
         "kind": {
             "type": "string",
-            "description": "start, pretest, settle, measure, step, hit, trigger, overload, level, gap, lost, abort, ...",
+            "description": "start, pretest, settle, measure, step, hit, trigger, overload, level, gap, lost, ...",
         },
         "first_sample": {"type": "integer", "minimum": 0},
         "last_sample": {

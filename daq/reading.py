@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from daq.circuit import Circuit
 from daq.decimation import MOMENTS, Decimation
 from daq.decimator import Decimator
-from daq.history import History
+from daq.history import History, Room
 from rig.fused import TOGETHER
-from rig.lanes import LANES, zeros
+from rig.lanes import LANES
 
 Array = NDArray[np.float64]
 
@@ -83,18 +83,20 @@ class AverageReading:
     ----------
     circuit : Circuit
         The analogue stages.
+    room : Room
+        For the averages of a block.
     """
 
     integrals = 1
 
-    def __init__(self, circuit: Circuit) -> None:
+    def __init__(self, circuit: Circuit, room: Room) -> None:
         self.rows, self.rows_input = np.zeros((0, circuit.c.size)), np.zeros(0)
-        self._averages = zeros(0, LANES)
+        self._room = room
+        self._averages = room.rows(0)
 
     def room(self, intervals: int) -> Array:
         """Give the place for the averages; see `Reading.room`."""
-        if len(self._averages) < intervals + TOGETHER:
-            self._averages = zeros(intervals + TOGETHER, LANES)
+        self._averages = self._room.rows(intervals + TOGETHER)
         return self._averages
 
     def read(self, points: Array) -> Array:
@@ -115,13 +117,17 @@ class FilteredReading:
         Intervals per sample.
     late : int
         Intervals by which what is read lies further back.
+    room : Room
+        For the moments of a block.
     """
 
     integrals = MOMENTS
 
-    def __init__(self, circuit: Circuit, low_pass: Decimation, oversampling: int, late: int) -> None:
+    def __init__(
+        self, circuit: Circuit, low_pass: Decimation, oversampling: int, late: int, room: Room
+    ) -> None:
         self.rows, self.rows_input = np.zeros((0, circuit.c.size)), np.zeros(0)
-        self._filter = Decimator(low_pass.taps(oversampling), late)
+        self._filter = Decimator(low_pass.taps(oversampling), late, room)
 
     def room(self, intervals: int) -> Array:
         """Give the place for the moments; see `Reading.room`."""

@@ -12,6 +12,7 @@ from daq.converter import SampleClock
 from daq.decimation import DELAY, Decimation
 from daq.discretisation import discretise
 from daq.disturbance import Disturbances, Offset, SettlingOffset, Source, Zero
+from daq.history import Room
 from daq.noise import Noise, generator
 from daq.pieces import Pieces
 from daq.propagation import propagate, scratch_for
@@ -46,6 +47,8 @@ class SignalPath:
         Delay of what is sampled, s.
     seed : int
         Of the scene.
+    room : Room
+        That it shares with the other channels.
     """
 
     def __init__(
@@ -57,13 +60,14 @@ class SignalPath:
         oversampling: int,
         delay: float,
         seed: int,
+        room: Room,
     ) -> None:
         circuit = Circuit.series([section for stage in stages for section in stage.sections])
         sensor, rate = stages[0], clock.true_rate * oversampling
         gain = sensor.nominal * (1.0 + sensor.deviation)
         # Whole intervals of a delay are the filter's business.
         late = int(delay * rate)
-        self._reading = _reading(stages, circuit, converter, clock, oversampling, late)
+        self._reading = _reading(stages, circuit, converter, clock, oversampling, late, room)
         entries, sources = _disturbances(stages, name, clock.true_rate, seed)
         watched, filtered, direct = None, [False] * len(entries), circuit.d[entries]
         if sensor.limit is not None:
@@ -132,10 +136,11 @@ def _reading(
     clock: SampleClock,
     oversampling: int,
     late: int,
+    room: Room,
 ) -> Reading:
     if converter.filter is not None:
-        return FilteredReading(circuit, Decimation.standard(clock.rate), oversampling, late)
-    return PointReading(circuit) if is_integrated(stages) else AverageReading(circuit)
+        return FilteredReading(circuit, Decimation.standard(clock.rate), oversampling, late, room)
+    return PointReading(circuit) if is_integrated(stages) else AverageReading(circuit, room)
 
 
 def _overload(sensor: Stage, rate: float) -> Array:

@@ -59,6 +59,8 @@ def averages(
         raise SceneError(f"overlap of {overlap:g}: expected 0 or more, below 1")
     if forgetting is not None and not 0.0 < forgetting < 1.0:
         raise SceneError(f"forgetting of {forgetting:g}: expected above 0 and below 1")
+    if block is not None and not 0.0 < block < np.inf:
+        raise SceneError(f"block of {block:g} s: expected a length above 0 s")
     first = marker.first_sample
     stop = min(rec.samples, rec.samples if marker.last_sample is None else marker.last_sample + 1)
     burst = marker.fields.get("block")

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from daq.reference import force_untold
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -88,7 +89,13 @@ def summary(path: Path) -> str:
         lines += _levels(rec)
         lines += [f"aborted: {mark.fields['reason']}" for mark in rec.markers if mark.kind == "abort"]
         kind = rec.scene.test.kind if rec.scene.test is not None else ""
-        lines.append(f"next: analysis {_NEXT.get(kind, 'frf')} {path}   or: daq replay {path}")
+        replay = f"daq replay {path}"
+        untold = force_untold(rec.scene, list(rec.channels.values()))
+        lines.append(
+            f"next: analysis {_NEXT.get(kind, 'frf')} {path}   or: {replay}"
+            if untold is None
+            else f"next: {replay}"
+        )
     return "\n".join(lines)
 
 

@@ -12,8 +12,6 @@ from daq.chain import Chain
 from daq.channel import ChannelInfo
 from daq.converter import Converter, SampleClock
 from daq.oversampling import DriveLine, oversampling
-from daq.preset import filled_in
-from rig.assembly import assemble
 from rig.errors import SceneError
 from rig.plant import Plant
 
@@ -83,7 +81,7 @@ class Bench:
         self.scene = scene
         clock = SampleClock.of(scene.converter)
         self.rate = clock.rate
-        self._intervals = oversampling(assemble(scene), filled_in(scene.converter), clock)
+        self._intervals = oversampling(scene, clock)
         # A clock with an error runs at its true rate and goes by the stated one.
         rate = clock.true_rate * self._intervals
         self._plant = Plant(scene, rate)

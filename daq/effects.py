@@ -7,7 +7,6 @@ from collections.abc import Iterable
 from daq.chain import Chain
 from daq.converter import SampleClock
 from daq.oversampling import oversampling
-from daq.preset import filled_in
 from rig.assembly import assemble
 from rig.effects import Effect
 from rig.scene import Scene
@@ -29,7 +28,7 @@ def measurement_effects(scene: Scene) -> Iterable[Effect]:
         for name, states in chain.effects[channel.name].items():
             yield Effect(part, name, states)
         yield Effect(part, "sample clock", 0, f"{clock.rate:.6g} Hz")
-    intervals = oversampling(system, filled_in(scene.converter), clock)
+    intervals = oversampling(scene, clock)
     if intervals > 1:
         yield Effect("converter", "oversampling", 0, f"{intervals} intervals a sample, for what is fast")
     recording = scene.recording

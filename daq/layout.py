@@ -119,17 +119,16 @@ class Clock:
         >>> Clock(8533.333333333334).time_ns(10**12) // 10**9
         117187499
         """
-        numerator, denominator = float(self.rate).as_integer_ratio()
-        doubled = 2 * sample * 10**9 * denominator + numerator
-        return self.start_ns + doubled // (2 * numerator)
+        return self._times((sample,))[0]
 
     def times_ns(self, samples: Iterable[int]) -> NDArray[np.uint64]:
         """Give the times of samples in nanoseconds, as exact as `time_ns`."""
+        return np.array(self._times(samples), np.uint64)
+
+    def _times(self, samples: Iterable[int]) -> list[int]:
         numerator, denominator = float(self.rate).as_integer_ratio()
         step, divisor = 2 * 10**9 * denominator, 2 * numerator
-        return np.array(
-            [self.start_ns + (step * sample + numerator) // divisor for sample in samples], np.uint64
-        )
+        return [self.start_ns + (step * sample + numerator) // divisor for sample in samples]
 
     def samples_at(self, time_ns: NDArray[np.uint64]) -> NDArray[np.int64]:
         """Give the sample numbers nearest to some times.

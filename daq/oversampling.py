@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from daq.converter import SampleClock
 from daq.decimation import PASS, STOP
-from rig.sensor_settings import Converter
-from rig.system import System
+from daq.preset import filled_in
+from rig.assembly import assemble
+from rig.scene import Scene
 
 Array = NDArray[np.float64]
 
@@ -23,7 +24,7 @@ FOLLOWED = 0.1
 FASTEST = 1.024e6
 
 
-def oversampling(system: System, settings: Converter, clock: SampleClock) -> int:
+def oversampling(scene: Scene, clock: SampleClock) -> int:
     """Choose the number of intervals per sample.
 
     Without a decimation filter a converter reads the voltage at its samples, aliases and all. With one, what
@@ -33,12 +34,10 @@ def oversampling(system: System, settings: Converter, clock: SampleClock) -> int
 
     Parameters
     ----------
-    system : System
-        The rig.
-    settings : rig.sensor_settings.Converter
-        Preset filled in.
+    scene : rig.Scene
+        What stands on the bench.
     clock : SampleClock
-        Its clock.
+        Of its converter.
 
     Returns
     -------
@@ -48,17 +47,17 @@ def oversampling(system: System, settings: Converter, clock: SampleClock) -> int
     Examples
     --------
     >>> import rig
-    >>> from rig.assembly import assemble
-    >>> system = assemble(rig.loads("structure: {masses: [1 kg], springs: [10 MN/m]}"))
+    >>> scene = rig.loads("structure: {masses: [1 kg], springs: [10 MN/m]}")
     >>> for rate in (1e3, 5e3, 51.2e3):
-    ...     oversampling(system, Converter(rate=rate, filter="delta_sigma"), SampleClock(rate, rate))
+    ...     filtered = scene.replace(converter={"rate": rate, "filter": "delta_sigma"})
+    ...     oversampling(filtered, SampleClock.of(filtered.converter))
     5
     2
     1
     """
-    if settings.filter is None:
+    if filled_in(scene.converter).filter is None:
         return 1
-    fastest = float(np.abs(system.poles.imag).max(initial=0.0)) / (2 * np.pi)
+    fastest = float(np.abs(assemble(scene).poles.imag).max(initial=0.0)) / (2 * np.pi)
     seen = fastest / clock.true_rate + STOP
     followed = min(max(fastest, BAND) / clock.true_rate, PASS) / FOLLOWED
     return max(1, min(math.ceil(max(seen, followed)), int(FASTEST / clock.true_rate)))

@@ -132,7 +132,7 @@ class ForcePieces:
 
 @unfused
 def put(values: Array, place: Array) -> None:
-    """Copy values to a place of the same length; assigning to a slice would need memory."""
+    """Copy values, as many as a place takes; assigning to a slice would need memory."""
     for i in range(place.size):
         place[i] = values[i]
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.discretisation import CUBIC, PARTS, Tables
-from daq.pieces import JUMP, LENGTH, Pieces
+from daq.pieces import JUMP, LENGTH, Pieces, put
 from rig.fused import WEIGHED, fused, spread, weigh
 from rig.jit import unfused
 from rig.lanes import LANES, copy, multiply, zeros
@@ -113,7 +113,7 @@ def propagate(
             _lay_out(pieces, held, first, stop, course)
             _through_stretch(tables, state, rails, overload, shift, course, sums, stop - first)
             if overload.size:
-                _copy(course[4][: stop - first], held[0][first:])
+                put(course[4], held[0, first:stop])
             if tables.integrals:
                 spread(tables.spread, course, 0, course.shape[1], 1, averages, first, stop - first)
         else:
@@ -135,16 +135,9 @@ def propagate(
 def _lay_out(pieces: Pieces, held: Array, first: int, stop: int, course: Array) -> None:
     """Put input and disturbances of a stretch above the states."""
     for k in range(4):
-        _copy(pieces.smooth[k, first:stop], course[k])
+        put(pieces.smooth[k, first:stop], course[k, : stop - first])
     for e in range(held.shape[0]):
-        _copy(held[e, first:stop], course[4 + e])
-
-
-@unfused
-def _copy(values: Array, row: Array) -> None:
-    """Copy into the beginning of a row; one row at a time, several samples are moved at once."""
-    for k in range(values.size):
-        row[k] = values[k]
+        put(held[e, first:stop], course[4 + e, : stop - first])
 
 
 @unfused

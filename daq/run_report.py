@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from daq.reference import force_untold
-from rig.errors import RecordingError
 
 if TYPE_CHECKING:
     from daq.recording import Recording
@@ -30,8 +29,6 @@ def record_and_report(scene: str, path: Path, overwrite: bool, block: int | None
     import daq
     import rig
 
-    if path.exists() and not overwrite:
-        raise RecordingError(f"{path} exists: give another name with -o, or --overwrite to replace it")
     setting = rig.load(scene)
     print(f"recording {scene} to {path.absolute()}", file=sys.stderr)
     with warnings.catch_warnings(record=True) as heard:

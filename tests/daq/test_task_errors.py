@@ -70,13 +70,18 @@ def test_given_a_machine_too_slow_when_the_bench_falls_far_behind_then_the_input
         assert "fast clock" in str(caught.value)
 
 
+def putting_out(task):
+    """Start an output that ends with its 100 samples unless more are written."""
+    task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
+    task.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
+    task.out_stream.regen_mode = RegenerationMode.DONT_ALLOW_REGENERATION
+    task.write(np.full(100, 0.5))
+    task.start()
+
+
 def test_given_an_output_without_regeneration_when_it_runs_dry_then_the_writer_hears_of_it(chassis):
     with Task() as task:
-        task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
-        task.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
-        task.out_stream.regen_mode = RegenerationMode.DONT_ALLOW_REGENERATION
-        task.write(np.full(100, 0.5))
-        task.start()
+        putting_out(task)
         with raised(DaqWriteError) as caught:
             task.write(np.zeros(50), timeout=1.0)
         assert (caught.value.error_code, caught.value.samps_per_chan_written) == (-200292, 0)
@@ -93,11 +98,7 @@ def test_given_an_output_without_regeneration_when_it_runs_dry_then_the_writer_h
 
 def test_given_an_output_that_ran_dry_when_nobody_has_been_told_then_stopping_says_so(chassis):
     with Task() as task:
-        task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
-        task.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
-        task.out_stream.regen_mode = RegenerationMode.DONT_ALLOW_REGENERATION
-        task.write(np.full(100, 0.5))
-        task.start()
+        putting_out(task)
         chassis.advance(150)
         with raised() as caught:
             task.stop()

@@ -9,15 +9,15 @@ from typing import Any
 # that `import analysis` stays quick (numba alone takes longer to import than a whole impulse test takes to
 # run).
 _HOME: dict[str, str] = {
-    "Decay": "analysis.ringdown",
-    "Frf": "analysis.frf",
-    "Modes": "analysis.modal",
-    "compliance": "analysis.transfer",
-    "decay": "analysis.ringdown",
-    "frequency_responses": "analysis.transfer",
-    "identify": "analysis.modal",
-    "mac": "analysis.modal",
-    "sep005": "analysis.export",
+    "Decay": "analysis.decays.free_decay",
+    "Frf": "analysis.responses.frf",
+    "Modes": "analysis.modal.identification",
+    "compliance": "analysis.responses.frequency_responses",
+    "decay": "analysis.decays.free_decay",
+    "frequency_responses": "analysis.responses.frequency_responses",
+    "identify": "analysis.modal.identification",
+    "mac": "analysis.modal.identification",
+    "sep005": "analysis.export.export",
 }
 
 __all__ = sorted(_HOME)

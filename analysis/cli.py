@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rig.command import application, run
+from rig.command_line import application, run
 
 if TYPE_CHECKING:
-    from analysis.presentation import Result
+    from analysis.presentation.presentation import Result
 
 app = application("From recordings to curves, modes and reports.")
 
@@ -49,7 +49,7 @@ def frf(
     ] = False,
 ) -> None:
     """Frequency responses: compliance against frequency, with error bars and coherence."""
-    from analysis.presentation import present_frf
+    from analysis.presentation.presentation import present_frf
 
     with _progress() as progress:
         result = present_frf(files, output, response, reference, motion, estimator, block, theory, progress)
@@ -64,7 +64,7 @@ def decay(
     hit: Annotated[int, typer.Option(help="Which hit, from 1.")] = 1,
 ) -> None:
     """Free decays: envelope, and damping ratio against amplitude."""
-    from analysis.presentation import present_decay
+    from analysis.presentation.presentation import present_decay
 
     _show(present_decay(files, output, channel, hit))
 
@@ -78,7 +78,7 @@ def modes(
     block: Block = None,
 ) -> None:
     """Natural frequencies, damping ratios and mode shapes."""
-    from analysis.presentation import present_modes
+    from analysis.presentation.presentation import present_modes
 
     with _progress() as progress:
         result = present_modes(files, output, reference, modes, block, progress)
@@ -88,7 +88,7 @@ def modes(
 @app.command()
 def dampers(files: Files, output: Output = None) -> None:
     """Motion of the dampers and energy they take out, at each frequency of a stepped sine."""
-    from analysis.damper_findings import present_dampers
+    from analysis.presentation.damper_findings import present_dampers
 
     with _progress() as progress:
         result = present_dampers(files, output, progress)
@@ -98,7 +98,7 @@ def dampers(files: Files, output: Output = None) -> None:
 @app.command()
 def report(files: Files, output: Output = None) -> None:
     """One self-contained HTML page about recordings."""
-    from analysis.report import write_report
+    from analysis.presentation.report import write_report
 
     with _progress() as progress:
         result = write_report(files, output, progress)
@@ -112,7 +112,7 @@ def demo(
     ] = Path("recordings"),
 ) -> None:
     """Record the paper's sweep and impulse tests and draw its figures from the recordings."""
-    from analysis.demo import demonstrate
+    from analysis.presentation.demo import demonstrate
 
     demonstrate(output, lambda line: print(line, flush=True))
 
@@ -132,9 +132,9 @@ def export(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT if it exists.")] = False,
 ) -> None:
     """Write a recording for other tools: UFF 58, CSV, NPZ, or WAV to listen to."""
-    from analysis.export import export as export_stretch
-    from analysis.stretch import Stretch
-    from daq.recording import open as open_recording
+    from analysis.export.export import export as export_stretch
+    from analysis.recordings.slices import Stretch
+    from daq.recording.recording import open as open_recording
 
     with open_recording(file) as recording:
         for line in export_stretch(Stretch.of(recording, channel, start, stop), output, speed, overwrite):
@@ -162,10 +162,10 @@ def cost(
     ] = Path(),
 ) -> None:
     """Measure what the measurement chain costs: error of the compliance against time, one effect at a time."""
-    from analysis.chain_cost import chain_study
-    from analysis.chain_cost_figure import table, write
-    from rig.file_name import make_ready
-    from rig.scene_file import load
+    from analysis.chain_cost.figure import table, write
+    from analysis.chain_cost.study import chain_study
+    from rig.output_files import make_ready
+    from rig.scene.loading import load
 
     make_ready(output)
     with _progress("recording and analysing") as progress:
@@ -184,7 +184,7 @@ def paper(
     fresh: Annotated[list[str] | None, typer.Option(help="Compute this part again; may be repeated.")] = None,
 ) -> None:
     """Reproduce the paper's figures and judge its claims; goes on where it stopped."""
-    from analysis.paper import reproduce
+    from analysis.paper.reproduce import reproduce
 
     reproduce(output, lambda line: print(line, flush=True), fresh or ())
 

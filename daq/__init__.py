@@ -8,15 +8,15 @@ from typing import Any
 # Each public name and the module it lives in; a module is imported when one of its names is first used, so
 # that `import daq` stays quick (numba alone takes longer to import than a whole impulse test takes to run).
 _HOME: dict[str, str] = {
-    "DaqError": "daq.errors",
-    "Task": "daq.task",
-    "connect": "daq.connection",
-    "Recorder": "daq.recorder",
-    "Recording": "daq.recording",
-    "open": "daq.recording",
-    "recover": "daq.salvage",
-    "RunWarning": "daq.measurement",
-    "record": "daq.measurement",
+    "DaqError": "daq.instrument.errors",
+    "Task": "daq.face.task",
+    "connect": "daq.instrument.connection",
+    "Recorder": "daq.recording.recorder",
+    "Recording": "daq.recording.recording",
+    "open": "daq.recording.recording",
+    "recover": "daq.recording.recovery",
+    "RunWarning": "daq.measurement.run",
+    "record": "daq.measurement.run",
 }
 
 __all__ = sorted(_HOME)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from rig.command import application, run
+from rig.command_line import application, run
 from rig.errors import RecordingError
 
 app = application("The instrument: record, look at, repair and replay tests.")
@@ -34,7 +34,7 @@ def record(
     ] = None,
 ) -> None:
     """Run the test of a scene and record it; Ctrl-C ends it early (exit code 130) and keeps what there is."""
-    from daq.run_report import record_and_report
+    from daq.measurement.run_report import record_and_report
 
     path = _free(output if output is not None else Path("recordings") / f"{Path(scene).stem}.mcap", overwrite)
     raise typer.Exit(record_and_report(scene, path, overwrite, block))
@@ -60,9 +60,9 @@ def replay(
 ) -> None:
     """Look at a recording: the rig in motion, channels, dampers, test marks."""
     import daq
-    from daq import show
-    from daq.replay import Replay
-    from daq.run_report import progress_bar
+    from daq.measurement.run_report import progress_bar
+    from daq.replay import outputs as show
+    from daq.replay.replay import Replay
 
     if sum([save is not None, screenshot is not None, web]) > 1:
         raise typer.BadParameter("choose one of --save, --screenshot and --web")
@@ -88,8 +88,8 @@ def info(
     ] = False,
 ) -> None:
     """Say what recordings hold: scene, channels, markers, what was lost."""
-    from daq.info import describe
-    from daq.recording import open as open_recording
+    from daq.recording.info import describe
+    from daq.recording.recording import open as open_recording
 
     for file in files:
         with open_recording(file) as recording:
@@ -109,7 +109,7 @@ def recover(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace FIXED if it exists.")] = False,
 ) -> None:
     """Make a whole recording of a torn or damaged one, and say exactly what was lost."""
-    from daq.salvage import recover as recover_recording
+    from daq.recording.recovery import recover as recover_recording
 
     for line in recover_recording(file, output, overwrite).report():
         print(line)
@@ -138,9 +138,9 @@ def scope(
 ) -> None:
     """Run a rig live: turn frequency and force while you look at it; it is recorded meanwhile."""
     import rig
-    from daq import show
-    from daq.run_report import summary
-    from daq.scope import knobs_for, live, say
+    from daq.measurement.run_report import summary
+    from daq.replay import outputs as show
+    from daq.scope.scope import knobs_for, live, say
 
     default = Path("recordings") / f"{Path(scene).stem}-scope.mcap"
     path = _free(output if output is not None else default, overwrite)
@@ -173,7 +173,7 @@ def run_a_script(
     ] = None,
 ) -> None:
     """Run a script for the package nidaqmx, or daq.nidaqmx, against the rig."""
-    from daq.script import run_script
+    from daq.server.script import run_script
 
     raise typer.Exit(run_script(script, arguments or [], scene, clock, seconds))
 

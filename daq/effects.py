@@ -2,14 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
-from daq.chain import Chain
-from daq.converter import SampleClock
-from daq.oversampling import oversampling
-from rig.assembly import assemble
-from rig.effects import Effect
-from rig.scene import Scene
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.recording.recorder import Recorder
+from daq.signal_chain.bench import Bench
+from daq.signal_chain.chain import Chain
+from daq.signal_chain.converter import SampleClock
+from daq.signal_chain.oversampling import oversampling
+from rig.effects.effect_cost import Step, bench_drive
+from rig.effects.explanation import Effect, motion_effects
+from rig.scene.measurement_chain import Accelerometer, Channel, Converter, Hammer
+from rig.scene.presets import filled_in
+from rig.scene.scene import Scene
+from rig.system.assembly import assemble
+
+Array = NDArray[np.float64]
 
 
 def measurement_effects(scene: Scene) -> Iterable[Effect]:
@@ -38,3 +53,126 @@ def measurement_effects(scene: Scene) -> Iterable[Effect]:
         yield Effect("recording", "display", 0, "channels thinned out for plots")
     if recording.truth:
         yield Effect("recording", "truth", 0, "the true motion beside the channels")
+
+
+# Keys that come on together, in the order of the signal.
+_SENSOR: dict[str, tuple[str, ...]] = {
+    "sensitivity": ("sensitivity", "sensitivity_tolerance", "temperature_drift", "temperature_change"),
+    "sensor resonance": ("resonance", "q"),
+    "transverse sensitivity": ("transverse", "lateral"),
+    "sensor low cut-off": ("low_cutoff",),
+    "sensor saturation": ("saturation", "overload_recovery"),
+    "sensor bias": ("bias", "bias_settling"),
+    "sensor noise": ("noise", "noise_corner"),
+}
+_INTEGRATOR: dict[str, tuple[str, ...]] = {
+    "integrator": ("order", "corner", "gain", "low_cutoff"),
+    "integrator noise": ("noise",),
+    "integrator saturation": ("saturation",),
+}
+_CONVERTER: dict[str, tuple[str, ...]] = {
+    "coupling": ("coupling", "ac_corner", "excitation"),
+    "anti-alias filter": ("filter", "remove_delay"),
+    "skew": ("skew",),
+    "clock error": ("clock_error",),
+    "jitter": ("jitter",),
+    "converter noise": ("noise",),
+    "quantisation": ("bits", "range"),
+}
+
+
+@dataclass
+class _On:
+    """Which keys have come on so far."""
+
+    sensor: set[str] = field(default_factory=set)
+    integrator: set[str] = field(default_factory=set)
+    converter: set[str] = field(default_factory=lambda: {"rate"})
+
+
+def measurement_steps(scene: Scene) -> Iterator[Step]:
+    """Give the steps of the chain and of the recording, on top of the whole motion.
+
+    Parameters
+    ----------
+    scene : rig.Scene
+        The scene.
+    """
+    on = _On()
+    before = _with(scene, on)
+    yield _step("channels, ideal", before)
+    for keys, groups in ((on.sensor, _SENSOR), (on.integrator, _INTEGRATOR), (on.converter, _CONVERTER)):
+        for name, group in groups.items():
+            keys.update(group)
+            after = _with(scene, on)
+            if after != before:
+                yield _step(name, after)
+            before = after
+    yield _step("recording", scene.replace(recording=_recording(scene, display=False, truth=False)), True)
+    if scene.recording.display:
+        yield _step("display", scene.replace(recording=_recording(scene, display=True, truth=False)), True)
+    if scene.recording.truth:
+        yield _step("truth", scene, True)
+
+
+def _recording(scene: Scene, display: bool, truth: bool) -> Any:
+    return scene.recording.replace(display=display, truth=truth)
+
+
+def _with(scene: Scene, on: _On) -> Scene:
+    """Leave of the channels and the converter only what is on."""
+    converter = filled_in(scene.converter)
+    kept = {key: getattr(converter, key) for key in on.converter}
+    if kept.get("bits") is None and scene.recording.samples == "counts":
+        scene = scene.replace(recording=scene.recording.replace(samples=None))
+    channels = None if scene.channels is None else tuple(_channel(one, on) for one in scene.channels)
+    return scene.replace(channels=channels, converter=Converter(**kept))
+
+
+def _channel(channel: Channel, on: _On) -> Channel:
+    accelerometer, hammer = channel.accelerometer, channel.hammer
+    if accelerometer is not None:
+        accelerometer = Accelerometer(**_given(filled_in(accelerometer), on.sensor))
+    if hammer is not None:
+        hammer = Hammer(**_given(filled_in(hammer), on.sensor))
+    integrator = channel.integrator
+    if integrator is not None:
+        off = {name: None for name in ("noise", "saturation") if name not in on.integrator}
+        integrator = integrator.replace(**off) if on.integrator else None
+    # Limits are in the unit that the channel reads with everything on.
+    return channel.replace(
+        accelerometer=accelerometer, hammer=hammer, integrator=integrator, alarm=None, abort=None
+    )
+
+
+def _given(device: Accelerometer | Hammer, names: set[str]) -> dict[str, Any]:
+    return {name: getattr(device, name) for name in names if getattr(device, name, None) is not None}
+
+
+def _step(name: str, scene: Scene, recorded: bool = False) -> Step:
+    bench = Bench(scene)
+    states = sum(effect.states for effect in motion_effects(scene))
+    states += sum(effect.states for effect in measurement_effects(scene))
+
+    def start() -> AbstractContextManager[Callable[[Array], object]]:
+        return _recorded(scene) if recorded else nullcontext(Bench(scene).acquire)
+
+    return Step(name, states, start, bench_drive(scene, bench.rate), bench.rate)
+
+
+@contextmanager
+def _recorded(scene: Scene) -> Iterator[Callable[[Array], object]]:
+    """Acquire and write into a file that is gone afterwards."""
+    bench = Bench(scene)
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        Recorder(Path(folder) / "ladder.mcap", scene, bench.channels, bench.rate) as recorder,
+    ):
+
+        def advance(drive: Array) -> None:
+            block = bench.acquire(drive)
+            recorder.write(block.samples)
+            if scene.recording.truth:
+                recorder.write_truth(block.motion)
+
+        yield advance

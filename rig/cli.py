@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rig.command import application, run
+from rig.command_line import application, run
 from rig.errors import SceneError
 
 if TYPE_CHECKING:
-    from rig.quantities import Kind
+    from rig.scene.quantities import Kind
 
 app = application("The physics of the virtual vibration rig.")
 
@@ -30,7 +30,7 @@ def scenes() -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from rig.scene_file import bundled, summary
+    from rig.scene.loading import bundled, summary
 
     console = Console()
     if not console.is_terminal:
@@ -47,7 +47,7 @@ def scenes() -> None:
 @app.command()
 def schema() -> None:
     """Print the JSON Schema of scene files, for editors."""
-    from rig.scene_schema import schema_text
+    from rig.scene.json_schema import schema_text
 
     print(schema_text(), end="")
 
@@ -64,7 +64,7 @@ def explain(
 
     print(rig.explain(scene))
     if measure:
-        from rig.ladder import ladder, text
+        from rig.effects.effect_cost import ladder, text
 
         with _status() as say:
             rungs = ladder(rig.load(scene), say)
@@ -90,8 +90,8 @@ def simulate(
 ) -> None:
     """Simulate a scene without sensors and controller; print peaks, events and energy."""
     import rig
-    from rig.quantities import FREQUENCY, TIME
-    from rig.run_table import check_name, duration_of, summary, write
+    from rig.scene.quantities import FREQUENCY, TIME
+    from rig.simulation.run_output import check_name, duration_of, summary, write
 
     loaded = rig.load(scene)
     if output is not None:
@@ -127,8 +127,8 @@ def response(
 ) -> None:
     """Steady response over frequency at the test's level; the frequencies are the test's unless told."""
     import rig
-    from rig.quantities import FREQUENCY
-    from rig.response_table import frequencies_of, text, write
+    from rig.response.response_output import frequencies_of, text, write
+    from rig.scene.quantities import FREQUENCY
 
     loaded = rig.load(scene)
     ends = (_quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to"))
@@ -157,11 +157,11 @@ def cost(
 ) -> None:
     """Measure what accuracy costs: every way to compute this scene, its error against its time, here and now."""
     import rig
-    from rig.cost import motion_study
-    from rig.cost_figure import table, write
-    from rig.cost_steady import steady_study
-    from rig.file_name import make_ready
-    from rig.quantities import FREQUENCY
+    from rig.output_files import make_ready
+    from rig.scene.quantities import FREQUENCY
+    from rig.work_precision.figure import table, write
+    from rig.work_precision.motion_study import motion_study
+    from rig.work_precision.steady_study import steady_study
 
     loaded = rig.load(scene)
     make_ready(output)
@@ -198,10 +198,10 @@ def map_(
 ) -> None:
     """Map where it gets hard: type of motion and computing time over level (or clearance) and frequency."""
     import rig
-    from rig.file_name import make_ready
-    from rig.map_figure import summary, write
-    from rig.map_grid import columns, rows_of, vertical_axis
-    from rig.quantities import FORCE, FREQUENCY, LENGTH, VOLTAGE
+    from rig.motion_map.figure import summary, write
+    from rig.motion_map.grid import columns, rows_of, vertical_axis
+    from rig.output_files import make_ready
+    from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, VOLTAGE
 
     loaded = rig.load(scene)
     over, unit = vertical_axis(loaded, over)
@@ -232,7 +232,7 @@ def _status() -> Iterator[Callable[[str], None] | None]:
 
 def _quantity(value: str | None, kind: Kind, name: str) -> float | None:
     """Read an option that carries a unit; a bare number is SI."""
-    from rig.quantities import parse
+    from rig.scene.quantities import parse
 
     if value is None:
         return None

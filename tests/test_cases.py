@@ -16,8 +16,8 @@ import pytest
 import yaml
 
 import rig
-from daq.bench import Bench
-from rig.quantities import FORCE, FREQUENCY, LENGTH, RATIO, TIME, VOLTAGE, parse
+from daq.signal_chain.bench import Bench
+from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, RATIO, TIME, VOLTAGE, parse
 
 FOLDER = Path(__file__).parent / "cases"
 

@@ -9,7 +9,7 @@ import pytest
 
 import daq
 import rig
-from daq.bench import Bench
+from daq.signal_chain.bench import Bench
 
 
 def full() -> rig.Scene:

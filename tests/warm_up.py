@@ -12,7 +12,7 @@ import rig
 
 def bench() -> None:
     """Engine for contacts that do not feel each other, and the measurement chain."""
-    from daq.bench import Bench
+    from daq.signal_chain.bench import Bench
     from tests.benchmarks.chain import full_scene
 
     Bench(full_scene()).acquire(np.zeros((1, 10)))

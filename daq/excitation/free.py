@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from daq.excitation.station import Excitation, Station
 
 if TYPE_CHECKING:
-    from rig.excitation_settings import Free
+    from rig.scene.excitation import Free
 
 _WINDOW = 0.1
 

@@ -13,7 +13,7 @@ from daq.excitation.station import Excitation, Station
 from rig.errors import SceneError
 
 if TYPE_CHECKING:
-    from rig.excitation_settings import Impulse
+    from rig.scene.excitation import Impulse
 
 Array = NDArray[np.float64]
 

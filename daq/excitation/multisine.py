@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.excitation.shaping import (
+from daq.excitation.spectrum_shaping import (
     Lines,
     closed_loop,
     crossfade,
@@ -22,7 +22,7 @@ from daq.excitation.shaping import (
 from daq.excitation.station import Excitation, Station
 
 if TYPE_CHECKING:
-    from rig.excitation_settings import Multisine
+    from rig.scene.excitation import Multisine
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from daq.excitation.shaping import generator, lines_between, wave_of
+from daq.excitation.spectrum_shaping import generator, lines_between, wave_of
 from daq.excitation.station import Station
 
 Array = NDArray[np.float64]

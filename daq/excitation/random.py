@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 from scipy.signal.windows import hann
 
-from daq.excitation.shaping import Lines, closed_loop, equalise, flat, generator, lines_between
+from daq.excitation.spectrum_shaping import Lines, closed_loop, equalise, flat, generator, lines_between
 from daq.excitation.station import Excitation, Station
 
 if TYPE_CHECKING:
-    from rig.excitation_settings import Random
+    from rig.scene.excitation import Random
 
 Array = NDArray[np.float64]
 

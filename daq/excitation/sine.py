@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from daq.control import AmplitudeControl
-from daq.excitation.gauge import Gauge
+from daq.excitation.amplitude_control import AmplitudeControl
+from daq.excitation.lock_in import whole_periods
+from daq.excitation.settling import Settling
 from daq.excitation.station import Excitation, Station
 from daq.excitation.stepped_sine import GLIDE, settle
 from daq.excitation.tone import Tone
-from daq.lock_in import whole_periods
-from daq.settling import Settling
+from daq.excitation.tone_measurement import Gauge
 
 if TYPE_CHECKING:
-    from rig.excitation_settings import Sine
+    from rig.scene.excitation import Sine
 
 _TOLERANCE, _LONGEST = 1e-3, 60.0
 _LOOK, _LOOK_PERIODS = 0.1, 2

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rig.errors import SceneError
 
 if TYPE_CHECKING:
-    from daq.channel import ChannelInfo
+    from daq.signal_chain.channel import ChannelInfo
     from rig import Scene
 
 Array = NDArray[np.float64]

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.control import AmplitudeControl
-from daq.excitation.gauge import Gauge
+from daq.excitation.amplitude_control import AmplitudeControl
+from daq.excitation.lock_in import whole_periods
+from daq.excitation.settling import FEWEST_LOOKS, Settling
 from daq.excitation.station import Excitation, Station
 from daq.excitation.tone import Tone
-from daq.lock_in import whole_periods
-from daq.settling import FEWEST_LOOKS, Settling
+from daq.excitation.tone_measurement import Gauge
 
 if TYPE_CHECKING:
-    from rig.excitation_settings import SteppedSine
+    from rig.scene.excitation import SteppedSine
 
 Array = NDArray[np.float64]
 

@@ -16,17 +16,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.control import AmplitudeControl
-from daq.excitation.gauge import Gauge
-from daq.excitation.level_watch import LevelWatch
+from daq.excitation.amplitude_control import AmplitudeControl
+from daq.excitation.level_monitor import LevelWatch
 from daq.excitation.pretest import pretest
 from daq.excitation.station import Excitation, Station
 from daq.excitation.stepped_sine import GLIDE, settle
 from daq.excitation.sweep_control import LOOK_PERIODS, Look, SweepControl, look_at
 from daq.excitation.tone import Tone
+from daq.excitation.tone_measurement import Gauge
 
 if TYPE_CHECKING:
-    from rig.excitation_settings import SweptSine
+    from rig.scene.excitation import SweptSine
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -9,9 +9,9 @@ SHOTRIG_SCENE names, else the paper's rig with three dampers. What the rig's ins
 `DaqError` naming the call.
 """
 
-from daq.errors import DaqError, DaqReadError, DaqResourceWarning, DaqWarning, DaqWriteError
+from daq.face.task import Task
+from daq.instrument.errors import DaqError, DaqReadError, DaqResourceWarning, DaqWarning, DaqWriteError
 from daq.nidaqmx import constants, error_codes, errors, stream_readers, stream_writers, system, types, utils
-from daq.task import Task
 
 __all__ = [
     "DaqError",

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from daq.constants import *  # noqa: F403
-from daq.errors import unsupported
+from daq.face.constants import *  # noqa: F403
+from daq.instrument.errors import unsupported
 
 
 def __getattr__(name: str) -> Any:

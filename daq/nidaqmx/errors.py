@@ -1,6 +1,6 @@
 """Errors and warnings, under the names of `nidaqmx.errors`."""
 
-from daq.errors import DaqError, DaqReadError, DaqResourceWarning, DaqWarning, DaqWriteError
+from daq.instrument.errors import DaqError, DaqReadError, DaqResourceWarning, DaqWarning, DaqWriteError
 
 # The base class of that package's errors.
 Error = DaqError

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.constants import READ_ALL_AVAILABLE
-from daq.errors import DaqError, DAQmxErrors
-from daq.in_stream import InStream
+from daq.face.constants import READ_ALL_AVAILABLE
+from daq.face.in_stream import InStream
+from daq.instrument.errors import DaqError, DAQmxErrors
 
 __all__ = ["AnalogMultiChannelReader", "AnalogSingleChannelReader", "AnalogUnscaledReader"]
 

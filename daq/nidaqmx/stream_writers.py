@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.errors import DaqError, DAQmxErrors
-from daq.out_stream import OutStream
-from daq.task import AUTO_START_UNSET
+from daq.face.out_stream import OutStream
+from daq.face.task import AUTO_START_UNSET
+from daq.instrument.errors import DaqError, DAQmxErrors
 
 __all__ = ["AnalogMultiChannelWriter", "AnalogSingleChannelWriter"]
 

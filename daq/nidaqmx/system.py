@@ -1,5 +1,5 @@
 """What is installed, under the names of `nidaqmx.system`."""
 
-from daq.devices import Device, PhysicalChannel, System
+from daq.face.devices import Device, PhysicalChannel, System
 
 __all__ = ["Device", "PhysicalChannel", "System"]

@@ -1,5 +1,5 @@
 """Types, under the names of `nidaqmx.types`."""
 
-from daq.devices import DriverVersion
+from daq.face.devices import DriverVersion
 
 __all__ = ["DriverVersion"]

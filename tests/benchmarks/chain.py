@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 
 import rig
-from daq.bench import Bench
-from daq.chain import Chain
-from daq.converter import Converter, SampleClock
-from daq.recorder import Recorder
-from rig.plant import Plant
-from rig.scene import Scene
+from daq.recording.recorder import Recorder
+from daq.signal_chain.bench import Bench
+from daq.signal_chain.chain import Chain
+from daq.signal_chain.converter import Converter, SampleClock
+from rig.scene.scene import Scene
+from rig.simulation.plant import Plant
 
 RATE, SECONDS, BLOCK = 51200.0, 4, 5120
 # A recording takes some 10 ms to begin and to end, which is not what is asked for here.

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import rig
-from rig.assembly import assemble
-from rig.march import tone_march
-from rig.open_loop import ToneDrive, tone_drive
-from rig.plant import Plant
-from rig.schemes import Problem
-from rig.schemes_adaptive import cvode_leg, follow, scipy_leg
-from rig.system import System
+from rig.engine.propagator import tone_march
+from rig.simulation.plant import Plant
+from rig.system.assembly import assemble
+from rig.system.hybrid_system import System
+from rig.system.open_loop_drive import ToneDrive, tone_drive
+from rig.work_precision.adaptive_solvers import cvode_leg, follow, scipy_leg
+from rig.work_precision.first_order_form import Problem
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

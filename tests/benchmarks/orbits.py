@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 import rig
-from rig.orbit_problem import pure_force
+from rig.orbits.problem import pure_force
 
 T = TypeVar("T")
 

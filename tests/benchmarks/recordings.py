@@ -13,8 +13,8 @@ import numpy as np
 
 import daq
 import rig
-from daq.channel import ChannelInfo
-from daq.recorder import Recorder
+from daq.recording.recorder import Recorder
+from daq.signal_chain.channel import ChannelInfo
 
 CHANNELS = ("body 1", "body 2", "body 3", "table")
 

@@ -12,9 +12,9 @@ from scipy import signal
 import analysis
 import daq
 import rig
-from analysis.export import export
-from analysis.stretch import Stretch
-from daq.recording import Recording
+from analysis.export.export import export
+from analysis.recordings.slices import Stretch
+from daq.recording.recording import Recording
 
 BLOCK = 8.0
 BODIES = ("body1", "body2", "body3")

@@ -1,0 +1,256 @@
+"""A scene's measurement chain with one thing changed at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from daq.signal_chain.converter import SampleClock
+from rig.errors import SceneError
+from rig.scene.measurement_chain import Accelerometer, Channel, Integrator
+from rig.scene.presets import filled_in
+from rig.scene.scene import Scene
+
+#: Sample rates, relative to the scene's.
+RATES = (0.125, 0.25, 0.5, 2.0, 4.0, 8.0)
+#: The slowest sampling of the highest frequency.
+SAMPLES_A_PERIOD = 4.0
+#: Mounted resonances of the sensors, relative to the highest frequency.
+RESONANCES = (10.0, 100.0, 1000.0)
+BITS = (24, 16, 12)
+#: An integrator that the scene has not got stops integrating at this share of the lowest frequency.
+CORNER = 0.1
+#: What of a sensor differs from its data sheet, or comes from being switched on.
+UNCORRECTABLE = (
+    "sensitivity_tolerance", "temperature_drift", "temperature_change", "transverse", "lateral",
+    "bias", "bias_settling",
+)  # fmt: skip
+#: Room in the converter's range above the largest reading, where the scene gives no range.
+HEADROOM = 1.5
+
+#: What channels with an integrator of order 0, 1, 2 read besides the acceleration.
+NAMES = ("none", "velocity", "displacement")
+#: What is changed, in the order of the signal.
+GROUPS = ("sensor", "noise", "integrator", "anti-alias filter", "sample rate", "bits")
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A scene with one thing in its chain changed.
+
+    Attributes
+    ----------
+    group : str
+        What was changed: one of `GROUPS`; "" for the scene itself.
+    setting : str
+        To what.
+    scene : Scene
+    """
+
+    group: str
+    setting: str
+    scene: Scene
+
+
+def plain(scene: Scene) -> Scene:
+    """Write out a scene's chain: presets filled in, channels named, no limits on the readings.
+
+    Raises
+    ------
+    SceneError
+        If no channel measures the force.
+    """
+    shaker = scene.shaker
+    converter = filled_in(scene.converter).replace(preset=None, rate=SampleClock.of(scene.converter).rate)
+    channels = scene.channels
+    if shaker is not None and shaker.kind == "force":
+        if channels is not None and not any(channel.measures_force for channel in channels):
+            raise SceneError(
+                "a force that acts on the body itself is in none of the scene's channels, so that nothing tells the "
+                "compliance; expected a channel {name: force, at: shaker}, or no channels, which stands for ideal ones"
+            )
+    elif channels is None:
+        bodies = [f"body {number}" for number in range(1, scene.structure.bodies + 1)]
+        channels = tuple(Channel(name=at.replace(" ", ""), at=at) for at in [*bodies, "table"])
+    if channels is not None:
+        channels = tuple(_written_out(channel) for channel in channels)
+    return scene.replace(channels=channels, converter=converter)
+
+
+def _written_out(channel: Channel) -> Channel:
+    sensor = channel.accelerometer
+    if sensor is not None:
+        sensor = filled_in(sensor).replace(preset=None)
+    hammer = None if channel.hammer is None else filled_in(channel.hammer).replace(preset=None)
+    return channel.replace(accelerometer=sensor, hammer=hammer, alarm=None, abort=None)
+
+
+def own_setting(scene: Scene, group: str) -> str:
+    """Say what a plain scene has in place of what a group changes.
+
+    Parameters
+    ----------
+    scene : Scene
+    group : str
+        One of `GROUPS`.
+    """
+    converter, channels = scene.converter, scene.channels or ()
+    if group == "sample rate":
+        return f"{converter.rate:.6g} Hz"
+    if group == "bits":
+        return "none" if converter.bits is None else str(converter.bits)
+    if group == "anti-alias filter":
+        return "off" if converter.filter is None else "on"
+    if group == "integrator":
+        found = [
+            NAMES[0 if c.integrator is None else c.integrator.order] for c in channels if not c.measures_force
+        ]
+    elif group == "sensor":
+        sensors = [channel.accelerometer for channel in channels if not channel.measures_force]
+        found = [
+            "no resonance" if s is None or s.resonance is None else f"resonance {s.resonance:.6g} Hz"
+            for s in sensors
+        ]
+    else:
+        found = []
+    return " and ".join(dict.fromkeys(found))
+
+
+def quiet(scene: Scene) -> Scene:
+    """Take from a plain scene what no data sheet can correct: noise, quantisation, sensors' tolerances and bias."""
+    return _exact_sensors(_without_counts(_with_noise(scene, 0.0)))
+
+
+def _exact_sensors(scene: Scene) -> Scene:
+    if scene.channels is None:
+        return scene
+    off = dict.fromkeys(UNCORRECTABLE)
+    scene = _sensors(scene, **off)
+    exact = [
+        channel
+        if channel.hammer is None
+        else channel.replace(hammer=channel.hammer.replace(sensitivity_tolerance=None))
+        for channel in scene.channels or ()
+    ]
+    return scene.replace(channels=exact)
+
+
+def _without_counts(scene: Scene) -> Scene:
+    return _converter(scene, bits=None).replace(recording=_floats(scene))
+
+
+def variants(
+    scene: Scene, lowest: float, hardest: float, highest: float, largest_volts: float
+) -> Iterator[Variant]:
+    """Change one thing at a time in the scene that `quiet` gives: what that takes away would hide the rest.
+
+    Parameters
+    ----------
+    scene : Scene
+        As `plain` gives it.
+    lowest, hardest, highest : float
+        Frequencies that are measured, Hz; at the hardest one an added integrator leaves the voltage as it is.
+    largest_volts : float
+        Largest reading of the scene as it is, V: a converter without a range gets one to suit.
+    """
+    for name, factor in (("the scene's", 1.0), ("ten times", 10.0)):
+        loud = _with_noise(scene, factor)
+        if loud != _with_noise(scene, 0.0):
+            yield Variant("noise", name, _exact_sensors(_without_counts(loud)))
+    if _exact_sensors(scene) != scene:
+        yield Variant("sensor", "tolerances, bias", _without_counts(_with_noise(scene, 0.0)))
+    full_scale = scene.converter.range or HEADROOM * largest_volts
+    scene = quiet(scene)
+    yield from _resonances(scene, highest)
+    yield from _integrators(scene, lowest, hardest)
+    yield from _filters(scene)
+    rate = scene.converter.rate
+    for factor in RATES:
+        if factor * rate >= SAMPLES_A_PERIOD * highest:
+            yield Variant("sample rate", f"{factor * rate:.6g} Hz", _converter(scene, rate=factor * rate))
+    for bits in BITS:
+        yield Variant("bits", str(bits), _converter(scene, bits=bits, range=full_scale))
+
+
+def _converter(scene: Scene, **changes: Any) -> Scene:
+    return scene.replace(converter=scene.converter.replace(**changes))
+
+
+def _floats(scene: Scene) -> Any:
+    """Give recording settings that suit samples without counts."""
+    return scene.recording.replace(samples=None)
+
+
+def _sensors(scene: Scene, **changes: Any) -> Scene:
+    """Change the accelerometers of all channels."""
+    assert scene.channels is not None
+    channels = [
+        channel.replace(accelerometer=(channel.accelerometer or Accelerometer()).replace(**changes))
+        if not channel.measures_force and (channel.accelerometer is not None or any(changes.values()))
+        else channel
+        for channel in scene.channels
+    ]
+    return scene.replace(channels=channels)
+
+
+def _resonances(scene: Scene, highest: float) -> Iterator[Variant]:
+    if scene.channels is None:
+        return
+    if any(c.accelerometer is not None and c.accelerometer.resonance is not None for c in scene.channels):
+        yield Variant("sensor", "no resonance", _sensors(scene, resonance=None, q=None))
+    for factor in RESONANCES:
+        resonance = float(f"{factor * highest:.1g}")
+        yield Variant("sensor", f"resonance {resonance:g} Hz", _sensors(scene, resonance=resonance))
+
+
+def _with_noise(scene: Scene, factor: float) -> Scene:
+    """Multiply every noise density of a plain scene, and the jitter; by 0 to take them away."""
+
+    def scaled(noise: float | None) -> float | None:
+        return None if noise is None or factor == 0.0 else factor * noise
+
+    channels = []
+    for channel in scene.channels or ():
+        sensor, amplifier = channel.accelerometer, channel.integrator
+        if sensor is not None:
+            corner = sensor.noise_corner if factor else None
+            sensor = sensor.replace(noise=scaled(sensor.noise), noise_corner=corner)
+        if amplifier is not None:
+            amplifier = amplifier.replace(noise=scaled(amplifier.noise))
+        hammer = channel.hammer
+        if hammer is not None:
+            hammer = hammer.replace(noise=scaled(hammer.noise))
+        channels.append(channel.replace(accelerometer=sensor, integrator=amplifier, hammer=hammer))
+    converter = scene.converter
+    scene = _converter(scene, noise=scaled(converter.noise), jitter=scaled(converter.jitter))
+    return scene if scene.channels is None else scene.replace(channels=channels)
+
+
+def _integrators(scene: Scene, lowest: float, hardest: float) -> Iterator[Variant]:
+    """All channels without integrator (the analysis integrates numbers), or with one of another order."""
+    if scene.channels is None:
+        return
+    omega = 2.0 * np.pi * hardest
+    for order, name in enumerate(NAMES):
+        channels = []
+        for channel in scene.channels:
+            own = channel.integrator
+            if order == 0 or channel.measures_force:
+                changed = None
+            elif own is None:
+                changed = Integrator(order=order, corner=CORNER * lowest, gain=omega**order)
+            else:
+                changed = own.replace(order=order, gain=own.gain * omega ** (order - own.order))
+            channels.append(channel.replace(integrator=changed))
+        if tuple(channels) != scene.channels:
+            yield Variant("integrator", name, scene.replace(channels=channels))
+
+
+def _filters(scene: Scene) -> Iterator[Variant]:
+    if scene.converter.filter is None:
+        yield Variant("anti-alias filter", "on", _converter(scene, filter="delta_sigma", remove_delay=True))
+    else:
+        yield Variant("anti-alias filter", "off", _converter(scene, filter=None, remove_delay=False))

@@ -1,0 +1,168 @@
+"""Signs of nonlinearity in a stepped sine: jumps, harmonics, and what the dampers do, all from the channels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.dampers.impact_detection import impacts
+from analysis.responses.frf import Frf
+
+if TYPE_CHECKING:
+    from analysis.responses.stepped_sine import Sweep
+    from daq.recording.recording import Recording
+
+# A step of the curve counts as a jump when it is this large (in nepers or radians) and this many times the
+# steps on either side of it, and stands out of the error bars.
+JUMP = 0.25
+_STANDS_OUT = 4.0
+_ERRORS = 5.0
+# So far from one a period impacts may be: of some twenty one or two fall on the edge of a window, or lie too
+# near to another.
+_ONCE = 0.15
+
+
+def jumps(frf: Frf) -> list[tuple[float, str]]:
+    """Frequencies at which a curve jumps from one branch to another.
+
+    Parameters
+    ----------
+    frf : Frf
+        Points in the order measured.
+
+    Returns
+    -------
+    list of (frequency, text)
+        Middle of the two points in Hz, and ``"jump up"`` or ``"jump down"`` as it was met.
+
+    Examples
+    --------
+    >>> f = np.linspace(10.0, 20.0, 11)
+    >>> value = np.where(f < 14.5, 1.0 + 0.02 * f, 0.5 + 0.02 * f).astype(complex)
+    >>> none = np.full(11, 1e-6)
+    >>> jumps(Frf(f, value, none, 1.0 - none, none + 38, "body3"))
+    [(14.5, 'jump down')]
+    """
+    if frf.frequency.size < 4:
+        return []
+    steps = np.log(frf.value[1:] / frf.value[:-1])
+    size, apart = abs(steps), np.maximum(abs(np.diff(frf.frequency)), 1e-12)
+    # What the slopes on either side would make of as wide a step.
+    before, after = np.append(0.0, (size / apart)[:-1]) * apart, np.append((size / apart)[1:], 0.0) * apart
+    # Without an error bar a step cannot be told from noise.
+    relative = np.nan_to_num(frf.error / abs(frf.value), nan=np.inf)
+    noise = np.hypot(relative[1:], relative[:-1])
+    found = (size > JUMP) & (size > _STANDS_OUT * np.maximum(before, after)) & (size > _ERRORS * noise)
+    return [
+        (
+            float(0.5 * (frf.frequency[i] + frf.frequency[i + 1])),
+            "jump up" if steps[i].real > 0 else "jump down",
+        )
+        for i in np.flatnonzero(found)
+    ]
+
+
+@dataclass(frozen=True)
+class DamperMotion:
+    """What impacts tell of a damper's motion at one frequency.
+
+    Attributes
+    ----------
+    frequency : float
+        Hz.
+    channel : str
+        Channel on the damper's body.
+    floor, ceiling : float
+        Impacts a period.
+    stays : bool
+        Whether the damper stays at the ceiling after it struck: it does so while the body's acceleration is
+        below -g.
+    threshold : float
+        Smallest velocity jump that would have been seen for certain, m/s.
+    lifts : bool
+        Whether the body's acceleration exceeds g, so that the damper cannot ride all the time.
+    """
+
+    frequency: float
+    channel: str
+    floor: float
+    ceiling: float
+    stays: bool
+    threshold: float
+    lifts: bool
+
+    @property
+    def name(self) -> str:
+        """Kind of motion, in the paper's terms where they apply."""
+        if self.floor == 0 and self.ceiling == 0:
+            return "unseen" if self.lifts else "riding"
+        once = abs(self.floor - 1.0) < _ONCE
+        if once and self.ceiling < _ONCE:
+            return "I"
+        if once and abs(self.ceiling - 1.0) < _ONCE:
+            return "III" if self.stays else "II"
+        return f"other: {self.floor:.3g} floor and {self.ceiling:.3g} ceiling impacts a period"
+
+
+def damper_motion(rec: Recording, sweep: Sweep, channel: str) -> list[DamperMotion]:
+    """Tell the motion of the damper under a channel in every measured window.
+
+    A body may hold several dampers: their impacts are then counted together.
+    """
+    gravity = rec.scene.gravity
+    lifts = _acceleration(rec, sweep, channel) > gravity
+    out = []
+    for frequency, lift, (first, stop) in zip(sweep.lines.frequency, lifts, sweep.windows, strict=True):
+        found = impacts(rec, channel, int(first), int(stop))
+        # The search leaves out the ends of its stretch.
+        inner = found.searched * float(frequency)
+        struck = found.kind == "ceiling"
+        then = found.acceleration[struck & np.isfinite(found.acceleration)]
+        out.append(
+            DamperMotion(
+                float(frequency),
+                found.channel,
+                float(np.sum(found.kind == "floor")) / inner,
+                float(np.sum(struck)) / inner,
+                bool(then.size and np.median(then) < -gravity),
+                found.threshold,
+                bool(lift),
+            )
+        )
+    return out
+
+
+def _acceleration(rec: Recording, sweep: Sweep, channel: str) -> NDArray[np.float64]:
+    """Amplitude of the acceleration under a channel at the frequencies of a sweep, shape (n,)."""
+    info, frequency = rec.channels[channel], sweep.lines.frequency
+    integrations = {"acceleration": 0, "velocity": 1, "displacement": 2}[info.quantity]
+    read = np.abs(sweep.lines.mean[sweep.lines.channels.index(channel)] / info.response(frequency))
+    return np.asarray(read * (2 * np.pi * frequency) ** integrations, dtype=np.float64)
+
+
+def describe_motion(motions: list[DamperMotion]) -> list[str]:
+    """One line for each range of frequencies in which the motion is of one kind."""
+    out = []
+    first = 0
+    for index, one in enumerate(motions):
+        kind = one.name.split(":")[0]
+        following = motions[index + 1].name.split(":")[0] if index + 1 < len(motions) else ""
+        if kind != following:
+            ends = f"{motions[first].frequency:.4g}"
+            if index > first:
+                ends += f" to {one.frequency:.4g}"
+            text = f"type {kind}" if set(kind) == {"I"} else one.name
+            least = max(each.threshold for each in motions[first : index + 1])
+            if kind == "riding":
+                text = f"riding: no jump of velocity above {least:.2g} m/s"
+            if kind == "unseen":
+                text = (
+                    f"more than g, so the damper flies, but no jump of velocity above {least:.2g} m/s; a higher rate "
+                    "or less noise would show smaller ones"
+                )
+            out.append(f"{one.channel}, {ends} Hz: {text}")
+            first = index + 1
+    return out

@@ -1,0 +1,200 @@
+"""Free decay after a hit: envelope, energy, modes, and the amplitude at which dampers fall silent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from analysis.decays.modal_decay import ModalDecay, band_width, modal_decay, spectral_peaks
+from analysis.decays.sensor_correction import corrected
+from analysis.recordings.channel_delay import arrival
+from analysis.recordings.slices import hits
+from analysis.responses.measurands import motion_channel, responses
+from rig.errors import RecordingError, SceneError
+
+if TYPE_CHECKING:
+    from daq.recording.recording import Recording
+    from daq.signal_chain.channel import ChannelInfo
+
+Array = NDArray[np.float64]
+STANDARD_GRAVITY = 9.80665
+LOWEST_MODE = 2.0
+HIGHEST_MODE = 200.0
+# A decay that is clipped for more than this part has no amplitudes worth reporting.
+_MOST_CLIPPED = 0.1
+
+
+@dataclass(frozen=True)
+class Decay:
+    """Free decay of one channel after one hit.
+
+    Attributes
+    ----------
+    channel, label : str
+        Channel, and scene for legends.
+    hit : int
+        Which hit, from 1.
+    time : ndarray, shape (n,)
+        s from the beginning of the free decay.
+    acceleration, envelope : ndarray, shape (n,)
+        m/s²; the envelope is the magnitude of the analytic signal (Hilbert).
+    peak_time, peak : ndarray, shape (peaks,)
+        Largest magnitudes, at least a period of the lowest mode apart: the envelope by peak picking.
+    energy : ndarray, shape (n,)
+        Schroeder integral of the squared acceleration from each instant to the end, dB re its beginning.
+    modes : tuple of ModalDecay
+        Decay of each mode found.
+    gravity : float
+        Below this acceleration amplitude a damper at rest on its floor stays there, m/s².
+    warnings : tuple of str
+        In full sentences.
+    """
+
+    channel: str
+    label: str
+    hit: int
+    time: Array
+    acceleration: Array
+    envelope: Array
+    peak_time: Array
+    peak: Array
+    energy: Array
+    modes: tuple[ModalDecay, ...]
+    gravity: float
+    warnings: tuple[str, ...]
+
+    def time_below(self, amplitude: float) -> float:
+        """Time in s from which the acceleration stays below an amplitude; NaN when it never does."""
+        above = np.flatnonzero(abs(self.acceleration) >= amplitude)
+        if not above.size:
+            return 0.0
+        return float(self.time[above[-1]]) if above[-1] + 1 < self.time.size else float("nan")
+
+    @property
+    def quiet_from(self) -> float:
+        """Time in s from which the acceleration stays below gravity: no damper on this body moves."""
+        return self.time_below(self.gravity)
+
+    @property
+    def halving(self) -> float:
+        """Time in s in which the energy falls by 6 dB, fitted to its curve between -1 and -21 dB."""
+        inside = (self.energy <= -1.0) & (self.energy >= -21.0)
+        if np.sum(inside) < 8:
+            return float("nan")
+        return float(-20.0 * np.log10(2.0) / np.polyfit(self.time[inside], self.energy[inside], 1)[0])
+
+
+def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int | None = None) -> Decay:
+    """Free decay of a channel's acceleration after a hit.
+
+    Parameters
+    ----------
+    rec : daq.recording.Recording
+        An impulse test or a free decay.
+    channel : str, optional
+        Channel; omitted, the last body's.
+    hit : int
+        Which hit, from 1.
+    modes : int, optional
+        How many modes to look for; omitted, as many as the structure has bodies.
+
+    Returns
+    -------
+    Decay
+    """
+    names = responses(rec)
+    if not names:
+        raise RecordingError("no channel on a body: a decay needs at least one motion channel")
+    info = motion_channel(rec, channel if channel is not None else names[-1])
+    before, begin, stop, end = _stretch(rec, info, hit)
+    notes: list[str] = []
+    samples = rec.read(info.name, before, end)
+    lost = ~np.isfinite(samples)
+    if lost.any():
+        if lost.mean() > 0.01:
+            raise RecordingError(
+                f"{lost.mean():.0%} of hit {hit}'s samples are lost: choose another hit or record again"
+            )
+        samples = np.interp(np.arange(samples.size), np.flatnonzero(~lost), samples[~lost])
+        notes.append(f"{int(lost.sum())} lost samples were bridged by straight lines.")
+    if not np.any(abs(samples - samples[0]) > 0):
+        raise RecordingError(
+            f"{info.name} reads the same value throughout hit {hit}'s decay: the channel is dead, or the hit "
+            "did not reach it; choose another channel or record again"
+        )
+    clipped = _clipped(rec, info.name, arrival(info, begin, begin)[0], end)
+    if clipped > _MOST_CLIPPED:
+        raise RecordingError(
+            f"{info.name} was overloaded for {clipped:.0%} of hit {hit}'s decay: hit more softly, or widen the "
+            "converter's range or lower the sensitivity in the scene"
+        )
+    if clipped:
+        notes.append(
+            f"{info.name} was overloaded for {clipped:.2%} of the decay; amplitudes at its beginning are too low."
+        )
+    most = modes if modes is not None else rec.scene.structure.bodies
+    high = min(0.4 * rec.rate, 4.0 * HIGHEST_MODE)
+    acceleration = corrected(info, samples, "acceleration", LOWEST_MODE, high)[: stop - before]
+    free = begin - before
+    found = spectral_peaks(acceleration[free:], rec.rate, most, LOWEST_MODE, min(HIGHEST_MODE, high))
+    parts = tuple(
+        modal_decay(acceleration, rec.rate, float(f), band_width(found, i), free) for i, f in enumerate(found)
+    )
+    if len(parts) < most:
+        notes.append(f"Only {len(parts)} of {most} modes stand out in the decay of {info.name}.")
+    cycle = int(rec.rate / found[0]) if found.size else int(rec.rate / 10.0)
+    # What comes after the end would tell the envelope of the last cycle: it is left out.
+    last = acceleration.size - min(cycle, (acceleration.size - free) // 10)
+    shown = acceleration[free:last]
+    # Mirrored, so that the transform finds no step anywhere: one lifts its neighbourhood by its logarithm.
+    envelope = abs(signal.hilbert(np.concatenate([acceleration, acceleration[::-1]])))[free:last]
+    where, _ = signal.find_peaks(abs(shown), distance=max(cycle, 1))
+    power = np.cumsum(shown[::-1] ** 2)[::-1]
+    return Decay(
+        channel=info.name,
+        label=rec.scene.name,
+        hit=hit,
+        time=np.arange(shown.size) / rec.rate,
+        acceleration=shown,
+        envelope=envelope,
+        peak_time=where / rec.rate,
+        peak=abs(shown)[where],
+        energy=10.0 * np.log10(np.maximum(power / power[0], 1e-300)),
+        modes=parts,
+        gravity=rec.scene.gravity or STANDARD_GRAVITY,
+        warnings=tuple(notes),
+    )
+
+
+def _clipped(rec: Recording, channel: str, begin: int, stop: int) -> float:
+    """Part of a stretch in which a channel was overloaded."""
+    spans = [(m.first_sample, m.end) for m in rec.overloads if m.fields.get("channel") == channel]
+    inside = sum(max(min(last + 1, stop) - max(first, begin), 0) for first, last in spans)
+    return inside / max(stop - begin, 1)
+
+
+def _stretch(rec: Recording, info: ChannelInfo, hit: int) -> tuple[int, int, int, int]:
+    """Find where to read from, where the decay begins and stops, and to where samples are to be read for it."""
+    marked = hits(rec)
+    if not 1 <= hit <= len(marked):
+        raise SceneError(f"hit {hit} of {len(marked)}: the recording holds hits 1 to {len(marked)}")
+    first, last = marked[hit - 1]
+    # What a filter delays is put back in time: the last of the decay is in samples after it, and the next
+    # hit shows in samples before.
+    end = arrival(info, marked[hit][0], marked[hit][0])[0] if hit < len(marked) else rec.samples
+    stop = end - arrival(info, 0, 0)[1]
+    begin = last + 1
+    # Enough before the hit for the band-pass to see the structure at rest.
+    before = max(first - int(0.5 * rec.rate), marked[hit - 2][1] + 1 if hit > 1 else 0, 0)
+    length = (stop - begin) / rec.rate
+    if length < 0.5:
+        raise RecordingError(
+            f"only {max(length, 0.0):.3g} s follow hit {hit}: too short for a decay; record at least 0.5 s "
+            "after a hit "
+            "(test: interval)"
+        )
+    return before, begin, stop, end

@@ -1,0 +1,182 @@
+"""Recordings for other tools: CSV, NPZ, UFF 58 and WAV files, and SEP-005 dictionaries."""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+import zipfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from analysis.export.uff import write_uff
+from analysis.export.wav import write_wav
+from analysis.recordings.slices import Stretch
+from rig.errors import RunError, SceneError
+
+if TYPE_CHECKING:
+    from daq.recording.recording import Recording
+
+SHOWN_UNITS = {"m/s^2": "m/s²"}
+SEP_QUANTITIES = {"acceleration": "a", "velocity": "v", "displacement": "d", "force": "f"}
+
+
+def sep005(
+    recording: Recording,
+    channels: Sequence[str] | None = None,
+    from_s: float | None = None,
+    to_s: float | None = None,
+) -> list[dict[str, Any]]:
+    """Give channels as SEP-005 time series, which the sdypy packages take directly.
+
+    Parameters
+    ----------
+    recording : Recording
+        An open recording.
+    channels : sequence of str, optional
+        Names; by default all.
+    from_s, to_s : float, optional
+        Times in s.
+
+    Returns
+    -------
+    list of dict
+        ``data`` (NaN where samples were lost), ``name``, ``unit_str``, ``fs`` [Hz], ``quantity``, ``group``
+        (where the sensor sits) and, where the recording has a date, ``start_timestamp``.
+    """
+    stretch = Stretch.of(recording, channels, from_s, to_s)
+    series = []
+    for info in stretch.infos:
+        one: dict[str, Any] = {
+            "data": recording.read(info.name, stretch.start, stretch.stop),
+            "name": info.name,
+            "unit_str": SHOWN_UNITS.get(info.unit, info.unit),
+            "fs": recording.rate,
+            "quantity": SEP_QUANTITIES[info.quantity],
+            "group": info.at,
+        }
+        if recording.start_ns:
+            since = timedelta(
+                microseconds=recording.start_ns // 1000 + round(stretch.start / recording.rate * 1e6)
+            )
+            one["start_timestamp"] = (datetime(1970, 1, 1, tzinfo=UTC) + since).isoformat()
+        series.append(one)
+    return series
+
+
+def write_csv(stretch: Stretch, path: Path) -> None:
+    """Write a table: time in s, then the channels; numbers in full, lost samples as ``nan``."""
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["time [s]", *(f"{info.name} [{info.unit}]" for info in stretch.infos)])
+        for first, samples in stretch.pieces(stretch.channels):
+            time = np.arange(first, first + samples.shape[1]) / stretch.recording.rate
+            writer.writerows(zip(time.tolist(), *samples.tolist(), strict=True))
+
+
+def write_npz(stretch: Stretch, path: Path) -> None:
+    """Write numpy arrays: each channel by its name; ``channels``, ``units``, ``rate`` [Hz] and ``start_s``."""
+    members = {name: re.sub(r"[^\w.-]", "_", name) for name in stretch.channels}
+    taken = {"channels", "units", "rate", "start_s"}
+    if len({*members.values()} | taken) < len(members) + len(taken):
+        raise SceneError(f"the channels {', '.join(members)} cannot all be members of one .npz; choose fewer")
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, member in members.items():
+            with archive.open(_member(member), "w", force_zip64=True) as stream:
+                shape = (stretch.stop - stretch.start,)
+                header = {"descr": "<f8", "fortran_order": False, "shape": shape}
+                np.lib.format.write_array_header_1_0(stream, header)
+                for _, samples in stretch.pieces([name]):
+                    stream.write(samples.astype("<f8").tobytes())
+        rate = stretch.recording.rate
+        rest = {
+            "channels": np.array(list(members.values())),
+            "units": np.array([info.unit for info in stretch.infos]),
+            "rate": np.array(rate),
+            "start_s": np.array(stretch.start / rate),
+        }
+        for member, array in rest.items():
+            with archive.open(_member(member), "w") as stream:
+                np.lib.format.write_array(stream, array, allow_pickle=False)
+
+
+def _member(name: str) -> zipfile.ZipInfo:
+    # A fixed date: the same recording gives the same bytes.
+    return zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
+
+
+WRITERS: dict[str, Callable[[Stretch, Path], Any]] = {
+    ".csv": write_csv,
+    ".npz": write_npz,
+    ".wav": write_wav,
+    ".uff": write_uff,
+    ".unv": write_uff,
+}
+
+
+@contextmanager
+def _new_file(path: Path, overwrite: bool) -> Iterator[Path]:
+    """Make a file beside its final place, and put it there once it is complete."""
+    if path.exists() and not overwrite:
+        raise SceneError(f"{path} exists and is left as it is; choose another name, or pass --overwrite")
+    if not path.parent.is_dir():
+        raise SceneError(f"cannot make {path}: there is no folder {path.parent}; make it first")
+    part = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+    try:
+        yield part
+        part.replace(path)
+    except OSError as error:
+        raise RunError(f"cannot write {path}: {error.strerror or error}") from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def export(stretch: Stretch, path: Path, speed: float = 1.0, overwrite: bool = False) -> list[str]:
+    """Write a stretch of a recording in the format that the file's name says.
+
+    Parameters
+    ----------
+    stretch : Stretch
+        What is exported.
+    path : Path
+        File to make: ``.csv``, ``.npz``, ``.wav``, ``.uff`` or ``.unv``.
+    speed : float
+        For sound only: how much faster it plays.
+    overwrite : bool
+        Whether an existing file may be replaced.
+
+    Returns
+    -------
+    list of str
+        Lines for the user.
+
+    Raises
+    ------
+    SceneError
+        If the name says no format, the file exists, or the stretch does not fit the format.
+    RecordingError
+        If samples were lost that the format cannot do without, or the recording is damaged.
+    RunError
+        If the file cannot be written.
+    """
+    kind = path.suffix.lower()
+    if kind not in WRITERS:
+        raise SceneError(f"{path}: expected a name that ends in one of {', '.join(WRITERS)}")
+    if speed != 1.0 and kind != ".wav":
+        raise SceneError("--speed is for sound (.wav)")
+    with _new_file(path, overwrite) as part:
+        if kind == ".wav":
+            full = write_wav(stretch, part, speed)
+            notes = [
+                f"{info.name}: full scale is {value:.6g} {info.unit}"
+                for info, value in zip(stretch.infos, full, strict=True)
+            ]
+        else:
+            WRITERS[kind](stretch, part)
+            notes = []
+    return notes

@@ -1,0 +1,57 @@
+"""Channels as sound, to listen to an impact."""
+
+from __future__ import annotations
+
+import math
+import wave
+from pathlib import Path
+
+import numpy as np
+
+from analysis.recordings.slices import Stretch
+from rig.errors import SceneError
+
+
+def write_wav(stretch: Stretch, path: Path, speed: float = 1.0) -> list[float]:
+    """Write sound of 24 bits, each channel as loud as can be.
+
+    Parameters
+    ----------
+    stretch : Stretch
+        What is exported.
+    path : Path
+        File to make.
+    speed : float
+        How much faster it plays: 10 makes a tone of 30 Hz one of 300 Hz.
+
+    Returns
+    -------
+    list of float
+        For each channel the value, in its unit, that is full scale.
+
+    Raises
+    ------
+    RecordingError
+        If samples were lost.
+    SceneError
+        If the sound would be too long for a WAV file, or its rate none that it can state.
+    """
+    stretch.need_all("a WAV file")
+    rate = stretch.recording.rate * speed
+    if not (math.isfinite(rate) and 1 <= round(rate) < 2**31 // (3 * len(stretch.channels))):
+        raise SceneError(f"a WAV file cannot play {rate:g} samples per second; choose another --speed")
+    if (stretch.stop - stretch.start) * len(stretch.channels) * 3 >= 2**32 - 1024:
+        raise SceneError("a WAV file holds 4 GB at most; export fewer channels or a stretch (--from, --to)")
+    peaks = np.zeros(len(stretch.channels))
+    for _, samples in stretch.pieces(stretch.channels):
+        peaks = np.maximum(peaks, np.abs(samples).max(axis=1))
+    full = np.where(peaks > 0, peaks, 1.0)
+    with path.open("wb") as stream, wave.open(stream, "wb") as sound:
+        sound.setnchannels(len(stretch.channels))
+        sound.setsampwidth(3)
+        sound.setframerate(round(rate))
+        for _, samples in stretch.pieces(stretch.channels):
+            whole = np.ascontiguousarray(np.rint(samples.T / full * (2**23 - 1)), dtype="<i4")
+            # The lower three of four bytes, channels side by side.
+            sound.writeframesraw(whole.view(np.uint8).reshape(*whole.shape, 4)[..., :3].tobytes())
+    return [float(value) for value in full]

@@ -1,0 +1,82 @@
+"""Figure of an identification: measured curves with the model, stabilisation chart, mode shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.figures.style import colour, decades, drawing, frequency_axis, heading
+from analysis.modal.identification import Modes
+from analysis.responses.frf import Frf
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def modes_figure(frfs: Sequence[Frf], modes: Modes, title: str) -> Figure:
+    """Show how well a modal model fits and how its poles were chosen.
+
+    Parameters
+    ----------
+    frfs : sequence of Frf
+        The curves given to `analysis.modal.identify`.
+    modes : Modes
+        What came out.
+    title : str
+        Heading.
+    """
+    curves = [frf.to("displacement").sorted() for frf in frfs]
+    low, high = float(curves[0].frequency[0]), float(curves[0].frequency[-1])
+    count = modes.frequency.size
+    with drawing(7.6) as figure:
+        rows = figure.add_gridspec(3, max(count, 1), height_ratios=[2.2, 1.3, 1.3])
+        fit = figure.add_subplot(rows[0, :])
+        chart = figure.add_subplot(rows[1, :])
+        dense = np.unique(np.concatenate([np.geomspace(low, high, 1500), *_around(modes)]))
+        dense = dense[(dense >= low) & (dense <= high)]
+        for index, curve in enumerate(curves):
+            shade = colour(index)
+            fit.plot(curve.frequency, abs(curve.value), "o", ms=2.4, color=shade, label=curve.response)
+            fit.plot(dense, abs(modes.receptance(dense)[index]), color=shade, lw=0.9)
+        decades(fit, [abs(modes.receptance(dense)), *(abs(curve.value) for curve in curves)])
+        frequency_axis(fit, low, high, False)
+        fit.set_ylabel("|receptance| / (m/N)")
+        heading(fit, title)
+        fit.legend(loc="best", title="dots measured, lines model", title_fontsize=8)
+        kinds = ((False, "x", "#bbbbbb", "new pole"), (True, "o", "#009E73", "stable"))
+        for stable, mark, shade, text in kinds:
+            some = np.array([(p.frequency, p.order) for p in modes.chart if p.stable == stable]).reshape(
+                -1, 2
+            )
+            chart.plot(some[:, 0], some[:, 1], mark, ms=2.6, color=shade, label=text, ls="")
+        frequency_axis(chart, low, high, True)
+        chart.set_ylabel("order")
+        # Above the axes, as poles may lie anywhere inside.
+        chart.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.0, borderpad=0.0)
+        for f in modes.frequency:
+            for axes in (fit, chart):
+                axes.axvline(f, color="#777777", lw=0.7, ls=":", zorder=0)
+        places = np.arange(1, len(modes.responses) + 1)
+        for i in range(count):
+            axes = figure.add_subplot(rows[2, i])
+            axes.plot(np.append(0, modes.shapes[:, i].real), np.append(0, places), "o-", color=colour(i))
+            axes.set_xlim(-1.25, 1.25)
+            axes.axvline(0.0, color="#777777", lw=0.7)
+            names = ["ground", *modes.responses] if i == 0 else [""] * (places.size + 1)
+            axes.set_yticks(np.append(0, places), names)
+            axes.set_title(
+                f"{modes.frequency[i]:.3f} Hz\n{100 * modes.damping[i]:.3f} %",
+                fontsize=9,
+                fontweight="normal",
+            )
+        return figure
+
+
+def _around(modes: Modes) -> list[np.ndarray]:
+    """Frequencies so dense around every resonance that the peak of the model is seen."""
+    return [
+        f * (1.0 + zeta * np.linspace(-8.0, 8.0, 161))
+        for f, zeta in zip(modes.frequency, modes.damping, strict=True)
+    ]

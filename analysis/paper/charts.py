@@ -1,0 +1,156 @@
+"""Charts beyond the paper: where claim C2 holds, a design chart, the trust map of the approximate method."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.figures.style import drawing
+from analysis.paper.figures import BLACK, BLUE, GREEN, GREY, RED, Parts
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.image import AxesImage
+
+
+def region(parts: Parts) -> Figure:
+    """Where three dampers cut the single damper's peak to between 1/2.5 and 1/4."""
+    single, three = parts["scan-single"], parts["scan-three"]
+    ratio = single["peak"] / three["peak"]
+    with drawing(4.0) as figure:
+        axes = figure.subplots()
+        image = _map(axes, single, ratio, "viridis", 1.0, 5.0)
+        _numbers(axes, ratio, "{:.1f}")
+        holds = holds_c2(parts)
+        _frame(axes, holds)
+        axes.set_title("C2: peak with one damper over peak with three (framed: the claim holds)")
+        figure.colorbar(image, ax=axes, label="ratio of peaks, body 2")
+    return figure
+
+
+def holds_c2(parts: Parts) -> np.ndarray:
+    """Cells in which C2 holds: the ratio, Type III for one damper, and Types I and II for three."""
+    single, three = parts["scan-single"], parts["scan-three"]
+    ratio = single["peak"] / three["peak"]
+    with_three = np.vectorize(lambda text: "III" in text.split())(single["types"])
+    quiet = np.vectorize(lambda text: {"I", "II"} <= set(text.split()))(three["types"])
+    return (ratio >= 2.5) & (ratio <= 4.0) & with_three & quiet
+
+
+def design(parts: Parts) -> Figure:
+    """Design chart: peak compliance and motion type at the peak, over clearance and force."""
+    with drawing(6.8) as figure:
+        rows = figure.subplots(2, 1)
+        for axes, name, title in (
+            (rows[0], "scan-single", "Third mode, one damper in body 2"),
+            (rows[1], "scan-three", "Third mode, three dampers"),
+        ):  # fmt: skip
+            data = parts[name]
+            image = _map(axes, data, 1e6 * data["peak"], "magma_r", 40.0, 450.0)
+            # A wavy sign marks peaks of irregular motion, simulated and averaged; all others are exact orbits.
+            cells = zip(data["peak"].flat, short(data["type_there"]).flat, data["exact"].flat, strict=True)
+            labels = [f"{'' if exact else '~'}{1e6 * peak:.0f}\n{kind}" for peak, kind, exact in cells]
+            texts = np.array(labels).reshape(data["peak"].shape)
+            for (i, j), text in np.ndenumerate(texts):
+                dark = data["peak"][i, j] > 2.4e-4
+                axes.text(j, i, text, ha="center", va="center", fontsize=7, color="white" if dark else BLACK)
+            axes.set_title(f"{title}: peak |X₂/F₁|, and the motion there (~ irregular)")
+            figure.colorbar(image, ax=axes, label="µm/N")
+    return figure
+
+
+def short(types: np.ndarray) -> np.ndarray:
+    """Motion types short enough for a cell: what is neither riding nor I to III is "other"."""
+
+    def one(text: str) -> str:
+        parts = text.split("/")
+        known = [p for p in parts if p in ("I", "II", "III", "riding")]
+        kept = known if len(known) == len(parts) else [*known, "other"]
+        return "/".join("r" if p == "riding" else p for p in dict.fromkeys(kept))
+
+    return np.vectorize(one)(types)
+
+
+def trust(parts: Parts) -> Figure:
+    """How far the approximate method can be trusted: error of its peak against the full simulation."""
+    error = trust_error(parts)
+    with drawing(3.8) as figure:
+        axes = figure.subplots()
+        image = _map(axes, parts["scan-single"], error, "RdBu_r", -30.0, 30.0)
+        for (i, j), value in np.ndenumerate(error):
+            text = f"{value:+.0f} %" if np.isfinite(value) else "none"
+            dark = np.isfinite(value) and abs(value) > 18
+            axes.text(j, i, text, ha="center", va="center", fontsize=7.5, color="white" if dark else BLACK)
+        axes.set_title("Approximate method: error of its peak (one damper in body 2, third mode)")
+        figure.colorbar(image, ax=axes, label="% of the simulated peak")
+    return figure
+
+
+def trust_error(parts: Parts) -> np.ndarray:
+    """Error of the approximate peak in % of the simulated one, (forces, clearances)."""
+    return np.asarray(100 * (parts["approx-peaks"]["peak"] / parts["scan-single"]["peak"] - 1))
+
+
+def optimum(parts: Parts) -> Figure:
+    """Worst peak over a range of forces against clearance, for several mass ratios."""
+    with drawing(3.8) as figure:
+        axes = figure.subplots()
+        names = sorted(name for name in parts if name.startswith("best-"))
+        for name, shade in zip(names, (BLUE, GREEN, RED), strict=False):
+            data = parts[name]
+            order = np.argsort(data["clearance"])
+            axes.semilogx(
+                1e3 * data["clearance"][order], 1e6 * data["worst"][order], "o-", color=shade, ms=3,
+                label=f"mass ratio {100 * data['mass_ratio']:.0f} %: best {1e3 * data['best']:.2f} mm",
+            )  # fmt: skip
+        both = parts["optimum"]
+        axes.plot(
+            1e3 * both["best"], 1e6 * both["peak"], "*", color=BLACK, ms=11,
+            label=f"best of 2 to 10 %: {100 * both['mass_ratio']:.1f} %, {1e3 * both['best']:.2f} mm",
+        )  # fmt: skip
+        axes.axvline(0.98, color=GREY, ls=":", lw=0.9)
+        axes.annotate("paper: 0.98 mm", (0.98, 0.62), xycoords=("data", "axes fraction"), fontsize=8, va="top",
+                      xytext=(4, 0), textcoords="offset points")  # fmt: skip
+        ticks = [0.3, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0]
+        axes.set_xticks(ticks, [f"{t:g}" for t in ticks])
+        axes.set_xticks([], minor=True)
+        axes.set_xlabel("clearance / mm")
+        axes.set_ylabel("worst peak of |X₂/F₁| / (µm/N)")
+        axes.set_title("Best clearance for the third mode, robust for 0.8 to 1.25 times 3.3 N")
+        axes.legend()
+    return figure
+
+
+def _map(
+    axes: Axes, data: Mapping[str, np.ndarray], values: np.ndarray, colours: str, low: float, high: float
+) -> AxesImage:
+    image = axes.imshow(values, origin="lower", aspect="auto", cmap=colours, vmin=low, vmax=high)
+    axes.grid(False)
+    axes.set_xticks(range(values.shape[1]), [f"{1e3 * c:g}" for c in data["clearance"]])
+    axes.set_yticks(range(values.shape[0]), [f"{f:g}" for f in data["force"]])
+    axes.set_xlabel("clearance / mm")
+    axes.set_ylabel("force F₁ / N")
+    return image
+
+
+def _numbers(axes: Axes, values: np.ndarray, form: str) -> None:
+    for (i, j), value in np.ndenumerate(values):
+        axes.text(
+            j,
+            i,
+            form.format(value),
+            ha="center",
+            va="center",
+            fontsize=8,
+            color="white" if value < 3.4 else BLACK,
+        )
+
+
+def _frame(axes: Axes, cells: np.ndarray) -> None:
+    from matplotlib.patches import Rectangle
+
+    for i, j in np.argwhere(cells):
+        axes.add_patch(Rectangle((j - 0.47, i - 0.45), 0.94, 0.90, fill=False, ec=RED, lw=2))

@@ -1,0 +1,180 @@
+"""The virtual experiment of the reproduction: recordings, and what can be read from them."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import daq
+from analysis.dampers.impact_detection import impacts
+from analysis.decays.free_decay import decay
+from analysis.modal.identification import identify
+from analysis.paper.store import Arrays, partial_name
+from analysis.responses.frequency_responses import frequency_responses
+from analysis.responses.measurands import reference_of
+from daq.recording.recording import Recording
+from rig.errors import RecordingError, ShotrigError
+from rig.scene.scene import Scene
+
+BODIES = ("body1", "body2", "body3")
+
+
+def recorded(scene: Scene, path: Path) -> Recording:
+    """Open the recording of a scene, made now unless there is a whole one of the same scene."""
+    try:
+        recording = daq.open(path)
+        if recording.scene == scene and not recording.gaps:
+            return recording
+        recording.close()
+    except ShotrigError:
+        # None, or one that an interruption tore: recorded anew.
+        pass
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = partial_name(path)
+    with warnings.catch_warnings():
+        # What the test has to warn of is in the recording's markers, and the analysis says it.
+        warnings.simplefilter("ignore", daq.RunWarning)
+        daq.record(scene, partial, overwrite=True)
+    partial.replace(path)
+    return daq.open(path)
+
+
+def sweep(scene: Scene, path: Path) -> Arrays:
+    """Compliances of the bodies, X_j / F_1, from a stepped-sine recording.
+
+    Returns
+    -------
+    dict
+        frequency (points,) Hz, compliance, error and coherence (bodies, points).
+    """
+    with recorded(scene, path) as recording:
+        curves = frequency_responses(recording, BODIES)[0]
+        return {
+            "frequency": curves[0].frequency,
+            "compliance": np.array([curve.value for curve in curves]),
+            "error": np.array([curve.error for curve in curves]),
+            "coherence": np.array([curve.coherence for curve in curves]),
+        }
+
+
+def bare_sweep(scene: Scene, path: Path) -> Arrays:
+    """Compliances as `sweep`, transfer = X_j / X_0 from the same recording, and the modes identified in it.
+
+    Returns
+    -------
+    dict
+        As `sweep`, with transfer (bodies, points), omega and omega_error (modes,) in rad/s, damping (modes,),
+        and shapes (bodies, modes) scaled to largest element 1.
+    """
+    with recorded(scene, path) as recording:
+        arrays = sweep(scene, path)
+        curves = frequency_responses(recording, BODIES, reference="table")[0]
+        arrays["transfer"] = np.array([curve.value for curve in curves])
+        modes = identify(frequency_responses(recording, BODIES)[0], count=3)
+        shapes = modes.residue.imag
+        arrays["omega"], arrays["omega_error"] = (
+            2 * np.pi * modes.frequency,
+            2 * np.pi * modes.frequency_error,
+        )
+        arrays["damping"] = modes.damping
+        largest = np.take_along_axis(shapes, np.abs(shapes).argmax(axis=0)[None], axis=0)
+        arrays["shapes"] = shapes / largest
+        return arrays
+
+
+def damper_sweep(scene: Scene, path: Path, body: int) -> Arrays:
+    """Compliances as `sweep`, with the impact phases of the damper in one body beside them."""
+    arrays = sweep(scene, path)
+    phases = impact_phases(scene, path, body)
+    return {**arrays, **{f"impact_{key}": values for key, values in phases.items()}}
+
+
+def impact_phases(scene: Scene, path: Path, body: int) -> Arrays:
+    """Impact phases of a damper against frequency, from the channel on its body and the spring force.
+
+    Returns
+    -------
+    dict
+        frequency (points,) Hz; phi (points,), lag of the force with respect to the floor impact; tau_1
+        (points,), ceiling impact after the floor impact [rad]; floor and ceiling (points,), impacts a period.
+        NaN where there is not one impact of a kind in every period. A separation is no jump of the velocity,
+        so tau_0 is not measured.
+    """
+    frequencies, phis, taus, floors, ceilings = [], [], [], [], []
+    with recorded(scene, path) as recording:
+        channels = list(reference_of(recording, "force").channels)
+        for marker in recording.markers:
+            if marker.kind != "measure" or "frequency" not in marker.fields or marker.last_sample is None:
+                continue
+            frequency = float(marker.fields["frequency"])
+            first, stop = marker.first_sample, marker.last_sample + 1
+            periods = (stop - first) / recording.rate * frequency
+            phase = _force_phase(recording, channels, frequency, first, stop)
+            floor, ceiling = _folded(recording, f"body{body}", frequency, first, stop)
+            phi = _mean_phase(floor, periods)
+            frequencies.append(frequency)
+            floors.append(len(floor) / periods)
+            ceilings.append(len(ceiling) / periods)
+            # The force is sin(theta + pi/2 + phase) at the phase theta of time; at the impact that is
+            # sin(-phi).
+            phis.append((-(phi + phase + np.pi / 2)) % (2 * np.pi))
+            taus.append((_mean_phase(ceiling, periods) - phi) % (2 * np.pi))
+    return {
+        "frequency": np.array(frequencies),
+        "phi": np.array(phis),
+        "tau_1": np.array(taus),
+        "floor": np.array(floors),
+        "ceiling": np.array(ceilings),
+    }
+
+
+def _folded(
+    recording: Recording, channel: str, frequency: float, first: int, stop: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Phases of time [rad] at which floor and ceiling impacts happen in a stretch."""
+    try:
+        found = impacts(recording, channel, first, stop)
+    except RecordingError:
+        return np.zeros(0), np.zeros(0)
+    inside = (found.time >= first / recording.rate) & (found.time < stop / recording.rate)
+    phases = (2 * np.pi * frequency * found.time) % (2 * np.pi)
+    return phases[inside & (found.kind == "floor")], phases[inside & (found.kind == "ceiling")]
+
+
+def _mean_phase(phases: NDArray[np.float64], periods: float) -> float:
+    """Mean direction of phases; NaN unless there is about one a period, all alike."""
+    if not 0.85 * periods < len(phases) < 1.15 * periods:
+        return float("nan")
+    mean = np.exp(1j * phases).mean()
+    return float(np.angle(mean)) if abs(mean) > 0.98 else float("nan")
+
+
+def _force_phase(recording: Recording, channels: list[str], frequency: float, first: int, stop: int) -> float:
+    """Phase of the spring force's complex amplitude, with sample 0 as the origin of time."""
+    turned = np.exp(-2j * np.pi * frequency * np.arange(first, stop) / recording.rate)
+    amplitudes = np.array([(recording.read(name, first, stop) * turned).mean() for name in channels])
+    row = reference_of(recording, "force").row(recording, channels, np.array([frequency]))[:, 0]
+    return float(np.angle(amplitudes @ row))
+
+
+def ring_down(scene: Scene, path: Path) -> Arrays:
+    """Free decay of body 3's acceleration after the first hit.
+
+    Returns
+    -------
+    dict
+        time, acceleration, envelope (samples,); halving, quiet_from (): seconds for 6 dB of energy, and until
+        the acceleration stays below gravity.
+    """
+    with recorded(scene, path) as recording:
+        found = decay(recording, "body3")
+        return {
+            "time": found.time,
+            "acceleration": found.acceleration,
+            "envelope": found.envelope,
+            "halving": np.array(found.halving),
+            "quiet_from": np.array(found.quiet_from),
+        }

@@ -1,0 +1,263 @@
+"""The paper's figures, drawn from the parts of the reproduction."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from analysis.figures.style import COLOURS, decades, drawing, frequency_axis
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Parts = Mapping[str, Mapping[str, np.ndarray]]
+
+BLUE, RED, GREEN, PINK, SKY, ORANGE, GREY, BLACK = COLOURS
+TYPE_COLOURS = {"I": BLUE, "II": GREEN, "III": RED, "riding": GREY}
+COMPLIANCE = "compliance |X/F₁| / (m/N)"
+
+
+def figure_4(parts: Parts) -> Figure:
+    """Fig 4b: frequency responses of the three bodies without dampers, per force and per table motion."""
+    theory, measured = parts["structure"], parts["rec-bare"]
+    with drawing(6.6) as figure:
+        upper, lower = figure.subplots(2, 1)
+        for body in range(3):
+            upper.plot(theory["frequency"], abs(theory["compliance"][body]), color=COLOURS[body], lw=0.9)
+            upper.plot(
+                measured["frequency"], abs(measured["compliance"][body]), "o", color=COLOURS[body], ms=2.2,
+                label=f"body {body + 1}",
+            )  # fmt: skip
+            lower.plot(
+                measured["frequency"],
+                abs(measured["transfer"][body]),
+                "o-",
+                color=COLOURS[body],
+                ms=2.2,
+                lw=0.7,
+            )
+        for omega in theory["omega"]:
+            upper.axvline(omega / (2 * np.pi), color=GREY, lw=0.7, ls=":")
+            upper.annotate(
+                f"{omega:.1f} rad/s", (omega / (2 * np.pi), 0.0), xycoords=("data", "axes fraction"),
+                xytext=(3, 4), textcoords="offset points", va="bottom", ha="left", fontsize=7.5, rotation=90,
+            )  # fmt: skip
+        decades(upper, [abs(measured["compliance"])])
+        decades(lower, [abs(measured["transfer"])])
+        upper.set_title("Fig 4b: no dampers. Dots: recording; lines: exact")
+        upper.set_ylabel(COMPLIANCE)
+        lower.set_title("The same recording, per table motion: the coil spring shifts the peaks")
+        lower.set_ylabel("|X/X₀|")
+        upper.legend(loc="upper right", ncols=3)
+        for axes in (upper, lower):
+            frequency_axis(axes, 8.0, 60.0, axes is lower)
+    return figure
+
+
+def figure_5(parts: Parts) -> Figure:
+    """Fig 5: one damper against three with one clearance, third mode."""
+    single, three, theory = parts["sim-fig5-single"], parts["sim-fig5-three"], parts["structure"]
+    with drawing(4.4) as figure:
+        axes = figure.subplots()
+        inside = (theory["frequency"] >= 45) & (theory["frequency"] <= 54)
+        axes.plot(
+            theory["frequency"][inside], abs(theory["compliance"][1][inside]), color=GREY, lw=0.9, ls="--",
+            label="no damper",
+        )  # fmt: skip
+        for data, shade, label in ((single, RED, "one damper, body 2"), (three, BLUE, "three dampers")):
+            axes.plot(data["frequency"], abs(data["compliance"][1]), color=shade, label=label)
+        for letter in "abc":
+            wave = parts[f"wave-{letter}"]
+            data = single if letter == "a" else three
+            height = np.interp(wave["frequency"], data["frequency"], abs(data["compliance"][1]))
+            axes.plot(wave["frequency"], height, "o", color=BLACK, ms=4)
+            axes.annotate(
+                f"{letter} ({wave['type']})", (float(wave["frequency"]), height), xytext=(5, 4),
+                textcoords="offset points",
+            )  # fmt: skip
+        decades(axes, [abs(single["compliance"][1]), abs(three["compliance"][1]), [6.5e-4]], most=2.0)
+        axes.set_xlim(45, 54)
+        axes.set_xlabel("frequency / Hz")
+        axes.set_ylabel("compliance of body 2 |X₂/F₁| / (m/N)")
+        axes.set_title("Fig 5: third mode; mass ratio 10 %, clearance 1 mm, force 10 N (our choice)")
+        axes.legend()
+    return figure
+
+
+def figure_6(parts: Parts) -> Figure:
+    """Fig 6: waveforms at the points a, b and c of Fig 5."""
+    with drawing(6.6) as figure:
+        rows = figure.subplots(3, 1)
+        for axes, letter in zip(rows, "abc", strict=True):
+            wave = parts[f"wave-{letter}"]
+            t = 1e3 * wave["time"]
+            for k, body in enumerate(wave["at"]):
+                floor = 1e3 * wave["body"][body]
+                shade = COLOURS[int(body)]
+                axes.fill_between(t, floor, floor + 1e3 * wave["clearance"][k], color=shade, alpha=0.10, lw=0)
+                axes.plot(t, floor, color=shade, label=f"body {body + 1}: {wave['types'][k]}")
+                axes.plot(t, floor + 1e3 * wave["gap"][k], color=shade, lw=0.9, ls="--")
+            axes.set_title(f"({letter}) {float(wave['frequency']):.2f} Hz: Type {wave['type']}")
+            axes.set_ylabel("displacement / mm")
+            axes.legend(loc="upper right", ncols=3)
+            axes.set_xlim(0, t.max())
+            axes.margins(y=0.22)
+        rows[-1].set_xlabel("time / ms     (solid: body and floor; dashed: damper; shaded: cavity)")
+    return figure
+
+
+def figure_8(parts: Parts) -> Figure:
+    """Fig 8: measured response with none, one, two and three dampers."""
+    curves = (
+        ("rec-bare", "A: no damper", GREY), ("rec-one", "B: one (body 1)", RED), ("rec-two", "C: two", ORANGE),
+        ("rec-three", "D: three", BLUE),
+    )  # fmt: skip
+    with drawing(4.8) as figure:
+        axes = figure.subplots()
+        for name, label, shade in curves:
+            data = parts[name]
+            order = np.argsort(data["frequency"])
+            style = ":" if name == "rec-bare" else "-"
+            axes.plot(
+                data["frequency"][order],
+                abs(data["compliance"][2][order]),
+                style,
+                color=shade,
+                label=label,
+                lw=1.2,
+            )
+        decades(axes, [abs(parts["rec-bare"]["compliance"][2])])
+        frequency_axis(axes, 8.0, 60.0, True)
+        axes.set_ylabel("compliance of body 3 |X₃/F₁| / (m/N)")
+        axes.set_title("Fig 8: recordings; mass ratio 10 %, no ceiling, force 2.6 N")
+        axes.legend(loc="lower left")
+    return figure
+
+
+def figure_9(parts: Parts) -> Figure:
+    """Fig 9: one damper in body 2, third mode: approximate method, exact orbits, recording."""
+    approximate, exact, measured = parts["approx-fig9"], parts["orbit-fig9"], parts["rec-fig9"]
+    with drawing(7.6) as figure:
+        upper, lower = figure.subplots(2, 1, height_ratios=[1.1, 1], sharex=True)
+        upper.plot(
+            approximate["line"], abs(approximate["bare"]), color=GREY, lw=0.8, ls="--", label="no damper"
+        )
+        upper.plot(
+            approximate["line"], abs(approximate["riding"]), color=GREY, lw=0.8, ls=":", label="mⱼ + mdⱼ"
+        )
+        size = abs(approximate["compliance"])
+        _runs(upper, approximate, size, ORANGE, "approximate method", approximate["valid"])
+        _runs(
+            upper,
+            exact,
+            abs(exact["compliance"][:, 1]),
+            BLUE,
+            "exact orbits",
+            np.isfinite(exact["frequency"]),
+        )
+        upper.plot(
+            measured["frequency"], abs(measured["compliance"][1]), "o", color=BLACK, ms=2.4, label="recording"
+        )
+        upper.set_ylim(0, 2.4e-4)
+        upper.set_ylabel("compliance of body 2 |X₂/F₁| / (m/N)")
+        upper.set_title("Fig 9: mass ratio 6 %, clearance 0.98 mm, force 3.3 N (thin: unstable)")
+        upper.legend(loc="upper right", ncols=2)
+        for data, shade, keep in (
+            (approximate, ORANGE, approximate["valid"]), (exact, BLUE, np.isin(exact["type"], ["I", "II", "III"]))
+        ):  # fmt: skip
+            _runs(lower, data, data["phi"], shade, "", keep)
+            _runs(lower, data, data["tau"][:, 0], shade, "", keep)
+            _runs(lower, data, data["tau"][:, 1], shade, "", keep)
+        lower.plot(measured["impact_frequency"], measured["impact_phi"], "o", color=BLACK, ms=2.4)
+        lower.plot(measured["impact_frequency"], measured["impact_tau_1"], "s", color=BLACK, ms=2.4)
+        for text, place in (("φ, force phase lag at floor impact", (46.1, 5.4)), ("τ₁, ceiling impact", (49.6, 4.35)),
+                            ("τ₀, leaves floor", (49.0, 1.38))):  # fmt: skip
+            lower.annotate(text, place, fontsize=8.5)
+        lower.set_ylim(0, 2 * np.pi)
+        lower.set_yticks(np.arange(5) * np.pi / 2, ["0", "π/2", "π", "3π/2", "2π"])
+        lower.set_xlim(46, 54)
+        lower.set_ylabel("phase / rad")
+        lower.set_xlabel("frequency / Hz")
+    return figure
+
+
+def figure_10a(parts: Parts) -> Figure:
+    """Fig 10a: simulation against experiment, three dampers."""
+    simulated, measured = parts["sim-three"], parts["rec-three"]
+    with drawing(5.4) as figure:
+        upper, lower = figure.subplots(2, 1, height_ratios=[3, 1])
+        upper.plot(simulated["frequency"], abs(simulated["compliance"][0]), color=BLUE, label="simulation")
+        upper.plot(
+            measured["frequency"], abs(measured["compliance"][0]), "o", color=BLACK, ms=2.2, label="recording"
+        )
+        size, error = abs(measured["compliance"][0]), np.nan_to_num(measured["error"][0])
+        upper.fill_between(
+            measured["frequency"],
+            np.maximum(size - 2 * error, 1e-3 * size),
+            size + 2 * error,
+            color=GREY,
+            alpha=0.3,
+            lw=0,
+        )
+        decades(upper, [abs(simulated["compliance"][0])])
+        upper.set_ylabel("compliance of body 1 |X₁/F₁| / (m/N)")
+        upper.set_title("Fig 10a: three dampers, mass ratio 10 %, no ceiling, force 2.6 N")
+        upper.legend(loc="lower left")
+        there = np.interp(measured["frequency"], simulated["frequency"], abs(simulated["compliance"][0]))
+        lower.semilogy(measured["frequency"], abs(size / there - 1), "o", color=BLACK, ms=2.2)
+        lower.set_ylabel("difference")
+        for axes in (upper, lower):
+            frequency_axis(axes, 8.0, 60.0, axes is lower)
+    return figure
+
+
+def figure_10b(parts: Parts) -> Figure:
+    """Fig 10b: free decay of body 3's acceleration after a hit on body 1."""
+    with drawing(4.2) as figure:
+        axes = figure.subplots()
+        for name, shade, label in (
+            ("rec-hit-none", GREY, "no damper"),
+            ("rec-hit-three", BLUE, "three dampers"),
+        ):
+            data = parts[name]
+            axes.plot(data["time"], data["acceleration"], color=shade, lw=0.5)
+            axes.plot(data["time"], _smooth(data["envelope"]), color=shade, lw=1.4, label=label)
+        axes.axhspan(-9.80665, 9.80665, color=ORANGE, alpha=0.12, lw=0)
+        axes.annotate(
+            "within 1 g dampers rest", (1.98, -9.0), ha="right", va="bottom", fontsize=8,
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1},
+        )  # fmt: skip
+        axes.set_xlim(0, 2.0)
+        axes.set_xlabel("time / s")
+        axes.set_ylabel("acceleration of body 3 / (m/s²)")
+        axes.set_title("Fig 10b: impulse response, mass ratio 10 %, no ceiling")
+        axes.legend(loc="upper right")
+    return figure
+
+
+def _smooth(envelope: np.ndarray, width: int = 256) -> np.ndarray:
+    return np.convolve(envelope, np.ones(width) / width, mode="same")
+
+
+def _runs(
+    axes: Axes, data: Mapping[str, np.ndarray], values: np.ndarray, shade: str, label: str, keep: Any
+) -> None:
+    """Draw each branch, stable runs bold and unstable ones thin; wrapped phases are not joined."""
+    for number in np.unique(data["branch"]):
+        own = data["branch"] == number
+        for stable in (True, False):
+            chosen = own & keep & (data["stable"] == stable)
+            # A run takes the point after it along, so that bold and thin lines meet.
+            y = np.where(chosen | (np.roll(chosen, 1) & own & keep), values, np.nan)[own]
+            x = data["frequency"][own]
+            if not np.isfinite(y).any():
+                continue
+            jumps = np.flatnonzero(np.abs(np.diff(y)) > 3) + 1
+            axes.plot(
+                np.insert(x, jumps, np.nan), np.insert(y, jumps, np.nan), color=shade,
+                lw=1.5 if stable else 0.6, label=label if stable else None, zorder=2,
+            )  # fmt: skip
+            label = "" if stable else label

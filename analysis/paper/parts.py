@@ -1,0 +1,188 @@
+"""All pieces of work behind the reproduction, with what each depends on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import rig
+from analysis.paper import experiment as paper_experiment
+from analysis.paper import scan as paper_scan
+from analysis.paper import simulation as paper_simulation
+from analysis.paper.store import Part
+from rig.scene.scene import Scene
+
+BAND = (45.0, 54.0)
+FORCES = np.array([2.0, 3.3, 4.0, 5.0, 7.5, 10.0, 15.0])
+CLEARANCES = 1e-3 * np.array([0.3, 0.4, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0])
+MODE_BANDS = {1: (11.5, 14.0), 2: (31.0, 36.0), 3: (45.5, 51.5)}
+DAMPINGS = np.array([0.003, 0.005, 0.0075, 0.01, 0.015])
+NEAR_PAPER = 1e-3 * np.array([0.9, 0.98, 1.05, 1.1, 1.15, 1.2, 1.3])
+MASS_RATIOS = (0.03, 0.06, 0.10)
+WIDE_MASS_RATIOS = np.array([0.02, 0.04, 0.06, 0.08, 0.10])
+# Third resonance, finer where the single damper peaks.
+RESONANCE = np.unique(np.concatenate([np.linspace(45.5, 53.0, 16), np.linspace(46.2, 50.4, 22)]))
+# Fig 8 covers all resonances: coarse in between, fine about them, with and without the dampers' masses.
+SWEEP = np.unique(
+    np.round(
+        np.concatenate(
+            [
+                np.linspace(8, 60, 80),
+                np.linspace(12, 13.8, 28),
+                np.linspace(31.5, 36, 28),
+                np.linspace(45.5, 51, 28),
+            ]
+        ),
+        3,
+    )
+)
+# Seconds that parts took on one core; all others take less than a few.
+EFFORT = {
+    "approx-peaks": 70.0, "rec-one": 32.0, "rec-two": 31.0, "rec-three": 30.0, "rec-bare": 27.0, "scan-three": 26.0,
+    "optimum": 20.0, "rec-fig9": 14.0, "scan-single": 10.0, "best-03": 7.0, "best-06": 7.0, "best-10": 7.0,
+    "fig9-damping": 6.0, "sim-three": 5.0, "orbit-fig9": 3.0, "sim-fig5-three": 3.0,
+}  # fmt: skip
+# Points of Fig 5 whose waveforms Fig 6 shows.
+WAVES = {
+    "a": ("fig5-single-damper", 48.5),
+    "b": ("fig5-three-dampers", 50.5),
+    "c": ("fig5-three-dampers", 52.65),
+}
+
+
+def all_parts(folder: Path) -> list[Part]:
+    """List the parts."""
+    parts = [_recording(folder, name, scene, extra) for name, scene, extra in _experiments()]
+    single, three = rig.load("fig5-single-damper"), rig.load("fig5-three-dampers")
+    grid = {"forces": FORCES, "clearances": CLEARANCES, "frequencies": RESONANCE, "mass_ratio": 0.10}
+    parts.append(
+        _part("scan-three", "scan of force and clearance, three dampers", paper_scan.scan, three, **grid)
+    )
+    parts.append(
+        _part("scan-single", "scan of force and clearance, one damper", paper_scan.scan, single, **grid)
+    )
+    for ratio in MASS_RATIOS:
+        parts.append(
+            _part(
+                f"best-{round(100 * ratio):02d}", f"best clearance, mass ratio {100 * ratio:.0f} %",
+                paper_scan.best_clearance, rig.load("fig9"), force=3.3, mass_ratio=ratio, clearances=CLEARANCES,
+                frequencies=RESONANCE,
+            )
+        )  # fmt: skip
+    parts.append(
+        _part(
+            "optimum", "best clearance and mass ratio", paper_scan.best_damper, rig.load("fig9"), force=3.3,
+            mass_ratios=WIDE_MASS_RATIOS, clearances=CLEARANCES[1:-1], frequencies=RESONANCE,
+        )
+    )  # fmt: skip
+    parts.append(
+        _part(
+            "approx-peaks", "approximate method over force and clearance", paper_simulation.approximate_peaks, single,
+            forces=FORCES, clearances=CLEARANCES, band=BAND,
+        )
+    )  # fmt: skip
+    parts.append(
+        _part(
+            "orbit-fig9",
+            "exact orbits of Fig 9",
+            paper_simulation.exact_orbits,
+            rig.load("fig9"),
+            band=(46.0, 54.0),
+        )
+    )
+    parts.append(
+        _part(
+            "approx-fig9", "approximate method, Fig 9", paper_simulation.approximated, rig.load("fig9"), mode=3,
+            band=(46.0, 54.0), weighting="printed",
+        )
+    )  # fmt: skip
+    parts.append(
+        _part(
+            "sim-three",
+            "simulation of Fig 10a",
+            paper_simulation.simulated,
+            rig.load("fig10a"),
+            frequencies=SWEEP,
+        )
+    )
+    parts.append(
+        _part(
+            "fig9-damping", "Fig 9 over damping and clearance", paper_scan.stays_over_damping, rig.load("fig9"),
+            dampings=DAMPINGS, clearances=NEAR_PAPER, frequencies=RESONANCE,
+        )
+    )  # fmt: skip
+    for count in ("one-damper", "two-dampers", "three-dampers"):
+        parts.append(
+            _part(
+                f"weights-{count}", f"both weights of the mass ratio, {count.replace('-', ' ')}",
+                paper_simulation.weightings, rig.load(f"fig8-{count}"), bands=MODE_BANDS,
+            )
+        )  # fmt: skip
+    dense = np.linspace(*BAND, 109)
+    for name, scene in (("sim-fig5-single", single), ("sim-fig5-three", three)):
+        parts.append(_part(name, "simulation of Fig 5", paper_simulation.simulated, scene, frequencies=dense))
+    for letter, (name, frequency) in WAVES.items():
+        parts.append(
+            _part(
+                f"wave-{letter}",
+                f"waveform {letter} of Fig 6",
+                paper_simulation.waveforms,
+                rig.load(name),
+                frequency=frequency,
+            )
+        )
+    parts.append(
+        _part(
+            "structure", "the structure", paper_simulation.structure_numbers, rig.load("fig10a"),
+            frequencies=np.linspace(8.0, 60.0, 2001),
+        )
+    )  # fmt: skip
+    return parts
+
+
+def _experiments() -> list[tuple[str, Scene, dict[str, Any]]]:
+    bare = rig.load("fig4-structure")
+    sweeps = [
+        ("rec-bare", bare),
+        ("rec-one", rig.load("fig8-one-damper")),
+        ("rec-two", rig.load("fig8-two-dampers")),
+    ]
+    sweeps.append(("rec-three", rig.load("fig10a")))
+    test = {"kind": "stepped_sine", "frequencies": SWEEP.tolist(), "force": 2.6, "settle": {"longest": 20.0}}
+    jobs: list[tuple[str, Scene, dict[str, Any]]] = [
+        (
+            name,
+            scene.replace(test=test, recording={"display": False}),
+            {"compute": paper_experiment.bare_sweep if name == "rec-bare" else paper_experiment.sweep},
+        )
+        for name, scene in sweeps
+    ]
+    jobs.append(("rec-fig9", rig.load("fig9"), {"compute": paper_experiment.damper_sweep, "body": 2}))
+    jobs.append(("rec-hit-none", rig.load("fig10b-no-damper"), {"compute": paper_experiment.ring_down}))
+    jobs.append(("rec-hit-three", rig.load("fig10b-three-dampers"), {"compute": paper_experiment.ring_down}))
+    return jobs
+
+
+def _recording(folder: Path, name: str, scene: Scene, extra: dict[str, Any]) -> Part:
+    arguments = {key: value for key, value in extra.items() if key != "compute"}
+    path = folder / "recordings" / f"{name.removeprefix('rec-')}.mcap"
+    depends = f"{name}\n{scene.to_yaml()}\n{arguments}"
+    return Part(
+        name,
+        depends,
+        extra["compute"],
+        {"scene": scene, "path": path, **arguments},
+        f"virtual experiment: {scene.name}",
+        EFFORT.get(name, 1.0),
+    )
+
+
+def _part(name: str, title: str, compute: Any, scene: Scene, **arguments: Any) -> Part:
+    written = {
+        key: value if isinstance(value, dict) else np.asarray(value).tolist()
+        for key, value in arguments.items()
+    }
+    depends = f"{name}\n{scene.to_yaml()}\n{written}"
+    return Part(name, depends, compute, {"scene": scene, **arguments}, title, EFFORT.get(name, 1.0))

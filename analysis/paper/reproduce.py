@@ -1,0 +1,133 @@
+"""Reproduce the paper: its figures, a verdict on each claim, and what goes beyond it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from analysis.figures.style import save
+from analysis.paper import charts as paper_charts
+from analysis.paper import figures as paper_figures
+from analysis.paper.claims import claims
+from analysis.paper.page import write_pages
+from analysis.paper.parts import all_parts
+from analysis.paper.store import Arrays, Part, remove_partial
+from analysis.paper.workers import WORKERS, compute
+from rig.errors import SceneError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FIGURES: dict[str, Callable[[paper_figures.Parts], Figure]] = {
+    "fig4b": paper_figures.figure_4,
+    "fig5": paper_figures.figure_5,
+    "fig6": paper_figures.figure_6,
+    "fig8": paper_figures.figure_8,
+    "fig9": paper_figures.figure_9,
+    "fig10a": paper_figures.figure_10a,
+    "fig10b": paper_figures.figure_10b,
+    "c2-region": paper_charts.region,
+    "design": paper_charts.design,
+    "optimum": paper_charts.optimum,
+    "trust": paper_charts.trust,
+}
+
+
+def reproduce(folder: Path, say: Callable[[str], None], fresh: Sequence[str] = ()) -> list[Path]:
+    """Compute what is not there yet, draw all figures, and write the page.
+
+    Parameters
+    ----------
+    folder : Path
+        Where recordings, data, figures and pages go. What an earlier run left there is used, if it is of the
+        same inputs.
+    say : callable
+        Takes one line of text at a time.
+    fresh : sequence of str
+        Names of parts to compute again.
+
+    Returns
+    -------
+    list of Path
+        Figures and pages.
+
+    Raises
+    ------
+    SceneError
+        If `fresh` names no part.
+    RunError
+        If the folder cannot be written.
+    """
+    began = time.monotonic()
+    parts = all_parts(folder)
+    unknown = set(fresh) - {part.name for part in parts}
+    if unknown:
+        raise SceneError(
+            f"no part {', '.join(sorted(unknown))}; there are {', '.join(part.name for part in parts)}"
+        )
+    remove_partial(folder)
+    stored: dict[str, Arrays] = {}
+    missing: list[Part] = []
+    for part in parts:
+        found = None if part.name in fresh else part.stored(folder)
+        if found is None:
+            missing.append(part)
+        else:
+            stored[part.name] = found
+    effort = sum(part.effort for part in missing) / WORKERS
+    say(
+        f"{len(stored)} of {len(parts)} parts are there, {len(missing)} to do"
+        + (f": about {_span(effort)} on {WORKERS} free cores, the longest parts first." if missing else ".")
+    )
+    if missing:
+        progress = _Progress(missing, say)
+
+        def done(part: Part) -> None:
+            arrays = part.stored(folder)
+            assert arrays is not None
+            stored[part.name] = arrays
+            progress.add(part)
+
+        compute(missing, folder, done)
+    files: list[Path] = []
+    for name, draw in FIGURES.items():
+        files += save(draw(stored), folder / name)
+    judged = claims(stored)
+    files += write_pages(folder, judged, stored)
+    for claim in judged:
+        say(f"  {claim.name}: {claim.verdict}")
+    say(f"Done in {time.monotonic() - began:.0f} s. Read {folder / 'index.html'} or {folder / 'index.md'}.")
+    return files
+
+
+class _Progress:
+    """Says after each part how much of the work is done, and how long the rest will take at that pace."""
+
+    def __init__(self, parts: Sequence[Part], say: Callable[[str], None]) -> None:
+        self.say, self.began = say, time.monotonic()
+        self.count, self.total = len(parts), sum(part.effort for part in parts)
+        self.finished, self.done = 0, 0.0
+
+    def add(self, part: Part) -> None:
+        """Report a part that has been finished."""
+        self.finished += 1
+        self.done += part.effort
+        gone = time.monotonic() - self.began
+        left = gone * (self.total - self.done) / self.done
+        self.say(
+            f"  [{self.finished}/{self.count}] {part.title} ({part.name}): {100 * self.done / self.total:.0f} % done "
+            f"after {_span(gone)}, "
+            + (f"about {_span(left)} left" if self.finished < self.count else "the last part")
+        )
+
+
+def _span(seconds: float) -> str:
+    """Write a length of time.
+
+    >>> _span(42.3), _span(192)
+    ('42 s', '3 min 12 s')
+    """
+    whole = round(seconds)
+    return f"{whole // 60} min {whole % 60} s" if whole >= 60 else f"{whole} s"

@@ -1,0 +1,218 @@
+"""Scans over force, clearance, mass ratio and damping about a resonance, over exact orbits where there are any.
+
+Every curve over frequency is swept as exact stable orbits (`rig.orbit_response`); where the motion is irregular it
+is simulated and averaged, and counted as such.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize, minimize_scalar
+
+from analysis.paper.store import Arrays
+from rig.errors import RunError
+from rig.orbits.orbit import solve
+from rig.orbits.problem import Problem, Setting
+from rig.orbits.sweep import OrbitResponse, sweep
+from rig.response.motion_type import overall
+from rig.scene.scene import Scene
+
+Floats = NDArray[np.float64]
+
+BODY = 2
+# Levels at which a robust optimum must do well, relative to the nominal force.
+LEVELS = np.array([0.8, 1.0, 1.25])
+
+
+def curve(problem: Problem, force: float, frequencies: Floats) -> OrbitResponse:
+    """Steady motion at each frequency from the motion at the one before."""
+    return sweep(problem, Setting(float(frequencies[0]), force), "frequency", frequencies)
+
+
+def resonance(problem: Problem, response: OrbitResponse, body: int = BODY) -> tuple[float, float]:
+    """Largest compliance of a body over a curve, and its frequency [Hz].
+
+    Where the largest point is an orbit, the maximum is sought between its neighbours over orbits with the same
+    events, so that it does not depend on the grid.
+    """
+    size = np.abs(response.compliance[body - 1])
+    i = int(size.argmax())
+    best, where = float(size[i]), float(response.value[i])
+    orbit = response.orbits[i]
+    if orbit is None or i in (0, size.size - 1):
+        return best, where
+
+    def missing(frequency: float) -> float:
+        setting = Setting(float(frequency), orbit.setting.force)
+        try:
+            found = solve(problem, orbit.plan, setting, orbit.unknowns)
+        except RunError:
+            return 0.0
+        return 0.0 if found.flaw or not found.stable else -abs(found.compliance[body - 1])
+
+    bounds = (float(response.value[i - 1]), float(response.value[i + 1]))
+    top = minimize_scalar(missing, bounds=bounds, method="bounded", options={"xatol": 1e-3})
+    return (float(-top.fun), float(top.x)) if -top.fun > best else (best, where)
+
+
+def with_dampers(scene: Scene, clearance: float, mass_ratio: float) -> Problem:
+    """Set up a scene with one clearance and mass ratio for all its dampers."""
+    dampers = [d.replace(clearance=float(clearance), mass=None, mass_ratio=mass_ratio) for d in scene.dampers]
+    return Problem(scene.replace(dampers=dampers))
+
+
+def scan(
+    scene: Scene, forces: Floats, clearances: Floats, frequencies: Floats, mass_ratio: float, body: int = BODY
+) -> Arrays:
+    """Peak compliance and motion type about a resonance, over force (rows) and clearance (columns).
+
+    Returns
+    -------
+    dict
+        peak (forces, clearances): largest |X| / F_1 of the body; where (same): its frequency; type_there: the
+        motion type at the peak; types: all types met by any damper, joined by spaces; orbits: share of the
+        frequencies at which the motion is an exact stable orbit; exact: whether the peak is one.
+    """
+    shape = (len(forces), len(clearances))
+    peak, where, orbits = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    there, types = np.empty(shape, dtype="U24"), np.empty(shape, dtype="U400")
+    exact = np.zeros(shape, dtype=bool)
+    for column, clearance in enumerate(clearances):
+        problem = with_dampers(scene, float(clearance), mass_ratio)
+        for row, force in enumerate(forces):
+            response = curve(problem, float(force), frequencies)
+            at = row, column
+            peak[at], where[at] = resonance(problem, response, body)
+            i = int(np.abs(response.compliance[body - 1]).argmax())
+            there[at] = overall(response.damper_motion[:, i].tolist())
+            types[at] = " ".join(sorted(set(response.damper_motion.ravel().tolist())))
+            orbits[at], exact[at] = 1 - response.simulated.mean(), not response.simulated[i]
+    return {
+        "force": forces,
+        "clearance": clearances,
+        "peak": peak,
+        "where": where,
+        "type_there": there,
+        "types": types,
+        "orbits": orbits,
+        "exact": exact,
+    }
+
+
+def stays_over_damping(
+    scene: Scene, dampings: Floats, clearances: Floats, frequencies: Floats, body: int = BODY
+) -> Arrays:
+    """Whether Type III appears about the resonance, over damping ratio (rows) and clearance (columns).
+
+    Returns
+    -------
+    dict
+        third (dampings, clearances): whether; peak (same): largest compliance of the body [m/N].
+    """
+    shape = (len(dampings), len(clearances))
+    third, peak = np.zeros(shape, dtype=bool), np.zeros(shape)
+    for row, damping in enumerate(dampings):
+        structure = scene.structure.replace(damping={"modal": float(damping)})
+        for column, clearance in enumerate(clearances):
+            dampers = [d.replace(clearance=float(clearance)) for d in scene.dampers]
+            problem = Problem(scene.replace(structure=structure, dampers=dampers))
+            response = curve(problem, problem.level, frequencies)
+            third[row, column] = bool((response.damper_motion == "III").any())
+            peak[row, column] = resonance(problem, response, body)[0]
+    return {"damping": dampings, "clearance": clearances, "third": third, "peak": peak}
+
+
+class _Worst:
+    """Largest peak over the levels of the force, for any clearance and mass ratio; remembers what it computed."""
+
+    def __init__(self, scene: Scene, force: float, frequencies: Floats, body: int) -> None:
+        self.scene, self.force, self.frequencies, self.body = scene, force, frequencies, body
+        self.trials: dict[tuple[float, float], float] = {}
+        self.orbits: list[float] = []
+
+    def __call__(self, clearance: float, mass_ratio: float) -> float:
+        key = (float(clearance), float(mass_ratio))
+        if key not in self.trials:
+            problem = with_dampers(self.scene, *key)
+            peaks = []
+            for level in LEVELS:
+                response = curve(problem, float(self.force * level), self.frequencies)
+                peaks.append(resonance(problem, response, self.body)[0])
+                self.orbits.append(1 - float(response.simulated.mean()))
+            self.trials[key] = max(peaks)
+        return self.trials[key]
+
+    def found(self) -> Arrays:
+        """Trials in the order of the search, and the best of them."""
+        best = min(self.trials, key=lambda key: self.trials[key])
+        return {
+            "clearance": np.array([clearance for clearance, _ in self.trials]),
+            "mass_ratios": np.array([ratio for _, ratio in self.trials]),
+            "worst": np.array(list(self.trials.values())),
+            "best": np.array(best[0]),
+            "mass_ratio": np.array(best[1]),
+            "peak": np.array(self.trials[best]),
+            "orbits": np.array(np.mean(self.orbits)),
+        }
+
+
+def best_clearance(
+    scene: Scene, force: float, mass_ratio: float, clearances: Floats, frequencies: Floats, body: int = BODY
+) -> Arrays:
+    """Clearance with the smallest peak compliance over a range of forces about a nominal one.
+
+    A coarse search over the given clearances, then golden sections about the best of them. Robust means: the
+    worst peak at `LEVELS` times the force.
+
+    Returns
+    -------
+    dict
+        clearance, mass_ratios, worst (trials,) in the order of the search; best, mass_ratio, peak (): the optimum
+        and its worst peak; orbits (): share of all frequencies at which the motion is an exact stable orbit.
+    """
+    worst = _Worst(scene, force, frequencies, body)
+    grid = np.log(clearances)
+    values = [worst(np.exp(x), mass_ratio) for x in grid]
+    i = int(np.clip(np.argmin(values), 1, len(grid) - 2))
+    minimize_scalar(
+        lambda x: worst(np.exp(x), mass_ratio),
+        bounds=(grid[i - 1], grid[i + 1]),
+        method="bounded",
+        options={"maxiter": 9},
+    )
+    return worst.found()
+
+
+def best_damper(
+    scene: Scene,
+    force: float,
+    mass_ratios: Floats,
+    clearances: Floats,
+    frequencies: Floats,
+    body: int = BODY,
+    trials: int = 30,
+) -> Arrays:
+    """Clearance and mass ratio together with the smallest worst peak; as `best_clearance`.
+
+    The best of a grid of both is improved by the simplex method of Nelder and Mead, the mass ratio within the
+    grid's range.
+    """
+    worst = _Worst(scene, force, frequencies, body)
+    for ratio in mass_ratios:
+        for clearance in clearances:
+            worst(float(clearance), float(ratio))
+    start = min(worst.trials, key=lambda key: worst.trials[key])
+    step = np.array([0.15, 0.2 * (mass_ratios[-1] - mass_ratios[0])])
+    first = np.array([np.log(start[0]), start[1]])
+    low, high = mass_ratios[0], mass_ratios[-1]
+    inward = np.array([1.0, -1.0 if first[1] + step[1] > high else 1.0])
+    corners = first + np.array([[0, 0], [step[0], 0], [0, step[1]]]) * inward
+    minimize(
+        lambda x: worst(np.exp(x[0]), x[1]),
+        first,
+        method="Nelder-Mead",
+        bounds=[(None, None), (low, high)],
+        options={"initial_simplex": corners, "maxfev": trials, "xatol": 1e-3, "fatol": 0.0},
+    )
+    return worst.found()

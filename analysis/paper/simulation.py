@@ -1,0 +1,235 @@
+"""The computed side of the reproduction: simulation, exact orbits, and the paper's approximate method."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.paper.scan import BODY, curve, resonance
+from analysis.paper.store import Arrays
+from rig.errors import SceneError
+from rig.orbits.admissibility import follow
+from rig.orbits.branches import follow_orbits
+from rig.orbits.orbit import Orbit
+from rig.orbits.periodic_orbit import periodic_orbit
+from rig.orbits.problem import Problem, pure_force
+from rig.orbits.shooting import shoot
+from rig.response.frequency_response import frequency_response
+from rig.scene.scene import Scene
+from rig.single_mode.approximate_response import Branch, follow_mode
+from rig.single_mode.reduction import Weighting, single_mode
+from rig.system.receptance import receptance
+from rig.system.structure import natural_modes, structure_matrices
+
+Floats = NDArray[np.float64]
+
+
+def structure_numbers(scene: Scene, frequencies: Floats) -> Arrays:
+    """Natural frequencies [rad/s], shapes (bodies, modes), and the exact compliance over frequency."""
+    mass, _, stiffness = structure_matrices(scene.structure)
+    omega, shapes = natural_modes(mass, stiffness)
+    bare = scene.replace(dampers=[])
+    return {
+        "omega": omega,
+        "shapes": shapes,
+        "frequency": frequencies,
+        "compliance": receptance(bare, frequencies),
+        "riding": receptance(scene, frequencies, riding=range(1, len(scene.dampers) + 1)),
+    }
+
+
+def simulated(scene: Scene, frequencies: Floats, direction: str = "up", tolerance: float = 1e-6) -> Arrays:
+    """Steady response to a force that is a pure tone, frequency by frequency."""
+    found = frequency_response(pure_force(scene), frequencies, direction, tolerance=tolerance, longest=4000)
+    return {
+        "frequency": found.frequency,
+        "compliance": found.compliance,
+        "peak": found.peak,
+        "type": found.motion_type,
+        "damper_motion": found.damper_motion,
+        "repetition": found.repetition,
+    }
+
+
+def exact_orbits(scene: Scene, band: tuple[float, float], searches: int = 5) -> Arrays:
+    """Exact orbits over frequency, stable and unstable, one after the other with a branch number each."""
+    curve = follow_orbits(pure_force(scene), "frequency", band, searches=searches)
+    rows: dict[str, list[np.ndarray]] = {}
+    for number, branch in enumerate(curve.branches):
+        omega = 2 * np.pi * branch.value
+        instants = np.array([_fig9_instants(orbit) for orbit in branch.orbits]) * omega[:, None]
+        # The force is sin(w t); at the floor impact that is sin(-phi).
+        row = {
+            "branch": np.full(branch.value.size, number),
+            "frequency": branch.value,
+            "compliance": branch.compliance.T,
+            "stable": branch.stable,
+            "type": np.full(branch.value.size, branch.motion_type, dtype="U24"),
+            "phi": (-instants[:, 0]) % (2 * np.pi),
+            "tau": (instants[:, 1:] - instants[:, :1]) % (2 * np.pi),
+        }
+        for key, values in row.items():
+            rows.setdefault(key, []).append(values)
+    arrays = {key: np.concatenate(values) for key, values in rows.items()}
+    specials = [
+        (name, value)
+        for branch in curve.branches
+        for name, values in (
+            ("fold", branch.folds),
+            ("doubling", branch.doublings),
+            ("torus", branch.toruses),
+        )
+        for value in values
+    ]
+    arrays["special"] = np.array([name for name, _ in specials], dtype="U10")
+    arrays["special_frequency"] = np.array([value for _, value in specials])
+    arrays["failures"] = np.array(curve.failures, dtype=np.str_)
+    return arrays
+
+
+def _fig9_instants(orbit: Orbit) -> list[float]:
+    """Floor impact, take-off, ceiling impact, ceiling take-off of one damper's Type I-III motion [s]."""
+    events = orbit.events
+    nothing = [np.nan] * 4
+    if orbit.motion_type not in ("I", "II", "III"):
+        return nothing
+    floor = events["time"][events["kind"] == "floor"]
+    ceiling = events["time"][events["kind"] == "ceiling"]
+    after = (
+        np.sort((events["time"][events["kind"] == "separation"] - floor[0]) % (1 / orbit.frequency))
+        + floor[0]
+    )
+    last = after[-1] if orbit.motion_type == "III" else np.nan
+    return [floor[0], after[0], ceiling[0] if len(ceiling) else np.nan, last]
+
+
+def approximated(
+    scene: Scene,
+    mode: int,
+    band: tuple[float, float],
+    weighting: Weighting,
+    at: int | None = None,
+    searches: int = 13,
+) -> Arrays:
+    """Branches of the approximate method, one after the other; compliances are those of all bodies."""
+    kept = single_mode(pure_force(scene), mode, weighting=weighting, at=at)
+    found = follow_mode(kept, band, searches)
+    rows: dict[str, list[np.ndarray]] = {}
+    for number, branch in enumerate(found.branches):
+        for key, values in _branch_rows(number, branch).items():
+            rows.setdefault(key, []).append(values)
+    arrays = {key: np.concatenate(values) for key, values in rows.items()}
+    frequencies = np.linspace(*band, 801)
+    arrays["shape"] = kept.shape
+    arrays["mass_ratio"] = np.array(kept.mass_ratio)
+    arrays["line"] = frequencies
+    arrays["bare"], arrays["riding"] = kept.receptance(frequencies), kept.receptance(frequencies, riding=True)
+    arrays["failures"] = np.array(found.failures, dtype=np.str_)
+    return arrays
+
+
+def _branch_rows(number: int, branch: Branch) -> Arrays:
+    return {
+        "branch": np.full(branch.frequency.size, number),
+        "frequency": branch.frequency,
+        "compliance": branch.compliance,
+        "stable": branch.stable,
+        "valid": branch.valid,
+        "type": np.full(branch.frequency.size, branch.motion_type, dtype="U4"),
+        "phi": branch.phi,
+        "tau": np.array([branch.tau_0, branch.tau_1, branch.tau_2]).T,
+    }
+
+
+def waveforms(scene: Scene, frequency: float, periods: float = 2.0) -> Arrays:
+    """Displacements of bodies and damper masses over some periods of the orbit at a frequency."""
+    problem = Problem(scene)
+    orbit = periodic_orbit(scene, frequency)
+    sequence = orbit.plan.sequence
+    equations, change = problem.equations(orbit.setting, orbit.plan)
+    period = orbit.repetition / frequency
+    states = shoot(equations, change, sequence, orbit.unknowns).states
+    events = len(sequence.kind)
+    times, motion, guards, *_ = follow(
+        equations, sequence, orbit.unknowns[len(orbit.unknowns) - events :], states
+    )
+    bodies = problem.scene.structure.bodies
+    gap = guards[..., 0].copy()
+    for stretch in range(len(times)):
+        wall = sequence.wall[stretch + 1 if events else 0]
+        gap[stretch][:, wall == 1] = 0.0
+        gap[stretch][:, wall == 2] = equations.clearance[wall == 2]
+    t = np.concatenate([times.ravel() + k * period for k in range(-1, int(np.ceil(periods)) + 1)])
+    q = np.tile(motion.reshape(-1, motion.shape[2])[:, :bodies], (int(np.ceil(periods)) + 2, 1))
+    z = np.tile(gap.reshape(-1, gap.shape[2]), (int(np.ceil(periods)) + 2, 1))
+    inside = (t >= 0) & (t <= periods / frequency)
+    return {
+        "time": t[inside],
+        "body": q[inside].T,
+        "gap": z[inside].T,
+        "at": problem.system.damper_coordinate,
+        "clearance": equations.clearance,
+        "type": np.array(orbit.motion_type),
+        "types": np.array(orbit.damper_motion),
+        "frequency": np.array(frequency),
+    }
+
+
+def weightings(scene: Scene, bands: dict[int, tuple[float, float]]) -> Arrays:
+    """Peaks of the approximate method with either weight of the mass ratio, beside those of the simulation.
+
+    Parameters
+    ----------
+    scene : Scene
+    bands : dict
+        Frequency band [Hz] about each mode (from 1).
+
+    Returns
+    -------
+    dict
+        mode (modes,), and rows all modes (exact orbits), printed, energy: peak (3, modes) of the body that moves
+        most in the mode [m/N], frequency (3, modes) Hz, mass_ratio (3, modes); NaN where the printed sum is no
+        mass.
+    """
+    peak, where, ratio = (np.full((3, len(bands)), np.nan) for _ in range(3))
+    forced = pure_force(scene)
+    problem = Problem(scene)
+    for column, (mode, band) in enumerate(bands.items()):
+        frequencies = np.linspace(*band, 41)
+        weights: tuple[Weighting, Weighting] = ("printed", "energy")
+        body = 0
+        for row, weighting in enumerate(weights, 1):
+            try:
+                kept = single_mode(forced, mode, weighting=weighting)
+            except SceneError:
+                continue
+            body = int(np.abs(kept.shape).argmax())
+            ratio[row, column] = kept.mass_ratio
+            for branch in follow_mode(kept, band, searches=5).branches:
+                size = np.where(branch.valid & branch.stable, np.abs(branch.compliance), 0)
+                if not peak[row, column] >= size.max():
+                    peak[row, column], where[row, column] = size.max(), branch.frequency[size.argmax()]
+        response = curve(problem, problem.level, frequencies)
+        peak[0, column], where[0, column] = resonance(problem, response, body + 1)
+    return {"mode": np.array(list(bands)), "peak": peak, "frequency": where, "mass_ratio": ratio}
+
+
+def approximate_peaks(
+    scene: Scene, forces: Floats, clearances: Floats, band: tuple[float, float], body: int = BODY
+) -> Arrays:
+    """Peak compliance by the approximate method, over force (rows) and clearance (columns)."""
+    peak = np.full((len(forces), len(clearances)), np.nan)
+    types = np.empty(peak.shape, dtype="U4")
+    for column, clearance in enumerate(clearances):
+        dampers = [d.replace(clearance=float(clearance)) for d in scene.dampers]
+        narrowed = pure_force(scene.replace(dampers=dampers))
+        for row, force in enumerate(forces):
+            kept = single_mode(narrowed, 3, force=float(force), weighting="energy")
+            for branch in follow_mode(kept, band, searches=5).branches:
+                real = branch.valid & branch.stable
+                if not real.any():
+                    continue
+                size = np.abs(kept.shape[body - 1] * branch.compliance[real]).max()
+                if not peak[row, column] >= size:
+                    peak[row, column], types[row, column] = size, branch.motion_type
+    return {"force": forces, "clearance": clearances, "peak": peak, "type": types}

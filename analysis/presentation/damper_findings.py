@@ -1,0 +1,114 @@
+"""What the dampers did in a stepped sine, told from the channels: kind of motion, energy taken out per period."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.dampers.nonlinearity import damper_motion, describe_motion
+from analysis.dampers.performance import CycleEnergy, energy_per_cycle, impact_energy_per_cycle
+from analysis.presentation.presentation import Progress, Result, output_stem
+from analysis.presentation.tables import write_table
+from analysis.recordings.names import opened, relabelled, scene_labels
+from analysis.responses.measurands import located
+from analysis.responses.stepped_sine import Sweep, sweeps
+from rig.errors import RecordingError
+
+if TYPE_CHECKING:
+    from daq.recording.recording import Recording
+
+# Frequencies named in the text; the table holds all.
+_NAMED = 8
+
+
+def present_dampers(
+    paths: Sequence[Path], output: Path | None = None, progress: Progress | None = None
+) -> Result:
+    """Tell and tabulate what the dampers did at each frequency of stepped sines.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Recordings of stepped sines with dampers.
+    output : Path, optional
+        Folder for the tables; default beside the first recording.
+    progress : callable, optional
+        Called with (frequencies done, in all) of the lock-in.
+    """
+    files, lines, notes = [], [], []
+    for path, label in zip(paths, scene_labels(paths), strict=True):
+        with opened(path) as rec:
+            if not rec.scene.dampers:
+                raise RecordingError(f"{path}: its scene has no dampers; there is nothing to tell of them")
+            rows: list[tuple[str | float, ...]] = []
+            for sweep in sweeps(rec, progress):
+                name = relabelled(sweep.lines, rec.scene.name, label).label
+                motions, found = _motions(rec, sweep)
+                lines += [name, *(f"  {line}" for line in found)]
+                try:
+                    energy = energy_per_cycle(rec, sweep)
+                except RecordingError as error:
+                    notes.append(f"{path.name}: no energy balance: {error}")
+                    energy = None
+                true = impact_energy_per_cycle(rec, sweep) if rec.has_truth else None
+                if energy is not None:
+                    lines += [f"  {line}" for line in describe_energy(energy, true)]
+                rows += _rows(name, sweep, motions, energy, true)
+        stem = output_stem([path], output, "dampers")
+        heading = [
+            "scene", "frequency_Hz", "supplied_J", "structure_J", "dampers_J", "true_impacts_J", "channel",
+            "motion", "floor_per_period", "ceiling_per_period",
+        ]  # fmt: skip
+        files.append(write_table(stem.with_suffix(".csv"), heading, rows))
+    return Result(tuple(files), tuple(lines), tuple(notes))
+
+
+def _motions(rec: Recording, sweep: Sweep) -> tuple[list[list[tuple[str, str, float, float]]], list[str]]:
+    """Motion at every frequency of each damped body, and its description."""
+    every, text = [], []
+    for body in sorted({damper.body for damper in rec.scene.dampers if not damper.locked}):
+        info = located(rec, f"body {body}")
+        if info is None:
+            text.append(f"body {body}: no channel on it, so that its impacts are not seen")
+            continue
+        motions = damper_motion(rec, sweep, info.name)
+        every.append([(one.channel, one.name, one.floor, one.ceiling) for one in motions])
+        text += describe_motion(motions)
+    return every, text
+
+
+def describe_energy(energy: CycleEnergy, true: np.ndarray | None = None) -> list[str]:
+    """Lines about the frequencies at which most energy is supplied."""
+    named = np.sort(np.argsort(energy.supplied, kind="stable")[::-1][:_NAMED])
+    out = []
+    for i in named:
+        share = energy.dampers[i] / energy.supplied[i]
+        line = (
+            f"{energy.frequency[i]:.4g} Hz: the force supplies {1e3 * energy.supplied[i]:.3g} mJ a period; "
+            f"{1.0 - share:.0%} go into the structure's damping, {share:.0%} into the dampers"
+        )
+        if true is not None:
+            line += f" (truly lost in impacts: {true[i] / energy.supplied[i]:.0%})"
+        out.append(line)
+    return out
+
+
+def _rows(
+    name: str,
+    sweep: Sweep,
+    motions: list[list[tuple[str, str, float, float]]],
+    energy: CycleEnergy | None,
+    true: np.ndarray | None,
+) -> list[tuple[str | float, ...]]:
+    nothing = np.full(sweep.lines.frequency.size, np.nan)
+    columns = ((nothing,) * 3 if energy is None else (energy.supplied, energy.structure, energy.dampers)) + (
+        nothing if true is None else true,
+    )
+    return [
+        (name, frequency, *(float(column[i]) for column in columns), *body[i])
+        for i, frequency in enumerate(sweep.lines.frequency)
+        for body in motions
+    ]

@@ -1,0 +1,115 @@
+"""The demonstration: record the paper's tests, and draw Figs 8 and 10b from the recordings."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from analysis.presentation.presentation import present_decay, present_frf, present_modes
+
+SWEEPS = ("fig8-no-damper", "fig8-three-dampers")
+IMPULSES = ("fig10b-no-damper", "fig10b-three-dampers")
+
+# Coarse over the band, fine where the resonances are, without dampers and with them riding.
+_COARSE = np.linspace(8.0, 60.0, 34)
+_FINE = (np.linspace(11.8, 13.6, 14), np.linspace(32.0, 35.6, 13), np.linspace(45.5, 51.0, 12))
+
+
+def frequencies() -> list[float]:
+    """Frequencies of the demonstration's sweeps, Hz.
+
+    >>> frequencies()[0], frequencies()[-1]
+    (8.0, 60.0)
+    """
+    return [float(f) for f in np.unique(np.round(np.concatenate([_COARSE, *_FINE]), 3))]
+
+
+def demonstrate(folder: Path, say: Callable[[str], None], at: Sequence[float] | None = None) -> list[Path]:
+    """Record two sweeps and two impulse tests side by side, analyse them, and say what to do next.
+
+    Parameters
+    ----------
+    folder : Path
+        Where recordings, figures and tables go.
+    say : callable
+        Takes one line of text at a time.
+    at : sequence of float, optional
+        Frequencies of the sweeps, Hz; omitted, `frequencies`.
+
+    Returns
+    -------
+    list of Path
+        Every file written.
+    """
+    began = time.monotonic()
+    folder.mkdir(parents=True, exist_ok=True)
+    say("Recording two stepped sines (without and with three dampers) and two impulse tests ...")
+    recordings = {name: folder / f"{name}.mcap" for name in (*SWEEPS, *IMPULSES)}
+    for name, seconds in _recorded(recordings, tuple(at or frequencies())):
+        say(f"  {recordings[name]} holds {seconds:.0f} s ({time.monotonic() - began:.0f} s after the start)")
+    files = list(recordings.values())
+    say("Reading the recordings, and nothing else, for compliance, decay and modes ...")
+    sweeps, hits = [recordings[name] for name in SWEEPS], [recordings[name] for name in IMPULSES]
+    for result in (
+        present_frf(sweeps, folder, theory=True),
+        present_decay(hits, folder, "body3"),
+        present_modes(sweeps[:1], folder),
+    ):
+        for line in result.lines:
+            say(f"  {line}")
+        for warning in result.warnings:
+            say(f"  note: {warning}")
+        files += result.files
+    say(f"Done in {time.monotonic() - began:.0f} s. Written:")
+    for path in files:
+        say(f"  {path}")
+    say("What to type next:")
+    for command in (
+        f"daq replay {recordings['fig8-three-dampers']}",
+        f"daq info {recordings['fig10b-three-dampers']}",
+        f"analysis report {' '.join(str(path) for path in sweeps)}",
+        "rig scenes",
+    ):
+        say(f"  {command}")
+    return files
+
+
+def _recorded(recordings: dict[str, Path], at: tuple[float, ...]) -> Iterator[tuple[str, float]]:
+    """Record on two cores; yield each name and the seconds it holds as it is done."""
+    # Two processes with a thread each: more threads would wait for each other on two cores.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Sweeps first: the short impulse tests fill in where a core becomes free.
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        jobs = {pool.submit(_record, name, path, at): name for name, path in recordings.items()}
+        for job in as_completed(jobs):
+            yield jobs[job], job.result()
+
+
+def _record(name: str, path: Path, at: tuple[float, ...]) -> float:
+    """Record one scene; the length of its recording in s."""
+    import warnings
+
+    import daq
+    import rig
+
+    scene = rig.load(name)
+    if name in SWEEPS:
+        test = {
+            "kind": "stepped_sine",
+            "frequencies": at,
+            "force": 2.6,
+            "settle": {"longest": 20.0},
+        }
+        scene = scene.replace(test=test)
+    with warnings.catch_warnings():
+        # What the test has to warn of is in the recording's markers, and the analysis says it.
+        warnings.simplefilter("ignore", daq.RunWarning)
+        daq.record(scene, path, overwrite=True)
+    with daq.open(path) as rec:
+        return rec.samples / rec.rate

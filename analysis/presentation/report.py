@@ -1,0 +1,172 @@
+"""One self-contained HTML page about recordings: what was tested, with what, what came out, what to doubt."""
+
+from __future__ import annotations
+
+import base64
+import tempfile
+from collections.abc import Callable, Sequence
+from functools import partial
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+from typing import TYPE_CHECKING
+
+from analysis.presentation.damper_findings import present_dampers
+from analysis.presentation.presentation import (
+    Progress,
+    Result,
+    output_stem,
+    present_decay,
+    present_frf,
+    present_modes,
+)
+from analysis.recordings.names import opened, scene_labels
+from rig.errors import RunError, ShotrigError
+
+if TYPE_CHECKING:
+    from daq.recording.recording import Recording
+    from rig.scene.damper import Damper
+
+
+def write_report(
+    paths: Sequence[Path], output: Path | None = None, progress: Progress | None = None
+) -> Result:
+    """Write the page beside the first recording, or into `output`."""
+    sweeps: list[Path] = []
+    decays: list[Path] = []
+    damped: list[Path] = []
+    body: list[str] = []
+    commands: list[str] = []
+    notes: list[str] = []
+    for path in paths:
+        with opened(path) as rec:
+            body.append(_tested(path, rec))
+            stepped = any(m.kind == "measure" and "frequency" in m.fields for m in rec.markers)
+            if stepped and rec.scene.dampers:
+                damped.append(path)
+            has_hits = any(marker.kind in ("hit", "free") for marker in rec.markers)
+        (decays if has_hits else sweeps).append(path)
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        if sweeps:
+            names = " ".join(str(path) for path in sweeps)
+            body.append(
+                _part(
+                    "Frequency responses",
+                    lambda: present_frf(sweeps, folder, theory=True, progress=progress),
+                    notes,
+                )
+            )
+            commands.append(f"analysis frf --theory {names}")
+            for path in sweeps:
+                body.append(_part(f"Modes: {path.name}", partial(present_modes, [path], folder), notes))
+            commands.append(f"analysis modes {names}")
+        for path in damped:
+            body.append(_part(f"Dampers: {path.name}", partial(present_dampers, [path], folder), notes))
+            commands.append(f"analysis dampers {path}")
+        if len(sweeps) > 1:
+            body.append(_part("What the dampers are worth", partial(_worth, sweeps), notes))
+        if decays:
+            body.append(_part("Free decays", partial(present_decay, decays, folder), notes))
+            commands.append(f"analysis decay {' '.join(str(path) for path in decays)}")
+    if notes:
+        unique = dict.fromkeys(notes)
+        items = "".join(f"<li>{escape(note)}</li>" for note in unique)
+        body.append(f'<h2>Warnings</h2><ul class="warnings">{items}</ul>')
+    commands.append(f"analysis report {' '.join(str(path) for path in paths)}")
+    body.append(f"<h2>To get the same again</h2><pre>{escape(chr(10).join(commands))}</pre>")
+    title = f"Vibration test: {', '.join(path.stem for path in paths)}"
+    page = Template((files("analysis.presentation") / "report.html").read_text(encoding="utf-8"))
+    target = output_stem(paths, output, "report").with_suffix(".html")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_text(page.substitute(title=escape(title), body="\n".join(body)), encoding="utf-8")
+    except OSError as error:
+        raise RunError(
+            f"cannot write {target}: {error.strerror}; choose another place with --output"
+        ) from None
+    return Result((target,), (), tuple(dict.fromkeys(notes)))
+
+
+def _part(heading: str, make: Callable[[], Result], notes: list[str]) -> str:
+    """One section: findings and figures, or why there are none."""
+    try:
+        result = make()
+    except ShotrigError as error:
+        notes.append(f"{heading}: {error}")
+        return f"<h2>{escape(heading)}</h2><p>Not available: {escape(str(error))}</p>"
+    notes += result.warnings
+    out = [f"<h2>{escape(heading)}</h2>"]
+    if result.lines:
+        out.append(f"<pre>{escape(chr(10).join(result.lines))}</pre>")
+    for path in result.files:
+        if path.suffix == ".png":
+            data = base64.b64encode(path.read_bytes()).decode()
+            out.append(f'<figure><img alt="{escape(path.stem)}" src="data:image/png;base64,{data}"></figure>')
+    return "\n".join(out)
+
+
+def _worth(paths: Sequence[Path]) -> Result:
+    """Compare the resonances of the first recording with those of the others."""
+    from analysis.dampers.performance import describe_changes, peak_changes
+    from analysis.responses.frequency_responses import frequency_responses
+
+    curves = []
+    for path in paths:
+        with opened(path) as rec:
+            curves.append(frequency_responses(rec)[0])
+    lines: list[str] = []
+    names = scene_labels(paths)
+    for name, other in zip(names[1:], curves[1:], strict=True):
+        lines.append(f"{names[0]} -> {name}")
+        lines += [f"  {line}" for line in describe_changes(peak_changes(curves[0], other))]
+    return Result((), tuple(lines), ())
+
+
+def _tested(path: Path, rec: Recording) -> str:
+    """Tell what was tested: scene, test, channels with calibration, overloads, gaps."""
+    scene = rec.scene
+    test = "none" if scene.test is None else scene.test.kind.replace("_", " ")
+    shaker = "none" if scene.shaker is None else scene.shaker.kind
+    dampers = "; ".join(_damper(damper) for damper in scene.dampers)
+    facts = [
+        ("recording", str(path)),
+        ("scene", scene.name),
+        ("test", test),
+        ("shaker", shaker),
+        ("dampers", dampers or "none"),
+        ("length", f"{rec.samples / rec.rate:.2f} s at {rec.rate:g} Hz"),
+        ("overloads", _ranges(rec, [(m.first_sample, m.fields.get("channel", "?")) for m in rec.overloads])),
+        ("lost samples", _ranges(rec, [(gap.first_sample, ", ".join(gap.channels)) for gap in rec.gaps])),
+    ]
+    rows = "".join(f"<tr><th>{escape(key)}</th><td>{escape(value)}</td></tr>" for key, value in facts)
+    heading = "".join(
+        f"<th>{text}</th>" for text in ("channel", "at", "reads", "sensitivity", "range", "gain at 10 Hz")
+    )
+    channels = "".join(
+        f"<tr><td>{escape(info.name)}</td><td>{escape(info.at)}</td><td>{info.quantity} / "
+        f"{escape(info.unit)}</td>"
+        f"<td>{info.sensitivity:.5g} V per {escape(info.unit)}</td>"
+        f"<td>{'unlimited' if info.range is None else f'± {info.range:g} V'}</td>"
+        f"<td>{abs(complex(info.response(10.0))):.4f}</td></tr>"
+        for info in rec.channels.values()
+    )
+    return (
+        f"<h2>{escape(path.name)}</h2><table>{rows}</table><table><tr>{heading}</tr>{channels}</table>"
+        f"<details><summary>scene file</summary><pre>{escape(scene.to_yaml())}</pre></details>"
+    )
+
+
+def _damper(damper: Damper) -> str:
+    mass = f"{damper.mass:.4g} kg" if damper.mass is not None else f"mass ratio {damper.mass_ratio:.3g}"
+    return (
+        f"body {damper.body}: {mass}, clearance {damper.clearance:g} m{', locked' if damper.locked else ''}"
+    )
+
+
+def _ranges(rec: Recording, found: Sequence[tuple[int, object]]) -> str:
+    if not found:
+        return "none"
+    first = "; ".join(f"{sample / rec.rate:.3f} s ({name})" for sample, name in found[:5])
+    return f"{len(found)}: {first}{' ...' if len(found) > 5 else ''}"

@@ -1,0 +1,120 @@
+"""Tables beside the figures: comma-separated values whose heading names quantity and unit."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from analysis.decays.free_decay import Decay
+from analysis.modal.identification import Modes
+from analysis.responses.frf import Frf
+from rig.errors import RunError
+
+Row = Sequence[str | float | int]
+
+# Points of a decay's envelope in the table: every sample would be a copy of the recording.
+_ENVELOPE_ROWS = 400
+
+
+def write_table(path: Path, heading: Sequence[str], rows: Iterable[Row]) -> Path:
+    """Write one table; numbers with nine digits, an empty cell for what was not measured."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(heading)
+            for row in rows:
+                writer.writerow([_cell(value) for value in row])
+    except OSError as error:
+        raise RunError(f"cannot write {path}: {error.strerror}; choose another place with --output") from None
+    return path
+
+
+def _cell(value: str | float | int) -> str:
+    if isinstance(value, str):
+        return value
+    if isinstance(value, int | np.integer):
+        return str(value)
+    return "" if np.isnan(value) else f"{value:.9g}"
+
+
+def frf_table(path: Path, frfs: Sequence[Frf]) -> Path:
+    """Table of frequency responses, one line per curve and frequency."""
+    unit = frfs[0].unit.replace("²", "^2")
+    heading = [
+        "scene", "response", "frequency_Hz", f"real {unit}", f"imag {unit}", f"magnitude {unit}",
+        "phase_deg", f"magnitude_std {unit}", "coherence",
+    ]  # fmt: skip
+    return write_table(path, heading, _frf_rows(frfs))
+
+
+def _frf_rows(frfs: Sequence[Frf]) -> Iterator[Row]:
+    for frf in frfs:
+        for i, value in enumerate(frf.value):
+            yield (
+                frf.label, frf.response, frf.frequency[i], value.real, value.imag, abs(value),
+                float(np.degrees(np.angle(value))), frf.error[i], frf.coherence[i],
+            )  # fmt: skip
+
+
+def envelope_table(path: Path, decays: Sequence[Decay]) -> Path:
+    """Table of envelopes against time: largest magnitude and energy in each of some hundred intervals."""
+    heading = ["scene", "channel", "hit", "time_s", "peak m/s^2", "envelope m/s^2", "schroeder_dB"]
+    return write_table(path, heading, _envelope_rows(decays))
+
+
+def _envelope_rows(decays: Sequence[Decay]) -> Iterator[Row]:
+    for decay in decays:
+        step = max(1, decay.time.size // _ENVELOPE_ROWS)
+        for start in range(0, decay.time.size - step + 1, step):
+            part = slice(start, start + step)
+            yield (
+                decay.label, decay.channel, decay.hit, decay.time[start],
+                float(abs(decay.acceleration[part]).max()), float(decay.envelope[part].max()),
+                decay.energy[start],
+            )  # fmt: skip
+
+
+def damping_table(path: Path, decays: Sequence[Decay]) -> Path:
+    """Table of damping ratio against amplitude, mode by mode."""
+    heading = [
+        "scene", "channel", "hit", "mode_Hz", "amplitude m/s^2", "damping_ratio", "damping_ratio_std",
+        "log_decrement",
+    ]  # fmt: skip
+    return write_table(path, heading, _damping_rows(decays))
+
+
+def _damping_rows(decays: Sequence[Decay]) -> Iterator[Row]:
+    for decay in decays:
+        for mode in decay.modes:
+            numbers = zip(mode.amplitude, mode.damping, mode.damping_error, mode.decrement, strict=True)
+            for amplitude, damping, error, decrement in numbers:
+                yield (
+                    decay.label, decay.channel, decay.hit, mode.frequency, amplitude, damping, error,
+                    decrement,
+                )  # fmt: skip
+
+
+def modes_table(path: Path, found: Sequence[Modes]) -> Path:
+    """Table of natural frequencies, damping ratios and shapes."""
+    channels = list(dict.fromkeys(name for modes in found for name in modes.responses))
+    heading = [
+        "scene", "mode", "frequency_Hz", "frequency_std_Hz", "omega_rad_s", "damping_ratio",
+        "damping_ratio_std",
+        *(f"shape {name}" for name in channels), "phase_collinearity",
+    ]  # fmt: skip
+    return write_table(path, heading, _mode_rows(found, channels))
+
+
+def _mode_rows(found: Sequence[Modes], channels: Sequence[str]) -> Iterator[Row]:
+    for modes in found:
+        for i, frequency in enumerate(modes.frequency):
+            shape = dict(zip(modes.responses, modes.shapes[:, i].real, strict=True))
+            yield (
+                modes.label, i + 1, frequency, modes.frequency_error[i], 2 * np.pi * frequency,
+                modes.damping[i], modes.damping_error[i], *(shape.get(name, np.nan) for name in channels),
+                modes.collinearity[i],
+            )  # fmt: skip

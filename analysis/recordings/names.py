@@ -1,0 +1,66 @@
+"""What recordings are called in legends, tables and text: their scenes, and their files where scenes share a name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol, TypeVar
+
+from rig.errors import RecordingError
+
+if TYPE_CHECKING:
+    from daq.recording.recording import Recording
+
+
+class _Labelled(Protocol):
+    """A dataclass with a label that begins with its scene's name."""
+
+    @property
+    def label(self) -> str: ...
+
+
+Labelled = TypeVar("Labelled", bound=_Labelled)
+
+
+def opened(path: Path) -> Recording:
+    """Open a recording that must exist."""
+    import daq
+
+    if not path.exists():
+        raise RecordingError(f"{path}: no such file; `daq record SCENE -o {path}` would make one")
+    return daq.open(path)
+
+
+def told_apart(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
+    """Name recordings so that no two have the same name.
+
+    Examples
+    --------
+    >>> told_apart(["none", "three", "three"], [Path("a.mcap"), Path("b.mcap"), Path("c.mcap")])
+    ['none', 'three (b)', 'three (c)']
+    >>> told_apart(["none", "none"], [Path("x/a.mcap"), Path("y/a.mcap")])
+    ['none (x/a.mcap)', 'none (y/a.mcap)']
+    """
+    by_stem = [
+        f"{name} ({path.stem})" if names.count(name) > 1 else name
+        for name, path in zip(names, paths, strict=True)
+    ]
+    return [
+        f"{name} ({path.as_posix()})" if by_stem.count(label) > 1 else label
+        for name, path, label in zip(names, paths, by_stem, strict=True)
+    ]
+
+
+def scene_labels(paths: Sequence[Path]) -> list[str]:
+    """Name recordings after their scenes."""
+    names = []
+    for path in paths:
+        with opened(path) as rec:
+            names.append(rec.scene.name)
+    return told_apart(names, paths)
+
+
+def relabelled(one: Labelled, scene: str, label: str) -> Labelled:
+    """Put a recording's label in the place of its scene's name."""
+    return replace(one, label=label + one.label.removeprefix(scene))  # type: ignore[type-var]

@@ -1,0 +1,147 @@
+"""A stretch of a recording: some of its channels from one time to another, read piece by piece."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.errors import RecordingError, SceneError
+
+if TYPE_CHECKING:
+    from daq.recording.recording import Recording
+    from daq.signal_chain.channel import ChannelInfo
+
+# Samples in memory at a time, of each channel.
+PIECE = 1 << 16
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """What of a recording is exported.
+
+    Attributes
+    ----------
+    recording : Recording
+        An open recording.
+    channels : tuple of str
+        Names of its channels.
+    start, stop : int
+        First sample, and the one after the last.
+    """
+
+    recording: Recording
+    channels: tuple[str, ...]
+    start: int
+    stop: int
+
+    @classmethod
+    def of(
+        cls,
+        recording: Recording,
+        channels: Sequence[str] | None = None,
+        from_s: float | None = None,
+        to_s: float | None = None,
+    ) -> Stretch:
+        """Take channels, by default all, between two times in s, by default from end to end.
+
+        Raises
+        ------
+        SceneError
+            If there is no such channel, or no sample between the times.
+        """
+        names = tuple(recording.channels if channels is None else channels)
+        for name in names:
+            if name not in recording.channels:
+                known = ", ".join(recording.channels)
+                raise SceneError(f"{recording.path} has no channel {name!r}; its channels are {known}")
+        start = 0 if from_s is None else max(0, math.ceil(from_s * recording.rate))
+        stop = recording.samples if to_s is None else min(recording.samples, math.ceil(to_s * recording.rate))
+        if start >= stop:
+            end = recording.samples / recording.rate
+            raise SceneError(f"nothing to export: {recording.path} lasts from 0 s to {end:.6g} s")
+        return cls(recording, names, start, stop)
+
+    @property
+    def infos(self) -> list[ChannelInfo]:
+        """The channels' data sheets."""
+        return [self.recording.channels[name] for name in self.channels]
+
+    def pieces(self, names: Sequence[str]) -> Iterator[tuple[int, NDArray[np.float64]]]:
+        """Yield sample number and samples (channels, piece), piece after piece."""
+        for first in range(self.start, self.stop, PIECE):
+            last = min(first + PIECE, self.stop)
+            yield first, np.array([self.recording.read(name, first, last) for name in names])
+
+    def need_all(self, form: str) -> None:
+        """Refuse a stretch with lost samples for a format that has no way to say so."""
+        for gap in self.recording.gaps:
+            if (
+                gap.first_sample < self.stop
+                and gap.last_sample >= self.start
+                and set(gap.channels) & {*self.channels}
+            ):
+                first, last = (at / self.recording.rate for at in (gap.first_sample, gap.last_sample + 1))
+                raise RecordingError(
+                    f"{self.recording.path} lacks {first:.6g} s to {last:.6g} s of "
+                    f"{', '.join(gap.channels)}, which "
+                    f"{form} cannot express; export a stretch without (--from, --to), or to .csv or .npz"
+                )
+
+
+def spans(
+    rec: Recording, channels: Sequence[str], bounds: Iterable[tuple[int, int]]
+) -> Iterator[NDArray[np.float64]]:
+    """Yield the samples of each stretch ``[start, stop)``.
+
+    Parameters
+    ----------
+    rec : daq.recording.Recording
+        The recording.
+    channels : sequence of str
+        Names of the channels, in the order of the rows wanted.
+    bounds : iterable of (start, stop)
+        Sample numbers, with starts that never fall; stretches may overlap.
+
+    Yields
+    ------
+    ndarray, shape (channels, stop - start)
+        Physical units, NaN where samples are lost or the recording has ended.
+    """
+    held: dict[int, NDArray[np.float64]] = {}
+    for start, stop in bounds:
+        wanted = range(start // PIECE, -(-min(stop, rec.samples) // PIECE))
+        held = {
+            number: held[number] if number in held else _piece(rec, channels, number) for number in wanted
+        }
+        out = np.full((len(channels), stop - start), np.nan)
+        for number, piece in held.items():
+            first = number * PIECE
+            low, high = max(first, start), min(first + piece.shape[1], stop)
+            if high > low:
+                out[:, low - start : high - start] = piece[:, low - first : high - first]
+        yield out
+
+
+def _piece(rec: Recording, channels: Sequence[str], number: int) -> NDArray[np.float64]:
+    first, stop = number * PIECE, min((number + 1) * PIECE, rec.samples)
+    return np.stack([rec.read(name, first, stop) for name in channels])
+
+
+def hits(rec: Recording) -> list[tuple[int, int]]:
+    """First sample of every hit and the last one of it; a free decay is a hit of one sample at its start."""
+    marked = sorted((m.first_sample, m.end) for m in rec.markers if m.kind == "hit")
+    if marked:
+        return marked
+    test = rec.scene.test
+    if test is not None and test.kind == "free":
+        return [(0, 0)]
+    kind = "no test" if test is None else f"a test of kind {test.kind}"
+    raise RecordingError(
+        f"no free decay in this recording: it holds {kind} and no hit is marked; "
+        "record a scene with test: {kind: impulse, ...} or {kind: free, ...}"
+    )

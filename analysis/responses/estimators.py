@@ -1,0 +1,136 @@
+"""Frequency responses from averaged spectra: H1, H2 and Hv with coherence and error bars."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.responses.frf import Frf
+from analysis.responses.measurands import driven, motion_of, reference_of
+from rig.errors import SceneError
+
+if TYPE_CHECKING:
+    from daq.recording.recording import Recording
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+ESTIMATORS = ("H1", "H2", "Hv")
+
+
+def estimate(estimator: str, sxx: Array, sff: Array, sxf: ComplexArray) -> ComplexArray:
+    """Frequency response from auto and cross spectra.
+
+    Parameters
+    ----------
+    estimator : {'H1', 'H2', 'Hv'}
+        H1 assumes the reference free of noise, H2 the response; Hv lies between (geometric mean of both).
+    sxx, sff : ndarray
+        Mean of abs(X)² and of abs(F)².
+    sxf : ndarray of complex
+        Mean of X conj(F).
+
+    Examples
+    --------
+    >>> x, f = np.array([2.0 - 2.0j]), np.array([1.0 + 0.0j])
+    >>> [complex(estimate(name, abs(x)**2, abs(f)**2, x * f.conj())[0].round(12)) for name in ESTIMATORS]
+    [(2-2j), (2-2j), (2-2j)]
+    """
+    if estimator == "H1":
+        return sxf / sff
+    if estimator == "H2":
+        return sxx / sxf.conj()
+    if estimator == "Hv":
+        return sxf / abs(sxf) * np.sqrt(sxx / sff)
+    raise SceneError(f"unknown estimator {estimator!r}: expected {', '.join(ESTIMATORS)}")
+
+
+@dataclass(frozen=True)
+class Averages:
+    """Spectral matrix of the recorded channels, averaged over blocks.
+
+    Attributes
+    ----------
+    channels : tuple of str
+        Names, in the order of rows and columns.
+    frequency : ndarray, shape (n,)
+        Hz.
+    cross : ndarray of complex, shape (n, channels, channels)
+        Mean of Y_i conj(Y_j), as recorded: not yet corrected for the sensors.
+    averages : float
+        Number of independent blocks; overlapping ones count for less.
+    resolution : float
+        Bandwidth of the window in Hz, 0 where nothing leaks (bursts and hits that end inside their block).
+    shift : float
+        Decay rate in 1/s that an exponential window added to every mode.
+    label : str
+        For legends.
+    warnings : tuple of str
+        In full sentences.
+    """
+
+    channels: tuple[str, ...]
+    frequency: Array
+    cross: ComplexArray
+    averages: float
+    resolution: float
+    shift: float = 0.0
+    label: str = ""
+    warnings: tuple[str, ...] = ()
+
+    def frf(
+        self,
+        rec: Recording,
+        response: str,
+        reference: str = "force",
+        motion: str = "displacement",
+        estimator: str = "H1",
+    ) -> Frf:
+        """Frequency response with coherence; error bars after Bendat and Piersol, eq. 9.90."""
+        above = motion_of(rec, response, motion)
+        upper = above.row(rec, self.channels, self.frequency, self.shift)
+        lower = reference_of(rec, reference).row(rec, self.channels, self.frequency, self.shift)
+        sxx = np.einsum("in,nij,jn->n", upper, self.cross, upper.conj()).real
+        sff = np.einsum("in,nij,jn->n", lower, self.cross, lower.conj()).real
+        sxf = np.einsum("in,nij,jn->n", upper, self.cross, lower.conj())
+        driven(reference, sff)
+        value = estimate(estimator, sxx, sff, sxf)
+        coherence = np.minimum(abs(sxf) ** 2 / (sxx * sff), 1.0)
+        if self.averages > 1.0:
+            # Coherence from few blocks is biased towards one; the scatter belongs to averages - 1 of them.
+            error = abs(value) * np.sqrt((1.0 - coherence) / (2.0 * coherence * (self.averages - 1.0)))
+        else:
+            error = np.full(value.shape, np.nan)
+        return Frf(
+            frequency=self.frequency,
+            value=value,
+            error=error,
+            coherence=coherence,
+            degrees=np.full(value.shape, max(2.0 * (self.averages - 1.0), 0.0)),
+            response=above.channels[0],
+            reference=reference,
+            motion=motion,
+            label=self.label,
+            resolution=self.resolution,
+            shift=self.shift,
+            warnings=self.warnings,
+        )
+
+
+def independent_blocks(window: Array, step: int, blocks: int) -> float:
+    """Count the independent averages that overlapping windowed blocks amount to (Welch 1967, eq. 11).
+
+    Examples
+    --------
+    >>> from scipy.signal import windows
+    >>> round(independent_blocks(windows.hann(1000, sym=False), 500, 99), 1)
+    93.8
+    """
+    power = float(window @ window)
+    variance = 1.0
+    for k in range(1, min(blocks, -(-window.size // step))):
+        overlap = float(window[k * step :] @ window[: window.size - k * step]) / power
+        variance += 2.0 * (1.0 - k / blocks) * overlap**2
+    return blocks / variance

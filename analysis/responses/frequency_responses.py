@@ -1,0 +1,142 @@
+"""Frequency responses of any recording: the processing that belongs to the test it holds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+from analysis.responses.estimators import ESTIMATORS, Averages
+from analysis.responses.frf import MOTIONS, Frf
+from analysis.responses.measurands import responses
+from rig.errors import RecordingError, SceneError
+
+if TYPE_CHECKING:
+    from analysis.responses.multisine import BestLinearApproximation
+    from analysis.responses.spectral_lines import Lines
+    from daq.recording.recording import Recording
+
+Progress = Callable[[int, int], None]
+
+
+def frequency_responses(
+    rec: Recording,
+    channels: Sequence[str] | None = None,
+    reference: str = "force",
+    motion: str = "displacement",
+    estimator: str = "H1",
+    block: float | None = None,
+    progress: Progress | None = None,
+) -> list[list[Frf]]:
+    """All frequency responses that a recording holds.
+
+    Parameters
+    ----------
+    rec : daq.recording.Recording
+        The recording of a sine, stepped sine, swept sine, random, multisine or impulse test.
+    channels : sequence of str, optional
+        Responses; omitted, every channel on a body.
+    reference : {'force', 'table'}
+        Divide by the force on the structure, or by the displacement of the table.
+    motion : {'displacement', 'velocity', 'acceleration'}
+        Receptance, mobility or accelerance.
+    estimator : {'H1', 'H2', 'Hv'}
+        For tests that average spectra (random, impulse); the others average complex amplitudes.
+    block : float, optional
+        Length of the blocks in s, for random.
+    progress : callable, optional
+        Called with (done, in all).
+
+    Returns
+    -------
+    list of list of Frf
+        One list per sweep (level and direction), with one curve per response.
+    """
+    if estimator not in ESTIMATORS:
+        raise SceneError(f"unknown estimator {estimator!r}: expected {', '.join(ESTIMATORS)}")
+    if motion not in MOTIONS:
+        raise SceneError(f"unknown motion {motion!r}: expected {', '.join(MOTIONS)}")
+    names = list(channels) if channels else responses(rec)
+    if not names:
+        raise RecordingError("no channel on a body: there is no response to divide")
+    out: list[list[Frf]] = []
+    for source in _sources(rec, reference, block, progress):
+        if isinstance(source, Averages):
+            out.append([source.frf(rec, name, reference, motion, estimator) for name in names])
+        else:
+            out.append([source.frf(rec, name, reference, motion) for name in names])
+    return out
+
+
+def _sources(
+    rec: Recording, reference: str, block: float | None, progress: Progress | None
+) -> Sequence[Lines | Averages | BestLinearApproximation]:
+    """Choose by what the test marked as measured: tones, periods, blocks of noise, a sweep, or hits."""
+    measured = [marker for marker in rec.markers if marker.kind == "measure"]
+    fields = measured[0].fields if measured else {}
+    if "realisation" in fields:
+        from analysis.responses.multisine import best_linear_approximation
+
+        return [best_linear_approximation(rec, measured, reference, progress)]
+    if "spacing" in fields:
+        from analysis.responses import swept_sine as swept
+
+        return [swept.averages(rec, marker, progress) for marker in measured]
+    if "from" in fields:
+        from analysis.responses import random as broadband
+
+        return [broadband.averages(rec, marker, block, progress=progress) for marker in measured]
+    if not measured and any(marker.kind == "hit" for marker in rec.markers):
+        from analysis.responses import impact as hammer
+
+        return [hammer.averages(rec)]
+    from analysis.responses.stepped_sine import sweeps
+
+    return [sweep.lines for sweep in sweeps(rec, progress)]
+
+
+def compliance(
+    rec: Recording,
+    response: str = "body3",
+    reference: str = "force",
+    level: float | None = None,
+    direction: str | None = None,
+) -> Frf:
+    """Compliance of the structure at one channel: displacement per force, X_j / F_1.
+
+    The force is that in the coil spring, F1 = k0 (x0 - x1), from the channels on the table and on the
+    driven body (or a force channel, where there is one). Every channel is corrected for its sensor,
+    amplifier and converter.
+
+    Parameters
+    ----------
+    rec : daq.recording.Recording
+        The recording.
+    response : str
+        Channel, or the body it sits on.
+    reference : {'force', 'table'}
+        ``"table"`` gives X_j / X_0 instead.
+    level : float, optional
+        Which level, where the test ran several.
+    direction : {'up', 'down'}, optional
+        Which direction, where the test ran both.
+
+    Returns
+    -------
+    Frf
+    """
+    from analysis.responses.stepped_sine import sweeps
+
+    if not any(marker.kind == "measure" and "frequency" in marker.fields for marker in rec.markers):
+        return frequency_responses(rec, [response], reference)[0][0]
+    found = sweeps(rec)
+    fitting = [
+        sweep
+        for sweep in found
+        if (level is None or abs(sweep.level - level) <= 1e-6 * abs(level))
+        and (direction is None or sweep.direction == direction)
+    ]
+    if len(fitting) != 1:
+        have = "; ".join(f"level={sweep.level:g}, direction={sweep.direction!r}" for sweep in found)
+        what = "several sweeps fit" if fitting else "no sweep fits"
+        raise SceneError(f"{what}: choose one of {have}, or take them all with analysis.frequency_responses")
+    return fitting[0].lines.frf(rec, response, reference)

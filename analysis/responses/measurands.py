@@ -1,0 +1,173 @@
+"""From channels to mechanical quantities: true motion of a point, force in the coil spring."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.responses.frf import MOTIONS
+from rig.errors import RecordingError
+
+if TYPE_CHECKING:
+    from daq.recording.recording import Recording
+    from daq.signal_chain.channel import ChannelInfo
+
+
+def named(rec: Recording, name: str) -> ChannelInfo:
+    """Channel called `name`, or the one that sits there (``"body 3"``, ``"table"``)."""
+    channels = rec.channels
+    if name in channels:
+        return channels[name]
+    for info in channels.values():
+        if info.at == name:
+            return info
+    near = difflib.get_close_matches(name, [*channels, *(info.at for info in channels.values())], n=1)
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    raise RecordingError(f"no channel {name!r} in the recording: it has {', '.join(channels)}{hint}")
+
+
+def located(rec: Recording, place: str) -> ChannelInfo | None:
+    """First motion channel at a place (``"body 1"``, ``"table"``), or none."""
+    for info in rec.channels.values():
+        if info.at == place and info.quantity in MOTIONS:
+            return info
+    return None
+
+
+def responses(rec: Recording) -> list[str]:
+    """Names of the channels that measure a body's motion, in the recording's order."""
+    return [
+        name for name, info in rec.channels.items() if info.quantity in MOTIONS and info.at.startswith("body")
+    ]
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A mechanical quantity as a weighted sum of channels.
+
+    Attributes
+    ----------
+    channels : tuple of str
+        The channels it is made of.
+    weights : tuple of float
+        Factor of each channel's true quantity.
+    motion : str
+        What is taken of each channel: displacement, velocity, acceleration or force.
+    """
+
+    channels: tuple[str, ...]
+    weights: tuple[float, ...]
+    motion: str
+
+    def row(
+        self, rec: Recording, names: Sequence[str], frequency: NDArray[np.float64], shift: float = 0.0
+    ) -> NDArray[np.complex128]:
+        """Weights to apply to the recorded amplitudes of `names`, shape (channels, frequencies).
+
+        Each channel is divided by what its sensor, amplifier and converter do at that frequency, and
+        brought to the wanted derivative; along s = i w + `shift`, where an exponential window was used.
+        """
+        out = np.zeros((len(names), frequency.size), dtype=complex)
+        for name, weight in zip(self.channels, self.weights, strict=True):
+            info = rec.channels[name]
+            factor = weight / response_along(info, frequency, shift)
+            if self.motion in MOTIONS:
+                order = MOTIONS.index(self.motion) - MOTIONS.index(info.quantity)
+                factor = factor * (2j * np.pi * frequency + shift) ** order
+            out[names.index(name)] = factor
+        return out
+
+
+def response_along(info: ChannelInfo, frequency: NDArray[np.float64], shift: float) -> NDArray[np.complex128]:
+    """Response of a channel along s = i w + `shift`: what an exponentially windowed reading is to be divided by.
+
+    A high-pass whose cut-off is not far below the frequency changes noticeably over the shift; filter and
+    averaging, flat there, do not.
+    """
+    out = info.response(frequency)
+    if shift:
+        s = 2j * np.pi * frequency
+        out = out * np.exp(-shift * info.delay)
+        for zero in info.zeros:
+            out *= 1.0 + shift / (s - zero)
+        for pole in info.poles:
+            out /= 1.0 + shift / (s - pole)
+    return out
+
+
+def motion_channel(rec: Recording, name: str) -> ChannelInfo:
+    """Channel called `name`, which must measure motion."""
+    info = named(rec, name)
+    if info.quantity not in MOTIONS:
+        raise RecordingError(
+            f"channel {info.name!r} measures {info.quantity}, not motion: choose one of "
+            f"{', '.join(responses(rec))}"
+        )
+    return info
+
+
+def motion_of(rec: Recording, name: str, motion: str = "displacement") -> Quantity:
+    """Motion at the channel called `name`."""
+    return Quantity((motion_channel(rec, name).name,), (1.0,), motion)
+
+
+def reference_of(rec: Recording, reference: str) -> Quantity:
+    """Force on the structure, or displacement of the shaker table.
+
+    The force is that of a force channel where there is one; else that of the coil spring,
+    F1 = k0 (x0 - x1), from the channels on the table and on the driven body.
+    """
+    if reference == "table":
+        table = located(rec, "table")
+        if table is None:
+            raise RecordingError(
+                f"no channel on the table: the recording has {_places(rec)}; "
+                "add {name: table, at: table} to the scene's channels"
+            )
+        return Quantity((table.name,), (1.0,), "displacement")
+    if reference != "force":
+        raise RecordingError(f"unknown reference {reference!r}: expected 'force' or 'table'")
+    for info in rec.channels.values():
+        if info.quantity == "force":
+            return Quantity((info.name,), (1.0,), "force")
+    shaker = rec.scene.shaker
+    if shaker is None or shaker.spring is None:
+        hint = "drive the structure through a coil spring, shaker: {kind: table, body: 1, spring: 6.6 kN/m}"
+        if rec.scene.test is not None and rec.scene.test.kind == "impulse":
+            hint = "add {name: hammer, at: hammer} to the scene's channels"
+        elif shaker is not None:
+            hint = "add {name: force, at: shaker} to the scene's channels"
+        raise RecordingError(
+            f"nothing in the recording tells the force: it has {_places(rec)} and no coil spring; {hint}"
+        )
+    driven = f"body {shaker.body}"
+    ends = [located(rec, "table"), located(rec, driven)]
+    if ends[0] is None or ends[1] is None:
+        missing = "table" if ends[0] is None else driven
+        raise RecordingError(
+            f"the spring force k0 (x0 - x{shaker.body}) needs a channel at the {missing}: "
+            f"the recording has {_places(rec)}; add one to the scene's channels"
+        )
+    return Quantity((ends[0].name, ends[1].name), (shaker.spring, -shaker.spring), "displacement")
+
+
+def driven(reference: str, amplitude: NDArray[np.generic]) -> None:
+    """Refuse a reference that is nothing throughout: there is no response to nothing."""
+    if not np.any(np.abs(amplitude) > 0):
+        what = "force on the structure" if reference == "force" else "displacement of the table"
+        raise RecordingError(
+            f"the {what} is zero throughout what was measured: nothing was driven, or its channels were off; "
+            "look at the channels with `daq info` and record again"
+        )
+
+
+def _places(rec: Recording) -> str:
+    return (
+        ", ".join(f"{name} ({info.quantity} at {info.at})" for name, info in rec.channels.items())
+        or "no channels"
+    )

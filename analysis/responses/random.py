@@ -1,0 +1,126 @@
+"""Random and burst random: spectra averaged over blocks (Welch)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, signal
+
+from analysis.recordings.slices import spans
+from analysis.responses.estimators import Averages, independent_blocks
+from rig.errors import RecordingError, SceneError
+
+if TYPE_CHECKING:
+    from daq.recording.markers import Marker
+    from daq.recording.recording import Recording
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# Blocks by default: enough for error bars of some 10 % at a coherence of 0.7, with the finest resolution
+# left.
+DEFAULT_BLOCKS = 30
+# Effective width of the Hann window's main lobe, bins.
+_HANN_BINS = 1.5
+# A burst's response counts as over when this part of it is left at the block's end.
+_LEFT_OVER = 0.02
+
+
+def averages(
+    rec: Recording,
+    marker: Marker,
+    block: float | None = None,
+    overlap: float = 0.5,
+    forgetting: float | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Averages:
+    """Average the spectra of a random test.
+
+    Parameters
+    ----------
+    rec : daq.recording.Recording
+        The recording.
+    marker : daq.marker.Marker
+        Its ``measure`` marker.
+    block : float, optional
+        Length of a block in s. Omitted: what gives about 30 averages; for bursts, the burst's own block.
+    overlap : float
+        Part of a block that it shares with the next, 0 to below 1. Bursts do not overlap.
+    forgetting : float, optional
+        Weight of each block relative to the one after it, above 0 and below 1: exponential averaging, for a
+        structure that changes. Omitted: linear averaging.
+    progress : callable, optional
+        Called with (blocks done, blocks in all).
+    """
+    if not 0.0 <= overlap < 1.0:
+        raise SceneError(f"overlap of {overlap:g}: expected 0 or more, below 1")
+    if forgetting is not None and not 0.0 < forgetting < 1.0:
+        raise SceneError(f"forgetting of {forgetting:g}: expected above 0 and below 1")
+    if block is not None and not 0.0 < block < np.inf:
+        raise SceneError(f"block of {block:g} s: expected a length above 0 s")
+    first = marker.first_sample
+    stop = min(rec.samples, rec.samples if marker.last_sample is None else marker.last_sample + 1)
+    burst = marker.fields.get("block")
+    if burst is not None:
+        size, step = int(burst), int(burst)
+        window = np.ones(size)
+    else:
+        wanted = block if block is not None else (stop - first) / rec.rate / (0.5 * DEFAULT_BLOCKS + 0.5)
+        size = int(wanted * rec.rate)
+        step = max(1, round(size * (1.0 - overlap)))
+        window = signal.get_window("hann", max(size, 1))
+    count = (stop - first - size) // step + 1
+    if size < 16 or count < 2:
+        raise RecordingError(
+            f"{(stop - first) / rec.rate:.3g} s of random hold {max(count, 0)} blocks of "
+            f"{size / rec.rate:.3g} s: "
+            "too short to average; record longer or choose shorter blocks (--block)"
+        )
+    names = list(rec.channels)
+    low, high = float(marker.fields["from"]), float(marker.fields["to"])
+    frequency = fft.rfftfreq(size, 1.0 / rec.rate)
+    keep = (frequency >= low) & (frequency <= min(high, 0.45 * rec.rate)) & (frequency > 0)
+    cross: ComplexArray = np.zeros((int(keep.sum()), len(names), len(names)), dtype=complex)
+    total = squares = left = 0.0
+    used = 0
+    bounds = ((first + i * step, first + i * step + size) for i in range(count))
+    for index, samples in enumerate(spans(rec, names, bounds)):
+        if progress is not None:
+            progress(index + 1, count)
+        if not np.isfinite(samples).all():
+            continue
+        samples = samples - samples.mean(axis=1, keepdims=True)
+        spectra = fft.rfft(samples * window, axis=1)[:, keep]
+        fade = 1.0 if forgetting is None else forgetting
+        cross = cross * fade + np.einsum("in,jn->nij", spectra, spectra.conj())
+        total, squares = fade * total + 1.0, fade * fade * squares + 1.0
+        used += 1
+        if burst is not None:
+            size_now = np.maximum(abs(samples).max(axis=1), 1e-300)
+            left = max(left, float(np.max(abs(samples[:, -max(1, size // 50) :]).max(axis=1) / size_now)))
+    notes = []
+    if used < count:
+        notes.append(f"{count - used} of {count} blocks left out: samples were lost.")
+    if used < 2:
+        raise RecordingError("samples were lost in all blocks but one: too little is left to average")
+    leaks = burst is None or left > _LEFT_OVER
+    if burst is not None and leaks:
+        notes.append(
+            f"{left:.0%} of the response to a burst are left when the next begins: the curve leaks like "
+            "one with "
+            "continuous random; use longer blocks, a smaller burst share, multisine or stepped sine."
+        )
+    independent = independent_blocks(window, step, used) * (total**2 / squares) / used
+    width = (_HANN_BINS if burst is None else 1.0) * rec.rate / size
+    return Averages(
+        channels=tuple(names),
+        frequency=frequency[keep],
+        cross=np.asarray(cross / total, dtype=complex),
+        averages=float(independent),
+        resolution=width if leaks else 0.0,
+        label=rec.scene.name,
+        warnings=tuple(notes),
+    )

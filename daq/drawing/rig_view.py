@@ -1,0 +1,359 @@
+"""The rig as a drawing in space: where each part stands, and how it moves with the displacements.
+
+Lengths of the drawing are metres of the drawing, chosen to be legible: bodies are stacked upward, all alike,
+and every displacement and gap is multiplied by one exaggeration. z points up, x to the right, y away.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.drawing.palette import DARK_STEEL, DRIVE, GLUED, GROUND, HAMMER, LEAD, MARK, Colour, body_colour
+from daq.drawing.shapes import Point, arrow, boxes, coil, cylinder, label, leaf_pair, lines
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+    from rig.scene.scene import Scene
+
+WIDTH = 0.16
+DEPTH = 0.10
+WALL = 0.012
+DAMPER_HEIGHT = 0.030
+HEADROOM = 0.100
+SOLID_HEIGHT = 0.060
+LEAF_LENGTH = 0.080
+COIL_LENGTH = 0.110
+PLATE = 0.018
+PLINTH = 0.050
+LUG = 0.050
+# The share of a spring's length, or of a cavity's headroom, that the largest motion may take.
+FILL = 0.6
+# Beyond it the picture would show the noise of a rig at rest.
+MOST_EXAGGERATION = 1e4
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What the drawing needs to know at some instants.
+
+    Attributes
+    ----------
+    displacement : ndarray, (bodies, instants)
+        Of each body, metres, up positive.
+    table : ndarray, (instants,), or None
+        Displacement of the shaker's table, metres; None where the rig has none.
+    gap : ndarray, (dampers, instants), or None
+        Height of each damper over its floor, metres; None where it is not known.
+    """
+
+    displacement: NDArray[np.float64]
+    table: NDArray[np.float64] | None = None
+    gap: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True)
+class Extremes:
+    """The largest motions of bodies, and across springs, coil spring and gaps, metres."""
+
+    body: float = 0.0
+    spring: float = 0.0
+    coil: float = 0.0
+    gap: float = 0.0
+
+    def widened(self, motion: Motion, driven: int | None) -> Extremes:
+        """Extremes of this and of a further stretch of motion; `driven` is the body (from 1) on the coil."""
+        ends = np.vstack([np.zeros((1, motion.displacement.shape[1])), motion.displacement])
+        coil = 0.0
+        if motion.table is not None and driven is not None:
+            coil = _largest(motion.displacement[driven - 1] - motion.table)
+        return Extremes(
+            body=max(self.body, _largest(motion.displacement)),
+            spring=max(self.spring, _largest(np.diff(ends, axis=0))),
+            coil=max(self.coil, coil),
+            gap=max(self.gap, 0.0 if motion.gap is None else _largest(motion.gap)),
+        )
+
+
+def _largest(values: NDArray[np.float64]) -> float:
+    finite = np.abs(values[np.isfinite(values)])
+    return float(finite.max()) if finite.size else 0.0
+
+
+def exaggeration(extremes: Extremes) -> float:
+    """Pick the factor that makes the motion visible without letting parts pass through each other.
+
+    The largest 1-2-5 number for which springs stretch by less than `FILL` of their length and dampers stay
+    inside the drawn headroom.
+
+    >>> exaggeration(Extremes(spring=0.8e-3))
+    50.0
+    >>> exaggeration(Extremes())
+    1.0
+    """
+    room = (
+        (extremes.spring, FILL * LEAF_LENGTH),
+        (extremes.coil, FILL * COIL_LENGTH),
+        (extremes.gap, HEADROOM),
+    )
+    limits = [space / motion for motion, space in room if motion > 0]
+    if not limits:
+        return 1.0
+    limit = min(*limits, MOST_EXAGGERATION)
+    decade = 10.0 ** math.floor(math.log10(limit))
+    # A limit that is a round number itself must not fall below it by rounding.
+    return next(step * decade for step in (5.0, 2.0, 1.0, 0.5) if step * decade <= limit * (1 + 1e-9))
+
+
+class RigView:
+    """The drawing of one scene's rig.
+
+    Parameters
+    ----------
+    scene : Scene
+        What stands on the bench.
+    extremes : Extremes
+        The largest motions to come; they set the exaggeration.
+    gaps_known : bool
+        Whether the dampers' motion will be given; if not, they are drawn pale on their floors and say so.
+    unknown : collection of str
+        Points, ``body 1``, ..., ``table``, whose motion nobody knows: drawn pale and at rest, and say so.
+    """
+
+    def __init__(
+        self, scene: Scene, extremes: Extremes, gaps_known: bool, unknown: Collection[str] = ()
+    ) -> None:
+        from rig.system.structure import damper_masses
+
+        self.scene = scene
+        self.magnification = exaggeration(extremes)
+        self.damper_masses = damper_masses(scene)
+        self.gaps_known = gaps_known
+        self._unknown = unknown
+        self._excursion = extremes.body * self.magnification
+        self.bodies = scene.structure.bodies
+        self._damper_at = {damper.body: place for place, damper in enumerate(scene.dampers)}
+        self._height = [
+            WALL + DAMPER_HEIGHT + HEADROOM + WALL if body in self._damper_at else SOLID_HEIGHT
+            for body in range(1, self.bodies + 1)
+        ]
+        self.driven = self.driven_body(scene)
+        # A table under body 1 needs room for itself and its coil spring.
+        first = PLINTH + PLATE + COIL_LENGTH if self.driven == 1 else LEAF_LENGTH
+        self._length = [first] + [LEAF_LENGTH] * (self.bodies - 1)
+        self._bottom: list[float] = []
+        top = 0.0
+        for length, height in zip(self._length, self._height, strict=True):
+            self._bottom.append(top + length)
+            top += length + height
+        self.top = top
+        # Matrices do not say which body hangs on which; a spring of no stiffness is none.
+        self._sprung = [stiffness > 0 for stiffness in scene.structure.springs or [0.0] * self.bodies]
+        self._table_x = 0.0 if self.driven == 1 else WIDTH / 2 + LUG / 2
+        if self.driven is not None:
+            self._table_top = self._bottom[self.driven - 1] - COIL_LENGTH
+
+    @staticmethod
+    def driven_body(scene: Scene) -> int | None:
+        """Body (from 1) that hangs on the coil spring; None where no table drives the rig."""
+        shaker = scene.shaker
+        if shaker is None or shaker.kind == "force":
+            return None
+        return shaker.body if isinstance(shaker.body, int) else shaker.body[0]
+
+    # -- what never changes ------------------------------------------------------------------------------
+
+    def still_parts(self) -> Iterator[tuple[str, rr.AsComponents]]:
+        """Yield entity paths and archetypes that are logged once."""
+        import rerun as rr
+
+        yield "rig", rr.ViewCoordinates.RIGHT_HAND_Z_UP
+        yield "rig/ground", boxes([((0, 0, -0.01), (0.44, 0.24, 0.02))], GROUND)
+        for body in range(1, self.bodies + 1):
+            yield from self._body(body)
+        for body, (length, sprung) in enumerate(zip(self._length, self._sprung, strict=True), start=1):
+            if sprung:
+                yield f"rig/spring_{body}", leaf_pair(length, WIDTH, DEPTH)
+        if self.driven is not None:
+            yield from self._shaker()
+        yield from self._drive_arrows()
+        yield from self._rest_marks()
+
+    def _body(self, body: int) -> Iterator[tuple[str, rr.AsComponents]]:
+        colour, height = self._colour(f"body {body}", body_colour(body)), self._height[body - 1]
+        name = f"rig/body_{body}"
+        masses = self.scene.structure.masses
+        text = f"body {body}" + (f"  {masses[body - 1]:g} kg" if masses is not None else "")
+        text += self._remark(f"body {body}")
+        if body in self._damper_at:
+            yield f"{name}/frame", boxes(self._cavity(body), colour)
+            yield from self._damper(body)
+        else:
+            yield f"{name}/frame", boxes([((0, 0, height / 2), (WIDTH, DEPTH, height))], colour)
+        if self.driven == body and body != 1:
+            yield f"{name}/lug", boxes([((self._table_x, 0, WALL / 2), (LUG, DEPTH / 2, WALL))], colour)
+        yield f"{name}/name", label((WIDTH / 2 + 0.12, -DEPTH / 2, 0.75 * height), text, colour)
+        pointer: list[Point] = [(-WIDTH / 2 - out, -DEPTH / 2, height / 2) for out in (0.0, 0.028)]
+        yield f"{name}/pointer", lines([pointer], colour, 0.0012)
+
+    def _colour(self, point: str, colour: Colour) -> Colour:
+        return GLUED if point in self._unknown else colour
+
+    def _remark(self, point: str) -> str:
+        return ", not measured" if point in self._unknown else ""
+
+    def _cavity(self, body: int) -> list[tuple[Point, Point]]:
+        """Boxes (centre, size) of a body with a cavity, open to the front; the ceiling where in sight."""
+        height, inner = self._height[body - 1], WIDTH - 2 * WALL
+        parts: list[tuple[Point, Point]] = [
+            ((0, 0, WALL / 2), (WIDTH, DEPTH, WALL)),
+            ((-(WIDTH - WALL) / 2, 0, height / 2), (WALL, DEPTH, height)),
+            ((+(WIDTH - WALL) / 2, 0, height / 2), (WALL, DEPTH, height)),
+            ((0, (DEPTH - WALL) / 2, height / 2), (inner, WALL, height)),
+        ]
+        ceiling = self.ceiling(body)
+        if ceiling is not None:
+            parts.append(((0, 0, (ceiling + height) / 2), (inner, DEPTH, height - ceiling)))
+        return parts
+
+    def ceiling(self, body: int) -> float | None:
+        """Height of the cavity's ceiling over the body's underside, None where it is beyond the drawing."""
+        clearance = self.scene.dampers[self._damper_at[body]].clearance * self.magnification
+        if clearance > HEADROOM:
+            return None
+        return WALL + DAMPER_HEIGHT + clearance
+
+    def _damper(self, body: int) -> Iterator[tuple[str, rr.AsComponents]]:
+        place = self._damper_at[body]
+        damper = self.scene.dampers[place]
+        text = f"damper {self.damper_masses[place] * 1e3:.3g} g"
+        if damper.locked:
+            text += ", locked"
+        elif not self.gaps_known:
+            text += ", not recorded"
+        elif math.isfinite(damper.clearance) and self.ceiling(body) is None:
+            text += ", ceiling out of sight"
+        size = (WIDTH - 2 * WALL - 0.006, DEPTH - WALL - 0.004, DAMPER_HEIGHT)
+        name = f"rig/body_{body}/damper"
+        moves = self.gaps_known and not damper.locked
+        centre = (0, -WALL / 2, WALL + DAMPER_HEIGHT / 2)
+        yield name, boxes([(centre, size)], LEAD if moves else GLUED)
+        text_at = (WIDTH / 2 + 0.12, -DEPTH / 2, 0.45 * self._height[body - 1])
+        yield f"rig/body_{body}/damper_name", label(text_at, text, LEAD if moves else MARK)
+
+    def _shaker(self) -> Iterator[tuple[str, rr.AsComponents]]:
+        kind = self.scene.shaker.kind if self.scene.shaker is not None else ""
+        height = self._table_top - PLATE - 0.012
+        middle = (self._table_x, 0.0, height / 2)
+        if kind == "electrodynamic":
+            yield "rig/shaker", cylinder(middle, height, 0.036, DARK_STEEL)
+        else:
+            yield "rig/shaker", boxes([(middle, (0.07, 0.07, height))], DARK_STEEL)
+        plate = ((self._table_x, 0, -PLATE / 2), (0.085, 0.085, PLATE))
+        stem = ((self._table_x, 0, -PLATE - 0.02), (0.022, 0.022, 0.04))
+        colour = self._colour("table", DRIVE)
+        yield "rig/table/plate", boxes([plate, stem], colour)
+        text_at = (self._table_x + 0.055, -0.09, -PLATE)
+        text = ("table" if kind == "table" else "armature") + self._remark("table")
+        yield "rig/table/name", label(text_at, text, colour)
+        yield "rig/coil_spring", coil(self._table_x, COIL_LENGTH)
+
+    def _drive_arrows(self) -> Iterator[tuple[str, rr.AsComponents]]:
+        """Arrows on the bodies that a force works on directly: kind force, and the hammer."""
+        shaker, test = self.scene.shaker, self.scene.test
+        if shaker is not None and shaker.kind == "force":
+            for body in (shaker.body,) if isinstance(shaker.body, int) else shaker.body:
+                yield from self._push(f"rig/body_{body}/drive", 0.045, "force", DRIVE)
+        if test is not None and test.kind == "impulse":
+            yield from self._push(f"rig/body_{test.body}/hammer", -0.045, "hammer", HAMMER)
+
+    @staticmethod
+    def _push(entity: str, x: float, text: str, colour: Colour) -> Iterator[tuple[str, rr.AsComponents]]:
+        """Draw an arrow from below against the front of a body's underside, and its name at its foot."""
+        foot = (x, -DEPTH / 2 - 0.02, -0.055)
+        yield entity, arrow(foot, 0.055, colour)
+        yield f"{entity}/name", label(foot, text, colour)
+
+    def _rest_marks(self) -> Iterator[tuple[str, rr.AsComponents]]:
+        """Scale at the left: where each body rests, how long a millimetre is drawn, and the exaggeration."""
+        x, y = -WIDTH / 2 - 0.032, -DEPTH / 2
+        middles = [bottom + height / 2 for bottom, height in zip(self._bottom, self._height, strict=True)]
+        yield "rig/rest", lines([[(x - 0.030, y, z), (x, y, z)] for z in middles], MARK, 0.0008)
+        length = _scale_bar(self.magnification)
+        height, x, z = length * self.magnification, x - 0.07, middles[0]
+        ends: list[list[Point]] = [
+            [(x - 0.008, y, z + end), (x + 0.008, y, z + end)] for end in (0.0, height)
+        ]
+        yield "rig/scale", lines([[(x, y, z), (x, y, z + height)], *ends], MARK, 0.0010)
+        text = f"{length * 1e3:g} mm, drawn × {self.magnification:g}"
+        yield "rig/scale/text", label((x, y, z - 0.006), text, MARK)
+
+    # -- what moves --------------------------------------------------------------------------------------
+
+    def moving_parts(
+        self, motion: Motion
+    ) -> Iterator[tuple[str, NDArray[np.float64], NDArray[np.float64] | None]]:
+        """Yield (entity, translation, scale), each (instants, 3), in drawing metres; no scale for bodies.
+
+        Springs are drawn once at their rest length; stretching one is scaling it along z.
+        """
+        moved = motion.displacement * self.magnification
+        below = np.zeros(moved.shape[1])
+        top = 0.0
+        for place in range(self.bodies):
+            yield f"rig/body_{place + 1}", _along_z(self._bottom[place] + moved[place]), None
+            if self._sprung[place]:
+                length = self._length[place]
+                stretch = (length + moved[place] - below) / length
+                yield f"rig/spring_{place + 1}", _along_z(top + below), _stretched(stretch)
+            below, top = moved[place], self._bottom[place] + self._height[place]
+        if motion.table is not None and self.driven is not None:
+            table = motion.table * self.magnification
+            yield "rig/table", _along_z(self._table_top + table), None
+            stretch = (COIL_LENGTH + moved[self.driven - 1] - table) / COIL_LENGTH
+            yield "rig/coil_spring", _along_z(self._table_top + table), _stretched(stretch)
+        if motion.gap is not None:
+            for place, damper in enumerate(self.scene.dampers):
+                yield f"rig/body_{damper.body}/damper", _along_z(motion.gap[place] * self.magnification), None
+
+    def spring_length(self, body: int) -> float:
+        """Length at rest of the spring under a body (from 1)."""
+        return self._length[body - 1]
+
+    def height(self, body: int) -> float:
+        """Height of a body (from 1)."""
+        return self._height[body - 1]
+
+    @property
+    def eye(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        """Where the camera stands and what it looks at: the whole stack, from the front, a little above."""
+        top = self.top + self._excursion
+        distance = 0.25 + 0.85 * top
+        return (0.14 * distance, -distance, 0.5 * top - 0.02 + 0.14 * distance), (0.02, 0.0, 0.5 * top - 0.02)
+
+
+def _along_z(heights: NDArray[np.float64]) -> NDArray[np.float64]:
+    points = np.zeros((heights.size, 3))
+    points[:, 2] = heights
+    return points
+
+
+def _stretched(factor: NDArray[np.float64]) -> NDArray[np.float64]:
+    scale = np.ones((factor.size, 3))
+    scale[:, 2] = factor
+    return scale
+
+
+def _scale_bar(magnification: float) -> float:
+    """Length to show beside the rig, metres: a power of ten that is drawn between 8 and 80 mm long.
+
+    >>> _scale_bar(50.0), _scale_bar(500.0)
+    (0.001, 0.0001)
+    """
+    return float(f"{10.0 ** math.floor(math.log10(0.08 / magnification)):.0e}")

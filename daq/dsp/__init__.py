@@ -1,0 +1,5 @@
+"""Compiled signal processing: circuits carried exactly, interpolation of the input, noise, decimation.
+
+Nothing here knows channels, scenes or files. Start with `circuit`, then `propagation`, which
+carries it through samples.
+"""

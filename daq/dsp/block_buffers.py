@@ -1,0 +1,65 @@
+"""Memory for blocks: a signal's latest past in front of its next block, and room that channels share."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.numerics.simd import LANES, zeros
+
+Array = NDArray[np.float64]
+
+
+class Room:
+    """Memory that channels use one after another, for what each needs only while it is measured.
+
+    Of its own for each, it would not stay in a processor's nearer memory.
+    """
+
+    def __init__(self) -> None:
+        self._rows = zeros(0, LANES)
+
+    def rows(self, count: int) -> Array:
+        """Give rows of the width of a register, at least so many, with anything in them."""
+        if len(self._rows) < count:
+            self._rows = zeros(count, LANES)
+        return self._rows
+
+
+class History:
+    """Keeps the last samples of the block before in front of those of the next.
+
+    Before the first block everything was zero.
+
+    Parameters
+    ----------
+    kept : int
+        Samples to keep.
+
+    Attributes
+    ----------
+    samples : ndarray, shape (at least kept + samples of the block,)
+        What was kept, then the block. The memory is used again for the next block.
+
+    Examples
+    --------
+    >>> history = History(2)
+    >>> for block in ([1.0, 2.0, 3.0], [4.0]):
+    ...     history.room(len(block))[:] = block
+    >>> history.samples[:3].tolist()
+    [2.0, 3.0, 4.0]
+    """
+
+    def __init__(self, kept: int) -> None:
+        self._kept, self._count = kept, 0
+        self.samples = np.zeros(kept)
+
+    def room(self, count: int) -> Array:
+        """Give the place for the next block, shape (count,)."""
+        kept = self.samples[self._count : self._count + self._kept]
+        needed = self._kept + count
+        if self.samples.size < needed:
+            self.samples = np.zeros(needed)
+        self.samples[: self._kept] = kept
+        self._count = count
+        return self.samples[self._kept : needed]

@@ -1,0 +1,95 @@
+"""The decimation filter at work: moments of a signal in, samples out."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.dsp.block_buffers import Room
+from rig.numerics.fma import WEIGHED, spread
+from rig.numerics.jit import unfused
+from rig.numerics.simd import LANES, zeros
+
+Array = NDArray[np.float64]
+
+
+class Decimator:
+    """The filter at work on one channel.
+
+    Parameters
+    ----------
+    taps : ndarray, shape (oversampling, MOMENTS, length)
+        From `Decimation.taps`.
+    late : int
+        Intervals by which what is weighed lies further back.
+    room : Room
+        For the moments of a block.
+    """
+
+    def __init__(self, taps: Array, late: int, room: Room) -> None:
+        self._oversampling, moments, length = taps.shape
+        self._weights = _beside(taps, late)
+        self._room = room
+        # The last moments of the block before; in a block, they come first.
+        self._last = zeros(length * self._oversampling + late - 1, moments)
+        self._moments = room.rows(0)
+        self._interval = 0
+        self._samples = zeros(0)
+
+    def room(self, count: int) -> Array:
+        """Give the place for the moments of the next intervals, shape (count and TOGETHER or more, MOMENTS)."""
+        kept = len(self._last)
+        end = kept + count + WEIGHED * self._oversampling
+        self._moments = self._room.rows(end)
+        self._moments[:kept] = self._last
+        # Nothing weighs these, but they must be numbers.
+        self._moments[kept + count : end] = 0.0
+        return self._moments[kept:]
+
+    def filter(self, count: int) -> Array:
+        """Give the samples that fall due with the intervals whose moments are in `room` now.
+
+        Parameters
+        ----------
+        count : int
+            Number of intervals. The first interval of all ends at sample 0.
+
+        Returns
+        -------
+        ndarray, shape (samples,)
+            One sample for every interval that ends at one, until the next call.
+        """
+        oversampling = self._oversampling
+        wait = -self._interval % oversampling
+        due = max(0, -(-(count - wait) // oversampling))
+        if self._samples.size < due + WEIGHED:
+            self._samples = zeros(due + WEIGHED)
+        _weigh(self._weights, self._moments, wait, oversampling, self._samples, due)
+        self._interval += count
+        self._last[:] = self._moments[count : count + len(self._last)]
+        return self._samples[:due]
+
+
+def _beside(taps: Array, late: int) -> Array:
+    """Lay out the taps for as many samples beside each other as a register holds.
+
+    Returns
+    -------
+    ndarray, shape (intervals x MOMENTS, LANES)
+        Weight of every moment, interval after interval, in each of these samples.
+    """
+    oversampling, moments, _ = taps.shape
+    # Row (p, j) of the taps weighs the interval j samples and p intervals before the sample.
+    before = np.concatenate([np.zeros((late, moments)), taps.transpose(2, 0, 1).reshape(-1, moments)])
+    weights = zeros(len(before) + (LANES - 1) * oversampling, moments, LANES)
+    for lane in range(LANES):
+        weights[lane * oversampling :, :, lane][: len(before)] = before[::-1]
+    return weights.reshape(-1, LANES)
+
+
+@unfused
+def _weigh(weights: Array, moments: Array, first: int, oversampling: int, samples: Array, count: int) -> None:
+    """Weigh what belongs to each sample, beginning with the intervals from `first` on."""
+    width = moments.shape[1]
+    registers = -(-count // LANES)
+    spread(weights, moments, first * width, 1, LANES * oversampling * width, samples, 0, registers)

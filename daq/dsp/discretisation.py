@@ -1,0 +1,215 @@
+"""A circuit at a sample rate: the matrices that carry it over an interval, or over part of one, exactly.
+
+Time counts in sample intervals. Beside the circuit's own states there are integrals of its output, begun anew at
+every sample: what a converter that averages over the interval reads, and the Legendre moments that a decimation
+filter weighs. State, integrals and the input's derivatives follow one linear differential equation, so that matrix
+exponentials carry them over a whole interval (one matrix) or over any part of it (a matrix for 64ths, one for
+4096ths, and a Taylor series for the rest). No eigenvectors: repeated poles at zero are as good as any.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import comb, factorial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from daq.dsp.circuit import Circuit
+from rig.numerics.simd import LANES, padded, zeros
+
+Array = NDArray[np.float64]
+
+PARTS = 64
+# Start, end, mean and moment of a piece (see `Pieces`) -> derivatives of the cubic at its start, when the
+# piece is as long as the unit of time.
+CUBIC = np.array(
+    [
+        [1.0, 0.0, 0.0, 0.0],
+        [-9.0, 3.0, -24.0, 60.0],
+        [36.0, -24.0, 168.0, -360.0],
+        [-60.0, 60.0, -360.0, 720.0],
+    ]
+)
+
+
+class Tables(NamedTuple):
+    """Matrices of a circuit at a sample rate; columns of the usual matrices are rows here.
+
+    The vector carried is (states, integrals, four derivatives of the input). `step` leaves out of it what
+    starts at zero or is not needed, and gives moments where the vector holds repeated integrals.
+
+    Attributes
+    ----------
+    states, integrals, width : int
+        Number of states, of moments of the output, and of all that is carried besides the input.
+    sections : ndarray of int64, shape (sections + 1,)
+        First state of each section, and the number of states.
+    watched : int
+        Number of sections up to the watched output; -1: none is watched.
+    weights : ndarray, shape (states and the watched output if any, 4 + disturbances + states)
+        What the input's start, end, mean and moment, then 1 V of each disturbance, then the states of the sections
+        before its own add to each state over an interval; and what all of them, without disturbances, make of
+        the watched output.
+    spread : ndarray, shape (4 + disturbances + states, LANES)
+        What they add to the moments, and zeros.
+    step : ndarray, shape (states + 4 + disturbances, width)
+        What each state, then the input's start, end, mean and moment, then 1 V of each disturbance become or
+        add over an interval.
+    impulse : ndarray, shape (width,)
+        What a unit impulse adds to the vector at once.
+    coarse, fine : ndarray, shape (65, size, size)
+        Exponentials of the generator over k/64 and k/4096 of the interval. Here and in `generator` zeros fill up
+        the size to whole registers.
+    generator : ndarray, shape (1, size, size)
+        Rate of change of the vector.
+    terms : int
+        Terms of the Taylor series that make it exact over 1/4096.
+    moments : ndarray, shape (integrals, integrals)
+        Repeated integrals to moments.
+    """
+
+    states: int
+    integrals: int
+    width: int
+    sections: NDArray[np.int64]
+    watched: int
+    weights: Array
+    spread: Array
+    step: Array
+    impulse: Array
+    coarse: Array
+    fine: Array
+    generator: Array
+    terms: int
+    moments: Array
+
+
+def discretise(
+    circuit: Circuit,
+    gain: float,
+    rate: float,
+    integrals: int,
+    watched: Circuit | None,
+    entries: Sequence[int],
+    filtered: Sequence[bool],
+) -> Tables:
+    """Make the tables of a circuit.
+
+    Parameters
+    ----------
+    circuit : Circuit
+        The analogue stages of a channel.
+    gain : float
+        Volts per unit of the input, in front of the circuit.
+    rate : float
+        Sample rate, Hz.
+    integrals : int
+        Moments of the output to form over every interval; 0: none, 1: the average.
+    watched : Circuit or None
+        Leading part of the circuit whose output's average over the interval is formed as well, last of all.
+    entries : sequence of int
+        In front of which section each disturbance enters.
+    filtered : sequence of bool
+        Whether what of a disturbance passes the circuit at once goes into the moments.
+    """
+    states, h = circuit.c.size, 1.0 / rate
+    width = states + integrals + (1 if watched is not None else 0)
+    size = width + 4
+    generator = np.zeros((size, size))
+    generator[:states, :states] = circuit.a * h
+    generator[:states, width] = circuit.b[0] * (gain * h)
+    if integrals:
+        generator[states, :states] = circuit.c
+        generator[states, width] = circuit.d[0] * gain
+        for k in range(1, integrals):
+            generator[states + k, states + k - 1] = 1.0
+    if watched is not None:
+        generator[width - 1, : watched.c.size] = watched.c
+        generator[width - 1, width] = watched.d[0] * gain
+    for k in range(3):
+        generator[width + k, width + k + 1] = 1.0
+
+    to_moments = np.eye(width)
+    to_moments[states : states + integrals, states : states + integrals] = _moments(integrals)
+    # A constant voltage is one more state that never changes.
+    constants = len(entries)
+    with_constants = np.zeros((size + constants, size + constants))
+    with_constants[:size, :size] = generator
+    for column, (entry, through) in enumerate(zip(entries, filtered, strict=True), size):
+        with_constants[:states, column] = circuit.b[entry] * h
+        if through and integrals:
+            with_constants[states, column] = circuit.d[entry]
+    over_interval = to_moments @ expm(with_constants)[:width]
+    step = np.concatenate(
+        [over_interval[:, :states], over_interval[:, width:size] @ CUBIC, over_interval[:, size:]], axis=1
+    )
+
+    # The first three terms may do no more than bring down the input's derivatives: they do not count.
+    norm = np.abs(generator).sum(axis=1).max() / PARTS**2
+    terms, remainder = 4, norm
+    while remainder > 1e-18:
+        terms += 1
+        remainder *= norm / (terms - 3)
+    spread = zeros(4 + constants + states, LANES)
+    spread[:, :integrals] = _input_first(step[states : states + integrals], states).T
+    return Tables(
+        states=states,
+        integrals=integrals,
+        width=width,
+        sections=np.array(circuit.sections),
+        watched=-1 if watched is None else len(watched.sections) - 1,
+        weights=_weights(step, states, watched is not None),
+        spread=spread,
+        step=np.ascontiguousarray(step.T),
+        impulse=generator[:width, width].copy(),
+        coarse=_laid_out(_powers(expm(generator / PARTS))),
+        fine=_laid_out(_powers(expm(generator / PARTS**2))),
+        generator=_laid_out(generator[None]),
+        terms=terms,
+        moments=np.ascontiguousarray(to_moments[states:, states:].T),
+    )
+
+
+def _input_first(rows: Array, states: int) -> Array:
+    """Put the columns of the states behind those of input and disturbances."""
+    return np.roll(rows, -states, axis=1)
+
+
+def _weights(step: Array, states: int, watched: bool) -> Array:
+    """Rows of a step for the states and the watched output."""
+    rows = _input_first(np.concatenate([step[:states], step[-1:]]) if watched else step[:states], states)
+    if watched:
+        rows[-1, 4 : rows.shape[1] - states] = 0.0
+    return np.ascontiguousarray(rows)
+
+
+def _powers(matrix: Array) -> Array:
+    """Powers 0 to 64 of a matrix; each a product of few factors, so that rounding does not pile up."""
+    powers = [np.eye(len(matrix)), matrix]
+    for k in range(2, PARTS + 1):
+        powers.append(powers[k // 2] @ powers[k - k // 2])
+    return np.array(powers)
+
+
+def _laid_out(matrices: Array) -> Array:
+    """Transpose matrices of shape (count, size, size) and fill them up to whole registers."""
+    count, size, _ = matrices.shape
+    room = zeros(count, padded(size), padded(size))
+    room[:, :size, :size] = matrices.transpose(0, 2, 1)
+    return room
+
+
+def _moments(count: int) -> Array:
+    """Matrix from repeated integrals over the unit interval to moments with the Legendre polynomials.
+
+    The (k+1)-fold integral weighs with u^k / k!, u being the time left, and in u the polynomial of order n is
+    the sum of (-1)^k C(n, k) C(n+k, k) u^k.
+    """
+    matrix = np.zeros((count, count))
+    for n in range(count):
+        for k in range(n + 1):
+            matrix[n, k] = (-1.0) ** k * comb(n, k) * comb(n + k, k) * factorial(k)
+    return matrix

@@ -1,0 +1,161 @@
+"""Voltages that enter a channel besides its signal: noise, offsets, what a clipped output lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.dsp.block_buffers import History
+from rig.numerics.fma import fused
+from rig.numerics.jit import unfused
+
+Array = NDArray[np.float64]
+
+
+class Source(Protocol):
+    """Anything that gives a voltage for every sample, in order."""
+
+    def fill(self, samples: Array) -> None:
+        """Fill in the next samples, V, shape (samples,)."""
+
+
+class Zero:
+    """No voltage, in a place that is filled in later."""
+
+    def fill(self, samples: Array) -> None:
+        """Fill in the next samples, V."""
+        samples[:] = 0.0
+
+
+class Offset:
+    """A constant voltage from sample 0 on.
+
+    Parameters
+    ----------
+    level : float
+        V.
+    """
+
+    def __init__(self, level: float) -> None:
+        self._level = level
+
+    def fill(self, samples: Array) -> None:
+        """Fill in the next samples, V."""
+        samples[:] = self._level
+
+
+class SettlingOffset:
+    """A voltage that settles exponentially from zero at sample 0, when power is switched on.
+
+    Parameters
+    ----------
+    level : float
+        In the end, V.
+    time : float
+        Time constant, s.
+    rate : float
+        Sample rate, Hz.
+
+    Examples
+    --------
+    >>> bias = SettlingOffset(10.0, 2.0, 1.0)
+    >>> samples = np.empty(6)
+    >>> bias.fill(samples[:5])
+    >>> bias.fill(samples[5:])
+    >>> samples.round(3).tolist()
+    [0.0, 3.935, 6.321, 7.769, 8.647, 9.179]
+    """
+
+    def __init__(self, level: float, time: float, rate: float) -> None:
+        self._level, self._loss = level, float(-np.expm1(-1.0 / (time * rate)))
+        # What is missing to the final level.
+        self._missing = np.array([level])
+
+    def fill(self, samples: Array) -> None:
+        """Fill in the next samples, V."""
+        _settle(samples, self._level, self._loss, self._missing)
+
+
+@unfused
+def _settle(samples: Array, level: float, loss: float, missing: Array) -> None:
+    """Fill in the samples one by one, so that they do not depend on where a block ends."""
+    left = missing[0]
+    for i in range(samples.size):
+        samples[i] = level - left
+        left = fused(-loss, left, left)
+    missing[0] = left
+
+
+class Disturbances:
+    """All disturbances of a channel, each constant over the interval that ends at its sample.
+
+    Parameters
+    ----------
+    sources : sequence of Source
+        The voltages.
+    direct : ndarray, shape (disturbances,)
+        Which share of each reaches the output at once.
+    oversampling : int
+        Intervals of the signal per sample.
+    wait : int
+        Samples by which what reaches the output at once is held back, so that it keeps in step with what
+        passes a filter. It does not pass the filter itself: white noise stays white up to half the sample
+        rate.
+    """
+
+    def __init__(self, sources: Sequence[Source], direct: Array, oversampling: int, wait: int) -> None:
+        self._sources, self._direct, self._oversampling = tuple(sources), direct, oversampling
+        self._interval, self._drawn = 0, 0
+        self._last = np.zeros((len(sources), 1))
+        self._passed = History(wait)
+        self.ends = slice(0, 0, oversampling)
+
+    def hold(self, intervals: int) -> Array:
+        """Draw the disturbances of the next intervals; shape (disturbances, intervals), V."""
+        first, stop = self._interval, self._interval + intervals
+        self._interval = stop
+        self.ends = slice(-first % self._oversampling, intervals, self._oversampling)
+        if not self._sources or intervals == 0:
+            return np.zeros((len(self._sources), intervals))
+        count = -(-(stop - 1) // self._oversampling) + 1 - self._drawn
+        held = np.empty((len(self._sources), count))
+        for row, source in zip(held, self._sources, strict=True):
+            source.fill(row)
+        if self._oversampling > 1:
+            # The sample at which each interval ends, or which it leads up to; one that began in the last block
+            # goes on with what was drawn for it there.
+            sample = -(-np.arange(first, stop) // self._oversampling)
+            drawn = np.concatenate([self._last, held], axis=1)
+            held, self._last = drawn[:, sample - (self._drawn - 1)], drawn[:, -1:]
+        self._drawn += count
+        return held
+
+    def reach_output(self, held: Array) -> Array:
+        """Sum up what reaches the output at once.
+
+        Parameters
+        ----------
+        held : ndarray, shape (disturbances, samples)
+            What `hold` gave, for those intervals that end at a sample.
+
+        Returns
+        -------
+        ndarray, shape (samples,)
+            V, until the next call.
+        """
+        count = held.shape[1]
+        _sum_up(self._direct, held, self._passed.room(count))
+        return self._passed.samples[:count]
+
+
+@unfused
+def _sum_up(shares: Array, rows: Array, out: Array) -> None:
+    """Sum up rows, each times its share."""
+    out[:] = 0.0
+    for e in range(shares.size):
+        if shares[e] != 0.0:
+            for k in range(out.size):
+                out[k] = fused(shares[e], rows[e, k], out[k])

@@ -1,0 +1,230 @@
+"""The input of a channel between samples: acceleration as cubics joined at samples and breaks.
+
+Over a piece, from one node (a sample or a break) to the next, acceleration is the cubic that agrees with the
+motion in four ways: acceleration at both ends, change of velocity, change of displacement. Integrated twice
+it meets the motion exactly at every node; in between its error falls with the fourth power of the piece. At a
+break the jump of velocity is an impulse of acceleration. A force is straight lines between its samples.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.numerics.jit import unfused
+from rig.simulation.motion import Motion
+
+Array = NDArray[np.float64]
+
+# A piece shorter than this share of the sample interval is straight instead of cubic: the rounding of the
+# displacement, divided by the square of its length, would otherwise be taken for a violent acceleration.
+STRAIGHT = 1e-4
+
+
+# Columns of `Pieces.parts` behind the four numbers of a piece.
+LENGTH, JUMP = 4, 5
+
+
+class Pieces(NamedTuple):
+    """Input over the sample intervals of a block; intervals that hold breaks are given in parts as well.
+
+    Four numbers describe a piece: input at its start and at its end, its average, and its moment, the average of
+    input times remaining share of the piece (1/2 for a constant 1).
+
+    Attributes
+    ----------
+    smooth : ndarray, shape (4, intervals)
+        These numbers for the interval that ends at each sample.
+    broken : ndarray of int64, shape (parts,)
+        Interval to which a part belongs, ascending; for these the numbers above mean nothing.
+    parts : ndarray, shape (parts, 6)
+        The numbers of each part; its length as a share of the interval; the impulse at its end, divided by the
+        sample interval.
+    """
+
+    smooth: Array
+    broken: NDArray[np.int64]
+    parts: Array
+
+
+class MotionPieces:
+    """Cuts the motion of one point into pieces, block after block.
+
+    Parameters
+    ----------
+    row : int
+        The point's row in `Motion`.
+    rate : float
+        Samples per second.
+    """
+
+    def __init__(self, row: int, rate: float) -> None:
+        self._row = row
+        self._rate = rate
+        # Acceleration, velocity and displacement at the last sample, and room for those at a part's ends.
+        self._last = np.zeros(3)
+        self._ends = np.zeros(3), np.zeros(3)
+
+    def cut(self, motion: Motion) -> Pieces:
+        """Give the pieces of the next block.
+
+        Before sample 0 everything is at rest at the initial position: an initial velocity is an impulse
+        there.
+        """
+        acceleration, velocity, displacement = (
+            rows[self._row] for rows in (motion.acceleration, motion.velocity, motion.displacement)
+        )
+        smooth = np.empty((4, acceleration.size))
+        if acceleration.size == 0:
+            return Pieces(smooth, *no_parts(0))
+        if motion.first == 0:
+            self._last[2] = displacement[0]
+        # Each break ends a part and every broken interval has a last part more; a run begins with one.
+        broken, parts = no_parts(2 * motion.break_sample.size + 1)
+        count = 0
+        if motion.first == 0:
+            parts[0, JUMP] = velocity[0] * self._rate
+            count = 1
+        if motion.break_sample.size:
+            count = _cut(
+                motion.break_sample - motion.first,
+                motion.break_offset,
+                (motion.break_acceleration, motion.break_velocity, motion.break_displacement),
+                self._row,
+                (acceleration, velocity, displacement),
+                self._last,
+                1.0 / self._rate,
+                count,
+                broken,
+                parts,
+                self._ends,
+            )
+        _smooth(acceleration, velocity, displacement, self._last, self._rate, smooth)
+        return Pieces(smooth, broken[:count], parts[:count])
+
+
+def no_parts(count: int) -> tuple[NDArray[np.int64], Array]:
+    """Make room for parts of broken intervals: the intervals, and the parts."""
+    return np.zeros(count, np.int64), np.zeros((count, 6))
+
+
+class ForcePieces:
+    """Cuts a force that is given by its samples into straight lines, block after block."""
+
+    def __init__(self) -> None:
+        self._last = 0.0
+        self._fresh = True
+
+    def cut(self, force: Array) -> Pieces:
+        """Give the pieces of the next block; force is zero before sample 0 and may jump there."""
+        smooth = np.empty((4, force.size))
+        if force.size == 0:
+            return Pieces(smooth, *no_parts(0))
+        smooth[0, 0], smooth[0, 1:], smooth[1] = self._last, force[:-1], force
+        smooth[2] = 0.5 * (smooth[0] + force)
+        smooth[3] = smooth[0] / 3.0 + force / 6.0
+        pieces = Pieces(smooth, *no_parts(1 if self._fresh else 0))
+        self._last, self._fresh = float(force[-1]), False
+        return pieces
+
+
+@unfused
+def put(values: Array, place: Array) -> None:
+    """Copy values, as many as a place takes; assigning to a slice would need memory."""
+    for i in range(place.size):
+        place[i] = values[i]
+
+
+@unfused
+def _smooth(
+    acceleration: Array,
+    velocity: Array,
+    displacement: Array,
+    last: Array,
+    rate: float,
+    smooth: Array,
+) -> None:
+    """Describe every interval as if it were one piece; `last` holds the last sample, before and after."""
+    end = acceleration.size
+    start, mean, moment = smooth[0], smooth[2], smooth[3]
+    put(acceleration, smooth[1])
+    start[0] = last[0]
+    mean[0] = (velocity[0] - last[1]) * rate
+    moment[0] = ((displacement[0] - last[2]) * rate - last[1]) * rate
+    # One number at a time: several samples are then worked off at once.
+    for i in range(1, end):
+        start[i] = acceleration[i - 1]
+    for i in range(1, end):
+        mean[i] = (velocity[i] - velocity[i - 1]) * rate
+    for i in range(1, end):
+        moment[i] = ((displacement[i] - displacement[i - 1]) * rate - velocity[i - 1]) * rate
+    last[0], last[1], last[2] = acceleration[end - 1], velocity[end - 1], displacement[end - 1]
+
+
+@unfused
+def _cut(
+    interval: NDArray[np.int64],
+    offset: Array,
+    at_break: tuple[Array, Array, Array],
+    row: int,
+    rows: tuple[Array, Array, Array],
+    last: Array,
+    h: float,
+    count: int,
+    broken: NDArray[np.int64],
+    parts: Array,
+    ends: tuple[Array, Array],
+) -> int:
+    """Fill in the parts of broken intervals; give their number.
+
+    `at_break` are acceleration and velocity, before and after, and displacement of all points at the breaks;
+    `rows` are those of the point in this row at the samples, `last` at the one before the block.
+    """
+    left, right = ends
+    acceleration, velocity, displacement = at_break
+    done = 0.0
+    for b in range(interval.size):
+        k = interval[b]
+        if b == 0 or interval[b - 1] != k:
+            if k == 0:
+                put(last, left)
+            else:
+                _pick(rows, k - 1, left)
+            done = 0.0
+        right[0], right[1], right[2] = acceleration[0, row, b], velocity[0, row, b], displacement[row, b]
+        reached = min(max(offset[b] / h, done), 1.0)
+        _part(left, right, reached - done, h, parts[count])
+        broken[count] = k
+        parts[count, JUMP] = (velocity[1, row, b] - velocity[0, row, b]) / h
+        count += 1
+        left[0], left[1], left[2] = acceleration[1, row, b], velocity[1, row, b], displacement[row, b]
+        done = reached
+        if b + 1 == interval.size or interval[b + 1] != k:
+            _pick(rows, k, right)
+            _part(left, right, 1.0 - done, h, parts[count])
+            broken[count] = k
+            count += 1
+    return count
+
+
+@unfused
+def _pick(rows: tuple[Array, Array, Array], sample: int, out: Array) -> None:
+    """Take acceleration, velocity and displacement at a sample."""
+    out[0], out[1], out[2] = rows[0][sample], rows[1][sample], rows[2][sample]
+
+
+@unfused
+def _part(left: Array, right: Array, share: float, h: float, out: Array) -> None:
+    """Describe the input between two nodes, each given by acceleration, velocity and displacement; no impulse."""
+    out[0], out[1], out[LENGTH], out[JUMP] = left[0], right[0], share, 0.0
+    if share == 0.0:
+        out[2], out[3] = 0.0, 0.0
+        return
+    t = share * h
+    out[2] = (right[1] - left[1]) / t
+    if share < STRAIGHT:
+        out[3] = (left[0] - right[0]) / 12.0 + 0.5 * out[2]
+    else:
+        out[3] = ((right[2] - left[2]) / t - left[1]) / t

@@ -1,0 +1,155 @@
+"""Drive spectra that give a flat force: tones of one period, levelled line by line from the channels."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.excitation.station import Station
+from rig.errors import SceneError
+
+if TYPE_CHECKING:
+    from rig.scene.excitation import Multisine, Random
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Lines = NDArray[np.int64]
+
+_ROUNDS = 8
+# Largest change of a line's drive from round to round, and largest drive of a line over that of the others.
+_RATIO, _STANDOUT = 4.0, 100.0
+_LEVEL = 0.03
+
+
+def generator(station: Station, purpose: str) -> np.random.Generator:
+    """Random numbers that depend on the scene's seed and on what they are for, nothing else."""
+    return np.random.Generator(
+        np.random.PCG64(np.random.SeedSequence([station.scene.seed, crc32(purpose.encode())]))
+    )
+
+
+def lines_between(first: float, last: float, period: int, rate: float) -> Lines:
+    """Multiples of rate / period, as whole numbers, from `first` to `last` in Hz.
+
+    Raises
+    ------
+    SceneError
+        If there are none below half the sample rate.
+    """
+    low, high = (
+        np.ceil(first * period / rate - 1e-9),
+        np.floor(min(last * period / rate + 1e-9, (period - 1) // 2)),
+    )
+    lines = np.arange(max(1, int(low)), int(high) + 1)
+    if lines.size == 0:
+        raise SceneError(
+            f"test: no line between {first:g} and {last:g} Hz that {rate:g} Hz sampling carries: "
+            "widen the band, lengthen the period or raise converter.rate"
+        )
+    return lines
+
+
+def wave_of(lines: Lines, amplitudes: Array, phases: Array, period: int) -> Array:
+    """One period of a sum of cosines; shape (period,)."""
+    spectrum = np.zeros(period // 2 + 1, dtype=complex)
+    spectrum[lines] = amplitudes * np.exp(1j * phases) * (period / 2)
+    return np.fft.irfft(spectrum, period)
+
+
+def crossfade(before: Array, after: Array) -> Array:
+    """One period that begins as one periodic wave and ends as another; shape (period,)."""
+    rise = (1 - np.cos(np.pi * np.arange(before.size) / before.size)) / 2
+    return before * (1 - rise) + after * rise
+
+
+def within_limit(station: Station, wave: Array) -> float:
+    """Factor that brings a wave within what the amplifier follows, 1 at most."""
+    return min(1.0, station.drive_limit / float(abs(wave).max()))
+
+
+def flat(level: float, lines: Lines) -> Array:
+    """Amplitudes of equal tones whose sum has the root mean square `level`."""
+    return np.full(lines.size, level * np.sqrt(2.0 / lines.size))
+
+
+def closed_loop(station: Station, test: Random | Multisine) -> bool:
+    """Whether the level is a spring force, for which the drive has to be shaped from the channels."""
+    if test.force is None or station.force_is_drive:
+        return False
+    station.force_weights(1.0)
+    return True
+
+
+@dataclass(frozen=True)
+class Shaped:
+    """A drive found by `equalise`.
+
+    Attributes
+    ----------
+    amplitudes : ndarray, shape (lines,)
+        Drive amplitudes.
+    gains : ndarray, shape (lines,)
+        Force amplitude per drive amplitude, N per unit of drive.
+    wave : ndarray, shape (period,)
+        The period of drive that was played last, and is still going on.
+    """
+
+    amplitudes: Array
+    gains: Array
+    wave: Array
+
+
+def equalise(
+    station: Station, lines: Lines, period: int, level: float, phases: Array
+) -> Generator[Array, Array, Shaped]:
+    """Find the drive whose spring force is flat over the lines, by playing it and looking at the channels.
+
+    Parameters
+    ----------
+    station : Station
+        Where it is played.
+    lines : ndarray of int, shape (lines,)
+        Tones, in multiples of rate / period.
+    period : int
+        Samples.
+    level : float
+        Root mean square of the spring force, N.
+    phases : ndarray, shape (lines,)
+        Phases of the tones, rad.
+
+    Returns
+    -------
+    Shaped
+    """
+    wanted = flat(level, lines)
+    weights = station.force_weights(lines * station.rate / period)
+    amplitudes = played = wanted * station.cautious_drive
+    playing = np.zeros(period)
+    force, rms, first = wanted, 0.0, station.now
+    for turn in range(_ROUNDS):
+        station.report(0.0, f"shaping the drive, round {turn + 1}")
+        wave = wave_of(lines, amplitudes, phases, period)
+        factor = within_limit(station, wave)
+        played, wave = amplitudes * factor, wave * factor
+        yield station.drive(crossfade(playing, wave))
+        samples = yield station.drive(wave)
+        playing = wave
+        spectrum = np.fft.rfft(samples, axis=1)[:, lines] * (2 / period)
+        force = abs(np.einsum("cl,cl->l", weights, spectrum))
+        rms = float(np.sqrt(np.sum(force**2) / 2))
+        uneven = float(np.median(abs(force / wanted - 1)))
+        if abs(rms / level - 1) < _LEVEL and uneven < _LEVEL:
+            break
+        ratio = np.clip(wanted / np.maximum(force, 1e-12 * wanted), 1 / _RATIO, _RATIO)
+        amplitudes = np.minimum(played * ratio, _STANDOUT * np.median(played * ratio))
+    station.mark(
+        "settle", first, station.now, level=level, force=rms, settled=abs(rms / level - 1) < 5 * _LEVEL
+    )
+    if abs(rms / level - 1) >= 5 * _LEVEL:
+        station.warn(f"the spring force came to {rms:.3g} N rms instead of {level:g} N")
+    return Shaped(played, force / played, playing)

@@ -1,0 +1,308 @@
+"""A running input task: its triggers, its buffer, and what is still to come."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.face.constants import Slope
+from daq.face.triggers import AnalogEdge, OtherTask, SyncPulse
+from daq.instrument.errors import DaqError, DAQmxErrors
+from daq.instrument.ring_buffer import RingBuffer
+
+# Tells at which tick another task started or was triggered; None if it has not been yet.
+Moment = Callable[[OtherTask], int | None]
+
+
+@dataclass(frozen=True)
+class AnalogSource:
+    """An analog trigger on one of a task's channels."""
+
+    row: int
+    slope: Slope
+    level: float
+    hysteresis: float
+
+    def edge(self) -> AnalogEdge:
+        """Make a finder that has seen no sample yet."""
+        return AnalogEdge(self.slope, self.level, self.hysteresis)
+
+
+Source = AnalogSource | SyncPulse | OtherTask
+
+
+@dataclass(frozen=True)
+class InputPlan:
+    """What an input task was told to do.
+
+    Attributes
+    ----------
+    rows : tuple of int
+        The bench's channels, in the order of the task's.
+    scale : ndarray, shape (channels,)
+        Factor from converter samples to each channel's units.
+    rate : float
+        Samples per second.
+    samples : int or None
+        Samples of a finite acquisition; None for a continuous one.
+    buffer : int
+        Unread samples per channel the buffer holds.
+    keep : bool
+        Whether the acquisition stops rather than overwrite unread samples.
+    start, reference : Source or None
+        Triggers.
+    pretrigger : int
+        Samples before the reference trigger.
+    again : bool
+        Whether the start trigger starts a new record whenever one is complete.
+    """
+
+    rows: tuple[int, ...]
+    scale: NDArray[np.float64]
+    rate: float
+    samples: int | None
+    buffer: int
+    keep: bool = False
+    start: Source | None = None
+    reference: Source | None = None
+    pretrigger: int = 0
+    again: bool = False
+
+
+class Acquisition:
+    """The state of an input task from start to stop.
+
+    Samples are numbered from 0, the first one after the start trigger; ticks are the bench's own count.
+
+    A reader that is late by more than the buffer has lost what is older than the buffer, and goes on with what
+    the buffer holds. It finds a full buffer then, whose oldest sample the very next one would overwrite: so the
+    ring keeps as much again in reserve, for a reader that has been late only, until it is half a buffer behind.
+    Without that, a reader that pauses between its reads would be late again and again.
+
+    Parameters
+    ----------
+    plan : InputPlan
+        What to acquire.
+    tick : int
+        The bench's position at the start.
+    dtype : dtype_like
+        Kind of the converter's samples.
+
+    Attributes
+    ----------
+    ring : RingBuffer
+        The samples, as the converter gives them.
+    overloads : RingBuffer
+        Whether each of them was overloaded.
+    position : int
+        Number of the sample that is read next, if nothing else is said.
+    first_tick : int or None
+        Tick of the current record's first sample; None while the start trigger has not come.
+    trigger : int or None
+        Number of the sample the reference trigger was found at.
+    done : bool
+        Whether nothing more will come.
+    error : DaqError or None
+        Why it stopped early.
+    overloaded : ndarray of bool, shape (channels,)
+        Channels overloaded since this was last cleared.
+    """
+
+    def __init__(self, plan: InputPlan, tick: int, dtype: Any) -> None:
+        self.plan = plan
+        self.ring = RingBuffer(len(plan.rows), 2 * plan.buffer, dtype)
+        self.overloads = RingBuffer(len(plan.rows), 2 * plan.buffer, bool)
+        self.position = 0
+        self.first_tick: int | None = None
+        self.trigger: int | None = None
+        self.done = False
+        self.error: DaqError | None = None
+        self.overloaded = np.zeros(len(plan.rows), bool)
+        self._late = False
+        # Number of the first sample that has not been told to be lost.
+        self._kept = 0
+        self._record = 0
+        # Number and tick of the first sample of each record, the latest last.
+        self._records: deque[tuple[int, int]] = deque(maxlen=1000)
+        self._end: int | None = None
+        self._arm(tick)
+        if plan.start is None:
+            self._begin(tick)
+
+    def _arm(self, tick: int) -> None:
+        self.armed_at, self.first_tick, self._end = tick, None, None
+        self._start_edge = self.plan.start.edge() if isinstance(self.plan.start, AnalogSource) else None
+
+    def _begin(self, tick: int) -> None:
+        self.first_tick, self._record = tick, self.ring.written
+        self._records.append((self._record, tick))
+        reference = self.plan.reference
+        self._reference_edge = reference.edge() if isinstance(reference, AnalogSource) else None
+        if self.plan.samples is not None and reference is None:
+            self._end = self._record + self.plan.samples
+
+    @property
+    def waits_on_data(self) -> bool:
+        """Whether the start depends on samples not yet taken."""
+        return self.first_tick is None and isinstance(self.plan.start, AnalogSource)
+
+    @property
+    def readable(self) -> int:
+        """Number after the last sample that may be read; 0 until a reference trigger has been dealt with."""
+        return 0 if self.plan.reference is not None and not self.done else self.ring.written
+
+    @property
+    def oldest(self) -> int:
+        """Number of the oldest sample that has not been lost."""
+        return max(self._kept, self.ring.written - self.plan.buffer * (2 if self._late else 1))
+
+    def skip_lost(self) -> int:
+        """Move the read position past samples that have been lost, and tell how many it has passed over."""
+        if not self.readable or self.position >= self.oldest:
+            return 0
+        at, self.position = self.position, max(0, self.ring.written - self.plan.buffer)
+        self._late, self._kept = True, self.position
+        return self.position - at
+
+    def take_out(self, count: int) -> NDArray[Any]:
+        """Read samples that are there, shape (channels, count)."""
+        samples = self.ring.read(self.position, count)
+        self.position += count
+        self._late &= self.ring.written - self.position > self.plan.buffer // 2
+        return samples
+
+    @property
+    def first_readable(self) -> int:
+        """Number of the first sample that a script gets to see."""
+        return 0 if self.trigger is None else self.trigger - self.plan.pretrigger
+
+    def tick_of(self, sample: int) -> int:
+        """Tick of a sample, of this record or one before."""
+        for first, tick in reversed(self._records):
+            if first <= sample:
+                return tick + sample - first
+        return self.armed_at
+
+    def missing(self, samples: int) -> int:
+        """Ticks that must pass at least until there are so many samples beyond the read position.
+
+        While a trigger is awaited nobody knows; a hundredth of a second is as good a guess as any.
+        """
+        guess = max(1, int(self.plan.rate / 100))
+        if self.first_tick is None:
+            return guess
+        if self.plan.reference is not None:
+            return self._end - self.ring.written if self._end is not None else guess
+        return self.position + samples - self.ring.written
+
+    def start_tick(self, reference: bool, tick: int) -> int | None:
+        """Tell others when this task was started (triggered), or will be at a later tick known already."""
+        if reference:
+            return None if self.trigger is None else self.tick_of(self.trigger)
+        if self.first_tick is None and isinstance(self.plan.start, SyncPulse):
+            return self.plan.start.next_tick(max(tick, self.armed_at), self.plan.rate)
+        return self.first_tick
+
+    def take(self, tick: int, samples: NDArray[Any], overload: NDArray[np.bool_], moment: Moment) -> None:
+        """Take a block of the bench.
+
+        Parameters
+        ----------
+        tick : int
+            Tick of the block's first sample; samples come without a gap from block to block.
+        samples : ndarray, shape (bench channels, n)
+            Converter samples.
+        overload : ndarray of bool, shape (bench channels, n)
+            Overload flags.
+        moment : callable
+            Where to ask about other tasks.
+        """
+        rows = list(self.plan.rows)
+        x, over = samples[rows], overload[rows]
+        # What a filter still held back when the task was started belongs to the time before.
+        at, count = max(0, self.armed_at - tick), x.shape[1]
+        while at < count and not self.done:
+            if self.first_tick is None:
+                begin = self._find_start(tick, x, at, moment)
+                if begin is None:
+                    return
+                at = begin
+                self._begin(tick + at)
+            at += self._store(tick + at, x[:, at:], over[:, at:], moment)
+
+    def _find_start(self, tick: int, x: NDArray[Any], at: int, moment: Moment) -> int | None:
+        source = self.plan.start
+        if isinstance(source, AnalogSource):
+            assert self._start_edge is not None
+            found = self._start_edge.find(x[source.row, at:] * self.plan.scale[source.row])
+            return None if found is None else at + found
+        if isinstance(source, SyncPulse):
+            when: int | None = source.next_tick(max(self.armed_at, tick + at), self.plan.rate)
+        else:
+            assert source is not None
+            when = moment(source)
+        if when is None or when < self.armed_at or when - tick >= x.shape[1]:
+            return None
+        return max(when - tick, at)
+
+    def _store(self, tick: int, x: NDArray[Any], over: NDArray[np.bool_], moment: Moment) -> int:
+        if self.plan.reference is not None and self.trigger is None:
+            self._look_for_reference(tick, x, moment)
+        count = x.shape[1] if self._end is None else min(x.shape[1], self._end - self.ring.written)
+        if self.plan.keep:
+            count = self._fit(count)
+        self.ring.write(x[:, :count])
+        self.overloads.write(over[:, :count])
+        self.overloaded |= over[:, :count].any(axis=1)
+        if self.ring.written == self._end:
+            self._complete(tick + count)
+        return max(count, 1)
+
+    def _fit(self, count: int) -> int:
+        room = self.plan.buffer - (self.ring.written - self.position)
+        if count > room:
+            self.stop(
+                DaqError(
+                    "the acquisition has stopped because the buffer was full of unread samples: read more "
+                    "often, "
+                    "enlarge in_stream.input_buf_size, or let it overwrite (in_stream.overwrite)",
+                    DAQmxErrors.ACQ_STOPPED_TO_PREVENT_INPUT_BUFFER_OVERWRITE,
+                )
+            )
+        return min(count, room)
+
+    def _look_for_reference(self, tick: int, x: NDArray[Any], moment: Moment) -> None:
+        assert self.first_tick is not None and self.plan.samples is not None
+        count, source = x.shape[1], self.plan.reference
+        earliest = self.first_tick + self.plan.pretrigger
+        skip = min(max(0, earliest - tick), count)
+        if isinstance(source, AnalogSource):
+            assert self._reference_edge is not None
+            found = self._reference_edge.find(x[source.row] * self.plan.scale[source.row], skip)
+        else:
+            assert source is not None
+            when = (
+                source.next_tick(max(earliest, tick), self.plan.rate)
+                if isinstance(source, SyncPulse)
+                else moment(source)
+            )
+            found = None if when is None or not max(earliest, tick) <= when < tick + count else when - tick
+        if found is not None:
+            self.trigger = self.ring.written + found
+            self._end = self.trigger + self.plan.samples - self.plan.pretrigger
+            self.position = self.first_readable
+
+    def _complete(self, tick: int) -> None:
+        if self.plan.again:
+            self._arm(tick)
+        else:
+            self.done = True
+
+    def stop(self, error: DaqError | None = None) -> None:
+        """Take no more samples."""
+        self.done, self.error = True, self.error or error

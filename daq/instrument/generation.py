@@ -1,0 +1,183 @@
+"""A running output task: its buffer, its triggers, and the volts it makes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.face import argument
+from daq.face.triggers import OtherTask, SyncPulse
+from daq.instrument.acquisition import Moment
+from daq.instrument.errors import DaqError, DAQmxErrors
+
+Array = NDArray[np.float64]
+
+
+class OutputBuffer:
+    """Samples waiting to be played, shape (channels, size), played round and round.
+
+    Until the task starts the buffer grows with what is written, unless it was given a size.
+
+    Parameters
+    ----------
+    channels : int
+        Channels.
+    size : int or None
+        Samples per channel; None to grow.
+    """
+
+    def __init__(self, channels: int, size: int | None) -> None:
+        self.data: Array = argument.room(channels, size or 0)
+        self.written = 0
+        self._grows = size is None
+
+    @property
+    def size(self) -> int:
+        """Samples per channel held."""
+        return self.data.shape[1]
+
+    def room(self, generated: int, running: bool, regenerate: bool) -> int:
+        """Tell how many samples can be written now."""
+        if not running and self._grows:
+            return np.iinfo(np.int64).max
+        if running and regenerate:
+            return self.size
+        return self.size - (self.written - generated)
+
+    def write(self, samples: Array, running: bool) -> None:
+        """Append samples, shape (channels, n), for which there is room."""
+        if not running and self._grows:
+            self.data = np.concatenate([self.data[:, : self.written], samples], axis=1)
+        else:
+            self.data[:, (self.written + np.arange(samples.shape[1])) % self.size] = samples
+        self.written += samples.shape[1]
+
+
+@dataclass(frozen=True)
+class OutputPlan:
+    """What an output task was told to do.
+
+    Attributes
+    ----------
+    rate : float
+        Samples per second.
+    samples : int or None
+        Samples of a finite generation; None for a continuous one.
+    regenerate : bool
+        Whether the buffer may be played again.
+    start : SyncPulse, OtherTask or None
+        Start trigger.
+    """
+
+    rate: float
+    samples: int | None
+    regenerate: bool
+    start: SyncPulse | OtherTask | None = None
+
+
+class Generation:
+    """The state of an output task from start to stop.
+
+    Parameters
+    ----------
+    plan : OutputPlan
+        What to generate.
+    buffer : OutputBuffer
+        What to generate it from; may be written to meanwhile.
+    tick : int
+        The bench's position at the start.
+    held : ndarray, shape (channels,)
+        Volts at the output before.
+
+    Attributes
+    ----------
+    generated : int
+        Samples per channel made so far.
+    done : bool
+        Whether the generation has ended; the output holds its last value.
+    error : DaqError or None
+        Why it ended early.
+    """
+
+    def __init__(self, plan: OutputPlan, buffer: OutputBuffer, tick: int, held: Array) -> None:
+        self.plan, self.buffer, self.held = plan, buffer, held
+        self.generated = 0
+        self.done = False
+        self.error: DaqError | None = None
+        self.armed_at = tick
+        self.first_tick: int | None = tick if plan.start is None else None
+
+    def join(self, started: int | None) -> None:
+        """Begin at once if the task whose clock this one runs on has started already."""
+        if started is not None and started <= self.armed_at:
+            self.first_tick = self.armed_at
+
+    @property
+    def to_come(self) -> int:
+        """Samples in the buffer that have not been played yet, without regeneration."""
+        return self.buffer.written - self.generated
+
+    def start_tick(self, tick: int) -> int | None:
+        """Tell others when this task started, or will."""
+        if self.first_tick is None and isinstance(self.plan.start, SyncPulse):
+            return self.plan.start.next_tick(max(tick, self.armed_at), self.plan.rate)
+        return self.first_tick
+
+    def missing(self) -> int:
+        """Ticks that must pass at least until a finite generation is complete."""
+        if self.first_tick is None or self.plan.samples is None:
+            return max(1, int(self.plan.rate / 100))
+        return self.plan.samples - self.generated
+
+    def produce(self, tick: int, count: int, moment: Moment) -> Array:
+        """Make the volts of the next ticks, shape (channels, count)."""
+        out = np.repeat(self.held[:, None], count, axis=1)
+        if self.done:
+            return out
+        if self.first_tick is None:
+            self.first_tick = self._find_start(tick, count, moment)
+            if self.first_tick is None:
+                return out
+        at = max(0, self.first_tick - tick)
+        wanted = count - at
+        if self.plan.samples is not None:
+            wanted = min(wanted, self.plan.samples - self.generated)
+        made = wanted if self.plan.regenerate else min(wanted, self.to_come)
+        index = (self.generated + np.arange(made)) % self.buffer.size
+        out[:, at : at + made] = self.buffer.data[:, index]
+        if made:
+            self.held = out[:, at + made - 1].copy()
+        out[:, at + made :] = self.held[:, None]
+        self.generated += made
+        if made < wanted:
+            self.stop(
+                DaqError(
+                    "the output has stopped because it ran out of new samples: write earlier or more at a "
+                    "time, "
+                    "or allow regeneration (out_stream.regen_mode)",
+                    DAQmxErrors.GEN_STOPPED_TO_PREVENT_REGEN_OF_OLD_SAMPLES,
+                )
+            )
+        if self.generated == self.plan.samples:
+            self.done = True
+        return out
+
+    def _find_start(self, tick: int, count: int, moment: Moment) -> int | None:
+        source = self.plan.start
+        if isinstance(source, SyncPulse):
+            when: int | None = source.next_tick(max(self.armed_at, tick), self.plan.rate)
+        else:
+            assert source is not None
+            when = moment(source)
+            if when is not None and when >= self.armed_at:
+                # Found in samples of the block just taken: the output follows at the next tick.
+                when = max(when, tick)
+        if when is None or when < self.armed_at or when >= tick + count:
+            return None
+        return when
+
+    def stop(self, error: DaqError | None = None) -> None:
+        """Make no more samples; the output holds its last value."""
+        self.done, self.error = True, self.error or error

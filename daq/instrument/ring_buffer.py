@@ -1,0 +1,81 @@
+"""A buffer that keeps the last samples of a stream."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from daq.face import argument
+
+
+class RingBuffer:
+    """The last `size` samples of a stream whose samples are numbered from 0.
+
+    Parameters
+    ----------
+    channels : int
+        Channels.
+    size : int
+        Samples per channel held.
+    dtype : dtype_like
+        Kind of sample.
+
+    Raises
+    ------
+    DaqError
+        With -200077, if there is no memory for so many.
+
+    Attributes
+    ----------
+    written : int
+        Samples per channel written so far, which is the number of the next.
+
+    Examples
+    --------
+    >>> ring = RingBuffer(1, 4, float)
+    >>> ring.write(np.arange(6.0)[None])
+    >>> ring.oldest, ring.read(3, 3).tolist()
+    (2, [[3.0, 4.0, 5.0]])
+    """
+
+    def __init__(self, channels: int, size: int, dtype: DTypeLike) -> None:
+        self._data: NDArray[Any] = argument.room(channels, size, dtype)
+        self.written = 0
+
+    @property
+    def size(self) -> int:
+        """Samples per channel held."""
+        return self._data.shape[1]
+
+    @property
+    def oldest(self) -> int:
+        """Number of the oldest sample still there."""
+        return max(0, self.written - self.size)
+
+    def write(self, samples: NDArray[Any]) -> None:
+        """Append samples, shape (channels, n); older ones make room."""
+        count = samples.shape[1]
+        kept = samples[:, -self.size :]
+        start = (self.written + count - kept.shape[1]) % self.size
+        head = min(kept.shape[1], self.size - start)
+        self._data[:, start : start + head] = kept[:, :head]
+        self._data[:, : kept.shape[1] - head] = kept[:, head:]
+        self.written += count
+
+    def read(self, first: int, count: int) -> NDArray[Any]:
+        """Copy samples out, shape (channels, count).
+
+        Raises
+        ------
+        IndexError
+            If some are not there any more, or not yet.
+        """
+        if first < self.oldest or first + count > self.written:
+            raise IndexError(
+                f"samples {first} to {first + count - 1}: there are {self.oldest} to {self.written - 1}"
+            )
+        start = first % self.size
+        head = min(count, self.size - start)
+        return np.concatenate([self._data[:, start : start + head], self._data[:, : count - head]], axis=1)

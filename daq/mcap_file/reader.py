@@ -1,0 +1,177 @@
+"""The MCAP container of a recording. Of the file only the summary at its end is read at first.
+
+Chunks, metadata and attachments are read when asked for; every length is bounded, every checksum verified.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import weakref
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from daq.mcap_file.chunk import LARGEST_CHUNK, RECORD_HEAD, Damage, Stored, messages_in, unpack_chunk
+from daq.mcap_file.summary import ATTACHMENT, CHUNK, FOOTER, METADATA, Summary, parse, read_summary
+from rig.errors import RecordingError
+
+MAGIC = b"\x89MCAP0\r\n"
+# What a file may ask of the memory besides a chunk: a record outside the chunks, and the summary; bytes.
+LARGEST_RECORD = 1 << 24
+LARGEST_SUMMARY = 1 << 28
+
+FOOTER_RECORD = struct.Struct("<BQQQI")
+
+
+class Container:
+    """An MCAP file that was closed properly, open for reading.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Attributes
+    ----------
+    summary : Summary
+        What it holds, and where.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be opened, is no MCAP file, was not closed properly, or is damaged.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        if path.exists() and not path.is_file():
+            raise RecordingError(f"{path} is no file")
+        try:
+            self._file = path.open("rb", buffering=0)
+        except OSError as error:
+            raise RecordingError(f"cannot open {path}: {error.strerror}") from error
+        # A recording that nobody closes is closed when nobody has it any more.
+        weakref.finalize(self, self._file.close)
+        try:
+            self.size = os.fstat(self._file.fileno()).st_size
+            self.summary = self._summary()
+        except Damage as damage:
+            self.close()
+            raise self.error(f"is damaged: {damage}") from damage
+        except BaseException:
+            self.close()
+            raise
+
+    def error(self, what: str) -> RecordingError:
+        """Make the error that says what is wrong with the file, and what to do."""
+        return RecordingError(
+            f"{self.path} {what}; `daq recover {self.path} -o FIXED.mcap` salvages what is intact"
+        )
+
+    def _summary(self) -> Summary:
+        tail = FOOTER_RECORD.size + len(MAGIC)
+        if self.size == 0:
+            raise RecordingError(f"{self.path} is empty: it holds no recording")
+        if self.read(0, len(MAGIC)) != MAGIC:
+            raise RecordingError(f"{self.path} is no MCAP file: it does not begin like one")
+        data = self.read(max(self.size - tail, 0), tail)
+        if len(data) < tail or not data.endswith(MAGIC) or data[0] != FOOTER:
+            raise self.error("was not closed properly (it has no end; the recording may have been cut off)")
+        _, length, start, _, checksum = FOOTER_RECORD.unpack_from(data)
+        if length != FOOTER_RECORD.size - RECORD_HEAD.size:
+            raise Damage("its footer is malformed")
+        if start == 0:
+            raise self.error("has no summary")
+        if not len(MAGIC) <= start <= self.size - tail:
+            raise Damage("its footer points outside the file")
+        if self.size - tail - start > LARGEST_SUMMARY:
+            raise Damage(
+                f"its summary has {self.size - tail - start} bytes; at most {LARGEST_SUMMARY} are read"
+            )
+        section = self.read(start, self.size - tail - start)
+        if checksum and checksum != zlib.crc32(data[: FOOTER_RECORD.size - 4], zlib.crc32(section)):
+            raise Damage("the checksum of its summary is wrong")
+        return read_summary(memoryview(section), self.size)
+
+    def read(self, offset: int, length: int) -> bytes:
+        """Read bytes of the file; fewer where it ends."""
+        if self._file.closed:
+            raise RecordingError(f"{self.path} is closed")
+        try:
+            self._file.seek(offset)
+            return self._file.read(length)
+        except OSError as error:
+            raise RecordingError(f"cannot read {self.path}: {error.strerror}") from error
+
+    def _record(self, opcode: int, offset: int, length: int, largest: int) -> memoryview:
+        """Read the content of a record that an index points to."""
+        if length > largest:
+            raise Damage(f"a record at byte {offset} claims {length} bytes; at most {largest} are accepted")
+        if offset > self.size - length:
+            raise Damage(f"a record of {length} bytes at byte {offset} lies beyond the end of the file")
+        data = memoryview(self.read(offset, length))
+        if len(data) != length or length < RECORD_HEAD.size:
+            raise Damage(f"the record at byte {offset} is cut short")
+        if RECORD_HEAD.unpack_from(data) != (opcode, length - RECORD_HEAD.size):
+            raise Damage(f"the record at byte {offset} is not what the summary says")
+        return data[RECORD_HEAD.size :]
+
+    def chunk(self, number: int) -> memoryview:
+        """Read the records of a chunk of the summary; raise `RecordingError` where it is damaged."""
+        offset, length = int(self.summary.offsets[number]), int(self.summary.lengths[number])
+        try:
+            return unpack_chunk(self._record(CHUNK, offset, length, LARGEST_CHUNK + (1 << 16)))
+        except Damage as damage:
+            raise self.error(f"is damaged: the chunk at byte {offset} cannot be used: {damage}") from damage
+
+    def messages(self, number: int) -> Iterator[Stored]:
+        """Yield the messages of a chunk; raise `RecordingError` where it is damaged."""
+        try:
+            yield from messages_in(self.chunk(number))
+        except Damage as damage:
+            offset = self.summary.offsets[number]
+            raise self.error(f"is damaged: the chunk at byte {offset} cannot be used: {damage}") from damage
+
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """Read the metadata records by their names; of several with one name the last counts."""
+        try:
+            found = {}
+            for index in self.summary.metadata:
+                record = parse(METADATA, self._record(METADATA, index.offset, index.length, LARGEST_RECORD))
+                found[record.name] = record.metadata
+            return found
+        except Damage as damage:
+            raise self.error(f"is damaged: {damage}") from damage
+
+    def attachment(self, name: str) -> bytes | None:
+        """Read an attachment; None if there is none of that name."""
+        for index in self.summary.attachments:
+            if index.name == name:
+                try:
+                    content = self._record(ATTACHMENT, index.offset, index.length, LARGEST_RECORD)
+                    return bytes(parse(ATTACHMENT, content).data)
+                except Damage as damage:
+                    raise self.error(f"is damaged: {damage}") from damage
+        return None
+
+    def check(self) -> None:
+        """Read every chunk and attachment; raise `RecordingError` at the first that is damaged."""
+        for number in range(len(self.summary.offsets)):
+            self.chunk(number)
+        for index in self.summary.attachments:
+            self.attachment(index.name)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()

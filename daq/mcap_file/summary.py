@@ -1,0 +1,214 @@
+"""The records of an MCAP file outside its chunks, and the summary at its end."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from io import BytesIO
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.mcap_file.chunk import RECORD_HEAD, Damage
+
+if TYPE_CHECKING:
+    from mcap.records import AttachmentIndex, Channel, MetadataIndex, Schema, Statistics
+
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
+ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(9, 16)
+
+# Most records of one kind in a summary, chunk indexes apart; each costs memory.
+MOST_RECORDS = 1 << 16
+
+_MAP = struct.Struct("<QQQQI")
+_COLUMNS = {
+    "starts": "start",
+    "ends": "end",
+    "offsets": "offset",
+    "lengths": "length",
+    "unpacked": "unpacked",
+}
+
+
+def parse(opcode: int, content: memoryview) -> Any:
+    """Parse a record of the other kinds; raise `Damage` if it is malformed.
+
+    Returns
+    -------
+    mcap record
+        Schema, Channel, Metadata, Attachment, Statistics or an index of these.
+    """
+    from mcap import records
+    from mcap.data_stream import ReadDataStream
+    from mcap.exceptions import McapError
+
+    kinds: dict[int, Any] = {
+        SCHEMA: records.Schema, CHANNEL: records.Channel, STATISTICS: records.Statistics,
+        METADATA: records.Metadata, METADATA_INDEX: records.MetadataIndex,
+        ATTACHMENT: records.Attachment, ATTACHMENT_INDEX: records.AttachmentIndex,
+    }  # fmt: skip
+    stream = ReadDataStream(BytesIO(content))
+    try:
+        record = kinds[opcode].read(stream)
+    except (McapError, struct.error, UnicodeDecodeError, OverflowError, MemoryError) as error:
+        raise Damage(f"a {kinds[opcode].__name__} record is malformed ({type(error).__name__})") from error
+    if stream.count > len(content) or (opcode == SCHEMA and record.id == 0):
+        raise Damage(f"a {kinds[opcode].__name__} record is malformed")
+    if opcode == ATTACHMENT:
+        (checksum,) = struct.unpack_from("<I", content, len(content) - 4)
+        if checksum and checksum != zlib.crc32(content[:-4]):
+            raise Damage("an attachment's checksum is wrong")
+    return record
+
+
+@dataclass
+class Summary:
+    """What the end of a file tells of the rest.
+
+    Attributes
+    ----------
+    schemas, channels : dict of int to Schema or Channel
+        By their numbers.
+    starts, ends : ndarray of uint64, (chunks,)
+        Earliest and latest time in each chunk, ns.
+    offsets, lengths : ndarray of int64, (chunks,)
+        Where each chunk record lies in the file, in bytes.
+    unpacked : ndarray of int64, (chunks,)
+        Size of the records in each chunk, bytes.
+    holders : dict of int to ndarray of int64
+        For each channel the chunks that hold messages of it, in the order of time.
+    metadata, attachments : list of MetadataIndex or AttachmentIndex
+        Where they lie.
+    statistics : Statistics or None
+        Counts, as far as the file gives them.
+    """
+
+    schemas: dict[int, Schema]
+    channels: dict[int, Channel]
+    starts: NDArray[np.uint64]
+    ends: NDArray[np.uint64]
+    offsets: NDArray[np.int64]
+    lengths: NDArray[np.int64]
+    unpacked: NDArray[np.int64]
+    holders: Mapping[int, NDArray[np.int64]]
+    metadata: list[MetadataIndex]
+    attachments: list[AttachmentIndex]
+    statistics: Statistics | None
+
+
+def read_summary(data: memoryview, file_size: int) -> Summary:
+    """Parse a summary section.
+
+    Parameters
+    ----------
+    data : memoryview
+        The section, its checksum verified.
+    file_size : int
+        Bytes in the file, which no record may lie beyond.
+
+    Raises
+    ------
+    Damage
+        If it is malformed.
+    """
+    chunk_places: dict[int, list[int]] = {}
+    others: dict[int, list[Any]] = {}
+    place, end = 0, len(data)
+    head, head_size = RECORD_HEAD.unpack_from, RECORD_HEAD.size
+    while place < end:
+        if end - place < head_size:
+            raise Damage("the summary is cut short")
+        opcode, length = head(data, place)
+        place += head_size
+        if place + length > end:
+            raise Damage(f"a record in the summary claims {length} bytes")
+        if opcode == CHUNK_INDEX:
+            if length in chunk_places:
+                chunk_places[length].append(place)
+            else:
+                chunk_places[length] = [place]
+        elif opcode in (SCHEMA, CHANNEL, STATISTICS, METADATA_INDEX, ATTACHMENT_INDEX):
+            found = others.setdefault(opcode, [])
+            if len(found) == MOST_RECORDS:
+                raise Damage(f"the summary has more than {MOST_RECORDS} records of one kind")
+            found.append(parse(opcode, data[place : place + length]))
+        place += length
+    table, holders = _chunk_table(data, chunk_places, file_size)
+    statistics = others.get(STATISTICS, [])
+    return Summary(
+        schemas={record.id: record for record in others.get(SCHEMA, ())},
+        channels={record.id: record for record in others.get(CHANNEL, ())},
+        **table,
+        holders=holders,
+        metadata=others.get(METADATA_INDEX, []),
+        attachments=others.get(ATTACHMENT_INDEX, []),
+        statistics=statistics[0] if statistics else None,
+    )
+
+
+def _chunk_table(
+    data: memoryview, places: Mapping[int, list[int]], file_size: int
+) -> tuple[dict[str, NDArray[Any]], dict[int, NDArray[np.int64]]]:
+    """Parse chunk indexes, many of one length at a time: an hour has tens of thousands of them."""
+    columns: dict[str, list[NDArray[Any]]] = {column: [] for column in _COLUMNS.values()}
+    holders: list[tuple[NDArray[Any], NDArray[np.int64]]] = []
+    count = 0
+    for length, at in places.items():
+        for piece in range(0, len(at), 4096):
+            table = _chunk_indexes(data, length, at[piece : piece + 4096])
+            beyond = table["offset"].clip(0, file_size) + table["length"].clip(0, file_size) > file_size
+            if (beyond | (table["offset"] > file_size)).any():
+                raise Damage("a chunk index points beyond the end of the file")
+            for column, parts in columns.items():
+                parts.append(table[column].copy())
+            channels = table["map"]["channel"]
+            numbers = np.arange(count, count + len(table))
+            holders.append((channels.ravel(), np.repeat(numbers, channels.shape[1])))
+            count += len(table)
+    joined = {column: np.concatenate([np.empty(0, np.uint64), *parts]) for column, parts in columns.items()}
+    order = np.lexsort((joined["offset"], joined["end"]))
+    rank = np.empty(count, np.int64)
+    rank[order] = np.arange(count)
+    arrays = {name: joined[column][order] for name, column in _COLUMNS.items()}
+    for name in ("offsets", "lengths"):
+        arrays[name] = arrays[name].astype(np.int64)
+    if not holders:
+        return arrays, {}
+    # Channel and chunk in one number, so that a single sort puts chunks in order under their channels.
+    held = np.concatenate([channels for channels, _ in holders]).astype(np.int64)
+    pairs = np.sort(held * count + rank[np.concatenate([numbers for _, numbers in holders])])
+    channel, chunk = np.divmod(pairs[np.diff(pairs, prepend=-1) > 0], count)
+    begins = np.flatnonzero(np.diff(channel, prepend=-1) > 0)
+    split = np.split(chunk, begins)[1:]
+    return arrays, dict(zip(channel[begins].tolist(), split, strict=True))
+
+
+def _chunk_indexes(data: memoryview, length: int, at: list[int]) -> NDArray[Any]:
+    """View chunk indexes of one length as a table."""
+    if length < _MAP.size + 28:
+        raise Damage("a chunk index is cut short")
+    map_bytes = _MAP.unpack_from(data, at[0])[4]
+    name_bytes = length - _MAP.size - map_bytes - 28
+    if map_bytes % 10 or name_bytes < 0:
+        raise Damage("a chunk index is malformed")
+    entry = np.dtype([("channel", "<u2"), ("offset", "<u8")])
+    times_and_places = [(name, "<u8") for name in ("start", "end", "offset", "length")]
+    sizes = [("index_length", "<u8"), ("name_bytes", "<u4"), ("name", f"V{name_bytes}")]
+    record = np.dtype(
+        [
+            *times_and_places,
+            ("map_bytes", "<u4"),
+            ("map", entry, (map_bytes // 10,)),
+            *sizes,
+            ("packed", "<u8"),
+            ("unpacked", "<u8"),
+        ]
+    )
+    rows = np.frombuffer(data, np.uint8)[np.array(at)[:, None] + np.arange(length)]
+    table: NDArray[Any] = rows.view(record)[:, 0]
+    if (table["map_bytes"] != map_bytes).any() or (table["name_bytes"] != name_bytes).any():
+        raise Damage("a chunk index is malformed")
+    return table

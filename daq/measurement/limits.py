@@ -1,0 +1,175 @@
+"""Limits of the channels: overloads and alarms are noted, an abort limit ends the test."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.measurement.bias_overload import bias_overload
+from daq.signal_chain.channel import ChannelInfo
+
+if TYPE_CHECKING:
+    from rig.scene.scene import Scene
+
+# An oscillation crosses its limit twice a period; crossings closer than this are one stretch, s.
+_PAUSE = 0.5
+
+
+@dataclass(frozen=True)
+class Trip:
+    """A channel beyond its abort limit: when (sample number), which, what it read and what it may read."""
+
+    sample: int
+    channel: ChannelInfo
+    value: float
+    limit: float
+
+    def __str__(self) -> str:
+        name, unit = self.channel.name, self.channel.unit
+        return (
+            f"channel {name} read {self.value:.4g} {unit} at {self.sample / self.channel.rate:.3f} s, "
+            f"beyond its abort limit of {self.limit:.4g} {unit}"
+        )
+
+
+#: Overload of a control channel that ends a test, s.
+_CLIPPED = 1.0
+
+
+class Stretches:
+    """Joins flagged samples to stretches and notes each when it is over.
+
+    Parameters
+    ----------
+    kind : str
+        Kind of the marks.
+    channels : sequence of ChannelInfo
+        The channels, in the order of the rows of the flags.
+    mark : callable
+        ``mark(kind, first, stop, channel=name)``.
+
+    Examples
+    --------
+    >>> info = ChannelInfo("body1", "body 1", "acceleration", sensitivity=1.0, rate=10.0)
+    >>> stretches = Stretches("overload", [info], lambda *args, **fields: print(*args, fields))
+    >>> stretches.add(0, np.array([[0, 1, 0, 1, 0, 0, 0, 0, 0, 0]], dtype=bool))
+    overload 1 4 {'channel': 'body1'}
+    """
+
+    def __init__(self, kind: str, channels: Sequence[ChannelInfo], mark: Callable[..., Any]) -> None:
+        self._kind, self._channels, self._mark = kind, channels, mark
+        self._open: dict[int, tuple[int, int]] = {}
+
+    def add(self, first: int, flags: NDArray[np.bool_]) -> None:
+        """Take the flags of the next samples, shape (channels, samples), the first one numbered `first`."""
+        if not self._open and not flags.any():
+            return
+        pause = max(1, round(_PAUSE * self._channels[0].rate))
+        for row in range(len(self._channels)):
+            flagged = np.flatnonzero(flags[row]) + first
+            # Flagged samples with less than a pause between them belong together.
+            for together in np.split(flagged, np.flatnonzero(np.diff(flagged) > pause) + 1):
+                if together.size:
+                    self._join(row, int(together[0]), int(together[-1]) + 1, pause)
+            if row in self._open and first + flags.shape[1] - self._open[row][1] >= pause:
+                self._note(row)
+
+    def _join(self, row: int, start: int, stop: int, pause: int) -> None:
+        """Join a stretch to the one that is open, if it is near."""
+        if row in self._open and start - self._open[row][1] >= pause:
+            self._note(row)
+        self._open[row] = self._open.get(row, (start, stop))[0], stop
+
+    def close(self) -> None:
+        """Note what is still open."""
+        for row in sorted(self._open):
+            self._note(row)
+
+    def _note(self, row: int) -> None:
+        start, stop = self._open.pop(row)
+        self._mark(self._kind, start, stop, channel=self._channels[row].name)
+
+
+class Limits:
+    """Watches alarm and abort limits.
+
+    Parameters
+    ----------
+    scene : Scene
+        Limits stand with its channels, in each channel's unit.
+    channels : sequence of ChannelInfo
+        The channels, in the order of the rows of the readings.
+    mark : callable
+        ``mark(kind, first, stop, **fields)``.
+    """
+
+    def __init__(self, scene: Scene, channels: Sequence[ChannelInfo], mark: Callable[..., Any]) -> None:
+        settings = {channel.name: channel for channel in scene.channels or ()}
+
+        def limits(name: str) -> NDArray[np.float64]:
+            given = [getattr(settings.get(info.name), name, None) for info in channels]
+            return np.array([[np.inf if limit is None else limit] for limit in given])
+
+        self._channels = channels
+        self._alarm, self._abort = limits("alarm"), limits("abort")
+        self._alarms = Stretches("alarm", channels, mark)
+        self._any = bool(np.isfinite(self._alarm).any() or np.isfinite(self._abort).any())
+
+    def watch(self, first: int, readings: NDArray[np.float64]) -> Trip | None:
+        """Look at readings, shape (channels, samples), and report the first beyond an abort limit."""
+        if not self._any:
+            return None
+        size = abs(readings)
+        self._alarms.add(first, size > self._alarm)
+        beyond = size > self._abort
+        if not beyond.any():
+            return None
+        sample = int(np.argmax(beyond.any(axis=0)))
+        row = int(np.argmax(beyond[:, sample]))
+        return Trip(
+            first + sample, self._channels[row], float(readings[row, sample]), float(self._abort[row, 0])
+        )
+
+    def close(self) -> None:
+        """Note the alarms that still last."""
+        self._alarms.close()
+
+
+class ControlLoss:
+    """Watches the channels that a held spring force is read from: clipped, they cannot tell how large it is.
+
+    Parameters
+    ----------
+    scene : Scene
+    channels : sequence of ChannelInfo
+        The channels, in the order of the rows of the flags.
+    """
+
+    def __init__(self, scene: Scene, channels: Sequence[ChannelInfo]) -> None:
+        shaker = scene.shaker
+        held = getattr(scene.test, "force", None) is not None
+        places = () if shaker is None or shaker.kind == "force" else ("table", f"body {shaker.bodies[0]}")
+        self._rows = [row for row, info in enumerate(channels) if held and info.at in places]
+        self._scene, self._channels = scene, channels
+        self._since: int | None = None
+
+    def watch(self, first: int, flags: NDArray[np.bool_]) -> str | None:
+        """Look at overload flags, shape (channels, samples); say so when they have lasted for too long."""
+        clipped = [row for row in self._rows if flags[row].any()]
+        if not clipped:
+            self._since = None
+            return None
+        self._since = first if self._since is None else self._since
+        info, stop = self._channels[clipped[0]], first + flags.shape[1]
+        if stop - self._since <= _CLIPPED * info.rate:
+            return None
+        cause = bias_overload(self._scene, clipped[0], stop / info.rate)
+        return (
+            f"input {info.name} has been overloaded since {self._since / info.rate:.2f} s, so that the spring force "
+            "cannot be read and held; "
+            + (cause or "expected a lower force, a larger converter range or a lower sensitivity")
+        )

@@ -1,0 +1,328 @@
+"""Run the test of a scene on its bench and record it."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from itertools import pairwise
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.excitation import Excitation, Station, excitation
+from daq.measurement.force_reference import force_untold
+from daq.measurement.limits import ControlLoss, Limits, Stretches
+from daq.recording.recorder import Recorder
+from daq.signal_chain.bench import Bench, Block
+from rig.errors import RecordingError, RunError, SceneError, ShotrigError
+from rig.scene.loading import load
+from rig.scene.scene import Scene
+
+Array = NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+# The channels are watched at the end of each stretch of this length, s, whatever the size of the blocks.
+_WATCH = 0.1
+_RAMP = 0.05
+
+
+class RunWarning(UserWarning):
+    """Something about a recorded test that its user must know."""
+
+
+def record(
+    scene: Scene | str | Path,
+    path: str | Path,
+    *,
+    block: int | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Path:
+    """Run the whole test of a scene, as the real one would run, and record it.
+
+    Same scene and seed give the same bytes, whatever the block size.
+
+    Parameters
+    ----------
+    scene : Scene or str or Path
+        Scene, name of a bundled one, or path of a scene file.
+    path : str or Path
+        Recording to write (MCAP); missing folders are made.
+    block : int, optional
+        Most samples to acquire at a time; by default what suits the machine.
+    overwrite : bool
+        Whether an existing file may be replaced.
+    progress : callable, optional
+        ``progress(fraction, message)``, called as the test goes on.
+
+    Returns
+    -------
+    Path
+        The recording.
+
+    Raises
+    ------
+    SceneError
+        If the scene or its test can not be run; no recording is left behind.
+    RecordingError
+        If the recording cannot be made where it is to lie, or there is one already.
+    RunError
+        If the run failed or a channel went beyond its abort limit; the recording up to there is closed and
+        marked.
+    KeyboardInterrupt
+        If the user interrupted; the recording up to there is closed and marked.
+
+    Warns
+    -----
+    RunWarning
+        If points did not settle, or a level was not reached; at the start, if no channel tells the force.
+
+    Examples
+    --------
+    >>> import tempfile, daq, rig
+    >>> scene = rig.load("fig10b-no-damper")
+    >>> scene = scene.replace(test=scene.test.replace(repeats=1, interval="0.5 s"))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     recording = daq.open(record(scene, Path(folder) / "hit.mcap"))
+    ...     recording.markers[-1].kind
+    'hit'
+    """
+    if block is not None and block < 1:
+        raise SceneError(f"block: got {block}; expected a number of samples, 1 at least")
+    what = scene if isinstance(scene, Scene) else load(scene)
+    return Run(what, Path(path), block, progress).run(overwrite)
+
+
+class Run:
+    """One run of a test: the loop between excitation, bench and recorder.
+
+    Parameters
+    ----------
+    scene : Scene
+        What is on the bench.
+    path : Path
+        Recording to write.
+    block : int or None
+        Most samples to acquire at a time.
+    progress : callable or None
+        Told how far the test is.
+    excite : callable
+        Makes the excitation at a station; the scene's own test unless another is given.
+    heard : callable
+        Told each block as it comes, and what the channels read in it; it may take its time.
+
+    Attributes
+    ----------
+    bench : Bench
+        Where it runs.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        path: Path,
+        block: int | None = None,
+        progress: Progress | None = None,
+        excite: Callable[[Station], Excitation] = excitation,
+        heard: Callable[[Block, Array], None] = lambda block, readings: None,
+    ) -> None:
+        self._path = path
+        self._excite, self._heard = excite, heard
+        self._block = block
+        self.bench = Bench(scene)
+        self._warnings: list[str] = []
+        self._station = Station(
+            scene,
+            self.bench.channels,
+            self.bench.inputs,
+            self.bench.rate,
+            mark=self._mark,
+            report=progress if progress is not None else lambda fraction, message: None,
+            warn=self._warnings.append,
+        )
+        self._recorder: Recorder | None = None
+        self._lost = 0
+        self._last = np.zeros((len(self.bench.inputs), 2))
+        self._limits = Limits(scene, self.bench.channels, self._mark)
+        self._overloads = Stretches("overload", self.bench.channels, self._mark)
+        self._control = ControlLoss(scene, self.bench.channels)
+        self._control_lost: str | None = None
+        # Sample that broke the test off, where there is one.
+        self._ended: int | None = None
+
+    def run(self, overwrite: bool) -> Path:
+        """Run the test to its end and close the recording."""
+        # All that can be wrong with the test shows before there is a file.
+        test = self._excite(self._station)
+        drive = next(test)
+        bench, path = self.bench, self._path
+        untold = force_untold(bench.scene, bench.channels)
+        if untold is not None:
+            warnings.warn(untold, RunWarning, stacklevel=4)
+        _make_folder(path)
+        try:
+            with Recorder(path, bench.scene, bench.channels, bench.rate, overwrite=overwrite) as recorder:
+                self._recorder = recorder
+                with _interruptible() as interrupted:
+                    try:
+                        # What the test still has to mark, it marks while the recorder takes it.
+                        with closing(test):
+                            self._play(test, drive, interrupted)
+                    except (ShotrigError, _Stopped) as error:
+                        ended = self._last_sample if self._ended is None else self._ended
+                        self._mark("abort", ended, ended + 1, reason=str(error))
+                        raise
+                    finally:
+                        self._note_loss()
+                        self._limits.close()
+                        self._overloads.close()
+        except _Stopped as stopped:
+            raise KeyboardInterrupt(self._holds()) from stopped
+        except ShotrigError as error:
+            if self._recorder is None:
+                raise
+            raise type(error)(f"{error}; {self._holds()}") from error
+        for message in dict.fromkeys(self._warnings):
+            warnings.warn(message, RunWarning, stacklevel=4)
+        return path
+
+    def _play(self, test: Excitation, drive: Array, interrupted: Callable[[], bool]) -> None:
+        quantum = self._station.samples(_WATCH)
+        while True:
+            readings = []
+            for start in range(0, drive.shape[1], quantum):
+                readings.append(self._acquire(drive[:, start : start + quantum]))
+                came = self._station.now - self.bench.latency - readings[-1].shape[1]
+                trip = self._limits.watch(came, readings[-1])
+                ends = trip if trip is not None else self._control_lost
+                if ends is not None:
+                    self._ended = trip.sample if trip is not None else self._last_sample
+                    self._end(test)
+                    raise RunError(f"test aborted: {ends}")
+                if interrupted():
+                    self._end(test)
+                    raise _Stopped("interrupted")
+            try:
+                drive = test.send(readings[0] if len(readings) == 1 else np.concatenate(readings, axis=1))
+            except StopIteration:
+                if self.bench.latency:
+                    self._acquire(np.repeat(self._last[:, -1:], self.bench.latency, axis=1))
+                return
+
+    def _acquire(self, drive: Array) -> Array:
+        """Acquire and record a stretch in blocks; return what the channels read."""
+        assert self._recorder is not None
+        first, size = self._station.now, drive.shape[1]
+        block = size if self._block is None else self._block
+        readings = np.zeros((len(self.bench.channels), size))
+        overload = np.zeros(readings.shape, dtype=bool)
+        for start in range(0, size, block):
+            part = slice(start, min(start + block, size))
+            got = self.bench.acquire(drive[:, part])
+            self._write(got.samples, got.first)
+            if self.bench.scene.recording.truth:
+                self._recorder.write_truth(got.motion)
+            # Where a filter's latency is hidden in the sample numbers, nothing comes out at first.
+            came = slice(part.stop - got.samples.shape[1], part.stop)
+            readings[:, came] = self.bench.physical(got.samples)
+            overload[:, came] = got.overload
+            self._heard(got, readings[:, came])
+        self._station.now = first + size
+        self._last = np.concatenate([self._last, drive[:, -2:]], axis=1)[:, -2:]
+        self._overloads.add(first - self.bench.latency, overload)
+        self._control_lost = self._control.watch(first, overload)
+        return readings
+
+    def _write(self, samples: NDArray[Any], first: int) -> None:
+        """Write samples, except those that are lost on the way to the recording."""
+        assert self._recorder is not None
+        if not samples.size:
+            # At a low rate a whole stretch may be shorter than the filter's delay that is taken out.
+            return
+        kept = np.ones(samples.shape[1], dtype=bool)
+        for begin, end in self.bench.lost:
+            kept[max(0, begin - first) : max(0, end + 1 - first)] = False
+        for start, stop in stretches_of_equals(kept):
+            if not kept[start]:
+                self._lost += stop - start
+                continue
+            self._note_loss()
+            self._recorder.write(samples[:, start:stop])
+
+    def _note_loss(self) -> None:
+        if self._lost and self._recorder is not None and self._recorder.takes_more:
+            self._recorder.gap(self._lost)
+            self._lost = 0
+
+    def _end(self, test: Excitation) -> None:
+        """End the test where it is and take the drive to zero, without a jump in it or in its slope."""
+        # First the test: what it marks as held must not reach into the ramp.
+        test.close()
+        part = np.arange(1, self._station.samples(_RAMP) + 1)
+        last, before = self._last[:, -1:], self._last[:, :1]
+        self._acquire((last + (last - before) * part) * (1 + np.cos(np.pi * part / part[-1])) / 2)
+
+    def _mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
+        assert self._recorder is not None
+        # After a full disk nothing is marked: what the user must hear is that the disk is full.
+        if self._recorder.takes_more:
+            self._recorder.mark(kind, first, stop - 1, **fields)
+
+    @property
+    def _last_sample(self) -> int:
+        """Number of the last sample that has come out of the converter."""
+        return max(0, self._station.now - self.bench.latency - 1)
+
+    def _holds(self) -> str:
+        return f"{self._path} holds the {self._station.now / self.bench.rate:.2f} s up to there"
+
+
+def _make_folder(path: Path) -> None:
+    """Make the folders that a recording is to lie in, where they are missing."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecordingError(
+            f"cannot make the folder {path.parent.absolute()} for the recording: {error.strerror}; choose a place "
+            "that can be written to (-o FILE.mcap)"
+        ) from None
+
+
+class _Stopped(KeyboardInterrupt):
+    """Somebody has pressed Ctrl-C, and the drive has been brought to rest."""
+
+
+def stretches_of_equals(values: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Find where values stay the same, as (start, stop).
+
+    >>> stretches_of_equals(np.array([True, True, False, True]))
+    [(0, 2), (2, 3), (3, 4)]
+    """
+    edges = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values)]
+    return list(pairwise(edges))
+
+
+@contextmanager
+def _interruptible() -> Iterator[Callable[[], bool]]:
+    """Turn the first Ctrl-C into a flag, so that no block is torn; the second one interrupts as ever."""
+    pressed = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield pressed.is_set
+        return
+    before = signal.getsignal(signal.SIGINT)
+
+    def press(number: int, frame: FrameType | None) -> None:
+        pressed.set()
+        signal.signal(signal.SIGINT, before)
+
+    signal.signal(signal.SIGINT, press)
+    try:
+        yield pressed.is_set
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -1,0 +1,112 @@
+"""What a test that has been recorded tells its user: progress while it runs, a summary when it is over."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from daq.measurement.force_reference import force_untold
+
+if TYPE_CHECKING:
+    from daq.recording.recording import Recording
+
+# What is worth typing after a test of each kind.
+_NEXT = {"impulse": "decay", "free": "decay"}
+
+
+def record_and_report(scene: str, path: Path, overwrite: bool, block: int | None) -> int:
+    """Record a scene's test with a progress bar and say what came of it.
+
+    Returns
+    -------
+    int
+        Exit code: 0 done, 130 interrupted (the recording is then closed and readable).
+    """
+    import daq
+    import rig
+
+    setting = rig.load(scene)
+    print(f"recording {scene} to {path.absolute()}", file=sys.stderr)
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always", daq.RunWarning)
+        try:
+            with progress_bar(Path(scene).stem) as progress:
+                daq.record(setting, path, block=block, overwrite=overwrite, progress=progress)
+            code = 0
+        except KeyboardInterrupt as interrupt:
+            if not interrupt.args:
+                raise
+            print("interrupted", file=sys.stderr)
+            code = 130
+    for warning in heard:
+        print(f"warning: {warning.message}", file=sys.stderr)
+    print(summary(path))
+    return code
+
+
+@contextmanager
+def progress_bar(title: str) -> Iterator[Callable[[float, str], None] | None]:
+    """Show a bar with the time left while the body runs; nothing where the error output is no terminal."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeRemainingColumn(elapsed_when_finished=True),
+        TextColumn("{task.fields[message]}"),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(title, total=1.0, message="")
+        yield lambda fraction, message: bar.update(task, completed=fraction, message=message)
+
+
+def summary(path: Path) -> str:
+    """Describe a recording just made: what it holds, what went wrong in it, what to type next."""
+    import daq
+
+    with daq.open(path) as rec:
+        lines = [
+            f"{path}: {rec.samples} samples of {len(rec.channels)} channels, {rec.samples / rec.rate:.2f} s "
+            f"at {rec.rate:g} Hz, {path.stat().st_size / 1e6:.1f} MB",
+            f"overloads: {_overloads(rec)}",
+        ]
+        measured = [mark for mark in rec.markers if mark.kind == "measure" and "settled" in mark.fields]
+        if measured:
+            unsettled = [mark for mark in measured if not mark.fields["settled"]]
+            lines.append(f"not settled: {len(unsettled) or 'none'} of {len(measured)} measurements")
+        lines += _levels(rec)
+        lines += [f"aborted: {mark.fields['reason']}" for mark in rec.markers if mark.kind == "abort"]
+        kind = rec.scene.test.kind if rec.scene.test is not None else ""
+        replay = f"daq replay {path}"
+        untold = force_untold(rec.scene, list(rec.channels.values()))
+        lines.append(
+            f"next: analysis {_NEXT.get(kind, 'frf')} {path}   or: {replay}"
+            if untold is None
+            else f"next: {replay}"
+        )
+    return "\n".join(lines)
+
+
+def _levels(rec: Recording) -> list[str]:
+    """Say where a swept force was off its level, one line or none."""
+    off = [mark for mark in rec.markers if mark.kind == "level"]
+    if not off:
+        return []
+    seconds = sum(mark.stop - mark.first_sample for mark in off) / rec.rate
+    return [f"force off its level: {seconds:.2f} s in all (markers 'level' say where and by how much)"]
+
+
+def _overloads(rec: Recording) -> str:
+    stretches = [mark for mark in rec.markers if mark.kind == "overload"]
+    names = sorted({str(mark.fields["channel"]) for mark in stretches})
+    count = "1 stretch" if len(stretches) == 1 else f"{len(stretches)} stretches"
+    return f"{count} in {', '.join(names)}" if stretches else "none"

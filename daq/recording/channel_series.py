@@ -1,0 +1,178 @@
+"""One channel's samples in a recording, read by sample number; nothing but the chunks it needs is decoded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.mcap_file.reader import Container
+from daq.recording.sample_block import SCHEMAS, Block, decode
+from daq.recording.timebase import Clock
+from rig.errors import RecordingError
+
+if TYPE_CHECKING:
+    from mcap.records import Channel
+
+# A range is refused when it is larger than this many samples and holds but a thousandth of them: numbers in a
+# file must not make the memory overflow.
+LARGE_RANGE = 1 << 27
+LEAST_SHARE = 1000
+
+
+class Series:
+    """Blocks of samples on one topic.
+
+    Parameters
+    ----------
+    container : Container
+        The file.
+    channel : mcap Channel
+        The topic, with what its metadata tell.
+    """
+
+    def __init__(self, container: Container, channel: Channel) -> None:
+        summary = container.summary
+        self.topic, self.metadata = channel.topic, channel.metadata
+        self._container, self._channel = container, channel.id
+        self._schema = summary.schemas[channel.schema_id].name
+        self._chunks = summary.holders.get(channel.id, np.empty(0, np.int64))
+        self._cached: tuple[int, list[Block]] = (-1, [])
+        self.scale = self._number("scale", 1.0)
+
+    @property
+    def stored(self) -> str:
+        """What a sample is in the file: `float64`, `float32` or `counts`."""
+        return next(stored for stored, (schema, _, _) in SCHEMAS.items() if schema == self._schema)
+
+    def _error(self, what: str) -> RecordingError:
+        return RecordingError(f"{self._container.path}: {self.topic}: {what}")
+
+    def _number(self, key: str, otherwise: float) -> float:
+        try:
+            return float(self.metadata.get(key, otherwise))
+        except ValueError:
+            raise self._error(f"{key} = {self.metadata[key]!r} is no number") from None
+
+    @cached_property
+    def clock(self) -> Clock:
+        """The sample clock: as the topic's metadata state it, or else as the first block does."""
+        if "rate" in self.metadata and "start_ns" in self.metadata:
+            try:
+                return Clock(float(self.metadata["rate"]), int(self.metadata["start_ns"]))
+            except ValueError as error:
+                raise self._error(f"no clock: {error}") from None
+        for chunk in self._chunks:
+            for block in self._decoded(int(chunk), None):
+                since = Clock(block.rate).time_ns(block.first_sample)
+                return Clock(block.rate, block.t0_ns - since)
+        raise self._error("it has no samples, and no sample rate")
+
+    @cached_property
+    def stop(self) -> int:
+        """Number of the sample after the last one."""
+        for chunk in self._chunks[::-1]:
+            blocks = self._decoded(int(chunk), self.clock)
+            if blocks:
+                return blocks[-1].stop
+        return 0
+
+    @cached_property
+    def _ends(self) -> NDArray[np.int64]:
+        """For each chunk the sample by which the blocks in it have ended."""
+        return self.clock.samples_at(self._container.summary.ends[self._chunks])
+
+    def _decoded(self, chunk: int, clock: Clock | None) -> list[Block]:
+        """Decode this topic's blocks of a chunk; the last chunk is kept for readers that take small steps."""
+        if clock is not None and self._cached[0] == chunk:
+            return self._cached[1]
+        blocks = []
+        for message in self._container.messages(chunk):
+            if message.channel != self._channel:
+                continue
+            try:
+                block = decode(message.data, self._schema)
+            except RecordingError as error:
+                raise self._error(str(error)) from error
+            blocks.append(block)
+            if clock is not None:
+                self._check(block, message.log_time, clock)
+        if clock is not None:
+            self._cached = (chunk, blocks)
+        return blocks
+
+    def _check(self, block: Block, log_time: int, clock: Clock) -> None:
+        """Hold a block against the layout, on which finding samples relies."""
+        begins = (block.t0_ns - clock.start_ns) * clock.rate * 1e-9 - block.first_sample
+        ends = (log_time - clock.start_ns) * clock.rate * 1e-9 - block.stop
+        if block.rate != clock.rate or not (abs(begins) < 0.5 and abs(ends) < 0.5):
+            should = clock.time_ns(block.first_sample), clock.time_ns(block.stop)
+            raise self._error(
+                f"the block at sample {block.first_sample} does not follow the layout: at {clock.rate:g} Hz "
+                f"it should begin at {should[0]} ns and be logged at its end, {should[1]} ns; "
+                f"it says {block.rate:g} Hz, {block.t0_ns} ns and {log_time} ns"
+            )
+
+    def blocks(self, start: int, stop: int) -> Iterator[Block]:
+        """Yield the blocks that hold any sample of [start, stop), in order."""
+        reached = 0
+        for chunk in self._chunks[int(np.searchsorted(self._ends, start, side="right")) :]:
+            blocks = self._decoded(int(chunk), self.clock)
+            for block in blocks:
+                if block.first_sample < reached:
+                    raise self._error(
+                        f"the block at sample {block.first_sample} follows sample {reached - 1}"
+                    )
+                reached = block.stop
+                if block.stop > start and block.first_sample < stop:
+                    yield block
+            if reached >= stop:
+                return
+
+    def read(self, start: int, stop: int) -> NDArray[np.float64]:
+        """Read samples in the unit of the topic.
+
+        Parameters
+        ----------
+        start, stop : int
+            First sample, and the one after the last.
+
+        Returns
+        -------
+        ndarray, (stop - start,)
+            NaN where the file has no sample.
+
+        Raises
+        ------
+        RecordingError
+            If a chunk is damaged, or the range holds next to nothing for its size.
+        """
+        self._refuse_void(start, stop)
+        values = np.empty(stop - start)
+        reached = start
+        for block in self.blocks(start, stop):
+            begin, end = max(block.first_sample, start), min(block.stop, stop)
+            values[reached - start : begin - start] = np.nan
+            there = block.samples[begin - block.first_sample : end - block.first_sample]
+            np.multiply(there, self.scale, out=values[begin - start : end - start], dtype=np.float64)
+            reached = end
+        values[reached - start :] = np.nan
+        return values
+
+    def _refuse_void(self, start: int, stop: int) -> None:
+        if stop - start > LARGE_RANGE:
+            # No sample takes less than four bytes in a chunk.
+            most = int(np.minimum(self._container.summary.unpacked[self._chunks], 1 << 40).sum()) // 4
+            if most * LEAST_SHARE < stop - start:
+                raise self._error(f"it claims samples {start} to {stop - 1}, but holds {most} at most")
+
+    def holes(self) -> Iterator[tuple[int, int]]:
+        """Yield the ranges [first, stop) of samples that are missing before the last one; reads all."""
+        reached = 0
+        for block in self.blocks(0, self.stop):
+            if block.first_sample > reached:
+                yield reached, block.first_sample
+            reached = block.stop

@@ -1,0 +1,336 @@
+"""Signals made for looking at while a recording is written: slow, anti-aliased waveforms, rms and peak.
+
+A viewer that knows nothing of this project draws them: one number a message, in an encoding it plots unasked.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.mcap_file.writer import Message, Messages
+from daq.recording.layout import DISPLAY, ROBOT, TRANSFORMS
+from daq.recording.protobuf import Schema
+from daq.recording.timebase import Clock
+
+if TYPE_CHECKING:
+    from daq.recording.truth import Register, Truth
+    from daq.signal_chain.channel import ChannelInfo
+    from rig.scene.scene import Scene
+
+FASTEST_HZ = 250.0
+TRANSFORM_STEP = 2
+# Half the length of the anti-aliasing filter in display samples. With its Kaiser window it is flat to 0.27 of
+# the display rate; aliasing begins at half of it, where it is 44 dB down, and is 70 dB down from 0.52 on.
+HALF_LENGTH = 8
+KAISER_BETA = 6.8
+CUTOFF = 0.385
+
+_RULE = "=" * 80
+FLOAT_SCHEMA = Schema(
+    "std_msgs/msg/Float64MultiArray",
+    "ros2msg",
+    (
+        "std_msgs/MultiArrayLayout layout\nfloat64[] data\n"
+        f"{_RULE}\nMSG: std_msgs/MultiArrayLayout\nstd_msgs/MultiArrayDimension[] dim\nuint32 data_offset\n"
+        f"{_RULE}\nMSG: std_msgs/MultiArrayDimension\nstring label\nuint32 size\nuint32 stride\n"
+    ).encode(),
+    "cdr",
+)
+TEXT_SCHEMA = Schema("std_msgs/msg/String", "ros2msg", b"string data\n", "cdr")
+
+_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
+# What stands before the one element: no dimensions, no offset, one element, padding to eight bytes.
+_BEFORE = np.frombuffer(struct.pack("<4sIII4x", _LITTLE_ENDIAN, 0, 0, 1), np.uint8)
+
+
+def encode_floats(values: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Encode each number as a std_msgs/msg/Float64MultiArray of one element, along a further, last axis.
+
+    >>> encode_floats(np.ones((2, 3))).shape
+    (2, 3, 28)
+    """
+    messages = np.empty((*values.shape, _BEFORE.size + 8), np.uint8)
+    messages[..., : _BEFORE.size] = _BEFORE
+    messages[..., _BEFORE.size :] = np.ascontiguousarray(values, "<f8")[..., None].view(np.uint8)
+    return messages
+
+
+def encode_text(text: str) -> bytes:
+    r"""Encode a std_msgs/msg/String.
+
+    >>> encode_text("rig")[4:]
+    b'\x04\x00\x00\x00rig\x00'
+    """
+    content = text.encode() + b"\0"
+    return struct.pack(f"<4sI{len(content)}s", _LITTLE_ENDIAN, len(content), content)
+
+
+def display_step(rate: float) -> int:
+    """Give the number of samples from one display sample to the next.
+
+    >>> 5120.0 / display_step(5120.0)
+    243.8095238095238
+    """
+    return max(1, math.ceil(rate / FASTEST_HZ))
+
+
+class Decimator:
+    """Low-passes signals and keeps every `step`-th sample, at sample numbers that are multiples of it.
+
+    Linear phase: a kept sample stands at its own time, and is known half a filter length later. Where samples
+    begin and end, the first and the last are taken to go on for ever.
+
+    Parameters
+    ----------
+    step : int
+        Samples from one kept sample to the next.
+
+    Attributes
+    ----------
+    stop : int or None
+        Number of the sample that should come next; None before the first one and after `finish`.
+    """
+
+    def __init__(self, step: int) -> None:
+        self.step = step
+        self._half = HALF_LENGTH * step if step > 1 else 0
+        self._taps = np.ones(1)
+        if step > 1:
+            from scipy.signal import firwin
+
+            self._taps = firwin(2 * self._half + 1, 2 * CUTOFF / step, window=("kaiser", KAISER_BETA))
+        self._held = np.empty((0, 0))
+        self._first = 0
+        self.stop: int | None = None
+        self._next = 0
+
+    def run(self, first: int, samples: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Take further samples.
+
+        Parameters
+        ----------
+        first : int
+            Number of the first of them; where they do not follow the last ones, `finish` comes before.
+        samples : ndarray, (signals, samples)
+            At least one sample.
+
+        Returns
+        -------
+        places : ndarray of int64, (kept,)
+            Sample numbers of what is known by now.
+        values : ndarray, (signals, kept)
+            The low-passed signals there.
+        """
+        if self.stop is None:
+            self._held = np.repeat(samples[:, :1], self._half, axis=1)
+            self._first, self._next = first - self._half, -(-first // self.step)
+        self._held = np.concatenate([self._held, samples], axis=1)
+        self.stop = first + samples.shape[1]
+        last = (self.stop - 1 - self._half) // self.step
+        return self._kept(last)
+
+    def finish(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Give what is left of the samples taken so far, at least one; the next ones start afresh."""
+        assert self.stop is not None
+        self._held = np.concatenate([self._held, np.repeat(self._held[:, -1:], self._half, axis=1)], axis=1)
+        kept = self._kept((self.stop - 1) // self.step)
+        self.stop = None
+        return kept
+
+    def _kept(self, last: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Filter at the multiples of the step from the next one to the last one, both included."""
+        places = np.arange(self._next, last + 1, dtype=np.int64) * self.step
+        if places.size == 0:
+            return places, np.empty((self._held.shape[0], 0))
+        begin, end = int(places[0]) - self._half - self._first, int(places[-1]) + self._half + 1 - self._first
+        values = self._held[:, begin:end]
+        if self.step > 1:
+            values = _filtered(values, self._taps, self.step)
+        self._next = last + 1
+        forget = max(0, self._next * self.step - self._half - self._first)
+        self._held, self._first = self._held[:, forget:], self._first + forget
+        return places, np.asarray(values)
+
+
+def _filtered(samples: NDArray[np.float64], taps: NDArray[np.float64], step: int) -> NDArray[np.float64]:
+    """Weigh with `taps` what begins at every `step`-th sample, (signals, kept).
+
+    The filter has whole steps and a sample: one product of matrices weighs every step of the signals with every
+    step of the filter, and sums along its diagonals are the result.
+    """
+    steps = taps.size // step
+    kept = samples.shape[1] // step - steps + 1
+    signals = samples[:, : (kept + steps - 1) * step].reshape(len(samples), -1, step)
+    parts = signals @ taps[:-1].reshape(steps, step).T
+    result = taps[-1] * samples[:, steps * step :: step][:, :kept]
+    for k in range(steps):
+        result += parts[:, k : k + kept, k]
+    return result
+
+
+class Display:
+    """Makes the messages for viewers: waveform, rms and peak of each channel, and the rig's transforms.
+
+    Parameters
+    ----------
+    scene : Scene
+        Says what the rig looks like.
+    channels : sequence of ChannelInfo
+        One for each row of samples.
+    clock : Clock
+        Of the recording.
+    truth : Truth or None
+        The true motion, where recorded: it shows the dampers, and points without a displacement channel.
+    register : callable
+        Announces a topic and gives its channel number.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        channels: Sequence[ChannelInfo],
+        clock: Clock,
+        truth: Truth | None,
+        register: Register,
+    ) -> None:
+        from daq.recording.robot_description import TRANSFORMS_SCHEMA, RobotDescription
+
+        self._clock, self._truth = clock, truth
+        self._decimator = Decimator(display_step(clock.rate))
+        topics = []
+        for info in channels:
+            fields = {"unit": info.unit, "sensor": info.name, "direction": "up"}
+            names = (f"{DISPLAY}{info.name}{suffix}" for suffix in ("", "/rms", "/peak"))
+            topics.append([register(name, FLOAT_SCHEMA, fields) for name in names])
+        self._waveforms, self._levels = np.split(np.array(topics), [1], axis=1)
+        self._robot = RobotDescription(scene, with_dampers=truth is not None)
+        factor = {"exaggeration": f"{self._robot.exaggeration:g}"}
+        self._description = register(ROBOT, TEXT_SCHEMA, factor)
+        self._transforms = register(TRANSFORMS, TRANSFORMS_SCHEMA, factor)
+        self._sources = [_Source(point, channels, clock.rate, truth) for point in self._robot.points]
+        # Messages so far on each topic of a kind.
+        self._sent = {"waveform": 0, "level": 0, "transform": 0}
+
+    def _sequence(self, kind: str, count: int) -> NDArray[np.int64]:
+        """Give the numbers of the next messages on each topic of a kind."""
+        self._sent[kind] += count
+        return np.arange(self._sent[kind] - count, self._sent[kind])
+
+    def introduction(self) -> Message:
+        """Give the message that describes the rig, once, before anything moves."""
+        at = self._clock.time_ns(0)
+        return Message(self._description, at, at, encode_text(self._robot.urdf()), 0)
+
+    def description(self) -> dict[str, str]:
+        """Say how the signals were made, for the metadata."""
+        sources = {
+            f"motion.{point}": each.said
+            for point, each in zip(self._robot.points, self._sources, strict=True)
+        }
+        rate = self._clock.rate / self._decimator.step
+        return {
+            "rate_hz": repr(rate),
+            "low_pass": f"linear-phase FIR, -6 dB at {CUTOFF * rate:.4g} Hz"
+            if self._decimator.step > 1
+            else "none",
+            "transforms_rate_hz": repr(rate / TRANSFORM_STEP),
+            "exaggeration": f"{self._robot.exaggeration:g}",
+            **sources,
+        }
+
+    def levels(self, blocks: Iterable[tuple[int, NDArray[np.float64]]]) -> Messages:
+        """Give rms and peak of blocks of samples at their ends.
+
+        Parameters
+        ----------
+        blocks : iterable of (int, ndarray)
+            At least one: the number of its first sample, and its samples, (channels, samples).
+        """
+        ends, found = [], []
+        for first, samples in blocks:
+            count = samples.shape[1]
+            rms = np.sqrt(np.add.reduce(samples * samples, axis=1) / count)
+            found.append((rms, np.maximum.reduce(np.abs(samples), axis=1)))
+            ends.append(first + count)
+        data = encode_floats(np.array(found).transpose(0, 2, 1))
+        times, sequence = self._clock.times_ns(ends), self._sequence("level", len(ends))
+        return Messages(self._levels, times[:, None, None], data, sequence[:, None, None])
+
+    def waveforms(self, first: int, samples: NDArray[np.float64]) -> Iterator[Messages]:
+        """Give waveforms and transforms as far as further samples, (channels, samples), make them known."""
+        if self._decimator.stop not in (None, first):
+            yield from self.finish()
+        yield from self._draw(*self._decimator.run(first, samples))
+
+    def finish(self) -> Iterator[Messages]:
+        """Give waveforms and transforms up to the last sample."""
+        if self._decimator.stop is not None:
+            yield from self._draw(*self._decimator.finish())
+
+    def _draw(self, places: NDArray[np.int64], values: NDArray[np.float64]) -> Iterator[Messages]:
+        if not places.size:
+            return
+        times = self._clock.times_ns(places.tolist())
+        yield Messages(self._waveforms, times, encode_floats(values), self._sequence("waveform", places.size))
+        moves = places // self._decimator.step % TRANSFORM_STEP == 0
+        truth = None if self._truth is None else self._truth.positions(places[moves])
+        moved = np.array([source.displacements(values, moves, truth) for source in self._sources])
+        rest = times[moves]
+        for data in self._robot.transforms(rest, moved):
+            now, rest = rest[: len(data)], rest[len(data) :]
+            yield Messages(self._transforms, now, data, self._sequence("transform", len(data)))
+
+
+class _Source:
+    """Where the drawn displacement of one point comes from.
+
+    A channel that reads displacement is preferred, then recorded truth, then a channel that is integrated.
+    """
+
+    def __init__(self, point: str, channels: Sequence[ChannelInfo], rate: float, truth: Truth | None) -> None:
+        from daq.recording.displacement import HIGH_PASS_HZ, DisplacementEstimate
+
+        at = {info.quantity: row for row, info in enumerate(channels) if info.at == point}
+        self._row: int | None = at.get("displacement")
+        self._true: int | None = None
+        self.said = "not measured, drawn at rest"
+        if self._row is not None:
+            self.said = f"channel {channels[self._row].name}"
+            self._estimate = DisplacementEstimate("displacement", rate)
+        elif truth is not None:
+            self.said = "recorded truth"
+            self._true = truth.drawn.index(point)
+        else:
+            for quantity in ("velocity", "acceleration"):
+                if self._row is None and quantity in at:
+                    self._row = at[quantity]
+                    self.said = (
+                        f"channel {channels[self._row].name}, {quantity} integrated above {HIGH_PASS_HZ:g} Hz"
+                    )
+                    self._estimate = DisplacementEstimate(quantity, rate / display_step(rate))
+
+    def displacements(
+        self, values: NDArray[np.float64], moves: NDArray[np.bool_], truth: NDArray[np.float64] | None
+    ) -> NDArray[np.float64]:
+        """Give the displacement at some of further display samples.
+
+        Parameters
+        ----------
+        values : ndarray, (channels, samples)
+            All of them.
+        moves : ndarray of bool, (samples,)
+            Which are wanted.
+        truth : ndarray or None, (drawn, wanted)
+            The true positions there.
+        """
+        if self._row is not None:
+            return self._estimate.run(values[self._row])[moves]
+        if self._true is not None and truth is not None:
+            return truth[self._true]
+        return np.zeros(np.count_nonzero(moves))

@@ -1,0 +1,148 @@
+"""Markers: what happened during a test, and when, as JSON on a topic of its own."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from daq.recording.layout import EVENTS, MARKERS
+from daq.recording.protobuf import Schema
+from rig.errors import RecordingError
+
+_MARKER: dict[str, Any] = {
+    "$schema": "https://json-schema.org/draft/2020-12/schema",
+    "title": "shotrig.Marker",
+    "description": "Something that happened during the test, at a sample or over a range of samples.",
+    "type": "object",
+    "required": ["kind", "first_sample", "last_sample"],
+    "properties": {
+        "kind": {
+            "type": "string",
+            "description": "start, pretest, settle, measure, step, hit, trigger, overload, level, gap, lost, ...",
+        },
+        "first_sample": {"type": "integer", "minimum": 0},
+        "last_sample": {
+            "type": ["integer", "null"],
+            "description": "last sample of the range, itself included; null: an instant",
+        },
+    },
+    "additionalProperties": {"description": "what the kind of marker says of itself, in SI units"},
+}
+
+_EVENT: dict[str, Any] = {
+    "$schema": "https://json-schema.org/draft/2020-12/schema",
+    "title": "shotrig.Event",
+    "description": "A change of contact of a damper, at its exact time.",
+    "type": "object",
+    "required": ["time", "damper", "kind", "speed"],
+    "properties": {
+        "time": {"type": "number", "description": "seconds after sample 0"},
+        "damper": {"type": "integer", "description": "position in the scene's list of dampers, from 1"},
+        "kind": {"enum": ["separation", "floor", "ceiling"]},
+        "speed": {"type": "number", "description": "closing speed before an impact, m/s"},
+    },
+}
+
+MARKER_SCHEMA = Schema("shotrig.Marker", "jsonschema", json.dumps(_MARKER).encode(), "json")
+EVENT_SCHEMA = Schema("shotrig.Event", "jsonschema", json.dumps(_EVENT).encode(), "json")
+EVENT_TYPE = np.dtype([("time", "f8"), ("damper", "i4"), ("kind", "U10"), ("speed", "f8")])
+
+
+@dataclass(frozen=True)
+class Marker:
+    """Something that happened during a test.
+
+    Attributes
+    ----------
+    kind : str
+        `settle`, `measure`, `hit`, `overload`, `gap`, `lost`, ...
+    first_sample : int
+        Sample at which it happened or began.
+    last_sample : int or None
+        Its last sample, itself included; None for an instant.
+    fields : mapping
+        What this kind of marker says of itself, in SI units.
+    """
+
+    kind: str
+    first_sample: int
+    last_sample: int | None = None
+    fields: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def end(self) -> int:
+        """Number of the last sample that it is about."""
+        return self.first_sample if self.last_sample is None else self.last_sample
+
+    @property
+    def stop(self) -> int:
+        """Number of the sample after it, as slices want it.
+
+        >>> marker = Marker("measure", 100, 199)
+        >>> marker.end, marker.stop
+        (199, 200)
+        """
+        return self.end + 1
+
+    def to_json(self) -> bytes:
+        """Write the marker as the JSON of its topic.
+
+        >>> Marker("hit", 512, fields={"peak": 50.0}).to_json()
+        b'{"kind":"hit","first_sample":512,"last_sample":null,"peak":50.0}'
+        """
+        content = {"kind": self.kind, "first_sample": self.first_sample, "last_sample": self.last_sample}
+        return _json({**content, **self.fields})
+
+    @classmethod
+    def from_json(cls, data: memoryview) -> Marker:
+        """Read a marker; raise `RecordingError` if the message is none."""
+        content = _object(data, MARKERS)
+        kind, first = content.pop("kind", None), content.pop("first_sample", None)
+        last = content.pop("last_sample", None)
+        whole = type(first) is int and first >= 0 and (last is None or (type(last) is int and last >= first))
+        if not isinstance(kind, str) or not whole:
+            raise RecordingError(
+                f"a message on {MARKERS} is no marker: kind {kind!r}, samples {first!r} to {last!r}"
+            )
+        return cls(kind, first, last, content)
+
+
+def event_to_json(time: float, damper: int, kind: str, speed: float) -> bytes:
+    """Write a change of contact as the JSON of its topic."""
+    return _json({"time": time, "damper": damper, "kind": kind, "speed": speed})
+
+
+def event_from_json(data: memoryview) -> tuple[float, int, str, float]:
+    """Read a change of contact; raise `RecordingError` if the message is none."""
+    content = _object(data, EVENTS)
+    try:
+        return float(content["time"]), int(content["damper"]), str(content["kind"]), float(content["speed"])
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise RecordingError(f"a message on {EVENTS} is no change of contact: {error}") from error
+
+
+def _json(content: Mapping[str, Any]) -> bytes:
+    """Encode compactly and always alike; numpy is welcome, NaN and infinity are refused: JSON has none."""
+    return json.dumps(
+        content, separators=(",", ":"), allow_nan=False, default=_plain, ensure_ascii=False
+    ).encode()
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise TypeError(f"a marker cannot hold {value!r}")
+
+
+def _object(data: memoryview, topic: str) -> dict[str, Any]:
+    try:
+        content = json.loads(bytes(data))
+    except (ValueError, RecursionError) as error:
+        raise RecordingError(f"a message on {topic} is not JSON: {error}") from error
+    if not isinstance(content, dict):
+        raise RecordingError(f"a message on {topic} is no JSON object but {type(content).__name__}")
+    return content

@@ -1,0 +1,84 @@
+"""Protobuf messages of a recording: their schemas, classes and bytes."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, NamedTuple
+
+
+class Schema(NamedTuple):
+    """What the messages of a topic are made of: the schema's name, its encoding, its text, and theirs."""
+
+    name: str
+    encoding: str
+    data: bytes
+    message_encoding: str
+
+
+@cache
+def descriptors(package: str, messages: tuple[tuple[str, tuple[tuple[str, str], ...]], ...]) -> bytes:
+    """Describe protobuf messages as MCAP wants them: a FileDescriptorSet with all that it imports.
+
+    Parameters
+    ----------
+    package : str
+        Their package.
+    messages : tuple
+        (message, ((field, type), ...)); fields are numbered from 1. A type is a protobuf type such as
+        ``double``, or the full name of a message; ``[]`` behind it makes the field repeated.
+
+    Returns
+    -------
+    bytes
+        The serialised set.
+    """
+    from google.protobuf import descriptor_pb2, timestamp_pb2
+
+    file = descriptor_pb2.FileDescriptorProto(name=f"{package}.proto", package=package, syntax="proto3")
+    described = descriptor_pb2.FileDescriptorSet()
+    kinds = descriptor_pb2.FieldDescriptorProto
+    for message, fields in messages:
+        made = file.message_type.add(name=message)
+        for number, (name, kind) in enumerate(fields, start=1):
+            repeated, kind = kind.endswith("[]"), kind.removesuffix("[]")
+            field = made.field.add(name=name, number=number)
+            field.label = kinds.LABEL_REPEATED if repeated else kinds.LABEL_OPTIONAL
+            if "." not in kind:
+                field.type = kinds.Type.Value(f"TYPE_{kind.upper()}")
+                continue
+            field.type, field.type_name = kinds.TYPE_MESSAGE, f".{kind}"
+            if kind == "google.protobuf.Timestamp" and not file.dependency:
+                file.dependency.append(timestamp_pb2.DESCRIPTOR.name)
+                timestamp_pb2.DESCRIPTOR.CopyToProto(described.file.add())
+    described.file.append(file)
+    return bytes(described.SerializeToString(deterministic=True))
+
+
+_SHORT = [bytes([number]) for number in range(0x80)]
+
+
+def varint(number: int) -> bytes:
+    """Encode a non-negative number as protobuf does, seven bits a byte.
+
+    >>> varint(300).hex()
+    'ac02'
+    """
+    if number <= 0x7F:
+        return _SHORT[number]
+    digits = bytearray()
+    while number > 0x7F:
+        digits.append(number & 0x7F | 0x80)
+        number >>= 7
+    digits.append(number)
+    return bytes(digits)
+
+
+@cache
+def message_class(described: bytes, name: str) -> Any:
+    """Make the protobuf class of a message out of a FileDescriptorSet."""
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
+    pool = descriptor_pool.DescriptorPool()
+    for file in descriptor_pb2.FileDescriptorSet.FromString(described).file:
+        pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(name))

@@ -1,0 +1,373 @@
+"""Writing a recording while it is made: an MCAP file that can be read up to its last flush, come what may."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.mcap_file.metadata_checksum import checked
+from daq.mcap_file.writer import Message, Messages
+from daq.recording import layout
+from daq.recording.committed_file import Disk
+from daq.recording.interrupts import held_back
+from daq.recording.markers import MARKER_SCHEMA, Marker
+from daq.recording.protobuf import Schema
+from daq.recording.sample_block import SCHEMAS, block_schema, encode
+from daq.recording.sample_groups import Group, Grouping
+from daq.recording.timebase import Clock
+from rig.errors import RunError
+
+if TYPE_CHECKING:
+    from daq.signal_chain.channel import ChannelInfo
+    from rig.scene.scene import Scene
+    from rig.simulation.motion import Motion
+
+# What packs best for its time: nothing shrinks float64 samples by more than a tenth, and what does not shrink
+# lz4 unpacks eight times as fast as zstd; counts shrink by a fifth under zstd.
+COMPRESSION = {"float64": "lz4", "float32": "zstd", "counts": "zstd"}
+# Groups of samples that wait for the truth beside them before something must be wrong.
+AHEAD = 16
+# Room kept on the disk for the end of the file, whose index grows with every chunk, and for the display.
+RESERVE = 1 << 20
+RESERVE_PER_CHUNK = 256
+
+
+class Recorder:
+    """Writes samples, markers and truth into a new recording.
+
+    Samples are put together into blocks on a fixed grid, and into groups of about half a second that go to
+    the disk together; the bytes of the file do not depend on how `write` calls are split. Leaving the context
+    by an exception closes the file properly and notes the reason in it.
+
+    Parameters
+    ----------
+    path : str or Path
+        File to make, in an existing folder.
+    scene : Scene
+        Kept in the file; its `recording` says how samples are stored and what else is recorded.
+    channels : sequence of ChannelInfo
+        One for each row of what is written.
+    rate : float
+        Samples per second, Hz.
+    start_ns : int
+        Time of sample 0, nanoseconds since an epoch of the user's choice; 0 keeps recordings reproducible.
+    overwrite : bool
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    RecordingError
+        If the file exists, or cannot be made.
+    RunError
+        If the disk is full or fails.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        scene: Scene,
+        channels: Sequence[ChannelInfo],
+        rate: float,
+        start_ns: int = 0,
+        overwrite: bool = False,
+    ) -> None:
+        self.path = Path(path)
+        self.channels = tuple(channels)
+        self.clock = Clock(rate, start_ns)
+        self.closed = False
+        self._scene = scene
+        self._block, self._group = layout.block_length(rate), layout.flush_length(rate)
+        self._stored = stored_as(scene, self.channels)
+        self._scale = np.array([scale_of(info, self._stored) for info in self.channels])[:, None]
+        self._raw = Grouping(len(self.channels), self._group, SCHEMAS[self._stored][2])
+        self._marks: list[tuple[int, Marker]] = []
+        self._marked = self._chunks = self._written = 0
+        self._full = False
+        self._schemas: dict[str, int] = {}
+        self._disk = Disk(self.path, overwrite)
+        with self._disk.removed_on_failure():
+            self._begin()
+
+    @property
+    def position(self) -> int:
+        """Number of the next sample to be written."""
+        return self._raw.position
+
+    @property
+    def takes_more(self) -> bool:
+        """Whether anything more can be recorded: neither closed nor at the end of its disk."""
+        return not (self.closed or self._full or self._disk.failed)
+
+    def write(self, samples: NDArray[np.float64] | NDArray[np.int32]) -> None:
+        """Write the next samples of all channels.
+
+        Parameters
+        ----------
+        samples : ndarray, (channels, any number)
+            Converter counts (integers) or volts.
+
+        Raises
+        ------
+        RunError
+            If the disk is full or fails; the file then holds everything up to the flush before.
+        """
+        self._need_open()
+        if self._truth is not None and self._raw.position - self._truth.position > AHEAD * self._group:
+            raise RunError("the scene records the truth, but none is written beside the samples")
+        if samples.ndim != 2 or samples.shape[0] != len(self.channels):
+            raise ValueError(f"expected samples of shape ({len(self.channels)}, n), got {samples.shape}")
+        counts = np.issubdtype(samples.dtype, np.integer)
+        if self._stored == "counts" and not counts:
+            raise RunError(
+                "the scene records counts, but its converter gives volts; give it bits and a range"
+            )
+        if self._stored != "counts" and counts:
+            samples = samples * np.array([[info.volts_per_count or 1.0] for info in self.channels])
+        self._raw.add(samples)
+        self._emit()
+
+    def gap(self, lost_samples: int) -> None:
+        """Pass over samples that were never acquired; they read as NaN, and a marker `gap` says so."""
+        self._need_open()
+        if lost_samples < 1:
+            raise ValueError(f"expected a number of lost samples, at least 1, got {lost_samples}")
+        first = self._raw.position
+        self._raw.skip(lost_samples)
+        self.mark("gap", first, first + lost_samples - 1)
+        self._emit()
+
+    def mark(self, kind: str, first_sample: int, last_sample: int | None = None, **fields: Any) -> None:
+        """Note something that happened at a sample, or from a sample to another, both included.
+
+        However `write` calls are split, bytes are the same as long as marks are made at the same `position`.
+        """
+        self._need_open()
+        marker = Marker(kind, int(first_sample), None if last_sample is None else int(last_sample), fields)
+        marker.to_json()
+        self._marks.append((marker.end, marker))
+
+    def write_truth(self, motion: Motion) -> None:
+        """Write the next samples of the true motion, for a scene that records it."""
+        self._need_open()
+        if self._truth is None:
+            raise ValueError("the scene does not record the truth (recording: {truth: true})")
+        self._truth.add(motion)
+        self._emit()
+
+    def close(self, status: str = "complete", reason: str = "") -> None:
+        """Write what is left and end the file.
+
+        Parameters
+        ----------
+        status : {'complete', 'interrupted', 'failed'}
+            How the test ended; kept in the file's `outcome`.
+        reason : str
+            Why, in words.
+
+        Raises
+        ------
+        RunError
+            If the disk is full or fails; `daq recover` then completes the file.
+        """
+        if self.closed:
+            return
+        self.closed = True
+        try:
+            if not self._disk.failed:
+                with held_back():
+                    self._end(status, reason)
+        finally:
+            self._disk.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if error is None:
+            self.close()
+            return
+        status = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
+        try:
+            self.close(status, str(error) or type(error).__name__)
+        except RunError as another:
+            error.add_note(str(another))
+
+    def _need_open(self) -> None:
+        if not self.takes_more:
+            raise RunError(f"the recording {self.path} takes no more: it has ended")
+
+    # -- the beginning and the end of the file -----------------------------------------------------------
+
+    def _begin(self) -> None:
+        """Write what a reader needs before any sample; damage further on cannot orphan the samples then."""
+        from daq.mcap_file.writer import ChunkedFile
+
+        self._file = ChunkedFile(self._disk, f"shotrig {version('shotrig')}", COMPRESSION[self._stored])
+        self._markers = self._register(layout.MARKERS, MARKER_SCHEMA, {})
+        common = {"stored": self._stored, "start_ns": str(self.clock.start_ns), "layout": layout.VERSION}
+        schema = block_schema(SCHEMAS[self._stored][0])
+        self._topics = [
+            self._register(
+                f"{layout.RAW}{info.name}", schema, info.to_metadata() | common | {"scale": repr(scale)}
+            )
+            for info, scale in zip(self.channels, self._scale[:, 0].tolist(), strict=True)
+        ]
+        self._truth = self._display = None
+        if self._scene.recording.truth:
+            from daq.recording.truth import Truth
+
+            self._truth = Truth(self._scene, self.clock, self._group, self._register)
+        if self._scene.recording.display:
+            from daq.recording.display import Display
+
+            self._display = Display(self._scene, self.channels, self.clock, self._truth, self._register)
+        self._marks.append((0, Marker("start", 0)))
+        self._write_markers(1)
+        if self._display is not None:
+            self._send([self._display.introduction()])
+        self._describe()
+        self._disk.commit()
+
+    def _describe(self) -> None:
+        """Write the metadata records and the scene."""
+        scene, start = self._scene, str(self.clock.start_ns)
+        converter = {
+            f"converter.{key}": json.dumps(value) for key, value in scene.converter.model_dump().items()
+        }
+        sizes = {"block_samples": str(self._block), "flush_samples": str(self._group), "stored": self._stored}
+        records = {"daq": converter | sizes | {"rate_hz": repr(self.clock.rate), "start_ns": start}}
+        for info in self.channels:
+            sheet = {"name": info.name, "at": info.at, "quantity": info.quantity, "unit": info.unit}
+            sheet |= {"direction": "up", "sensitivity_V_per_unit": repr(info.sensitivity)}
+            records[f"sensor {info.name}"] = {
+                f"sensor.{key}": text for key, text in info.sensor.items()
+            } | sheet
+        if self._display is not None:
+            records["display"] = self._display.description()
+        test = "none" if scene.test is None else scene.test.kind
+        run = {"scene": scene.name, "seed": str(scene.seed), "test": test, "layout": layout.VERSION}
+        records["run"] = run | {"shotrig": version("shotrig")}
+        for name, fields in records.items():
+            self._file.add_metadata(name, checked(fields))
+        text = scene.to_yaml().encode()
+        self._file.add_attachment(int(start), int(start), layout.SCENE_FILE, "application/yaml", text)
+
+    def _register(self, topic: str, schema: Schema, metadata: Mapping[str, str]) -> int:
+        """Announce a topic and give the number of its channel in the file."""
+        number = self._schemas.get(schema.name)
+        if number is None:
+            number = self._file.add_schema(schema.name, schema.encoding, schema.data)
+            self._schemas[schema.name] = number
+        return self._file.add_channel(topic, schema.message_encoding, number, metadata)
+
+    def _end(self, status: str, reason: str) -> None:
+        if not self._full:
+            self._raw.close_group()
+            if self._truth is not None:
+                self._truth.close_groups()
+            self._emit(to_the_end=True)
+            self._written = self._raw.position
+            if self._truth is not None:
+                self._send(self._truth.events_before(None))
+            if self._display is not None:
+                self._send(self._display.finish())
+        self._write_markers(None)
+        outcome = {"status": status, "reason": reason, "samples": str(self._written)}
+        self._file.add_metadata("outcome", checked(outcome | {"markers": str(self._marked)}))
+        self._file.finish()
+        self._disk.commit()
+
+    # -- its middle: group after group -------------------------------------------------------------------
+
+    def _emit(self, to_the_end: bool = False) -> None:
+        """Write the groups that all streams have passed, in order."""
+        streams = [self._raw, *(() if self._truth is None else self._truth.streams)]
+        passed = min(stream.position for stream in streams) // self._group
+        for number in sorted({number for stream in streams for number in stream.complete}):
+            if number < passed or to_the_end:
+                with held_back():
+                    self._write_group(number)
+
+    def _write_group(self, number: int) -> None:
+        raw = self._raw.complete.pop(number, None)
+        self._need_room()
+        self._write_markers((number + 1) * self._group)
+        if raw is not None:
+            for row, topic in enumerate(self._topics):
+                self._send(self._blocks(raw, row, topic))
+            self._written = raw.spans[-1][1]
+        if self._truth is not None:
+            groups = self._truth.take(number)
+            for chunk in self._truth.chunks:
+                self._send(
+                    message
+                    for stream, row, topic in chunk
+                    if (group := groups[stream]) is not None
+                    for message in self._blocks(group, row, topic)
+                )
+            self._send(self._truth.events_before((number + 1) * self._group))
+        if self._display is not None and raw is not None:
+            self._send(self._shown(raw))
+        self._disk.commit()
+
+    def _need_room(self) -> None:
+        """Stop while there still is room to end the file properly."""
+        streams = [self._raw, *(() if self._truth is None else self._truth.streams)]
+        group = sum(stream.group_bytes for stream in streams)
+        if self._disk.free() < group + RESERVE + RESERVE_PER_CHUNK * self._chunks:
+            self._full = True
+            seconds = self._written / self.clock.rate
+            raise RunError(f"the disk is full: {self.path} holds the first {seconds:.2f} s")
+
+    def _blocks(self, group: Group, row: int, topic: int) -> Iterable[Message]:
+        for first, samples in group.blocks(self._block):
+            stop = first + samples.shape[1]
+            data = encode(self.clock, first, samples[row])
+            times = self.clock.time_ns(stop), self.clock.time_ns(first)
+            yield Message(topic, *times, data, first // self._block % 2**32)
+
+    def _shown(self, raw: Group) -> Iterable[Messages]:
+        assert self._display is not None
+        read = [
+            Group(first, samples * self._scale, [(first, first + samples.shape[1])])
+            for first, samples in raw.acquired()
+        ]
+        for part in read:
+            yield from self._display.waveforms(part.first, part.samples)
+        yield self._display.levels(block for part in read for block in part.blocks(self._block))
+
+    def _write_markers(self, stop: int | None) -> None:
+        """Write the markers that end before a sample; None: all that are left."""
+        due = [mark for mark in self._marks if stop is None or mark[0] < stop]
+        self._marks = [mark for mark in self._marks if stop is not None and mark[0] >= stop]
+        messages = []
+        for end, marker in sorted(due, key=lambda mark: mark[1].first_sample):
+            times = self.clock.time_ns(end), self.clock.time_ns(marker.first_sample)
+            messages.append(Message(self._markers, *times, marker.to_json(), self._marked))
+            self._marked += 1
+        self._send(messages)
+
+    def _send(self, messages: Iterable[Message | Messages]) -> None:
+        """Write messages as a chunk of their own, so that readers of other topics need not decode them."""
+        self._chunks += self._file.add_chunk(messages)
+
+
+def stored_as(scene: Scene, channels: Sequence[ChannelInfo]) -> str:
+    """Say how samples are stored, a key of `daq.block.SCHEMAS`: as the scene asks, or else as they come."""
+    if scene.recording.samples is not None:
+        return scene.recording.samples
+    return "counts" if all(info.volts_per_count is not None for info in channels) else "float64"
+
+
+def scale_of(info: ChannelInfo, stored: str) -> float:
+    """Give the size of a stored number in the unit that the channel reads."""
+    return info.unit_per_count if stored == "counts" else 1.0 / info.sensitivity

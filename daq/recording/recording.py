@@ -1,0 +1,361 @@
+"""Reading a recording: its channels in physical units, what happened meanwhile, and the scene it is of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.mcap_file.metadata_checksum import is_intact
+from daq.mcap_file.reader import Container
+from daq.recording import layout
+from daq.recording.channel_series import Series
+from daq.recording.markers import EVENT_TYPE, Marker, event_from_json
+from daq.recording.sample_block import SAMPLE_TYPE
+from daq.signal_chain.channel import UNITS, ChannelInfo
+from rig.errors import RecordingError
+
+if TYPE_CHECKING:
+    from mcap.records import Channel
+
+    from rig.scene.scene import Scene
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Samples that a recording lacks; they read as NaN.
+
+    Attributes
+    ----------
+    first_sample, last_sample : int
+        The range, both included.
+    channels : tuple of str
+        Names of the channels that lack them; of true motion, its topics.
+    reason : str
+        `never acquired`, or what became of them.
+    """
+
+    first_sample: int
+    last_sample: int
+    channels: tuple[str, ...]
+    reason: str
+
+
+def open(path: str | Path) -> Recording:
+    """Open a recording for reading.
+
+    Parameters
+    ----------
+    path : str or Path
+        An MCAP file with the layout of `daq/recording/LAYOUT.md`.
+
+    Returns
+    -------
+    Recording
+        A context manager; what it holds is read when asked for.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read, is no recording, or is damaged; the message says what to do.
+    """
+    return Recording(path)
+
+
+class Recording:
+    """An open recording.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    channels : dict of str to ChannelInfo
+        What was recorded, in the order of the scene.
+    rate : float
+        Samples per second, Hz.
+    start_ns : int
+        Time of sample 0, nanoseconds since the recording's epoch.
+    samples : int
+        Number of the sample after the last one of any channel.
+    truth_points : tuple of str
+        Points whose true motion was recorded: ``body 1``, ..., ``table``; empty where it was not.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self._container = Container(self.path)
+        try:
+            self._find_series()
+            clock = next(iter(self._series.values())).clock
+            self.rate, self.start_ns = clock.rate, clock.start_ns
+            self.channels = {name: self._info(name, series) for name, series in self._series.items()}
+            self.samples = max(series.stop for series in self._series.values())
+        except BaseException:
+            self._container.close()
+            raise
+
+    def _find_series(self) -> None:
+        summary = self._container.summary
+        self._series: dict[str, Series] = {}
+        self._truth: dict[str, dict[str, Series]] = {}
+        self._topics: dict[str, Channel] = {}
+        for channel in sorted(summary.channels.values(), key=lambda channel: channel.id):
+            schema = summary.schemas.get(channel.schema_id)
+            if channel.topic in self._topics:
+                raise RecordingError(f"{self.path} has two channels on the topic {channel.topic}")
+            self._topics[channel.topic] = channel
+            if schema is None or schema.name not in SAMPLE_TYPE or schema.encoding != "protobuf":
+                continue
+            series = Series(self._container, channel)
+            if channel.topic.startswith(layout.RAW):
+                self._series[channel.topic.removeprefix(layout.RAW)] = series
+            elif channel.topic.startswith(layout.TRUTH) and {"point", "quantity"} <= channel.metadata.keys():
+                of_quantity = self._truth.setdefault(channel.metadata["quantity"], {})
+                of_quantity[channel.metadata["point"]] = series
+        if not self._series:
+            raise RecordingError(
+                f"{self.path} has no samples on topics {layout.RAW}...; daq/recording/LAYOUT.md describes a recording"
+            )
+        if not summary.holders and summary.statistics is not None and summary.statistics.message_count:
+            raise RecordingError(f"{self.path} has no index of its chunks; write it again with one")
+        self.truth_points = tuple(self._truth.get("displacement", ()))
+
+    def _info(self, name: str, series: Series) -> ChannelInfo:
+        """Make a channel of a topic's metadata; another writer may leave out what has a usual value."""
+        where = f"{self.path}: {series.topic}"
+        given = (
+            {"name": name, "at": "", "sensitivity": "1.0"}
+            | series.metadata
+            | {"rate": repr(series.clock.rate)}
+        )
+        if "quantity" not in given:
+            given["quantity"] = next((key for key, unit in UNITS.items() if unit == given.get("unit")), "")
+        if given["quantity"] not in UNITS:
+            raise RecordingError(f"{where}: its metadata need a quantity; expected one of {', '.join(UNITS)}")
+        if series.clock != next(iter(self._series.values())).clock:
+            raise RecordingError(f"{where} has a sample clock of its own; all channels must share one")
+        try:
+            usual = ChannelInfo(name, "", "force", 1.0, 1.0).to_metadata()
+            return ChannelInfo.from_metadata(usual | given)
+        except (TypeError, ValueError) as error:
+            raise RecordingError(f"{where}: its metadata make no channel: {error}") from error
+
+    # -- samples -----------------------------------------------------------------------------------------
+
+    def read(self, channel: str, start: int = 0, stop: int | None = None) -> NDArray[np.float64]:
+        """Read a channel.
+
+        Parameters
+        ----------
+        channel : str
+            Its name.
+        start, stop : int
+            First sample, and the one after the last; by default all.
+
+        Returns
+        -------
+        ndarray, (stop - start,)
+            In the channel's unit (m, m/s, m/s^2 or N); NaN where samples were lost, see `gaps`.
+
+        Raises
+        ------
+        RecordingError
+            If there is no such channel or sample, or the file is damaged there.
+        """
+        if channel not in self._series:
+            raise RecordingError(
+                f"{self.path} has no channel {channel!r}; its channels are {', '.join(self._series)}"
+            )
+        start, stop = self._range(start, stop)
+        return self._series[channel].read(start, stop)
+
+    def blocks(
+        self, channels: Sequence[str] | None = None, size: int = 1 << 16
+    ) -> Iterator[tuple[int, NDArray[np.float64]]]:
+        """Read channels piece by piece, in bounded memory.
+
+        Parameters
+        ----------
+        channels : sequence of str, optional
+            Names; by default all.
+        size : int
+            Samples of a piece; the last one may be shorter.
+
+        Yields
+        ------
+        first : int
+            Number of the piece's first sample.
+        samples : ndarray, (channels, size)
+            In the channels' units; NaN where samples were lost.
+        """
+        names = list(self.channels) if channels is None else list(channels)
+        for first in range(0, self.samples, size):
+            stop = min(first + size, self.samples)
+            samples = np.empty((len(names), stop - first))
+            for row, name in enumerate(names):
+                samples[row] = self.read(name, first, stop)
+            yield first, samples
+
+    def truth(self, quantity: str, start: int = 0, stop: int | None = None) -> NDArray[np.float64]:
+        """Read what really happened, where the scene had it recorded.
+
+        Parameters
+        ----------
+        quantity : {'displacement', 'velocity', 'acceleration', 'gap', 'contact'}
+            Of the points or, the last two, of the dampers; contact: 0 flight, 1 floor, 2 ceiling.
+        start, stop : int
+            First sample, and the one after the last; by default all.
+
+        Returns
+        -------
+        ndarray, (points or dampers, stop - start)
+            SI units; rows as `truth_points`, or as the scene's dampers. NaN where samples were lost.
+        """
+        if quantity not in self._truth:
+            known = (
+                f"it has {', '.join(self._truth)}" if self._truth else "record with recording: {truth: true}"
+            )
+            raise RecordingError(f"{self.path} has no true {quantity}; {known}")
+        start, stop = self._range(start, stop)
+        return np.array([series.read(start, stop) for series in self._truth[quantity].values()])
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether the true motion was recorded."""
+        return bool(self.truth_points)
+
+    def _range(self, start: int, stop: int | None) -> tuple[int, int]:
+        stop = self.samples if stop is None else stop
+        if not 0 <= start <= stop <= self.samples:
+            raise RecordingError(
+                f"{self.path} has samples 0 to {self.samples - 1}; asked for {start} to {stop - 1}"
+            )
+        return int(start), int(stop)
+
+    # -- what happened -----------------------------------------------------------------------------------
+
+    @cached_property
+    def markers(self) -> list[Marker]:
+        """What the test noted, in the order in which it began."""
+        try:
+            found = [Marker.from_json(data) for data in self._messages(layout.MARKERS)]
+        except RecordingError as error:
+            raise RecordingError(f"{self.path}: {error}") from error
+        return sorted(
+            (marker for marker in found if marker.kind != "start"), key=lambda marker: marker.first_sample
+        )
+
+    @cached_property
+    def gaps(self) -> list[Gap]:
+        """Samples that are missing, in the order in which they begin."""
+        if layout.MARKERS not in self._topics:
+            holes = [(*hole, name) for name, series in self._series.items() for hole in series.holes()]
+            return [Gap(first, stop - 1, (name,), "missing") for first, stop, name in sorted(holes)]
+        return [self._gap(marker) for marker in self.markers if marker.kind in ("gap", "lost")]
+
+    def _gap(self, marker: Marker) -> Gap:
+        names = marker.fields.get("channels", list(self.channels))
+        if not isinstance(names, list):
+            raise RecordingError(f"{self.path}: a marker {marker.kind} names the channels {names!r}")
+        reason = str(marker.fields.get("reason", "never acquired"))
+        return Gap(marker.first_sample, marker.end, tuple(map(str, names)), reason)
+
+    @property
+    def overloads(self) -> list[Marker]:
+        """Markers of the stretches in which a channel was driven beyond its range."""
+        return [marker for marker in self.markers if marker.kind == "overload"]
+
+    @cached_property
+    def events(self) -> NDArray[Any]:
+        """True changes of contact: fields `time` [s], `damper` (from 1), `kind` and `speed` [m/s]."""
+        try:
+            found = [event_from_json(data) for data in self._messages(layout.EVENTS)]
+        except RecordingError as error:
+            raise RecordingError(f"{self.path}: {error}") from error
+        return np.array(found, dtype=EVENT_TYPE)
+
+    def _messages(self, topic: str) -> Iterator[memoryview]:
+        if topic in self._topics:
+            number = self._topics[topic].id
+            for chunk in self._container.summary.holders.get(number, ()):
+                for message in self._container.messages(int(chunk)):
+                    if message.channel == number:
+                        yield message.data
+
+    # -- what it is --------------------------------------------------------------------------------------
+
+    @cached_property
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """The metadata records: `run`, `daq`, `sensor NAME`, `display`, `outcome`, ..."""
+        ours = any("layout" in series.metadata for series in self._series.values())
+        records = self._container.metadata()
+        for name, fields in records.items():
+            if (ours or "crc32" in fields) and not is_intact(fields):
+                raise self._container.error(f"is damaged: the checksum of the metadata {name!r} is wrong")
+        return {
+            name: {key: text for key, text in fields.items() if key != "crc32"}
+            for name, fields in records.items()
+        }
+
+    @property
+    def status(self) -> str:
+        """How the test ended: `complete`, `interrupted`, `failed`, `recovered`, or `unknown`."""
+        return self.metadata.get("outcome", {}).get("status", "unknown")
+
+    @property
+    def stored(self) -> str:
+        """What samples are in the file: `float64`, `float32` or `counts`."""
+        return next(iter(self._series.values())).stored
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The scene that was recorded."""
+        import rig
+
+        text = self._container.attachment(layout.SCENE_FILE)
+        if text is None:
+            raise RecordingError(f"{self.path} does not hold its scene ({layout.SCENE_FILE})")
+        try:
+            return rig.loads(text.decode(), where=f"{self.path}: {layout.SCENE_FILE}")
+        except UnicodeDecodeError as error:
+            raise RecordingError(f"{self.path}: {layout.SCENE_FILE} is no text: {error}") from error
+
+    def check(self) -> None:
+        """Read the whole file and verify every checksum in it.
+
+        Raises
+        ------
+        RecordingError
+            At the first damage.
+        """
+        self._container.check()
+        for series in (
+            *self._series.values(),
+            *(each for of in self._truth.values() for each in of.values()),
+        ):
+            for _ in series.blocks(0, series.stop):
+                pass
+        _ = self.metadata, self.markers, self.events
+
+    def close(self) -> None:
+        """Close the file."""
+        self._container.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()

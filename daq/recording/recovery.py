@@ -1,0 +1,365 @@
+"""Making a whole recording of what is intact in a torn or damaged one, and saying exactly what was lost."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from daq.mcap_file.chunk import Damage, Stored, messages_in, records_in
+from daq.mcap_file.damaged_file import Intact, Ruin, Wreck
+from daq.mcap_file.metadata_checksum import checked
+from daq.mcap_file.reader import Container
+from daq.mcap_file.summary import CHANNEL, SCHEMA, parse
+from daq.mcap_file.writer import Message
+from daq.recording import layout
+from daq.recording.committed_file import Disk
+from daq.recording.markers import Marker
+from daq.recording.sample_block import SAMPLE_TYPE, decode
+from daq.recording.timebase import Clock
+from rig.errors import RecordingError
+
+if TYPE_CHECKING:
+    from mcap.records import Attachment, Channel, Metadata, Schema
+
+Span = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Salvage:
+    """What `recover` found.
+
+    Attributes
+    ----------
+    source, fixed : Path
+        The damaged file, and the whole one.
+    rate : float
+        Samples per second, Hz.
+    kept : dict of str to int
+        Samples kept, by topic.
+    lost : dict of str to list of (int, int)
+        Ranges of lost samples [first, stop), by topic; only topics that lost any.
+    missing : dict of str to int
+        Lost messages on topics that hold no samples: markers, display, ...
+    notes : list of str
+        What else is not as it was, and what cannot be known.
+    """
+
+    source: Path
+    fixed: Path
+    rate: float
+    kept: dict[str, int]
+    lost: dict[str, list[Span]]
+    missing: dict[str, int]
+    notes: list[str]
+
+    @property
+    def whole(self) -> bool:
+        """Whether nothing was lost as far as can be known."""
+        return not (self.lost or self.missing or self.notes)
+
+    def report(self) -> Iterator[str]:
+        """Yield lines for the user."""
+        seconds = max(self.kept.values(), default=0) / self.rate
+        yield f"{self.fixed}: {len(self.kept)} topics with samples, {seconds:.3f} s"
+        if self.whole:
+            yield "nothing was lost"
+        same: dict[tuple[Span, ...], list[str]] = defaultdict(list)
+        for topic, spans in self.lost.items():
+            same[tuple(spans)].append(topic)
+        for ranges, topics in same.items():
+            for first, stop in ranges:
+                range_s = f"{first / self.rate:.6g} s to {stop / self.rate:.6g} s"
+                yield f"lost: {range_s} (samples {first} to {stop - 1}) of {', '.join(topics)}"
+        for topic, count in self.missing.items():
+            yield f"lost: {count} message{'s' if count > 1 else ''} of {topic}"
+        yield from self.notes
+
+
+def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Salvage:
+    """Make a whole recording of a torn or damaged one.
+
+    Everything in the new file passed a checksum in the old one; samples stand at their own places, lost ones
+    read as NaN and are listed in `Recording.gaps`.
+
+    Parameters
+    ----------
+    path : str or Path
+        The damaged file; it is left as it is.
+    fixed : str or Path
+        File to make.
+    overwrite : bool
+        Whether an existing file may be replaced.
+
+    Returns
+    -------
+    Salvage
+        What was kept and what was lost.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read, nothing in it can be recovered, or the new one cannot be made.
+    RunError
+        If the disk is full.
+    """
+    source, target = Path(path), Path(fixed)
+    if source.exists() and target.exists() and source.samefile(target):
+        raise RecordingError(f"{source} cannot be recovered into itself; name another file")
+    with Wreck(source) as wreck:
+        # Two passes: what describes the samples may stand behind them, and must come before them.
+        registry = _Registry.of(source, wreck)
+        disk = Disk(target, overwrite)
+        with disk.removed_on_failure():
+            salvage = _Salvage(source, target, registry, disk).run(wreck)
+        disk.close()
+    return salvage
+
+
+@dataclass
+class _Registry:
+    """Schemas and channels of the damaged file, and how much of each there should be, as far as known."""
+
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    counts: dict[int, int] | None = None
+
+    @classmethod
+    def of(cls, source: Path, wreck: Wreck) -> _Registry:
+        """Take them from the file's summary or, if that is gone, from its chunks."""
+        try:
+            with Container(source) as container:
+                summary = container.summary
+                counts = dict(summary.statistics.channel_message_counts) if summary.statistics else None
+                return cls(summary.schemas, summary.channels, counts)
+        except RecordingError:
+            registry = cls()
+        for part in wreck.parts():
+            if isinstance(part, Intact) and isinstance(part.content, memoryview):
+                registry.take(part.content)
+                if registry.channels:
+                    break
+        return registry
+
+    def take(self, records: memoryview) -> None:
+        """Take what a chunk announces."""
+        try:
+            for opcode, content in records_in(records):
+                if opcode in (SCHEMA, CHANNEL):
+                    record = parse(opcode, content)
+                    known: dict[int, Any] = self.schemas if opcode == SCHEMA else self.channels
+                    known[record.id] = record
+        except Damage:
+            return
+
+
+class _Salvage:
+    """One salvage: parts of the wreck come in, the whole recording goes out."""
+
+    def __init__(self, source: Path, target: Path, registry: _Registry, disk: Disk) -> None:
+        from daq.mcap_file.writer import ChunkedFile
+
+        self._source, self._target, self._registry = source, target, registry
+        self._disk = disk
+        self._file = ChunkedFile(disk, f"shotrig {version('shotrig')}", "zstd")
+        self._numbers: dict[int, int] = {}
+        self._spans: dict[int, list[Span]] = {}
+        self._seen: dict[int, int] = defaultdict(int)
+        self._beyond: dict[int, int] = defaultdict(int)
+        self._gaps: list[Span] = []
+        self._notes: list[str] = []
+        self._orphans = 0
+        self._metadata: dict[str, dict[str, str]] = {}
+        self._has_scene = False
+        self._clock: Clock | None = None
+
+    def run(self, wreck: Wreck) -> Salvage:
+        """Write the whole recording."""
+        self._announce()
+        for part in wreck.parts():
+            if isinstance(part, Ruin):
+                self._notes.append(f"bytes {part.begin} to {part.end - 1} of {self._source}: {part.reason}")
+            elif isinstance(part.content, memoryview):
+                self._chunk(part.content)
+            else:
+                self._record(part.content)
+            self._disk.commit()
+        if not any(self._spans.values()) or self._clock is None:
+            why = f" ({self._notes[0]})" if self._notes else ""
+            raise RecordingError(
+                f"nothing can be recovered from {self._source}: no block of samples is intact{why}"
+            )
+        salvage = self._losses(self._clock)
+        self._end(salvage)
+        return salvage
+
+    def _announce(self) -> None:
+        schemas: dict[int, int] = {0: 0}
+        for number, schema in sorted(self._registry.schemas.items()):
+            schemas[number] = self._file.add_schema(schema.name, schema.encoding, schema.data)
+        for number, channel in sorted(self._registry.channels.items()):
+            if channel.schema_id not in schemas:
+                self._notes.append(f"{channel.topic} has no schema")
+                continue
+            self._numbers[number] = self._file.add_channel(
+                channel.topic, channel.message_encoding, schemas[channel.schema_id], channel.metadata
+            )
+            if self._schema(number) in SAMPLE_TYPE:
+                self._spans[number] = []
+
+    def _schema(self, number: int) -> str:
+        schema = self._registry.schemas.get(self._registry.channels[number].schema_id)
+        return "" if schema is None else schema.name
+
+    def _chunk(self, records: memoryview) -> None:
+        """Copy the messages of a chunk into a chunk of their own."""
+        try:
+            stored = list(messages_in(records))
+        except Damage as damage:
+            self._notes.append(f"a chunk with a right checksum was written wrongly: {damage}")
+            return
+        sound = []
+        for message in stored:
+            if message.channel not in self._numbers:
+                self._orphans += 1
+            elif self._is_sound(message):
+                number, times = self._numbers[message.channel], (message.log_time, message.publish_time)
+                sound.append(Message(number, *times, bytes(message.data), message.sequence))
+                self._seen[message.channel] += 1
+                self._beyond[message.channel] = max(self._beyond[message.channel], message.sequence + 1)
+        self._file.add_chunk(sound)
+
+    def _is_sound(self, message: Stored) -> bool:
+        """Note which samples a message brings; say whether it can be read at all."""
+        topic = self._registry.channels[message.channel].topic
+        try:
+            if message.channel in self._spans:
+                block = decode(message.data, self._schema(message.channel))
+                if self._clock is None:
+                    since = Clock(block.rate).time_ns(block.first_sample)
+                    self._clock = Clock(block.rate, block.t0_ns - since)
+                _join(self._spans[message.channel], (block.first_sample, block.stop))
+            elif topic == layout.MARKERS:
+                marker = Marker.from_json(message.data)
+                if marker.kind in ("gap", "lost"):
+                    self._gaps.append((marker.first_sample, marker.end + 1))
+        except RecordingError as error:
+            self._notes.append(f"{topic}: {error}")
+            return False
+        return True
+
+    def _record(self, record: Metadata | Attachment) -> None:
+        """Copy a metadata record or an attachment, but for the outcome, which may change."""
+        from mcap.records import Attachment
+
+        if isinstance(record, Attachment):
+            self._has_scene |= record.name == layout.SCENE_FILE
+            times = record.create_time, record.log_time
+            self._file.add_attachment(*times, record.name, record.media_type, record.data)
+            return
+        self._metadata[record.name] = record.metadata
+        if record.name != "outcome":
+            self._file.add_metadata(record.name, record.metadata)
+
+    # -- what was lost -----------------------------------------------------------------------------------
+
+    def _losses(self, clock: Clock) -> Salvage:
+        channels = self._registry.channels
+        outcome = self._metadata.get("outcome", {})
+        end = max(span[-1][1] for span in self._spans.values() if span)
+        known_end = int(outcome["samples"]) if outcome.get("samples", "").isdigit() else None
+        if known_end is None and self._registry.counts is None:
+            self._notes.append(
+                f"the file has no end: what came after {end / clock.rate:.6g} s, if anything, was never "
+                "flushed to it or has been cut off"
+            )
+        end = max(end, known_end or 0)
+        lost, kept = {}, {}
+        for number, spans in self._spans.items():
+            topic = channels[number].topic
+            kept[topic] = sum(stop - first for first, stop in spans)
+            gaps = self._gaps if topic.startswith(layout.RAW) else []
+            missing = list(_without(_without([(0, end)], spans), gaps))
+            if missing:
+                lost[topic] = missing
+        messages = {}
+        for number in self._numbers:
+            if number in self._spans:
+                continue
+            # The messages of a topic are numbered; the summary and the outcome tell how many there were.
+            expected = max(self._beyond[number], (self._registry.counts or {}).get(number, 0))
+            if channels[number].topic == layout.MARKERS and outcome.get("markers", "").isdigit():
+                expected = max(expected, int(outcome["markers"]))
+            if expected > self._seen[number]:
+                messages[channels[number].topic] = expected - self._seen[number]
+        if self._orphans:
+            self._notes.append(
+                f"{self._orphans} messages belong to topics that are described nowhere any more"
+            )
+        if not self._has_scene:
+            self._notes.append(f"the scene ({layout.SCENE_FILE}) is lost")
+        return Salvage(self._source, self._target, clock.rate, kept, lost, messages, self._notes)
+
+    def _end(self, salvage: Salvage) -> None:
+        """Note the losses in the file, and end it."""
+        channels = self._registry.channels
+        numbers = {channels[number].topic: self._numbers[number] for number in self._numbers}
+        at: dict[Span, list[str]] = defaultdict(list)
+        for topic, spans in salvage.lost.items():
+            for span in spans:
+                at[span].append(topic.removeprefix(layout.RAW))
+        assert self._clock is not None
+        if layout.MARKERS in numbers:
+            lost = []
+            for (first, stop), names in sorted(at.items()):
+                marker = Marker(
+                    "lost", first, stop - 1, {"channels": names, "reason": "lost with the damaged file"}
+                )
+                times = self._clock.time_ns(stop - 1), self._clock.time_ns(first)
+                lost.append(Message(numbers[layout.MARKERS], *times, marker.to_json(), 0))
+            self._file.add_chunk(lost)
+        outcome = self._metadata.get("outcome")
+        if outcome is None or not salvage.whole:
+            before = (
+                {} if outcome is None else {f"before.{key}": outcome[key] for key in ("status", "reason")}
+            )
+            samples = str(max(span[-1][1] for span in self._spans.values() if span))
+            told = {
+                "status": "recovered",
+                "reason": f"recovered from {self._source.name}",
+                "samples": samples,
+            }
+            outcome = checked({**before, **told, "report": json.dumps(list(salvage.report()))})
+        self._file.add_metadata("outcome", outcome)
+        self._file.finish()
+        self._disk.commit()
+
+
+def _join(spans: list[Span], span: Span) -> None:
+    """Add a range to ranges in order, in place; it usually continues the last one."""
+    if spans and spans[-1][1] == span[0]:
+        spans[-1] = (spans[-1][0], span[1])
+    else:
+        spans.append(span)
+
+
+def _without(spans: Iterable[Span], holes: Iterable[Span]) -> Iterator[Span]:
+    """Take ranges out of other ranges.
+
+    >>> list(_without([(0, 100)], [(90, 100), (10, 20)]))
+    [(0, 10), (20, 90)]
+    """
+    ordered = sorted(holes)
+    for first, stop in spans:
+        for begin, end in ordered:
+            if begin >= stop or end <= first:
+                continue
+            if begin > first:
+                yield first, begin
+            first = max(first, end)
+        if first < stop:
+            yield first, stop

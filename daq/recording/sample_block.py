@@ -1,0 +1,144 @@
+"""A block of samples of one channel as a protobuf message: encoded by one pack, decoded by one view."""
+
+from __future__ import annotations
+
+import struct
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.recording.protobuf import Schema, descriptors, message_class, varint
+from daq.recording.timebase import Clock
+from rig.errors import RecordingError
+
+# What a stored sample is -> schema, protobuf type and numpy type in the file.
+SCHEMAS: dict[str, tuple[str, str, np.dtype[Any]]] = {
+    "float64": ("shotrig.BlockFloat64", "double", np.dtype("<f8")),
+    "float32": ("shotrig.BlockFloat32", "float", np.dtype("<f4")),
+    "counts": ("shotrig.BlockCounts", "sfixed32", np.dtype("<i4")),
+}
+SAMPLE_TYPE: dict[str, np.dtype[Any]] = {schema: kind for schema, _, kind in SCHEMAS.values()}
+
+# The four fields in the order of their numbers: three of eight bytes behind their tags, then the samples.
+_HEAD = struct.Struct("<BqBQBdB")
+_TAGS = (0x09, 0x11, 0x19, 0x22)
+
+
+class Block(NamedTuple):
+    """Samples of one channel as they stand in the file.
+
+    Attributes
+    ----------
+    t0_ns : int
+        Time of the first sample, nanoseconds since the epoch of the recording.
+    first_sample : int
+        Number of the first sample.
+    rate : float
+        Samples per second, Hz.
+    samples : ndarray, (samples,)
+        The stored numbers; a view into the message, read-only.
+    """
+
+    t0_ns: int
+    first_sample: int
+    rate: float
+    samples: NDArray[Any]
+
+    @property
+    def stop(self) -> int:
+        """Number of the sample after the last one."""
+        return self.first_sample + self.samples.size
+
+
+def block_schema(schema: str) -> Schema:
+    """Describe a block schema (a key of `SAMPLE_TYPE`) for the file."""
+    samples = next(protobuf_type for name, protobuf_type, _ in SCHEMAS.values() if name == schema)
+    head = (("t0_ns", "sfixed64"), ("first_sample", "fixed64"), ("sample_rate_hz", "double"))
+    package, message = schema.split(".")
+    described = descriptors(package, ((message, (*head, ("samples", f"{samples}[]"))),))
+    return Schema(schema, "protobuf", described, "protobuf")
+
+
+def encode(clock: Clock, first_sample: int, samples: NDArray[Any]) -> bytes:
+    """Encode samples of one channel.
+
+    Parameters
+    ----------
+    clock : Clock
+        Of the channel.
+    first_sample : int
+        Number of the first of the samples.
+    samples : ndarray, (samples,)
+        In one of the types of `SAMPLE_TYPE`.
+
+    Returns
+    -------
+    bytes
+        {sfixed64 t0_ns = 1; fixed64 first_sample = 2; double sample_rate_hz = 3; repeated samples = 4}
+
+    Examples
+    --------
+    >>> data = encode(Clock(5120.0), 512, np.array([1.5, 2.5]))
+    >>> decode(memoryview(data), "shotrig.BlockFloat64").samples
+    array([1.5, 2.5])
+    """
+    tag0, tag1, tag2, tag3 = _TAGS
+    head = _HEAD.pack(tag0, clock.time_ns(first_sample), tag1, first_sample, tag2, clock.rate, tag3)
+    return b"".join((head, varint(samples.nbytes), samples.tobytes()))
+
+
+def decode(data: memoryview, schema: str) -> Block:
+    """Decode a block.
+
+    Parameters
+    ----------
+    data : memoryview
+        The message.
+    schema : str
+        Name of its schema, a key of `SAMPLE_TYPE`.
+
+    Returns
+    -------
+    Block
+        Its samples are not copied.
+
+    Raises
+    ------
+    RecordingError
+        If the bytes are no such block.
+    """
+    kind = SAMPLE_TYPE[schema]
+    if len(data) > _HEAD.size:
+        tag0, t0_ns, tag1, first, tag2, rate, tag3 = _HEAD.unpack_from(data)
+        size = _size_prefix(len(data))
+        place = _HEAD.size + len(size)
+        if (tag0, tag1, tag2, tag3) == _TAGS and data[_HEAD.size : place] == size:
+            try:
+                return Block(t0_ns, first, rate, np.frombuffer(data, kind, offset=place))
+            except ValueError:
+                raise RecordingError(
+                    f"{len(data) - place} bytes are no whole number of {schema} samples"
+                ) from None
+    return _decode_any(data, schema)
+
+
+@lru_cache(maxsize=64)
+def _size_prefix(message: int) -> bytes:
+    """Give the encoded size of the samples in a message of so many bytes."""
+    rest = message - _HEAD.size
+    return next((size for n in range(1, 6) if len(size := varint(max(0, rest - n))) == n), b"")
+
+
+def _decode_any(data: memoryview, schema: str) -> Block:
+    """Decode what other writers may make of the schema: zero fields left out, or fields in another order."""
+    from google.protobuf.message import DecodeError
+
+    message = message_class(block_schema(schema).data, schema)()
+    try:
+        message.ParseFromString(bytes(data))
+    except DecodeError as error:
+        raise RecordingError(f"a message of {len(data)} bytes is no {schema}: {error}") from error
+    samples: NDArray[Any] = np.array(message.samples, dtype=SAMPLE_TYPE[schema])
+    return Block(message.t0_ns, message.first_sample, message.sample_rate_hz, samples)

@@ -1,0 +1,66 @@
+"""Sample numbers and times of a recording, one to one, in integers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.errors import RecordingError
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The sample clock: sample k is taken at start_ns + k / rate, to the nearest nanosecond.
+
+    Attributes
+    ----------
+    rate : float
+        Samples per second, Hz.
+    start_ns : int
+        Time of sample 0 in nanoseconds since the epoch of the recording.
+    """
+
+    rate: float
+    start_ns: int = 0
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.rate) and self.rate > 0):
+            raise RecordingError(f"a sample rate must be positive and finite, not {self.rate!r} Hz")
+
+    def time_ns(self, sample: int) -> int:
+        """Give the time of a sample in nanoseconds; in integers throughout, so that no error builds up.
+
+        >>> Clock(8533.333333333334).time_ns(10**12) // 10**9
+        117187499
+        """
+        return self._times((sample,))[0]
+
+    def times_ns(self, samples: Iterable[int]) -> NDArray[np.uint64]:
+        """Give the times of samples in nanoseconds, as exact as `time_ns`."""
+        return np.array(self._times(samples), np.uint64)
+
+    def _times(self, samples: Iterable[int]) -> list[int]:
+        numerator, denominator = float(self.rate).as_integer_ratio()
+        step, divisor = 2 * 10**9 * denominator, 2 * numerator
+        return [self.start_ns + (step * sample + numerator) // divisor for sample in samples]
+
+    def samples_at(self, time_ns: NDArray[np.uint64]) -> NDArray[np.int64]:
+        """Give the sample numbers nearest to some times.
+
+        Parameters
+        ----------
+        time_ns : ndarray of uint64
+            Nanoseconds since the epoch of the recording.
+
+        Returns
+        -------
+        ndarray of int64
+            Sample numbers, negative before sample 0; clipped where a time is too far away for one.
+        """
+        # The subtraction wraps around in 64 bits, which is right for every span below 292 years.
+        since = (time_ns - np.uint64(self.start_ns % 2**64)).view(np.int64)
+        return np.clip(np.rint(since * (self.rate * 1e-9)), -(2.0**62), 2.0**62).astype(np.int64)

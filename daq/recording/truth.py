@@ -1,0 +1,162 @@
+"""The true motion beside the channels: which topics it takes, and its samples on the way to the file."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.mcap_file.writer import Message
+from daq.recording.layout import EVENTS, TRUTH
+from daq.recording.markers import EVENT_SCHEMA, event_to_json
+from daq.recording.protobuf import Schema
+from daq.recording.sample_block import SCHEMAS, block_schema
+from daq.recording.sample_groups import Group, Grouping
+from daq.recording.timebase import Clock
+from daq.signal_chain.channel import UNITS
+
+if TYPE_CHECKING:
+    from rig.scene.scene import Scene
+    from rig.simulation.motion import Motion
+
+Register = Callable[[str, Schema, Mapping[str, str]], int]
+
+MOTION = ("displacement", "velocity", "acceleration")
+
+
+def points_of(scene: Scene) -> tuple[str, ...]:
+    """Give the points of a scene's rig that move: its bodies, and the table where it has one."""
+    bodies = tuple(f"body {body}" for body in range(1, scene.structure.bodies + 1))
+    has_table = scene.shaker is not None and scene.shaker.kind != "force"
+    return (*bodies, "table") if has_table else bodies
+
+
+class Truth:
+    """Collects the true motion: of each point its motion, of each damper its gap and contact, and the events.
+
+    Parameters
+    ----------
+    scene : Scene
+        Says what moves.
+    clock : Clock
+        Of the recording.
+    group : int
+        Samples that go to the file together.
+    register : callable
+        Announces a topic and gives its channel number.
+
+    Attributes
+    ----------
+    streams : tuple of Grouping
+        Real numbers (motion of the points, then gaps), and contacts.
+    drawn : tuple of str
+        What `positions` gives a position of: the points, then ``damper 1``, ...
+    chunks : list of list of (int, int, int)
+        What belongs in one chunk: stream, row and channel number of each series.
+    """
+
+    def __init__(self, scene: Scene, clock: Clock, group: int, register: Register) -> None:
+        self._clock, self._length = clock, group
+        self.points = points_of(scene)
+        dampers = len(scene.dampers)
+        self.drawn = (*self.points, *(f"damper {number}" for number in range(1, dampers + 1)))
+        self.streams = (
+            Grouping(len(MOTION) * len(self.points) + dampers, group, np.dtype("<f8")),
+            Grouping(dampers, group, np.dtype("<i4")),
+        )
+        self._events: deque[tuple[float, int, str, float]] = deque()
+        self._sent = 0
+        self._recent: dict[int, Group] = {}
+        points = len(self.points)
+        self._rows = np.r_[:points, len(MOTION) * points : len(MOTION) * points + dampers]
+        self._last = np.zeros(len(self.drawn))
+        real, whole = block_schema(SCHEMAS["float64"][0]), block_schema(SCHEMAS["counts"][0])
+        self.chunks: list[list[tuple[int, int, int]]] = []
+        for place, point in enumerate(self.points):
+            series = []
+            for kind, quantity in enumerate(MOTION):
+                fields = {"point": point, "quantity": quantity, "unit": UNITS[quantity]}
+                topic = register(f"{TRUTH}{point.replace(' ', '_')}/{quantity}", real, fields)
+                series.append((0, kind * len(self.points) + place, topic))
+            self.chunks.append(series)
+        for damper in range(dampers):
+            point = f"damper {damper + 1}"
+            gap = {"point": point, "quantity": "gap", "unit": "m"}
+            contact = {
+                "point": point,
+                "quantity": "contact",
+                "unit": "",
+                "values": "0 flight, 1 floor, 2 ceiling",
+            }
+            name = f"{TRUTH}damper_{damper + 1}"
+            row = len(MOTION) * len(self.points) + damper
+            topics = register(f"{name}/gap", real, gap), register(f"{name}/contact", whole, contact)
+            self.chunks.append([(0, row, topics[0]), (1, damper, topics[1])])
+        self._topic = register(EVENTS, EVENT_SCHEMA, {}) if dampers else 0
+
+    @property
+    def position(self) -> int:
+        """Number of the next sample."""
+        return self.streams[0].position
+
+    def add(self, motion: Motion) -> None:
+        """Take the next samples."""
+        if motion.first != self.position:
+            raise ValueError(f"expected the motion from sample {self.position} on, got {motion.first}")
+        parts = (motion.displacement, motion.velocity, motion.acceleration, motion.gap)
+        self.streams[0].add(np.concatenate(parts))
+        self.streams[1].add(motion.contact)
+        for event in motion.events:
+            self._events.append(
+                (float(event["time"]), int(event["damper"]), str(event["kind"]), float(event["speed"]))
+            )
+
+    def close_groups(self) -> None:
+        """Count the groups in progress as complete."""
+        for stream in self.streams:
+            stream.close_group()
+
+    def take(self, number: int) -> tuple[Group | None, Group | None]:
+        """Give the groups of a cell of the grid, and forget them but for `positions`."""
+        real, whole = (stream.complete.pop(number, None) for stream in self.streams)
+        if real is not None:
+            self._recent = {n: group for n, group in self._recent.items() if n == number - 1} | {number: real}
+        return real, whole
+
+    def events_before(self, stop: int | None) -> list[Message]:
+        """Give the events before a sample, each once; None: all that are left.
+
+        One sample less than that, in truth: which side of a sample a rounded time falls on must not decide
+        what has arrived by now.
+        """
+        due = []
+        while self._events:
+            time, damper, kind, speed = self._events[0]
+            if stop is not None and math.ceil(time * self._clock.rate) + 1 >= stop:
+                break
+            self._events.popleft()
+            at = self._clock.start_ns + round(time * 1e9)
+            due.append(Message(self._topic, at, at, event_to_json(time, damper, kind, speed), self._sent))
+            self._sent += 1
+        return due
+
+    def positions(self, samples: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Give the positions of all that is `drawn`, (drawn, samples), metres, at further samples.
+
+        They are known in the last two groups taken. Elsewhere everything stays where it was.
+        """
+        positions = np.empty((len(self.drawn), 1 + samples.size))
+        positions[:, 0] = self._last
+        known = np.zeros(1 + samples.size, dtype=np.int64)
+        for group in self._recent.values():
+            for start, stop in group.spans:
+                (inside,) = np.nonzero((start <= samples) & (samples < stop))
+                known[1 + inside] = 1 + inside
+                positions[:, 1 + inside] = group.samples[self._rows[:, None], samples[inside] - group.first]
+        positions = positions[:, np.maximum.accumulate(known)]
+        self._last = positions[:, -1]
+        return positions[:, 1:]

@@ -1,0 +1,4 @@
+"""A recording in the rerun viewer: moving rig, traces, markers; to a window, a file or a picture.
+
+The motion shown is what the recording tells, never simulated anew. Start with `replay`.
+"""

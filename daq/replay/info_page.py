@@ -1,0 +1,47 @@
+"""The page of text beside a replay: what was tested, with what, and how to read the drawing."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from daq.drawing.rig_view import RigView
+    from daq.recording.recording import Recording
+    from daq.replay.recorded_motion import RecordedMotion
+
+
+def about(recording: Recording, motion: RecordedMotion, view: RigView) -> str:
+    """Describe a recording in Markdown."""
+    scene, rate = recording.scene, recording.rate
+    lines = [
+        f"# {scene.name}",
+        f"{recording.samples / rate:.3f} s at {rate:g} Hz, {len(recording.channels)} channels",
+        "",
+        f"## In the drawing, motion is {view.magnification:g} times as large",
+        *[f"- {source.point}: {source.sentence}" for source in motion.sources],
+    ]
+    if scene.dampers:
+        told = "recorded truth"
+        if not motion.gaps_known:
+            told = "not recorded, drawn on their floors (a scene with recording: {truth: true} records them)"
+        lines.append(f"- dampers: {told}")
+        lines += [
+            "",
+            "## Dampers",
+            "| damper | body | mass | clearance | restitution |",
+            "|---|---|---|---|---|",
+        ]
+        for place, (damper, mass) in enumerate(zip(scene.dampers, view.damper_masses, strict=True), start=1):
+            clearance = "no ceiling" if math.isinf(damper.clearance) else f"{damper.clearance * 1e3:.4g} mm"
+            lines.append(
+                f"| {place} | {damper.body} | {mass * 1e3:.4g} g | {clearance} | {damper.restitution:g} |"
+            )
+    lines += ["", "## Channels", "| channel | at | quantity | unit | V per unit |", "|---|---|---|---|---|"]
+    for name, info in recording.channels.items():
+        lines.append(f"| {name} | {info.at} | {info.quantity} | {info.unit} | {info.sensitivity:.4g} |")
+    if recording.gaps:
+        lost = sum(gap.last_sample + 1 - gap.first_sample for gap in recording.gaps)
+        lines += ["", f"**{lost} samples lost, in {len(recording.gaps)} gap(s)** (see the markers)"]
+    lines += ["", "## Scene", "```yaml", scene.to_yaml().rstrip(), "```"]
+    return "\n".join(lines) + "\n"

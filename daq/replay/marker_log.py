@@ -1,0 +1,93 @@
+"""Markers of a recording as a viewer shows them: a log of lines, and a lane of phases."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from daq.recording.recording import Recording
+
+UNITS = {"frequency": "Hz", "force": "N", "peak": "N", "width": "s", "amplitude": "m"}
+WORRYING = ("overload", "gap", "lost", "abort", "double_hit", "level")
+NO_PHASES = ("overload", "alarm", "level")
+COLOURS = {
+    "settle": 0x55606EFF,
+    "measure": 0x3D8B5FFF,
+    "hit": 0x3D8B5FFF,
+    "gap": 0xC4453BFF,
+    "lost": 0xC4453BFF,
+}
+OTHER = 0x7A6AA8FF
+
+
+class Line(NamedTuple):
+    """One line of the log: the sample it belongs to, its level and its text."""
+
+    sample: int
+    level: str
+    text: str
+
+
+class Phase(NamedTuple):
+    """A stretch of samples with its label and colour (0xRRGGBBAA); `stop` is the first sample after it."""
+
+    start: int
+    stop: int
+    label: str
+    colour: int
+
+
+def log_lines(recording: Recording, start: int, stop: int) -> list[Line]:
+    """Give what happened within [start, stop), in order of time."""
+    lines = []
+    for mark in recording.markers:
+        if not start <= mark.first_sample < stop:
+            continue
+        lasting = ""
+        if mark.last_sample is not None:
+            lasting = f"for {(mark.stop - mark.first_sample) / recording.rate:.3f} s"
+        text = ", ".join(part for part in (f"{mark.kind} {lasting}".strip(), described(mark.fields)) if part)
+        lines.append(Line(mark.first_sample, "WARN" if mark.kind in WORRYING else "INFO", text))
+    return sorted(lines)
+
+
+def phases(recording: Recording, start: int, stop: int) -> list[Phase]:
+    """Give the markers that last, cut to [start, stop), in order of time and without overlap.
+
+    Of two that overlap the later one is shown from its start on. A hit is over in milliseconds; what is shown is
+    the decay that follows, up to the next hit. What is amiss meanwhile is no phase of the test.
+    """
+    found: list[Phase] = []
+    lasting = [
+        mark for mark in recording.markers if mark.last_sample is not None and mark.kind not in NO_PHASES
+    ]
+    hits = sorted(mark.first_sample for mark in lasting if mark.kind == "hit")
+    for mark in sorted(lasting, key=lambda mark: mark.first_sample):
+        end = mark.stop
+        if mark.kind == "hit":
+            end = min((hit for hit in hits if hit > mark.first_sample), default=recording.samples)
+        if end <= start or mark.first_sample >= stop:
+            continue
+        frequency = mark.fields.get("frequency")
+        label = f"{frequency:.2f} Hz" if isinstance(frequency, int | float) else mark.kind
+        if mark.kind == "hit":
+            label = f"hit {hits.index(mark.first_sample) + 1}"
+        first, last = max(start, mark.first_sample), min(stop, end)
+        if found and found[-1].stop > first:
+            found[-1] = found[-1]._replace(stop=first)
+        found.append(Phase(first, last, label, COLOURS.get(mark.kind, OTHER)))
+    return [phase for phase in found if phase.stop > phase.start]
+
+
+def described(fields: Mapping[str, Any]) -> str:
+    """Write a marker's own fields with their units.
+
+    >>> described({"frequency": 13.0366, "force": 2.6, "step": 4})
+    'frequency 13.0366 Hz, force 2.6 N, step 4'
+    """
+    parts = []
+    for key, value in fields.items():
+        number = f"{value:.6g}" if isinstance(value, float) else str(value)
+        parts.append(f"{key.replace('_', ' ')} {number} {UNITS.get(key, '')}".rstrip())
+    return ", ".join(parts)

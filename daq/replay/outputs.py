@@ -1,0 +1,240 @@
+"""Ways to look at a replay: in a window, in a browser, as a picture, or as a file for later."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import tempfile
+import webbrowser
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import quote
+from uuid import uuid4
+
+from daq.replay.replay import Progress, Replay
+from daq.replay.rerun_viewer import (
+    LOOPBACK,
+    Viewer,
+    can_open_windows,
+    free_port,
+    need_display,
+    picture,
+    viewer,
+)
+from rig.errors import RunError, SceneError
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+APPLICATION = "shotrig"
+WITHOUT_DISPLAY = "use --web to look with a browser, --screenshot FILE.png for a picture, or --save FILE.rrd"
+# Value, time and index.
+BYTES_A_VALUE = 20
+LIGHT_GB = 2.0
+# Longest wait for a viewer or a file to take a block, and the room that a block may need.
+SINK_S = 60.0
+ROOM_BYTES = 64_000_000
+
+
+def save(replay: Replay, file: Path, progress: Progress | None = None) -> None:
+    """Write a replay to an .rrd file, layout included; `rerun FILE.rrd` opens it.
+
+    Raises
+    ------
+    SceneError
+        If the name does not end in .rrd.
+    RunError
+        If the file cannot be written.
+    """
+    _need_suffix(file, ".rrd", "--save")
+
+    def drain() -> None:
+        # Asked beforehand: rerun's own writer may wait for ever once the disk is full.
+        if shutil.disk_usage(file.parent).free < ROOM_BYTES:
+            raise RunError(f"cannot write {file}: the disk is full")
+        stream.flush(timeout_sec=SINK_S)
+
+    with recording_stream() as stream:
+        try:
+            stream.save(file)
+        except (OSError, RuntimeError) as error:
+            raise RunError(f"cannot write {file}: {error}") from error
+        try:
+            _fill(replay, stream, drain, progress)
+        except BaseException:
+            file.unlink(missing_ok=True)
+            raise
+
+
+def photograph(
+    replay: Replay,
+    file: Path,
+    at_s: float | None = None,
+    progress: Progress | None = None,
+    size: tuple[int, int] = (1600, 1000),
+) -> float:
+    """Draw a replay at one instant into a PNG file, without a window.
+
+    Parameters
+    ----------
+    replay : Replay
+        What to draw.
+    file : Path
+        Where the picture goes.
+    at_s : float or None
+        The instant, seconds from the start of the recording; None takes `liveliest_s`.
+    progress : callable or None
+        Told the share that is done.
+    size : tuple of int
+        Width and height in pixels.
+
+    Returns
+    -------
+    float
+        The instant that was drawn, s.
+
+    Raises
+    ------
+    SceneError
+        If the name does not end in .png, or the instant lies outside the replay.
+    RunError
+        If there is no graphics device, a view could not be drawn, or the file cannot be written.
+    """
+    _need_suffix(file, ".png", "--screenshot")
+    rate = replay.recording.rate
+    at = replay.liveliest_s if at_s is None else at_s
+    if not replay.start / rate <= at <= replay.stop / rate:
+        raise SceneError(
+            f"--at {at:g} s lies outside the replay ({replay.start / rate:g} s to {replay.stop / rate:g} s)"
+        )
+    with tempfile.TemporaryDirectory(prefix="shotrig-") as folder:
+        drawn = Path(folder) / "replay.rrd"
+        save(replay, drawn, progress)
+        png, views = picture(drawn, at - replay.start / rate, size)
+    try:
+        file.write_bytes(png)
+    except OSError as error:
+        raise RunError(f"cannot write {file}: {error.strerror}") from error
+    problems = [f"{view.name}: {report.summary}" for view in views for report in view.reports]
+    if problems:
+        raise RunError(f"{file} is written, but the viewer could not draw all of it: {'; '.join(problems)}")
+    return at
+
+
+def window(instead: str) -> AbstractContextManager[Viewer]:
+    """Open a viewer in a window of its own.
+
+    Parameters
+    ----------
+    instead : str
+        What to tell somebody who has no display.
+
+    Raises
+    ------
+    RunError
+        If there is no display, or the viewer does not start.
+    """
+    need_display(instead)
+    return viewer("--expect-data-soon")
+
+
+def in_window(replay: Replay, progress: Progress | None = None) -> None:
+    """Show a replay in a window of its own; return when the window is closed.
+
+    Raises
+    ------
+    RunError
+        If there is no display, or the viewer does not start.
+    """
+    with window(WITHOUT_DISPLAY) as running:
+        _warn_of_size(replay)
+        _feed(replay, running, progress)
+        running.process.wait()
+
+
+def in_browser(replay: Replay, announce: Callable[[str], None], progress: Progress | None = None) -> None:
+    """Serve a replay to browsers on this machine until interrupted.
+
+    Parameters
+    ----------
+    replay : Replay
+        What to show.
+    announce : callable
+        Told the address to open.
+    progress : callable or None
+        Told the share that is done.
+
+    Raises
+    ------
+    RunError
+        If the server does not start.
+    """
+    with suppress(KeyboardInterrupt), server(announce) as running:
+        _warn_of_size(replay)
+        _feed(replay, running, progress)
+        running.process.wait()
+
+
+@contextmanager
+def server(announce: Callable[[str], None]) -> Iterator[Viewer]:
+    """Serve the viewer to browsers on this machine; `announce` is told the address."""
+    page = free_port()
+    # The server keeps everything for browsers to come.
+    with viewer("--serve-web", "--web-viewer-port", str(page), "--server-memory-limit", "75%") as running:
+        address = f"http://{LOOPBACK}:{page}/?url={quote(running.url, safe='')}"
+        announce(address)
+        if can_open_windows():
+            webbrowser.open(address)
+        yield running
+
+
+def _warn_of_size(replay: Replay) -> None:
+    """Say beforehand what a viewer will need: it holds every value, or forgets the oldest ones."""
+    gigabytes = replay.values * BYTES_A_VALUE / 1e9
+    if gigabytes > LIGHT_GB:
+        print(
+            f"note: the viewer will take about {gigabytes:.0f} GB of memory; --from and --to show a part",
+            file=sys.stderr,
+        )
+
+
+def _feed(replay: Replay, running: Viewer, progress: Progress | None) -> None:
+    """Send a replay to a running viewer; a viewer that is closed meanwhile ends it."""
+    with recording_stream() as stream:
+        stream.connect_grpc(running.url)
+        try:
+            _fill(replay, stream, lambda: stream.flush(timeout_sec=SINK_S), progress)
+        except RuntimeError as error:
+            if running.process.poll() is None:
+                raise RunError(f"the rerun viewer stopped taking data: {error}") from error
+
+
+@contextmanager
+def recording_stream() -> Iterator[rr.RecordingStream]:
+    """Make a stream of its own; on leaving, whatever it still holds goes to its sink."""
+    import rerun as rr
+
+    stream = rr.RecordingStream(APPLICATION, recording_id=uuid4())
+    try:
+        yield stream
+    finally:
+        stream.disconnect()
+
+
+def _fill(
+    replay: Replay, stream: rr.RecordingStream, drain: Callable[[], object], progress: Progress | None
+) -> None:
+    drain()
+    # Sent as the active layout: a viewer remembers the layout of an application and would ignore a default.
+    stream.send_blueprint(replay.blueprint(), make_active=True, make_default=True)
+    replay.send(stream, drain, progress)
+    drain()
+
+
+def _need_suffix(file: Path, suffix: str, option: str) -> None:
+    if file.suffix.lower() != suffix:
+        raise SceneError(f"{option} {file}: expected a file name that ends in {suffix}")
+    if not file.parent.is_dir():
+        raise RunError(f"{option} {file}: there is no folder {file.parent}")

@@ -1,0 +1,207 @@
+"""Showing a recording in the rerun viewer: the rig in motion beside its channels, dampers and test marks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from daq.drawing.rig_view import Extremes, RigView
+from daq.replay.blueprint import Content, layout
+from daq.replay.info_page import about
+from daq.replay.marker_log import log_lines, phases
+from daq.replay.recorded_motion import BLOCK, RecordedMotion
+from daq.replay.viewer_stream import Traces, plots
+from rig.errors import SceneError
+
+if TYPE_CHECKING:
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+    from daq.recording.recording import Recording
+
+# Instants drawn in 3D: enough for slow motion of a 50 Hz tone in a short recording, fewer in a long one.
+MOST_FRAMES_PER_S = 1000.0
+LEAST_FRAMES_PER_S = 100.0
+SLOWEST_HZ = 1.0
+FRAMES = 60_000
+
+Progress = Callable[[float, str], None]
+
+
+class Replay:
+    """A stretch of a recording, ready to be sent to a viewer or a file.
+
+    Parameters
+    ----------
+    recording : Recording
+        Open recording.
+    begin_s, end_s : float or None
+        The stretch, seconds from the start of the recording; None means from its start, to its end.
+    speed : float
+        Speed at which the viewer plays, 1 is real time.
+
+    Raises
+    ------
+    SceneError
+        If the stretch holds no sample, or the speed is not positive.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        begin_s: float | None = None,
+        end_s: float | None = None,
+        speed: float = 1.0,
+    ) -> None:
+        from rig.system.structure import natural_modes, structure_matrices
+
+        if not (math.isfinite(speed) and speed > 0):
+            raise SceneError(f"--speed {speed:g}: expected a positive factor, such as 0.1 for slow motion")
+        self.recording = recording
+        self.speed = speed
+        rate = recording.rate
+        self.start = 0 if begin_s is None else max(0, math.ceil(begin_s * rate))
+        self.stop = (
+            recording.samples if end_s is None else min(recording.samples, math.floor(end_s * rate) + 1)
+        )
+        if self.stop <= self.start:
+            raise SceneError(
+                f"nothing to replay: the recording lasts {recording.samples / rate:.3f} s, and "
+                f"--from {begin_s} --to {end_s} leave no sample of it"
+            )
+        seconds = (self.stop - self.start) / rate
+        frames_per_s = min(MOST_FRAMES_PER_S, max(LEAST_FRAMES_PER_S, FRAMES / seconds))
+        self.step = max(1, round(rate / frames_per_s))
+        scene = recording.scene
+        mass, _, stiffness = structure_matrices(scene.structure)
+        natural_hz = natural_modes(mass, stiffness)[0] / (2 * np.pi)
+        # A structure that is not held has modes at 0 Hz, which set no time scale.
+        self.lowest_hz = float(min(natural_hz[natural_hz > SLOWEST_HZ], default=SLOWEST_HZ))
+        self.motion = RecordedMotion(recording)
+
+    @cached_property
+    def _survey(self) -> tuple[Extremes, int]:
+        """Largest motions, and the sample at which there is most to see; reads the whole stretch."""
+        driven = RigView.driven_body(self.recording.scene)
+        extremes, liveliest, most = Extremes(), self.start, 0.0
+        for instants, motion in self.motion.stretches(self.start, self.stop, self.step):
+            extremes = extremes.widened(motion, driven)
+            # Dampers in flight are what a picture should show; without them, bodies far out.
+            sight = np.abs(motion.displacement).max(axis=0) if motion.gap is None else motion.gap.sum(axis=0)
+            if instants.size and sight.max() > most:
+                most, liveliest = float(sight.max()), int(instants[sight.argmax()])
+        return extremes, liveliest
+
+    @cached_property
+    def view(self) -> RigView:
+        """The drawing of the rig, its exaggeration fit to the motion of this stretch."""
+        unknown = [source.point for source in self.motion.sources if source.quantity == "nothing"]
+        return RigView(self.recording.scene, self._survey[0], self.motion.gaps_known, unknown)
+
+    @property
+    def liveliest_s(self) -> float:
+        """Seconds from the start of the recording to where dampers fly highest, or bodies are far out."""
+        return self._survey[1] / self.recording.rate
+
+    @property
+    def values(self) -> int:
+        """Samples of channels and gaps that a viewer would hold."""
+        series = len(self.recording.channels) + (
+            len(self.recording.scene.dampers) if self.motion.gaps_known else 0
+        )
+        return (self.stop - self.start) * series
+
+    def blueprint(self) -> rrb.Blueprint:
+        """Layout for this recording."""
+        dampers = len(self.recording.scene.dampers) if self.motion.gaps_known else 0
+        span = self.start / self.recording.rate, self.stop / self.recording.rate
+        return layout(
+            Content(plots(self.recording.channels), dampers, self.lowest_hz, self.view.eye, span, self.speed)
+        )
+
+    def send(
+        self, stream: rr.RecordingStream, drain: Callable[[], object], progress: Progress | None = None
+    ) -> None:
+        """Send everything to a stream.
+
+        Parameters
+        ----------
+        stream : rerun RecordingStream
+            Its sink is set.
+        drain : callable
+            Waits until the sink has taken what was sent; called often, so that nothing piles up in memory.
+        progress : callable or None
+            Told the share that is done.
+        """
+        import rerun as rr
+
+        from daq.replay.spectrum_picture import spectrum_picture
+
+        stream.send_recording_name(self.recording.scene.name)
+        for path, part in self.view.still_parts():
+            stream.log(path, part, static=True)
+        stream.log(
+            "about",
+            rr.TextDocument(about(self.recording, self.motion, self.view), media_type="text/markdown"),
+            static=True,
+        )
+        stream.log(
+            "spectrum",
+            rr.EncodedImage(
+                contents=spectrum_picture(self.recording, self.start, self.stop), media_type="image/png"
+            ),
+            static=True,
+        )
+        recording, dampers = self.recording, self.recording.scene.dampers if self.motion.gaps_known else ()
+        traces = Traces(stream, recording.rate, recording.channels, dampers)
+        self._send_marks(stream, traces)
+        total = self.stop - self.start
+        for first in range(self.start, self.stop, BLOCK):
+            last = min(first + BLOCK, self.stop)
+            for name in recording.channels:
+                traces.channel(name, first, recording.read(name, first, last))
+            if dampers:
+                gap, contact = (recording.truth(quantity, first, last) for quantity in ("gap", "contact"))
+                traces.dampers(first, gap, contact)
+            drain()
+            if progress is not None:
+                progress(0.8 * (last - self.start) / total, "channels")
+        for instants, motion in self.motion.stretches(self.start, self.stop, self.step):
+            traces.motion(self.view, instants, motion)
+            drain()
+            if progress is not None and instants.size:
+                progress(0.8 + 0.2 * (int(instants[-1]) - self.start) / total, "motion")
+
+    def _send_marks(self, stream: rr.RecordingStream, traces: Traces) -> None:
+        import rerun as rr
+
+        lines = log_lines(self.recording, self.start, self.stop)
+        if lines:
+            text = rr.TextLog.columns(
+                text=[line.text for line in lines], level=[line.level for line in lines]
+            )
+            stream.send_columns("test/marks", [traces.times(np.array([line.sample for line in lines]))], text)
+        spans = phases(self.recording, self.start, self.stop)
+        if not spans:
+            return
+        # Each phase is a state of its own, so that each can have its label; between phases the lane is empty.
+        states = [str(number) for number in range(len(spans))]
+        lane = rr.StateConfiguration(
+            values=[*states, "none"],
+            labels=[*(span.label for span in spans), ""],
+            colors=np.array([*(span.colour for span in spans), 0], dtype=np.uint32),
+            visible=[True] * len(spans) + [False],
+        )
+        stream.log("test/phase", lane, static=True)
+        changes = {span.stop: "none" for span in spans}
+        changes |= {span.start: state for span, state in zip(spans, states, strict=True)}
+        at = np.array(sorted(changes))
+        stream.send_columns(
+            "test/phase",
+            [traces.times(at)],
+            rr.StateChange.columns(state=[changes[int(sample)] for sample in at]),
+        )

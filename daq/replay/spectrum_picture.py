@@ -1,0 +1,99 @@
+"""Amplitude spectra of a recording's channels, for looking at."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.drawing.palette import channel_colour
+
+if TYPE_CHECKING:
+    from daq.recording.recording import Recording
+
+SEGMENT_S = 4.0
+MOST_SEGMENTS = 200
+PAPER = "#16181d"
+INK = "#c8ccd4"
+
+
+def peak_spectrum(
+    recording: Recording, channel: str, start: int, stop: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Largest amplitude at each frequency over Hann-windowed segments of a channel.
+
+    A tone of amplitude A shows as A, and a sweep as its envelope over frequency. Segments of up to
+    `SEGMENT_S` seconds overlap by half; of a long recording `MOST_SEGMENTS` are taken, evenly spread.
+
+    Parameters
+    ----------
+    recording : Recording
+        An open recording.
+    channel : str
+        Name of the channel.
+    start, stop : int
+        Sample numbers between which to look.
+
+    Returns
+    -------
+    frequency : ndarray, (lines,)
+        Hz, without 0.
+    amplitude : ndarray, (lines,)
+        In the channel's unit, peak (not rms); NaN if every segment has lost samples.
+    """
+    length = max(8, min(stop - start, round(SEGMENT_S * recording.rate)))
+    segments = min(MOST_SEGMENTS, max(1, 2 * (stop - start) // length - 1))
+    firsts = np.linspace(start, max(start, stop - length), segments).astype(np.int64)
+    window = np.hanning(length + 1)[:-1]
+    largest = np.full(length // 2, np.nan)
+    for first in firsts:
+        samples = recording.read(channel, int(first), int(first) + length)
+        if samples.size < length or np.isnan(samples).any():
+            continue
+        lines = np.abs(np.fft.rfft((samples - samples.mean()) * window))[1 : length // 2 + 1]
+        largest = np.fmax(largest, 2.0 * lines / window.sum())
+    return np.arange(1, length // 2 + 1) * recording.rate / length, largest
+
+
+def spectrum_picture(
+    recording: Recording, start: int, stop: int, size: tuple[int, int] = (760, 440)
+) -> bytes:
+    """Draw the spectra of all channels, one panel for each quantity, as a PNG.
+
+    Dotted lines stand at the natural frequencies of the bare structure.
+    """
+    from matplotlib.figure import Figure
+
+    from rig.system.structure import natural_modes, structure_matrices
+
+    mass, _, stiffness = structure_matrices(recording.scene.structure)
+    natural_hz = natural_modes(mass, stiffness)[0] / (2 * np.pi)
+    quantities = sorted({(info.quantity, info.unit) for info in recording.channels.values()})
+    figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100, facecolor=PAPER, layout="constrained")
+    panels = figure.subplots(len(quantities), 1, sharex=True, squeeze=False)[:, 0]
+    for panel, (quantity, unit) in zip(panels, quantities, strict=True):
+        members = {name: info for name, info in recording.channels.items() if info.quantity == quantity}
+        spectra = {name: peak_spectrum(recording, name, start, stop) for name in members}
+        frequency = next(iter(spectra.values()))[0]
+        shown = (frequency >= 1.0) & (frequency <= max(100.0, 8 * natural_hz[-1]))
+        for name, (_, amplitude) in spectra.items():
+            colour = tuple(level / 255 for level in channel_colour(members[name].at))
+            panel.loglog(frequency[shown], amplitude[shown], color=colour, label=name, linewidth=1.0)
+        for line in natural_hz[natural_hz > 1.0]:
+            panel.axvline(line, color=INK, linewidth=0.8, linestyle=":", alpha=0.7)
+        panel.set_ylabel(f"{quantity} [{unit}]", color=INK)
+        panel.set_facecolor(PAPER)
+        panel.grid(which="both", color=INK, alpha=0.10)
+        panel.tick_params(colors=INK, which="both")
+        panel.spines[:].set_color(INK)
+        panel.legend(facecolor=PAPER, edgecolor="none", labelcolor=INK, fontsize="small", framealpha=0.6)
+    panels[-1].set_xlabel("frequency [Hz]", color=INK)
+    panels[0].set_title(
+        "largest amplitude (Hann); dotted: natural frequencies, no dampers",
+        color=INK, fontsize="medium",
+    )  # fmt: skip
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", facecolor=PAPER)
+    return picture.getvalue()

@@ -1,0 +1,134 @@
+"""What a viewer shows of channels, dampers and the rig, sent to it stretch by stretch."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.drawing.palette import body_colour, channel_colour
+from daq.replay.blueprint import TIMELINE
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+    from daq.drawing.rig_view import Motion, RigView
+    from daq.signal_chain.channel import ChannelInfo
+    from rig.scene.damper import Damper
+
+CONTACTS = ("flight", "floor", "ceiling", "lost")
+CONTACT_COLOURS = (0x3B82C4FF, 0x8A5A2BFF, 0xC4453BFF, 0x404040FF)
+# Quantities in the order of interest to somebody who looks at a structure, and the factor to the shown unit.
+SHOWN = {
+    "displacement": (1e3, "mm"),
+    "acceleration": (1.0, "m/s²"),
+    "velocity": (1.0, "m/s"),
+    "force": (1.0, "N"),
+}
+
+
+def grouped(channels: Mapping[str, ChannelInfo]) -> dict[str, list[str]]:
+    """Names of the channels by quantity, in the order in which they are shown."""
+    groups = {q: [name for name, info in channels.items() if info.quantity == q] for q in SHOWN}
+    return {quantity: names for quantity, names in groups.items() if names}
+
+
+def plots(channels: Mapping[str, ChannelInfo]) -> list[tuple[str, str]]:
+    """Entity and title of the plot of each quantity."""
+    return [(f"channels/{quantity}", f"{quantity} [{SHOWN[quantity][1]}]") for quantity in grouped(channels)]
+
+
+class Traces:
+    """Sends curves, contact states and motion to a stream, on one timeline.
+
+    Parameters
+    ----------
+    stream : rerun RecordingStream
+        Its sink is set.
+    rate : float
+        Samples per second, Hz.
+    channels : mapping of str to ChannelInfo
+        The channels.
+    dampers : sequence of Damper
+        Those whose gap and contact will come; empty if none will.
+    """
+
+    def __init__(
+        self,
+        stream: rr.RecordingStream,
+        rate: float,
+        channels: Mapping[str, ChannelInfo],
+        dampers: Sequence[Damper],
+    ) -> None:
+        self._stream, self._rate, self._channels = stream, rate, channels
+        self._contact: list[int] = [-1] * len(dampers)
+        self._style(dampers)
+
+    def times(self, samples: NDArray[np.int64]) -> rr.TimeColumn:
+        """Give the times of some samples, counted from the start of the recording."""
+        import rerun as rr
+
+        # Durations stay far below the 2^53 ns up to which a double holds every nanosecond.
+        nanoseconds = np.round(samples * (1e9 / self._rate)).astype("timedelta64[ns]")
+        return rr.TimeColumn(TIMELINE, duration=nanoseconds)
+
+    def _style(self, dampers: Sequence[Damper]) -> None:
+        import rerun as rr
+
+        def curve(colour: tuple[int, int, int], name: str) -> rr.SeriesLines:
+            # By default the viewer averages what falls on one pixel, and a tone would vanish.
+            return rr.SeriesLines(colors=[colour], names=[name], widths=[1.2], aggregation_policy="MinMax")
+
+        for name, info in self._channels.items():
+            self._stream.log(
+                f"channels/{info.quantity}/{name}", curve(channel_colour(info.at), name), static=True
+            )
+        lane = rr.StateConfiguration(
+            values=list(CONTACTS), labels=list(CONTACTS), colors=np.array(CONTACT_COLOURS, dtype=np.uint32)
+        )
+        for place, damper in enumerate(dampers, start=1):
+            style = curve(body_colour(damper.body), f"damper {place} (body {damper.body})")
+            self._stream.log(f"dampers/gap_mm/damper_{place}", style, static=True)
+            self._stream.log(f"dampers/contact/damper_{place}", lane, static=True)
+
+    def channel(self, name: str, first: int, samples: NDArray[np.float64]) -> None:
+        """Send the next samples of a channel, in its unit; NaN leaves a hole in the curve."""
+        import rerun as rr
+
+        quantity = self._channels[name].quantity
+        times = self.times(np.arange(first, first + samples.size))
+        columns = rr.Scalars.columns(scalars=samples * SHOWN[quantity][0])
+        self._stream.send_columns(f"channels/{quantity}/{name}", [times], columns)
+
+    def dampers(self, first: int, gap: NDArray[np.float64], contact: NDArray[np.float64 | np.int8]) -> None:
+        """Send the next samples of gaps [m] and contacts, both (dampers, samples); NaN where lost."""
+        import rerun as rr
+
+        samples = np.arange(first, first + gap.shape[1])
+        states = np.where(np.isnan(contact), CONTACTS.index("lost"), contact).astype(np.int8)
+        for place in range(gap.shape[0]):
+            columns = rr.Scalars.columns(scalars=1e3 * gap[place])
+            self._stream.send_columns(f"dampers/gap_mm/damper_{place + 1}", [self.times(samples)], columns)
+            before = np.concatenate([self._contact[place : place + 1], states[place, :-1]])
+            changed = np.nonzero(states[place] != before)[0]
+            if changed.size:
+                new = rr.StateChange.columns(state=[CONTACTS[state] for state in states[place, changed]])
+                at = [self.times(samples[changed])]
+                self._stream.send_columns(f"dampers/contact/damper_{place + 1}", at, new)
+            self._contact[place] = int(states[place, -1])
+
+    def motion(self, view: RigView, samples: NDArray[np.int64], motion: Motion) -> None:
+        """Move the rig; `motion` is given at some sample numbers."""
+        import rerun as rr
+
+        if not samples.size:
+            return
+        times = [self.times(samples)]
+        for path, translation, scale in view.moving_parts(motion):
+            if scale is None:
+                columns = rr.Transform3D.columns(translation=translation)
+            else:
+                columns = rr.Transform3D.columns(translation=translation, scale=scale)
+            self._stream.send_columns(path, times, columns)

@@ -1,0 +1,203 @@
+"""The live scope: a bench in real time, its drive in the operator's hands, the recording written meanwhile."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.excitation.manual_tone import HandTone, Knobs, Reading
+from daq.measurement.run import Run
+from daq.replay.outputs import recording_stream
+from daq.scope.screen import Screen, sentence
+from daq.signal_chain.bench import Bench
+from rig.errors import SceneError
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+    from daq.replay.rerun_viewer import Viewer
+    from daq.signal_chain.bench import Block
+    from rig.scene.scene import Scene
+
+BLOCK_S = 0.04
+# Being late by more than this is told, and the time given up: the bench then goes on from there.
+LATE_S = 0.5
+# Samples a period that a drive needs at least.
+FEWEST_SAMPLES = 10.0
+
+
+class Pace:
+    """Keeps samples at wall-clock time.
+
+    Parameters
+    ----------
+    rate : float
+        Samples per second, Hz.
+    tell : callable
+        Told when the machine is found too slow, once.
+
+    Attributes
+    ----------
+    given_up_s : float
+        Wall-clock time that the bench has fallen behind, s.
+    """
+
+    def __init__(self, rate: float, tell: Callable[[str], None]) -> None:
+        self._rate, self._tell = rate, tell
+        self._origin: float | None = None
+        self.given_up_s = 0.0
+
+    def keep(self, position: int) -> None:
+        """Wait until the sample at `position` is due."""
+        now = time.monotonic()
+        if self._origin is None:
+            # Before the first block the simulation may have been compiled; time begins now.
+            self._origin = now - position / self._rate
+        early = self._origin + position / self._rate - now
+        if early > 0:
+            time.sleep(early)
+        elif early < -LATE_S:
+            self._origin -= early
+            if not self.given_up_s:
+                self._tell("the machine is too slow for real time: what you see runs slower than it would")
+            self.given_up_s -= early
+
+
+def scope(
+    scene: Scene,
+    path: Path,
+    stream: rr.RecordingStream,
+    knobs: Knobs,
+    tell: Callable[[str], None],
+    keep: Callable[[int], None],
+    overwrite: bool = False,
+) -> Path:
+    """Run a bench under an operator's hands and record it, until the knobs are turned off.
+
+    Parameters
+    ----------
+    scene : Scene
+        What stands on the bench; its test is not run.
+    path : Path
+        Recording to write.
+    stream : rerun RecordingStream
+        Where the live view goes.
+    knobs : Knobs
+        Turned by somebody else meanwhile.
+    tell : callable
+        Told in one line whenever a setting has been reached.
+    keep : callable
+        Told the number of samples that have passed, after every block; it lets time pass.
+    overwrite : bool
+        Whether an existing file may be replaced.
+
+    Returns
+    -------
+    Path
+        The recording.
+
+    Raises
+    ------
+    SceneError
+        If the rig has no shaker, or the channels do not give the spring force.
+    RunError
+        If a channel went beyond its abort limit, or the recording could not be written.
+    KeyboardInterrupt
+        If the operator pressed Ctrl-C; the recording up to there is closed.
+    """
+    was: list[tuple[float, float, bool]] = [(0.0, 0.0, False)]
+
+    def read(reading: Reading) -> None:
+        screen.read(reading)
+        state = reading.frequency, reading.level, reading.held
+        if reading.held and state != was[0]:
+            tell(sentence(reading))
+        was[0] = state
+
+    def heard(block: Block, readings: NDArray[np.float64]) -> None:
+        screen.show(block, readings)
+        keep(block.motion.first + block.motion.displacement.shape[1])
+
+    rate = float(scene.converter.rate)
+    block = max(1, round(BLOCK_S * rate))
+    run = Run(scene, path, block, excite=HandTone(knobs, read).excite, heard=heard)
+    screen = Screen(stream, scene, run.bench.channels, run.bench.rate)
+    return run.run(overwrite)
+
+
+def knobs_for(scene: Scene, frequency: float | None, force: float) -> Knobs:
+    """Set the knobs to begin with: the frequency asked for, or that of the scene's test, or the lowest mode's."""
+    from rig.system.structure import natural_modes, structure_matrices
+
+    if frequency is None:
+        frequency = getattr(scene.test, "frequency", None) or getattr(scene.test, "from_", None)
+    if frequency is None:
+        mass, _, stiffness = structure_matrices(scene.structure)
+        frequency = max(1.0, float(natural_modes(mass, stiffness)[0][0] / (2 * np.pi)))
+    return Knobs(frequency, force, highest=float(scene.converter.rate) / FEWEST_SAMPLES)
+
+
+def listen(knobs: Knobs, lines: TextIO, tell: Callable[[str], None]) -> None:
+    """Turn the knobs by lines that are typed, on a thread of its own; their end turns them off."""
+
+    def obey() -> None:
+        for line in lines:
+            try:
+                knobs.turn(line)
+            except SceneError as error:
+                tell(str(error))
+            if knobs.off:
+                return
+        knobs.off = True
+
+    # A daemon: it waits for a line that may never come.
+    threading.Thread(target=obey, name="operator", daemon=True).start()
+
+
+def live(
+    scene: Scene, path: Path, knobs: Knobs, viewing: AbstractContextManager[Viewer], overwrite: bool
+) -> None:
+    """Run the scope with a viewer in real time, its knobs at standard input.
+
+    Parameters
+    ----------
+    scene, path, knobs, overwrite
+        As `scope` takes them.
+    viewing : context manager
+        The viewer; closing it turns the knobs off.
+    """
+    bench = Bench(scene)
+    # What has to be compiled is compiled before time begins to run; the bench of the run is another one.
+    bench.acquire(np.zeros((len(bench.inputs), 64)))
+    with viewing as running, recording_stream() as stream:
+        stream.connect_grpc(running.url)
+        pace = Pace(float(scene.converter.rate), say)
+
+        def keep(position: int) -> None:
+            pace.keep(position)
+            if running.process.poll() is not None:
+                knobs.off = True
+
+        say(f"{Knobs.HELP}; recording to {path}")
+        listen(knobs, sys.stdin, say)
+        try:
+            scope(scene, path, stream, knobs, say, keep, overwrite)
+        except KeyboardInterrupt as interrupt:
+            # Ctrl-C is as good a way to end as any, once the recording is closed.
+            if not interrupt.args:
+                raise
+        if pace.given_up_s:
+            say(f"the bench fell behind the wall clock by {pace.given_up_s:.1f} s; no sample is missing")
+
+
+def say(text: str) -> None:
+    """Print a line to the operator."""
+    print(text, file=sys.stderr, flush=True)

@@ -1,0 +1,144 @@
+"""The live view of a bench: the rig as one sees it, curves as the channels read, the tone in figures."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.drawing.rig_view import Extremes, Motion, RigView, exaggeration
+from daq.excitation.manual_tone import Reading
+from daq.replay.blueprint import live_layout
+from daq.replay.viewer_stream import Traces, plots
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+    from daq.signal_chain.bench import Block
+    from daq.signal_chain.channel import ChannelInfo
+    from rig.scene.scene import Scene
+
+FRAMES_PER_S = 200.0
+# The exaggeration follows the motion: down at once, up when the motion has long been this much smaller.
+QUIETER = 4.0
+REMEMBERED_S = 2.0
+READINGS_PER_S = 5.0
+
+
+class Screen:
+    """Sends to a viewer what happens on a bench.
+
+    The rig and its dampers are drawn as they truly move, as eyes beside the rig would see them; curves of
+    channels are what the instrument reads.
+
+    Parameters
+    ----------
+    stream : rerun RecordingStream
+        Its sink is set.
+    scene : Scene
+        What stands on the bench.
+    channels : sequence of ChannelInfo
+        The channels.
+    rate : float
+        Samples per second, Hz.
+    """
+
+    def __init__(
+        self, stream: rr.RecordingStream, scene: Scene, channels: Sequence[ChannelInfo], rate: float
+    ) -> None:
+        self._stream, self._scene, self._rate = stream, scene, rate
+        self._names = [info.name for info in channels]
+        by_name = {info.name: info for info in channels}
+        self._step = max(1, round(rate / FRAMES_PER_S))
+        self._recent: list[tuple[int, Extremes]] = []
+        self._draw(Extremes(body=1e-3, spring=1e-3, coil=1e-3, gap=1e-3))
+        stream.send_blueprint(
+            live_layout(plots(by_name), len(scene.dampers), self._view.eye),
+            make_active=True,
+            make_default=True,
+        )
+        self._traces = Traces(stream, rate, by_name, scene.dampers)
+        self._next_reading = 0
+        self._position = 0
+
+    def show(self, block: Block, readings: NDArray[np.float64]) -> None:
+        """Show a block: readings, shape (channels, samples), in the channels' units."""
+        for name, samples in zip(self._names, readings, strict=True):
+            if samples.size:
+                self._traces.channel(name, block.first, samples)
+        true = block.motion
+        if self._scene.dampers:
+            self._traces.dampers(true.first, true.gap, true.contact)
+        size = true.displacement.shape[1]
+        picked = np.arange((-true.first) % self._step, size, self._step)
+        bodies = self._scene.structure.bodies
+        motion = Motion(
+            true.displacement[:bodies, picked],
+            true.displacement[bodies, picked] if true.displacement.shape[0] > bodies else None,
+            true.gap[:, picked] if self._scene.dampers else None,
+        )
+        self._position = true.first + size
+        if picked.size:
+            self._fit(motion)
+            self._traces.motion(self._view, true.first + picked, motion)
+
+    def read(self, reading: Reading) -> None:
+        """Show what the channels say of the tone, a few times a second."""
+        import rerun as rr
+
+        if self._position < self._next_reading:
+            return
+        self._next_reading = self._position + round(self._rate / READINGS_PER_S)
+        self._stream.set_time("time", duration=np.timedelta64(round(self._position / self._rate * 1e9), "ns"))
+        self._stream.log("reading", rr.TextDocument(page(reading), media_type="text/markdown"))
+
+    def _draw(self, extremes: Extremes) -> None:
+        self._view = RigView(self._scene, extremes, gaps_known=True)
+        for path, part in self._view.still_parts():
+            self._stream.log(path, part, static=True)
+
+    def _fit(self, motion: Motion) -> None:
+        """Draw the rig anew where its exaggeration has become too large or much too small."""
+        seen = Extremes().widened(motion, RigView.driven_body(self._scene))
+        since = self._position - round(REMEMBERED_S * self._rate)
+        self._recent = [(at, extremes) for at, extremes in self._recent if at >= since]
+        self._recent.append((self._position, seen))
+        largest = Extremes(
+            *(max(values) for values in zip(*(vars(e).values() for _, e in self._recent), strict=True))
+        )
+        fit = exaggeration(largest)
+        settled = self._position - self._recent[0][0] >= 0.9 * REMEMBERED_S * self._rate
+        if fit < self._view.magnification or (settled and fit > QUIETER * self._view.magnification):
+            self._draw(largest)
+
+
+def page(reading: Reading) -> str:
+    """Write a reading as a page of Markdown."""
+    state = "held" if reading.held else "silent" if reading.level == 0.0 else "settling"
+    lines = [
+        f"## {reading.frequency:.2f} Hz, {reading.level:g} N: {state}",
+        f"force {abs(reading.force):.3f} N, drive amplitude {reading.drive:.4g}",
+        "",
+        "| channel | displacement | over force | phase |",
+        "|---|---|---|---|",
+    ]
+    for name, moved in reading.displacement.items():
+        ratio = reading.receptance(name)
+        figures = f"{abs(ratio) * 1e3:.4g} mm/N | {math.degrees(cmath.phase(ratio)):.1f}°"
+        if not reading.held:
+            figures = "- | -"
+        lines.append(f"| {name} | {abs(moved) * 1e3:.4g} mm | {figures} |")
+    return "\n".join(lines) + "\n"
+
+
+def sentence(reading: Reading) -> str:
+    """Write a reading that is held as one line."""
+    told = ", ".join(
+        f"{name} {abs(moved) * 1e3:.3g} mm ({math.degrees(cmath.phase(reading.receptance(name))):.0f}°)"
+        for name, moved in reading.displacement.items()
+    )
+    return f"{reading.frequency:g} Hz: {abs(reading.force):.3g} N held; {told}"

@@ -1,0 +1,46 @@
+"""Integrating amplifiers, which turn the signal of an accelerometer into velocity or displacement."""
+
+from __future__ import annotations
+
+from daq.dsp.circuit import high_pass, integration
+from daq.signal_chain.stage import Stage, data_sheet
+from rig.scene.measurement_chain import Integrator
+
+
+def integrating_amplifier(settings: Integrator) -> Stage:
+    """Describe an integrating amplifier of order n.
+
+    Its transfer function is ``gain / (s + w)^n`` with w = 2 pi corner: above the corner it integrates n
+    times, and output = gain x integral of input, volts and seconds; below, each integration turns into plain
+    gain 1 / w, as if a high pass ``s / (s + w)`` followed it. With corner 0 it integrates down to zero
+    frequency, and any offset in front of it grows without end. A low cut-off puts one more high pass at the
+    input. Each integration takes an equal share of the gain, and neither stage's output can exceed the
+    saturation voltage. Noise is that of its output.
+
+    Parameters
+    ----------
+    settings : Integrator
+        The amplifier.
+
+    Returns
+    -------
+    Stage
+
+    Examples
+    --------
+    >>> from rig.sensor_settings import Integrator
+    >>> integrating_amplifier(Integrator(order=2, corner="1 Hz", gain=1000.0)).effects
+    {'integration': 2}
+    """
+    gain = settings.gain ** (1.0 / settings.order)
+    coupling = (
+        () if settings.low_cutoff is None else (high_pass(settings.low_cutoff, "amplifier low cut-off"),)
+    )
+    return Stage(
+        "integrator",
+        (*coupling, *(integration(settings.corner, gain) for _ in range(settings.order))),
+        nominal=settings.gain,
+        noise=settings.noise,
+        rails=settings.saturation,
+        data=data_sheet("integrator", settings),
+    )

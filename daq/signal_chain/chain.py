@@ -1,0 +1,186 @@
+"""The measurement chain of a scene: motion and forces in, volts at the converter out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.dsp.block_buffers import Room
+from daq.dsp.interpolation import ForcePieces, MotionPieces
+from daq.dsp.noise import generator
+from daq.dsp.skew import delays
+from daq.signal_chain.amplifier import integrating_amplifier
+from daq.signal_chain.channel import ChannelInfo
+from daq.signal_chain.channel_description import channel_effects, channel_info
+from daq.signal_chain.converter import SampleClock, coupling
+from daq.signal_chain.decimation_filter import DELAY
+from daq.signal_chain.sensors import accelerometer, force_sensor
+from daq.signal_chain.signal_path import SignalPath
+from daq.signal_chain.stage import Stage
+from rig.errors import SceneError
+from rig.scene.excitation import Impulse
+from rig.scene.measurement_chain import Accelerometer, Channel, Converter, Hammer
+from rig.scene.presets import filled_in
+from rig.scene.scene import Scene
+from rig.simulation.motion import Motion
+
+Array = NDArray[np.float64]
+
+
+class Chain:
+    """All channels of a scene, up to the converter's input.
+
+    Between samples a point's acceleration is taken as cubics joined at samples and breaks (`daq.pieces`);
+    impacts enter as impulses at their own instants. The analogue stages are linear and carried exactly for
+    that input (`daq.propagation`). What a sample holds depends on the channel (`daq.reading`): a decimation
+    filter is applied where the scene names one; without it, a signal that has passed an integrator is read at
+    the instant of the sample; any other, which may hold impulses and the ringing of a resonance, is averaged
+    over the interval that ends at the sample. Everything is at rest before sample 0, where only changes of
+    position count.
+
+    Each channel has its own random numbers, from the seed and its name: what another channel or stage does
+    cannot change them. Results do not depend on how a motion is split into blocks.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    rate : float
+        Rate of the motion's samples, Hz: the converter's true rate or, for a converter with decimation
+        filter, a whole multiple of it.
+    points : sequence of str
+        Names of the motion's points, ``"body 1"`` ... ``"table"``.
+    inputs : sequence of str
+        Names of the rows of forces, ``"shaker"``, ``"hammer"``.
+
+    Attributes
+    ----------
+    channels : tuple of ChannelInfo
+        The channels; sizes of counts are the converter's business.
+    effects : dict of str to dict of str to int
+        For each channel the effects that are on, in the order of the signal, each with the states it adds.
+    latency : int
+        By how many samples the numbers of the samples given lag behind those of the motion: the decimation
+        filter's delay where the scene has it removed. So many samples fewer come out at first.
+
+    Raises
+    ------
+    SceneError
+        If a channel sits where nothing is, or a preset is unknown.
+
+    Examples
+    --------
+    >>> import rig
+    >>> scene = rig.loads("structure: {masses: [1 kg], springs: [1 kN/m]}")
+    >>> chain = Chain(scene, 5120.0, points=["body 1"])
+    >>> chain.channels[0].name, chain.channels[0].quantity, chain.effects
+    ('body1', 'acceleration', {'body1': {'averaging': 1}})
+    """
+
+    def __init__(self, scene: Scene, rate: float, points: Sequence[str], inputs: Sequence[str] = ()) -> None:
+        clock = SampleClock.of(scene.converter)
+        converter = filled_in(scene.converter)
+        self._oversampling = _oversampling(rate, clock.true_rate, converter)
+        channels = default_channels(scene, points) if scene.channels is None else scene.channels
+        late = delays(converter.skew, len(channels), clock.true_rate)
+        lines = [stages(channel, converter, scene.seed) for channel in channels]
+        self._inputs, self._at = tuple(inputs), [channel.at for channel in channels]
+        self._cutters = [_cutter(channel, rate, points) for channel in channels]
+        room = Room()
+        self._paths = [
+            SignalPath(channel.name, line, converter, clock, self._oversampling, delay, scene.seed, room)
+            for channel, line, delay in zip(channels, lines, late, strict=True)
+        ]
+        self._jitter = generator(scene.seed, "", "jitter") if converter.jitter else None
+        self.channels: tuple[ChannelInfo, ...] = tuple(
+            channel_info(channel.name, channel.at, line, converter, clock, delay)
+            for channel, line, delay in zip(channels, lines, late, strict=True)
+        )
+        self.effects = {
+            channel.name: channel_effects(line, converter, delay)
+            for channel, line, delay in zip(channels, lines, late, strict=True)
+        }
+        self.latency = DELAY if converter.filter is not None and converter.remove_delay else 0
+
+    def measure(self, motion: Motion, forces: Array | None = None) -> Array:
+        """Measure the next block.
+
+        Parameters
+        ----------
+        motion : Motion
+            Motion of the points given, continuing the last block.
+        forces : ndarray, shape (inputs, samples), optional
+            Forces at the same samples, joined by straight lines; only a channel at the hammer or the shaker needs them.
+
+        Returns
+        -------
+        ndarray, shape (channels, samples)
+            Volts.
+        """
+        count = motion.displacement.shape[1]
+        first, stop = (-(-k // self._oversampling) for k in (motion.first, motion.first + count))
+        jitter = None if self._jitter is None else self._jitter.standard_normal(stop - first)
+        volts = np.empty((len(self._paths), stop - first))
+        for row, (cutter, path) in enumerate(zip(self._cutters, self._paths, strict=True)):
+            if isinstance(cutter, MotionPieces):
+                pieces = cutter.cut(motion)
+            else:
+                pieces = cutter.cut(self._force(self._at[row], forces, count))
+            volts[row] = path.measure(pieces, jitter)
+        return volts[:, max(self.latency - first, 0) :]
+
+    def _force(self, at: str, forces: Array | None, count: int) -> Array:
+        """Force at a channel; a hammer that is not used lies still."""
+        if forces is None or at not in self._inputs:
+            return np.zeros(count)
+        return np.ascontiguousarray(forces[self._inputs.index(at)], dtype=float)
+
+
+def default_channels(scene: Scene, points: Sequence[str]) -> tuple[Channel, ...]:
+    """Give the channels of a scene that names none.
+
+    They are ideal: the acceleration of every body and of the table, and the force where one acts from
+    outside, by a hammer or by a shaker of kind force.
+    """
+    channels = [Channel(name=point.replace(" ", ""), at=point) for point in points]
+    if isinstance(scene.test, Impulse):
+        channels.append(Channel(name="force", at="hammer"))
+    elif scene.shaker is not None and scene.shaker.kind == "force":
+        channels.append(Channel(name="force", at="shaker"))
+    return tuple(channels)
+
+
+def stages(channel: Channel, converter: Converter, seed: int) -> tuple[Stage, ...]:
+    """Describe the devices of a channel: sensor, then amplifier and the converter's coupling if any."""
+    if channel.measures_force:
+        line = [force_sensor(filled_in(channel.hammer or Hammer()), seed, channel.name)]
+    else:
+        line = [accelerometer(filled_in(channel.accelerometer or Accelerometer()), seed, channel.name)]
+    if channel.integrator is not None:
+        line.append(integrating_amplifier(channel.integrator))
+    return (*line, *coupling(converter))
+
+
+def _cutter(channel: Channel, rate: float, points: Sequence[str]) -> MotionPieces | ForcePieces:
+    if channel.measures_force:
+        return ForcePieces()
+    if channel.at not in points:
+        raise SceneError(f"channel {channel.name!r} sits at {channel.at}: the rig has {', '.join(points)}")
+    return MotionPieces(list(points).index(channel.at), rate)
+
+
+def _oversampling(motion_rate: float, true_rate: float, converter: Converter) -> int:
+    ratio = round(motion_rate / true_rate)
+    if ratio < 1 or abs(motion_rate - ratio * true_rate) > 1e-9 * motion_rate:
+        raise SceneError(
+            f"the motion comes at {motion_rate!r} Hz; expected the converter's true rate, {true_rate!r} Hz, "
+            "or a whole multiple of it"
+        )
+    if ratio > 1 and converter.filter is None:
+        raise SceneError(
+            f"the motion comes at {ratio} times the converter's rate; that needs a converter with "
+            "filter: delta_sigma, for without it the converter would pass on aliases"
+        )
+    return ratio

@@ -1,0 +1,163 @@
+"""What a channel measures and how its readings relate to the quantity that was there."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rig.errors import RecordingError
+
+Quantity = Literal["acceleration", "velocity", "displacement", "force"]
+
+UNITS: dict[str, str] = {"acceleration": "m/s^2", "velocity": "m/s", "displacement": "m", "force": "N"}
+
+
+@dataclass(frozen=True)
+class ChannelInfo:
+    """A channel as its data sheets describe it: where it sits, what it reads, how it answers.
+
+    The value read is ``volts / sensitivity`` in `unit`. It differs from the true quantity by the linear
+    response of sensor, amplifier and converter, which `response` gives in full; what a data sheet cannot know
+    (the individual error within a sensitivity tolerance, noise, drift, clipping) is not part of it.
+
+    Parameters
+    ----------
+    name : str
+        Name of the channel, unique in a scene.
+    at : str
+        Where the sensor sits: ``"body 2"``, ``"table"``, ``"hammer"`` or ``"shaker"``.
+    quantity : {'acceleration', 'velocity', 'displacement', 'force'}
+        What is read after integration, if any.
+    sensitivity : float
+        Nominal sensitivity, V per unit.
+    rate : float
+        Sample rate as the clock states it, Hz.
+    zeros, poles : tuple of complex
+        Zeros and poles of the analogue stages, rad/s, from the true quantity to the value read.
+    gain : float
+        Factor of ``prod(s - zeros) / prod(s - poles)``.
+    average : bool
+        Whether the converter averages over the sample interval that ends at the sample.
+    delay : float
+        Delay on top of the averaging, s: decimation filter and skew, as far as not removed.
+    filter : dict of str to float
+        Decimation filter as `daq.decimation.Decimation` is made from it, apart from its delay; empty if none.
+    volts_per_count : float or None
+        Size of a converter count, V; None if samples are not counts.
+    range : float or None
+        Full scale of the converter, ± V; None if unlimited.
+    sensor : dict of str to str
+        The sensor's data sheet, figures with their units: what goes into an electronic data sheet (TEDS).
+
+    Examples
+    --------
+    >>> ideal = ChannelInfo("body1", "body 1", "acceleration", sensitivity=1.0, rate=5120.0, average=True)
+    >>> ideal.unit, f"{abs(ideal.response(512.0)):.6f}", f"{np.angle(ideal.response(512.0), deg=True):.1f}"
+    ('m/s^2', '0.983632', '-18.0')
+    >>> ChannelInfo.from_metadata(ideal.to_metadata()) == ideal
+    True
+    """
+
+    name: str
+    at: str
+    quantity: Quantity
+    sensitivity: float
+    rate: float
+    zeros: tuple[complex, ...] = ()
+    poles: tuple[complex, ...] = ()
+    gain: float = 1.0
+    average: bool = False
+    delay: float = 0.0
+    filter: Mapping[str, float] = field(default_factory=dict)
+    volts_per_count: float | None = None
+    range: float | None = None
+    sensor: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def unit(self) -> str:
+        """Unit of the quantity read."""
+        return UNITS[self.quantity]
+
+    @property
+    def unit_per_count(self) -> float:
+        """Size of a converter count in the unit read; of a volt, where samples are volts."""
+        return (1.0 if self.volts_per_count is None else self.volts_per_count) / self.sensitivity
+
+    def response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
+        """Ratio of the value read to the true quantity.
+
+        Parameters
+        ----------
+        frequency : array_like
+            Frequencies in Hz, any shape. Below half the sample rate it is what a tone reads; above, what its
+            alias reads.
+
+        Returns
+        -------
+        ndarray of complex
+            Response of the same shape; a lag has a negative phase.
+        """
+        f = np.asarray(frequency, dtype=float)
+        s = 2j * np.pi * f
+        value = np.full(f.shape, self.gain, dtype=complex)
+        # Factor by factor, a zero with a pole: the products of many poles in rad/s would overflow in the end.
+        for i in range(max(len(self.zeros), len(self.poles))):
+            if i < len(self.zeros):
+                value *= s - self.zeros[i]
+            if i < len(self.poles):
+                value /= s - self.poles[i]
+        if self.average:
+            value *= np.sinc(f / self.rate) * np.exp(-0.5 * s / self.rate)
+        if self.filter:
+            # The filter is needed by few readers of a channel, and it brings in scipy.
+            from daq.signal_chain.decimation_filter import Decimation
+
+            value *= Decimation(**self.filter).magnitude(f)
+        if self.delay:
+            value *= np.exp(-s * self.delay)
+        return value
+
+    def to_metadata(self) -> dict[str, str]:
+        """Give the channel as text fields, every number exactly, for a recording's metadata."""
+        plain: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(self)}
+        plain["zeros"] = [(root.real, root.imag) for root in map(complex, self.zeros)]
+        plain["poles"] = [(root.real, root.imag) for root in map(complex, self.poles)]
+        plain["filter"], plain["sensor"] = dict(self.filter), dict(self.sensor)
+        text = {
+            key: value if isinstance(value, str) else json.dumps(value, allow_nan=False)
+            for key, value in plain.items()
+        }
+        return text | {"unit": self.unit}
+
+    @classmethod
+    def from_metadata(cls, metadata: Mapping[str, str]) -> Self:
+        """Make a channel from what `to_metadata` gave.
+
+        Raises
+        ------
+        RecordingError
+            If a field is missing or cannot be read.
+        """
+        strings = {"name", "at", "quantity"}
+        given: dict[str, Any] = {}
+        for each in fields(cls):
+            try:
+                text = metadata[each.name]
+                given[each.name] = text if each.name in strings else json.loads(text)
+            except KeyError:
+                raise RecordingError(
+                    f"channel metadata lacks {each.name!r}; it has {', '.join(sorted(metadata)) or 'nothing'}"
+                ) from None
+            except ValueError:
+                raise RecordingError(
+                    f"channel metadata: {each.name} = {text!r} is not JSON; the recording is damaged "
+                    "or another program wrote it"
+                ) from None
+        for roots in ("zeros", "poles"):
+            given[roots] = tuple(complex(real, imag) for real, imag in given[roots])
+        return cls(**given)

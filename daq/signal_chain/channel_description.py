@@ -1,0 +1,92 @@
+"""What is known of a channel: data sheets of its parts as text, its response, the effects that are on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from daq.dsp.circuit import INTEGRATION
+from daq.signal_chain.channel import ChannelInfo, Quantity
+from daq.signal_chain.converter import SampleClock
+from daq.signal_chain.decimation_filter import DELAY, Decimation
+from daq.signal_chain.stage import Stage, data_sheet, is_integrated
+from rig.scene.measurement_chain import Converter
+
+_QUANTITIES: tuple[Quantity, ...] = ("acceleration", "velocity", "displacement")
+
+
+def channel_info(
+    name: str, at: str, stages: Sequence[Stage], converter: Converter, clock: SampleClock, delay: float
+) -> ChannelInfo:
+    """Say how a channel's readings relate to what is there.
+
+    Parameters
+    ----------
+    name, at : str
+        Of the channel.
+    stages : sequence of Stage
+        Sensor first.
+    converter : Converter
+        Settings, preset filled in.
+    clock : SampleClock
+        Of the converter.
+    delay : float
+        Delay of what is sampled, s.
+    """
+    sections = [section for stage in stages for section in stage.sections]
+    order = sum(section.name == INTEGRATION for section in sections)
+    zeros = [zero for section in sections for zero in section.zeros]
+    poles = [pole for section in sections for pole in section.poles]
+    gain = float(np.prod([section.gain for section in sections]))
+    for stage in stages[1:]:
+        gain /= stage.nominal
+    # From acceleration to what is read: one more zero at zero frequency for each integration. Those that meet
+    # a pole there cancel it.
+    zeros += [0j] * order
+    for _ in range(min(zeros.count(0j), poles.count(0j))):
+        zeros.remove(0j)
+        poles.remove(0j)
+    low_pass = None if converter.filter is None else Decimation.standard(clock.rate)
+    filter_delay = 0.0 if low_pass is None or converter.remove_delay else DELAY / clock.rate
+    return ChannelInfo(
+        name=name,
+        at=at,
+        quantity="force" if stages[0].name == "hammer" else _QUANTITIES[order],
+        sensitivity=float(np.prod([stage.nominal for stage in stages])),
+        rate=clock.rate,
+        zeros=tuple(zeros),
+        poles=tuple(poles),
+        gain=gain,
+        average=low_pass is None and not is_integrated(stages),
+        delay=filter_delay + delay,
+        filter={} if low_pass is None else low_pass.design,
+        sensor={key: text for stage in stages for key, text in stage.data.items()}
+        | data_sheet("converter", converter),
+    )
+
+
+def channel_effects(stages: Sequence[Stage], converter: Converter, delay: float) -> dict[str, int]:
+    """List the effects that are on in a channel, in the order of the signal, with the states each adds.
+
+    Parameters
+    ----------
+    stages, converter, delay
+        As in `channel_info`.
+    """
+    found: dict[str, int] = {}
+    for stage in stages:
+        for name, states in stage.effects.items():
+            found[f"{stage.name} {name}" if name in found else name] = states
+    if converter.filter is not None:
+        found["decimation filter"] = 2 * DELAY
+    elif not is_integrated(stages):
+        found["averaging"] = 1
+    named = {
+        "skew": delay or None,
+        "jitter": converter.jitter,
+        "converter noise": converter.noise,
+        "clipping": converter.range,
+        "quantisation": converter.bits,
+    }
+    return found | {name: 0 for name, value in named.items() if value is not None}

@@ -1,0 +1,102 @@
+"""How much faster than its sample clock a delta-sigma converter looks at the rig, and the drive in between."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.signal_chain.converter import SampleClock
+from daq.signal_chain.decimation_filter import PASS, STOP
+from rig.scene.presets import filled_in
+from rig.scene.scene import Scene
+from rig.system.assembly import assemble
+
+Array = NDArray[np.float64]
+
+#: Up to here, Hz, every rig is followed, however slowly it oscillates by itself.
+BAND = 1000.0
+#: A motion is followed up to this share of the rate at which it is looked at: cubics through what is seen
+#: there (`daq.pieces`) are right within 0.0001 dB.
+FOLLOWED = 0.1
+#: Fastest rate, Hz, at which a modulator looks. What oscillates faster still folds, as in a real one.
+FASTEST = 1.024e6
+
+
+def oversampling(scene: Scene, clock: SampleClock) -> int:
+    """Choose the number of intervals per sample.
+
+    Without a decimation filter a converter reads the voltage at its samples, aliases and all. With one, what
+    oscillates beyond half the sample rate must be seen as such before it can be filtered out, and what comes
+    through must not suffer from being looked at seldom. A rig that is slow against the sample clock calls for
+    neither.
+
+    Parameters
+    ----------
+    scene : rig.Scene
+        What stands on the bench.
+    clock : SampleClock
+        Of its converter.
+
+    Returns
+    -------
+    int
+        At least 1.
+
+    Examples
+    --------
+    >>> import rig
+    >>> scene = rig.loads("structure: {masses: [1 kg], springs: [10 MN/m]}")
+    >>> for rate in (1e3, 5e3, 51.2e3):
+    ...     filtered = scene.replace(converter={"rate": rate, "filter": "delta_sigma"})
+    ...     oversampling(filtered, SampleClock.of(filtered.converter))
+    5
+    2
+    1
+    """
+    if filled_in(scene.converter).filter is None:
+        return 1
+    fastest = float(np.abs(assemble(scene).poles.imag).max(initial=0.0)) / (2 * np.pi)
+    seen = fastest / clock.true_rate + STOP
+    followed = min(max(fastest, BAND) / clock.true_rate, PASS) / FOLLOWED
+    return max(1, min(math.ceil(max(seen, followed)), int(FASTEST / clock.true_rate)))
+
+
+class DriveLine:
+    """Drive samples joined by straight lines, at a multiple of their rate, block after block.
+
+    Parameters
+    ----------
+    inputs : int
+        Rows of drive.
+    factor : int
+        Intervals per sample.
+
+    Examples
+    --------
+    >>> line = DriveLine(1, 2)
+    >>> line.through(np.array([[1.0, 2.0]])).tolist(), line.through(np.array([[4.0]])).tolist()
+    ([[1.0, 1.5, 2.0]], [[3.0, 4.0]])
+    """
+
+    def __init__(self, inputs: int, factor: int) -> None:
+        self._share = np.arange(1, factor + 1) / factor
+        self._last = np.zeros((inputs, 0))
+
+    def through(self, drive: Array) -> Array:
+        """Give the drive at the ends of all intervals up to the samples given, (inputs, samples).
+
+        The very first sample has no interval before it and stands alone.
+        """
+        if self._share.size == 1:
+            return drive
+        nodes = np.concatenate([self._last, drive], axis=1)
+        if nodes.shape[1] == 0:
+            return drive
+        alone = drive[:, : 1 - self._last.shape[1]]
+        self._last = nodes[:, -1:]
+        start, end = nodes[:, :-1, None], nodes[:, 1:, None]
+        line = start + (end - start) * self._share
+        line[:, :, -1] = nodes[:, 1:]
+        return np.concatenate([alone, line.reshape(len(drive), line.shape[1] * line.shape[2])], axis=1)

@@ -1,0 +1,180 @@
+"""How a converter takes a sample of the voltage at its input."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.dsp.block_buffers import History, Room
+from daq.dsp.circuit import Circuit
+from daq.dsp.decimator import Decimator
+from daq.signal_chain.decimation_filter import MOMENTS, Decimation
+from rig.numerics.fma import TOGETHER
+from rig.numerics.simd import LANES
+
+Array = NDArray[np.float64]
+
+
+class Reading(Protocol):
+    """A way to take samples.
+
+    Attributes
+    ----------
+    integrals : int
+        Moments of the voltage over each interval that it needs.
+    rows, rows_input : ndarray, shapes (outputs, states) and (outputs,)
+        Voltages at the end of each interval that it needs, from state and input.
+    """
+
+    integrals: int
+    rows: Array
+    rows_input: Array
+
+    def room(self, intervals: int) -> Array:
+        """Give the place for moments, shape (at least intervals + TOGETHER, LANES).
+
+        The first `integrals` lanes of the first rows are needed.
+        """
+
+    def read(self, points: Array) -> Array:
+        """Give the samples, the moments being in the `room` that was given last.
+
+        Parameters
+        ----------
+        points : ndarray, shape (outputs, intervals)
+            What `rows` gave.
+
+        Returns
+        -------
+        ndarray, shape (samples,)
+            V, until the next call.
+        """
+
+
+class PointReading:
+    """Reads the voltage at the instant of the sample: for a signal without impulses.
+
+    Parameters
+    ----------
+    circuit : Circuit
+        The analogue stages.
+    """
+
+    integrals = 0
+
+    def __init__(self, circuit: Circuit) -> None:
+        self.rows, self.rows_input = circuit.c[None], np.zeros(1)
+
+    def room(self, intervals: int) -> Array:
+        """Give no place: no moments are needed."""
+        return np.zeros((0, LANES))
+
+    def read(self, points: Array) -> Array:
+        """Give the samples; see `Reading.read`."""
+        return points[0].copy()
+
+
+class AverageReading:
+    """Averages the voltage over the interval that ends at the sample: for a signal that may hold impulses.
+
+    Parameters
+    ----------
+    circuit : Circuit
+        The analogue stages.
+    room : Room
+        For the averages of a block.
+    """
+
+    integrals = 1
+
+    def __init__(self, circuit: Circuit, room: Room) -> None:
+        self.rows, self.rows_input = np.zeros((0, circuit.c.size)), np.zeros(0)
+        self._room = room
+        self._averages = room.rows(0)
+
+    def room(self, intervals: int) -> Array:
+        """Give the place for the averages; see `Reading.room`."""
+        self._averages = self._room.rows(intervals + TOGETHER)
+        return self._averages
+
+    def read(self, points: Array) -> Array:
+        """Give the samples; see `Reading.read`."""
+        return self._averages[: points.shape[1], 0].copy()
+
+
+class FilteredReading:
+    """Reads behind the decimation filter of a delta-sigma converter.
+
+    Parameters
+    ----------
+    circuit : Circuit
+        The analogue stages.
+    low_pass : Decimation
+        The filter.
+    oversampling : int
+        Intervals per sample.
+    late : int
+        Intervals by which what is read lies further back.
+    room : Room
+        For the moments of a block.
+    """
+
+    integrals = MOMENTS
+
+    def __init__(
+        self, circuit: Circuit, low_pass: Decimation, oversampling: int, late: int, room: Room
+    ) -> None:
+        self.rows, self.rows_input = np.zeros((0, circuit.c.size)), np.zeros(0)
+        self._filter = Decimator(low_pass.taps(oversampling), late, room)
+
+    def room(self, intervals: int) -> Array:
+        """Give the place for the moments; see `Reading.room`."""
+        return self._filter.room(intervals)
+
+    def read(self, points: Array) -> Array:
+        """Give the samples; see `Reading.read`."""
+        return self._filter.filter(points.shape[1])
+
+
+class Jitter:
+    """Takes samples early or late, through the slope of the voltage.
+
+    The slope is that between samples, so that jitter acts a little less than it should on fast signals (by
+    sinc(f / rate)); its second order is left out, and so is a delay of whole intervals.
+
+    Parameters
+    ----------
+    circuit : Circuit
+        The analogue stages.
+    gain : float
+        Volts per unit of the input in front of them.
+    deviation : float
+        Standard deviation of the sampling instants, in sample intervals.
+    wait : int
+        Samples by which the reading lags behind the voltage.
+    """
+
+    def __init__(self, circuit: Circuit, gain: float, deviation: float, wait: int) -> None:
+        self.row, self.row_input = circuit.c, float(circuit.d[0] * gain)
+        self._deviation = deviation
+        self._voltage = History(wait + 1)
+
+    def error(self, voltage: Array, late: Array) -> Array:
+        """Give what it adds to the samples.
+
+        Parameters
+        ----------
+        voltage : ndarray, shape (samples,)
+            At the nominal sampling instants, V; what `row` and `row_input` gave.
+        late : ndarray, shape (samples,)
+            Lateness, in standard deviations.
+        """
+        count = voltage.size
+        self._voltage.room(count)[:] = voltage
+        due = self._voltage.samples
+        error = np.subtract(due[1 : count + 1], due[:count])
+        error *= late
+        error *= self._deviation
+        return error

@@ -1,0 +1,102 @@
+"""Accelerometers: from a data sheet to what they do to the signal."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from daq.dsp.circuit import high_pass, resonance
+from daq.dsp.noise import generator
+from daq.signal_chain.stage import Stage, data_sheet
+from rig.scene.measurement_chain import Accelerometer, Hammer
+
+# What belongs to an effect that is named without it.
+DEFAULT_Q = 30.0
+DEFAULT_LATERAL = 0.1
+
+
+def accelerometer(settings: Accelerometer, seed: int, channel: str) -> Stage:
+    """Describe an accelerometer.
+
+    Behind the mounted resonance and the low cut-off, in this order, the output may be limited; noise and
+    offset come on top. Three figures of a data sheet act as one deviation of the sensitivity, unknown to the
+    user of the channel: the tolerance (drawn evenly between its ends), the drift with temperature, and the
+    transverse sensitivity. The last lets a share of the sideways acceleration in; the rig moves vertically,
+    so that the sideways acceleration is taken as a share of the vertical one, in phase, at an angle that is
+    drawn.
+
+    Parameters
+    ----------
+    settings : Accelerometer
+        The data sheet, presets filled in.
+    seed : int
+        Of the scene.
+    channel : str
+        Name of the channel.
+
+    Returns
+    -------
+    Stage
+
+    Examples
+    --------
+    >>> ideal = accelerometer(Accelerometer(), 1, "body1")
+    >>> ideal.nominal, ideal.effects
+    (1.0, {})
+    >>> accelerometer(Accelerometer(resonance="30 kHz", low_cutoff="0.5 Hz"), 1, "body1").effects
+    {'resonance': 2, 'low cut-off': 1}
+    """
+    sensitivity = 1.0 if settings.sensitivity is None else settings.sensitivity
+    sections = []
+    if settings.resonance is not None:
+        sections.append(resonance(settings.resonance, DEFAULT_Q if settings.q is None else settings.q))
+    if settings.low_cutoff is not None:
+        sections.append(high_pass(settings.low_cutoff, "low cut-off"))
+    limited = settings.saturation is not None
+    return Stage(
+        "accelerometer",
+        tuple(sections),
+        nominal=sensitivity,
+        deviation=_deviation(settings, seed, channel),
+        noise=None if settings.noise is None else settings.noise * sensitivity,
+        noise_corner=settings.noise_corner,
+        offset=settings.bias,
+        settling=settings.bias_settling,
+        limit=None if settings.saturation is None else settings.saturation * sensitivity,
+        recovery=settings.overload_recovery if limited else None,
+        data=data_sheet("accelerometer", settings),
+    )
+
+
+def _deviation(settings: Accelerometer, seed: int, channel: str) -> float:
+    factor = 1.0
+    if settings.sensitivity_tolerance is not None:
+        factor += settings.sensitivity_tolerance * drawn(seed, channel, "tolerance")
+    if settings.temperature_drift is not None and settings.temperature_change is not None:
+        factor *= 1.0 + settings.temperature_drift * settings.temperature_change
+    if settings.transverse is not None:
+        lateral = DEFAULT_LATERAL if settings.lateral is None else settings.lateral
+        factor += settings.transverse * lateral * np.cos(np.pi * drawn(seed, channel, "transverse"))
+    return float(factor - 1.0)
+
+
+def drawn(seed: int, channel: str, stage: str) -> float:
+    """Draw an even number from -1 to 1."""
+    return float(generator(seed, channel, stage).uniform(-1.0, 1.0))
+
+
+def force_sensor(settings: Hammer, seed: int, channel: str) -> Stage:
+    """Describe a force sensor, ideal where nothing is given.
+
+    Parameters and what is returned are those of `daq.accelerometer.accelerometer`.
+    """
+    sensitivity = 1.0 if settings.sensitivity is None else settings.sensitivity
+    tolerance = settings.sensitivity_tolerance
+    return Stage(
+        "hammer",
+        () if settings.low_cutoff is None else (high_pass(settings.low_cutoff, "low cut-off"),),
+        nominal=sensitivity,
+        deviation=0.0 if tolerance is None else tolerance * drawn(seed, channel, "tolerance"),
+        noise=None if settings.noise is None else settings.noise * sensitivity,
+        limit=None if settings.saturation is None else settings.saturation * sensitivity,
+        data=data_sheet("hammer", settings),
+    )

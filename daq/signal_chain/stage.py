@@ -1,0 +1,93 @@
+"""What a device in a channel does to the signal, as far as a scene names it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from daq.dsp.circuit import INTEGRATION, Section
+from rig.scene.quantities import text
+from rig.scene.quantity_field import quantity_of
+from rig.scene.settings import Settings
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One device of a channel: its linear circuit and what departs from that.
+
+    Attributes
+    ----------
+    name : str
+        The device: accelerometer, hammer, integrator, converter.
+    sections : tuple of Section
+        Its circuit; none: it passes the signal on as it is.
+    nominal : float
+        Volts out per unit in (V per m/s^2 for an accelerometer), as the data sheet says.
+    deviation : float
+        True sensitivity relative to the nominal one, less 1.
+    noise, noise_corner : float or None
+        Density of the noise at its output, V/sqrt(Hz), and below which frequency it rises as 1/f, Hz.
+    offset, settling : float or None
+        Offset of its output, V, and with which time constant it settles from zero after power-on, s.
+    limit, recovery : float or None
+        Largest output the signal can reach, V, and the time constant of the recovery from that, s.
+    rails : float or None
+        Largest voltage each integration can reach, V.
+    data : dict of str to str
+        Its data sheet as text, figures with units.
+    """
+
+    name: str
+    sections: tuple[Section, ...] = ()
+    nominal: float = 1.0
+    deviation: float = 0.0
+    noise: float | None = None
+    noise_corner: float | None = None
+    offset: float | None = None
+    settling: float | None = None
+    limit: float | None = None
+    recovery: float | None = None
+    rails: float | None = None
+    data: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def effects(self) -> dict[str, int]:
+        """What it does besides passing the signal on: each effect with the number of states it adds."""
+        found: dict[str, int] = {}
+        for section in self.sections:
+            found[section.name] = found.get(section.name, 0) + section.states
+        named = {
+            "sensitivity deviation": (self.deviation or None, 0),
+            "saturation": (self.limit or self.rails, 0),
+            "overload recovery": (self.recovery, 1),
+            "noise": (self.noise, 0),
+            "1/f noise": (self.noise_corner, 0),
+            "offset": (self.offset, 0),
+            "offset settling": (self.settling, 1),
+        }
+        return found | {name: states for name, (there, states) in named.items() if there is not None}
+
+
+def is_integrated(stages: Sequence[Stage]) -> bool:
+    """Say whether the signal has been integrated, so that no impulse is left in it."""
+    return any(section.name == INTEGRATION for stage in stages for section in stage.sections)
+
+
+def data_sheet(device: str, settings: Settings) -> dict[str, str]:
+    """List what is given of a device, as far as it is not the default, with units.
+
+    >>> from rig.sensor_settings import Accelerometer
+    >>> data_sheet("accelerometer", Accelerometer(resonance="30 kHz"))
+    {'accelerometer.resonance': '30000.0 Hz'}
+    """
+    sheet = {}
+    for name, described in type(settings).model_fields.items():
+        value = getattr(settings, name)
+        if value == described.default:
+            continue
+        parts = (*described.metadata, described.annotation)
+        quantity = next((found for part in parts if (found := quantity_of(part)) is not None), None)
+        if isinstance(value, float) and quantity is not None:
+            value = text(value, quantity.kinds[0])
+        sheet[f"{device}.{name}"] = str(value)
+    return sheet

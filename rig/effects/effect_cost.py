@@ -1,0 +1,190 @@
+"""The ladder of effects: a scene from its bare structure up, one effect at a time, with what each costs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.effects.explanation import motion_effects
+from rig.scene.excitation import Impulse
+from rig.scene.scene import Scene
+from rig.scene.shaker import ForceShaker
+from rig.simulation.plant import Plant
+from rig.system.assembly import assemble
+from rig.system.open_loop_drive import drive_per_level, level_of, sampled_drive
+from rig.system.structure import natural_modes, structure_matrices
+
+Array = NDArray[np.float64]
+
+#: Entry points under which packages above the rig add their rungs.
+GROUP = "shotrig.ladder"
+#: Seconds of the motion that are measured, one by one, after one more to warm up; the quickest counts.
+SECONDS = 3
+#: The whole ladder is climbed so many times, for others on the machine disturb one climb or another.
+CLIMBS = 3
+
+
+@dataclass(frozen=True)
+class Step:
+    """A stretch of the ladder before it is measured.
+
+    Attributes
+    ----------
+    name : str
+        The effect that has come on.
+    states : int
+        States in all by now.
+    start : callable
+        Switches everything on for a while; within, a call advances by the next drive samples (inputs, samples).
+    drive : ndarray, shape (inputs, samples)
+        `SECONDS` + 1 seconds of drive at `rate`.
+    rate : float
+        Hz.
+    """
+
+    name: str
+    states: int
+    start: Callable[[], AbstractContextManager[Callable[[Array], object]]]
+    drive: Array
+    rate: float
+
+
+@dataclass(frozen=True)
+class Rung:
+    """A measured effect: states added, CPU time per simulated second with it on and added by it, s."""
+
+    name: str
+    states: int
+    total: float
+    added: float
+
+
+def ladder(scene: Scene, progress: Callable[[str], None] | None = None) -> tuple[Rung, ...]:
+    """Add a scene's effects one at a time and measure each.
+
+    Parameters
+    ----------
+    scene : Scene
+    progress : callable, optional
+        Called with the name of each effect before it is measured.
+
+    Returns
+    -------
+    tuple of Rung
+        In the order of the signal: motion, measurement chain, recording.
+    """
+    steps: list[Step] = list(motion_steps(scene))
+    for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
+        more = cast(Callable[[Scene], Iterable[Step]], point.load())
+        steps += more(scene)
+    times = np.full(len(steps), np.inf)
+    for climb in range(CLIMBS):
+        for k, step in enumerate(steps):
+            if progress is not None:
+                progress(f"{step.name} ({climb + 1} of {CLIMBS})")
+            times[k] = min(times[k], measured(step))
+    states = [0, *(step.states for step in steps)]
+    totals = [0.0, *times.tolist()]
+    return tuple(
+        Rung(step.name, states[k + 1] - states[k], totals[k + 1], totals[k + 1] - totals[k])
+        for k, step in enumerate(steps)
+    )
+
+
+def text(rungs: tuple[Rung, ...]) -> str:
+    """Table of a ladder; shares are of the time with everything on."""
+    last = rungs[-1].total
+    width = max(len(rung.name) for rung in rungs) + 2
+    lines = [f"{'effect':{width}}{'states':>7}{'ms per simulated s':>20}{'added':>9}{'share':>8}"]
+    for rung in rungs:
+        lines.append(
+            f"{rung.name:{width}}{rung.states or '-':>7}{1e3 * rung.total:20.3f}{1e3 * rung.added:9.3f}"
+            f"{100 * rung.added / last:7.1f}%"
+        )
+    lines.append(f"everything on runs at {1 / last:.0f} times real time on one core")
+    return "\n".join(lines)
+
+
+def measured(step: Step) -> float:
+    """CPU time per simulated second, s: the quickest of several."""
+    block = round(step.rate)
+    times = []
+    with step.start() as advance:
+        advance(step.drive[:, :block])
+        for second in range(1, SECONDS + 1):
+            part = step.drive[:, second * block : (second + 1) * block]
+            begun = time.process_time()
+            advance(part)
+            times.append(time.process_time() - begun)
+    return min(times)
+
+
+def motion_steps(scene: Scene) -> Iterator[Step]:
+    """Give the steps of the motion: bare structure, shaker, dampers, ceilings, restitution."""
+    channels = {"channels": None}
+    shaker = scene.shaker
+    bare = scene.replace(dampers=(), **channels)
+    if shaker is not None and not isinstance(shaker, ForceShaker):
+        test = None if scene.test is None or not isinstance(scene.test, Impulse) else scene.test
+        yield _step("structure", bare.replace(shaker=ForceShaker(body=shaker.bodies[0]), test=test))
+        yield _step("shaker", bare)
+    else:
+        yield _step("structure", bare)
+    if not scene.dampers:
+        return
+    variants = {
+        "particle dampers": {"clearance": np.inf, "restitution": 0.0},
+        "ceilings": {"restitution": 0.0},
+        "restitution": {},
+    }
+    before: tuple[object, ...] = ()
+    for name, off in variants.items():
+        dampers = tuple(damper.replace(**off) for damper in scene.dampers)
+        if dampers != before:
+            yield _step(name, scene.replace(dampers=dampers, **channels))
+        before = dampers
+
+
+def _step(name: str, scene: Scene) -> Step:
+    rate = scene.converter.rate
+
+    def start() -> AbstractContextManager[Callable[[Array], object]]:
+        return nullcontext(Plant(scene, rate).advance)
+
+    return Step(
+        name, sum(effect.states for effect in motion_effects(scene)), start, bench_drive(scene, rate), rate
+    )
+
+
+def bench_drive(scene: Scene, rate: float) -> Array:
+    """Drive for `SECONDS` + 1 seconds: a tone at the test's level and a resonance, or the test's hits.
+
+    Parameters
+    ----------
+    scene : Scene
+    rate : float
+        Hz.
+    """
+    system = assemble(scene)
+    samples = (SECONDS + 1) * round(rate)
+    if isinstance(scene.test, Impulse):
+        return sampled_drive(
+            scene.replace(test=scene.test.replace(interval=1.0, repeats=SECONDS + 1)), system, samples, rate
+        )
+    drive = np.zeros((len(system.inputs), samples))
+    if "shaker" not in system.inputs:
+        return drive
+    mass, _, stiffness = structure_matrices(scene.structure)
+    omega = float(natural_modes(mass, stiffness)[0][-1])
+    force = getattr(scene.test, "force", None) or getattr(scene.test, "drive", None)
+    level = level_of(scene) if force is not None else 1.0
+    gain = level * (drive_per_level(scene, system, omega) if scene.test is not None else 1.0)
+    drive[system.inputs.index("shaker")] = np.imag(gain * np.exp(1j * omega * np.arange(samples) / rate))
+    return drive

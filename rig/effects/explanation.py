@@ -1,0 +1,198 @@
+"""What a scene asks for: each effect that is on, and the states it adds. What is not named is not there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from typing import cast
+
+import numpy as np
+
+from rig.scene.scene import Scene
+from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, TableShaker
+from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping
+from rig.system.assembly import assemble
+from rig.system.hybrid_system import System
+
+#: Entry points under which packages that build on the rig say what a scene turns on in them.
+GROUP = "shotrig.effects"
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One effect that is on.
+
+    Attributes
+    ----------
+    part : str
+        Where it belongs: "motion", or what a package above calls its own ("channel body1", "recording").
+    name : str
+        What it is.
+    states : int
+        States that it adds.
+    detail : str
+        Its figures in words.
+    """
+
+    part: str
+    name: str
+    states: int
+    detail: str = ""
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """The effects of a scene, in the order of the signal; `str` makes a table of them.
+
+    Attributes
+    ----------
+    title : str
+        The scene's name.
+    effects : tuple of Effect
+    absent : tuple of str
+        Effects on the motion that the scene does not name: they add no state and run no code.
+    """
+
+    title: str
+    effects: tuple[Effect, ...]
+    absent: tuple[str, ...]
+
+    @property
+    def states(self) -> dict[str, int]:
+        """States by part."""
+        total: dict[str, int] = {}
+        for effect in self.effects:
+            total[effect.part] = total.get(effect.part, 0) + effect.states
+        return total
+
+    def __str__(self) -> str:
+        width = max(len(effect.name) for effect in self.effects) + 2
+        # Parts with the same effects, as the channels of a test often are, share one list.
+        alike: dict[tuple[str, ...], list[str]] = {}
+        for part, states in self.states.items():
+            rows = tuple(
+                f"  {effect.name:{width}}{effect.states or '-':>3}  {effect.detail}".rstrip()
+                for effect in self.effects
+                if effect.part == part
+            )
+            alike.setdefault(rows, []).append(f"{part}: {states} state{'' if states == 1 else 's'}")
+        lines = [self.title]
+        for rows, parts in alike.items():
+            lines += ["", *parts, *rows]
+        if self.absent:
+            lines += ["", f"not in the scene, no state and no code: {', '.join(self.absent)}"]
+        return "\n".join(lines)
+
+
+def explain(scene: Scene | str) -> Explanation:
+    """Say which effects a scene turns on, and how many states each adds.
+
+    Parameters
+    ----------
+    scene : Scene or str
+        A scene, or what `rig.load` takes.
+
+    Returns
+    -------
+    Explanation
+
+    Examples
+    --------
+    >>> import rig
+    >>> rig.explain("reference-B").states["motion"]
+    8
+    """
+    if isinstance(scene, str):
+        from rig.scene.loading import load
+
+        scene = load(scene)
+    effects = list(motion_effects(scene))
+    names = {effect.name for effect in effects}
+    possible = ("particle dampers", "ceilings", "restitution", "coil spring and table", "coil current")
+    for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
+        announce = cast(Callable[[Scene], Iterable[Effect]], point.load())
+        effects += announce(scene)
+    return Explanation(scene.name, tuple(effects), tuple(name for name in possible if name not in names))
+
+
+def motion_effects(scene: Scene) -> Iterable[Effect]:
+    """List the effects on the motion; their states add up to those of the compiled system.
+
+    Parameters
+    ----------
+    scene : Scene
+    """
+    system = assemble(scene)
+    bodies = scene.structure.bodies
+    many = "body" if bodies == 1 else "bodies"
+    given = "by matrices" if scene.structure.matrices is not None else "on springs"
+    yield Effect("motion", "structure", 2 * bodies, f"{bodies} {many} {given}, {_damping(scene)}")
+    if system.coupled and system.dampers:
+        yield Effect(
+            "motion", "coupled impacts", 0, "full mass matrix: all contacts of an instant are solved together"
+        )
+    yield from _shaker(scene)
+    yield from _dampers(scene, system)
+
+
+def _damping(scene: Scene) -> str:
+    match scene.structure.damping:
+        case ModalDamping(modal=ratio):
+            ratios = ratio if isinstance(ratio, tuple) else (ratio,)
+            return f"modal damping {', '.join(f'{100 * r:.3g} %' for r in ratios)}"
+        case RayleighDamping(rayleigh=both):
+            return f"Rayleigh damping {both.alpha:.3g} 1/s, {both.beta:.3g} s"
+        case Dashpots():
+            return "dashpots along the chain"
+    matrices = scene.structure.matrices
+    return "undamped" if matrices is None or matrices.damping is None else "a damping matrix"
+
+
+def _shaker(scene: Scene) -> Iterable[Effect]:
+    shaker = scene.shaker
+    if shaker is None:
+        return
+    bodies = ", ".join(str(body) for body in shaker.bodies)
+    if isinstance(shaker, ForceShaker):
+        yield Effect("motion", "force", 0, f"on body {bodies}, nothing attached")
+        return
+    spring = f"{shaker.spring:.4g} N/m to body {bodies}"
+    if isinstance(shaker, TableShaker):
+        yield Effect(
+            "motion", "coil spring and table", 2, f"{spring}; position servo of {shaker.bandwidth:.4g} Hz"
+        )
+        return
+    yield Effect("motion", "coil spring and table", 2, f"{spring}; armature of {shaker.armature.mass:.4g} kg")
+    if isinstance(shaker, ElectrodynamicShaker) and shaker.amplifier.mode == "voltage":
+        coil = shaker.coil
+        yield Effect(
+            "motion",
+            "coil current",
+            1,
+            f"{coil.resistance:.4g} ohm, {coil.inductance:.4g} H, {coil.force_factor:.4g} N/A",
+        )
+    if np.isfinite(shaker.amplifier.limit):
+        unit = "V" if shaker.amplifier.mode == "voltage" else "A"
+        yield Effect("motion", "amplifier clipping", 0, f"at {shaker.amplifier.limit:.4g} {unit}")
+
+
+def _dampers(scene: Scene, system: System) -> Iterable[Effect]:
+    held = len(scene.dampers) - system.dampers
+    if held:
+        yield Effect("motion", "locked dampers", 0, f"{held}, part of their bodies' masses")
+    if not system.dampers:
+        return
+    places = ", ".join(str(row + 1) for row in system.damper_coordinate)
+    masses = ", ".join(f"{1e3 * mass:.4g} g" for mass in system.damper_mass)
+    yield Effect(
+        "motion", "particle dampers", 2 * system.dampers,
+        f"in body {places}: {masses}; height and speed of each while it flies; gravity {system.gravity:.6g} m/s^2",
+    )  # fmt: skip
+    ceilings = np.isfinite(system.clearance)
+    if ceilings.any():
+        heights = ", ".join(f"{1e3 * height:.4g} mm" for height in system.clearance[ceilings])
+        yield Effect("motion", "ceilings", 0, f"at {heights}")
+    if system.restitution.any():
+        ratios = ", ".join(f"{ratio:.3g}" for ratio in system.restitution)
+        yield Effect("motion", "restitution", 0, ratios)

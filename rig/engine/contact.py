@@ -1,0 +1,401 @@
+"""Contact laws: landing, rebound, separation, and what they set off in neighbouring dampers.
+
+A damper is in `FLIGHT`, or rides on the `FLOOR` or at the `CEILING` of its cavity. Contact is unilateral: it
+pushes and never pulls. With a diagonal mass matrix each contact decides for itself; with a full one an impact
+may lift riding neighbours, and all contacts of the instant are solved together (`rig.complementarity`).
+
+References
+----------
+Pfeiffer, F., Glocker, C., "Multibody Dynamics with Unilateral Contacts", Wiley 1996, chapters 6 and 8 (contact
+laws on acceleration and on impulse level).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.engine.flow import Flow, Model
+from rig.numerics.complementarity import ROUNDING, ContactWork, close_active, complementarity, contact_matrix
+from rig.numerics.jit import compiled, inlined
+from rig.numerics.simd import combine
+
+Array = NDArray[np.float64]
+
+FLIGHT, FLOOR, CEILING = 0, 1, 2
+#: Event kinds in the log.
+SEPARATION, FLOOR_IMPACT, CEILING_IMPACT = 0, 1, 2
+#: Entries of `State.counters`.
+SLOT, CONFIGURATION, IN_A_ROW, AMBIGUOUS = 0, 1, 2, 3
+
+
+class State(NamedTuple):
+    """What changes while a system moves; every field is an array so that the kernel can write into it.
+
+    `multiplicity[j]` counts the leading coefficients of damper j's guard that are exactly zero at this instant:
+    1 after a rebound, 2 after a release, 3 after a separation at zero contact force; negative for the ceiling.
+    """
+
+    z: np.ndarray
+    height: np.ndarray
+    speed: np.ndarray
+    mode: np.ndarray
+    multiplicity: np.ndarray
+    counters: np.ndarray
+
+
+class Log(NamedTuple):
+    """Events and breaks as they happen; `filled` holds how many rows of each are filled.
+
+    A break is an instant at which velocities or accelerations jump, with the state and the dampers' own speeds
+    before and after it.
+    """
+
+    filled: np.ndarray
+    segment: np.ndarray
+    offset: np.ndarray
+    damper: np.ndarray
+    kind: np.ndarray
+    closing: np.ndarray
+    break_segment: np.ndarray
+    break_offset: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    speed_before: np.ndarray
+    speed_after: np.ndarray
+    configuration: np.ndarray
+
+
+@inlined
+def _note(log: Log, segment: int, offset: float, damper: int, kind: int, closing: float) -> None:
+    row = log.filled[0]
+    log.segment[row] = segment
+    log.offset[row] = offset
+    log.damper[row] = damper
+    log.kind[row] = kind
+    log.closing[row] = closing
+    log.filled[0] = row + 1
+
+
+@inlined
+def _toggle(flow: Flow, state: State, j: int) -> None:
+    """Damper j changes between riding and flight: so does the configuration, and its table if there is one."""
+    state.counters[CONFIGURATION] ^= 1 << j
+    if state.counters[SLOT] >= 0:
+        state.counters[SLOT] = flow.neighbour[state.counters[SLOT], j]
+
+
+@inlined
+def _lift(flow: Flow, model: Model, state: State, j: int, speed: float, multiplicity: int) -> None:
+    """Damper j leaves the wall it rides on, with the given velocity."""
+    height = state.z[model.position[j]]
+    if state.mode[j] == CEILING:
+        height += model.clearance[j]
+        multiplicity = -multiplicity
+    state.height[j] = height
+    state.speed[j] = speed
+    state.mode[j] = FLIGHT
+    state.multiplicity[j] = multiplicity
+    _toggle(flow, state, j)
+
+
+@inlined
+def separate(
+    flow: Flow, model: Model, state: State, log: Log, segment: int, offset: float, j: int, multiplicity: int
+) -> None:
+    """Damper j leaves its wall at the velocity of the wall."""
+    _lift(flow, model, state, j, state.z[model.velocity[j]], multiplicity)
+    _note(log, segment, offset, j, SEPARATION, 0.0)
+
+
+@inlined
+def _sign(mode: int) -> float:
+    return -1.0 if mode == CEILING else 1.0
+
+
+@inlined
+def _forces(model: Model, state: State, force: Array) -> None:
+    """Sum the forces of springs, dashpots and drive on every coordinate, without the dampers in the cavities."""
+    combine(model.force, model.force_constant, 0, state.z, model.force.shape[1], force)
+
+
+@inlined
+def _stays(model: Model, state: State, j: int, rebound: float, force: Array) -> bool:
+    """Whether a rebound is too low to be told from rest on the wall: this ends a Zeno sequence.
+
+    Through a full mass matrix other contacts press or pull too. There only the size of the accelerations counts;
+    a damper that is held wrongly has no weight on its wall and is let go at once.
+    """
+    row = model.position[j]
+    if model.coupled:
+        pull = model.gravity
+        for c in range(model.inverse_mass.shape[0]):
+            pull += abs(model.inverse_mass[row, c] * force[c])
+    else:
+        pull = _sign(state.mode[j]) * (force[row] * model.inverse_mass[row, row] + model.gravity)
+    size = 2.0 * abs(state.z[row])
+    if state.mode[j] == CEILING:
+        size += model.clearance[j]
+    return pull > 0.0 and rebound * rebound < 2.0 * pull * ROUNDING * size
+
+
+@inlined
+def _land(flow: Flow, model: Model, state: State, j: int, rebound: float) -> None:
+    """Damper j, in `mode` FLOOR or CEILING by now, has been hit: it rides, or rebounds at the given speed."""
+    sign = _sign(state.mode[j])
+    if rebound > 0.0:
+        height = state.z[model.position[j]]
+        if state.mode[j] == CEILING:
+            height += model.clearance[j]
+        state.height[j] = height
+        state.speed[j] = state.z[model.velocity[j]] + sign * rebound
+        state.mode[j] = FLIGHT
+        state.multiplicity[j] = 1 if sign > 0.0 else -1
+    else:
+        state.multiplicity[j] = 0
+        _toggle(flow, state, j)
+
+
+@compiled
+def _touches(model: Model, state: State, j: int) -> int:
+    """Wall that a flying damper touches within rounding while closing on it, or FLIGHT."""
+    position = state.z[model.position[j]]
+    gap = state.height[j] - position
+    closing = state.z[model.velocity[j]] - state.speed[j]
+    near = ROUNDING * (abs(position) + abs(state.height[j]))
+    if closing > 0.0 and state.multiplicity[j] <= 0 and gap <= near:
+        return FLOOR
+    if closing < 0.0 and state.multiplicity[j] >= 0 and gap >= model.clearance[j] - near:
+        return CEILING
+    return FLIGHT
+
+
+@inlined
+def _impact_alone(
+    flow: Flow,
+    model: Model,
+    state: State,
+    log: Log,
+    segment: int,
+    offset: float,
+    j: int,
+    wall: int,
+    work: ContactWork,
+) -> None:
+    """Impact of damper j where the mass matrix couples it to nobody."""
+    body = model.velocity[j]
+    state.mode[j] = wall
+    sign = _sign(wall)
+    closing = sign * (state.z[body] - state.speed[j])
+    rebound = model.restitution[j] * closing
+    if rebound > 0.0 and _stays(model, state, j, rebound, work.force):
+        rebound = 0.0
+    inverse_mass = model.inverse_mass[model.position[j], model.position[j]]
+    impulse = (closing + rebound) / (inverse_mass + 1.0 / model.mass[j])
+    state.z[body] -= sign * impulse * inverse_mass
+    _note(log, segment, offset, j, wall, closing)
+    _land(flow, model, state, j, rebound)
+
+
+@compiled
+def _hold_low_lifts(model: Model, state: State, work: ContactWork, count: int) -> None:
+    """Keep contacts that an impact would open too slowly for the gap ever to be told from zero.
+
+    Two dampers coupled through the mass matrix can kick each other off their walls in ever smaller and quicker
+    turns, a Zeno sequence as of rebounds, which ends in the same way.
+    """
+    held = False
+    for a in range(count):
+        if work.active[a]:
+            continue
+        opening = work.opening[a]
+        for b in range(count):
+            opening += work.matrix[a, b] * work.pressure[b]
+        if _stays(model, state, work.member[a], opening, work.force):
+            work.active[a] = True
+            held = True
+    if held:
+        close_active(work, count)
+
+
+@compiled
+def _impact_together(
+    flow: Flow,
+    model: Model,
+    state: State,
+    log: Log,
+    segment: int,
+    offset: float,
+    j: int,
+    wall: int,
+    work: ContactWork,
+) -> None:
+    """Impact of damper j, with everything in contact or touching at this instant, through a full mass matrix."""
+    count = 0
+    for i in range(model.mass.shape[0]):
+        work.struck[count] = state.mode[i] == FLIGHT
+        if work.struck[count]:
+            contact = wall if i == j else _touches(model, state, i)
+            if contact == FLIGHT:
+                continue
+            state.mode[i] = contact
+        sign = _sign(state.mode[i])
+        work.member[count] = i
+        work.sign[count] = sign
+        work.before[count] = state.z[model.velocity[i]]
+        work.opening[count] = sign * (state.speed[i] - work.before[count]) if work.struck[count] else 0.0
+        rebound = -model.restitution[i] * work.opening[count]
+        if rebound > 0.0 and _stays(model, state, i, rebound, work.force):
+            rebound = 0.0
+        work.right[count] = work.opening[count] - rebound
+        count += 1
+    contact_matrix(model, work, count)
+    complementarity(work, count)
+    _hold_low_lifts(model, state, work, count)
+    for a in range(count):
+        column = model.position[work.member[a]]
+        for row in range(model.inverse_mass.shape[0]):
+            change = model.inverse_mass[row, column] * work.sign[a] * work.pressure[a]
+            state.z[model.first_velocity + row] -= change
+    for a in range(count):
+        i = work.member[a]
+        body = state.z[model.velocity[i]]
+        if work.struck[a]:
+            _note(log, segment, offset, i, state.mode[i], -work.opening[a])
+            own = state.speed[i] + work.sign[a] * work.pressure[a] / model.mass[i]
+            rebound = work.sign[a] * (own - body)
+            if work.active[a] and work.right[a] == work.opening[a]:
+                rebound = 0.0
+            _land(flow, model, state, i, rebound)
+        elif not work.active[a]:
+            opening = work.sign[a] * (work.before[a] - body)
+            if opening > ROUNDING * (abs(work.before[a]) + abs(body)):
+                _lift(flow, model, state, i, work.before[a], 1)
+                _note(log, segment, offset, i, SEPARATION, 0.0)
+
+
+@inlined
+def _release_alone(
+    flow: Flow, model: Model, state: State, log: Log, segment: int, offset: float, work: ContactWork
+) -> None:
+    force = work.force
+    for i in range(model.mass.shape[0]):
+        if state.mode[i] == FLIGHT:
+            continue
+        row = model.position[i]
+        pressure = force[row] * model.inverse_mass[row, row] + model.gravity
+        if _sign(state.mode[i]) * pressure >= 0.0:
+            continue
+        size = model.gravity
+        for c in range(model.force.shape[1]):
+            size += abs(model.force[0, c, row] * state.z[c]) * model.inverse_mass[row, row]
+        if abs(pressure) > ROUNDING * size:
+            separate(flow, model, state, log, segment, offset, i, 2)
+
+
+@compiled
+def _release_together(
+    flow: Flow, model: Model, state: State, log: Log, segment: int, offset: float, work: ContactWork
+) -> None:
+    """Decide every riding contact at once from the accelerations that the bodies would have without them."""
+    count = 0
+    for i in range(model.mass.shape[0]):
+        if state.mode[i] == FLIGHT:
+            continue
+        row = model.position[i]
+        free = 0.0
+        size = model.gravity
+        for c in range(model.inverse_mass.shape[0]):
+            free += model.inverse_mass[row, c] * work.force[c]
+            for column in range(model.force.shape[1]):
+                size += abs(model.inverse_mass[row, c] * model.force[0, column, c] * state.z[column])
+        work.member[count] = i
+        work.sign[count] = _sign(state.mode[i])
+        work.right[count] = work.sign[count] * (-model.gravity - free)
+        work.before[count] = size
+        count += 1
+    contact_matrix(model, work, count)
+    complementarity(work, count)
+    for a in range(count):
+        if work.pressure[a] == 0.0:
+            acceleration = work.right[a]
+            for b in range(count):
+                acceleration += work.matrix[a, b] * work.pressure[b]
+            if acceleration > ROUNDING * work.before[a]:
+                separate(flow, model, state, log, segment, offset, work.member[a], 2)
+
+
+@inlined
+def release_tensile(
+    flow: Flow,
+    model: Model,
+    state: State,
+    log: Log,
+    segment: int,
+    offset: float,
+    work: ContactWork,
+    coupling: bool | None,
+) -> None:
+    """Let go of every riding damper whose contact would have to pull; zero within rounding is left to the step.
+
+    `coupling` is None where the mass matrix couples nobody; then the code for contacts decided together is not
+    even compiled, which takes longer than all the rest.
+    """
+    _forces(model, state, work.force)
+    if coupling is None:
+        _release_alone(flow, model, state, log, segment, offset, work)
+    else:
+        _release_together(flow, model, state, log, segment, offset, work)
+
+
+@inlined
+def impact(
+    flow: Flow,
+    model: Model,
+    state: State,
+    log: Log,
+    segment: int,
+    offset: float,
+    j: int,
+    wall: int,
+    work: ContactWork,
+    coupling: bool | None,
+) -> None:
+    """Damper j meets a wall; velocities jump, and every contact of the instant is decided anew."""
+    _forces(model, state, work.force)
+    if coupling is None:
+        _impact_alone(flow, model, state, log, segment, offset, j, wall, work)
+    else:
+        _impact_together(flow, model, state, log, segment, offset, j, wall, work)
+    release_tensile(flow, model, state, log, segment, offset, work, coupling)
+
+
+@inlined
+def _own_speeds(model: Model, state: State, out: Array) -> None:
+    for j in range(model.mass.shape[0]):
+        out[j] = state.speed[j] if state.mode[j] == FLIGHT else state.z[model.velocity[j]]
+
+
+@inlined
+def open_break(model: Model, state: State, log: Log, segment: int, offset: float) -> None:
+    """Keep the state before the contacts change."""
+    row = log.filled[1]
+    _own_speeds(model, state, log.speed_before[row])
+    log.break_segment[row] = segment
+    log.break_offset[row] = offset
+    log.configuration[row, 0] = state.counters[CONFIGURATION]
+    for i in range(state.z.shape[0]):
+        log.before[row, i] = state.z[i]
+
+
+@inlined
+def close_break(model: Model, state: State, log: Log) -> None:
+    """Keep the state after the contacts have changed."""
+    row = log.filled[1]
+    _own_speeds(model, state, log.speed_after[row])
+    log.configuration[row, 1] = state.counters[CONFIGURATION]
+    for i in range(state.z.shape[0]):
+        log.after[row, i] = state.z[i]
+    log.filled[1] = row + 1

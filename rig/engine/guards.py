@@ -1,0 +1,250 @@
+"""Guards over one step: proven free of zeros, or their first crossing isolated.
+
+A guard is the gap of a damper in flight to a wall, or the contact force of a riding one. The cubic through its values
+and slopes at both ends of the step is positive by more than its error, which a bound of the guard's fourth derivative
+limits; otherwise its power series goes through `rig.polynomial.first_crossing`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.engine.contact import AMBIGUOUS, FLIGHT, FLOOR, ROUNDING, State
+from rig.engine.flow import Flow, Model
+from rig.engine.power_series import expand
+from rig.engine.workspace import Scratch
+from rig.numerics.bernstein import LENGTH, NONE, first_crossing
+from rig.numerics.jit import compiled, inlined
+from rig.numerics.simd import combine
+
+Array = NDArray[np.float64]
+
+#: Guards of a damper.
+FLOOR_GAP, CEILING_GAP, CONTACT_FORCE = 1, 2, 0
+
+
+@inlined
+def bound_by_tables(flow: Flow, slot: int, z: Array, scratch: Scratch) -> None:
+    """Bounds of the guards over the step, from the tables."""
+    for i in range(scratch.size.shape[0]):
+        scratch.size[i] = abs(z[i])
+    combine(flow.bound, flow.bound_constant, slot, scratch.size, flow.rates_constant.shape[1], scratch.bound)
+
+
+@compiled
+def bound_by_series(
+    model: Model, mode: Array, tableau: Array, length: float, z: Array, new: Array, behind: int, bound: Array
+) -> None:
+    """Bounds of the guards over the step, and behind both states what riding dampers need, from the series itself."""
+    dampers, points = model.mass.shape[0], model.first_velocity
+    for j in range(dampers):
+        rides = mode[j] != FLIGHT
+        row = model.velocity[j] if rides else model.position[j]
+        place = behind + model.position[j]
+        shift = 1 if rides else 0
+        end = 0.0
+        slope = 0.0
+        fourth = 0.0
+        size = 0.0
+        for k in range(LENGTH - 1 - shift, -1, -1):
+            # The acceleration's series is (k + 1) tableau[k + 1] / h.
+            term = tableau[k + 1, row] * (k + 1) / model.step if rides else tableau[k, row]
+            slope = slope * length + end
+            end = end * length + term
+            fourth += k * (k - 1) * (k - 2) * (k - 3) * abs(term)
+            size += abs(term)
+            if rides and k <= 1:
+                z[place + k * points] = term
+        if rides:
+            new[place] = end
+            new[place + points] = slope
+        bound[j] = fourth
+        bound[dampers + j] = size
+
+
+@inlined
+def _examine_flight(
+    model: Model, state: State, scratch: Scratch, j: int, length: float, near_floor: bool, near_ceiling: bool
+) -> tuple[float, int, int]:
+    """First wall that damper j meets in flight, of those it may: (fraction of the step, wall, ambiguous)."""
+    series = scratch.series
+    row = model.position[j]
+    flown = model.step * length
+    power = 1.0
+    for k in range(LENGTH):
+        series[k] = -scratch.tableau[k, row] * power
+        power *= length
+    series[0] += state.height[j]
+    series[1] += state.speed[j] * flown
+    series[2] -= 0.5 * model.gravity * flown * flown
+    size = abs(state.height[j]) + flown * (abs(state.speed[j]) + model.gravity * flown)
+    size += scratch.bound[model.mass.shape[0] + j]
+    tau = NONE
+    wall = FLOOR_GAP
+    ambiguous = 0
+    if near_floor:
+        tau, ambiguous = first_crossing(
+            series,
+            max(state.multiplicity[j], 0),
+            ROUNDING * size,
+            scratch.work,
+            scratch.spans,
+            scratch.bernstein,
+        )
+    if near_ceiling:
+        clearance = model.clearance[j]
+        for k in range(LENGTH):
+            series[k] = -series[k]
+        series[0] += clearance
+        tau_ceiling, more = first_crossing(
+            series,
+            max(-state.multiplicity[j], 0),
+            ROUNDING * (size + clearance),
+            scratch.work,
+            scratch.spans,
+            scratch.bernstein,
+        )
+        ambiguous += more
+        if tau_ceiling < tau:
+            tau = tau_ceiling
+            wall = CEILING_GAP
+    return tau, wall, ambiguous
+
+
+@inlined
+def _examine_ride(model: Model, state: State, scratch: Scratch, j: int, length: float) -> tuple[float, int]:
+    """First instant at which the contact force of damper j falls through zero: (fraction of the step, ambiguous)."""
+    series = scratch.series
+    row = model.velocity[j]
+    sign = 1.0 if state.mode[j] == FLOOR else -1.0
+    power = sign / model.step
+    for k in range(LENGTH):
+        series[k] = (k + 1) * scratch.tableau[k + 1, row] * power
+        power *= length
+    series[0] += sign * model.gravity
+    size = model.gravity + scratch.bound[model.mass.shape[0] + j]
+    return first_crossing(
+        series, max(state.multiplicity[j], 0), ROUNDING * size, scratch.work, scratch.spans, scratch.bernstein
+    )
+
+
+@inlined
+def _margin(
+    value: float, slope: float, value_new: float, slope_new: float, error: float, multiplicity: int
+) -> float:
+    """Positive if a guard with these values and slopes at both ends has no zero on (0, 1].
+
+    The cubic Hermite interpolant differs from the guard by at most tau^2 (1 - tau)^2 / 24 times the bound
+    `error` of its fourth derivative; its Bernstein coefficients bound it from below. A guard that starts as a
+    double zero or higher has the first two coefficients zero, and tau^2 can be divided out.
+    """
+    inner = value_new - slope_new / 3.0
+    end = value_new - error / 384.0
+    if multiplicity >= 2:
+        return min(inner - error / 72.0, end)
+    return min(min(value, value + slope / 3.0), inner) - error / 384.0 if end > 0.0 else end
+
+
+@inlined
+def first_event(
+    flow: Flow,
+    model: Model,
+    state: State,
+    scratch: Scratch,
+    slot: int,
+    length: float,
+    duration: float,
+    expanded: bool,
+) -> tuple[float, int, int]:
+    """Earliest event of the step over all guards that fail the Hermite test.
+
+    Returns (fraction of `length` or NONE, damper, guard). The tableau is filled if anything is examined.
+    """
+    first = NONE
+    which = -1
+    what = 0
+    behind = flow.rates_constant.shape[1]
+    for j in range(model.mass.shape[0]):
+        error = scratch.bound[j] * length**4
+        mode = state.mode[j]
+        multiplicity = 0
+        near_ceiling = False
+        if mode == FLIGHT:
+            position, velocity = model.position[j], model.velocity[j]
+            fall = model.gravity * duration
+            value = state.height[j] - state.z[position]
+            slope = (state.speed[j] - state.z[velocity]) * duration
+            value_new = state.height[j] + duration * (state.speed[j] - 0.5 * fall) - scratch.new[position]
+            slope_new = (state.speed[j] - fall - scratch.new[velocity]) * duration
+            multiplicity = state.multiplicity[j]
+            clearance = model.clearance[j]
+            if clearance < np.inf:
+                near_ceiling = (
+                    _margin(
+                        clearance - value, -slope, clearance - value_new, -slope_new, error, -multiplicity
+                    )
+                    <= 0.0
+                )
+        else:
+            place = behind + model.position[j]
+            value = model.gravity + state.z[place]
+            value_new = model.gravity + scratch.new[place]
+            slope = state.z[place + model.first_velocity] * length
+            slope_new = scratch.new[place + model.first_velocity] * length
+            if mode != FLOOR:
+                value, slope, value_new, slope_new = -value, -slope, -value_new, -slope_new
+        near = _margin(value, slope, value_new, slope_new, error, multiplicity) <= 0.0
+        if not (near or near_ceiling):
+            continue
+        if not expanded:
+            expand(flow, model, slot, state.z, scratch.tableau)
+            expanded = True
+        if mode == FLIGHT:
+            tau, guard, ambiguous = _examine_flight(model, state, scratch, j, length, near, near_ceiling)
+        else:
+            tau, ambiguous = _examine_ride(model, state, scratch, j, length)
+            guard = CONTACT_FORCE
+        state.counters[AMBIGUOUS] += ambiguous
+        if tau < first:
+            first = tau
+            which = j
+            what = guard
+    return first, which, what
+
+
+#: An envelope is drawn this much wider than the state is large.
+WIDER = 2.0
+
+
+@inlined
+def fold_envelope(flow: Flow, scratch: Scratch) -> None:
+    """Begin the envelope anew."""
+    for i in range(flow.rates_constant.shape[1]):
+        scratch.envelope[i] = 0.0
+
+
+@inlined
+def draw_envelope(flow: Flow, slot: int, z: Array, scratch: Scratch) -> None:
+    """Widen the envelope around a state, and fit the margins to it and to the configuration."""
+    columns = flow.rates_constant.shape[1]
+    for i in range(columns):
+        scratch.envelope[i] = max(scratch.envelope[i], WIDER * abs(z[i]))
+    combine(flow.margin, flow.margin_constant, slot, scratch.envelope, columns, scratch.margin)
+
+
+@inlined
+def above_margins(model: Model, state: State, margin: Array, z: Array, columns: int, duration: float) -> bool:
+    """Whether every guard lies above its margin at a state with its accelerations, `duration` from now."""
+    for j in range(model.mass.shape[0]):
+        if state.mode[j] == FLIGHT:
+            height = state.height[j] + duration * (state.speed[j] - 0.5 * model.gravity * duration)
+            gap = height - z[model.position[j]]
+            lowest = min(gap, model.clearance[j] - gap) - 2 * ROUNDING * abs(height)
+        else:
+            lowest = model.gravity + z[columns + model.position[j]]
+            if state.mode[j] != FLOOR:
+                lowest = -lowest
+        if not lowest > margin[j]:
+            return False
+    return True

@@ -1,0 +1,159 @@
+"""The one kernel: it advances a compiled system through flights, rides and impacts.
+
+Between contact changes the state z = (coordinates, velocities, coil current, drive) obeys z' = A z + b exactly,
+with A and b of the contact configuration. A step of length h is a matrix product. Every guard (gap, contact
+force) is proven free of zeros over the step, or its first crossing is isolated and the step ends there: first by
+an envelope (`rig.envelope`), then guard by guard (`rig.guards`). Each proof is rigorous, so which of them served
+has no influence on the motion.
+
+Everything is float64 and allocates nothing; the tables come from `rig.flow`, the contact laws from
+`rig.contact`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.engine.contact import FLIGHT, IN_A_ROW, SLOT, Log, State, close_break, impact, open_break, separate
+from rig.engine.flow import Flow, Model
+from rig.engine.guards import (
+    CONTACT_FORCE,
+    above_margins,
+    bound_by_series,
+    bound_by_tables,
+    draw_envelope,
+    first_event,
+)
+from rig.engine.power_series import CLEAR, CURRENT, STALE, differentiate, expand, sum_series
+from rig.engine.workspace import Scratch
+from rig.numerics.bernstein import NONE
+from rig.numerics.jit import inlined
+from rig.numerics.simd import combine_many, copy, exceeds
+
+Array = NDArray[np.float64]
+
+#: Why the kernel came back.
+DONE, NEED_TABLE, LOG_FULL, STUCK = 0, 1, 2, 3
+#: This many events at one instant, per damper, is no motion of the system any more.
+EVENTS_AT_ONE_INSTANT = 100
+
+
+@inlined
+def _fly(model: Model, state: State, duration: float) -> None:
+    """Free flight of every damper in the air; the guards' multiplicities end with a motion of any length."""
+    for j in range(model.mass.shape[0]):
+        if state.mode[j] == FLIGHT:
+            state.height[j] += duration * (state.speed[j] - 0.5 * model.gravity * duration)
+            state.speed[j] -= model.gravity * duration
+        state.multiplicity[j] = 0
+
+
+@inlined
+def advance(
+    flow: Flow,
+    model: Model,
+    state: State,
+    scratch: Scratch,
+    log: Log,
+    segment: int,
+    steps: float,
+    left: float,
+    coupling: bool | None,
+    known: int,
+) -> tuple[int, float, int]:
+    """Advance to the end of a segment of `steps` step lengths (a real number), or come back earlier.
+
+    Parameters
+    ----------
+    segment : int
+        Label for the log: events get it, and their time since the start of the segment in seconds.
+    steps, left : float
+        Step lengths in the segment, and how many of them are still to go. The times of events are made of both,
+        so that they have the same bits wherever the kernel came back in between.
+    coupling : bool or None
+        None where the mass matrix couples no dampers at an impact.
+    known : int
+        STALE, CURRENT or CLEAR: what is known of the state.
+
+    Returns
+    -------
+    status : int
+        DONE, or NEED_TABLE / LOG_FULL / STUCK: call again with what is left when that is seen to.
+    left : float
+        Steps still to go.
+    known : int
+        Of the state now.
+    """
+    columns = flow.rates_constant.shape[1]
+    has_room = columns + 2 * model.first_velocity <= flow.propagate_constant.shape[1]
+    while left > 0.0:
+        slot = state.counters[SLOT]
+        if slot < 0:
+            return NEED_TABLE, left, STALE
+        length = min(left, 1.0)
+        duration = length * model.step
+        whole = flow.stepping and length == 1.0
+        if whole:
+            filled = flow.propagate.shape[1]
+            combine_many(flow.propagate, flow.propagate_constant, slot, state.z, filled, scratch.new)
+            if (
+                known == CLEAR
+                and not exceeds(state.z, scratch.envelope)
+                and above_margins(model, state, scratch.margin, scratch.new, columns, duration)
+            ):
+                copy(scratch.new, state.z)
+                _fly(model, state, duration)
+                left -= 1.0
+                continue
+        if (
+            log.filled[0] + 4 * model.mass.shape[0] > log.segment.shape[0]
+            or log.filled[1] == log.before.shape[0]
+        ):
+            return LOG_FULL, left, STALE
+        if not whole:
+            expand(flow, model, slot, state.z, scratch.tableau)
+            sum_series(scratch, length, scratch.new)
+        if flow.stepping:
+            if known == STALE or not flow.smooth:
+                differentiate(flow, model, slot, state.z, scratch.derivative, known)
+            if not (whole and has_room):
+                differentiate(flow, model, slot, scratch.new, scratch.derivative, CURRENT if whole else STALE)
+            bound_by_tables(flow, slot, state.z, scratch)
+        else:
+            bound_by_series(
+                model, state.mode, scratch.tableau, length, state.z, scratch.new, columns, scratch.bound
+            )
+        tau, j, guard = first_event(flow, model, state, scratch, slot, length, duration, not whole)
+        if tau == NONE:
+            copy(scratch.new, state.z)
+            _fly(model, state, duration)
+            state.counters[IN_A_ROW] = 0
+            left -= length
+            if flow.stepping and not flow.enveloping:
+                known = CURRENT
+            elif flow.stepping:
+                if known == STALE or exceeds(state.z, scratch.envelope):
+                    draw_envelope(flow, slot, state.z, scratch)
+                clear = above_margins(model, state, scratch.margin, state.z, columns, 0.0)
+                known = CLEAR if clear else CURRENT
+            continue
+        known = STALE
+        if tau > 0.0:
+            sum_series(scratch, tau * length, scratch.new)
+            copy(scratch.new, state.z)
+            _fly(model, state, tau * duration)
+            left -= tau * length
+            state.counters[IN_A_ROW] = 0
+        else:
+            state.counters[IN_A_ROW] += 1
+            if state.counters[IN_A_ROW] > EVENTS_AT_ONE_INSTANT * model.mass.shape[0]:
+                return STUCK, left, known
+        offset = (steps - left) * model.step
+        open_break(model, state, log, segment, offset)
+        if guard == CONTACT_FORCE:
+            separate(flow, model, state, log, segment, offset, j, 3)
+        else:
+            impact(flow, model, state, log, segment, offset, j, guard, scratch.contact, coupling)
+        close_break(model, state, log)
+    return DONE, 0.0, known

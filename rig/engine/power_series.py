@@ -1,0 +1,73 @@
+"""The state over one step: its power series, the sum of it, and the derivatives that guards need.
+
+From the tables of `rig.flow`; a system too large for them has its series summed from the sparse matrix.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.engine.flow import Flow, Model
+from rig.engine.workspace import Scratch
+from rig.numerics.bernstein import LENGTH
+from rig.numerics.jit import inlined
+from rig.numerics.simd import combine, combine_many
+
+Array = NDArray[np.float64]
+
+#: What is known of the present state: nothing; the accelerations, which stand behind it, and the margins of its
+#: configuration; and also that every guard lies above its margin.
+STALE, CURRENT, CLEAR = 0, 1, 2
+
+
+@inlined
+def expand(flow: Flow, model: Model, slot: int, z: Array, tableau: Array) -> None:
+    """Power series of the state over one step: tableau[k] = (A h)^k z / k!, with what the constant adds."""
+    size = flow.rates_constant.shape[1]
+    if flow.tabulated:
+        combine_many(flow.series, flow.series_constant, slot, z, size, tableau)
+        return
+    for i in range(size):
+        tableau[0, i] = z[i]
+    for k in range(LENGTH):
+        factor = model.step / (k + 1)
+        for i in range(size):
+            rate = flow.rates_constant[slot, i] if k == 0 else 0.0
+            for entry in range(flow.pointer[i], flow.pointer[i + 1]):
+                rate += flow.rates[slot, entry] * tableau[k, flow.column[entry]]
+            tableau[k + 1, i] = factor * rate
+
+
+@inlined
+def sum_series(scratch: Scratch, tau: float, out: Array) -> None:
+    """State at the fraction tau of the step: the tableau's rows times the powers of tau."""
+    powers = scratch.powers
+    square = tau * tau
+    powers[0] = 1.0
+    powers[1] = tau
+    for k in range(2, LENGTH + 1, 2):
+        powers[k] = powers[k - 2] * square
+    for k in range(3, LENGTH + 1, 2):
+        powers[k] = powers[k - 2] * square
+    combine(scratch.series_rows, scratch.nothing, 0, powers, LENGTH + 1, out)
+
+
+@inlined
+def differentiate(flow: Flow, model: Model, slot: int, z: Array, work: Array, known: int) -> None:
+    """Put behind a state its accelerations, unless they are known, and their derivatives with respect to tau.
+
+    The derivatives of a system without tables for whole steps come from its series.
+    """
+    columns = flow.rates_constant.shape[1]
+    points = model.first_velocity
+    if flow.stepping:
+        combine(flow.derivative, flow.derivative_constant, slot, z, columns, work)
+        for i in range(points if known != STALE else 0, 2 * points):
+            z[columns + i] = work[i]
+        return
+    for i in range(points, 2 * points):
+        rate = flow.rates_constant[slot, i]
+        for entry in range(flow.pointer[i], flow.pointer[i + 1]):
+            rate += flow.rates[slot, entry] * z[flow.column[entry]]
+        z[columns + i - points] = rate

@@ -1,0 +1,382 @@
+"""A system in motion: the kernel's state, its log, and the two ways to drive it through time.
+
+Sampled drive: one segment for each sample interval, the drive exact inside (first-order hold). Pure tone:
+segments between marks; a mark is a sample instant, or the start of a period, where the drive's phase is set
+exactly anew, so that a million periods keep it.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.engine.contact import CONFIGURATION, FLIGHT, FLOOR, SLOT, Log, State, release_tensile
+from rig.engine.flow import REACH, Flow, Model, tables_for
+from rig.engine.guards import fold_envelope
+from rig.engine.kernel import DONE, LOG_FULL, NEED_TABLE, STUCK, advance
+from rig.engine.power_series import STALE, differentiate
+from rig.engine.trajectory import Array, Course
+from rig.engine.workspace import Scratch, scratch_for
+from rig.errors import RunError
+from rig.numerics.jit import compiled, inlined
+from rig.numerics.simd import LANES, padded, transpose, zeros
+from rig.system.hybrid_system import Drive, System, sampled, tone
+
+LOG_ROWS = 1024
+#: Every segment begins with the drive set anew.
+EVERY = np.ones(1, dtype=bool)
+
+
+class Kept(NamedTuple):
+    """Whole states at samples, rows of a `Course`; without rows nothing is kept."""
+
+    state: Array
+    slot: NDArray[np.int64]
+    height: Array
+    mode: NDArray[np.int8]
+
+
+class Seen(NamedTuple):
+    """What can be seen of the motion at samples, as in `rig.motion.Motion`; without columns nothing is.
+
+    rows (displacements, velocities, accelerations, gaps; samples); contact (dampers, samples); begin (1,), the first
+    column that is filled next; window (LANES, rows).
+    """
+
+    rows: Array
+    contact: NDArray[np.int8]
+    begin: NDArray[np.int64]
+    window: Array
+
+
+@inlined
+def _keep(state: State, row: int, kept: Kept) -> None:
+    kept.slot[row] = state.counters[SLOT]
+    for i in range(kept.state.shape[1]):
+        kept.state[row, i] = state.z[i]
+    for j in range(kept.height.shape[1]):
+        kept.height[row, j] = state.height[j]
+        kept.mode[row, j] = state.mode[j]
+
+
+@inlined
+def _see(flow: Flow, model: Model, state: State, seen: Seen, column: int, last: bool) -> None:
+    """Show the present motion in a column: by way of a window, because the rows lie far apart in memory."""
+    row, points = column % LANES, model.first_velocity
+    behind = flow.rates_constant.shape[1]
+    for i in range(2 * points):
+        seen.window[row, i] = state.z[i]
+    for i in range(points):
+        seen.window[row, 2 * points + i] = state.z[behind + i]
+    for j in range(seen.contact.shape[0]):
+        mode = state.mode[j]
+        gap = 0.0 if mode == FLOOR else model.clearance[j]
+        if mode == FLIGHT:
+            gap = max(state.height[j] - state.z[model.position[j]], 0.0)
+        seen.contact[j, column] = mode
+        seen.window[row, 3 * points + j] = gap
+    first = column - row
+    if row == LANES - 1 and first >= seen.begin[0]:
+        transpose(seen.window, seen.rows, first)
+    elif row == LANES - 1 or last:
+        for there in range(max(first, seen.begin[0]), column + 1):
+            for i in range(seen.rows.shape[0]):
+                seen.rows[i, there] = seen.window[there % LANES, i]
+
+
+@compiled
+def _march(
+    flow: Any, model: Any, state: Any, scratch: Any, log: Any, steps: Array, renew: NDArray[np.bool_], drive: Array,
+    row: NDArray[np.int64], begin: int, left: float, kept: Kept, seen: Seen, coupling: bool | None, known: int,
+) -> tuple[int, int, float]:  # fmt: skip
+    """Segments of `steps` step lengths between the columns of a drive.
+
+    A segment with `renew` begins with the drive and its change over the segment as drive states. `steps` and
+    `renew` have one entry, or one for each segment. The motion at the end of segment k goes to row (column) row[k]
+    of what is kept (seen) unless that is negative. Comes back with the segment and the steps left in it (negative:
+    not begun) if the kernel needs something.
+    """
+    inputs, segments = drive.shape[0], drive.shape[1] - 1
+    first = flow.rates_constant.shape[1] - 2 * inputs
+    stride = 1 if steps.shape[0] > 1 else 0
+    fold_envelope(flow, scratch)
+    for k in range(begin, segments):
+        whole = steps[stride * k]
+        if left < 0.0:
+            left = whole
+            if renew[stride * k]:
+                for i in range(inputs):
+                    state.z[first + i] = drive[i, k]
+                    state.z[first + inputs + i] = drive[i, k + 1] - drive[i, k]
+        status, left, known = advance(flow, model, state, scratch, log, k, whole, left, coupling, known)
+        if status != DONE:
+            return status, k, left
+        if state.counters[SLOT] < 0:
+            return NEED_TABLE, k, 0.0
+        if row[k] >= 0:
+            if known == STALE:
+                differentiate(flow, model, state.counters[SLOT], state.z, scratch.derivative, STALE)
+            if kept.slot.shape[0] > 0:
+                _keep(state, row[k], kept)
+            if seen.rows.shape[1] > 0:
+                _see(flow, model, state, seen, row[k], k == segments - 1)
+        left = -1.0
+    return DONE, segments, -1.0
+
+
+@compiled
+def _accelerations(flow: Any, model: Any, states: Array, slots: NDArray[np.int64], work: Array) -> None:
+    for k in range(states.shape[0]):
+        differentiate(flow, model, slots[k], states[k], work, STALE)
+
+
+@compiled
+def _let_go(flow: Any, model: Any, state: Any, scratch: Any, log: Any, coupling: bool | None) -> None:
+    release_tensile(flow, model, state, log, 0, 0.0, scratch.contact, coupling)
+
+
+@compiled
+def _see_now(flow: Any, model: Any, state: Any, work: Array, column: int, seen: Seen) -> None:
+    differentiate(flow, model, state.counters[SLOT], state.z, work, STALE)
+    _see(flow, model, state, seen, column, True)
+
+
+class March:
+    """A system on its way through time.
+
+    Parameters
+    ----------
+    system : System
+    drive : Drive
+    step : float
+        Step length in seconds; `step_for` finds one.
+    """
+
+    def __init__(self, system: System, drive: Drive, step: float) -> None:
+        self.system, self.drive = system, drive
+        self.tables = tables_for(system, drive, step)
+        self._coupling = True if system.coupled else None
+        dampers, size = system.dampers, padded(self.tables.size + 2 * system.coordinates)
+        self.state = State(
+            z=zeros(size),
+            height=np.zeros(dampers),
+            speed=np.zeros(dampers),
+            mode=np.full(dampers, FLOOR, dtype=np.int64),
+            multiplicity=np.zeros(dampers, dtype=np.int64),
+            counters=np.zeros(4, dtype=np.int64),
+        )
+        rows = max(LOG_ROWS, 16 * dampers)
+        self.log = Log(
+            filled=np.zeros(2, dtype=np.int64),
+            segment=np.zeros(rows, dtype=np.int64),
+            offset=np.zeros(rows),
+            damper=np.zeros(rows, dtype=np.int64),
+            kind=np.zeros(rows, dtype=np.int64),
+            closing=np.zeros(rows),
+            break_segment=np.zeros(rows, dtype=np.int64),
+            break_offset=np.zeros(rows),
+            before=np.zeros((rows, size)),
+            after=np.zeros((rows, size)),
+            speed_before=np.zeros((rows, dampers)),
+            speed_after=np.zeros((rows, dampers)),
+            configuration=np.zeros((rows, 2), dtype=np.int64),
+        )
+        self.scratch: Scratch = scratch_for(self.tables.flow, size)
+        self.state.counters[CONFIGURATION] = (1 << dampers) - 1
+        self._find_table()
+
+    @property
+    def ambiguous(self) -> int:
+        """Number of decisions that lay within rounding so far."""
+        return int(self.state.counters[3])
+
+    def place(self, state: Array, drive: Array) -> NDArray[np.int64]:
+        """Put the system at a state with every damper on its floor; dampers whose contact would pull lift off.
+
+        Returns
+        -------
+        ndarray of int64
+            Dampers (from 0) that lifted off at once.
+        """
+        self.state.z[: self.system.states] = state
+        self.state.z[self.system.states : self.tables.size] = drive
+        _let_go(self.tables.flow, self.tables.model, self.state, self.scratch, self.log, self._coupling)
+        lifted = self.log.damper[: self.log.filled[0]].copy()
+        self.log.filled[:] = 0
+        self._find_table()
+        return lifted
+
+    def snapshot(self) -> tuple[Array, ...]:
+        """Copy of the whole state of motion, for `resume`."""
+        return tuple(part.copy() for part in self.state)
+
+    def resume(self, snapshot: tuple[Array, ...]) -> None:
+        """Go on from a state of motion of this system, perhaps under another drive."""
+        for part, kept in zip(self.state, snapshot, strict=True):
+            part[...] = kept
+        self._find_table()
+
+    def start_period(self, level: float) -> None:
+        """Set the tone to the start of a period."""
+        self.state.z[self.system.states : self.tables.size] = (level, 0.0)
+
+    def standing(self) -> Course:
+        """Present state as a course of one sample in which nothing happened."""
+        return Course(
+            self.state.z[None].copy(),
+            self.state.counters[SLOT : SLOT + 1].copy(),
+            self.state.height[None].copy(),
+            self.state.mode[None].astype(np.int8),
+            *self._page(),
+        )
+
+    def over_samples(self, drive: Array, interval_steps: float) -> Course:
+        """Run through the sample intervals between the columns of a sampled drive (inputs, samples + 1)."""
+        intervals = drive.shape[1] - 1
+        kept, unseen = self._kept(intervals), self.sight(0)
+        return self._run(np.array([interval_steps]), EVERY, drive, np.arange(intervals), kept, unseen)
+
+    def watch_samples(self, drive: Array, interval_steps: float, seen: Seen, column: int) -> Course:
+        """Do the same, but instead of keeping states fill what is seen, from a column on."""
+        seen.begin[0] = column
+        rows = np.arange(column, column + drive.shape[1] - 1)
+        return self._run(np.array([interval_steps]), EVERY, drive, rows, self._kept(0), seen)
+
+    def sight(self, samples: int) -> Seen:
+        """Room for what is seen at a number of samples."""
+        dampers = self.system.dampers
+        rows = padded(3 * self.system.coordinates + dampers)
+        return Seen(
+            rows=np.empty((rows, samples)),
+            contact=np.empty((dampers, samples), dtype=np.int8),
+            begin=np.zeros(1, dtype=np.int64),
+            window=zeros(LANES, rows),
+        )
+
+    def parts(self, seen: Seen) -> tuple[Array, Array, Array, Array]:
+        """Displacements, velocities and accelerations (points, samples) and gaps (dampers, samples) in it."""
+        n, rows = self.system.coordinates, seen.rows
+        return rows[:n], rows[n : 2 * n], rows[2 * n : 3 * n], rows[3 * n : 3 * n + self.system.dampers]
+
+    def see(self, seen: Seen, column: int) -> None:
+        """Fill one column of what is seen with the present motion."""
+        work = self.scratch.derivative
+        _see_now(self.tables.flow, self.tables.model, self.state, work, column, seen)
+
+    def over_marks(
+        self,
+        steps: Array,
+        sample_row: NDArray[np.int64],
+        new_period: NDArray[np.bool_],
+        level: float = 1.0,
+    ) -> Course:
+        """Run through segments of given lengths under a tone.
+
+        Parameters
+        ----------
+        steps : float64 (segments,)
+            Lengths in step lengths.
+        sample_row : int64 (segments,)
+            Row in which to keep the state at the end of the segment, or -1.
+        new_period : bool (segments,)
+            Whether the segment begins with a period of the drive.
+        level : float
+            Times the amplitudes of the tone.
+        """
+        # The tone's states (cos, sin) begin a period as a drive that does not change would.
+        drive = np.full((1, len(steps) + 1), level)
+        kept = self._kept(int(sample_row.max(initial=-1)) + 1)
+        return self._run(steps, new_period, drive, sample_row, kept, self.sight(0))
+
+    def accelerations(self, states: Array, slots: NDArray[np.int64]) -> Array:
+        """Acceleration of every coordinate for rows of a `Course`, shape (coordinates, samples)."""
+        _accelerations(self.tables.flow, self.tables.model, states, slots, self.scratch.derivative)
+        behind = self.tables.size
+        return np.ascontiguousarray(states[:, behind : behind + self.system.coordinates].T)
+
+    def _kept(self, samples: int) -> Kept:
+        size, dampers = self.state.z.shape[0], self.system.dampers
+        return Kept(
+            state=np.zeros((samples, size)),
+            slot=np.zeros(samples, dtype=np.int64),
+            height=np.zeros((samples, dampers)),
+            mode=np.zeros((samples, dampers), dtype=np.int8),
+        )
+
+    def _run(
+        self,
+        steps: Array,
+        renew: NDArray[np.bool_],
+        drive: Array,
+        row: NDArray[np.int64],
+        kept: Kept,
+        seen: Seen,
+    ) -> Course:
+        pages: list[tuple[Any, ...]] = []
+        begin, left = 0, -1.0
+        while True:
+            status, begin, left = _march(
+                self.tables.flow, self.tables.model, self.state, self.scratch, self.log, steps, renew, drive, row,
+                begin, left, kept, seen, self._coupling, STALE,
+            )  # fmt: skip
+            if status == NEED_TABLE:
+                self._find_table()
+            elif status == LOG_FULL:
+                pages.append(self._page())
+            elif status == STUCK:
+                damper = self.system.damper_number[self.log.damper[self.log.filled[0] - 1]]
+                farthest = np.abs(self.state.z[: self.system.coordinates]).max()
+                raise RunError(
+                    f"damper {damper} separates and lands again and again at one instant, with bodies up to "
+                    f"{farthest:.3g} m away from rest; if the motion has not run away, the contact law is "
+                    "contradicted: report it with the scene"
+                )
+            else:
+                break
+        last = self._page()
+        if not pages:
+            return Course(*kept, *last)
+        pages.append(last)
+        return Course(*kept, *(np.concatenate(parts) for parts in zip(*pages, strict=True)))
+
+    def _find_table(self) -> None:
+        self.state.counters[SLOT] = self.tables.slot(int(self.state.counters[CONFIGURATION]))
+
+    def _page(self) -> tuple[Any, ...]:
+        """Take what the log holds and empty it."""
+        events, breaks = self.log.filled
+        log = self.log
+        slots = self.tables.slots_of(log.configuration[:breaks]).T
+        page = (
+            *(
+                column[:events].copy()
+                for column in (log.segment, log.offset, log.damper, log.kind, log.closing)
+            ),
+            *(column[:breaks].copy() for column in log[6:12]),
+            *slots,
+        )
+        log.filled[:] = 0
+        return page
+
+
+def step_for(span: float, fastest: float) -> tuple[float, float]:
+    """Step length that divides a time span and stays within reach of the series; (step, steps in the span)."""
+    steps = max(1.0, float(np.ceil(span * fastest / REACH)))
+    return span / steps, steps
+
+
+def sampled_march(system: System, interval: float) -> tuple[March, float]:
+    """March under a sampled drive, and the number of steps in a sample interval."""
+    step, steps = step_for(interval, system.fastest)
+    return March(system, sampled(len(system.inputs), interval), step), steps
+
+
+def tone_march(
+    system: System, amplitudes: NDArray[np.complex128], omega: float, interval: float | None = None
+) -> tuple[March, float]:
+    """March under a tone u(t) = Re(U e^{i omega t}), and the number of steps in a period, or in a shorter interval."""
+    span = 2.0 * np.pi / omega if interval is None else interval
+    step, steps = step_for(span, max(system.fastest, omega))
+    return March(system, tone(amplitudes, omega), step), steps

@@ -1,0 +1,81 @@
+"""What came of a march: states at samples, events and breaks; and how users see events, gaps and contacts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.engine.contact import FLIGHT, FLOOR
+from rig.system.hybrid_system import System
+
+Array = NDArray[np.float64]
+
+EVENT = np.dtype([("time", "f8"), ("damper", "i4"), ("kind", "U10"), ("speed", "f8")])
+KINDS = np.array(["separation", "floor", "ceiling"])
+
+
+@dataclass(frozen=True)
+class Course:
+    """What happened over a number of segments.
+
+    Attributes
+    ----------
+    state : ndarray, shape (samples, states)
+        At the samples, after any break there.
+    slot : ndarray, shape (samples,)
+        The table of the configuration at each sample.
+    height : ndarray, shape (samples, dampers)
+        Of dampers in flight, m; meaningless for riding ones.
+    mode : ndarray, shape (samples, dampers)
+        FLIGHT, FLOOR or CEILING.
+    event_segment, event_offset, event_damper, event_kind, event_speed : ndarray, shape (events,)
+        Offsets in seconds after the start of the segment; dampers from 0.
+    break_segment, break_offset : ndarray, shape (breaks,)
+    before, after : ndarray, shape (breaks, states)
+    speed_before, speed_after : ndarray, shape (breaks, dampers)
+        Own velocities of the dampers, m/s.
+    before_slot, after_slot : ndarray, shape (breaks,)
+    """
+
+    state: Array
+    slot: NDArray[np.int64]
+    height: Array
+    mode: NDArray[np.int8]
+    event_segment: NDArray[np.int64]
+    event_offset: Array
+    event_damper: NDArray[np.int64]
+    event_kind: NDArray[np.int64]
+    event_speed: Array
+    break_segment: NDArray[np.int64]
+    break_offset: Array
+    before: Array
+    after: Array
+    speed_before: Array
+    speed_after: Array
+    before_slot: NDArray[np.int64]
+    after_slot: NDArray[np.int64]
+
+
+def event_table(
+    times: Array, damper: NDArray[np.int64], kind: NDArray[np.int64], speed: Array, system: System
+) -> NDArray[Any]:
+    """Events as users see them: dampers by their number in the scene, kinds by name."""
+    table = np.zeros(len(times), dtype=EVENT)
+    table["time"] = times
+    table["damper"] = system.damper_number[damper] if len(times) else 0
+    table["kind"] = KINDS[kind]
+    table["speed"] = speed
+    return table
+
+
+def gaps_and_contacts(course: Course, system: System) -> tuple[Array, NDArray[np.int8]]:
+    """Gap (dampers, samples) above each floor in m, and contact state (dampers, samples)."""
+    positions = course.state[:, system.damper_coordinate].T
+    gap = course.height.T - positions
+    mode = course.mode.T
+    ceiling = np.broadcast_to(system.clearance[:, None], gap.shape)
+    gap = np.where(mode == FLIGHT, gap, np.where(mode == FLOOR, 0.0, ceiling))
+    return np.maximum(gap, 0.0) if gap.size else gap, np.ascontiguousarray(mode)

@@ -1,0 +1,217 @@
+"""Where a scene gets hard: type of motion and computing time over level and frequency, or clearance and frequency."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rig.engine.trajectory import Array
+from rig.errors import SceneError
+from rig.motion_map.grid import columns, rows_of, take_off, vertical_axis
+from rig.response.frequency_response import Follower, SteadyPoint
+from rig.scene.scene import Scene
+from rig.system.open_loop_drive import with_force_itself
+from rig.system.structure import natural_modes, structure_matrices
+
+#: What a damper does, from the tamest to the wildest; a point of the map counts as what its wildest damper does.
+KINDS = ("riding", "I", "II", "III", "other, every period", "longer period", "irregular")
+#: Distance from the steady state at which a motion's type can be told, relative to the motion.
+TOLERANCE = 1e-6
+#: A motion that has not repeated after so many times the slowest mode's decay to the tolerance is irregular.
+PATIENCE = 3.0
+#: Fewest and most periods that are waited.
+FEWEST, MOST = 2000, 20_000
+
+
+@dataclass(frozen=True)
+class MotionMap:
+    """Steady motion over a grid.
+
+    Attributes
+    ----------
+    scene : Scene
+        As it was followed: a force that its test holds acts on the body itself.
+    over : {"force", "drive", "clearance"}
+        What changes from row to row.
+    unit : str
+        N, V or m.
+    value : ndarray, shape (rows,)
+        Level, or clearance of every damper.
+    frequency : ndarray, shape (frequencies,)
+        Hz, rising; each motion starts from the one before in its row.
+    kind : ndarray of int, shape (rows, frequencies)
+        Position in `KINDS`.
+    motion : ndarray of str, shape (rows, frequencies)
+        Type of every damper's motion, in their order, joined by "/".
+    impacts : ndarray, shape (rows, frequencies)
+        Impacts of all dampers a period.
+    repetition : ndarray of int, shape (rows, frequencies)
+        Periods of the drive after which the motion repeats; 0 if none was found.
+    periods : ndarray of int, shape (rows, frequencies)
+        Periods that were followed to find out.
+    cpu : ndarray, shape (rows, frequencies)
+        CPU time spent, s.
+    take_off : ndarray, shape (frequencies,)
+        Level above which the linear structure with all dampers riding accelerates one of them at more than gravity.
+    """
+
+    scene: Scene
+    over: str
+    unit: str
+    value: Array
+    frequency: Array
+    kind: NDArray[np.int64]
+    motion: NDArray[np.str_]
+    impacts: Array
+    repetition: NDArray[np.int64]
+    periods: NDArray[np.int64]
+    cpu: Array
+    take_off: Array
+
+
+def map_motion(
+    scene: Scene | str,
+    over: str | None = None,
+    values: ArrayLike | None = None,
+    frequencies: ArrayLike | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> MotionMap:
+    """Follow the steady motion over a grid of levels, or of clearances, and frequencies.
+
+    Parameters
+    ----------
+    scene : Scene or str
+        A scene, or what `rig.load` takes. Where its test holds the amplitude of the spring force, that force acts on
+        the body as a pure tone; a test that gives a drive goes through its shaker.
+    over : {"force", "drive", "clearance"}, optional
+        What changes beside the frequency; None: the level that the test gives. A clearance is that of every damper
+        that is not locked, at the test's level.
+    values : array_like, shape (rows,), optional
+        Levels [N, or the drive's unit] or clearances [m]; None: around what decides over take-off and over hitting the
+        ceiling, the scene's own value among them.
+    frequencies : array_like, shape (frequencies,), optional
+        Hz; None: the test's range, closer around the natural frequencies.
+    progress : callable, optional
+        Called with the number of points done and of all.
+
+    Returns
+    -------
+    MotionMap
+
+    Raises
+    ------
+    SceneError
+        If the scene has no damper that moves, no shaker or no level, or a value is not positive.
+    """
+    if isinstance(scene, str):
+        from rig.scene.loading import load
+
+        scene = load(scene)
+    over, unit = vertical_axis(scene, over)
+    scene = with_force_itself(scene)
+    frequency = _rising(frequencies if frequencies is not None else columns(scene), "frequencies")
+    value = _rising(values if values is not None else rows_of(scene, over, frequency), "values")
+    longest = _longest(scene, frequency)
+    rows = _follow_rows(
+        [_with(scene, over, float(each)) for each in value], frequency, longest, progress or _silent
+    )
+    types = [[point.types for point, _ in row] for row in rows]
+    points = [[point for point, _ in row] for row in rows]
+    return MotionMap(
+        scene=scene,
+        over=over,
+        unit=unit,
+        value=value,
+        frequency=frequency,
+        kind=np.array([[max(map(_kind, each)) for each in row] for row in types]),
+        motion=np.array([["/".join(each) for each in row] for row in types]),
+        impacts=np.array([[point.impacts.sum() for point in row] for row in points]),
+        repetition=np.array([[point.steady.repetition for point in row] for row in points]),
+        periods=np.array([[point.steady.periods for point in row] for row in points]),
+        cpu=np.array([[cpu for _, cpu in row] for row in rows]),
+        take_off=take_off(scene, frequency),
+    )
+
+
+def _rising(values: ArrayLike, name: str) -> Array:
+    given = np.unique(np.asarray(values, dtype=np.float64))
+    if not len(given) or not np.isfinite(given).all() or given[0] <= 0.0:
+        raise SceneError(f"{name}: expected a list of positive, finite numbers")
+    return given
+
+
+def _with(scene: Scene, over: str, value: float) -> Scene:
+    if over == "clearance":
+        dampers = [d if d.locked or d.clearance == 0.0 else d.replace(clearance=value) for d in scene.dampers]
+        return scene.replace(dampers=dampers)
+    assert scene.test is not None
+    return scene.replace(test=scene.test.replace(**{over: value}))
+
+
+def _longest(scene: Scene, frequency: Array) -> int:
+    """Periods of the quickest tone after which the slowest mode has decayed to the tolerance several times."""
+    mass, damping, stiffness = structure_matrices(scene.structure)
+    _, shapes = natural_modes(mass, stiffness)
+    # Decay rate of each mode, as far as damping does not mix them.
+    rate = 0.5 * np.einsum("ji,jk,ki->i", shapes, damping, shapes)
+    rate /= np.einsum("ji,jk,ki->i", shapes, mass, shapes)
+    with np.errstate(divide="ignore"):
+        periods = PATIENCE * np.log(1.0 / TOLERANCE) * frequency[-1] / max(float(rate.min()), 0.0)
+    return int(np.clip(periods, FEWEST, MOST))
+
+
+def _silent(done: int, total: int) -> None:
+    pass
+
+
+Row = list[tuple[SteadyPoint, float]]
+
+
+def _follow_rows(
+    scenes: list[Scene], frequency: Array, longest: int, progress: Callable[[int, int], None]
+) -> list[Row]:
+    """Follow each scene upwards in frequency, two at a time; every point with the CPU time it took."""
+    # What is compiled or loaded from disk at first use is no part of the cost.
+    Follower(scenes[0], TOLERANCE, 1).point(float(frequency[0]), None)
+    done, stopped = 0, False
+
+    def row(scene: Scene) -> Row:
+        nonlocal done, stopped
+        found: Row = []
+        points = Follower(scene, TOLERANCE, longest).follow(frequency)
+        try:
+            for _ in range(0 if stopped else len(frequency)):
+                begun = time.thread_time()
+                found.append((next(points), time.thread_time() - begun))
+                done += 1
+                progress(done, len(scenes) * len(frequency))
+                if stopped:
+                    break
+        except BaseException:
+            stopped = True
+            raise
+        return found
+
+    with ThreadPoolExecutor(2) as pool:
+        try:
+            return list(pool.map(row, scenes))
+        except BaseException:
+            # Leaving the pool waits for the rows that have begun: do not let them go on.
+            stopped = True
+            raise
+
+
+def _kind(damper_motion: str) -> int:
+    """Position in `KINDS` of what a damper does.
+
+    >>> [KINDS[_kind(each)] for each in ("riding", "III", "3 per 1", "3 per 2", "irregular")]
+    ['riding', 'III', 'other, every period', 'longer period', 'irregular']
+    """
+    if damper_motion in KINDS:
+        return KINDS.index(damper_motion)
+    return KINDS.index("other, every period" if damper_motion.endswith(" per 1") else "longer period")

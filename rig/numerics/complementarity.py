@@ -1,0 +1,133 @@
+"""Contacts of one instant decided together: a linear complementarity problem.
+
+Find p >= 0 with A p + q >= 0 and p (A p + q) = 0, where
+
+    A_ik = s_i s_k (M^-1)_{b_i b_k} + delta_ik / md_i,      s = +1 floor, -1 ceiling
+
+(b_i the body of damper i, md_i its mass). The same matrix serves impulses at an impact and contact forces right
+after it. A is positive definite, so the solution exists and is unique; Murty's least-index principal pivoting
+reaches it in finitely many steps.
+
+References
+----------
+Murty, K. G., "Linear Complementarity, Linear and Nonlinear Programming", Heldermann 1988, chapter 4.
+Pfeiffer, F., Glocker, C., "Multibody Dynamics with Unilateral Contacts", Wiley 1996, chapters 6 and 8.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rig.numerics.jit import compiled
+
+#: What is smaller than this part of its terms cannot be told from zero.
+ROUNDING = 16 * 2.3e-16
+#: Pivots at most; the number needed in practice is about the number of contacts.
+PIVOTS = 100_000
+
+
+class ContactWork(NamedTuple):
+    """Work space of the contact laws, one entry per contact of the instant."""
+
+    force: np.ndarray
+    member: np.ndarray
+    sign: np.ndarray
+    struck: np.ndarray
+    before: np.ndarray
+    opening: np.ndarray
+    right: np.ndarray
+    pressure: np.ndarray
+    active: np.ndarray
+    matrix: np.ndarray
+    block: np.ndarray
+
+
+def contact_work(dampers: int, forces: int) -> ContactWork:
+    """Allocate the work space for a number of dampers and of padded force rows."""
+    return ContactWork(
+        force=np.zeros(forces),
+        member=np.zeros(dampers + 1, dtype=np.int64),
+        sign=np.zeros(dampers + 1),
+        struck=np.zeros(dampers + 1, dtype=np.bool_),
+        before=np.zeros(dampers + 1),
+        opening=np.zeros(dampers + 1),
+        right=np.zeros(dampers + 1),
+        pressure=np.zeros(dampers + 1),
+        active=np.zeros(dampers + 1, dtype=np.bool_),
+        matrix=np.zeros((dampers + 1, dampers + 1)),
+        block=np.zeros((dampers + 1, dampers + 2)),
+    )
+
+
+@compiled
+def contact_matrix(model: Any, work: ContactWork, count: int) -> None:
+    """Fill `work.matrix` for the contacts listed in `work.member` with signs `work.sign`."""
+    for a in range(count):
+        i = work.member[a]
+        for b in range(count):
+            k = work.member[b]
+            coupling = model.inverse_mass[model.position[i], model.position[k]]
+            work.matrix[a, b] = work.sign[a] * work.sign[b] * coupling
+        work.matrix[a, a] += 1.0 / model.mass[i]
+
+
+@compiled
+def close_active(work: ContactWork, count: int) -> None:
+    """Pressures that close the active contacts; zero for the others. Elimination on a positive definite block."""
+    block = work.block
+    size = 0
+    for a in range(count):
+        work.pressure[a] = 0.0
+        if work.active[a]:
+            column = 0
+            for b in range(count):
+                if work.active[b]:
+                    block[size, column] = work.matrix[a, b]
+                    column += 1
+            block[size, count] = -work.right[a]
+            size += 1
+    for i in range(size):
+        for row in range(i + 1, size):
+            factor = block[row, i] / block[i, i]
+            for column in range(i, size):
+                block[row, column] -= factor * block[i, column]
+            block[row, count] -= factor * block[i, count]
+    for i in range(size - 1, -1, -1):
+        for column in range(i + 1, size):
+            block[i, count] -= block[i, column] * block[column, count]
+        block[i, count] /= block[i, i]
+    size = 0
+    for a in range(count):
+        if work.active[a]:
+            work.pressure[a] = block[size, count]
+            size += 1
+
+
+@compiled
+def complementarity(work: ContactWork, count: int) -> None:
+    """Solve for `work.pressure` from `work.matrix` and the right-hand side q in `work.right`."""
+    for a in range(count):
+        work.active[a] = False
+        work.pressure[a] = 0.0
+    for _ in range(PIVOTS):
+        wrong = -1
+        for a in range(count):
+            if work.active[a]:
+                bad = work.pressure[a] < 0.0
+            else:
+                value = work.right[a]
+                size = abs(value)
+                for b in range(count):
+                    term = work.matrix[a, b] * work.pressure[b]
+                    value += term
+                    size += abs(term)
+                bad = value < -ROUNDING * size
+            if bad:
+                wrong = a
+                break
+        if wrong < 0:
+            return
+        work.active[wrong] = not work.active[wrong]
+        close_active(work, count)

@@ -1,0 +1,292 @@
+"""An orbit between its events: its motion, extremes and first harmonic, and how far it is from being impossible.
+
+An orbit that meets its equations is a motion only while nothing else may happen between its events: dampers in
+flight keep off the walls, riding ones are pressed on theirs. The distance to each of these borders is its room
+there; it is negative beyond the border, and changes smoothly across it, so that borders are found as roots.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from rig.orbits.shooting import (
+    CEILING,
+    CEILING_BOUNCE,
+    FLOOR,
+    FLOOR_BOUNCE,
+    SEPARATION,
+    WITH_LAST,
+    Array,
+    Equations,
+    Sequence,
+    Shot,
+    exponential,
+)
+
+# Product of an interval with the fastest rate. The extremes of quintics are then good to 1e-9 of the motion, and
+# the harmonic to rounding.
+INTERVAL = 0.25
+MOST_POINTS = 1500
+# In radians of the drive; a damper thrown for so short was accelerated by 1 + 1e-5 of gravity.
+SHORTEST_FLIGHT = 0.02
+
+# Borders: of events, and of dampers.
+ORDER, RELEASE, MISS, FLIGHT_ENDS, HITS_FLOOR, HITS_CEILING, LEAVES, STAYS, KICKED = range(9)
+KINDS_OF_BORDERS = 9
+
+# Bernoulli's numbers over factorials, for the ends of a trapezoidal sum (Euler and Maclaurin).
+_ENDS = np.array([1 / 12, -1 / 720, 1 / 30240, -1 / 1209600, 1 / 47900160])
+
+
+class Track(NamedTuple):
+    """An orbit at evenly spaced instants of every stretch between events.
+
+    The stretch after the last event goes on into the next period until the first event.
+
+    Attributes
+    ----------
+    times : ndarray, shape (stretches, points + 1)
+    motion : ndarray, shape (stretches, points + 1, states)
+    guards : ndarray, shape (stretches, points + 1, dampers, 3)
+        For each damper, with first and second derivative: the gap in flight [m], or q'' + g of the body while
+        riding [m/s^2].
+    reach : ndarray, shape (coordinates, 2)
+        Lowest and highest value of each coordinate.
+    harmonic : complex ndarray, shape (states,)
+        Integral of the state times exp(-i w t) over the orbit.
+    """
+
+    times: Array
+    motion: Array
+    guards: Array
+    reach: Array
+    harmonic: NDArray[np.complex128]
+
+
+@njit(cache=True)
+def _turning(left: float, right: float, slopes: Array, curves: Array, step: float) -> float:
+    """Value at the turning point inside an interval, by the quintic through values and two derivatives."""
+    s0, s1, c0, c1 = slopes[0] * step, slopes[1] * step, curves[0] * step * step, curves[1] * step * step
+    d = right - left - s0 - 0.5 * c0
+    e, f = s1 - s0 - c0, c1 - c0
+    a3, a4, a5 = 10 * d - 4 * e + 0.5 * f, -15 * d + 7 * e - f, 6 * d - 3 * e + 0.5 * f
+    t = s0 / (s0 - s1)
+    for _ in range(3):
+        slope = s0 + t * (c0 + t * (3 * a3 + t * (4 * a4 + t * 5 * a5)))
+        bend = c0 + t * (6 * a3 + t * (12 * a4 + t * 20 * a5))
+        if bend != 0.0:
+            t = min(1.0, max(0.0, t - slope / bend))
+    return left + t * (s0 + t * (0.5 * c0 + t * (a3 + t * (a4 + t * a5))))
+
+
+@njit(cache=True)
+def follow(equations: Equations, sequence: Sequence, instants: Array, states: Array) -> Track:
+    """Follow an orbit between its events.
+
+    Parameters
+    ----------
+    equations, sequence
+        As in `rig.shooting.shoot`.
+    instants : ndarray, shape (events,)
+        Instants of the events.
+    states : ndarray, shape (events + 1, states + 2 dampers)
+        As `shoot` returns them.
+    """
+    n = equations.generator.shape[1] - 3
+    nq, nd = equations.inverse_mass.shape[1], equations.position.shape[0]
+    events, omega = sequence.kind.shape[0], equations.omega
+    stretches = max(events, 1)
+    begin, length = np.zeros(stretches), np.full(stretches, equations.period)
+    longest = 0.0
+    for s in range(stretches):
+        if events > 0:
+            begin[s] = instants[s]
+            after = instants[s + 1] if s + 1 < events else equations.period + instants[0]
+            length[s] = after - begin[s]
+        longest = max(longest, abs(length[s]) * equations.rate[sequence.slot[min(s + 1, events)]])
+    points = max(8, min(MOST_POINTS, int(np.ceil(longest / INTERVAL))))
+    times = np.zeros((stretches, points + 1))
+    motion = np.zeros((stretches, points + 1, n))
+    guards = np.zeros((stretches, points + 1, nd, 3))
+    reach = np.empty((nq, 2))
+    reach[:, 0], reach[:, 1] = np.inf, -np.inf
+    harmonic = np.zeros(n, dtype=np.complex128)
+    x, end = np.ones(n + 3), np.ones(n + 3)
+    rate, last = np.zeros(n + 3), np.zeros(n + 3)
+    total = np.zeros(n + 3, dtype=np.complex128)
+    jump, turned = np.zeros(n + 3, dtype=np.complex128), np.zeros(n + 3, dtype=np.complex128)
+    for s in range(stretches):
+        k = s + 1 if events > 0 else 0
+        slot = sequence.slot[k]
+        a = equations.generator[slot]
+        step = length[s] / points
+        flow = exponential(a, step, equations.rate[slot])
+        forces = np.zeros((nd, 3, n + 3))
+        for j in range(nd):
+            forces[j, 0] = a[nq + equations.position[j]]
+            if sequence.wall[k, j] != 0:
+                forces[j, 1] = forces[j, 0] @ a
+                forces[j, 2] = forces[j, 1] @ a
+        x[:n], x[n + 2] = states[k, :n], 1.0
+        x[n], x[n + 1] = np.cos(omega * begin[s]), np.sin(omega * begin[s])
+        total[:] = 0.0
+        for i in range(points + 1):
+            times[s, i] = begin[s] + i * step
+            motion[s, i] = x[:n]
+            for m in range(n + 3):
+                rate[m] = 0.0
+                for c in range(n + 3):
+                    rate[m] += a[m, c] * x[c]
+            for q in range(nq):
+                here, speed = x[q], x[nq + q]
+                reach[q, 0], reach[q, 1] = min(reach[q, 0], here), max(reach[q, 1], here)
+                if i > 0 and motion[s, i - 1, nq + q] * speed < 0.0:
+                    slopes = np.array([motion[s, i - 1, nq + q], speed])
+                    bends = np.array([last[nq + q], rate[nq + q]])
+                    there = _turning(motion[s, i - 1, q], here, slopes, bends, step)
+                    reach[q, 0], reach[q, 1] = min(reach[q, 0], there), max(reach[q, 1], there)
+            for j in range(nd):
+                body = equations.position[j]
+                if sequence.wall[k, j] == 0:
+                    t = i * step
+                    fallen = states[k, n + j] + (states[k, n + nd + j] - 0.5 * equations.gravity * t) * t
+                    guards[s, i, j, 0] = fallen - x[body]
+                    guards[s, i, j, 1] = states[k, n + nd + j] - equations.gravity * t - x[nq + body]
+                    guards[s, i, j, 2] = -equations.gravity - rate[nq + body]
+                else:
+                    guards[s, i, j, 0] = equations.gravity
+                    for m in range(n + 3):
+                        for d in range(3):
+                            guards[s, i, j, d] += forces[j, d, m] * x[m]
+            turn = np.exp(-1j * omega * times[s, i])
+            if i == 0:
+                for m in range(n + 3):
+                    jump[m] = -turn * x[m]
+                    total[m] = 0.5 * turn * x[m]
+            elif i == points:
+                for m in range(n + 3):
+                    jump[m] += turn * x[m]
+                    total[m] += 0.5 * turn * x[m]
+            else:
+                for m in range(n + 3):
+                    total[m] += turn * x[m]
+            last[:] = rate
+            for m in range(n + 3):
+                end[m] = 0.0
+                for c in range(n + 3):
+                    end[m] += flow[m, c] * x[c]
+            x[:] = end
+        # The derivatives of exp(-i w t) x are powers of (A - i w) times itself; only the odd ones count.
+        for order in range(2 * len(_ENDS) - 1):
+            for m in range(n + 3):
+                turned[m] = -1j * omega * jump[m]
+                for c in range(n + 3):
+                    turned[m] += a[m, c] * jump[c]
+            for m in range(n + 3):
+                jump[m] = turned[m] * step
+                if order % 2 == 0:
+                    total[m] -= _ENDS[order // 2] * jump[m]
+        for m in range(n):
+            harmonic[m] += step * total[m]
+    return Track(times, motion, guards, reach, harmonic)
+
+
+@njit(cache=True)
+def _dip(track: Track, s: int, j: int, offset: float, sign: float) -> float:
+    """Lowest turning point of offset + sign times a guard inside a stretch; infinity if there is none."""
+    guard = track.guards[s, :, j]
+    step = track.times[s, 1] - track.times[s, 0]
+    low = np.inf
+    for i in range(guard.shape[0] - 1):
+        if sign * guard[i, 1] < 0.0 and sign * guard[i + 1, 1] > 0.0:
+            slopes = sign * guard[i : i + 2, 1].copy()
+            bends = sign * guard[i : i + 2, 2].copy()
+            left, right = offset + sign * guard[i, 0], offset + sign * guard[i + 1, 0]
+            low = min(low, _turning(left, right, slopes, bends, step))
+    return low
+
+
+@njit(cache=True)
+def rooms(equations: Equations, sequence: Sequence, track: Track, instants: Array, closing: Array) -> Array:
+    """Measure how far an orbit is from each border at which it stops being possible as a motion.
+
+    Returns
+    -------
+    ndarray, shape (kinds of borders, events or dampers, whatever is more)
+        Gaps in g/w^2, accelerations in g, times in 1/w; at most 1, negative beyond the border. The second index
+        is an event for the kinds ORDER, RELEASE and MISS, else a damper.
+    """
+    omega, gravity = equations.omega, equations.gravity
+    size = gravity / omega**2 if gravity > 0.0 else np.abs(track.reach).max()
+    pull = size * omega**2
+    events, nd, nq = sequence.kind.shape[0], equations.position.shape[0], equations.inverse_mass.shape[1]
+    found = np.ones((KINDS_OF_BORDERS, max(events, nd, 1)))
+    for s in range(track.times.shape[0]):
+        k = s + 1 if events > 0 else 0
+        after = (s + 1) % max(events, 1)
+        if events > 0 and sequence.kind[after] != WITH_LAST:
+            found[ORDER, s] = min(1.0, (track.times[s, -1] - track.times[s, 0]) * omega)
+        for j in range(nd):
+            own_begin = events > 0 and sequence.damper[s] == j
+            own_end = events > 0 and sequence.damper[after] == j
+            wall, guard = sequence.wall[k, j], track.guards[s, :, j]
+            if wall == 0:
+                low = _dip(track, s, j, 0.0, 1.0)
+                if not own_begin:
+                    low = min(low, guard[0, 0])
+                found[HITS_FLOOR, j] = min(found[HITS_FLOOR, j], low / size)
+                clearance = equations.clearance[j]
+                if np.isfinite(clearance):
+                    low = _dip(track, s, j, clearance, -1.0)
+                    if not own_begin:
+                        low = min(low, clearance - guard[0, 0])
+                    found[HITS_CEILING, j] = min(found[HITS_CEILING, j], low / size)
+                continue
+            sign = 1.0 if wall == 1 else -1.0
+            low = min(_dip(track, s, j, 0.0, sign), sign * guard[0, 0])
+            if not own_end:
+                low = min(low, sign * guard[-1, 0])
+            found[LEAVES, j] = min(found[LEAVES, j], low / pull)
+    for e in range(events):
+        kind, j = sequence.kind[e], sequence.damper[e]
+        leaves = kind in (SEPARATION, WITH_LAST)
+        ceiling = kind in (CEILING, CEILING_BOUNCE) or (leaves and sequence.wall[e, j] == 2)
+        bounces = kind in (CEILING_BOUNCE, FLOOR_BOUNCE)
+        away = -1.0 if ceiling else 1.0
+        if kind == WITH_LAST or (bounces and equations.restitution[j] == 0.0):
+            # The gap's curvature right after the event must lead away from the wall.
+            found[STAYS, j] = min(found[STAYS, j], away * track.guards[e, 0, j, 2] / pull)
+        if kind == SEPARATION:
+            found[RELEASE, e] = min(1.0, -away * track.guards[e - 1, -1, j, 1] / (pull * omega))
+        elif kind != WITH_LAST:
+            found[MISS, e] = min(1.0, closing[e] * omega / pull)
+            # Through a full mass matrix an impact presses riding dampers on their walls, or kicks them off.
+            for i in range(nd):
+                body = equations.position[i]
+                coupling = equations.inverse_mass[sequence.slot[e], body, equations.position[j]]
+                if i != j and sequence.wall[e, i] != 0 and coupling != 0.0:
+                    kick = track.motion[e, 0, nq + body] - track.motion[e - 1, -1, nq + body]
+                    sign = 1.0 if sequence.wall[e, i] == 1 else -1.0
+                    found[KICKED, i] = min(found[KICKED, i], sign * kick * omega / pull)
+        if leaves:
+            # At length 0 the equations of a flight say nothing, so a curve ends before.
+            landing = (e + 1) % events
+            while sequence.damper[landing] != j:
+                landing = (landing + 1) % events
+            length = instants[landing] - instants[e] + (equations.period if landing <= e else 0.0)
+            if sequence.kind[landing] == (CEILING if ceiling else FLOOR):
+                found[FLIGHT_ENDS, j] = min(found[FLIGHT_ENDS, j], length * omega - SHORTEST_FLIGHT)
+    return found
+
+
+@njit(cache=True)
+def survey(
+    equations: Equations, sequence: Sequence, shot: Shot, instants: Array
+) -> tuple[Array, NDArray[np.complex128], Array]:
+    """Follow an orbit that a shot has met; its `reach` and `harmonic` as in `Track`, and its `rooms`, made flat."""
+    track = follow(equations, sequence, instants, shot.states)
+    return track.reach, track.harmonic, rooms(equations, sequence, track, instants, shot.closing).ravel()

@@ -1,0 +1,348 @@
+"""Curves of exact orbits over frequency, force, clearance or mass ratio: stable and unstable, across borders.
+
+A sequence of events is followed through folds to the edge of the range or to a border, where the motion stops
+being possible as it is: a graze, a release, a stay that vanishes, two events that change order. Beyond the
+border another sequence takes over; it is found by running the exact motion on from the border, and followed
+in turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.errors import RunError, SceneError
+from rig.numerics import continuation
+from rig.orbits.event_sequence import Plan
+from rig.orbits.orbit import Following, Orbit
+from rig.orbits.periodic_orbit import enter, refine, search, start_march
+from rig.orbits.problem import PARAMETERS, Parameter, Problem, Setting, vary
+from rig.scene.scene import Scene
+
+Array = NDArray[np.float64]
+
+STEPS = continuation.Steps(first=5e-3, longest=0.25, turn=0.12, shortest=1e-7, points=1500)
+# Distance past a border, relative to the parameter, at which the motion beyond is looked for.
+BEYOND = 2e-6
+# The same for where the motion settles.
+FARTHER = (2e-5, 3e-4, 3e-3)
+# Branches after which no more are followed: near irregular motion there is no end of them.
+MOST = 60
+
+
+@dataclass(frozen=True)
+class OrbitBranch:
+    """Orbits with one sequence of events along a continuous curve.
+
+    Attributes
+    ----------
+    parameter : str
+    value : ndarray, shape (points,)
+        Of the parameter (Hz, N, m, or factor on the mass ratios); not monotonic where the curve folds.
+    orbits : tuple of Orbit, length points
+    ends : tuple of str
+        Why the curve ends before its first and after its last point.
+    folds, doublings, toruses : ndarray
+        Values of the parameter at which the curve turns back, at which a multiplier passes -1 (period
+        doubling), and at which a complex pair leaves the unit circle.
+    """
+
+    parameter: Parameter
+    value: Array
+    orbits: tuple[Orbit, ...]
+    ends: tuple[str, str]
+    folds: Array
+    doublings: Array
+    toruses: Array
+    plan: Plan = field(repr=False)
+    curve: continuation.Curve = field(repr=False)
+
+    @property
+    def motion_type(self) -> str:
+        """Types of the dampers."""
+        return self.orbits[0].motion_type
+
+    @property
+    def stable(self) -> NDArray[np.bool_]:
+        """Whether each orbit is stable."""
+        return np.array([orbit.stable for orbit in self.orbits])
+
+    @property
+    def compliance(self) -> NDArray[np.complex128]:
+        """First harmonics over the force [m/N], shape (bodies, points)."""
+        return np.array([orbit.compliance for orbit in self.orbits]).T
+
+    @property
+    def peak(self) -> Array:
+        """Half the ranges of the displacements [m], shape (bodies, points)."""
+        return np.array([orbit.peak for orbit in self.orbits]).T
+
+
+@dataclass(frozen=True)
+class OrbitCurve:
+    """What was found over a range of a parameter.
+
+    Attributes
+    ----------
+    branches : tuple of OrbitBranch
+    failures : tuple of str
+        Where a branch or what lies beyond a border was not found, why, and the last good point.
+    """
+
+    branches: tuple[OrbitBranch, ...]
+    failures: tuple[str, ...]
+
+
+def follow_orbits(
+    scene: Scene,
+    parameter: Parameter,
+    bounds: tuple[float, float],
+    *,
+    frequency: float | None = None,
+    searches: int = 5,
+    progress: Callable[[int], None] | None = None,
+) -> OrbitCurve:
+    """Follow all orbits that simulation from rest and crossing borders lead to.
+
+    Parameters
+    ----------
+    scene : Scene
+        As for `rig.periodic_orbit`.
+    parameter : {'frequency', 'force', 'clearance', 'mass_ratio'}
+        What is varied: Hz, level of the drive (N), clearance of all dampers (m), factor on their masses.
+    bounds : tuple of float
+        Range of the parameter.
+    frequency : float, optional
+        Hz; needed unless it is the parameter.
+    searches : int
+        Number of values at which motions are looked for, from rest and from full swing.
+    progress : callable, optional
+        Called with the number of orbits found so far.
+
+    Returns
+    -------
+    OrbitCurve
+
+    Raises
+    ------
+    SceneError
+        If the parameter or its range makes no sense.
+    """
+    if parameter not in PARAMETERS:
+        raise SceneError(f"parameter {parameter!r}: expected one of {', '.join(PARAMETERS)}")
+    if not 0 < bounds[0] < bounds[1]:
+        raise SceneError(f"range {bounds[0]:g} to {bounds[1]:g}: expected two rising values above 0")
+    if parameter != "frequency" and frequency is None:
+        raise SceneError(f"following the {parameter} needs a frequency")
+    problem = Problem(scene)
+    base = problem.setting(bounds[0] if frequency is None else frequency)
+    explorer = _Explorer(problem, base, parameter, bounds, progress)
+    low, high = bounds
+    for value in np.linspace(low, high, searches + 2)[1:-1]:
+        explorer.search(float(value))
+    return OrbitCurve(tuple(explorer.branches), tuple(dict.fromkeys(explorer.failures)))
+
+
+class _Explorer:
+    """Finds branches from starts, and from the borders of branches that it has found."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        base: Setting,
+        parameter: Parameter,
+        bounds: tuple[float, float],
+        progress: Callable[[int], None] | None,
+    ) -> None:
+        self.problem, self.parameter, self.bounds = problem, parameter, bounds
+        self.base, self.at = base, vary(base, parameter)
+        self.progress = progress
+        self.branches: list[OrbitBranch] = []
+        self.failures: list[str] = []
+
+    def search(self, value: float) -> None:
+        """Add the branches of the motions from rest and from full swing, and all that borders on them."""
+        for moving in (False, True):
+            try:
+                march, _ = start_march(self.problem, self.at(value), moving)
+                self._add(search(self.problem, self.at(value), march))
+            except RunError as failure:
+                self.failures.append(f"at {self.parameter} {value:.6g}: {failure}")
+
+    def _add(self, orbit: Orbit) -> None:
+        """Follow an orbit unless a branch holds it, then look beyond the borders, and so on."""
+        waiting = [orbit]
+        while waiting:
+            start = waiting.pop(0)
+            if len(self.branches) == MOST:
+                self.failures.append(
+                    f"{MOST} branches followed, but not the one through {self.parameter} "
+                    f"{getattr(start.setting, self.parameter):.8g} [{start.plan.label}] and what lies beyond"
+                )
+                return
+            if any(self._holds(branch, start) for branch in self.branches):
+                continue
+            branch = self._follow(start)
+            self.branches.append(branch)
+            if self.progress is not None:
+                self.progress(sum(len(b.orbits) for b in self.branches))
+            for index in self._losses(branch):
+                waiting += self._shaken(branch.orbits[index])
+            for side in (0, 1):
+                beyond = self._beyond(branch, side)
+                if beyond is not None:
+                    waiting.append(beyond)
+
+    def _follow(self, start: Orbit) -> OrbitBranch:
+        following = Following(self.problem, start.plan, start.setting, self.parameter, start.unknowns)
+        x = np.append(start.unknowns, getattr(start.setting, self.parameter))
+        curve = continuation.trace(following, x, self.bounds, following.scale, STEPS, following.rooms)
+        orbits = tuple(following.orbit(x) for x in curve.points)
+        return OrbitBranch(
+            parameter=self.parameter,
+            value=curve.points[:, -1],
+            orbits=orbits,
+            ends=curve.ends,
+            folds=_located(following, curve, curve.folds, lambda x, way: float(way[-1])),
+            doublings=_crossings(following, curve, orbits, _minus_one),
+            toruses=_crossings(following, curve, orbits, _pair),
+            plan=start.plan,
+            curve=curve,
+        )
+
+    def _losses(self, branch: OrbitBranch) -> list[int]:
+        """Points at which a branch has just lost its stability other than by turning back."""
+        found = []
+        for value in (*branch.doublings, *branch.toruses):
+            for i in np.flatnonzero((branch.value[:-1] - value) * (branch.value[1:] - value) <= 0).tolist():
+                stable = branch.orbits[i].stable, branch.orbits[i + 1].stable
+                if stable[0] != stable[1]:
+                    found.append(i + 1 if stable[0] else i)
+        return found
+
+    def _shaken(self, orbit: Orbit) -> list[Orbit]:
+        """Find what an unstable orbit becomes when it is left alone, if that repeats."""
+        march, _ = start_march(self.problem, orbit.setting)
+        enter(march, orbit)
+        n = march.system.states
+        march.state.z[:n] *= 1 + 1e-5 * np.cos(np.arange(n))
+        try:
+            return [search(self.problem, orbit.setting, march)]
+        except RunError as failure:
+            value = getattr(orbit.setting, self.parameter)
+            self.failures.append(
+                f"where Type {orbit.motion_type} is unstable, {self.parameter} {value:.8g}: {failure}"
+            )
+            return []
+
+    def _holds(self, branch: OrbitBranch, orbit: Orbit) -> bool:
+        """Whether an orbit lies on a branch: same events, and same response after interpolation."""
+        if not branch.plan.same_cycle(orbit.plan):
+            return False
+        offset = branch.value - getattr(orbit.setting, self.parameter)
+        near = np.flatnonzero(offset[:-1] * offset[1:] <= 0).tolist()
+        # A start just beyond an end, as the search from a neighbouring branch's border gives it.
+        if abs(offset[0]) < 1e-3 * abs(branch.value[0]):
+            near.append(0)
+        if abs(offset[-1]) < 1e-3 * abs(branch.value[-1]):
+            near.append(len(offset) - 2)
+        responses = branch.compliance
+        size = np.abs(orbit.compliance).max()
+        for i in near:
+            if i < 0 or len(offset) < 2:
+                return bool(np.abs(responses[:, 0] - orbit.compliance).max() < 0.02 * size)
+            share = offset[i] / (offset[i] - offset[i + 1]) if offset[i] != offset[i + 1] else 0.0
+            there = responses[:, i] + share * (responses[:, i + 1] - responses[:, i])
+            if np.abs(there - orbit.compliance).max() < 0.01 * size:
+                return True
+        return False
+
+    def _beyond(self, branch: OrbitBranch, side: int) -> Orbit | None:
+        """Orbit on the other side of a branch's end, if the end is a border."""
+        end = branch.ends[side]
+        last = branch.orbits[0 if side == 0 else -1]
+        value = float(branch.value[0 if side == 0 else -1])
+        if end in ("range", "closed"):
+            return None
+        where = f"at {self.parameter} {value:.8g} (Type {last.motion_type}, events [{last.plan.label}])"
+        if end.startswith("no convergence") or end == "points":
+            self.failures.append(f"{where}: {end}")
+        tangent = branch.curve.tangents[0 if side == 0 else -1]
+        way = np.sign(tangent[-1]) * (1 if side == 1 else -1)
+        try:
+            return self._run_on(last, value, float(way))
+        except RunError as failure:
+            self.failures.append(f"beyond {where}, where {end}: {failure}")
+            return None
+
+    def _run_on(self, orbit: Orbit, value: float, way: float) -> Orbit:
+        """Find the orbit on the other side of a border: the nearest one, else what the motion settles to."""
+        # At a border the curve may turn back in the parameter, so that the nearest orbit may lie on either side.
+        for past in (BEYOND, -BEYOND, 10 * BEYOND, -10 * BEYOND):
+            target = value * (1 + way * past)
+            if not self.bounds[0] <= target <= self.bounds[1]:
+                continue
+            setting = self.at(target)
+            march, steps = start_march(self.problem, setting)
+            enter(march, orbit)
+            for _ in range(3):
+                try:
+                    found = refine(self.problem, setting, march, steps, orbit.repetition)
+                except RunError:
+                    continue
+                close = (
+                    np.abs(found.compliance - orbit.compliance).max() < 0.05 * np.abs(orbit.compliance).max()
+                )
+                if close and not found.flaw and not found.plan.same_cycle(orbit.plan):
+                    return found
+        # So near to the border the new event may be too small to be seen in a motion that has settled to 1e-7.
+        for past in FARTHER[:-1]:
+            try:
+                return self._settled_past(orbit, value, way * past)
+            except RunError:
+                continue
+        return self._settled_past(orbit, value, way * FARTHER[-1])
+
+    def _settled_past(self, orbit: Orbit, value: float, past: float) -> Orbit:
+        setting = self.at(float(np.clip(value * (1 + past), *self.bounds)))
+        march, _ = start_march(self.problem, setting)
+        enter(march, orbit)
+        return search(self.problem, setting, march)
+
+
+def _minus_one(multipliers: NDArray[np.complex128]) -> float:
+    """Negative if an odd number of multipliers lies below -1; changes sign at a period doubling."""
+    return float(np.prod(1 + multipliers).real)
+
+
+def _pair(multipliers: NDArray[np.complex128]) -> float:
+    """Positive if a complex pair lies outside the unit circle."""
+    pairs = multipliers[np.abs(multipliers.imag) > 1e-9]
+    return float(np.abs(pairs).max(initial=0.5) - 1)
+
+
+def _crossings(
+    following: Following,
+    curve: continuation.Curve,
+    orbits: tuple[Orbit, ...],
+    test: Callable[[NDArray[np.complex128]], float],
+) -> Array:
+    values = np.array([test(orbit.multipliers) for orbit in orbits])
+    where = np.flatnonzero(values[:-1] * values[1:] < 0)
+    return _located(following, curve, where, lambda x, way: test(following.multipliers(x)))
+
+
+def _located(
+    following: Following, curve: continuation.Curve, where: NDArray[np.int64], monitor: continuation.Monitor
+) -> Array:
+    """Parameter values at which a monitor changes sign; mid-step where it cannot be closed in."""
+    found = []
+    for i in where:
+        try:
+            found.append(continuation.locate(following, curve, int(i), monitor)[0][-1])
+        except continuation.NoConvergence:
+            found.append(curve.points[i : i + 2, -1].mean())
+    return np.array(found)

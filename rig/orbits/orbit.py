@@ -1,0 +1,256 @@
+"""A periodic motion, and the equations that it solves while one parameter is free."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dgeev
+
+from rig.engine.contact import CEILING_IMPACT, FLOOR_IMPACT
+from rig.engine.contact import SEPARATION as SEPARATED
+from rig.engine.trajectory import EVENT, KINDS
+from rig.errors import RunError
+from rig.orbits.admissibility import survey
+from rig.orbits.event_sequence import Plan
+from rig.orbits.problem import Parameter, Problem, Setting, vary
+from rig.orbits.shooting import (
+    CEILING,
+    CEILING_BOUNCE,
+    FLOOR,
+    FLOOR_BOUNCE,
+    Change,
+    Equations,
+    Shot,
+    correct,
+    monodromy,
+    shoot,
+)
+from rig.response.motion_type import overall
+from rig.scene.shaker import ForceShaker
+from rig.system.assembly import spring_force_row
+
+Array = NDArray[np.float64]
+
+# Room below which an orbit is impossible as a motion; less is rounding.
+ROUNDING = 1e-9
+CORRECTIONS = 25
+
+
+@dataclass(frozen=True)
+class Orbit:
+    """A periodic motion.
+
+    Attributes
+    ----------
+    setting : Setting
+        Frequency [Hz], level of the drive, and clearance and mass ratio where they were varied.
+    repetition : int
+        Length in periods of the drive.
+    events : structured ndarray
+        `time` [s] from the start of a period of the drive, `damper` (from 1), `kind` (separation, floor,
+        ceiling) and closing `speed` [m/s], as in `rig.simulate`.
+    motion_type : str
+        Types of the dampers, as in `rig.frequency_response`.
+    compliance : ndarray of complex, shape (bodies,)
+        First harmonic of each displacement over that of the force [m/N].
+    peak : ndarray, shape (bodies,)
+        Half the range of each displacement [m].
+    multipliers : ndarray of complex
+        Floquet multipliers: one for each state and two for each damper in flight at the start.
+    room : float
+        Distance to the nearest border, at which the motion stops being possible as it is: gaps in g/w^2,
+        accelerations in g, times in 1/w. At most 1, negative beyond the border.
+    border : str
+        Name of that border.
+    residual : float
+        Distance by which the orbit misses its start after a period, relative to the motion.
+    unknowns : ndarray
+        State at the start, heights and velocities of dampers in flight, and instants, see `rig.shooting`.
+    plan : Plan
+        The sequence of events.
+    """
+
+    setting: Setting
+    repetition: int
+    events: NDArray[np.void]
+    motion_type: str
+    damper_motion: tuple[str, ...]
+    compliance: NDArray[np.complex128]
+    peak: Array
+    multipliers: NDArray[np.complex128]
+    room: float
+    border: str
+    residual: float
+    unknowns: Array = field(repr=False)
+    plan: Plan = field(repr=False)
+
+    @property
+    def frequency(self) -> float:
+        """Frequency of the drive [Hz]."""
+        return self.setting.frequency
+
+    @property
+    def stable(self) -> bool:
+        """Whether every Floquet multiplier lies inside the unit circle."""
+        return bool((np.abs(self.multipliers) < 1).all())
+
+    @property
+    def flaw(self) -> str:
+        """What makes the orbit impossible as a motion, "" if nothing does; a guess may lead past a border."""
+        return self.border if self.room < -ROUNDING else ""
+
+
+def solve(problem: Problem, plan: Plan, setting: Setting, unknowns: Array, most: int = CORRECTIONS) -> Orbit:
+    """Solve the equations of an orbit for one setting by Newton's iteration of at most so many corrections.
+
+    Raises
+    ------
+    RunError
+        If the iteration does not settle.
+    """
+    curve = Following(problem, plan, setting, "frequency", unknowns)
+    equations, change = curve.tables(setting.frequency)
+    where = f"no orbit with events [{plan.label}] near {setting.frequency:.6g} Hz"
+    try:
+        x, _, shot, last, count = correct(
+            equations, change, plan.sequence, unknowns, curve.scale[:-1], curve.rows, most
+        )
+    except np.linalg.LinAlgError:
+        raise RunError(f"{where}: the equations are singular here") from None
+    if count < 0:
+        raise RunError(f"{where}: the corrections do not settle (last one {last:.1e})")
+    return curve.describe(setting, x, equations, shot)
+
+
+class Following:
+    """The equations of an orbit with one parameter free, as `rig.continuation` takes them.
+
+    Parameters
+    ----------
+    problem : Problem
+    plan : Plan
+        Events of the orbit.
+    setting : Setting
+        Everything but the parameter.
+    parameter : {'frequency', 'force', 'clearance', 'mass_ratio'}
+    unknowns : ndarray
+        A first guess; sets the scales.
+    """
+
+    def __init__(
+        self, problem: Problem, plan: Plan, setting: Setting, parameter: Parameter, unknowns: Array
+    ) -> None:
+        self.problem, self.plan, self.parameter = problem, plan, parameter
+        self.at = vary(setting, parameter)
+        system = problem.system
+        omega, nq = 2 * np.pi * setting.frequency, system.coordinates
+        state = unknowns[: system.states]
+        size = np.abs(state[:nq]).max(initial=0.0) + np.abs(state[nq : 2 * nq]).max(initial=0.0) / omega
+        size += system.gravity / omega**2
+        further = np.abs(state[2 * nq :]) + 1e-3
+        flights = np.tile([size, omega * size], len(plan.flying))
+        times = np.full(len(plan.sequence.kind), 1 / omega)
+        start = np.concatenate([np.full(nq, size), np.full(nq, omega * size), further, flights])
+        value = getattr(setting, parameter)
+        self.scale = np.concatenate(
+            [start, times, [abs(value) * (0.02 if parameter == "frequency" else 0.2)]]
+        )
+        guards = [1 / omega if k == 5 else (system.gravity if k == 0 else size) for k in plan.sequence.kind]
+        self.rows = np.concatenate([start, guards])
+        self.borders = plan.borders
+        self.types = tuple(_type(plan, j) for j in range(system.dampers))
+        self.motion_type = overall(list(self.types))
+        self.bodies = problem.scene.structure.bodies
+
+    def tables(self, value: float) -> tuple[Equations, Change]:
+        """Equations at a value of the parameter, and how they change with it."""
+        return self.problem.equations(self.at(value), self.plan, self.parameter)
+
+    def __call__(self, x: Array) -> tuple[Array, Array]:
+        """Scaled residual and jacobian."""
+        shot = shoot(*self.tables(float(x[-1])), self.plan.sequence, x[:-1])
+        return shot.residual / self.rows, shot.jacobian / self.rows[:, None]
+
+    def orbit(self, x: Array) -> Orbit:
+        """Describe the orbit at a solution."""
+        equations, change = self.tables(float(x[-1]))
+        shot = shoot(equations, change, self.plan.sequence, x[:-1])
+        return self.describe(self.at(float(x[-1])), x[:-1], equations, shot)
+
+    def rooms(self, x: Array) -> tuple[Array, tuple[str, ...]]:
+        """Room to each border, and the borders' names, as `rig.continuation.trace` takes them."""
+        equations, change = self.tables(float(x[-1]))
+        shot = shoot(equations, change, self.plan.sequence, x[:-1])
+        distances = survey(equations, self.plan.sequence, shot, self._instants(x[:-1]))[2]
+        return distances + ROUNDING, self.borders
+
+    def multipliers(self, x: Array) -> NDArray[np.complex128]:
+        """Floquet multipliers at a solution."""
+        return self._multipliers(shoot(*self.tables(float(x[-1])), self.plan.sequence, x[:-1]))
+
+    def _multipliers(self, shot: Shot) -> NDArray[np.complex128]:
+        period_map = monodromy(shot, len(self.plan.sequence.kind), self.scale[:-1], self.rows)
+        real, imaginary, *_ = dgeev(period_map, compute_vl=0, compute_vr=0)
+        return np.asarray(real + 1j * imaginary, dtype=np.complex128)
+
+    def _instants(self, unknowns: Array) -> Array:
+        return unknowns[len(unknowns) - len(self.plan.sequence.kind) :]
+
+    def describe(self, setting: Setting, unknowns: Array, equations: Equations, shot: Shot) -> Orbit:
+        """Describe the orbit that a shot has met."""
+        problem, plan = self.problem, self.plan
+        instants = self._instants(unknowns)
+        reach, integral, distances = survey(equations, plan.sequence, shot, instants)
+        nearest = int(distances.argmin())
+        bodies = self.bodies
+        harmonic = 2 / equations.period * integral
+        if isinstance(problem.scene.shaker, ForceShaker):
+            force = -1j * setting.force
+        else:
+            force = complex(spring_force_row(problem.scene, problem.system) @ harmonic)
+        return Orbit(
+            setting=setting,
+            repetition=plan.repetition,
+            events=_event_table(problem, plan, instants, shot.closing),
+            motion_type=self.motion_type,
+            damper_motion=self.types,
+            compliance=harmonic[:bodies] / force,
+            peak=0.5 * (reach[:bodies, 1] - reach[:bodies, 0]),
+            multipliers=self._multipliers(shot),
+            room=float(distances[nearest]),
+            border=self.borders[nearest] if distances[nearest] < 1 else "",
+            residual=float(np.abs(shot.residual / self.rows).max()),
+            unknowns=unknowns.copy(),
+            plan=plan,
+        )
+
+
+def _type(plan: Plan, damper: int) -> str:
+    """Type of one damper's motion, in the words of `rig.motion_type`."""
+    kinds = plan.sequence.kind[plan.sequence.damper == damper]
+    floor = int(np.isin(kinds, (FLOOR, FLOOR_BOUNCE)).sum())
+    ceiling = int(np.isin(kinds, (CEILING, CEILING_BOUNCE)).sum())
+    if floor + ceiling == 0:
+        return "riding"
+    if plan.repetition == 1 and floor == 1 and ceiling == 0:
+        return "I"
+    if plan.repetition == 1 and floor == 1 and ceiling == 1:
+        return "III" if CEILING in kinds else "II"
+    return f"{floor + ceiling} per {plan.repetition}"
+
+
+def _event_table(problem: Problem, plan: Plan, instants: Array, closing: Array) -> NDArray[np.void]:
+    """Events as `rig.simulate` lists them: a bounce without rebound is an impact and a separation at one instant."""
+    rows = []
+    for time, damper, kind, speed in zip(
+        instants, plan.sequence.damper, plan.sequence.kind, closing, strict=True
+    ):
+        number = problem.system.damper_number[damper]
+        if kind in (FLOOR, FLOOR_BOUNCE, CEILING, CEILING_BOUNCE):
+            wall = FLOOR_IMPACT if kind in (FLOOR, FLOOR_BOUNCE) else CEILING_IMPACT
+            rows.append((time, number, KINDS[wall], speed))
+        if kind not in (FLOOR, CEILING) and not problem.system.restitution[damper]:
+            rows.append((time, number, KINDS[SEPARATED], 0.0))
+    return np.array(rows, dtype=EVENT)

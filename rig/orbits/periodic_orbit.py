@@ -1,0 +1,219 @@
+"""Exact periodic motions of a scene with all its modes and dampers, stable or not."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.engine.contact import FLIGHT
+from rig.engine.propagator import March, tone_march
+from rig.engine.trajectory import Course
+from rig.errors import RunError, SceneError
+from rig.orbits.event_sequence import Plan, make_plan, plan_from
+from rig.orbits.orbit import Orbit, solve
+from rig.orbits.problem import Problem, Setting
+from rig.response.steady_state import LONGEST_REPETITION, settle
+from rig.scene.scene import Scene
+
+Array = NDArray[np.float64]
+
+# Periods that a search follows the motion for before it takes the motion for irregular.
+LONGEST = 4000
+# Periods after which a search tries whether Newton's iteration already leads to an orbit near by, again and again.
+EARLY = (16, 64, 256)
+# Change from period to period, relative to the motion, of one that almost repeats.
+ALMOST = 1e-6
+# Distance to the motion, relative to it, of an orbit that counts as the one it was settling to.
+NEAR = 0.05
+# Periods over which it must come nearer, unless it is this close.
+CONFIRMED, CLOSE = 16, 1e-6
+
+
+def periodic_orbit(scene: Scene, frequency: float, start: Orbit | None = None) -> Orbit:
+    """Find a periodic motion of a scene at a frequency.
+
+    Parameters
+    ----------
+    scene : Scene
+        With a shaker and a test that gives a level. Where the test holds the amplitude of the spring force,
+        that force is put on the driven body as a pure tone, which is what an ideal controller holds.
+    frequency : float
+        Hz.
+    start : Orbit, optional
+        An orbit of this scene near by, with the same events; without one the motion is simulated from rest
+        until it repeats, and made exact from there.
+
+    Returns
+    -------
+    Orbit
+
+    Raises
+    ------
+    SceneError
+        If the frequency is not positive, nothing drives the scene, or it has impacts that the method does not
+        cover.
+    RunError
+        If the motion does not repeat, or Newton's iteration does not settle; the message says where.
+
+    Examples
+    --------
+    >>> import rig
+    >>> orbit = rig.periodic_orbit(rig.load("fig9"), 49.6)
+    >>> orbit.motion_type, orbit.stable, len(orbit.events)
+    ('II', True, 4)
+    """
+    if not (np.isfinite(frequency) and frequency > 0):
+        raise SceneError(f"frequency {frequency!r}: expected a positive number of hertz")
+    problem = Problem(scene)
+    setting = problem.setting(frequency)
+    if start is not None:
+        return solve(problem, start.plan, setting, start.unknowns)
+    return search(problem, setting)
+
+
+def search(problem: Problem, setting: Setting, start: March | None = None, longest: int = LONGEST) -> Orbit:
+    """Simulate until the motion repeats, for at most some `longest` periods, and make it exact."""
+    march, steps = start_march(problem, setting) if start is None else (start, period_steps(start, setting))
+    march.start_period(1.0)
+    for periods in EARLY:
+        _run(march, steps, periods)
+        found = _near(problem, setting, march, steps, 1)
+        if found is not None:
+            return found
+    steady = settle(march, steps, 1.0, 1e-7, longest)
+    if steady.repetition:
+        orbit = refine(problem, setting, march, steps, steady.repetition)
+        if orbit.flaw:
+            raise RunError(
+                f"the motion at {setting.frequency:.6g} Hz repeats after {steady.repetition} periods, but the orbit "
+                f"with its events [{orbit.plan.label}] is impossible: {orbit.flaw}"
+            )
+        return orbit
+    if steady.residual < ALMOST:
+        # It repeats, but its slow decay does not tell after how many periods.
+        for repetition in range(1, LONGEST_REPETITION + 1):
+            found = _near(problem, setting, march, steps, repetition)
+            if found is not None:
+                return found
+    raise RunError(
+        f"no periodic motion found at {setting.frequency:.6g} Hz: after {longest} periods the motion "
+        f"still changes by {steady.residual:.1e} of itself from period to period"
+    )
+
+
+def _near(problem: Problem, setting: Setting, march: March, steps: float, repetition: int) -> Orbit | None:
+    """Find the stable orbit that a motion is settling to, if Newton's iteration leads to one near by."""
+    try:
+        orbit = refine(problem, setting, march, steps, repetition)
+    except RunError:
+        return None
+    if orbit.flaw or not orbit.stable:
+        return None
+    away = _distance(march, orbit)
+    if away > NEAR:
+        return None
+    # A motion that only passes by, as irregular ones do, moves away again.
+    course = _run(march, steps, CONFIRMED * repetition)
+    struck = np.count_nonzero(course.event_kind) // repetition
+    same = struck == CONFIRMED * np.count_nonzero(orbit.events["kind"] != "separation") // orbit.repetition
+    return orbit if same and _distance(march, orbit) < max(away, CLOSE) else None
+
+
+def _distance(march: March, orbit: Orbit) -> float:
+    """Distance of a march at the start of a period from an orbit, relative to the motion."""
+    nq = march.system.coordinates
+    away = march.state.z[: 2 * nq] - orbit.unknowns[: 2 * nq]
+    away[nq:] /= 2 * np.pi * orbit.frequency
+    return float(np.abs(away).max() / orbit.peak.max())
+
+
+def _run(march: March, steps: float, periods: int) -> Course:
+    """Run through whole periods."""
+    rows, anew = np.full(periods, -1), np.ones(periods, dtype=bool)
+    return march.over_marks(np.full(periods, steps), rows, anew)
+
+
+def start_march(problem: Problem, setting: Setting, moving: bool = False) -> tuple[March, float]:
+    """March with all dampers on their floors, at the start of a period; and the steps in a period.
+
+    At rest, or, `moving`, in the steady motion that the structure would have were the dampers to stay on
+    their floors.
+    """
+    system = problem.changed(setting)
+    march, steps = tone_march(system, problem.amplitudes(setting), 2 * np.pi * setting.frequency)
+    state = system.initial.copy()
+    if moving:
+        riding = make_plan([], [], np.ones(system.dampers), 1)
+        equations, _ = problem.equations(setting, riding)
+        a, n = equations.generator[0], system.states
+        # x = X (cos wt, sin wt): the first column of X is the state at the start.
+        drive = (a[:n, n] - 1j * a[:n, n + 1]).astype(np.complex128)
+        state += np.linalg.solve(1j * equations.omega * np.eye(n) - a[:n, :n], drive).real
+    march.place(state, np.array([1.0, 0.0]))
+    return march, steps
+
+
+def period_steps(march: March, setting: Setting) -> float:
+    """Step lengths of a march in a period."""
+    return float(np.round(1 / (setting.frequency * march.tables.step)))
+
+
+def refine(problem: Problem, setting: Setting, march: March, steps: float, repetition: int) -> Orbit:
+    """Make the motion that a march is on (at the start of a period) an exact orbit."""
+    plan, unknowns = read_cycle(march, steps, repetition)
+    orbit = solve(problem, plan, setting, unknowns)
+    shorter = first_part(orbit)
+    return orbit if shorter is None else solve(problem, *shorter)
+
+
+def first_part(orbit: Orbit) -> tuple[Plan, Setting, Array] | None:
+    """Cut an orbit that goes several times round the same cycle to one round; None if it does not."""
+    sequence, events = orbit.plan.sequence, len(orbit.plan.sequence.kind)
+    instants = orbit.unknowns[len(orbit.unknowns) - events :]
+    for rounds in range(orbit.repetition, 1, -1):
+        if orbit.repetition % rounds or events % rounds:
+            continue
+        count = events // rounds
+        span = orbit.repetition // rounds / orbit.frequency
+        shift = np.arange(events) // max(count, 1) * span
+        pairs = np.stack([sequence.kind, sequence.damper, (instants - shift) * orbit.frequency])
+        again = np.tile(pairs[:, :count], rounds)
+        if events and (not np.array_equal(pairs[:2], again[:2]) or np.abs(pairs[2] - again[2]).max() > 1e-9):
+            continue
+        kinds, dampers = sequence.kind[:count].tolist(), sequence.damper[:count].tolist()
+        plan = make_plan(kinds, dampers, sequence.wall[0], orbit.repetition // rounds)
+        return plan, orbit.setting, orbit.unknowns[: len(orbit.unknowns) - events + count]
+    return None
+
+
+def read_cycle(march: March, steps: float, repetition: int) -> tuple[Plan, Array]:
+    """Run one cycle and take down its events and the unknowns at its start."""
+    system, state = march.system, march.state
+    start = state.mode.astype(np.int8)
+    heights, speeds = state.height.copy(), state.speed.copy()
+    z = state.z[: system.states].copy()
+    course = _run(march, steps, repetition)
+    plan, order = plan_from(course, start, repetition, system)
+    instants = course.event_segment[order] * steps * march.tables.step + course.event_offset[order]
+    flights = np.array([[heights[j], speeds[j]] for j in np.flatnonzero(start == FLIGHT)]).ravel()
+    return plan, np.concatenate([z, flights, instants])
+
+
+def enter(march: March, orbit: Orbit) -> None:
+    """Put a march on an orbit at the start of a period."""
+    system, state = march.system, march.state
+    n, walls = system.states, orbit.plan.sequence.wall[0]
+    state.z[:n] = orbit.unknowns[:n]
+    march.start_period(1.0)
+    configuration = 0
+    at = n
+    for j in range(system.dampers):
+        state.mode[j] = walls[j]
+        state.multiplicity[j] = 0
+        if walls[j] == 0:
+            state.height[j], state.speed[j] = orbit.unknowns[at : at + 2]
+            at += 2
+        else:
+            configuration |= 1 << j
+    state.counters[1] = configuration
+    march.resume(march.snapshot())

@@ -1,0 +1,227 @@
+"""The periodic-orbit problem of a scene: its equations for any value of the parameter that is followed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import matrix_balance
+
+from rig.orbits.event_sequence import Plan
+from rig.orbits.shooting import Change, Equations
+from rig.scene.scene import Scene
+from rig.scene.shaker import ForceShaker
+from rig.system.assembly import assemble
+from rig.system.hybrid_system import System
+from rig.system.open_loop_drive import drive_per_level, level_of
+
+Array = NDArray[np.float64]
+Parameter = Literal["frequency", "force", "clearance", "mass_ratio"]
+PARAMETERS: tuple[Parameter, ...] = ("frequency", "force", "clearance", "mass_ratio")
+# Sets of configurations whose equations are kept.
+KEPT = 200
+
+
+def pure_force(scene: Scene) -> Scene:
+    """Put the force itself on the driven body where the test holds the amplitude of the spring force.
+
+    A spring force that is a pure tone is what an ideal controller holds; table and coil spring then have no
+    influence on the structure and drop out.
+    """
+    if (
+        scene.shaker is None
+        or isinstance(scene.shaker, ForceShaker)
+        or getattr(scene.test, "force", None) is None
+    ):
+        return scene
+    kept = [c for c in scene.channels or () if c.at != "table"]
+    shaker = {"kind": "force", "body": scene.shaker.body}
+    return scene.replace(shaker=shaker, channels=kept or None)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Values of what can be followed.
+
+    Attributes
+    ----------
+    frequency : float
+        Hz.
+    force : float
+        Level of the drive, in the unit of the scene's test (N for a force).
+    clearance : float
+        Of all dampers [m], or NaN: as in the scene.
+    mass_ratio : float
+        Factor on all damper masses of the scene.
+    """
+
+    frequency: float
+    force: float
+    clearance: float = np.nan
+    mass_ratio: float = 1.0
+
+
+class _Linear(NamedTuple):
+    """Equations of configurations: state matrices, inflows of inputs and (last column) of constant forces.
+
+    `inverse` is that of the mass matrix, `rate` bounds the state matrix, and the last three are derivatives with
+    respect to the factor on the damper masses.
+    """
+
+    matrix: Array
+    inflow: Array
+    inverse: Array
+    rate: Array
+    matrix_change: Array
+    inflow_change: Array
+    inverse_change: Array
+
+
+class Problem:
+    """A scene's equations for any setting, with tables of the configurations visited.
+
+    Parameters
+    ----------
+    scene : Scene
+        With a shaker and a test that gives a level.
+
+    Raises
+    ------
+    SceneError
+        If nothing drives the scene.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = pure_force(scene)
+        self.system = assemble(self.scene)
+        self.level = level_of(self.scene)
+        self._position = self.system.damper_coordinate.astype(np.int64)
+        self._linear: dict[tuple[tuple[int, ...], float], _Linear] = {}
+
+    def changed(self, setting: Setting) -> System:
+        """Return the compiled scene with the setting's clearance and mass ratio."""
+        system = self.system
+        if not np.isnan(setting.clearance):
+            system = replace(system, clearance=np.full(system.dampers, setting.clearance))
+        if setting.mass_ratio != 1.0:
+            system = replace(system, damper_mass=setting.mass_ratio * system.damper_mass)
+        return system
+
+    def amplitudes(self, setting: Setting) -> NDArray[np.complex128]:
+        """Complex amplitude of each input; the level is that of a sine that starts at zero."""
+        found = np.zeros(len(self.system.inputs), dtype=np.complex128)
+        gain = drive_per_level(self.scene, self.system, 2 * np.pi * setting.frequency)
+        found[self.system.inputs.index("shaker")] = -1j * setting.force * gain
+        return found
+
+    def equations(
+        self, setting: Setting, plan: Plan, parameter: Parameter = "frequency"
+    ) -> tuple[Equations, Change]:
+        """Equations of motion in the configurations of a plan, and how they change with a parameter."""
+        system, ratio = self.system, setting.mass_ratio
+        n, omega = system.states, 2 * np.pi * setting.frequency
+        amplitudes = self.amplitudes(setting)
+        drive = np.column_stack([amplitudes.real, -amplitudes.imag])
+        drive_change = self._drive_change(setting, parameter, drive)
+        linear = self._configurations(plan.configurations, ratio)
+        generator, change = np.zeros((2, len(plan.configurations), n + 3, n + 3))
+        generator[:, :n, :n] = linear.matrix
+        generator[:, :n, n : n + 2] = linear.inflow[:, :, :-1] @ drive
+        generator[:, :n, n + 2] = linear.inflow[:, :, -1]
+        generator[:, n, n + 1], generator[:, n + 1, n] = -omega, omega
+        inverse_change = np.zeros_like(linear.inverse)
+        if parameter == "frequency":
+            change[:, n, n + 1], change[:, n + 1, n] = -2 * np.pi, 2 * np.pi
+        if drive_change is not None:
+            change[:, :n, n : n + 2] = linear.inflow[:, :, :-1] @ drive_change
+        if parameter == "mass_ratio":
+            change[:, :n, :n] = linear.matrix_change
+            change[:, :n, n : n + 2] = linear.inflow_change[:, :, :-1] @ drive
+            change[:, :n, n + 2] = linear.inflow_change[:, :, -1]
+            inverse_change = linear.inverse_change
+        nothing = np.zeros(system.dampers)
+        given = np.isnan(setting.clearance)
+        period = plan.repetition / setting.frequency
+        return Equations(
+            generator=generator,
+            rate=np.maximum(linear.rate, omega),
+            inverse_mass=linear.inverse,
+            position=self._position,
+            mass=ratio * system.damper_mass,
+            clearance=system.clearance if given else np.full(system.dampers, setting.clearance),
+            restitution=system.restitution,
+            gravity=float(system.gravity),
+            omega=omega,
+            period=period,
+        ), Change(
+            generator=change,
+            inverse_mass=inverse_change,
+            mass=system.damper_mass if parameter == "mass_ratio" else nothing,
+            clearance=np.ones(system.dampers) if parameter == "clearance" else nothing,
+            omega=2 * np.pi if parameter == "frequency" else 0.0,
+            period=-period / setting.frequency if parameter == "frequency" else 0.0,
+        )
+
+    def _drive_change(self, setting: Setting, parameter: Parameter, drive: Array) -> Array | None:
+        """Differentiate the drive's amplitudes (cosine, sine); None if the parameter leaves them alone."""
+        if parameter == "force":
+            return np.asarray(drive / setting.force)
+        if parameter != "frequency" or isinstance(self.scene.shaker, ForceShaker):
+            return None
+        # What the table's servo needs for a displacement is smooth in the frequency: good to some 1e-10.
+        step = 1e-6 * setting.frequency
+        sides = (replace(setting, frequency=setting.frequency + sign * step) for sign in (1, -1))
+        above, below = (self.amplitudes(side) for side in sides)
+        slope = (above - below) / (2 * step)
+        return np.column_stack([slope.real, -slope.imag])
+
+    def _configurations(self, configurations: tuple[int, ...], mass_ratio: float) -> _Linear:
+        """Equations of some configurations (bit j set: damper j rides), one after the other."""
+        key = (configurations, mass_ratio)
+        if key not in self._linear and len(configurations) == 1:
+            self._linear[key] = self._configuration(configurations[0], mass_ratio)
+        elif key not in self._linear:
+            # A mass ratio that is followed takes a new value at every step: keep but the last few.
+            if len(self._linear) > KEPT:
+                self._linear.clear()
+            each = [self._configurations((one,), mass_ratio) for one in configurations]
+            self._linear[key] = _Linear(*(np.concatenate(parts) for parts in zip(*each, strict=True)))
+        return self._linear[key]
+
+    def _configuration(self, configuration: int, mass_ratio: float) -> _Linear:
+        system = self.system
+        nq, n = system.coordinates, system.states
+        riding = np.array([j for j in range(system.dampers) if configuration >> j & 1], dtype=np.intp)
+        rows, masses = system.damper_coordinate[riding], system.damper_mass[riding]
+        added = np.zeros((nq, nq))
+        np.add.at(added, (rows, rows), masses)
+        weight = -system.gravity * added.sum(axis=0)
+        constant = system.force_constant + mass_ratio * weight
+        inverse = np.asarray(np.linalg.inv(system.mass + mass_ratio * added), dtype=np.float64)
+        inverse_change = -inverse @ added @ inverse
+        matrix, inflow = np.zeros((n, n)), np.zeros((n, len(system.inputs) + 1))
+        matrix_change, inflow_change = np.zeros_like(matrix), np.zeros_like(inflow)
+        matrix[:nq, nq : 2 * nq] = np.eye(nq)
+        matrix[nq : 2 * nq] = inverse @ system.force_state
+        matrix[2 * nq :] = system.rate_state
+        inflow[nq : 2 * nq, :-1] = inverse @ system.force_drive
+        inflow[2 * nq :, :-1] = system.rate_drive
+        inflow[nq : 2 * nq, -1] = inverse @ constant
+        matrix_change[nq : 2 * nq] = inverse_change @ system.force_state
+        inflow_change[nq : 2 * nq, :-1] = inverse_change @ system.force_drive
+        inflow_change[nq : 2 * nq, -1] = inverse_change @ constant + inverse @ weight
+        rate = np.array(float(np.linalg.norm(matrix_balance(matrix, permute=False)[0], 1)))
+        parts = (matrix, inflow, inverse, rate, matrix_change, inflow_change, inverse_change)
+        return _Linear(*(part[None] for part in parts))
+
+    def setting(self, frequency: float) -> Setting:
+        """Return the scene's own setting at a frequency."""
+        return Setting(frequency, self.level)
+
+
+def vary(setting: Setting, parameter: Parameter) -> Callable[[float], Setting]:
+    """Return the setting as a function of one parameter."""
+    return lambda value: replace(setting, **{parameter: value})

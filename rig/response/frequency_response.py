@@ -1,0 +1,327 @@
+"""Steady frequency response of a scene with its dampers, by following the exact motion from frequency to frequency."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rig.engine.propagator import March, tone_march
+from rig.engine.trajectory import Array
+from rig.errors import RunError, SceneError
+from rig.response.motion_type import motion_types, overall
+from rig.response.steady_state import MARKS, Steady, one_cycle, settle
+from rig.scene.scene import Scene
+from rig.scene.shaker import ForceShaker
+from rig.simulation.energy import fourier
+from rig.system.assembly import assemble, spring_force_row
+from rig.system.hybrid_system import System
+from rig.system.open_loop_drive import level_of, tone_drive
+
+#: The spring force is held to this, relative.
+LEVEL_TOLERANCE = 1e-6
+LEVEL_TRIALS = 25
+
+
+@dataclass(frozen=True)
+class Response:
+    """Steady response over frequency, in the order in which the frequencies were visited.
+
+    Attributes
+    ----------
+    frequency : ndarray, shape (frequencies,)
+        Hz.
+    compliance : complex ndarray, shape (bodies, frequencies)
+        First harmonic of each displacement over that of the force, m/N; x(t) = Re(X e^{i w t}).
+    peak : ndarray, shape (bodies, frequencies)
+        Half the range of each displacement over the motion, m.
+    force : ndarray, shape (frequencies,)
+        Amplitude of the force's first harmonic, N.
+    motion_type : ndarray of str, shape (frequencies,)
+        "linear", "riding", "I", "II", "III", "k per n" (impacts per periods), "irregular"; several dampers of
+        different types are joined by "/".
+    damper_motion : ndarray of str, shape (dampers, frequencies)
+        The same for each damper that moves.
+    impacts : ndarray, shape (dampers, frequencies)
+        Impacts per period of the drive.
+    converged : ndarray of bool, shape (frequencies,)
+    repetition : ndarray of int, shape (frequencies,)
+        Periods of the drive after which the motion repeats; 0 if none was found.
+    residual : ndarray, shape (frequencies,)
+        Estimated distance from the steady state, relative to the motion.
+    """
+
+    frequency: Array
+    compliance: NDArray[np.complex128]
+    peak: Array
+    force: Array
+    motion_type: NDArray[np.str_]
+    damper_motion: NDArray[np.str_]
+    impacts: Array
+    converged: NDArray[np.bool_]
+    repetition: NDArray[np.int64]
+    residual: Array
+
+
+@dataclass(frozen=True)
+class SteadyPoint:
+    """Steady motion at one frequency; `end` is the state that the next frequency may start from.
+
+    Attributes are those of `Response` at one frequency, with the types of all dampers, what `settle` found, and
+    the drive level relative to that of the linear structure.
+    """
+
+    frequency: float
+    compliance: NDArray[np.complex128]
+    peak: Array
+    force: float
+    types: list[str]
+    impacts: Array
+    steady: Steady
+    end: tuple[Array, ...]
+    level: complex
+
+
+def frequency_response(
+    scene: Scene | str,
+    frequencies: ArrayLike,
+    direction: str = "up",
+    tolerance: float = 1e-8,
+    longest: int = 20_000,
+    progress: Callable[[int, int], None] | None = None,
+) -> Response:
+    """Steady response of a scene at a list of frequencies.
+
+    Parameters
+    ----------
+    scene : Scene or str
+        A scene, or what `rig.load` takes. The level is that of its test: `force` (of the force itself, or the
+        amplitude of the spring force's first harmonic) or `drive`.
+    frequencies : array_like, shape (frequencies,)
+        Hz.
+    direction : {"up", "down", "both"}
+        Each frequency starts from the motion at the one before. Both: up, then down.
+    tolerance : float
+        Largest distance from the steady state, relative to the motion, of a point that counts as converged.
+    longest : int
+        Periods after which a point that is not steady is taken as it is.
+    progress : callable, optional
+        Called with the number of points done and of all.
+
+    Returns
+    -------
+    Response
+
+    Raises
+    ------
+    SceneError
+        If a frequency is not positive, or the scene has no shaker or no level.
+
+    Notes
+    -----
+    Two stretches of the list run at once on two cores. The second one starts from rest; when the first arrives
+    there with another motion, the second is followed again from that until the two agree.
+
+    Examples
+    --------
+    >>> import rig
+    >>> scene = rig.load("fig9")
+    >>> response = rig.frequency_response(scene.replace(shaker={"kind": "force", "body": 1}, channels=None), [50.0])
+    >>> str(response.motion_type[0]), bool(response.converged[0])
+    ('II', True)
+    """
+    if isinstance(scene, str):
+        from rig.scene.loading import load
+
+        scene = load(scene)
+    asked = np.atleast_1d(np.asarray(frequencies, dtype=np.float64))
+    if asked.ndim != 1 or not len(asked) or not np.isfinite(asked).all() or (asked <= 0.0).any():
+        raise SceneError("frequencies: expected a list of positive, finite frequencies in Hz")
+    if direction not in ("up", "down", "both"):
+        raise SceneError(
+            f"Invalid value for direction. Allowed values are up, down and both, but got {direction!r}."
+        )
+    level_of(scene)
+    rising = np.sort(asked)
+    tasks = {"up": [rising], "down": [rising[::-1]], "both": [rising, rising[::-1]]}[direction]
+    follower = Follower(scene, tolerance, longest)
+    counter = _Counter(progress, sum(len(task) for task in tasks))
+
+    def follow(order: Array) -> list[SteadyPoint]:
+        return [point for point in follower.follow(order) if counter.add()]
+
+    with ThreadPoolExecutor(2) as pool:
+        try:
+            if len(tasks) == 2:
+                points = [point for part in pool.map(follow, tasks) for point in part]
+            else:
+                points = _in_two_halves(pool, follower, follow, tasks[0])
+        except BaseException:
+            # Leaving the pool waits for the other stretch: do not let it go on.
+            counter.stop()
+            raise
+    return _response(points, follower.system)
+
+
+def _in_two_halves(
+    pool: ThreadPoolExecutor, follower: Follower, follow: Callable[[Array], list[SteadyPoint]], order: Array
+) -> list[SteadyPoint]:
+    middle = len(order) // 2
+    if middle == 0:
+        return follow(order)
+    second = pool.submit(follow, order[middle:])
+    first = follow(order[:middle])
+    rest = second.result()
+    # Another motion may be the one that continues the first half.
+    last = first[-1]
+    for k, known in enumerate(rest):
+        point = follower.point(known.frequency, last)
+        rest[k] = point
+        if _same(point, known):
+            break
+        last = point
+    return first + rest
+
+
+def _same(one: SteadyPoint, other: SteadyPoint) -> bool:
+    size = np.abs(other.compliance).max()
+    return one.types == other.types and bool(np.abs(one.compliance - other.compliance).max() < 1e-5 * size)
+
+
+class _Counter:
+    """Counts the points done; once stopped, it ends whoever reports another."""
+
+    def __init__(self, report: Callable[[int, int], None] | None, total: int) -> None:
+        self.report, self.total, self.done = report, total, 0
+        self.stopped = False
+
+    def add(self) -> bool:
+        if self.stopped:
+            raise RunError("stopped")
+        self.done += 1
+        if self.report is not None:
+            self.report(min(self.done, self.total), self.total)
+        return True
+
+    def stop(self) -> None:
+        self.stopped = True
+
+
+class Follower:
+    """Follows the steady motion of a scene from frequency to frequency.
+
+    Parameters
+    ----------
+    scene, tolerance, longest
+        As in `frequency_response`.
+    """
+
+    def __init__(self, scene: Scene, tolerance: float, longest: int) -> None:
+        self.scene, self.system = scene, assemble(scene)
+        self.tolerance, self.longest = tolerance, longest
+        self.holds_spring_force = not isinstance(scene.shaker, ForceShaker) and (
+            getattr(scene.test, "force", None) is not None
+        )
+
+    def follow(self, order: Sequence[float] | Array) -> Iterator[SteadyPoint]:
+        """Points at frequencies in order, each from the one before; the first from rest."""
+        last = None
+        for frequency in order:
+            last = self.point(float(frequency), last)
+            yield last
+
+    def point(self, frequency: float, last: SteadyPoint | None) -> SteadyPoint:
+        """Steady motion at one frequency, from the motion at another or from rest."""
+        tone = tone_drive(self.scene, self.system, frequency)
+        assert tone is not None
+        march, steps = tone_march(self.system, tone.amplitudes, tone.omega)
+        if last is None:
+            march.place(tone.state, np.array([1.0, 0.0]))
+        else:
+            march.resume(last.end)
+        if not self.holds_spring_force:
+            return self._measured(march, steps, tone.omega, frequency, 1.0, self.tolerance)
+        return self._held(march, steps, tone.omega, frequency, last)
+
+    def _held(
+        self, march: March, steps: float, omega: float, frequency: float, last: SteadyPoint | None
+    ) -> SteadyPoint:
+        """Level at which the spring force has the amplitude asked for: a secant in the logarithms."""
+        wanted = level_of(self.scene)
+        level = abs(last.level) if last is not None else 1.0
+        tried: list[tuple[float, float]] = []
+        point = None
+        for _ in range(LEVEL_TRIALS):
+            error = abs(tried[-1][1]) if tried else 1.0
+            tolerance = max(self.tolerance, min(1e-4, 1e-2 * error))
+            point = self._measured(march, steps, omega, frequency, level, tolerance)
+            miss = float(np.log(point.force / wanted)) if point.force > 0.0 else -1.0
+            tried.append((float(np.log(level)), miss))
+            if abs(miss) < LEVEL_TOLERANCE and tolerance <= self.tolerance * 1.001:
+                break
+            level = float(np.exp(_next_level(tried)))
+        assert point is not None
+        on_level = abs(tried[-1][1]) < 10.0 * LEVEL_TOLERANCE
+        return point if on_level else replace(point, steady=replace(point.steady, converged=False))
+
+    def _measured(
+        self, march: March, steps: float, omega: float, frequency: float, level: float, tolerance: float
+    ) -> SteadyPoint:
+        system, n = self.system, self.system.coordinates
+        march.start_period(level)
+        steady = settle(march, steps, level, tolerance, self.longest)
+        repetition = steady.repetition or 16
+        course, begins = one_cycle(march, steps, level, repetition)
+        end = march.snapshot()
+        durations = np.full(len(begins), steps / MARKS * march.tables.step)
+        harmonic = fourier(march.tables, course, begins, durations, omega) / (np.pi * repetition / omega)
+        positions = course.state[:, :n]
+        if isinstance(self.scene.shaker, ForceShaker):
+            force = -1j * level_of(self.scene) * level
+        else:
+            force = complex(spring_force_row(self.scene, system) @ harmonic[: system.states])
+        types = motion_types(course, system.dampers, steady.repetition)
+        struck = course.event_damper[course.event_kind > 0]
+        bodies = self.scene.structure.bodies
+        return SteadyPoint(
+            frequency=frequency,
+            compliance=harmonic[:bodies] / force if force else np.full(bodies, np.nan + 0j),
+            peak=0.5 * np.ptp(positions[:, :bodies], axis=0),
+            force=abs(force),
+            types=types,
+            impacts=np.bincount(struck, minlength=system.dampers)[: system.dampers] / repetition,
+            steady=steady,
+            end=end,
+            level=level,
+        )
+
+
+def _next_level(tried: list[tuple[float, float]]) -> float:
+    """Next logarithm of the level, at most a factor of two away."""
+    last, miss = tried[-1]
+    step = -miss
+    if len(tried) > 1:
+        before, miss_before = tried[-2]
+        slope = (miss - miss_before) / (last - before) if last != before else 1.0
+        if slope > 0.1:
+            step = -miss / slope
+    return last + float(np.clip(step, -np.log(2.0), np.log(2.0)))
+
+
+def _response(points: list[SteadyPoint], system: System) -> Response:
+    types = [point.types for point in points]
+    return Response(
+        frequency=np.array([p.frequency for p in points]),
+        compliance=np.array([p.compliance for p in points]).T,
+        peak=np.array([p.peak for p in points]).T,
+        force=np.array([p.force for p in points]),
+        motion_type=np.array([overall(t) for t in types]),
+        damper_motion=np.array(types, dtype=np.str_).reshape(len(points), system.dampers).T,
+        impacts=np.array([p.impacts for p in points]).reshape(len(points), system.dampers).T,
+        converged=np.array([p.steady.converged for p in points]),
+        repetition=np.array([p.steady.repetition for p in points]),
+        residual=np.array([p.steady.residual for p in points]),
+    )

@@ -1,0 +1,101 @@
+"""A frequency response as a table of text or CSV, and the frequencies that a scene's test asks for."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+
+from rig.errors import SceneError
+from rig.response.frequency_response import Response
+from rig.scene.excitation import Sine, SteppedSine, spaced
+from rig.scene.scene import Scene
+
+
+def frequencies_of(
+    scene: Scene, first: float | None, last: float | None, points: int | None, direction: str | None
+) -> tuple[tuple[float, ...], str]:
+    """Frequencies in Hz, rising, and the direction: as told, and otherwise those of the scene's test.
+
+    Raises
+    ------
+    SceneError
+        If neither says what they are.
+    """
+    test = scene.test
+    told = (first, last, points)
+    if any(part is not None for part in told):
+        stepped = test if isinstance(test, SteppedSine) else None
+        first = first if first is not None else getattr(stepped, "from_", None)
+        last = last if last is not None else getattr(stepped, "to", None)
+        points = points if points is not None else getattr(stepped, "points", None) or 101
+        if first is None or last is None or not 0.0 < first < last or points < 2:
+            raise SceneError(
+                "frequencies: expected --from below --to, both above zero, and at least 2 --points"
+            )
+        return spaced(first, last, points, "linear"), direction or "up"
+    if isinstance(test, SteppedSine):
+        return tuple(sorted(set(test.order))), direction or test.direction
+    if isinstance(test, Sine):
+        return (test.frequency,), direction or "up"
+    raise SceneError(f"scene {scene.name!r} names no frequencies; expected --from and --to")
+
+
+def rows(response: Response) -> tuple[list[str], list[list[str]]]:
+    """Column names and rows of a response, numbers with all their digits."""
+    bodies, dampers = len(response.compliance), len(response.impacts)
+    header = ["frequency_hz"]
+    for body in range(1, bodies + 1):
+        header += [f"body{body}_compliance_m_per_n", f"body{body}_phase_deg", f"body{body}_peak_m"]
+    header += ["force_n", "motion_type", *(f"damper{k}_impacts_per_period" for k in range(1, dampers + 1))]
+    header += ["repetition_periods", "converged", "residual"]
+    table = []
+    for k, frequency in enumerate(response.frequency):
+        row = [repr(float(frequency))]
+        for body in range(bodies):
+            value = response.compliance[body, k]
+            numbers = (abs(value), np.degrees(np.angle(value)), response.peak[body, k])
+            row += [repr(float(number)) for number in numbers]
+        row += [repr(float(response.force[k])), str(response.motion_type[k])]
+        row += [repr(float(count)) for count in response.impacts[:, k]]
+        row += [str(response.repetition[k]), str(bool(response.converged[k])).lower()]
+        row.append(repr(float(response.residual[k])))
+        table.append(row)
+    return header, table
+
+
+def write(response: Response, path: Path) -> None:
+    """Write a response as CSV.
+
+    Raises
+    ------
+    SceneError
+        If the file cannot be written.
+    """
+    try:
+        with path.open("w", newline="", encoding="utf-8") as file:
+            write_to(response, file)
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be written ({error.strerror})") from None
+
+
+def write_to(response: Response, file: TextIO) -> None:
+    """Write a response as CSV into an open file."""
+    header, table = rows(response)
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(table)
+
+
+def text(response: Response) -> str:
+    """Table for a person: compliance of every body, motion type, impacts a period."""
+    bodies = range(1, len(response.compliance) + 1)
+    lines = [f"{'Hz':>9} " + "".join(f"{f'X{b}/F1 m/N':>12}" for b in bodies) + "   impacts  motion"]
+    for k, frequency in enumerate(response.frequency):
+        sizes = "".join(f"{abs(value):12.4g}" for value in response.compliance[:, k])
+        impacts = float(response.impacts[:, k].sum())
+        note = "" if response.converged[k] else f"  not steady (residual {response.residual[k]:.1g})"
+        lines.append(f"{frequency:9.4f} {sizes}   {impacts:7.3g}  {response.motion_type[k]}{note}")
+    return "\n".join(lines)

@@ -1,0 +1,144 @@
+"""Steady motion under a tone: the motion is followed until the period map's residual proves that it has decayed.
+
+After every few periods the state at the start of a period is compared with the states 1, 2, ... periods before.
+The residual r of a linear decay with ratio q per period leaves an error of r q / (1 - q); a motion counts as
+steady when that is below the tolerance, relative to the motion. What never repeats is called irregular.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.engine.contact import FLIGHT
+from rig.engine.propagator import March
+from rig.engine.trajectory import Array, Course
+
+#: Longest repetition looked for, in periods of the drive.
+LONGEST_REPETITION = 8
+#: Periods that a look compares; more than four times the longest repetition.
+LOOK = 40
+#: Periods between two looks at most.
+MOST_SKIPPED = 400
+#: What lies within this many tolerances of a repetition is taken to be on its way there.
+SETTLING = 1e4
+#: Changes below this are rounding.
+ROUNDING = 2e-14
+#: States kept in one period for its first harmonic and its peak.
+MARKS = 256
+
+
+@dataclass(frozen=True)
+class Steady:
+    """A motion after its transient.
+
+    Attributes
+    ----------
+    converged : bool
+    repetition : int
+        Periods of the drive after which it repeats; 0 if it does not.
+    residual : float
+        Estimated distance from the steady state, relative to the motion.
+    periods : int
+        Periods that were followed.
+    """
+
+    converged: bool
+    repetition: int
+    residual: float
+    periods: int
+
+
+def settle(march: March, steps: float, level: float, tolerance: float, longest: int) -> Steady:
+    """Follow the motion from the start of a period until it is steady.
+
+    Parameters
+    ----------
+    march : March
+        At the start of a period.
+    steps : float
+        Step lengths in a period.
+    level : float
+        Of the tone.
+    tolerance : float
+        Largest distance from the steady state, relative to the motion.
+    longest : int
+        Periods after which to give up.
+    """
+    done = 0
+    while True:
+        # Looking costs as much as many periods of motion: look at growing intervals.
+        skipped = min(done // 4, MOST_SKIPPED)
+        count = skipped + LOOK
+        rows = np.arange(count) - skipped
+        course = march.over_marks(
+            np.full(count, steps), np.maximum(rows, -1), np.ones(count, dtype=bool), level
+        )
+        done += count
+        changes, left = _distances(march, course)
+        steady = np.flatnonzero(left < tolerance)
+        # A motion that has nearly settled to a shorter repetition passes for a longer one first.
+        settling = np.flatnonzero(changes < SETTLING * tolerance)
+        if len(steady) and steady[0] == settling[0]:
+            return Steady(True, int(steady[0]) + 1, float(left[steady[0]]), done)
+        if done >= longest:
+            return Steady(False, 0, float(changes.min()), done)
+
+
+def _distances(march: March, course: Course) -> tuple[Array, Array]:
+    """Change over 1, 2, ... periods, and estimated distance from a motion that repeats so, relative to the motion."""
+    vectors = _vectors(march, course)
+    scale = max(float(np.abs(vectors).max()), 1e-300)
+    present, left = [], []
+    for p in range(1, LONGEST_REPETITION + 1):
+        if not np.array_equal(course.mode[-1], course.mode[-1 - p]):
+            present.append(np.inf)
+            left.append(np.inf)
+            continue
+        changes = np.abs(vectors[p:] - vectors[:-p]).max(axis=1) / scale
+        change = float(changes[-p:].max())
+        # The ratio over half a look, per repetition: a slow decay hides behind quick ones near by.
+        earlier = float(changes[-LOOK // 2 - p : -LOOK // 2].max())
+        present.append(change)
+        if change < ROUNDING:
+            left.append(change)
+        elif earlier <= change:
+            left.append(np.inf)
+        else:
+            fall = np.log(change / earlier) * p / (LOOK // 2)
+            # By expm1, because a ratio just below 1 rounds to 1.
+            left.append(max(change, change * np.exp(fall) / -np.expm1(fall)))
+    return np.array(present), np.array(left)
+
+
+def _vectors(march: March, course: Course) -> Array:
+    """States at the starts of periods in comparable units: metres, velocities over the fastest rate."""
+    system = march.system
+    n, ns = system.coordinates, system.states
+    parts = course.state[:, :ns].copy()
+    parts[:, n : 2 * n] *= march.tables.step
+    if ns > 2 * n:
+        # The coil's current, as the armature's motion that its force makes over a step.
+        force = np.abs(system.force_state[:, 2 * n :]).max(axis=0) / np.diag(system.mass).min()
+        parts[:, 2 * n :] *= force * march.tables.step**2
+    flying = course.mode == FLIGHT
+    heights = np.where(flying, course.height, 0.0)
+    return np.hstack([parts, heights])
+
+
+def one_cycle(march: March, steps: float, level: float, repetition: int) -> tuple[Course, Array]:
+    """Follow one repetition of a steady motion with its states kept at `MARKS` instants of every period.
+
+    Returns
+    -------
+    course : Course
+    begins : float64 (segments, size)
+        States at which the segments begin.
+    """
+    count = MARKS * repetition
+    anew = np.zeros(count, dtype=bool)
+    anew[::MARKS] = True
+    first = march.state.z.copy()
+    course = march.over_marks(np.full(count, steps / MARKS), np.arange(count), anew, level)
+    return course, np.concatenate([first[None], course.state[:-1]])

@@ -1,0 +1,193 @@
+"""References between the parts of a scene: does what is named exist, and is it named once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+from rig.scene.excitation import Free, Impulse, Sine, SteppedSine
+from rig.scene.measurement_chain import Channel, Converter
+from rig.scene.settings import Mistake, Place
+from rig.scene.shaker import ForceShaker
+
+if TYPE_CHECKING:
+    from rig.scene.damper import Damper
+    from rig.scene.excitation import Test
+    from rig.scene.recording import Recording
+    from rig.scene.shaker import Shaker
+
+
+def mistakes_between(
+    bodies: int | None,
+    dampers: Sequence[Damper | None],
+    shaker: Shaker | None,
+    test: Test | None,
+    channels: Sequence[Channel | None] | None,
+    converter: Converter | None,
+    recording: Recording | None,
+    given: frozenset[str] = frozenset(),
+) -> list[Mistake]:
+    """List the mistakes between parts.
+
+    Parts that are wrong in themselves come as None and are passed over, so that their own mistakes and these
+    can be reported together; `given` names the parts that are there, right or wrong.
+    """
+    return [
+        *_dampers(bodies, dampers),
+        *_shaker(bodies, shaker),
+        *_test(bodies, shaker, test, given),
+        *_channels(bodies, shaker, test, channels or (), given),
+        *_sampling(channels, converter, recording, given),
+        *_too_high(test, converter),
+    ]
+
+
+def _no_body(count: int | None, body: int, place: tuple[int | str, ...]) -> Iterable[Mistake]:
+    if count is not None and body > count:
+        yield Mistake(place, f"body {body} of {count}; expected a body of the structure, 1 to {count}")
+
+
+def _dampers(count: int | None, dampers: Sequence[Damper | None]) -> Iterable[Mistake]:
+    first: dict[int, int] = {}
+    for k, damper in enumerate(dampers):
+        if damper is None:
+            continue
+        yield from _no_body(count, damper.body, ("dampers", k, "body"))
+        if damper.body in first:
+            other = first[damper.body] + 1
+            yield Mistake(
+                ("dampers", k, "body"),
+                f"body {damper.body} has a damper already, dampers[{other}]; expected one damper on a body",
+            )
+        first.setdefault(damper.body, k)
+
+
+def _shaker(count: int | None, shaker: Shaker | None) -> Iterable[Mistake]:
+    if shaker is not None:
+        for k, body in enumerate(shaker.bodies):
+            place = ("shaker", "body", k) if isinstance(shaker.body, tuple) else ("shaker", "body")
+            yield from _no_body(count, body, place)
+
+
+def _test(
+    count: int | None, shaker: Shaker | None, test: Test | None, given: frozenset[str]
+) -> Iterable[Mistake]:
+    if test is None:
+        return
+    if isinstance(test, Impulse):
+        yield from _no_body(count, test.body, ("test", "body"))
+    elif isinstance(test, Free):
+        for key, values in (("displacement", test.displacement), ("velocity", test.velocity)):
+            if count is not None and values is not None and len(values) != count:
+                yield Mistake(("test", key), f"got {len(values)} values; expected {count}, one for each body")
+        if count is not None and test.mode is not None and test.mode > count:
+            yield Mistake(("test", "mode"), f"mode {test.mode} of {count}; expected 1 to {count}")
+    elif shaker is None and "shaker" not in given:
+        yield Mistake(
+            ("test", "kind"), f"{test.kind} has nothing to drive with; expected a shaker in the scene"
+        )
+    elif isinstance(shaker, ForceShaker) and test.drive is not None:
+        yield Mistake(
+            ("test", "drive"), "a shaker of kind force is driven by its force; expected force instead"
+        )
+
+
+def _channels(
+    count: int | None,
+    shaker: Shaker | None,
+    test: Test | None,
+    channels: Sequence[Channel | None],
+    given: frozenset[str],
+) -> Iterable[Mistake]:
+    first: dict[str, int] = {}
+    for k, channel in enumerate(channels):
+        if channel is None:
+            continue
+        place = ("channels", k, "at")
+        if channel.body is not None:
+            yield from _no_body(count, channel.body, place)
+        elif (
+            channel.at == "table"
+            and "shaker" not in given
+            and (shaker is None or isinstance(shaker, ForceShaker))
+        ):
+            yield Mistake(
+                place, "there is no table; expected a body, or a shaker of kind table or electrodynamic"
+            )
+        elif channel.at == "hammer" and "test" not in given and not isinstance(test, Impulse):
+            yield Mistake(
+                place, "there is no hammer; expected a body or the table, or a test of kind impulse"
+            )
+        elif channel.at == "shaker":
+            yield from _at_shaker(shaker, test, place, given)
+        if channel.name in first:
+            other = first[channel.name] + 1
+            yield Mistake(
+                ("channels", k, "name"),
+                f'"{channel.name}" is the name of channels[{other}]; expected each once',
+            )
+        first.setdefault(channel.name, k)
+
+
+def _at_shaker(
+    shaker: Shaker | None, test: Test | None, place: tuple[int | str, ...], given: frozenset[str]
+) -> Iterable[Mistake]:
+    """Check that there is a shaker whose force a sensor can sit in the way of, and that it works."""
+    if shaker is None:
+        if "shaker" not in given:
+            yield Mistake(
+                place, "there is no shaker; expected a body, or a shaker of kind force in the scene"
+            )
+    elif not isinstance(shaker, ForceShaker):
+        yield Mistake(
+            place,
+            f"a shaker of kind {shaker.kind} acts through its coil spring, whose force is told by channels at its "
+            f"two ends; expected at: table and at: body {shaker.bodies[0]}",
+        )
+    elif isinstance(test, Impulse):
+        yield Mistake(place, "the shaker rests while the hammer hits; expected at: hammer")
+
+
+def _sampling(
+    channels: Sequence[Channel | None] | None,
+    converter: Converter | None,
+    recording: Recording | None,
+    given: frozenset[str],
+) -> Iterable[Mistake]:
+    if converter is None:
+        return
+    if channels is not None and isinstance(converter.skew, tuple) and len(converter.skew) != len(channels):
+        yield Mistake(
+            ("converter", "skew"),
+            f"got {len(converter.skew)} values; expected {len(channels)}, one for each channel",
+        )
+    if recording is not None and recording.samples == "counts" and not (converter.bits or converter.preset):
+        yield Mistake(
+            ("recording", "samples"), "counts of a converter without bits; expected bits in converter"
+        )
+
+
+def _too_high(test: Test | None, converter: Converter | None) -> Iterable[Mistake]:
+    """Check that samples can tell the test's frequencies, and that the drive can be made of samples."""
+    highest = _highest(test)
+    if highest is None or converter is None:
+        return
+    (place, frequency), rate = highest, converter.sample_rate
+    if frequency >= rate / 2:
+        yield Mistake(
+            place,
+            f"{frequency:.6g} Hz at {rate:.6g} samples a second; expected less than half of that, "
+            f"{rate / 2:.6g} Hz, or a higher converter: rate",
+        )
+
+
+def _highest(test: Test | None) -> tuple[Place, float] | None:
+    """Find the highest frequency of a test and where it stands; None where a test names none."""
+    if test is None or isinstance(test, Impulse | Free):
+        return None
+    if isinstance(test, Sine):
+        return ("test", "frequency"), test.frequency
+    if isinstance(test, SteppedSine) and test.frequencies is not None:
+        return ("test", "frequencies", len(test.frequencies) - 1), test.frequencies[-1]
+    first, last = test.from_ or 0.0, test.to or 0.0
+    return (("test", "to"), last) if last > first else (("test", "from"), first)

@@ -1,0 +1,361 @@
+"""Settings of a test: what the bench does to the structure, and for how long."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, RATIO, TIME, VELOCITY, VOLTAGE
+from rig.scene.quantity_field import Quantity
+from rig.scene.settings import Alternatives, Mistake, Settings, by_kind
+from rig.scene.shaker import Body
+
+Frequency = Annotated[float, Quantity(FREQUENCY, above=0.0)]
+Duration = Annotated[float, Quantity(TIME, above=0.0)]
+# What the drive is depends on the shaker: volts at its amplifier or the table's displacement.
+Force = Annotated[float, Quantity(FORCE, above=0.0)]
+Drive = Annotated[float, Quantity(VOLTAGE, LENGTH, above=0.0)]
+Forces = Annotated[float | tuple[float, ...], Quantity(FORCE, above=0.0, listed=True)]
+Drives = Annotated[float | tuple[float, ...], Quantity(VOLTAGE, LENGTH, above=0.0, listed=True)]
+Count = Annotated[int, Field(ge=1, le=1_000_000, description="a whole number, at least 1")]
+Start = Literal["settled", "empty"]
+Spacing = Literal["linear", "log"]
+
+MOST_STEPS = 100_000
+
+
+class Sine(Settings):
+    """A tone held for a while: amplitude times sin(2 pi f t) from t = 0.
+
+    Attributes
+    ----------
+    start : {"settled", "empty"}
+        Where the motion starts, at rest with the dampers on their floors: in static equilibrium, or at x = 0,
+        the equilibrium of the empty structure, their weight not yet felt.
+    frequency : float
+        Frequency [Hz].
+    force : float, optional
+        Amplitude of the spring force, held by the controller; with a shaker of kind force, of the force
+        itself [N].
+    drive : float, optional
+        Instead of `force`: amplitude of the drive, open loop [V or m, as the shaker's kind takes].
+    duration : float
+        Time [s].
+    """
+
+    one_of: ClassVar = (("force", "drive"),)
+    kind: Literal["sine"] = "sine"
+    start: Start = "settled"
+    frequency: Frequency
+    force: Force | None = None
+    drive: Drive | None = None
+    duration: Duration = 2.0
+
+
+class Settle(Settings):
+    """When a step counts as steady.
+
+    Attributes
+    ----------
+    tolerance : float
+        Largest change of any channel's first harmonic between windows, as a share of it.
+    longest : float
+        Longest time to wait for that [s].
+    """
+
+    tolerance: Annotated[float, Quantity(RATIO, above=0.0)] = 1e-3
+    longest: Duration = 60.0
+
+
+class Measure(Settings):
+    """How long a steady step is measured: a number of periods of the drive."""
+
+    periods: Count = 20
+
+
+class SteppedSine(Settings):
+    """A row of tones; each one is driven to the level, left to settle and measured.
+
+    Attributes
+    ----------
+    from_, to : float, optional
+        First and last frequency [Hz], from below to; `from` in a scene file.
+    points : int, optional
+        How many frequencies, both ends included.
+    frequencies : tuple of float, optional
+        Instead of from, to and points: the frequencies [Hz], rising.
+    force, drive : float or tuple of float, optional
+        Amplitude as in `Sine`, exactly one of the two; several are run one after another.
+    direction : {"up", "down", "both"}
+        Order of the frequencies; both: up, then down.
+    """
+
+    one_of: ClassVar = (("force", "drive"), ("frequencies", "points"))
+    kind: Literal["stepped_sine"] = "stepped_sine"
+    start: Start = "settled"
+    from_: Frequency | None = Field(None, alias="from")
+    to: Frequency | None = None
+    points: Annotated[int, Field(ge=2, le=MOST_STEPS)] | None = None
+    frequencies: tuple[Frequency, ...] | None = Field(None, min_length=1, max_length=MOST_STEPS)
+    spacing: Spacing = "linear"
+    direction: Literal["up", "down", "both"] = "up"
+    force: Forces | None = None
+    drive: Drives | None = None
+    settle: Settle = Settle()
+    measure: Measure = Measure()
+
+    def relations(self) -> Iterable[Mistake]:
+        """Check the range, or the list in its place."""
+        if self.frequencies is not None:
+            if self.from_ is not None or self.to is not None:
+                yield Mistake((), "frequencies and from/to given together; expected one or the other")
+            if any(b <= a for a, b in zip(self.frequencies, self.frequencies[1:], strict=False)):
+                yield Mistake(
+                    ("frequencies",), "not rising; list them from low to high, direction: down reverses"
+                )
+        elif self.from_ is None or self.to is None:
+            yield Mistake(
+                (), f"{'from' if self.from_ is None else 'to'} missing; expected a frequency such as 8 Hz"
+            )
+        elif self.from_ >= self.to:
+            yield Mistake(
+                ("from",), "not below to; give the lower end first and direction: down to go downward"
+            )
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """The levels in the order they are run [N, or the drive's unit]."""
+        level = self.force if self.force is not None else self.drive
+        return level if isinstance(level, tuple) else () if level is None else (level,)
+
+    @property
+    def order(self) -> tuple[float, ...]:
+        """The frequencies in the order they are run, for one level [Hz]."""
+        rising = self.frequencies
+        if rising is None:
+            rising = spaced(self.from_ or 0.0, self.to or 0.0, self.points or 0, self.spacing)
+        falling = rising[::-1]
+        return {"up": rising, "down": falling, "both": rising + falling}[self.direction]
+
+
+def spaced(first: float, last: float, points: int, spacing: str) -> tuple[float, ...]:
+    """Space `points` frequencies evenly, linearly or in the logarithm, both ends exact.
+
+    >>> spaced(8.0, 10.0, 3, "linear")
+    (8.0, 9.0, 10.0)
+    """
+    shares = [k / (points - 1) for k in range(points)]
+    if spacing == "log":
+        inside = [first * (last / first) ** share for share in shares]
+    else:
+        inside = [first + (last - first) * share for share in shares]
+    return (first, *inside[1:-1], last)
+
+
+class SweptSine(Settings):
+    """A tone whose frequency moves steadily from one end to the other, upward or downward.
+
+    Attributes
+    ----------
+    from_, to : float
+        First and last frequency [Hz]; `from` in a scene file.
+    duration : float
+        Time from end to end [s].
+    force, drive : float, optional
+        Amplitude as in `Sine`, exactly one of the two.
+    """
+
+    one_of: ClassVar = (("force", "drive"),)
+    kind: Literal["swept_sine"] = "swept_sine"
+    start: Start = "settled"
+    from_: Frequency = Field(alias="from")
+    to: Frequency
+    duration: Duration
+    spacing: Spacing = "log"
+    force: Force | None = None
+    drive: Drive | None = None
+
+    def relations(self) -> Iterable[Mistake]:
+        """Check that there is something to sweep."""
+        if self.from_ == self.to:
+            yield Mistake(("to",), "equal to from; a tone that stays is kind: sine")
+
+
+class Random(Settings):
+    """Gaussian noise between two frequencies.
+
+    Attributes
+    ----------
+    from_, to : float
+        Band [Hz]; `from` in a scene file.
+    duration : float
+        Time [s].
+    burst : float, optional
+        Share of each block during which the noise is on, above 0 and below 1; None: always on.
+    force, drive : float, optional
+        Root mean square, otherwise as in `Sine`; exactly one of the two.
+    """
+
+    one_of: ClassVar = (("force", "drive"),)
+    kind: Literal["random"] = "random"
+    start: Start = "settled"
+    from_: Frequency = Field(alias="from")
+    to: Frequency
+    duration: Duration
+    burst: Annotated[float, Quantity(RATIO, above=0.0, below=1.0)] | None = None
+    force: Force | None = None
+    drive: Drive | None = None
+
+    def relations(self) -> Iterable[Mistake]:
+        """Check the band."""
+        return band(self.from_, self.to)
+
+
+class Multisine(Settings):
+    """A periodic sum of tones with random phases.
+
+    Attributes
+    ----------
+    from_, to : float
+        Band [Hz]; `from` in a scene file.
+    lines : int, optional
+        How many tones the band holds; or else
+    period : float, optional
+        the time after which the signal repeats [s]: tones at its multiples.
+    periods : int
+        Periods measured of each realisation.
+    realisations : int
+        How many sets of phases are run.
+    force, drive : float, optional
+        Root mean square, otherwise as in `Sine`; exactly one of the two.
+    """
+
+    one_of: ClassVar = (("force", "drive"), ("lines", "period"))
+    kind: Literal["multisine"] = "multisine"
+    start: Start = "settled"
+    from_: Frequency = Field(alias="from")
+    to: Frequency
+    lines: Annotated[int, Field(ge=2, le=MOST_STEPS)] | None = None
+    period: Duration | None = None
+    periods: Count = 8
+    realisations: Count = 4
+    force: Force | None = None
+    drive: Drive | None = None
+
+    def relations(self) -> Iterable[Mistake]:
+        """Check the band."""
+        yield from band(self.from_, self.to)
+        if self.period is not None and math.floor(self.to * self.period) < math.ceil(
+            self.from_ * self.period
+        ):
+            yield Mistake(("period",), "too short; no multiple of its inverse lies between from and to")
+
+
+def band(first: float, last: float) -> Iterable[Mistake]:
+    """Check that a band has its lower end first."""
+    if first >= last:
+        yield Mistake(("from",), "not below to; a band has its lower end first")
+
+
+class DoubleHit(Settings):
+    """A hammer that bounces: a second, weaker pulse follows.
+
+    Attributes
+    ----------
+    hits : tuple of int, optional
+        Which hits bounce, from 1; None: all.
+    after : float
+        From the start of the first pulse to the start of the second [s].
+    ratio : float
+        Peak of the second pulse as a share of the first.
+    """
+
+    hits: tuple[Count, ...] | None = Field(None, min_length=1)
+    after: Duration = 20e-3
+    ratio: Annotated[float, Quantity(RATIO, above=0.0)] = 0.4
+
+
+class Impulse(Settings):
+    """Hammer hits: half-sine pulses of force on a body.
+
+    Attributes
+    ----------
+    body : int
+        The body hit, from 1.
+    peak : float
+        Peak of the pulse [N].
+    width : float
+        Length of the half sine [s]; a softer tip makes it longer.
+    repeats : int
+        Number of hits.
+    interval : float
+        From one hit to the next, and recorded after the last [s].
+    double_hit : DoubleHit, optional
+        Bounces of the hammer; None: clean hits.
+    """
+
+    kind: Literal["impulse"] = "impulse"
+    start: Start = "settled"
+    body: Body
+    peak: Annotated[float, Quantity(FORCE, above=0.0)]
+    width: Duration
+    repeats: Count = 1
+    interval: Duration = 6.0
+    double_hit: DoubleHit | None = None
+
+    def relations(self) -> Iterable[Mistake]:
+        """Check that pulses do not run into one another."""
+        if self.width >= self.interval:
+            yield Mistake(("width",), "not shorter than the interval between hits")
+        if self.double_hit is None:
+            return
+        if self.double_hit.after < self.width or self.double_hit.after + self.width >= self.interval:
+            yield Mistake(("double_hit", "after"), "does not lie between the pulse's width and the next hit")
+        for k, hit in enumerate(self.double_hit.hits or ()):
+            if hit > self.repeats:
+                yield Mistake(
+                    ("double_hit", "hits", k), f"hit {hit} of {self.repeats}; expected one of the repeats"
+                )
+
+
+class Free(Settings):
+    """Free vibration from given displacements and velocities, the drive at rest.
+
+    Attributes
+    ----------
+    displacement, velocity : tuple of float, optional
+        One value for each body, added to the start position [m] and to rest [m/s].
+    mode : int, optional
+        Instead: the shape of this mode, from 1, its largest element
+    amplitude : float, optional
+        as large as this [m].
+    duration : float
+        Time [s].
+    """
+
+    kind: Literal["free"] = "free"
+    start: Start = "settled"
+    displacement: tuple[Annotated[float, Quantity(LENGTH)], ...] | None = Field(None, min_length=1)
+    velocity: tuple[Annotated[float, Quantity(VELOCITY)], ...] | None = Field(None, min_length=1)
+    mode: Annotated[int, Field(ge=1)] | None = None
+    amplitude: Annotated[float, Quantity(LENGTH, above=0.0)] | None = None
+    duration: Duration = 6.0
+
+    def relations(self) -> Iterable[Mistake]:
+        """Check that there is one way to start."""
+        if (self.mode is None) != (self.amplitude is None):
+            there, other = ("mode", "amplitude") if self.amplitude is None else ("amplitude", "mode")
+            yield Mistake((there,), f"given without {other}; expected both or neither")
+        if self.mode is not None and (self.displacement is not None or self.velocity is not None):
+            yield Mistake(("mode",), "given beside displacement or velocity; expected one way to start")
+        if self.mode is None and self.displacement is None and self.velocity is None:
+            yield Mistake((), "nothing moves; expected displacement, velocity, or mode and amplitude")
+
+
+Test = Annotated[
+    Sine | SteppedSine | SweptSine | Random | Multisine | Impulse | Free,
+    Alternatives(by_kind),
+]

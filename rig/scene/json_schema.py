@@ -1,0 +1,36 @@
+"""The JSON Schema of scene files, with which editors check and complete them."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from rig.scene.scene import Scene
+
+
+def schema_text() -> str:
+    """Write the schema as it ships in `scene.schema.json`."""
+    schema = _lean(Scene.model_json_schema(by_alias=True))
+    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": "shotrig scene"}
+    return json.dumps(schema, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _lean(node: Any) -> Any:
+    """Leave out what tells an editor nothing: derived titles, null beside a type, defaults of nothing."""
+    if isinstance(node, list):
+        return [_lean(item) for item in node]
+    if not isinstance(node, dict):
+        return node
+    lean = {key: _lean(value) for key, value in node.items() if key != "title" or not isinstance(value, str)}
+    if lean.get("default", 0) in (None, float("inf")):
+        del lean["default"]
+    choices = lean.get("anyOf")
+    if isinstance(choices, list) and {"type": "null"} in choices:
+        # An empty value counts as left out, which an editor need not propose.
+        rest = [choice for choice in choices if choice != {"type": "null"}]
+        if len(rest) == 1:
+            del lean["anyOf"]
+            lean = {**rest[0], **lean}
+        else:
+            lean["anyOf"] = rest
+    return lean

@@ -1,0 +1,140 @@
+"""Mass, stiffness and damping matrices of a structure that is no chain: inline or from .npy files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
+from pydantic_core import CoreSchema, core_schema
+
+from rig.scene.quantity_field import got, mistake
+from rig.scene.settings import Mistake, Settings
+
+MOST_BODIES = 2000
+# Matrices that come from other programs are symmetric up to their rounding; more than this is a mistake.
+ASYMMETRY = 1e-9
+FOLDER = "folder"  # key of the validation context: where a scene file lies, and with it its .npy files
+
+
+class _Matrix:
+    """A square matrix of finite numbers in SI: a list of rows, an array, or a .npy file beside the scene."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.with_info_plain_validator_function(self._read)
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        row = {"type": "array", "items": {"type": "number"}, "minItems": 1}
+        path = {"type": "string", "pattern": r"\.npy$"}
+        return {
+            "description": "matrix in SI",
+            "anyOf": [path, {"type": "array", "items": row, "minItems": 1}],
+        }
+
+    def _read(self, value: Any, info: ValidationInfo) -> tuple[tuple[float, ...], ...]:
+        array = (
+            _from_file(value, (info.context or {}).get(FOLDER)) if isinstance(value, str | Path) else value
+        )
+        try:
+            numbers = np.asarray(array)
+            if numbers.dtype.kind not in "iufU":
+                raise ValueError("no real numbers")
+            matrix = numbers.astype(np.float64)
+        except (TypeError, ValueError, OverflowError):
+            raise mistake(
+                "rows of unequal length or what is no number in it; expected a square matrix"
+            ) from None
+        if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.size == 0:
+            raise mistake(f"shape {matrix.shape}; expected a square matrix")
+        if matrix.shape[0] > MOST_BODIES:
+            raise mistake(f"{matrix.shape[0]} bodies; expected at most {MOST_BODIES}")
+        if not np.isfinite(matrix).all():
+            row, column = np.argwhere(~np.isfinite(matrix))[0] + 1
+            raise mistake(
+                f"{matrix[row - 1, column - 1]} in row {row}, column {column}; expected finite numbers"
+            )
+        return tuple(map(tuple, matrix.tolist()))
+
+
+Matrix = Annotated[tuple[tuple[float, ...], ...], _Matrix()]
+
+
+class Matrices(Settings):
+    """A structure given by its matrices, in SI; the damping matrix may be left to `Structure.damping`.
+
+    Attributes
+    ----------
+    mass, stiffness : tuple of tuple of float
+        Symmetric matrices (bodies, bodies) [kg, N/m], the mass positive definite.
+    damping : tuple of tuple of float, optional
+        Any matrix of that size [N s/m].
+    """
+
+    mass: Matrix
+    stiffness: Matrix
+    damping: Matrix | None = None
+
+    def relations(self) -> Iterable[Mistake]:
+        """Check sizes, symmetry and that the kinetic energy is positive."""
+        mass, stiffness = np.array(self.mass), np.array(self.stiffness)
+        for key, matrix in (("stiffness", stiffness), ("damping", self.damping)):
+            if matrix is not None and len(matrix) != len(mass):
+                yield Mistake(
+                    (key,), f"size {len(matrix)}; expected {len(mass)}, the size of the mass matrix"
+                )
+        for key, matrix in (("mass", mass), ("stiffness", stiffness)):
+            place = asymmetry(matrix)
+            if place is not None:
+                row, column = place
+                values = f"{matrix[row, column]:g} and {matrix[column, row]:g}"
+                where = f"rows and columns {row + 1} and {column + 1}"
+                yield Mistake((key,), f"not symmetric ({values} in {where}); expected a symmetric matrix")
+        if not positive_definite(mass):
+            yield Mistake(("mass",), "not positive definite; expected kinetic energy in every motion")
+
+
+def asymmetry(matrix: NDArray[np.float64]) -> tuple[int, int] | None:
+    """Find the worst pair of elements that break the symmetry of a matrix (n, n), None if it is symmetric."""
+    difference = np.abs(matrix - matrix.T)
+    row, column = np.unravel_index(int(np.argmax(difference)), matrix.shape)
+    if difference[row, column] <= ASYMMETRY * np.abs(matrix).max():
+        return None
+    return int(row), int(column)
+
+
+def positive_definite(matrix: NDArray[np.float64]) -> bool:
+    """Whether a symmetric matrix (n, n) is positive definite beyond rounding, whatever its scales."""
+    diagonal = np.diag(matrix)
+    if (diagonal <= 0.0).any():
+        return False
+    scale = 1.0 / np.sqrt(diagonal)
+    scaled = (matrix + matrix.T) / 2.0 * scale[:, None] * scale
+    return bool(np.linalg.eigvalsh(scaled)[0] > len(matrix) * np.finfo(float).eps)
+
+
+def _from_file(name: str | Path, folder: Path | None) -> NDArray[Any]:
+    if Path(name).suffix != ".npy":
+        raise mistake(f"got {got(str(name))}; expected rows of numbers or the name of a .npy file")
+    if folder is None:
+        raise mistake(
+            f"got {got(str(name))}; a .npy file is found beside a scene file, expected rows of numbers here"
+        )
+    path = folder / name
+    try:
+        # Mapped first: a header may promise any size, and nothing is read before that was looked at.
+        mapped: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
+    except FileNotFoundError:
+        raise mistake(f"no file {path}; expected it beside the scene file") from None
+    except (OSError, ValueError, EOFError, OverflowError, SyntaxError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise mistake(f"{path} cannot be read as .npy ({reason})") from None
+    if mapped.ndim != 2 or max(mapped.shape) > MOST_BODIES:
+        raise mistake(
+            f"{path} has shape {mapped.shape}; expected a square matrix of at most {MOST_BODIES} rows"
+        )
+    return np.array(mapped)

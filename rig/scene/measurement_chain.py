@@ -1,0 +1,344 @@
+"""Settings of the measurement chain: sensors, integrating amplifiers, converter.
+
+What is not given is not modelled: an accelerometer without keys reads the acceleration as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import Field
+
+from rig.errors import SceneError
+from rig.scene.data_sheets import part
+from rig.scene.quantities import (
+    ACCELERATION,
+    ACCELERATION_NOISE,
+    ACCELERATION_SENSITIVITY,
+    CURRENT,
+    FORCE,
+    FORCE_NOISE,
+    FORCE_SENSITIVITY,
+    FREQUENCY,
+    LENGTH,
+    PER_KELVIN,
+    RATIO,
+    TEMPERATURE,
+    TIME,
+    VELOCITY,
+    VOLTAGE,
+    VOLTAGE_NOISE,
+    Kind,
+)
+from rig.scene.quantity_field import Quantity
+from rig.scene.settings import Mistake, Place, Settings, at
+
+Corner = Annotated[float, Quantity(FREQUENCY, above=0.0)]
+Tolerance = Annotated[float, Quantity(RATIO, at_least=0.0, below=1.0)]
+Time = Annotated[float, Quantity(TIME, at_least=0.0)]
+Limit = Annotated[float, Quantity(LENGTH, VELOCITY, ACCELERATION, FORCE, above=0.0)]
+# Where a channel measures force, not motion.
+FORCE_PLACES = ("hammer", "shaker")
+Preset = Annotated[str, Field(min_length=1, max_length=80, description="the name of a part")]
+
+
+class Accelerometer(Settings):
+    """A piezoelectric accelerometer, as its datasheet describes it; each effect is there when it is named.
+
+    Attributes
+    ----------
+    preset : str, optional
+        A part whose datasheet fills in what is not given here.
+    sensitivity : float, optional
+        Nominal sensitivity [V per m/s^2]; None: 1.
+    sensitivity_tolerance : float, optional
+        Largest deviation of the true sensitivity from the nominal one, as a share; the seed draws it.
+    resonance, q : float, optional
+        Mounted resonance [Hz] and its quality factor (30 where a resonance is given without one).
+    low_cutoff : float, optional
+        Corner of the first-order high pass [Hz].
+    noise : float, optional
+        White noise density [m/s^2/sqrt(Hz)].
+    noise_corner : float, optional
+        Frequency below which the noise density rises as 1/f in power [Hz]; needs `noise`.
+    bias : float, optional
+        Offset of the output at rest [V].
+    bias_settling : float, optional
+        Time constant with which the bias settles from zero after power-on [s]; needs `bias`.
+    transverse : float, optional
+        Transverse sensitivity as a share of the nominal one; the seed draws its direction.
+    lateral : float, optional
+        Sideways acceleration of the mounting point as a share of the vertical (10 % where `transverse` is
+        given without it); the structure itself moves vertically only.
+    saturation : float, optional
+        Largest acceleration the output follows [m/s^2].
+    overload_recovery : float, optional
+        Time constant of the recovery after saturation [s]; needs `saturation`.
+    temperature_drift : float, optional
+        Relative change of sensitivity per kelvin [1/K]; needs `temperature_change`.
+    temperature_change : float, optional
+        Temperature of the sensor above that of its calibration [K].
+    """
+
+    preset: Preset | None = None
+    sensitivity: Annotated[float, Quantity(ACCELERATION_SENSITIVITY, above=0.0)] | None = None
+    sensitivity_tolerance: Tolerance | None = None
+    resonance: Corner | None = None
+    q: Annotated[float, Quantity(RATIO, above=0.0)] | None = None
+    low_cutoff: Corner | None = None
+    noise: Annotated[float, Quantity(ACCELERATION_NOISE, at_least=0.0)] | None = None
+    noise_corner: Corner | None = None
+    bias: Annotated[float, Quantity(VOLTAGE)] | None = None
+    bias_settling: Annotated[float, Quantity(TIME, above=0.0)] | None = None
+    transverse: Tolerance | None = None
+    lateral: Annotated[float, Quantity(RATIO, at_least=0.0)] | None = None
+    saturation: Annotated[float, Quantity(ACCELERATION, above=0.0)] | None = None
+    overload_recovery: Annotated[float, Quantity(TIME, above=0.0)] | None = None
+    temperature_drift: Annotated[float, Quantity(PER_KELVIN)] | None = None
+    temperature_change: Annotated[float, Quantity(TEMPERATURE)] | None = None
+
+    needs: ClassVar[Mapping[str, str]] = {
+        "q": "resonance",
+        "noise_corner": "noise",
+        "bias_settling": "bias",
+        "lateral": "transverse",
+        "overload_recovery": "saturation",
+        "temperature_drift": "temperature_change",
+    }
+
+    def relations(self) -> Iterable[Mistake]:
+        """Check that nothing is given without what it belongs to; a preset may supply that."""
+        yield from _unknown(self.preset, "accelerometer")
+        for key, other in self.needs.items():
+            if self.preset is None and getattr(self, key) is not None and getattr(self, other) is None:
+                yield Mistake((key,), f"given without {other}, to which it belongs")
+
+
+class Integrator(Settings):
+    """An integrating amplifier behind the accelerometer.
+
+    Attributes
+    ----------
+    order : {1, 2}
+        1: the output follows the velocity, 2: the displacement.
+    corner : float
+        Frequency below which it stops integrating [Hz], a first-order high pass per order; 0: it never does.
+    low_cutoff : float, optional
+        Corner of the first-order high pass at its input [Hz], which keeps a sensor's bias out.
+    gain : float
+        Output per integral of the input [1/s for order 1, 1/s^2 for order 2].
+    noise : float, optional
+        White noise density at the output [V/sqrt(Hz)].
+    saturation : float, optional
+        Largest output [V].
+    """
+
+    order: Annotated[int, Field(ge=1, le=2, description="1 or 2")]
+    corner: Annotated[float, Quantity(FREQUENCY, at_least=0.0)] = 0.0
+    low_cutoff: Corner | None = None
+    gain: Annotated[float, Quantity(RATIO, above=0.0)] = 1.0
+    noise: Annotated[float, Quantity(VOLTAGE_NOISE, at_least=0.0)] | None = None
+    saturation: Annotated[float, Quantity(VOLTAGE, above=0.0)] | None = None
+
+
+class Hammer(Settings):
+    """A force sensor: in the head of an impulse hammer, or between a shaker and the body it pushes.
+
+    Attributes
+    ----------
+    preset : str, optional
+        A part whose datasheet fills in what is not given here.
+    sensitivity : float, optional
+        Nominal sensitivity [V/N]; None: 1.
+    sensitivity_tolerance : float, optional
+        As in `Accelerometer`.
+    noise : float, optional
+        White noise density [N/sqrt(Hz)].
+    low_cutoff : float, optional
+        Corner of the first-order high pass [Hz].
+    saturation : float, optional
+        Largest force the output follows [N].
+    """
+
+    preset: Preset | None = None
+    sensitivity: Annotated[float, Quantity(FORCE_SENSITIVITY, above=0.0)] | None = None
+    sensitivity_tolerance: Tolerance | None = None
+    noise: Annotated[float, Quantity(FORCE_NOISE, at_least=0.0)] | None = None
+    low_cutoff: Corner | None = None
+    saturation: Annotated[float, Quantity(FORCE, above=0.0)] | None = None
+
+    def relations(self) -> Iterable[Mistake]:
+        """Check that the part is known."""
+        return _unknown(self.preset, "hammer")
+
+
+class Channel(Settings):
+    """One measured signal: a point, the sensor on it and the amplifier behind that.
+
+    Attributes
+    ----------
+    name : str
+        Name in the recording: letters, digits, `_`, `-` and `.`.
+    at : str
+        Where: `body 1` ..., `table`, `hammer`, or `shaker`: between a shaker of kind force and its body. The
+        force of other shakers is read from the ends of their coil spring, the table and the driven body.
+    accelerometer, integrator : optional
+        Sensor and integrating amplifier at a body or the table.
+    hammer : Hammer, optional
+        Force sensor, at the hammer or the shaker.
+    alarm, abort : float, optional
+        Limits of the measured quantity, in the channel's unit [m, m/s, m/s^2 or N]: above the first the
+        recording is marked, above the second the test ends.
+    """
+
+    name: Annotated[
+        str,
+        Field(
+            max_length=80,
+            pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$",
+            description="a name of letters, digits, _, - and .",
+        ),
+    ]
+    at: Annotated[
+        str,
+        Field(
+            pattern=r"^(body [1-9][0-9]{0,5}|table|hammer|shaker)$",
+            description="body 1, ..., table, hammer or shaker",
+        ),
+    ]
+    accelerometer: Accelerometer | None = None
+    integrator: Integrator | None = None
+    hammer: Hammer | None = None
+    alarm: Limit | None = None
+    abort: Limit | None = None
+
+    @classmethod
+    def kind_by_neighbours(cls, given: Mapping[str, Any]) -> Mapping[Place, Kind]:
+        """Limits are in what the channel measures."""
+        kind = {"1": VELOCITY, "2": LENGTH}.get(str(at(given, ("integrator", "order"))), ACCELERATION)
+        if given.get("at") in FORCE_PLACES:
+            kind = FORCE
+        return {("alarm",): kind, ("abort",): kind}
+
+    def relations(self) -> Iterable[Mistake]:
+        """Check that the sensor suits the place."""
+        if self.measures_force:
+            for key in ("accelerometer", "integrator"):
+                if getattr(self, key) is not None:
+                    yield Mistake(
+                        (key,), f"given at the {self.at}; expected hammer: with the keys of its force sensor"
+                    )
+        elif self.hammer is not None:
+            yield Mistake(("hammer",), f"given at {self.at}; expected it at: hammer or at: shaker")
+
+    @property
+    def measures_force(self) -> bool:
+        """Whether its sensor is one of force: at the hammer or the shaker."""
+        return self.at in FORCE_PLACES
+
+    @property
+    def body(self) -> int | None:
+        """The body it is mounted on, from 1; None elsewhere."""
+        return int(self.at.removeprefix("body ")) if self.at.startswith("body ") else None
+
+
+class DroppedBlock(Settings):
+    """Samples that the converter loses, to test what becomes of a faulty acquisition.
+
+    Attributes
+    ----------
+    at : float
+        When, from the start of the acquisition [s].
+    samples : int
+        How many in each channel.
+    """
+
+    at: Time
+    samples: Annotated[int, Field(ge=1, le=100_000_000, description="a whole number, at least 1")]
+
+
+class Converter(Settings):
+    """The analogue-to-digital converter and its clock, common to all channels.
+
+    Attributes
+    ----------
+    preset : str, optional
+        A module whose datasheet fills in what is not given here.
+    rate : float
+        Sample rate asked for [Hz].
+    bits : int, optional
+        Resolution; needs `range`. None: not quantised.
+    range : float, optional
+        Voltage at full scale [V]; None: not clipped.
+    noise : float, optional
+        White noise density at the input [V/sqrt(Hz)].
+    coupling : {"AC", "DC"}, optional
+        AC: a first-order high pass. None: DC.
+    ac_corner : float, optional
+        Corner of that high pass [Hz]; None: 0.5.
+    excitation : float, optional
+        Constant current that feeds the sensors (IEPE) [A].
+    filter : {"delta_sigma"}, optional
+        The decimation filter of a delta-sigma converter, which looks at the rig several times a sample where
+        the rig oscillates fast for the sample rate, or the rate is low. None: no filter.
+    remove_delay : bool
+        Whether the filter's delay is taken out of the samples' times.
+    skew : float or tuple of float, optional
+        Lateness of the channels' sampling instants [s]: of each channel relative to the one before it, or one
+        value per channel.
+    clock_error : float, optional
+        Relative error of the sample clock's frequency (20 ppm = 2e-5).
+    jitter : float, optional
+        Standard deviation of the sampling instants [s].
+    dropped_blocks : tuple of DroppedBlock
+        Samples to lose.
+    """
+
+    preset: Preset | None = None
+    rate: Annotated[float, Quantity(FREQUENCY, above=0.0)] = 5120.0
+    bits: Annotated[int, Field(ge=2, le=32, description="a whole number such as 24")] | None = None
+    range: Annotated[float, Quantity(VOLTAGE, above=0.0)] | None = None
+    noise: Annotated[float, Quantity(VOLTAGE_NOISE, at_least=0.0)] | None = None
+    coupling: Literal["AC", "DC"] | None = None
+    ac_corner: Corner | None = None
+    excitation: Annotated[float, Quantity(CURRENT, at_least=0.0)] | None = None
+    filter: Literal["delta_sigma"] | None = None
+    remove_delay: bool = False
+    skew: Annotated[float | tuple[float, ...], Quantity(TIME, at_least=0.0, listed=True)] | None = None
+    clock_error: Annotated[float, Quantity(RATIO)] | None = None
+    jitter: Time | None = None
+    dropped_blocks: tuple[DroppedBlock, ...] = ()
+
+    def relations(self) -> Iterable[Mistake]:
+        """Check that nothing is given without what it belongs to, and that its module can do it."""
+        unknown = list(_unknown(self.preset, "converter"))
+        yield from unknown
+        if not unknown:
+            yield from self._too_fast()
+        if self.bits is not None and self.range is None and self.preset is None:
+            yield Mistake(("bits",), "given without range, the voltage at full scale such as 5 V")
+        if self.ac_corner is not None and self.coupling != "AC" and self.preset is None:
+            yield Mistake(("ac_corner",), "given without coupling: AC")
+        if self.clock_error is not None and abs(self.clock_error) >= 0.1:
+            yield Mistake(("clock_error",), f"got {self.clock_error}; expected a small ratio such as 20 ppm")
+
+    def _too_fast(self) -> Iterable[Mistake]:
+        try:
+            _ = self.sample_rate
+        except SceneError as error:
+            yield Mistake(("rate",), str(error))
+
+    @property
+    def sample_rate(self) -> float:
+        """Rate of its samples [Hz]: as asked for or, from a module, the next one above that its clock allows."""
+        return self.rate if self.preset is None else part(self.preset, "converter").divided(self.rate)
+
+
+def _unknown(preset: str | None, kind: str) -> Iterable[Mistake]:
+    """Check that there is a data sheet of the part that is named."""
+    if preset is not None:
+        try:
+            part(preset, kind)
+        except SceneError as error:
+            yield Mistake(("preset",), str(error))

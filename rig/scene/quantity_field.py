@@ -1,0 +1,139 @@
+"""Numbers with a unit as fields of settings."""
+
+from __future__ import annotations
+
+from typing import Any, get_args
+
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+
+from rig.scene.quantities import Kind, parse
+
+
+class Quantity:
+    """What `Annotated[float, Quantity(...)]` accepts: a number with a unit, within bounds.
+
+    Parameters
+    ----------
+    kinds : Kind
+        What it may be. With several, another key decides (`Settings.kind_by_neighbours`).
+    above, at_least, below : float
+        Bounds, in SI.
+    infinite : bool
+        Whether `.inf` is a value.
+    listed : bool
+        Whether a list of such numbers may stand in its place.
+    """
+
+    def __init__(
+        self,
+        *kinds: Kind,
+        above: float | None = None,
+        at_least: float | None = None,
+        below: float | None = None,
+        infinite: bool = False,
+        listed: bool = False,
+    ) -> None:
+        self.kinds = kinds
+        self.above, self.at_least, self.below = above, at_least, below
+        self.infinite, self.listed = infinite, listed
+        nouns, examples = (
+            " or ".join(words) for words in zip(*((k.noun, k.example) for k in kinds), strict=True)
+        )
+        self.plain = f"{nouns} such as {examples}"
+        limits = [
+            f"above {above:g}" if above is not None else "",
+            f"at least {at_least:g}" if at_least is not None else "",
+            f"below {below:g}" if below is not None else "",
+            "" if infinite else "finite",
+        ]
+        self.bounded = f"{self.plain}, {' and '.join(filter(None, limits))}"
+
+    def read(self, value: Any) -> float | tuple[float, ...]:
+        """Read and check a value.
+
+        Raises
+        ------
+        PydanticCustomError
+            If it is not such a quantity; the message says what was expected.
+        """
+        if self.listed and isinstance(value, list | tuple):
+            if not value:
+                raise refusal(value, f"at least one: {self.plain}")
+            return tuple(self._one(item) for item in value)
+        return self._one(value)
+
+    def _one(self, value: Any) -> float:
+        for kind in self.kinds:
+            try:
+                number = parse(value, kind)
+            except ValueError:
+                continue
+            if self._allows(number):
+                # Minus zero becomes zero: the two are equal, but would be written differently.
+                return number + 0.0
+            raise refusal(value, self.bounded)
+        raise refusal(value, self.plain)
+
+    def _allows(self, number: float) -> bool:
+        return (
+            (self.infinite or abs(number) != float("inf"))
+            and (self.above is None or number > self.above)
+            and (self.at_least is None or number >= self.at_least)
+            and (self.below is None or number < self.below)
+        )
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_plain_validator_function(self.read)
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        limits = {"exclusiveMinimum": self.above, "minimum": self.at_least, "exclusiveMaximum": self.below}
+        number: dict[str, Any] = {"type": "number"}
+        number |= {key: limit for key, limit in limits.items() if limit is not None}
+        one = [number, {"type": "string"}]
+        many = [{"type": "array", "items": {"anyOf": one}, "minItems": 1}] if self.listed else []
+        return {"description": self.bounded, "anyOf": [*one, *many]}
+
+
+def quantity_of(annotation: Any) -> Quantity | None:
+    """Find the quantity in a field's type, None where there is none."""
+    if isinstance(annotation, Quantity):
+        return annotation
+    for part in (*getattr(annotation, "__metadata__", ()), *get_args(annotation)):
+        found = quantity_of(part)
+        if found is not None:
+            return found
+    return None
+
+
+def got(value: Any) -> str:
+    """Show a value as it stands in a scene, cut short if long."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, dict):
+        value = "keys " + ", ".join(map(str, value)) if value else "no keys"
+    elif isinstance(value, str):
+        value = f'"{value}"'
+    shown = str(value)
+    return shown if len(shown) <= 60 else f"{shown[:57]}..."
+
+
+def expected(value: Any, what: str) -> str:
+    """Phrase the usual mistake.
+
+    >>> expected("0.98 kg", "a length such as 0.98 mm")
+    'got "0.98 kg"; expected a length such as 0.98 mm'
+    """
+    return f"got {got(value)}; expected {what}"
+
+
+def mistake(message: str) -> PydanticCustomError:
+    """Give the form in which pydantic carries one of our messages."""
+    return PydanticCustomError("mistake", "{message}", {"message": message})
+
+
+def refusal(value: Any, what: str) -> PydanticCustomError:
+    """Refuse a value, saying what was expected."""
+    return mistake(expected(value, what))

@@ -1,0 +1,85 @@
+"""The scene: everything that is on the bench, frozen, in SI, frequencies in Hz."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from rig.scene.consistency import mistakes_between
+from rig.scene.damper import Damper
+from rig.scene.excitation import Test
+from rig.scene.measurement_chain import Channel, Converter
+from rig.scene.quantities import (
+    ACCELERATION,
+    FORCE,
+    LENGTH,
+    VOLTAGE,
+    Kind,
+)
+from rig.scene.quantity_field import Quantity
+from rig.scene.recording import Recording
+from rig.scene.settings import Mistake, Place, Settings, at
+from rig.scene.shaker import Shaker
+from rig.scene.structure import Structure
+
+STANDARD_GRAVITY = 9.80665
+
+
+class Scene(Settings):
+    """Everything on the bench.
+
+    Attributes
+    ----------
+    name : str
+        A line for titles and legends.
+    structure, dampers, shaker, test, channels, converter, recording
+        See their classes. `channels` None: ideal acceleration of every body and the table.
+    gravity : float
+        Downward acceleration [m/s^2].
+    seed : int
+        Where all random numbers of a run start.
+    """
+
+    name: str = Field("unnamed scene", min_length=1, max_length=200)
+    structure: Structure = Field(description="keys masses and springs, or matrices")
+    gravity: Annotated[float, Quantity(ACCELERATION, at_least=0.0)] = STANDARD_GRAVITY
+    dampers: tuple[Damper, ...] = ()
+    shaker: Shaker | None = None
+    test: Test | None = None
+    channels: tuple[Channel, ...] | None = Field(None, min_length=1)
+    converter: Converter = Converter()
+    recording: Recording = Recording()
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
+
+    @classmethod
+    def kind_by_neighbours(cls, given: Mapping[str, Any]) -> Mapping[Place, Kind]:
+        """Take the drive in what the shaker takes."""
+        kinds = {"table": LENGTH, "electrodynamic": VOLTAGE, "force": FORCE}
+        kind = kinds.get(str(at(given, ("shaker", "kind"))))
+        return {} if kind is None else {("test", "drive"): kind}
+
+    def relations(self) -> Iterable[Mistake]:
+        """Check references from one part to another."""
+        return mistakes_between(
+            self.structure.bodies,
+            self.dampers,
+            self.shaker,
+            self.test,
+            self.channels,
+            self.converter,
+            self.recording,
+        )
+
+    def to_yaml(self) -> str:
+        """Write a scene file, with everything in it, that loads back as an equal scene.
+
+        Returns
+        -------
+        str
+            YAML text; matrices are inline.
+        """
+        from rig.scene.yaml_writer import write
+
+        return write(self)

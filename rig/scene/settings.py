@@ -1,0 +1,279 @@
+"""The common ground of a scene's settings: frozen models that report all their mistakes together.
+
+A mistake carries its place (a tuple of keys and 0-based positions) and, in one sentence, the value found and
+what was expected. `rig.scene_file` turns the place into a line of the file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Any, ClassVar, Self, get_args
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    ValidationError,
+    model_validator,
+)
+from pydantic_core import CoreSchema, InitErrorDetails, core_schema
+
+from rig.errors import SceneError
+from rig.scene.quantities import Kind, parse
+from rig.scene.quantity_field import expected, mistake, quantity_of, refusal
+
+Place = tuple[int | str, ...]
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """One thing wrong in a scene: where, and what."""
+
+    place: Place
+    message: str
+
+
+def mistakes_of(error: ValidationError) -> list[Mistake]:
+    """List what a pydantic error holds, in our own words."""
+    return [Mistake(item["loc"], _in_words(item)) for item in error.errors(include_url=False)]
+
+
+def describe(mistakes: Iterable[Mistake], where: str, line: Callable[[Place], int] | None = None) -> str:
+    """Write mistakes one to a line: where, on which line of it, at which place, what.
+
+    >>> describe([Mistake(("dampers", 1, "clearance"), "missing")], "a.yaml", lambda place: 12)
+    'a.yaml:12: dampers[2].clearance: missing'
+    """
+    lines = []
+    for wrong in mistakes:
+        start = where if line is None else f"{where}:{line(wrong.place)}"
+        lines.append(": ".join(filter(None, [start, dotted(wrong.place), wrong.message])))
+    return "\n".join(lines)
+
+
+def dotted(place: Place) -> str:
+    """Write a place as a user counts, from 1.
+
+    >>> dotted(("dampers", 1, "clearance"))
+    'dampers[2].clearance'
+    """
+    return "".join(f"[{key + 1}]" if isinstance(key, int) else f".{key[:60]}" for key in place).lstrip(".")
+
+
+def report(title: str, mistakes: Iterable[Mistake]) -> ValidationError:
+    """Make one pydantic error of several mistakes."""
+    lines = [InitErrorDetails(type=mistake(m.message), loc=m.place, input=None) for m in mistakes]
+    return ValidationError.from_exception_data(title, lines)
+
+
+class Settings(BaseModel):
+    """Base of all settings: frozen, unknown keys refused, all mistakes reported together."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", validate_by_name=True, validate_by_alias=True)
+
+    # Groups of keys of which exactly one has to be given.
+    one_of: ClassVar[tuple[tuple[str, ...], ...]] = ()
+
+    def replace(self, **changes: Any) -> Self:
+        """Make a variant with some fields changed, checked like the original.
+
+        Raises
+        ------
+        SceneError
+            With one line for each mistake, if there can be no such variant.
+        """
+        fields = {name: getattr(self, name) for name in type(self).model_fields}
+        try:
+            return type(self).model_validate({**fields, **changes})
+        except ValidationError as error:
+            raise SceneError(describe(mistakes_of(error), type(self).__name__)) from None
+
+    def relations(self) -> Iterable[Mistake]:
+        """List what is wrong between fields that are right one by one."""
+        return ()
+
+    @classmethod
+    def kind_by_neighbours(cls, given: Mapping[str, Any]) -> Mapping[Place, Kind]:
+        """Say which kind a quantity has to be, by its place, where that depends on other keys."""
+        return {}
+
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Add what pydantic does not know: keys that exclude each other, and that the kind is named."""
+        reference = handler(schema)
+        known = handler.resolve_ref_schema(reference)
+        known["description"] = str(cls.__doc__).split("\n\n")[0].replace("\n    ", " ")
+        if cls.one_of:
+            known["allOf"] = [{"oneOf": [{"required": [key]} for key in group]} for group in cls.one_of]
+        if "kind" in cls.model_fields:
+            known["required"] = ["kind", *known.get("required", ())]
+        return reference
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _report_together(cls, data: Any, handler: Callable[[Any], Self]) -> Self:
+        mistakes: list[Mistake] = []
+        settings = None
+        try:
+            settings = handler(data)
+        except ValidationError as error:
+            mistakes += [cls._explain(item) for item in error.errors(include_url=False) if not _echo(item)]
+        if isinstance(data, Mapping):
+            mistakes += cls._presence(data)
+            mistakes += cls._wrong_kinds(data, {wrong.place for wrong in mistakes})
+        if settings is not None and not mistakes:
+            mistakes += settings.relations()
+        if mistakes or settings is None:
+            raise report(cls.__name__, mistakes)
+        return settings
+
+    @classmethod
+    def keys(cls) -> list[str]:
+        """List the keys as a scene file has them."""
+        return [field.alias or name for name, field in cls.model_fields.items()]
+
+    @classmethod
+    def _explain(cls, item: Any) -> Mistake:
+        """Put one of pydantic's errors in our words, here where the keys are known."""
+        place, found = item["loc"], item["input"]
+        if item["type"] == "extra_forbidden" and len(place) == 1:
+            return Mistake(place, unknown(str(place[0]), cls.keys()))
+        if item["type"] == "missing" and len(place) == 1:
+            return Mistake(place, f"missing; expected {cls._what(str(place[0]))}")
+        if item["type"] == "model_type" and not place:
+            return Mistake(place, expected(found, f"keys such as {', '.join(cls.keys()[:4])}"))
+        if item["type"] == "string_pattern_mismatch" and len(place) == 1:
+            return Mistake(place, expected(found, cls._what(str(place[0]))))
+        return Mistake(place, _in_words(item))
+
+    @classmethod
+    def _what(cls, key: str) -> str:
+        field = next(f for name, f in cls.model_fields.items() if key in (name, f.alias))
+        for part in (*field.metadata, field.annotation):
+            quantity = quantity_of(part)
+            if quantity is not None:
+                return quantity.plain
+        return field.description or "a value"
+
+    @classmethod
+    def _presence(cls, data: Mapping[str, Any]) -> Iterable[Mistake]:
+        for group in cls.one_of:
+            there = [key for key in group if data.get(key) is not None]
+            if len(there) != 1:
+                names = " or ".join(group)
+                problem = f"{' and '.join(there)} given together" if there else f"{names} missing"
+                yield Mistake((), f"{problem}; expected exactly one of {names}")
+
+    @classmethod
+    def _wrong_kinds(cls, data: Mapping[str, Any], known: set[Place]) -> Iterable[Mistake]:
+        for place, kind in cls.kind_by_neighbours(data).items():
+            given = at(data, place)
+            for value in given if isinstance(given, list | tuple) else [given]:
+                if not isinstance(value, str) or place in known:
+                    continue
+                try:
+                    parse(value, kind)
+                except ValueError:
+                    yield Mistake(place, expected(value, f"{kind.noun} such as {kind.example}"))
+
+
+def at(data: Any, place: Place) -> Any:
+    """Look up what is given at a place, among settings or plain mappings; None where there is nothing."""
+    for key in place:
+        data = data.get(key) if isinstance(data, Mapping) else getattr(data, str(key), None)
+    return data
+
+
+def unknown(key: str, keys: Iterable[str]) -> str:
+    """Say that a key is unknown, with the nearest one there is.
+
+    >>> unknown("clearence", ["mass", "clearance"])
+    'unknown key "clearence"; did you mean "clearance"?'
+    """
+    keys = list(keys)
+    near = get_close_matches(key, keys, n=1, cutoff=0.6)
+    hint = f'did you mean "{near[0]}"?' if near else f"expected one of {', '.join(keys)}"
+    return f'unknown key "{key[:60]}"; {hint}'
+
+
+def _echo(item: Any) -> bool:
+    """Whether an error only follows from others: a list counted as too short because its items are wrong."""
+    return item["type"] == "too_short" and len(item["input"]) >= item["ctx"]["min_length"]
+
+
+def _in_words(item: Any) -> str:
+    """Phrase a pydantic error as value found and what was expected."""
+    context = item.get("ctx", {})
+    what = {
+        "greater_than_equal": f"a whole number, at least {context.get('ge')}",
+        "less_than_equal": f"a whole number, at most {context.get('le')}",
+        "too_short": f"a list of at least {context.get('min_length')}",
+        "too_long": f"a list of at most {context.get('max_length')}",
+        "int_type": "a whole number",
+        "int_parsing": "a whole number",
+        "int_parsing_size": "a whole number of ordinary size",
+        "int_from_float": "a whole number",
+        "bool_type": "true or false",
+        "bool_parsing": "true or false",
+        "string_type": "text",
+        "string_too_short": "some text",
+        "string_too_long": f"at most {context.get('max_length')} characters",
+        "literal_error": f"one of {str(context.get('expected')).replace(chr(39), '')}",
+        "tuple_type": "a list",
+    }.get(item["type"])
+    return expected(item["input"], what) if what else str(item["msg"])
+
+
+Classes = tuple[type[Settings], ...]
+
+
+class Alternatives:
+    """What `Annotated[A | B, Alternatives(by_kind)]` accepts: the settings that the given keys call for.
+
+    Unlike a plain union, mistakes are reported for the one kind that was meant.
+    """
+
+    def __init__(self, choose: Callable[[Mapping[str, Any], Classes], type[Settings]]) -> None:
+        self.choose = choose
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        classes: Classes = get_args(source)
+
+        def read(value: Any, _: Any) -> Settings:
+            if isinstance(value, classes):
+                return type(value).model_validate(value)
+            if not isinstance(value, Mapping):
+                raise refusal(value, "keys and values")
+            return self.choose(value, classes).model_validate(value)
+
+        return core_schema.no_info_wrap_validator_function(read, handler(source))
+
+
+def by_kind(given: Mapping[str, Any], classes: Classes) -> type[Settings]:
+    """Choose by the key `kind`."""
+    kinds = {cls.model_fields["kind"].default: cls for cls in classes}
+    kind = given.get("kind")
+    if kind in kinds:
+        return kinds[kind]
+    names = f"one of {', '.join(kinds)}"
+    near = get_close_matches(str(kind), kinds, n=1)
+    hint = f' (nearest: "{near[0]}")' if near else ""
+    message = f"missing; expected {names}" if kind is None else expected(kind, names) + hint
+    raise report("kind", [Mistake(("kind",), message)])
+
+
+def by_key(given: Mapping[str, Any], classes: Classes) -> type[Settings]:
+    """Choose by the one key that only one of them has, its first."""
+    firsts = {cls.keys()[0]: cls for cls in classes}
+    there = [key for key in firsts if key in given]
+    if len(there) == 1:
+        return firsts[there[0]]
+    names = f"exactly one of the keys {', '.join(firsts)}"
+    near = get_close_matches(" ".join(map(str, given)), firsts, n=1)
+    hint = f' (nearest: "{near[0]}")' if near else ""
+    raise mistake(expected(dict(given), names) + hint)

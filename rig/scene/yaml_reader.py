@@ -1,0 +1,171 @@
+"""YAML with line numbers, read so that a scalar is what its key makes of it.
+
+Every plain scalar comes out as the text that stands in the file (`null`, `~` and nothing as None): the
+settings know whether a number, a name or a switch belongs there. So `1e-5` is a number, `name: off` a name,
+and nothing is taken for a date or counted to base 60, as YAML 1.1 would have it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import yaml
+
+from rig.scene.settings import Mistake, Place
+
+MOST_CHARACTERS = 64_000_000
+DEEPEST = 20
+MOST_REPEATED = 20_000  # nodes that aliases may add; a few nested aliases could otherwise stand for billions
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_NULLS = ("", "~", "null", "Null", "NULL")
+
+
+@dataclass
+class Document:
+    """A file's content as dicts, lists, texts and None, and the line on which each place stands."""
+
+    content: Any = None
+    lines: dict[Place, int] = field(default_factory=dict)
+    mistakes: list[tuple[int, Mistake]] = field(default_factory=list)
+
+    def line(self, place: Place) -> int:
+        """Find the line of a place, or of the nearest thing around it; from 1."""
+        while place and place not in self.lines:
+            place = place[:-1]
+        return self.lines.get(place, 1)
+
+
+class _Unreadable(Exception):
+    """Ends the reading with one mistake at a line."""
+
+    def __init__(self, line: int, message: str) -> None:
+        super().__init__(message)
+        self.line = line
+
+
+def read(text: str) -> Document:
+    """Read a YAML text.
+
+    Parameters
+    ----------
+    text : str
+        One document.
+
+    Returns
+    -------
+    Document
+        Its content; keys given twice, unusable YAML and the like are in its `mistakes`.
+    """
+    document = Document()
+    try:
+        if len(text) > MOST_CHARACTERS:
+            raise _Unreadable(1, f"{len(text)} characters; expected a scene, at most {MOST_CHARACTERS}")
+        _Reader(text, document).run()
+    except _Unreadable as error:
+        document.mistakes.append((error.line, Mistake((), str(error))))
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        context = f" ({error.context})" if error.context else ""
+        line = 1 if mark is None else mark.line + 1
+        document.mistakes.append((line, Mistake((), f"no valid YAML: {error.problem}{context}")))
+    except yaml.YAMLError as error:
+        document.mistakes.append((1, Mistake((), f"no valid YAML: {str(error).splitlines()[0]}")))
+    return document
+
+
+class _Reader:
+    """Builds content from the parser's events, without recursion into what a file may nest."""
+
+    def __init__(self, text: str, document: Document) -> None:
+        self.events: Iterator[Any] = iter(yaml.parse(text, Loader=_LOADER))
+        self.document = document
+        self.anchors: dict[str, Any] = {}
+        self.repeated = 0
+
+    def run(self) -> None:
+        documents = 0
+        for event in self.events:
+            if isinstance(event, yaml.DocumentStartEvent):
+                documents += 1
+                if documents > 1:
+                    line = _line(event)
+                    raise _Unreadable(line, "a second document; expected one scene in a file")
+                self.document.content = self._node(next(self.events), ())
+
+    def _node(self, event: Any, place: Place) -> Any:
+        line = _line(event)
+        if line != self.document.line(place):  # a matrix of a thousand rows needs no million of entries
+            self.document.lines[place] = line
+        if len(place) > DEEPEST:
+            raise _Unreadable(line, f"nested deeper than {DEEPEST} levels; expected a scene")
+        if isinstance(event, yaml.AliasEvent):
+            return self._alias(event, line)
+        if event.tag is not None and event.tag != "!":
+            raise _Unreadable(line, f"tag {event.tag}; expected plain values without tags")
+        if isinstance(event, yaml.ScalarEvent):
+            value: Any = None if event.implicit[0] and event.value in _NULLS else event.value
+        elif isinstance(event, yaml.SequenceStartEvent):
+            value = self._sequence(place)
+        else:
+            value = self._mapping(place)
+        if event.anchor is not None:
+            self.anchors[event.anchor] = value
+        return value
+
+    def _alias(self, event: Any, line: int) -> Any:
+        if event.anchor not in self.anchors:
+            raise _Unreadable(
+                line, f"alias *{event.anchor} to nothing above; expected &{event.anchor} before it"
+            )
+        value = self.anchors[event.anchor]
+        self.repeated += _size(value, MOST_REPEATED)
+        if self.repeated > MOST_REPEATED:
+            raise _Unreadable(line, f"aliases stand for more than {MOST_REPEATED} values; expected a scene")
+        return value
+
+    def _sequence(self, place: Place) -> list[Any]:
+        values: list[Any] = []
+        for event in self.events:
+            if isinstance(event, yaml.SequenceEndEvent):
+                break
+            values.append(self._node(event, (*place, len(values))))
+        return values
+
+    def _mapping(self, place: Place) -> dict[str, Any]:
+        values: dict[str, Any] = {}
+        for event in self.events:
+            if isinstance(event, yaml.MappingEndEvent):
+                break
+            line = _line(event)
+            if not isinstance(event, yaml.ScalarEvent):
+                raise _Unreadable(line, "a key that is no single word; expected key: value")
+            key, here = event.value, (*place, event.value)
+            if key in values:
+                message = f"given twice, first on line {self.document.line(here)}; expected each key once"
+                self.document.mistakes.append((line, Mistake(here, message)))
+                self._node(next(self.events), here)
+                continue
+            if line != self.document.line(here):
+                self.document.lines[here] = line
+            values[key] = self._node(next(self.events), here)
+        return values
+
+
+def _line(event: Any) -> int:
+    """Give the line of the file on which an event starts, from 1."""
+    return int(event.start_mark.line) + 1
+
+
+def _size(value: Any, most: int) -> int:
+    """Count the values in a nest, giving up above `most`."""
+    count, open_values = 0, [value]
+    while open_values and count <= most:
+        inside = open_values.pop()
+        count += 1
+        if isinstance(inside, dict):
+            open_values.extend(inside.values())
+        elif isinstance(inside, list):
+            open_values.extend(inside)
+    return count

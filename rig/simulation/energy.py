@@ -1,0 +1,272 @@
+"""The energy ledger of a run: what the drive put in, what is stored, and where the rest went.
+
+Work and dissipation are quadratic forms of the state, integrated over every stretch between samples and breaks
+by Gauss-Legendre quadrature of the exact flow; losses in impacts are the jumps of kinetic energy. Nothing is
+taken as the difference of the others, so that the residual tests the engine.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from rig.engine.contact import CEILING, FLIGHT
+from rig.engine.flow import FlowTables
+from rig.engine.trajectory import Course
+from rig.numerics.bernstein import LENGTH
+from rig.scene.scene import Scene
+from rig.scene.shaker import ElectrodynamicShaker, TableShaker
+from rig.system.hybrid_system import System
+
+Array = NDArray[np.float64]
+
+#: Gauss-Legendre nodes and weights on [0, 1]; within a step 8 of them integrate a product of two solutions to
+#: rounding.
+_GAUSS = tuple(0.5 * part for part in np.polynomial.legendre.leggauss(8) + np.array([[1.0], [0.0]]))
+
+
+@dataclass(frozen=True)
+class Energy:
+    """Ledger over a run, J.
+
+    Attributes
+    ----------
+    work : float
+        Done by the drive: by the force, by the table on the coil spring, or by the amplifier on the coil.
+    stored, stored_before : float
+        Kinetic, elastic, gravitational (dampers) and magnetic energy at the end and at the start.
+    dissipated : float
+        In the damping of the structure, the suspension and the coil's resistance.
+    impacts : float
+        Lost in impacts.
+    """
+
+    work: float
+    stored: float
+    stored_before: float
+    dissipated: float
+    impacts: float
+
+    @property
+    def residual(self) -> float:
+        """Work - change of stored energy - dissipated - lost in impacts; zero but for rounding."""
+        return self.work - (self.stored - self.stored_before) - self.dissipated - self.impacts
+
+
+@dataclass(frozen=True)
+class Forms:
+    """Quadratic forms of the augmented state z (states, then drive), as symmetric matrices."""
+
+    stored: Array
+    dissipated: Array
+    power: Array
+
+
+def forms(scene: Scene, system: System, output: Array) -> Forms:
+    """Give stored energy, dissipation and power of the drive as quadratic forms.
+
+    Parameters
+    ----------
+    scene : Scene
+    system : System
+    output : float64 (inputs, drive states)
+        u = output p.
+    """
+    n, ns = system.coordinates, system.states
+    size = ns + output.shape[1]
+    shaker = scene.shaker
+    mass = system.mass.copy()
+    stiffness = -system.force_state[:, :n]
+    damping = -system.force_state[:, n : 2 * n]
+    push = np.zeros((n, size))
+    push[:, ns:] = system.force_drive @ output
+    power = np.zeros((size, size))
+    if isinstance(shaker, TableShaker):
+        # The table is prescribed: its motion does work on the coil spring, and holds no energy of ours.
+        table, body = system.points.index("table"), shaker.body - 1
+        mass[table, table] = damping[table, table] = 0.0
+        push[table] = 0.0
+        stiffness[table, table] = shaker.spring
+        stiffness[table, body] = -shaker.spring
+        force = np.zeros(size)
+        force[table], force[body] = shaker.spring, -shaker.spring
+        power[n + table] += force
+    power[n : 2 * n] += push
+    stored = np.zeros((size, size))
+    stored[:n, :n] = stiffness
+    stored[n : 2 * n, n : 2 * n] = mass
+    dissipated = np.zeros((size, size))
+    dissipated[n : 2 * n, n : 2 * n] = damping
+    if isinstance(shaker, ElectrodynamicShaker) and shaker.amplifier.mode == "voltage":
+        coil = shaker.coil
+        stored[2 * n, 2 * n] = coil.inductance
+        dissipated[2 * n, 2 * n] = coil.resistance
+        power[2 * n, ns:] = shaker.amplifier.gain * output[system.inputs.index("shaker")]
+    return Forms(0.5 * _symmetric(stored), _symmetric(dissipated), _symmetric(power))
+
+
+def _symmetric(matrix: Array) -> Array:
+    return 0.5 * (matrix + matrix.T)
+
+
+def _quadratic(form: Array, states: Array) -> Array:
+    return np.einsum("...i,ij,...j->...", states, form, states)
+
+
+@dataclass(frozen=True)
+class Ends:
+    """Whole state at one instant: augmented state, and height, own speed and mode of every damper."""
+
+    state: Array
+    height: Array
+    speed: Array
+    mode: NDArray[Any]
+
+
+def ledger(
+    scene: Scene, tables: FlowTables, start: Ends, end: Ends, course: Course, begins: Array, durations: Array
+) -> Energy:
+    """Add up the energy of a course of motion.
+
+    Parameters
+    ----------
+    scene, tables
+        The scene and the flow it ran on.
+    start, end : Ends
+        The whole state before and after.
+    course : Course
+        What happened.
+    begins : float64 (segments, size)
+        States at which the segments begin.
+    durations : float64 (segments,)
+        Lengths of the segments, s.
+    """
+    quadratic = forms(scene, tables.system, tables.drive.output)
+    states, slots, lengths, _ = _stretches(tables, course, begins, durations)
+    work, dissipated = _integrals(tables, quadratic, states, slots, lengths)
+    return Energy(
+        work=work,
+        stored=_stored(tables, quadratic, end),
+        stored_before=_stored(tables, quadratic, start),
+        dissipated=dissipated,
+        impacts=_impact_losses(tables.system, course),
+    )
+
+
+def fourier(
+    tables: FlowTables, course: Course, begins: Array, durations: Array, omega: float
+) -> NDArray[np.complex128]:
+    """Integral of z(t) e^{-i omega t} over a course whose segments are no longer than a step, shape (size,).
+
+    Kinks at impacts are between the stretches, so that quadrature keeps its full order.
+    """
+    states, slots, lengths, starts = _stretches(tables, course, begins, durations)
+    total = np.zeros(tables.size, dtype=np.complex128)
+    part = lengths / tables.step
+    for slot in np.unique(slots):
+        rows = slots == slot
+        terms = _series(tables, int(slot), states[rows])
+        for node, weight in zip(*_GAUSS, strict=True):
+            turn = np.exp(-1j * omega * (starts[rows] + node * lengths[rows]))
+            total += (weight * lengths[rows] * turn) @ _sum_series(terms, part[rows] * node)
+    return total
+
+
+def _stretches(
+    tables: FlowTables, course: Course, begins: Array, durations: Array
+) -> tuple[Array, NDArray[np.int64], Array, Array]:
+    """Start states, slots, lengths and start times of the stretches between segment ends and breaks."""
+    size = tables.size
+    segments = len(durations)
+    segment = np.concatenate([np.arange(segments), course.break_segment])
+    offset = np.concatenate([np.zeros(segments), course.break_offset])
+    states = np.concatenate([begins[:, :size], course.after[:, :size]])
+    # Breaks keep their order: several may fall on one instant.
+    order = np.lexsort((np.arange(len(segment)), offset, segment))
+    segment, offset = segment[order], offset[order]
+    first_slot = course.before_slot[0] if len(course.before_slot) else course.slot[0]
+    known = np.concatenate([np.full(segments, -1), course.after_slot])[order]
+    known[0] = first_slot if known[0] < 0 else known[0]
+    slots = known[np.maximum.accumulate(np.where(known >= 0, np.arange(len(known)), 0))]
+    following = np.append(offset[1:], 0.0)
+    same = np.append(segment[1:] == segment[:-1], False)
+    lengths = np.where(same, following, durations[segment]) - offset
+    begin = np.concatenate([[0.0], np.cumsum(durations)[:-1]])
+    return states[order], slots, np.maximum(lengths, 0.0), begin[segment] + offset
+
+
+def _integrals(
+    tables: FlowTables, quadratic: Forms, states: Array, slots: NDArray[np.int64], lengths: Array
+) -> tuple[float, float]:
+    """Integrals of power and dissipation over stretches of any length."""
+    h = tables.step
+    # A stretch may be longer than a step: cut it, carrying the state along.
+    work = dissipated = 0.0
+    while len(states):
+        part = np.minimum(lengths, h) / h
+        ends = np.empty_like(states)
+        for slot in np.unique(slots):
+            rows = slots == slot
+            terms = _series(tables, int(slot), states[rows])
+            for node, weight in zip(*_GAUSS, strict=True):
+                at_node = _sum_series(terms, part[rows] * node)
+                share = weight * part[rows] * h
+                work += float(share @ _quadratic(quadratic.power, at_node))
+                dissipated += float(share @ _quadratic(quadratic.dissipated, at_node))
+            ends[rows] = _sum_series(terms, part[rows])
+        more = lengths > h * (1.0 + 1e-12)
+        states, slots, lengths = ends[more], slots[more], lengths[more] - h
+    return work, dissipated
+
+
+def _series(tables: FlowTables, slot: int, states: Array) -> Array:
+    """Power series of states over a step, shape (states, terms, size)."""
+    flow, size = tables.flow, tables.size
+    if tables.tabulated:
+        matrix = flow.series[slot].reshape(size, LENGTH + 1, -1)[:, :, :size]
+        constant = flow.series_constant[slot].reshape(LENGTH + 1, -1)[:, :size]
+        return np.einsum("sc,ckr->skr", states, matrix, optimize=True) + constant
+    rates = csr_array((flow.rates[slot], flow.column, flow.pointer), shape=(size, size))
+    terms = np.empty((LENGTH + 1, len(states), size))
+    terms[0] = states
+    for k in range(LENGTH):
+        terms[k + 1] = (rates @ terms[k].T).T * (tables.step / (k + 1))
+        if k == 0:
+            terms[1] += flow.rates_constant[slot] * tables.step
+    return terms.transpose(1, 0, 2)
+
+
+def _sum_series(terms: Array, tau: Array) -> Array:
+    powers = tau[:, None] ** np.arange(terms.shape[1])
+    return np.einsum("sk,skr->sr", powers, terms)
+
+
+def _stored(tables: FlowTables, quadratic: Forms, ends: Ends) -> float:
+    """Energy stored in one state of the whole system, J."""
+    system = tables.system
+    n, body = system.coordinates, system.damper_coordinate
+    state = ends.state[: tables.size]
+    flying = ends.mode == FLIGHT
+    position = state[body] + np.where(ends.mode == CEILING, system.clearance, 0.0)
+    height = np.where(flying, ends.height, position)
+    speed = np.where(flying, ends.speed, state[n + body])
+    energy = float(_quadratic(quadratic.stored, state)) - float(system.force_constant @ state[:n])
+    return energy + float(system.damper_mass @ (system.gravity * height + 0.5 * speed**2))
+
+
+def _impact_losses(system: System, course: Course) -> float:
+    """Kinetic energy that vanished at the breaks, J."""
+    n = system.coordinates
+    loss = 0.0
+    for sign, states, own in (
+        (1.0, course.before, course.speed_before),
+        (-1.0, course.after, course.speed_after),
+    ):
+        velocity = states[:, n : 2 * n]
+        loss += sign * 0.5 * float(np.einsum("bi,ij,bj->", velocity, system.mass, velocity))
+        loss += sign * 0.5 * float((own**2 @ system.damper_mass).sum())
+    return loss

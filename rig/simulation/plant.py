@@ -1,0 +1,147 @@
+"""The rig as a bench sees it: drive samples go in, motion comes out."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rig.engine.propagator import Seen, sampled_march
+from rig.engine.trajectory import Array, Course, event_table
+from rig.errors import RunError, SceneError
+from rig.scene.scene import Scene
+from rig.simulation.motion import Motion
+from rig.system.assembly import assemble
+
+
+class Plant:
+    """A scene's rig under sampled drive with first-order hold.
+
+    The motion between samples is exact, contacts included, and does not depend on how the drive is cut into
+    blocks.
+
+    Parameters
+    ----------
+    scene : Scene
+    rate : float
+        Samples per second.
+
+    Attributes
+    ----------
+    inputs, drive_units : tuple of str
+        "shaker" and/or "hammer"; N, m (displacement commanded of the table), V (at the amplifier).
+    points : tuple of str
+        "body 1" ... and "table" if there is one.
+    """
+
+    def __init__(self, scene: Scene, rate: float) -> None:
+        if not (np.isfinite(rate) and rate > 0.0):
+            raise SceneError(f"rate: got {rate!r}; expected a positive number of samples per second")
+        self.rate = float(rate)
+        self.system = assemble(scene)
+        self.inputs, self.drive_units, self.points = (
+            self.system.inputs,
+            self.system.drive_units,
+            self.system.points,
+        )
+        self._march, self._steps = sampled_march(self.system, 1.0 / self.rate)
+        self._limit = _drive_limits(scene, self.inputs)
+        self._next = 0
+        self._last = np.zeros((len(self.inputs), 1))
+
+    @property
+    def ambiguous(self) -> int:
+        """Number of contact decisions so far that lay within rounding (they count as no contact)."""
+        return self._march.ambiguous
+
+    def advance(self, drive: ArrayLike) -> Motion:
+        """Drive the rig on.
+
+        Parameters
+        ----------
+        drive : array_like, shape (inputs, samples)
+            Drive at the next samples. The very first one is the drive at t = 0, where the motion starts.
+
+        Returns
+        -------
+        Motion
+            At the same samples; sample k depends on drive up to k.
+
+        Raises
+        ------
+        RunError
+            If the drive has the wrong shape, or is not finite.
+        """
+        block = self._checked(drive)
+        first, samples = self._next, block.shape[1]
+        seen = self._march.sight(samples)
+        lifted = np.zeros(0, dtype=np.int64)
+        lead = 0
+        if first == 0 and samples:
+            lead = 1
+            self._last = block[:, :1].copy()
+            lifted = self._march.place(
+                self.system.initial, np.concatenate([block[:, 0], np.zeros(len(self.inputs))])
+            )
+            self._march.see(seen, 0)
+        drive_in = np.concatenate([self._last, block[:, lead:]], axis=1)
+        course = self._march.watch_samples(drive_in, self._steps, seen, lead)
+        self._last = drive_in[:, -1:].copy()
+        self._next += samples
+        return self._motion(seen, course, first + lead, first, lifted)
+
+    def _checked(self, drive: ArrayLike) -> Array:
+        block = np.asarray(drive, dtype=np.float64)
+        if block.ndim != 2 or block.shape[0] != len(self.inputs):
+            raise RunError(
+                f"drive: got an array of shape {block.shape}; expected ({len(self.inputs)}, samples) for the "
+                f"inputs {', '.join(self.inputs) or '(none)'}"
+            )
+        if not np.isfinite(block).all():
+            row, column = np.argwhere(~np.isfinite(block))[0]
+            raise RunError(
+                f"drive: {block[row, column]} at sample {self._next + column} of input {self.inputs[row]}; "
+                "expected finite numbers"
+            )
+        return np.clip(block, -self._limit, self._limit) if np.isfinite(self._limit).any() else block
+
+    def _motion(
+        self, seen: Seen, course: Course, first_end: int, first: int, lifted: NDArray[np.int64]
+    ) -> Motion:
+        """Put a block together; segment s of the course ends at sample `first_end` + s."""
+        system, n = self.system, self.system.coordinates
+        interval = 1.0 / self.rate
+        displacement, velocity, acceleration, gap = self._march.parts(seen)
+        before, after = course.before, course.after
+        times = (first_end + course.event_segment - 1) * interval + course.event_offset
+        events = event_table(times, course.event_damper, course.event_kind, course.event_speed, system)
+        if len(lifted):
+            at_once = np.zeros(len(lifted))
+            early = event_table(at_once, lifted, at_once.astype(np.int64), at_once, system)
+            events = np.concatenate([early, events])
+        return Motion(
+            first=first,
+            displacement=displacement,
+            velocity=velocity,
+            acceleration=acceleration,
+            gap=gap,
+            contact=seen.contact,
+            break_sample=first_end + course.break_segment,
+            break_offset=np.minimum(course.break_offset, interval),
+            break_displacement=np.ascontiguousarray(before[:, :n].T),
+            break_velocity=np.array([before[:, n : 2 * n].T, after[:, n : 2 * n].T]),
+            break_acceleration=self._march.accelerations(
+                np.concatenate([before, after]), np.concatenate([course.before_slot, course.after_slot])
+            )
+            .reshape(n, 2, len(before))
+            .transpose(1, 0, 2),
+            events=events,
+        )
+
+
+def _drive_limits(scene: Scene, inputs: tuple[str, ...]) -> Array:
+    """Largest drive that each input passes on: an amplifier clips."""
+    limits = np.full((len(inputs), 1), np.inf)
+    shaker = scene.shaker
+    if shaker is not None and shaker.kind == "electrodynamic":
+        limits[inputs.index("shaker")] = shaker.amplifier.limit / shaker.amplifier.gain
+    return limits

@@ -1,0 +1,119 @@
+"""A simulated run as text for a person, and as a file for other programs."""
+
+from __future__ import annotations
+
+import csv
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from rig.engine.trajectory import KINDS
+from rig.errors import SceneError
+from rig.scene.excitation import Impulse
+from rig.scene.scene import Scene
+from rig.simulation.simulate import Run
+
+#: File name endings that `write` knows.
+ENDINGS = (".npz", ".csv")
+
+
+def duration_of(scene: Scene) -> float:
+    """Time that a scene's test takes open loop, s; two seconds for a test that does not say.
+
+    Parameters
+    ----------
+    scene : Scene
+    """
+    test = scene.test
+    if isinstance(test, Impulse):
+        return test.repeats * test.interval
+    return float(getattr(test, "duration", 2.0))
+
+
+def check_name(path: Path) -> None:
+    """Refuse a file name of unknown ending before anything runs.
+
+    Raises
+    ------
+    SceneError
+    """
+    if path.suffix not in ENDINGS:
+        raise SceneError(f"{path}: expected a name that ends in {' or '.join(ENDINGS)}")
+
+
+def summary(run: Run) -> str:
+    """Say in a few lines what happened: peaks, events, energy.
+
+    Parameters
+    ----------
+    run : Run
+    """
+    lines = [f"{run.scene.name}: {run.time[-1]:.6g} s, {len(run.time)} samples", ""]
+    lines.append(f"{'point':10}{'peak m':>12}{'peak m/s':>12}{'peak m/s2':>12}")
+    for row, point in enumerate(run.points):
+        peaks = (np.abs(part[row]).max() for part in (run.displacement, run.velocity, run.acceleration))
+        lines.append(f"{point:10}" + "".join(f"{peak:12.4g}" for peak in peaks))
+    lines.append("")
+    for damper in sorted({int(number) for number in run.events["damper"]}):
+        own = run.events[run.events["damper"] == damper]
+        counts = Counter(str(kind) for kind in own["kind"])
+        parts = [f"{kind} {counts[kind]}" for kind in KINDS if counts[kind]]
+        lines.append(f"damper {damper}: {', '.join(parts)}; hardest impact {own['speed'].max():.4g} m/s")
+    lines.append(f"events: {len(run.events)}, decided within rounding: {run.ambiguous}")
+    energy = run.energy
+    lines += [
+        "",
+        f"work of the drive      {energy.work:12.6g} J",
+        f"dissipated in damping  {energy.dissipated:12.6g} J",
+        f"lost in impacts        {energy.impacts:12.6g} J",
+        f"still stored           {energy.stored - energy.stored_before:12.6g} J",
+        f"unaccounted for        {energy.residual:12.2g} J",
+    ]
+    return "\n".join(lines)
+
+
+def write(run: Run, path: Path) -> None:
+    """Write a run: everything as .npz, or time, motion and gaps as columns of a .csv.
+
+    Parameters
+    ----------
+    run : Run
+    path : Path
+        Its ending says which.
+
+    Raises
+    ------
+    SceneError
+        If the ending is another one, or the file cannot be written.
+    """
+    check_name(path)
+    try:
+        if path.suffix == ".npz":
+            fields = ("time", "displacement", "velocity", "acceleration", "gap", "contact")
+            arrays = {name: getattr(run, name) for name in fields}
+            # Record arrays keep no metadata in a file, so the count goes beside them.
+            events = run.events.astype(np.dtype(run.events.dtype.descr))
+            np.savez_compressed(
+                path, points=np.array(run.points), events=events, ambiguous=run.ambiguous, **arrays
+            )
+        else:
+            _write_columns(run, path)
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be written ({error.strerror})") from None
+
+
+def _write_columns(run: Run, path: Path) -> None:
+    motion = {
+        "displacement_m": run.displacement,
+        "velocity_m_per_s": run.velocity,
+        "acceleration_m_per_s2": run.acceleration,
+    }
+    header = ["time_s", *(f"{point.replace(' ', '')}_{name}" for name in motion for point in run.points)]
+    header += [f"gap{k + 1}_m" for k in range(len(run.gap))]
+    table = np.column_stack([run.time, *(rows.T for rows in motion.values()), run.gap.T])
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(header)
+        # Enough digits to read back the same numbers.
+        writer.writerows([[repr(float(value)) for value in row] for row in table])

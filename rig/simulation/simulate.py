@@ -1,0 +1,247 @@
+"""Ideal truth, open loop: what a scene's rig does, without sensors, converter or controller."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rig.engine.propagator import March, sampled_march, tone_march
+from rig.engine.trajectory import EVENT, Array, Course, event_table, gaps_and_contacts
+from rig.errors import SceneError
+from rig.scene.scene import Scene
+from rig.simulation.energy import Ends, Energy, ledger
+from rig.system.assembly import assemble
+from rig.system.hybrid_system import System
+from rig.system.open_loop_drive import ToneDrive, sampled_drive, tone_drive
+
+#: Samples in a period from which on steps are made to end at samples rather than at periods.
+DENSE = 10
+
+
+@dataclass(frozen=True)
+class Run:
+    """A simulated motion.
+
+    Attributes
+    ----------
+    scene : Scene
+    points : tuple of str
+        Rows of the motion: "body 1" ... and "table" if there is one.
+    time : ndarray, shape (samples,)
+        Seconds.
+    displacement, velocity, acceleration : ndarray, shape (points, samples)
+        SI; at a sample that coincides with an impact, what holds after it.
+    gap : ndarray, shape (dampers that move, samples)
+        Height of each damper above its floor, m.
+    contact : ndarray of int8, shape (dampers that move, samples)
+        0 in flight, 1 on the floor, 2 at the ceiling.
+    events : structured ndarray
+        `time` [s], `damper` (1-based position in the scene's list), `kind` ("separation", "floor", "ceiling"),
+        `speed` (closing speed before the impact, m/s). `events.dtype.metadata` holds `ambiguous`, too.
+    ambiguous : int
+        Number of contact decisions that lay within rounding; each was decided as no contact.
+    """
+
+    scene: Scene
+    points: tuple[str, ...]
+    time: Array
+    displacement: Array
+    velocity: Array
+    acceleration: Array
+    gap: Array
+    contact: NDArray[np.int8]
+    events: NDArray[Any]
+    ambiguous: int
+    _books: tuple[Any, ...] = field(repr=False, compare=False)
+
+    @cached_property
+    def energy(self) -> Energy:
+        """The energy ledger of the run, J."""
+        return ledger(*self._books)
+
+
+def simulate(
+    scene: Scene | str,
+    duration: float,
+    rate: float = 5120.0,
+    drive: ArrayLike | None = None,
+    frequency: float | None = None,
+) -> Run:
+    """Simulate a scene without sensors and controller.
+
+    Parameters
+    ----------
+    scene : Scene or str
+        A scene, or what `rig.load` takes.
+    duration : float
+        Seconds.
+    rate : float
+        Samples of the motion per second; for a tone it has no influence on the motion.
+    drive : array_like, shape (inputs, samples), optional
+        A sampled drive at `rate`, held to first order, in place of the scene's test.
+    frequency : float, optional
+        Hz: a tone of this frequency at the test's level, in place of the test's own frequencies.
+
+    Returns
+    -------
+    Run
+
+    Raises
+    ------
+    SceneError
+        If duration, rate, drive or frequency make no sense, or the test cannot be run open loop.
+
+    Notes
+    -----
+    Without `drive` and `frequency` the scene's test is run open loop: a sine as it stands, a stepped sine at
+    its first frequency, a swept sine, hammer hits, or free vibration. Where the test holds the amplitude of a
+    spring force, the drive is the one that would give it in the linear structure with its dampers riding.
+
+    Examples
+    --------
+    >>> import rig
+    >>> run = rig.simulate(rig.load("reference-A"), duration=0.1, rate=1000.0)
+    >>> run.displacement.shape, len(run.events)
+    ((3, 101), 5)
+    """
+    if isinstance(scene, str):
+        from rig.scene.loading import load
+
+        scene = load(scene)
+    for name, value in (("duration", duration), ("rate", rate)):
+        if not (np.isfinite(value) and value > 0.0):
+            raise SceneError(f"{name}: got {value!r}; expected a positive number")
+    system = assemble(scene)
+    samples = int(np.floor(duration * rate * (1.0 + 1e-12))) + 1
+    if drive is not None:
+        return _sampled_run(scene, system, _checked_drive(drive, system), rate)
+    tone = tone_drive(scene, system, frequency)
+    if tone is not None:
+        return _tone_run(scene, system, tone, duration, samples, rate)
+    return _sampled_run(scene, system, sampled_drive(scene, system, samples, rate), rate)
+
+
+def _checked_drive(drive: ArrayLike, system: System) -> Array:
+    block = np.asarray(drive, dtype=np.float64)
+    if block.ndim != 2 or block.shape[0] != len(system.inputs) or block.shape[1] < 2:
+        raise SceneError(
+            f"drive: got an array of shape {block.shape}; expected ({len(system.inputs)}, samples) for the inputs "
+            f"{', '.join(system.inputs) or '(none)'}, two samples at least"
+        )
+    if not np.isfinite(block).all():
+        row, column = np.argwhere(~np.isfinite(block))[0]
+        raise SceneError(
+            f"drive: {block[row, column]} at sample {column} of input {system.inputs[row]}; expected finite numbers"
+        )
+    return block
+
+
+def _tone_run(
+    scene: Scene,
+    system: System,
+    tone: ToneDrive,
+    duration: float,
+    samples: int,
+    rate: float,
+) -> Run:
+    is_dense = rate > DENSE * tone.frequency
+    march, steps = tone_march(system, tone.amplitudes, tone.omega, 1.0 / rate if is_dense else None)
+    lifted = march.place(tone.state, np.array([1.0, 0.0]))
+    times, is_sample, new_period = _marks(duration, samples, rate, tone.frequency)
+    start = _whole(march)
+    first = march.standing()
+    durations = np.diff(times).astype(np.float64)
+    lengths = durations / march.tables.step
+    if is_dense:
+        lengths[is_sample[:-1] & is_sample[1:]] = steps
+    course = march.over_marks(lengths, np.arange(len(durations)), new_period[:-1])
+    starts = times[:-1].astype(np.float64)
+    begins = np.concatenate([first.state, course.state[:-1]])
+    books = (scene, march.tables, start, _whole(march), course, begins, durations)
+    keep = np.flatnonzero(is_sample[1:])
+    return _run(scene, system, march, rate, samples, first, course, keep, starts, lifted, books)
+
+
+def _marks(
+    duration: float, samples: int, rate: float, frequency: float
+) -> tuple[NDArray[np.longdouble], NDArray[np.bool_], NDArray[np.bool_]]:
+    """Give the times of samples, period starts and the end in order, and which are samples or period starts."""
+    sample_times = np.arange(samples, dtype=np.longdouble) / np.longdouble(rate)
+    end = max(np.longdouble(duration), sample_times[-1])
+    # From the frequency in Hz: the rounding of omega would add up to a wrong phase over a million periods.
+    period = 1 / np.longdouble(frequency)
+    periods = np.arange(1, int(end / period) + 1, dtype=np.longdouble) * period
+    times, back = np.unique(np.concatenate([sample_times, periods, [end]]), return_inverse=True)
+    is_sample, new_period = np.zeros(len(times), dtype=bool), np.zeros(len(times), dtype=bool)
+    is_sample[back[:samples]] = True
+    new_period[back[samples:-1]] = True
+    return times, is_sample, new_period
+
+
+def _sampled_run(scene: Scene, system: System, drive: Array, rate: float) -> Run:
+    march, steps = sampled_march(system, 1.0 / rate)
+    lifted = march.place(system.initial, np.concatenate([drive[:, 0], np.zeros(len(system.inputs))]))
+    start = _whole(march)
+    first = march.standing()
+    course = march.over_samples(drive, steps)
+    intervals = drive.shape[1] - 1
+    begins = np.concatenate([first.state, course.state[:-1]])
+    inputs, ns = len(system.inputs), system.states
+    begins[:, ns + inputs : ns + 2 * inputs] = np.diff(drive, axis=1).T
+    durations = np.full(intervals, 1.0 / rate)
+    starts = np.arange(intervals) / rate
+    books = (scene, march.tables, start, _whole(march), course, begins, durations)
+    return _run(
+        scene, system, march, rate, drive.shape[1], first, course, np.arange(intervals), starts, lifted, books
+    )
+
+
+def _whole(march: March) -> Ends:
+    state = march.state
+    return Ends(state.z.copy(), state.height.copy(), state.speed.copy(), state.mode.copy())
+
+
+def _run(
+    scene: Scene,
+    system: System,
+    march: March,
+    rate: float,
+    samples: int,
+    first: Course,
+    course: Course,
+    keep: NDArray[np.int64],
+    starts: Array,
+    lifted: NDArray[np.int64],
+    books: tuple[Any, ...],
+) -> Run:
+    """Put a run together from the initial state and a course of which only the rows `keep` are samples."""
+    n = system.coordinates
+    states = np.concatenate([first.state, course.state[keep]])
+    slots = np.concatenate([first.slot, course.slot[keep]])
+    gap_before, contact_before = gaps_and_contacts(first, system)
+    gap, contact = gaps_and_contacts(course, system)
+    zeros = np.zeros(len(lifted))
+    events = event_table(
+        np.concatenate([zeros, starts[course.event_segment] + course.event_offset]),
+        np.concatenate([lifted, course.event_damper]),
+        np.concatenate([zeros.astype(np.int64), course.event_kind]),
+        np.concatenate([zeros, course.event_speed]),
+        system,
+    )
+    return Run(
+        scene=scene,
+        points=system.points,
+        time=np.arange(samples) / rate,
+        displacement=np.ascontiguousarray(states[:, :n].T),
+        velocity=np.ascontiguousarray(states[:, n : 2 * n].T),
+        acceleration=march.accelerations(states, slots),
+        gap=np.concatenate([gap_before, gap[:, keep]], axis=1),
+        contact=np.concatenate([contact_before, contact[:, keep]], axis=1),
+        events=events.astype(np.dtype(EVENT.descr, metadata={"ambiguous": march.ambiguous})),
+        ambiguous=march.ambiguous,
+        _books=books,
+    )

@@ -1,0 +1,306 @@
+"""The paper's approximate method: all periodic motions of Types I, II and III of one mode, over frequency.
+
+At some frequencies every solution of each type is searched for (`rig.motion_search`). Each solution found is
+then followed over frequency, through folds, and the points of a branch are checked (possible between the
+events? stable?). Solutions that are impossible motions are followed too, for a branch may become possible
+further on; a branch that never does is left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.errors import SceneError
+from rig.numerics import continuation
+from rig.scene.scene import Scene
+from rig.single_mode.admissibility import Batch, first_harmonic, flaws, multipliers, peak_to_peak
+from rig.single_mode.motion_search import ENDS, order, solutions
+from rig.single_mode.periodic_motion import INSTANTS, TURN, MotionType, Setting, jacobian
+from rig.single_mode.reduction import SingleMode, Weighting, single_mode
+
+Floats = NDArray[np.float64]
+
+_NEAR = continuation.Steps(iterations=25)
+_STEPS = continuation.Steps(first=3e-3, longest=0.1, turn=0.15)
+
+
+@dataclass(frozen=True)
+class Branch:
+    """Periodic motions of one type along a continuous curve.
+
+    Attributes
+    ----------
+    motion_type : {'I', 'II', 'III'}
+    frequency : ndarray, shape (points,)
+        Driving frequency [Hz]; not monotonic where the curve folds.
+    compliance : ndarray of complex, shape (points,)
+        First harmonic of the mode's coordinate over the force, with the force's phase as reference [m/N].
+    peak : ndarray, shape (points,)
+        Half the peak-to-peak of the coordinate over the force's amplitude [m/N].
+    phi : ndarray, shape (points,)
+        Phase lag of the force with respect to the floor impact, force = F sin(tau - phi) [rad, 0 to 2 pi].
+    tau_0, tau_1, tau_2 : ndarray, shape (points,)
+        Take-off from the floor, ceiling impact, take-off from the ceiling, counted from the floor impact
+        [rad]; NaN where the type has none.
+    multipliers : ndarray of complex, shape (2, points)
+        Floquet multipliers.
+    stable : ndarray of bool, shape (points,)
+        Both multipliers inside the unit circle.
+    flaw : ndarray of str, shape (points,)
+        What makes the motion impossible; "" if nothing.
+    unknowns : ndarray, shape (4 + instants, points)
+        q_0, q'_0, a, b and instants, dimensionless, as in `rig.periodic_motion`.
+    ends : tuple of str
+        Why the curve ends before its first and after its last point.
+    folds : ndarray, shape (folds,)
+        Frequencies [Hz] at which the curve turns back.
+    """
+
+    motion_type: MotionType
+    frequency: Floats
+    compliance: NDArray[np.complex128]
+    peak: Floats
+    phi: Floats
+    tau_0: Floats
+    tau_1: Floats
+    tau_2: Floats
+    multipliers: NDArray[np.complex128]
+    stable: NDArray[np.bool_]
+    flaw: NDArray[np.str_]
+    unknowns: Floats
+    ends: tuple[str, str]
+    folds: Floats
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """Whether each point is a possible motion."""
+        return np.asarray(self.flaw == "")
+
+
+@dataclass(frozen=True)
+class Approximation:
+    """What the approximate method finds for one mode.
+
+    Attributes
+    ----------
+    mode : SingleMode
+        The reduced system; its `receptance` gives the curves without damper and with the damper riding
+        always.
+    branches : tuple of Branch
+        Branches with at least one possible motion.
+    riding : tuple of float or None
+        Frequencies [Hz] between which the damper would leave its floor were it riding (the linear response
+        exceeds 1 g there): Types I to III live in and about this band. None if it never leaves.
+    failures : tuple of str
+        Where a branch could not be followed to the end of the range, why, and its last good point.
+    """
+
+    mode: SingleMode
+    branches: tuple[Branch, ...]
+    riding: tuple[float, float] | None
+    failures: tuple[str, ...]
+
+
+def approximate_response(
+    scene: Scene,
+    mode: int,
+    band: tuple[float, float],
+    *,
+    force: float | None = None,
+    weighting: Weighting = "printed",
+    at: int | None = None,
+) -> Approximation:
+    """Find the periodic motions of a scene by the paper's one-mode method.
+
+    Parameters
+    ----------
+    scene : Scene
+        With dampers of one common clearance and restitution 0.
+    mode : int
+        Mode that is kept, from 1.
+    band : tuple of float
+        Lowest and highest frequency [Hz].
+    force : float, optional
+        Force amplitude [N]; by default the scene's test gives it.
+    weighting : {'printed', 'energy'}
+        How damper masses are weighted, see `rig.single_mode`.
+    at : int, optional
+        Body at which the mode shape is 1; by default the one that moves most.
+
+    Returns
+    -------
+    Approximation
+        Coordinates are those of the body where the shape is 1; multiply by `mode.shape` for the others.
+    """
+    return follow_mode(single_mode(scene, mode, force=force, weighting=weighting, at=at), band)
+
+
+def follow_mode(mode: SingleMode, band: tuple[float, float], searches: int = 13) -> Approximation:
+    """Find all periodic motions of a reduced system between two frequencies [Hz].
+
+    `searches` is the number of frequencies at which all solutions are looked for.
+    """
+    low, high = (f / mode.frequency for f in band)
+    if not 0 < low < high:
+        raise SceneError(f"band {band[0]:g} to {band[1]:g} Hz: expected two rising frequencies above 0")
+    if not mode.mass_ratio > 0:
+        raise SceneError("the mode has no damper that could leave its floor")
+    if not mode.force > 0 or mode.participation == 0:
+        raise SceneError("no force acts on the mode, so nothing is periodic but rest")
+    riding = leaving_band(mode, band)
+    curves: dict[MotionType, list[continuation.Curve]] = {"I": [], "II": [], "III": []}
+    kinds: list[MotionType] = ["I"] if np.isinf(mode.clearance) else ["I", "II", "III"]
+    if mode.clearance > 0:
+        for kind, ratio in product(kinds, _search_ratios(mode, low, high, searches)):
+            for found in solutions(kind, dimensionless(mode, ratio)):
+                solution = continuation.solve_at(
+                    _equations(mode, kind), np.append(found, ratio), ratio, _scale(mode, kind)
+                )
+                if not any(_passes_through(mode, kind, curve, solution) for curve in curves[kind]):
+                    curves[kind].append(_follow(mode, kind, solution, (low, high)))
+        for solution in _short_stays(mode, curves["II"]):
+            if not any(_passes_through(mode, "III", curve, solution) for curve in curves["III"]):
+                curves["III"].append(_follow(mode, "III", solution, (low, high)))
+    branches, failures = [], []
+    for kind in kinds:
+        for curve in curves[kind]:
+            branch = _branch(mode, kind, curve)
+            if not branch.valid.any():
+                continue
+            branches.append(branch)
+            for end, index in zip(branch.ends, (0, -1), strict=True):
+                if end.startswith("no convergence") or end == "points":
+                    failures.append(f"Type {kind}, last good point {branch.frequency[index]:.6g} Hz: {end}")
+    return Approximation(mode, tuple(branches), riding, tuple(failures))
+
+
+def dimensionless(mode: SingleMode, ratio: float | Floats) -> Setting:
+    """Parameters of the dimensionless equations at a ratio of driving to natural frequency."""
+    return Setting(
+        ratio=ratio,
+        damping=mode.damping_ratio,
+        mass_ratio=mode.mass_ratio,
+        force=abs(mode.participation) * mode.force / (mode.mass * mode.gravity),
+        height=mode.clearance * mode.omega**2 / mode.gravity,
+    )
+
+
+def leaving_band(mode: SingleMode, band: tuple[float, float]) -> tuple[float, float] | None:
+    """Frequencies [Hz] between which a riding damper is accelerated beyond gravity; None if it never is."""
+    frequency = np.union1d(np.linspace(*band, 2001), np.clip(mode.riding_frequency, *band))
+    level = np.abs(mode.receptance(frequency, riding=True)) * mode.force * (2 * np.pi * frequency) ** 2
+    above = np.flatnonzero(level > mode.gravity)
+    return (float(frequency[above[0]]), float(frequency[above[-1]])) if above.size else None
+
+
+def _equations(mode: SingleMode, kind: MotionType) -> continuation.Equations:
+    def equations(x: Floats) -> tuple[Floats, Floats]:
+        return jacobian(kind, x[:-1], dimensionless(mode, float(x[-1])), "ratio")
+
+    return equations
+
+
+def _short_stays(mode: SingleMode, curves: list[continuation.Curve]) -> list[Floats]:
+    """Type III motions that begin where Type II begins to stay at the ceiling; a grid may miss their short stays."""
+    found = []
+    for curve in curves:
+        points = curve.points.T
+        setting = Setting(*(np.broadcast_to(f, points.shape[1:]) for f in dimensionless(mode, points[-1])))
+        stays = flaws(Batch("II", points[:-1], setting)) == "stays at the ceiling"
+        borders = np.flatnonzero(stays[:-1] != stays[1:])
+        for i in (int(b) + int(stays[b + 1]) for b in borders):
+            x, ratio = curve.points[i], float(curve.points[i, -1])
+            for stay in (0.02, 0.05, 0.1, 0.2):
+                start = np.array([*x[:-1], x[-2] + stay, ratio])
+                try:
+                    solution = continuation.solve_at(
+                        _equations(mode, "III"), start, ratio, _scale(mode, "III"), _NEAR
+                    )
+                except continuation.NoConvergence:
+                    continue
+                if (order("III", solution[4:-1]) > 0).all():
+                    found.append(solution)
+                    break
+    return found
+
+
+def _scale(mode: SingleMode, kind: MotionType) -> Floats:
+    """Natural size of the unknowns and of the frequency ratio, in which arclength is measured."""
+    setting = dimensionless(mode, 1.0)
+    size = max(1.0, setting.force)
+    width = max(mode.damping_ratio, 0.3 * mode.mass_ratio, 1e-3)
+    return np.array([size, size, setting.force, setting.force, *[1.0] * INSTANTS[kind], 5 * width])
+
+
+def _search_ratios(mode: SingleMode, low: float, high: float, count: int) -> Floats:
+    """Spread the searches over where the damper can leave its floor, and half as many over what is left."""
+    leaving = leaving_band(mode, (low * mode.frequency, high * mode.frequency))
+    if leaving is None:
+        return np.linspace(low, high, count + 2)[1:-1]
+    first, last = (f / mode.frequency for f in leaving)
+    inside = np.linspace(first, last, count + 2)[1:-1]
+    outside = np.linspace(low, high, count // 2 + 2)[1:-1]
+    return np.concatenate([inside, outside[(outside < first) | (outside > last)]])
+
+
+def _follow(
+    mode: SingleMode, kind: MotionType, start: Floats, bounds: tuple[float, float]
+) -> continuation.Curve:
+    def rooms(x: Floats) -> tuple[Floats, tuple[str, ...]]:
+        return order(kind, x[4:-1]), ENDS
+
+    return continuation.trace(_equations(mode, kind), start, bounds, _scale(mode, kind), _STEPS, rooms)
+
+
+def _passes_through(mode: SingleMode, kind: MotionType, curve: continuation.Curve, solution: Floats) -> bool:
+    """Whether a curve already holds a solution, at the solution's own frequency."""
+    ratio = curve.points[:, -1] - solution[-1]
+    for i in np.flatnonzero(ratio[:-1] * ratio[1:] <= 0):
+        share = ratio[i] / (ratio[i] - ratio[i + 1]) if ratio[i] != ratio[i + 1] else 0.0
+        guess = curve.points[i] + share * (curve.points[i + 1] - curve.points[i])
+        if np.abs((guess - solution) / curve.scale).max() > 0.1:
+            continue
+        try:
+            on_curve = continuation.solve_at(_equations(mode, kind), guess, float(solution[-1]), curve.scale)
+        except continuation.NoConvergence:
+            continue
+        if np.abs((on_curve - solution) / curve.scale).max() < 1e-6:
+            return True
+    return False
+
+
+def _branch(mode: SingleMode, kind: MotionType, curve: continuation.Curve) -> Branch:
+    points = curve.points.T
+    ratio = points[-1]
+    setting = Setting(*(np.broadcast_to(f, ratio.shape) for f in dimensionless(mode, ratio)))
+    batch = Batch(kind, points[:-1], setting)
+    length = mode.gravity / (2 * np.pi * mode.frequency * ratio) ** 2
+    # Positive force means sin(tau - phi) = Re(-i exp(-i phi) exp(i tau)); a mode driven against its shape's
+    # sign has the opposite force on its coordinate.
+    sign = np.sign(mode.participation)
+    phi = np.arctan2(-sign * points[3], sign * points[2]) % TURN
+    compliance = first_harmonic(batch) * length / (-1j * np.exp(-1j * phi) * mode.force)
+    floquet = multipliers(batch)
+    instants = np.full((3, ratio.size), np.nan)
+    instants[: INSTANTS[kind]] = points[4:-1]
+    folds = continuation.locate_folds(_equations(mode, kind), curve, _STEPS)[:, -1] * mode.frequency
+    return Branch(
+        motion_type=kind,
+        frequency=ratio * mode.frequency,
+        compliance=compliance,
+        peak=0.5 * peak_to_peak(batch) * length / mode.force,
+        phi=phi,
+        tau_0=instants[0],
+        tau_1=instants[1],
+        tau_2=instants[2],
+        multipliers=floquet,
+        stable=np.asarray((np.abs(floquet) < 1).all(axis=0)),
+        flaw=flaws(batch),
+        unknowns=points[:-1],
+        ends=curve.ends,
+        folds=folds,
+    )

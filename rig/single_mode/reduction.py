@@ -1,0 +1,244 @@
+"""One mode of the structure with one equivalent damper: the paper's approximate system (Eqs 4-13).
+
+The structure is replaced by a single mass M_i on a spring K_i with a dashpot C_i, forced by phi_ki f_k, which
+carries one damper of mass mu_i M_i in a cavity of the scene's clearance. M_i depends on how the shape is
+normalised: the paper sets its largest element to 1, so that the single mass moves as the body that moves
+most.
+
+Two weights turn the dampers into mu_i. As printed (Eq 13) it is the signed sum of phi_ji md_j / M_i; the
+kinetic energy of masses that ride is that of phi_ji^2. They agree for a damper where phi_ji = 1. Where the
+damper's body moves less than the largest one, both still let the equivalent damper feel the largest
+acceleration; normalising the shape at the damper's own body (`at`) avoids that, and is the exact one-mode
+reduction for a single damper.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rig.errors import SceneError
+from rig.scene.scene import Scene
+from rig.system.receptance import driven_bodies
+from rig.system.structure import damper_masses, natural_modes, structure_matrices
+
+Weighting = Literal["printed", "energy"]
+
+
+@dataclass(frozen=True)
+class SingleMode:
+    """A mode with its equivalent damper.
+
+    Attributes
+    ----------
+    mode : int
+        Number of the mode, from 1.
+    shape : ndarray, shape (bodies,)
+        Mode shape; body j moves by shape[j] times the mode's coordinate.
+    mass : float
+        M_i [kg].
+    omega : float
+        Natural angular frequency of the mode without dampers [rad/s].
+    damping_ratio : float
+        C_i / (2 M_i omega).
+    participation : float
+        phi_ki, the shape at the driven body (summed over several).
+    force : float
+        Amplitude of the force [N].
+    mass_ratio : float
+        mu_i, the equivalent damper's mass over M_i.
+    clearance : float
+        Clearance of its cavity [m]; inf without a ceiling.
+    gravity : float
+        [m/s^2].
+    """
+
+    mode: int
+    shape: NDArray[np.float64]
+    mass: float
+    omega: float
+    damping_ratio: float
+    participation: float
+    force: float
+    mass_ratio: float
+    clearance: float
+    gravity: float
+
+    @property
+    def frequency(self) -> float:
+        """Natural frequency without dampers [Hz]."""
+        return self.omega / (2 * np.pi)
+
+    @property
+    def riding_frequency(self) -> float:
+        """Natural frequency with the damper riding always [Hz]."""
+        return self.frequency / np.sqrt(1 + self.mass_ratio)
+
+    def receptance(self, frequencies: ArrayLike, riding: bool = False) -> NDArray[np.complex128]:
+        """Linear compliance of the mode's coordinate [m/N]: without damper, or with it riding always.
+
+        Parameters
+        ----------
+        frequencies : array_like, shape (frequencies,)
+            [Hz].
+        riding : bool
+            Whether the damper's mass is part of the mode.
+
+        Returns
+        -------
+        ndarray, shape (frequencies,)
+            Complex amplitude of the mode's coordinate over that of the force.
+        """
+        omega = 2 * np.pi * np.asarray(frequencies, dtype=float)
+        inertia = self.mass * (1 + self.mass_ratio * riding)
+        stiffness = self.mass * self.omega**2
+        damping = 2 * self.damping_ratio * self.omega * self.mass
+        dynamic = stiffness + 1j * omega * damping - omega**2 * inertia
+        return np.asarray(self.participation / dynamic, dtype=np.complex128)
+
+
+def reduce_to_mode(
+    matrices: tuple[ArrayLike, ArrayLike, ArrayLike],
+    *,
+    mode: int,
+    driven: tuple[int, ...],
+    force: float,
+    dampers: dict[int, float],
+    clearance: float,
+    gravity: float = 9.80665,
+    weighting: Weighting = "printed",
+    at: int | None = None,
+) -> SingleMode:
+    """Keep one mode of a structure.
+
+    Parameters
+    ----------
+    matrices : tuple of array_like, each (bodies, bodies)
+        Mass [kg], damping [N s/m] and stiffness [N/m].
+    mode : int
+        Number of the mode, from 1.
+    driven : tuple of int
+        Bodies that the force drives, from 1.
+    force : float
+        Amplitude of the force [N].
+    dampers : dict
+        Damper mass [kg] by body (from 1).
+    clearance : float
+        Common clearance [m]; inf without ceilings.
+    gravity : float
+        [m/s^2], above 0.
+    weighting : {'printed', 'energy'}
+        Eq 13 as printed (signed shape), or squared shape.
+    at : int, optional
+        Body at which the shape is 1; by default the one that moves most.
+
+    Returns
+    -------
+    SingleMode
+
+    Raises
+    ------
+    SceneError
+        If the mode does not exist, gravity is not positive, the mode is not oscillatory, or the printed sum
+        is not positive (dampers on bodies that move against the largest one).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> m = np.diag([0.74, 0.71, 0.64])
+    >>> k = np.array([[46.1e3, -21.8e3, 0], [-21.8e3, 41.6e3, -19.8e3], [0, -19.8e3, 19.8e3]])
+    >>> damper = {"dampers": {2: 0.0426}, "clearance": 1e-3}
+    >>> kept = reduce_to_mode((m, 2e-5 * k, k), mode=3, driven=(1,), force=3.3, **damper)
+    >>> kept.shape.round(3).tolist(), round(kept.mass, 3), round(kept.mass_ratio, 4)
+    ([-0.84, 1.0, -0.466], 1.371, 0.0311)
+    """
+    mass, damping, stiffness = (np.asarray(a, dtype=float) for a in matrices)
+    bodies = mass.shape[0]
+    if not 1 <= mode <= bodies:
+        raise SceneError(f"mode {mode}: the structure has modes 1 to {bodies}")
+    if not gravity > 0:
+        raise SceneError(
+            f"gravity {gravity} m/s^2: the approximate method needs a floor to rest on, so gravity > 0"
+        )
+    if not clearance >= 0:
+        raise SceneError(f"clearance {clearance} m: expected 0 or more")
+    _, shapes = natural_modes(mass, stiffness)
+    shape = shapes[:, mode - 1]
+    if at is not None:
+        shape = shape / shape[at - 1]
+    modal_mass, modal_damping, modal_stiffness = (
+        float(shape @ a @ shape) for a in (mass, damping, stiffness)
+    )
+    if not modal_stiffness > 0:
+        raise SceneError(
+            f"mode {mode} is a rigid-body motion: the approximate method needs one that vibrates"
+        )
+    omega = float(np.sqrt(modal_stiffness / modal_mass))
+    damping_ratio = modal_damping / (2 * modal_mass * omega)
+    if not damping_ratio < 1:
+        raise SceneError(f"mode {mode} has damping ratio {damping_ratio:.3g}; the method needs less than 1")
+    power = {"printed": 1, "energy": 2}[weighting]
+    ratio = sum(shape[body - 1] ** power * md for body, md in dampers.items()) / modal_mass
+    if dampers and not ratio > 0:
+        raise SceneError(
+            f"mode {mode}: Eq 13 as printed gives the mass ratio {ratio:.3g}, because dampers sit "
+            "on bodies that move against the largest one; use weighting='energy', or normalise the shape at "
+            "the damper's body (at=...)"
+        )
+    participation = float(sum(shape[body - 1] for body in driven))
+    return SingleMode(
+        mode, shape, modal_mass, omega, damping_ratio, participation, force, float(ratio), clearance, gravity
+    )
+
+
+def single_mode(
+    scene: Scene,
+    mode: int,
+    *,
+    force: float | None = None,
+    weighting: Weighting = "printed",
+    at: int | None = None,
+) -> SingleMode:
+    """Keep one mode of a scene; see `reduce_to_mode` for the arguments and errors.
+
+    `force` [N] defaults to the scene's test. Locked dampers belong to the structure; all others must share
+    one clearance, because they become one equivalent damper, and restitution 0, as the method has no other.
+    """
+    mass, damping, stiffness = structure_matrices(scene.structure)
+    mass = mass.copy()
+    free: dict[int, float] = {}
+    clearances: set[float] = set()
+    for damper, md in zip(scene.dampers, damper_masses(scene), strict=True):
+        if damper.locked:
+            mass[damper.body - 1, damper.body - 1] += md
+            continue
+        if damper.restitution != 0:
+            raise SceneError(
+                f"damper at body {damper.body}: restitution {damper.restitution}; the method has only 0"
+            )
+        free[damper.body] = float(md)
+        clearances.add(damper.clearance)
+    if len(clearances) > 1:
+        listed = ", ".join(f"{1e3 * c:g} mm" for c in sorted(clearances))
+        raise SceneError(
+            f"clearances {listed}: the approximate method makes one damper of all: use a common one"
+        )
+    if force is None:
+        level = getattr(scene.test, "force", None)
+        if not isinstance(level, int | float):
+            raise SceneError("the scene's test does not give one force: pass force=... in N")
+        force = float(level)
+    return reduce_to_mode(
+        (mass, damping, stiffness),
+        mode=mode,
+        driven=tuple(body + 1 for body in driven_bodies(scene)),
+        force=force,
+        dampers=free,
+        clearance=clearances.pop() if clearances else float("inf"),
+        gravity=scene.gravity,
+        weighting=weighting,
+        at=at,
+    )

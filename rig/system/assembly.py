@@ -1,0 +1,224 @@
+"""From a scene to the hybrid linear system that the kernel runs; what a scene does not name adds nothing."""
+
+from __future__ import annotations
+
+from typing import assert_never
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.errors import SceneError
+from rig.scene.scene import Scene
+from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, TableShaker
+from rig.system.hybrid_system import System
+from rig.system.structure import Array, damper_bodies, damper_masses, natural_modes, structure_matrices
+
+#: Configurations are bits of a 64-bit integer.
+MOST_DAMPERS = 62
+
+
+def assemble(scene: Scene) -> System:
+    """Compile a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    System
+        Coordinates are the bodies, then the table if the shaker has one. Dampers that are locked or have no
+        clearance are part of the mass matrix.
+
+    Raises
+    ------
+    SceneError
+        If there are more free dampers than `MOST_DAMPERS`, or the test asks for a start from the static
+        equilibrium of a structure that is not held.
+    """
+    mass, damping, stiffness = structure_matrices(scene.structure)
+    bodies = len(mass)
+    masses, at_body = damper_masses(scene), damper_bodies(scene)
+    held = np.array([d.locked or d.clearance == 0.0 for d in scene.dampers], dtype=bool)
+    free = np.flatnonzero(~held)
+    if len(free) > MOST_DAMPERS:
+        raise SceneError(f"{len(free)} dampers that move; expected at most {MOST_DAMPERS}")
+    weight = np.zeros(bodies)
+    mass = mass.copy()
+    np.add.at(mass, (at_body[held], at_body[held]), masses[held])
+    np.subtract.at(weight, at_body[held], masses[held] * scene.gravity)
+    parts = _Parts(bodies, mass, damping, stiffness, weight)
+    _add_shaker(parts, scene)
+    if scene.test is not None and scene.test.kind == "impulse":
+        parts.add_input("hammer", "N", {scene.test.body - 1: 1.0})
+    clearance = np.array([scene.dampers[j].clearance for j in free], dtype=np.float64)
+    restitution = np.array([scene.dampers[j].restitution for j in free], dtype=np.float64)
+    system = parts.system(
+        gravity=scene.gravity,
+        coordinate=at_body[free],
+        masses=masses[free],
+        clearance=clearance,
+        restitution=restitution,
+        number=free + 1,
+    )
+    system.initial[:] = _start(scene, system)
+    return system
+
+
+class _Parts:
+    """The equations while they are being put together: rows are coordinates, columns states."""
+
+    def __init__(self, bodies: int, mass: Array, damping: Array, stiffness: Array, weight: Array) -> None:
+        self.points = [f"body {j + 1}" for j in range(bodies)]
+        self.mass, self.damping, self.stiffness, self.weight = mass, damping.copy(), stiffness.copy(), weight
+        self.inputs: list[str] = []
+        self.units: list[str] = []
+        self.pushes: list[dict[int, float]] = []
+        self.coil: tuple[float, float, float] | None = None
+        self.coil_gain = 0.0
+
+    def add_point(self, name: str, mass: float) -> int:
+        """Add a coordinate that nothing holds yet; returns its row."""
+        row = len(self.points)
+        self.points.append(name)
+        self.mass, self.damping, self.stiffness = (
+            np.pad(matrix, (0, 1)) for matrix in (self.mass, self.damping, self.stiffness)
+        )
+        self.mass[row, row] = mass
+        self.weight = np.append(self.weight, 0.0)
+        return row
+
+    def add_input(self, name: str, unit: str, push: dict[int, float]) -> None:
+        """Add an input and the forces that one unit of it puts on the coordinates."""
+        self.inputs.append(name)
+        self.units.append(unit)
+        self.pushes.append(push)
+
+    def add_spring(self, first: int, second: int, stiffness: float) -> None:
+        """Put a spring between two coordinates."""
+        self.stiffness[[first, second], [first, second]] += stiffness
+        self.stiffness[[first, second], [second, first]] -= stiffness
+
+    def system(
+        self, gravity: float, coordinate: NDArray[np.intp], masses: Array, clearance: Array,
+        restitution: Array, number: NDArray[np.intp],
+    ) -> System:  # fmt: skip
+        """Put everything into first-order form."""
+        n, extra = len(self.points), 0 if self.coil is None else 1
+        force_state = np.hstack([-self.stiffness, -self.damping, np.zeros((n, extra))])
+        force_drive = np.zeros((n, len(self.inputs)))
+        for column, push in enumerate(self.pushes):
+            for row, value in push.items():
+                force_drive[row, column] = value
+        rate_state = np.zeros((extra, 2 * n + extra))
+        rate_drive = np.zeros((extra, len(self.inputs)))
+        if self.coil is not None:
+            resistance, inductance, force_factor = self.coil
+            table = n - 1
+            force_state[table, 2 * n] = force_factor
+            rate_state[0, n + table] = -force_factor / inductance
+            rate_state[0, 2 * n] = -resistance / inductance
+            rate_drive[0, 0] = self.coil_gain / inductance
+        return System(
+            points=tuple(self.points),
+            inputs=tuple(self.inputs),
+            drive_units=tuple(self.units),
+            gravity=gravity,
+            mass=self.mass,
+            force_state=force_state,
+            force_drive=force_drive,
+            force_constant=self.weight,
+            rate_state=rate_state,
+            rate_drive=rate_drive,
+            damper_coordinate=coordinate,
+            damper_mass=masses,
+            clearance=clearance,
+            restitution=restitution,
+            damper_number=number,
+            initial=np.zeros(2 * n + extra),
+        )
+
+
+def _add_shaker(parts: _Parts, scene: Scene) -> None:
+    shaker = scene.shaker
+    match shaker:
+        case None:
+            return
+        case ForceShaker():
+            parts.add_input("shaker", "N", {body - 1: 1.0 for body in shaker.bodies})
+        case TableShaker():
+            # The servo is driven, not loaded: the spring pulls at the body, never at the table.
+            table = parts.add_point("table", 1.0)
+            body = shaker.body - 1
+            corner = 2.0 * np.pi * shaker.bandwidth
+            parts.stiffness[body, body] += shaker.spring
+            parts.stiffness[body, table] -= shaker.spring
+            parts.stiffness[table, table] = corner**2
+            parts.damping[table, table] = 2.0 * corner
+            parts.add_input("shaker", "m", {table: corner**2})
+        case ElectrodynamicShaker():
+            coil, armature, amplifier = shaker.coil, shaker.armature, shaker.amplifier
+            table = parts.add_point("table", armature.mass)
+            parts.add_spring(shaker.body - 1, table, shaker.spring)
+            parts.stiffness[table, table] += armature.stiffness
+            parts.damping[table, table] += armature.damping
+            if amplifier.mode == "voltage":
+                parts.coil = (coil.resistance, coil.inductance, coil.force_factor)
+                parts.coil_gain = amplifier.gain
+                parts.add_input("shaker", "V", {})
+            else:
+                parts.add_input("shaker", "V", {table: amplifier.gain * coil.force_factor})
+        case _ as never:
+            assert_never(never)
+
+
+def _start(scene: Scene, system: System) -> Array:
+    """State at t = 0 without drive: all dampers on their floors."""
+    state = np.zeros(system.states)
+    n = system.coordinates
+    test = scene.test
+    if test is None or test.start == "settled":
+        state[:n] = static_equilibrium(scene, system)
+    if test is not None and test.kind == "free":
+        bodies = scene.structure.bodies
+        if test.displacement is not None:
+            state[:bodies] += test.displacement
+        if test.velocity is not None:
+            state[n : n + bodies] += test.velocity
+        if test.mode is not None:
+            mass, _, stiffness = structure_matrices(scene.structure)
+            shapes = natural_modes(mass, stiffness)[1]
+            state[:bodies] += (test.amplitude or 0.0) * shapes[:, test.mode - 1]
+    return state
+
+
+def static_equilibrium(scene: Scene, system: System) -> Array:
+    """Coordinates at rest under the weight of the dampers, m.
+
+    Raises
+    ------
+    SceneError
+        If nothing holds the structure up.
+    """
+    n = system.coordinates
+    load = system.force_constant.copy()
+    np.subtract.at(load, system.damper_coordinate, system.damper_mass * system.gravity)
+    if not load.any():
+        return np.zeros(n)
+    stiffness = -system.force_state[:, :n]
+    scale = np.abs(stiffness).max(initial=0.0)
+    if scale == 0.0 or np.linalg.cond(stiffness) > 1e13:
+        raise SceneError(
+            f"scene {scene.name!r}: the structure is not held, so there is no static equilibrium to start from "
+            "under the dampers' weight; expected springs to ground, gravity: 0, or test: {start: empty}"
+        )
+    return np.linalg.solve(stiffness, load)
+
+
+def spring_force_row(scene: Scene, system: System) -> Array:
+    """Row r with F_1 = r . state: the coil spring's force on the body, N; zeros without a coil spring."""
+    row = np.zeros(system.states)
+    if scene.shaker is not None and scene.shaker.spring is not None:
+        row[system.points.index("table")] = scene.shaker.spring
+        row[scene.shaker.bodies[0] - 1] = -scene.shaker.spring
+    return row

@@ -1,0 +1,196 @@
+"""The drive of a scene's test when nobody controls it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.errors import SceneError
+from rig.scene.excitation import Impulse, Sine, SteppedSine, SweptSine
+from rig.scene.scene import Scene
+from rig.scene.shaker import ForceShaker, TableShaker
+from rig.system.assembly import spring_force_row
+from rig.system.hybrid_system import System
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ToneDrive:
+    """Complex drive amplitude of each input, frequency [Hz] and [rad/s], and the state to start from."""
+
+    amplitudes: NDArray[np.complex128]
+    frequency: float
+    omega: float
+    state: Array
+
+
+def tone_drive(scene: Scene, system: System, frequency: float | None = None) -> ToneDrive | None:
+    """Tone of a sine or stepped sine test, or at a given frequency; None if the test is no tone.
+
+    Parameters
+    ----------
+    frequency : float, optional
+        Hz; None: the test's own, the first one of a stepped sine.
+
+    Raises
+    ------
+    SceneError
+        If a frequency is given but no level or no shaker to drive with.
+    """
+    test = scene.test
+    if frequency is None:
+        if isinstance(test, Sine):
+            frequency = test.frequency
+        elif isinstance(test, SteppedSine):
+            frequency = test.order[0]
+        else:
+            return None
+    elif not (np.isfinite(frequency) and frequency > 0.0):
+        raise SceneError(f"frequency: got {frequency!r}; expected a positive number of hertz")
+    omega = 2.0 * np.pi * frequency
+    amplitude = -1j * level_of(scene) * drive_per_level(scene, system, omega)
+    amplitudes = np.zeros(len(system.inputs), dtype=complex)
+    amplitudes[system.inputs.index("shaker")] = amplitude
+    state = system.initial.copy()
+    if isinstance(scene.shaker, TableShaker):
+        # The table's own motion is the prescribed tone from the start, not its servo's response to it.
+        position = amplitude / _servo_inverse(scene.shaker, omega)
+        table = system.points.index("table")
+        state[table] = position.real
+        state[system.coordinates + table] = (1j * omega * position).real
+    return ToneDrive(amplitudes, frequency, omega, state)
+
+
+def level_of(scene: Scene) -> float:
+    """Level of the test: force [N], or drive in its own unit.
+
+    Raises
+    ------
+    SceneError
+        If the scene has no shaker, or a test without a level.
+    """
+    if scene.shaker is None:
+        raise SceneError(
+            f"scene {scene.name!r} has no shaker to drive it with; expected shaker: {{kind: ...}}"
+        )
+    test = scene.test
+    force, drive = getattr(test, "force", None), getattr(test, "drive", None)
+    level = force if force is not None else drive
+    if level is None:
+        raise SceneError(f"scene {scene.name!r} has no test with a level; expected force or drive under test")
+    return float(level[0] if isinstance(level, tuple) else level)
+
+
+def drive_per_level(scene: Scene, system: System, omega: float) -> complex:
+    """Complex drive amplitude for one unit of level, in the linear structure with all dampers riding."""
+    shaker = scene.shaker
+    drives = getattr(scene.test, "drive", None) is not None
+    if isinstance(shaker, ForceShaker):
+        return 1.0
+    if drives:
+        return _servo_inverse(shaker, omega) if isinstance(shaker, TableShaker) else 1.0
+    return 1.0 / force_per_drive(scene, system, omega)
+
+
+def _servo_inverse(shaker: TableShaker, omega: float) -> complex:
+    """Drive for one unit of table displacement: the critically damped servo, inverted."""
+    ratio = omega / (2.0 * np.pi * shaker.bandwidth)
+    return (1.0 + 1j * ratio) ** 2
+
+
+def force_per_drive(scene: Scene, system: System, omega: float) -> complex:
+    """Spring force for one unit of drive, in the linear structure with all dampers riding."""
+    return complex(spring_force_row(scene, system) @ _riding_response(system, omega))
+
+
+def accelerations_per_level(scene: Scene, system: System, omega: float) -> Array:
+    """Amplitude of each body's acceleration for one unit of level, in the linear structure with all dampers riding."""
+    response = _riding_response(system, omega) * drive_per_level(scene, system, omega)
+    return omega**2 * np.abs(response[: scene.structure.bodies])
+
+
+def with_force_itself(scene: Scene) -> Scene:
+    """Put the force that the test holds on the body as a pure tone, without coil spring, table and channels.
+
+    This saves the motions that a controller of the spring force needs to find its drive. Scenes whose tests give a
+    drive, or whose shaker is a force already, stay as they are.
+    """
+    shaker = scene.shaker
+    if shaker is None or isinstance(shaker, ForceShaker) or getattr(scene.test, "force", None) is None:
+        return scene
+    return scene.replace(shaker=ForceShaker(body=shaker.bodies[0]), channels=None)
+
+
+def _riding_response(system: System, omega: float) -> NDArray[np.complex128]:
+    """States for one unit of drive, all dampers riding."""
+    n, ns = system.coordinates, system.states
+    mass = system.mass.copy()
+    np.add.at(mass, (system.damper_coordinate, system.damper_coordinate), system.damper_mass)
+    matrix = np.zeros((ns, ns))
+    matrix[:n, n : 2 * n] = np.eye(n)
+    matrix[n : 2 * n] = np.linalg.solve(mass, system.force_state)
+    matrix[2 * n :] = system.rate_state
+    column = system.inputs.index("shaker")
+    inflow = np.zeros(ns, dtype=complex)
+    inflow[n : 2 * n] = np.linalg.solve(mass, system.force_drive[:, column])
+    inflow[2 * n :] = system.rate_drive[:, column]
+    try:
+        return np.asarray(np.linalg.solve(1j * omega * np.eye(ns) - matrix, inflow))
+    except np.linalg.LinAlgError:
+        raise SceneError(
+            f"the undamped rig has no steady motion at {omega / (2 * np.pi):.6g} Hz, its resonance; expected "
+            "structure.damping, another frequency, or drive in place of force"
+        ) from None
+
+
+def sampled_drive(scene: Scene, system: System, samples: int, rate: float) -> Array:
+    """Drive (inputs, samples) of a test that is not a tone.
+
+    Raises
+    ------
+    SceneError
+        For tests whose signal only the bench makes.
+    """
+    drive = np.zeros((len(system.inputs), samples))
+    test = scene.test
+    time = np.arange(samples) / rate
+    if isinstance(test, Impulse):
+        drive[system.inputs.index("hammer")] = _hits(test, time)
+    elif isinstance(test, SweptSine):
+        drive[system.inputs.index("shaker")] = _sweep(scene, system, test, time)
+    elif test is not None and test.kind != "free":
+        raise SceneError(
+            f"a {test.kind} test is made up on the bench (daq.record); to simulate it open loop give frequency "
+            "for a tone at its level, or drive, an array of shape (inputs, samples)"
+        )
+    return drive
+
+
+def _hits(test: Impulse, time: Array) -> Array:
+    force = np.zeros_like(time)
+    for hit in range(test.repeats):
+        inside = time - hit * test.interval
+        pulse = test.peak * np.sin(np.pi * inside / test.width)
+        force += np.where((inside >= 0.0) & (inside <= test.width), pulse, 0.0)
+    return force
+
+
+def _sweep(scene: Scene, system: System, test: SweptSine, time: Array) -> Array:
+    first, last = test.from_, test.to
+    share = np.minimum(time / test.duration, 1.0)
+    if test.spacing == "log":
+        ratio = np.log(last / first)
+        phase = 2.0 * np.pi * first * test.duration * np.expm1(share * ratio) / ratio
+        frequency = first * np.exp(share * ratio)
+    else:
+        phase = 2.0 * np.pi * test.duration * (first * share + 0.5 * (last - first) * share**2)
+        frequency = first + (last - first) * share
+    grid = np.linspace(min(first, last), max(first, last), 400)
+    gains = np.array([drive_per_level(scene, system, 2.0 * np.pi * f) for f in grid])
+    size = np.interp(frequency, grid, np.abs(gains))
+    angle = np.interp(frequency, grid, np.unwrap(np.angle(gains)))
+    swept = level_of(scene) * size * np.sin(phase + angle)
+    return np.where(time <= test.duration, swept, 0.0)

@@ -1,0 +1,170 @@
+"""The work-precision study as a figure, a table and a file."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rig.output_files import write_study
+from rig.work_precision.motion_study import Point, Study
+from rig.work_precision.steady_study import SteadyStudy
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+#: Colour and marker of each method: one hue for each kind of method, so that print and colour-blind eyes agree.
+LOOK = {
+    "engine, tone": ("#c1272d", "*"),
+    "engine, sampled drive": ("#e8853d", "o"),
+    "penalty, RK4": ("#8fb4d9", "v"),
+    "penalty, Newmark": ("#4f87bd", "^"),
+    "Moreau-Jean": ("#1f4e79", "s"),
+    "scipy DOP853": ("#3b7d3a", "D"),
+    "scipy LSODA": ("#8bbf6a", "d"),
+    "CVODE": ("#6b4fa0", "P"),
+    "shooting": ("#c1272d", "*"),
+    "waiting": ("#e8853d", "o"),
+    "approximate": ("#6b4fa0", "P"),
+    "linear": ("#808080", "x"),
+}
+
+
+def table(study: Study, steady: SteadyStudy) -> str:
+    """Write both studies as text.
+
+    Parameters
+    ----------
+    study : Study
+    steady : SteadyStudy
+    """
+    lines = [
+        f"{study.scene.name}: first {study.periods} periods at {study.frequency:.6g} Hz, {study.events} events",
+        "",
+        f"{'method':24}{'setting':30}{'ms a period':>12}{'error':>9}{'of times':>11}  events",
+    ]
+    lines += [_line(point, 1e3 * point.cpu, "right" if point.right else "wrong") for point in study.points]
+    lines += [
+        "", f"reference: {study.reference};",
+        f"           the best method's error is {study.margin:.0e} times that.", "",
+        _steady_title(steady), f"{'method':24}{'setting':30}{'ms in all':>12}{'error':>9}",
+    ]  # fmt: skip
+    lines += [_line(point, 1e3 * point.cpu, "") for point in steady.points]
+    lines += ["", f"reference: {steady.reference}"]
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _steady_title(steady: SteadyStudy) -> str:
+    kinds = steady.motion_type.split("/")
+    word = "type " if set(kinds) <= {"I", "II", "III"} else ""
+    motion = f": {word}{steady.motion_type}" if steady.motion_type else ""
+    return f"steady state at {steady.frequency:.4g} Hz{motion}"
+
+
+def _line(point: Point, milliseconds: float, events: str) -> str:
+    start = f"{point.method:24}{point.setting:30}"
+    if np.isnan(point.error):
+        return f"{start}  failed: {point.note}"
+    times = f"{point.event_error:9.0e} s" if np.isfinite(point.event_error) else f"{'':11}"
+    return f"{start}{milliseconds:12.4g}{point.error:9.0e}{times}  {events}  {point.note}"
+
+
+def write(study: Study, steady: SteadyStudy, folder: Path) -> list[Path]:
+    """Write cost-<scene>.png, .svg and .csv into a folder.
+
+    Parameters
+    ----------
+    study, steady
+        What was measured.
+    folder : Path
+        Made if it does not exist.
+
+    Returns
+    -------
+    list of Path
+
+    Raises
+    ------
+    SceneError
+        If a file cannot be written.
+    """
+    return write_study(
+        "cost", study.scene.name, folder, _draw(study, steady), lambda path: _write_csv(study, steady, path)
+    )
+
+
+def _write_csv(study: Study, steady: SteadyStudy, path: Path) -> None:
+    header = ["quantity", "method", "setting", "cpu_s", "error", "event_time_error_s", "right", "note"]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(header)
+        for quantity, points in (("motion, a period", study.points), ("steady state", steady.points)):
+            for p in points:
+                numbers = [f"{value:.6g}" for value in (p.cpu, p.error, p.event_error)]
+                writer.writerow([quantity, p.method, p.setting, *numbers, str(p.right).lower(), p.note])
+
+
+def _draw(study: Study, steady: SteadyStudy) -> Figure:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11.0 if steady.points else 7.5, 5.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(
+        1, 2 if steady.points else 1, squeeze=False, width_ratios=(1.5, 1.0)[: 1 + bool(steady.points)]
+    )
+    left = panels[0, 0]
+    _panel(left, study.points, "CPU time for a period of the drive, s")
+    left.set_ylabel("error of the displacement, relative")
+    left.set_title(
+        f"motion: {study.periods} periods at {study.frequency:.4g} Hz, {study.events} events", fontsize=10
+    )
+    if steady.points:
+        right = panels[0, 1]
+        _panel(right, steady.points, "CPU time in all, s")
+        right.set_ylabel("error of the compliance, relative")
+        right.set_title(_steady_title(steady), fontsize=10)
+    figure.suptitle(study.scene.name)
+    return figure
+
+
+def _shown(point: Point) -> float:
+    """Error on the logarithmic axis."""
+    return max(point.error, 1e-17)
+
+
+def _panel(axes: Axes, points: tuple[Point, ...], label: str) -> None:
+    methods = list(dict.fromkeys(point.method for point in points))
+    for method in methods:
+        own = [p for p in points if p.method == method and np.isfinite(p.error)]
+        if not own:
+            continue
+        colour, marker = LOOK[method]
+        # A line joins settings of one kind; solvers told what they may miss are another kind.
+        series = [p for p in own if "blind" not in p.setting]
+        axes.plot([p.cpu for p in series], [_shown(p) for p in series], "-", color=colour, lw=1.0, alpha=0.6)
+        for p in own:
+            size = 12 if marker == "*" else 6
+            face = colour if p.right else "white"
+            axes.plot(p.cpu, _shown(p), marker, color=colour, ms=size, zorder=3, mfc=face, mew=1.3)
+            if "blind" in p.setting or p.setting in ("as called", "warm"):
+                word = "careful" if "blind" in p.setting else p.setting
+                axes.annotate(
+                    word, (p.cpu, _shown(p)), xytext=(0, 9), textcoords="offset points", fontsize=7,
+                    color=colour, ha="center",
+                )  # fmt: skip
+        axes.plot([], [], marker + "-", color=colour, ms=7, lw=1.0, label=method)
+    if any(not p.right and np.isfinite(p.error) and p.method != "linear" for p in points):
+        axes.plot([], [], "o", color="#555555", mfc="white", mew=1.3, label="wrong events")
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlabel(label)
+    axes.grid(which="major", color="#dddddd", lw=0.6)
+    axes.set_axisbelow(True)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    if methods:
+        axes.legend(fontsize=8, frameon=False, loc="best")

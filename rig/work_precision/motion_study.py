@@ -1,0 +1,316 @@
+"""Work and precision: every way to compute a scene's motion, its error against its time, on this machine."""
+
+from __future__ import annotations
+
+import importlib.util
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from decimal import Decimal
+from functools import partial
+from typing import TypeVar
+
+import numpy as np
+
+from rig.engine.propagator import tone_march
+from rig.engine.trajectory import Array
+from rig.errors import RunError, SceneError, ShotrigError
+from rig.scene.excitation import Sine, SteppedSine, SweptSine
+from rig.scene.scene import Scene
+from rig.simulation.simulate import Run, simulate
+from rig.system.assembly import assemble
+from rig.system.hybrid_system import System
+from rig.system.open_loop_drive import ToneDrive, accelerations_per_level, level_of, tone_drive
+from rig.work_precision.adaptive_solvers import BLIND, cvode_leg, follow, scipy_leg
+from rig.work_precision.first_order_form import PER_PERIOD, Outcome, Problem
+from rig.work_precision.high_precision import DIGITS, Exact, exact_motion
+
+#: Periods of the drive that every method computes.
+PERIODS = 20
+#: A method that takes longer than this is stopped, s of CPU time.
+LIMIT = 10.0
+#: Quick methods are repeated until this much CPU time has passed; the quickest repetition counts.
+ENOUGH = 0.2
+#: Steps a period of the fixed-step schemes; multiples of the samples a period.
+STEPS = (320, 1600, 8000, 40_000)
+#: Samples a period of the engine's sampled drives.
+SAMPLED = (64, 256, 1024, 4096)
+#: A general solver takes no step longer than this share of a period where its user knows what may be missed.
+CAREFUL = 1 / 40
+#: A reference must be better than the best method by this.
+BETTER = 1e3
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Point:
+    """One method at one setting.
+
+    Attributes
+    ----------
+    method, setting : str
+    cpu : float
+        CPU time, s: for the motion per period of the drive, for the steady state in all.
+    error : float
+        Largest error of any displacement relative to the largest displacement; NaN if the method failed.
+    event_error : float
+        Largest error of an event's time, s; NaN where there is none to compare.
+    right : bool
+        Whether it found the right events, in the right order for each damper; for the steady state, whether it
+        converged.
+    note : str
+        What else there is to say, why it failed.
+    """
+
+    method: str
+    setting: str
+    cpu: float
+    error: float
+    event_error: float
+    right: bool
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Study:
+    """What `motion_study` found.
+
+    Attributes
+    ----------
+    scene : Scene
+    frequency : float
+        Hz.
+    periods, events : int
+        Length of the motion and the number of events in it.
+    points : tuple of Point
+    reference : str
+        How the reference was made, and how far it can be trusted.
+    margin : float
+        Smallest error of all methods over the reference's own.
+    """
+
+    scene: Scene
+    frequency: float
+    periods: int
+    events: int
+    points: tuple[Point, ...]
+    reference: str
+    margin: float
+
+
+def hardest_frequency(scene: Scene, system: System) -> float:
+    """Frequency of the test, Hz: its own, or where the linear structure accelerates most in its range.
+
+    Raises
+    ------
+    SceneError
+        If the scene has no shaker, or its test no frequency.
+    """
+    level_of(scene)
+    test = scene.test
+    if isinstance(test, Sine):
+        return test.frequency
+    if isinstance(test, SteppedSine):
+        grid: Array = np.array(sorted(set(test.order)))
+    elif isinstance(test, SweptSine):
+        grid = np.linspace(min(test.from_, test.to), max(test.from_, test.to), 400)
+    else:
+        raise SceneError("the test has no frequency of its own; give one with --frequency")
+    accelerations = [accelerations_per_level(scene, system, 2.0 * np.pi * f).max() for f in grid]
+    return float(grid[int(np.argmax(accelerations))])
+
+
+def motion_study(
+    scene: Scene,
+    frequency: float | None = None,
+    periods: int = PERIODS,
+    progress: Callable[[str], None] | None = None,
+) -> Study:
+    """Measure every way to compute the first periods of a scene's motion under a tone.
+
+    Parameters
+    ----------
+    scene : Scene
+    frequency : float, optional
+        Hz; None: `hardest_frequency`.
+    periods : int
+    progress : callable, optional
+        Called with the name of each method before it runs.
+
+    Raises
+    ------
+    SceneError
+        If there is nothing to drive the scene with, or its impacts go through a full mass matrix.
+    """
+    system = assemble(scene)
+    frequency = frequency if frequency is not None else hardest_frequency(scene, system)
+    tone = tone_drive(scene, system, frequency)
+    assert tone is not None
+    say = progress if progress is not None else lambda name: None
+    problem = Problem(system, tone, periods)
+    duration, rate = periods / frequency, PER_PERIOD * frequency
+    say("reference")
+    run = simulate(scene, duration, rate, frequency=frequency)
+    exact = exact_motion(system, tone, run, PER_PERIOD)
+    judge = _Judge(exact, run, system)
+    points = []
+    for method, setting, compute in _methods(scene, system, tone, problem, periods):
+        say(f"{method}, {setting}")
+        points.append(judge.point(method, setting, compute, periods))
+    best = min((p.error for p in points if p.error > 0.0), default=np.inf)
+    margin = best / max(exact.agreement, 10.0 ** (-DIGITS))
+    if margin < BETTER:
+        raise RunError("the reference is not a thousand times better than the best method; report the scene")
+    reference = (
+        f"decimal arithmetic of {DIGITS} digits, every event found again as a root of its own guard; the same with "
+        f"fewer digits differs by {exact.agreement:.0e} of the motion"
+    )
+    return Study(scene, frequency, periods, len(run.events), tuple(points), reference, margin)
+
+
+Methods = Iterator[tuple[str, str, Callable[[], Outcome]]]
+
+
+def _methods(scene: Scene, system: System, tone: ToneDrive, problem: Problem, periods: int) -> Methods:
+    """Every method with a setting and a call that computes the motion."""
+    frequency = tone.frequency
+    duration, rate = periods / frequency, PER_PERIOD * frequency
+    yield (
+        "engine, tone",
+        "as called",
+        lambda: _outcome(simulate(scene, duration, rate, frequency=frequency), system),
+    )
+    yield "engine, tone", "warm", _warm(system, tone, periods)
+    if np.array_equal(tone.state, system.initial):
+        # Once unmeasured: what is compiled is compiled or loaded then.
+        _sampled(scene, system, tone, SAMPLED[0], 1)()
+        for share in SAMPLED:
+            yield (
+                "engine, sampled drive",
+                f"{share * frequency:.4g} Hz",
+                _sampled(scene, system, tone, share, periods),
+            )
+    yield from _fixed(problem)
+    yield from _adaptive(problem, 1.0 / frequency)
+
+
+def _fixed(problem: Problem) -> Methods:
+    from rig.work_precision.fixed_step_schemes import moreau_jean, penalty_newmark, penalty_runge_kutta
+
+    schemes: Iterable[tuple[str, Callable[[Problem, int], Outcome]]] = (
+        ("penalty, RK4", penalty_runge_kutta),
+        ("penalty, Newmark", penalty_newmark),
+        ("Moreau-Jean", moreau_jean),
+    )
+    short = Problem(problem.system, problem.tone, 1)
+    for name, scheme in schemes:
+        # Newmark needs a matrix for every set of contacts.
+        if name == "penalty, Newmark" and problem.system.dampers > 5:
+            continue
+        scheme(short, STEPS[0])
+        for steps in STEPS:
+            yield name, f"{steps} steps", partial(scheme, problem, steps)
+
+
+def _adaptive(problem: Problem, period: float) -> Methods:
+    for method, tolerances in (("DOP853", (1e-4, 1e-6, 1e-9, 1e-12)), ("LSODA", (1e-6, 1e-9))):
+        for rtol in tolerances:
+            leg = scipy_leg(method, rtol, np.inf)
+            yield f"scipy {method}", f"rtol {rtol:.0e}", partial(follow, problem, leg, 0.0, LIMIT)
+    leg = scipy_leg("DOP853", 1e-12, CAREFUL * period)
+    yield "scipy DOP853", "rtol 1e-12, step T/40, blind", partial(follow, problem, leg, BLIND, LIMIT)
+    if importlib.util.find_spec("sksundae") is None:
+        return
+    for rtol in (1e-4, 1e-6, 1e-9, 1e-12):
+        adams = cvode_leg(rtol, 0.0)
+        yield "CVODE", f"rtol {rtol:.0e}", partial(follow, problem, adams, 0.0, LIMIT)
+    careful = cvode_leg(1e-12, CAREFUL * period)
+    yield "CVODE", "rtol 1e-12, step T/40, blind", partial(follow, problem, careful, BLIND, LIMIT)
+
+
+def _outcome(run: Run, system: System, every: int = 1) -> Outcome:
+    number = {int(k): j for j, k in enumerate(system.damper_number)}
+    events = [(float(e["time"]), number[int(e["damper"])], str(e["kind"])) for e in run.events]
+    return Outcome(run.displacement[:, ::every], events)
+
+
+def _warm(system: System, tone: ToneDrive, periods: int) -> Callable[[], Outcome]:
+    """Advance the engine alone, its tables made: what a long run costs."""
+    march, steps = tone_march(system, tone.amplitudes, tone.omega)
+    march.place(tone.state, np.array([1.0, 0.0]))
+    begin = march.snapshot()
+    lengths, rows = np.full(periods, steps), np.full(periods, -1)
+    rows[-1] = 0
+    march.over_marks(lengths, rows, np.ones(periods, dtype=bool))
+
+    def compute() -> Outcome:
+        march.resume(begin)
+        course = march.over_marks(lengths, rows, np.ones(periods, dtype=bool))
+        return Outcome(course.state[:, : system.coordinates].T, [])
+
+    return compute
+
+
+def _sampled(
+    scene: Scene, system: System, tone: ToneDrive, share: int, periods: int
+) -> Callable[[], Outcome]:
+    """Drive the engine with samples of the tone."""
+    rate = share * tone.frequency
+    angle = 2.0 * np.pi * np.arange(periods * share + 1) / share
+    drive = np.real(tone.amplitudes[:, None] * np.exp(1j * angle))
+    return lambda: _outcome(
+        simulate(scene, periods / tone.frequency, rate, drive=drive), system, share // PER_PERIOD
+    )
+
+
+class _Judge:
+    """Compares outcomes with the reference."""
+
+    def __init__(self, exact: Exact, run: Run, system: System) -> None:
+        self.exact = exact
+        self.scale = float(np.abs(exact.displacement).max())
+        self.sequence = _by_damper(_outcome(run, system).events, system.dampers)
+        times = exact.event_time.astype(np.float64)
+        events = [(float(t), j, k) for t, (_, j, k) in zip(times, _outcome(run, system).events, strict=True)]
+        self.times = _by_damper(events, system.dampers)
+
+    def point(self, method: str, setting: str, compute: Callable[[], Outcome], periods: int) -> Point:
+        """Run a method and judge it."""
+        try:
+            cpu, outcome = timed(compute)
+        except ShotrigError as problem:
+            return Point(method, setting, np.nan, np.nan, np.nan, False, str(problem))
+        # Decimals less doubles: the subtraction must not round the reference.
+        values = np.vectorize(Decimal, otypes=[object])(outcome.displacement)
+        last_only = values.shape[1] == 1
+        true = self.exact.displacement[:, -1:] if last_only else self.exact.displacement
+        error = float(np.abs(values - true).max()) / self.scale
+        if last_only:
+            return Point(method, setting, cpu / periods, error, np.nan, True, "flow and events alone")
+        found = _by_damper(outcome.events, len(self.sequence))
+        right = [[k for _, k in own] for own in found] == [[k for _, k in own] for own in self.sequence]
+        event_error = np.nan
+        if right and any(found):
+            event_error = max(
+                abs(t - s)
+                for own, true in zip(found, self.times, strict=True)
+                for (t, _), (s, _) in zip(own, true, strict=True)
+            )
+        return Point(method, setting, cpu / periods, error, event_error, right)
+
+
+def _by_damper(events: list[tuple[float, int, str]], dampers: int) -> list[list[tuple[float, str]]]:
+    return [[(t, kind) for t, j, kind in events if j == damper] for damper in range(dampers)]
+
+
+def timed(compute: Callable[[], T]) -> tuple[float, T]:
+    """CPU time of the quickest of several calls, s, and the result."""
+    best, spent = np.inf, 0.0
+    while True:
+        begun = time.process_time()
+        result = compute()
+        taken = time.process_time() - begun
+        best, spent = min(best, taken), spent + taken
+        if spent > ENOUGH:
+            return float(best), result

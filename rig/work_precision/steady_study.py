@@ -1,0 +1,165 @@
+"""Work and precision of the steady state: waiting for it, shooting at it, and the approximate one-mode method."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import get_args
+
+import numpy as np
+
+from rig.errors import RunError, ShotrigError
+from rig.orbits.orbit import Orbit
+from rig.orbits.periodic_orbit import periodic_orbit
+from rig.response.frequency_response import frequency_response
+from rig.scene.scene import Scene
+from rig.single_mode.approximate_response import approximate_response
+from rig.single_mode.reduction import Weighting
+from rig.system.open_loop_drive import with_force_itself
+from rig.system.receptance import receptance
+from rig.system.structure import natural_modes, structure_matrices
+from rig.work_precision.high_precision import DIGITS
+from rig.work_precision.high_precision_orbit import ExactOrbit, exact_orbit
+from rig.work_precision.motion_study import BETTER, Point, timed
+
+#: Tolerances to wait for.
+TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
+#: Where the motion is irregular, the steady state is sought so far from there, relative.
+NEARBY = (0.0, 0.01, -0.01, 0.02, -0.02, 0.03, -0.03, 0.05, -0.05, 0.08, -0.08)
+#: The approximate method looks at this band around the frequency, relative.
+BAND = 0.04
+
+
+@dataclass(frozen=True)
+class SteadyStudy:
+    """What `steady_study` found.
+
+    Attributes
+    ----------
+    points : tuple of Point
+        Errors are of the compliance of all bodies, relative to the largest.
+    frequency : float
+        Hz.
+    motion_type : str
+    reference : str
+        What the errors refer to; why there are none, if there is no periodic motion.
+    """
+
+    points: tuple[Point, ...]
+    frequency: float
+    motion_type: str
+    reference: str
+
+
+def steady_study(
+    scene: Scene, frequency: float, progress: Callable[[str], None] | None = None
+) -> SteadyStudy:
+    """Measure the ways to a scene's steady response at one frequency.
+
+    Parameters
+    ----------
+    scene : Scene
+        Where its test holds the amplitude of the spring force, that force acts on the body as a pure tone.
+    frequency : float
+        Hz. Where the motion never repeats there, the nearest of some around it at which it does.
+    progress : callable, optional
+        Called with the name of each method before it runs.
+
+    Raises
+    ------
+    RunError
+        If the reference is not a thousand times better than the best method.
+    """
+    say = progress if progress is not None else lambda name: None
+    scene = with_force_itself(scene)
+    say("shooting")
+    try:
+        orbit = _orbit_near(scene, frequency)
+        # Once more: what is compiled is compiled or loaded by now.
+        cpu, orbit = timed(partial(periodic_orbit, scene, orbit.frequency))
+        say("reference for the steady state")
+        true = exact_orbit(scene, orbit)
+    except ShotrigError as error:
+        return SteadyStudy((), frequency, "", f"no steady state to compare with: {error}")
+    frequency = orbit.frequency
+    miss = true.miss(orbit.compliance)
+    points = [
+        Point("shooting", f"Newton to {orbit.residual:.0e}", cpu, miss, np.nan, True, orbit.motion_type)
+    ]
+    for tolerance in TOLERANCES:
+        say(f"waiting, {tolerance:.0e}")
+        cpu, response = timed(partial(frequency_response, scene, [frequency], tolerance=tolerance))
+        points.append(
+            Point(
+                "waiting", f"tolerance {tolerance:.0e}", cpu, true.miss(response.compliance[:, 0]), np.nan,
+                bool(response.converged[0]), str(response.motion_type[0]),
+            )
+        )  # fmt: skip
+    say("approximate method")
+    points.append(_approximate(scene, frequency, true))
+    riding = tuple(range(1, len(scene.dampers) + 1))
+    for name, dampers in (("dampers riding", riding), ("no dampers", ())):
+        cpu, linear = timed(partial(receptance, scene, [frequency], riding=dampers))
+        points.append(Point("linear", name, cpu, true.miss(linear[:, 0]), np.nan, False))
+    best = min((point.error for point in points if point.error > 0.0), default=np.inf)
+    margin = best / max(true.agreement, 10.0**-DIGITS)
+    if margin < BETTER:
+        raise RunError(
+            "the reference of the steady state is not a thousand times better than the best method; report the scene"
+        )
+    return SteadyStudy(
+        tuple(points),
+        frequency,
+        orbit.motion_type,
+        f"the periodic orbit in decimal arithmetic of {DIGITS} digits, which misses its start by {true.residual:.0e} "
+        f"of the motion; with fewer digits the compliance differs by {true.agreement:.0e};\n"
+        f"           the best method's error is {margin:.0e} times that.",
+    )
+
+
+def _orbit_near(scene: Scene, frequency: float) -> Orbit:
+    """Find the periodic motion at a frequency or, where there is none, near by."""
+    first: ShotrigError | None = None
+    for share in NEARBY:
+        try:
+            return periodic_orbit(scene, frequency * (1.0 + share))
+        except RunError as error:
+            first = first or error
+    assert first is not None
+    raise first
+
+
+def _approximate(scene: Scene, frequency: float, true: ExactOrbit) -> Point:
+    """Use the one-mode method for the mode nearest by; it finds the whole curve at once."""
+    mass, _, stiffness = structure_matrices(scene.structure)
+    omega = natural_modes(mass, stiffness)[0]
+    mode = int(np.argmin(np.abs(omega / (2 * np.pi) - frequency))) + 1
+    band = (frequency * (1 - BAND), frequency * (1 + BAND))
+    reasons = []
+    for weighting in get_args(Weighting):
+        try:
+            cpu, found = timed(partial(approximate_response, scene, mode, band, weighting=weighting))
+        except ShotrigError as refusal:
+            reasons.append(str(refusal))
+            continue
+        values = [
+            branch.compliance[k] * found.mode.shape
+            for branch in found.branches
+            for k in np.flatnonzero(
+                branch.valid & branch.stable & (np.abs(branch.frequency / frequency - 1) < 2e-3)
+            )
+        ]
+        if values:
+            error = min(true.miss(value) for value in values)
+            return Point(
+                "approximate",
+                f"mode {mode}, {weighting} weights",
+                cpu,
+                error,
+                np.nan,
+                True,
+                "the whole curve",
+            )
+        reasons.append("finds no stable motion here")
+    return Point("approximate", f"mode {mode}", np.nan, np.nan, np.nan, False, reasons[-1])

@@ -1,0 +1,177 @@
+"""Cost of the measurement chain: what is changed is all that changes, and errors are what theory says they are."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rig
+from analysis.chain_cost.figure import table, write
+from analysis.chain_cost.study import ChainStudy, chain_study, steady_frequencies
+from analysis.chain_cost.variants import GROUPS, own_setting, plain, quiet, variants
+from rig.errors import RunError, SceneError
+
+ONE_BODY = """
+name: one body
+structure: {masses: [1 kg], springs: [20 kN/m], damping: {modal: 5 %}}
+shaker: {kind: table, body: 1, spring: 5 kN/m}
+test: {kind: stepped_sine, from: 15 Hz, to: 30 Hz, points: 20, force: 5 N}
+channels:
+  - {name: body1, at: body 1, accelerometer: {sensitivity: 100 mV/g, noise: 100 ug/sqrt(Hz), resonance: 2 kHz}}
+  - {name: table, at: table, accelerometer: {sensitivity: 100 mV/g, noise: 100 ug/sqrt(Hz), resonance: 2 kHz}}
+converter: {rate: 1 kHz, bits: 24, range: 5 V, filter: delta_sigma, remove_delay: true}
+"""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def once() -> Iterator[None]:
+    """Record once: these tests judge errors, not times."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("analysis.chain_cost.study.REPEATS", 1)
+        yield
+
+
+@pytest.fixture(scope="module")
+def study() -> ChainStudy:
+    return chain_study(rig.loads(ONE_BODY), [24.0])
+
+
+def error(study: ChainStudy, group: str, setting: str) -> float:
+    return next(p.error for p in study.points if (p.group, p.setting) == (group, setting))
+
+
+def test_given_a_linear_scene_when_studied_then_the_quiet_chain_comes_near_the_exact_solution(
+    study: ChainStudy,
+) -> None:
+    assert study.quiet.error < 1e-4
+    assert error(study, "sample rate", "8000 Hz") < 1e-6
+    assert "linear equations" in study.reference
+
+
+def test_given_noise_and_counts_when_made_coarser_then_the_error_grows_in_proportion(
+    study: ChainStudy,
+) -> None:
+    ratio = error(study, "noise", "ten times") / error(study, "noise", "the scene's")
+    assert 3.0 < ratio < 30.0
+    assert error(study, "bits", "12") > 10.0 * error(study, "bits", "24")
+
+
+def test_given_a_drive_of_samples_when_filtered_then_its_images_stay_out_at_any_rate(
+    study: ChainStudy,
+) -> None:
+    # The table is driven by samples joined by straight lines, whose image beside the sample rate folds on the tone.
+    assert error(study, "anti-alias filter", "off") > 100.0 * study.quiet.error
+    assert error(study, "sample rate", "250 Hz") < 1e-5
+
+
+def test_given_any_chain_when_studied_then_every_group_has_points_with_a_time(study: ChainStudy) -> None:
+    assert {point.group for point in study.points} == set(GROUPS)
+    assert all(point.cpu > 0.0 and point.duration > 1.0 for point in (study.own, *study.points))
+
+
+def test_given_a_sensor_without_data_sheet_correction_when_it_resonates_low_then_a_displacement_is_far_off(
+    study: ChainStudy,
+) -> None:
+    low = next(p for p in study.points if p.setting == "resonance 200 Hz")
+    # 1 / (1 - (24/200)^2) is 1.5 % above 1; averaging over the sample interval delays by half a sample besides.
+    assert low.corrected > 0.014
+    assert low.error < 1e-3
+
+
+def test_given_a_study_when_written_then_table_and_file_hold_every_point(
+    study: ChainStudy, tmp_path: Path
+) -> None:
+    files = write(study, tmp_path / "new")
+    assert [file.suffix for file in files] == [".png", ".svg", ".csv"]
+    with files[2].open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 2 + len(study.points)
+    assert all(point.setting in table(study) for point in study.points)
+
+
+def test_given_a_scene_when_one_thing_is_changed_then_the_motion_and_the_rest_of_the_chain_stay() -> None:
+    scene = plain(rig.load("fig9"))
+    for variant in variants(scene, 46.0, 49.0, 54.0, 1.0):
+        assert variant.scene.dampers == scene.dampers
+        assert variant.scene.shaker == scene.shaker
+        base = scene if variant.group == "noise" else quiet(scene)
+        assert variant.group in GROUPS
+        if variant.group in ("sample rate", "bits", "anti-alias filter"):
+            assert variant.scene.channels == base.channels
+        else:
+            assert variant.scene.converter.rate == base.converter.rate
+            assert [c.at for c in variant.scene.channels] == [c.at for c in base.channels]
+
+
+def test_given_sensors_with_tolerances_when_varied_then_only_their_own_point_has_them() -> None:
+    scene = rig.load("fig9")
+    scene = scene.replace(
+        channels=[c.replace(accelerometer={"preset": "PCB 352C33"}) for c in scene.channels]
+    )
+    having = [
+        variant.setting
+        for variant in variants(plain(scene), 46.0, 49.0, 54.0, 1.0)
+        if any(
+            c.accelerometer is not None and c.accelerometer.sensitivity_tolerance
+            for c in variant.scene.channels
+        )
+    ]
+    assert having == ["tolerances, bias"]
+
+
+def test_given_parts_by_name_when_written_out_then_the_chain_is_the_same() -> None:
+    from daq.signal_chain.bench import Bench
+
+    scene = rig.load("fig9")
+    channels = [c.replace(accelerometer={"preset": "PCB 352C33"}) for c in scene.channels]
+    scene = scene.replace(channels=channels, converter={"preset": "NI 9234", "rate": 5000.0})
+    drive = np.sin(np.arange(500) * 0.05)[None]
+    named, written = Bench(scene), Bench(plain(scene))
+    assert written.rate == named.rate == 5120.0
+    np.testing.assert_array_equal(written.acquire(drive).samples, named.acquire(drive).samples)
+    assert own_setting(plain(scene), "anti-alias filter") == "on"
+
+
+def test_given_a_scene_with_dampers_when_frequencies_are_chosen_then_its_motion_there_repeats_every_period() -> (
+    None
+):
+    scene = rig.load("fig9")
+    chosen = steady_frequencies(scene)
+    assert list(chosen) == sorted(chosen)
+    assert all(46.0 <= frequency <= 54.0 for frequency in chosen)
+
+
+def test_given_a_damper_at_work_when_studied_then_the_reference_is_the_motion_under_the_noted_drive() -> None:
+    scene = rig.loads(
+        ONE_BODY.replace("shaker:", "dampers: [{body: 1, mass_ratio: 10 %, clearance: .inf}]\nshaker:")
+    )
+    found = chain_study(scene, [24.0])
+    assert "under the drive that the recording notes" in found.reference
+    assert found.quiet.error < 1e-4
+
+
+def test_given_a_force_that_no_channel_reads_when_studied_then_the_error_says_what_to_do() -> None:
+    scene = rig.loads(ONE_BODY)
+    scene = scene.replace(shaker={"kind": "force", "body": 1}, channels=scene.channels[:1])
+    with pytest.raises(SceneError, match=r"expected a channel \{name: force, at: shaker\}"):
+        chain_study(scene)
+
+
+def test_given_a_scene_without_a_shaker_when_studied_then_the_error_says_so() -> None:
+    with pytest.raises(SceneError, match="no shaker"):
+        chain_study(rig.load("fig10b-no-damper"))
+
+
+def test_given_a_frequency_that_is_none_when_studied_then_the_error_quotes_it() -> None:
+    with pytest.raises(SceneError, match=r"got -3\.0"):
+        chain_study(rig.loads(ONE_BODY), [-3.0])
+
+
+def test_given_a_range_too_small_when_studied_then_the_error_says_that_it_cannot_be_measured() -> None:
+    scene = rig.loads(ONE_BODY.replace("5 V", "1 mV"))
+    with pytest.raises(RunError, match="cannot be measured"):
+        chain_study(scene, [24.0])

@@ -1,0 +1,134 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import daq
+import rig
+from analysis.dampers.impact_detection import SIGMAS, impacts, score
+from daq.signal_chain.channel import ChannelInfo
+from rig.errors import RecordingError
+from tests.analysis.responses import synthetic
+
+RATE = synthetic.RATE
+
+
+def blows(path, quantity="displacement", noise=2e-8, count=300, seed=1):
+    """A body that swings at 40 Hz and is hit at known times by known velocity jumps."""
+    random = np.random.default_rng(seed)
+    samples = int(30 * RATE)
+    # The converter takes the mean over the interval that ends at the sample: fine steps, then averages.
+    t = np.arange(samples) / RATE
+    times = 0.05 + np.cumsum(random.uniform(0.02, 0.15, count))
+    times = times[times < 29.9]
+    jumps = random.choice([-1.0, 1.0], times.size) * random.uniform(3e-3, 2e-2, times.size)
+    displacement = 2e-4 * np.sin(2 * np.pi * 40.0 * t)
+    velocity = 2e-4 * 2 * np.pi * 40.0 * np.cos(2 * np.pi * 40.0 * t)
+    for time, jump in zip(times, jumps, strict=True):
+        displacement += jump * np.maximum(t - time, 0.0)
+        velocity += jump * (t >= time)
+    row = displacement if quantity == "displacement" else np.diff(velocity, prepend=velocity[0]) * RATE
+    infos = [ChannelInfo("body1", "body 1", quantity, 1.0, RATE, average=quantity == "acceleration")]
+    scale = noise if quantity == "displacement" else noise * RATE**2
+    row = row + scale * random.standard_normal(row.size)
+    return synthetic.write(path, synthetic.scene(), infos, row[None], []), times, jumps
+
+
+@pytest.mark.parametrize("quantity", ["displacement", "acceleration"])
+def test_given_blows_of_known_size_when_detected_then_times_and_sizes_are_right(tmp_path, quantity):
+    path, times, jumps = blows(tmp_path / "a.mcap", quantity)
+    with daq.open(path) as rec:
+        found = impacts(rec, "body1")
+    seen = abs(jumps) > found.threshold
+    f1, _, matched = score(found.time, times, 2.0 / RATE)
+    assert f1 > 0.98 and matched[seen].mean() > 0.98
+    nearest = np.array([np.argmin(abs(times - time)) for time in found.time])
+    close = abs(found.time - times[nearest]) < 2.0 / RATE
+    assert np.median(abs(found.jump - jumps[nearest])[close]) < 5e-4
+    floor = np.where(jumps[nearest] < 0, "floor", "ceiling")
+    assert np.mean((found.kind == floor)[close]) > 0.98
+
+
+SENSOR = {"sensitivity": 0.0102, "noise": 1.96e-4, "resonance": 30e3, "low_cutoff": 0.5}
+INTEGRATORS = {
+    "acceleration": {},
+    "velocity": {"integrator": {"order": 1, "corner": 1.0, "gain": 10.0}},
+    "displacement": {"integrator": {"order": 2, "corner": 1.0, "gain": 1000.0}},
+}
+
+
+def true_impacts(rec, damper):
+    """Times and velocity jumps of what a damper of a tenth of its body's mass really did."""
+    events = rec.events
+    hits = events[(events["kind"] != "separation") & (events["damper"] == damper)]
+    return hits["time"], 0.1 / 1.1 * hits["speed"]
+
+
+@pytest.mark.parametrize(
+    ("frequency", "quantity"),
+    [(34.7, "acceleration"), (34.7, "displacement"), (49.0, "velocity"), (49.0, "displacement")],
+)
+def test_given_three_dampers_at_a_resonance_when_detected_then_f1_is_above_98_percent(
+    tmp_path, quantity, frequency
+):
+    chain = {"accelerometer": SENSOR} | INTEGRATORS[quantity]
+    places = ("body 1", "body 2", "body 3", "table")
+    scene = rig.load("fig8-three-dampers").replace(
+        shaker={"kind": "table", "body": 1, "spring": 6600.0},
+        test={"kind": "sine", "frequency": frequency, "force": 2.6, "duration": 1.5},
+        channels=[{"name": at.replace(" ", ""), "at": at, **chain} for at in places],
+        recording={"truth": True, "display": False},
+    )
+    with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
+        assert rec.channels["body1"].quantity == quantity
+        for body in (1, 2, 3):
+            start = rec.samples - int(3 * rec.rate)
+            found = impacts(rec, f"body{body}", start)
+            times, jumps = true_impacts(rec, body)
+            inner = (times > start / rec.rate + 0.05) & (times < rec.samples / rec.rate - 0.05)
+            clear = inner & (jumps > found.threshold)
+            _, right, seen = score(found.time, times, 2.0 / rec.rate)
+            hits, misses, false = np.sum(seen & clear), np.sum(~seen & clear), np.sum(~right)
+            assert 2 * hits >= 0.98 * (2 * hits + misses + false)
+            assert found.threshold < 3.5e-3
+
+
+def test_given_two_levels_of_sensor_noise_when_detected_then_the_threshold_is_proportional(tmp_path):
+    thresholds = []
+    for noise in (2e-3, 2e-2):
+        scene = rig.load("fig8-three-dampers").replace(
+            shaker={"kind": "force", "body": 1},
+            test={"kind": "sine", "frequency": 34.7, "force": 2.6, "duration": 1.0},
+            channels=[
+                {"name": "body1", "at": "body 1", "accelerometer": {"sensitivity": 0.01, "noise": noise}},
+                {"name": "force", "at": "shaker"},
+            ],
+            recording={"display": False},
+        )
+        with daq.open(daq.record(scene, tmp_path / f"{noise}.mcap")) as rec:
+            thresholds.append(impacts(rec, "body1").threshold)
+    assert thresholds[1] / thresholds[0] == pytest.approx(10.0, rel=0.15)
+
+
+def test_given_noise_alone_when_searched_then_nothing_is_found_and_the_threshold_follows_the_noise(tmp_path):
+    thresholds = []
+    for noise in (1e-8, 1e-7):
+        path, _, _ = blows(tmp_path / "a.mcap", noise=noise, count=0)
+        with daq.open(path) as rec:
+            found = impacts(rec, "body1")
+        assert found.time.size == 0
+        assert found.threshold == pytest.approx((SIGMAS + 3.0) * found.noise)
+        thresholds.append(found.threshold)
+    assert 5.0 < thresholds[1] / thresholds[0] < 12.0
+
+
+def test_given_too_few_samples_when_searched_then_it_says_how_many_are_needed(tmp_path):
+    path, _, _ = blows(tmp_path / "a.mcap", count=0)
+    with daq.open(path) as rec, pytest.raises(RecordingError, match="take at least 96"):
+        impacts(rec, "body1", 0, 50)
+
+
+def test_given_times_when_scored_then_each_is_matched_once():
+    f1, found, true = score(np.array([1.0, 1.01, 2.0]), np.array([1.0, 2.5]), 0.1)
+    assert found.tolist() == [True, False, False] and true.tolist() == [True, False]
+    assert f1 == pytest.approx(2 / 5)

@@ -1,0 +1,141 @@
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import analysis
+import daq
+import rig
+from analysis.cli import app
+from analysis.dampers.nonlinearity import DamperMotion, damper_motion, describe_motion, jumps
+from analysis.dampers.performance import (
+    describe_changes,
+    energy_per_cycle,
+    impact_energy_per_cycle,
+    peak_changes,
+)
+from analysis.presentation.damper_findings import present_dampers
+from analysis.responses.stepped_sine import sweeps
+from rig.errors import RecordingError
+from tests.analysis.responses import synthetic
+
+
+def test_given_a_linear_structure_when_balanced_then_it_dissipates_all_that_is_supplied(tmp_path):
+    with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", [12.0, 13.04, 30.0, 34.8, 49.7])) as rec:
+        [sweep] = sweeps(rec)
+        energy = energy_per_cycle(rec, sweep)
+    np.testing.assert_allclose(energy.structure, energy.supplied, rtol=1e-6)
+    assert np.all(abs(energy.dampers) < 1e-5 * energy.supplied)
+
+
+def test_given_no_channel_on_a_body_when_balanced_then_it_is_named(tmp_path):
+    infos = [info for info in synthetic.channels() if info.name != "body2"]
+    marks = [("measure", 0, 2559, {"frequency": 20.0, "level": 1.0, "direction": "up"})]
+    wave = np.tile(np.sin(2 * np.pi * 20 / synthetic.RATE * np.arange(2560)), (3, 1))
+    with daq.open(synthetic.write(tmp_path / "a.mcap", synthetic.scene(), infos, wave, marks)) as rec:
+        [sweep] = sweeps(rec)
+        with pytest.raises(RecordingError, match="no channel on body 2"):
+            energy_per_cycle(rec, sweep)
+
+
+def test_given_the_same_structure_twice_when_compared_then_nothing_has_changed(tmp_path):
+    frequencies = np.unique(np.append(np.linspace(8.0, 60.0, 105), [13.0366, 34.7773, 49.6628]))
+    with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", frequencies)) as rec:
+        [curves] = analysis.frequency_responses(rec)
+    changes = peak_changes(curves, curves)
+    assert len(changes) == 9
+    for change in changes:
+        assert change.reduction == pytest.approx(1.0, abs=1e-3)
+        assert change.equivalent_damping == pytest.approx(0.005, rel=2e-3)
+        assert abs(change.added_mass) < 1e-4
+    assert "+0.0 dB" in describe_changes(changes)[0] or "-0.0 dB" in describe_changes(changes)[0]
+
+
+def test_given_a_curve_with_a_resonance_only_when_searched_then_no_jump_is_claimed(tmp_path):
+    with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))) as rec:
+        for [*curves] in analysis.frequency_responses(rec):
+            assert [jumps(curve) for curve in curves] == [[], [], []]
+
+
+@pytest.mark.parametrize(
+    ("floor", "ceiling", "stays", "name"),
+    [
+        (0, 0, False, "riding"),
+        (1, 0, False, "I"),
+        (1, 1, False, "II"),
+        (1, 1, True, "III"),
+        (0.5, 0, False, "other: 0.5 floor and 0 ceiling impacts a period"),
+        (2, 1, False, "other: 2 floor and 1 ceiling impacts a period"),
+    ],
+)
+def test_given_impacts_a_period_when_named_then_the_papers_types_are_used(floor, ceiling, stays, name):
+    assert DamperMotion(30.0, "body2", floor, ceiling, stays, 1e-3, False).name == name
+
+
+@pytest.fixture(scope="module")
+def fig9(tmp_path_factory):
+    test = {"kind": "stepped_sine", "frequencies": (47.5, 48.6, 49.0), "force": 3.3}
+    test |= {"settle": {"longest": 3.0}, "measure": {"periods": 25}}
+    scene = rig.load("fig9")
+    scene = scene.replace(
+        shaker={"kind": "table", "body": 1, "spring": 6600.0},
+        test=test,
+        recording={"truth": True, "display": False},
+    )
+    path = tmp_path_factory.mktemp("fig9") / "fig9.mcap"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", daq.RunWarning)
+        return daq.record(scene, path)
+
+
+def true_types(rec, sweep):
+    """Types of the only damper's motion from the true events and contacts."""
+    events, contact = rec.events, rec.truth("contact")[0]
+    out = []
+    for first, stop in sweep.windows:
+        inside = (events["time"] > first / rec.rate) & (events["time"] < stop / rec.rate)
+        struck = np.any(events["kind"][inside] == "ceiling")
+        out.append(("III" if np.any(contact[first:stop] == 2) else "II") if struck else "I")
+    return out
+
+
+def test_given_no_impacts_at_more_than_1_g_when_named_then_the_motion_is_not_called_riding() -> None:
+    motion = DamperMotion(30.0, "body2", 0, 0, False, 0.2, True)
+    assert motion.name == "unseen"
+    assert "more than g" in describe_motion([motion])[0]
+
+
+def test_given_the_papers_fig_9_when_recorded_then_its_types_are_told_from_the_channels(fig9):
+    with daq.open(fig9) as rec:
+        [sweep] = sweeps(rec)
+        motions = damper_motion(rec, sweep, "body2")
+        assert [one.name for one in motions] == true_types(rec, sweep) == ["I", "II", "III"]
+    assert describe_motion(motions)[0] == "body2, 47.5 Hz: type I"
+
+
+def test_given_the_truth_when_energies_are_compared_then_channels_tell_what_impacts_take_out(fig9):
+    with daq.open(fig9) as rec:
+        [sweep] = sweeps(rec)
+        energy = energy_per_cycle(rec, sweep)
+        true = impact_energy_per_cycle(rec, sweep)
+    np.testing.assert_allclose(energy.dampers / energy.supplied, true / energy.supplied, atol=0.02)
+    assert np.all(true[1:] > 0.6 * energy.supplied[1:])
+
+
+def test_given_a_recording_with_dampers_when_the_command_is_run_then_motion_and_energy_are_told(
+    fig9, tmp_path
+):
+    run = CliRunner().invoke(app, ["dampers", str(fig9), "-o", str(tmp_path)])
+    assert run.exit_code == 0
+    assert "body2, 49 Hz: type III" in run.output and "truly lost in impacts" in run.output
+    rows = (tmp_path / "fig9-dampers.csv").read_text().splitlines()
+    assert len(rows) == 4 and rows[0].startswith("scene,frequency_Hz,supplied_J")
+
+
+def test_given_no_dampers_when_asked_for_their_motion_then_it_says_so(tmp_path):
+    path = synthetic.stepped_sine(tmp_path / "a.mcap", [12.0])
+    with pytest.raises(RecordingError, match="no dampers"):
+        present_dampers([path])

@@ -1,0 +1,185 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import analysis
+import daq
+import rig
+from analysis.decays.modal_decay import band_width, modal_decay
+from analysis.decays.sensor_correction import corrected
+from analysis.recordings.slices import hits
+from daq.signal_chain.channel import ChannelInfo
+from rig.errors import RecordingError, SceneError
+from tests.analysis.responses import synthetic
+
+OMEGA = np.array([81.911, 218.512, 312.041])
+
+
+def test_given_a_linear_decay_when_analysed_then_every_mode_has_its_damping_at_every_amplitude(tmp_path):
+    with daq.open(synthetic.impulses(tmp_path / "a.mcap")) as rec:
+        decay = analysis.decay(rec, channel="body3")
+    assert [round(mode.frequency, 1) for mode in decay.modes] == [13.0, 34.8, 49.7]
+    for mode in decay.modes:
+        assert mode.damping.size > 4
+        np.testing.assert_allclose(mode.damping, 0.005, rtol=0.003)
+        np.testing.assert_allclose(mode.decrement, 2 * np.pi * mode.damping, rtol=1e-4)
+    assert decay.warnings == ()
+
+
+def test_given_noise_when_analysed_then_damping_ratios_stay_within_three_percent_above_the_floor(tmp_path):
+    with daq.open(synthetic.impulses(tmp_path / "a.mcap", noise=2e-3)) as rec:
+        decay = analysis.decay(rec, channel="body3")
+    for mode in decay.modes:
+        high = mode.amplitude > 0.05 * mode.amplitude[0]
+        np.testing.assert_allclose(mode.damping[high], 0.005, rtol=0.03)
+
+
+def test_given_a_decay_when_integrated_then_the_energy_falls_steadily_to_the_end(tmp_path):
+    with daq.open(synthetic.impulses(tmp_path / "a.mcap")) as rec:
+        decay = analysis.decay(rec)
+    assert decay.energy[0] == 0.0 and np.all(np.diff(decay.energy) <= 0)
+    assert 0.1 < decay.halving < 3.0
+    assert decay.time_below(1e9) == 0.0
+
+
+def test_given_damping_that_falls_with_amplitude_when_analysed_then_it_is_followed():
+    # x'' + 2 zeta(A) w x' + w^2 x = 0 with zeta = c A, slowly: A' = -c w A^2, A = A0 / (1 + c w A0 t).
+    rate, omega, start, law = 2560.0, 2 * np.pi * 30.0, 20.0, 1e-3
+    time = np.arange(int(6 * rate)) / rate
+    amplitude = start / (1.0 + law * omega * start * time)
+    signal = np.concatenate([np.zeros(1280), amplitude * np.cos(omega * time)])
+    mode = modal_decay(signal, rate, 30.0, 5.0, 1280)
+    assert mode.amplitude[0] > 5 * mode.amplitude[-1]
+    np.testing.assert_allclose(mode.damping, law * mode.amplitude, rtol=0.06)
+
+
+def test_given_a_displacement_channel_when_analysed_then_the_decay_is_that_of_the_acceleration(tmp_path):
+    force = np.zeros(640 + int(4 * synthetic.RATE))
+    force[640:656] = 50.0 * np.sin(np.pi * np.arange(16) / 16)
+    infos = [info for info in synthetic.channels("displacement") if info.at != "table"]
+    where = synthetic.scene("{kind: impulse, body: 1, peak: 50 N, width: 6.25 ms}")
+    rows = synthetic.simulate(force, quantity="displacement")
+    path = synthetic.write(tmp_path / "a.mcap", where, infos, rows, [("hit", 640, 655, {})])
+    with daq.open(path) as rec:
+        decay = analysis.decay(rec, channel="body3")
+    true = synthetic.simulate(force)[2][656 : 656 + decay.time.size]
+    inner = slice(200, -2000)
+    assert np.max(abs(decay.acceleration[inner] - true[inner])) < 0.01 * abs(true).max()
+
+
+def test_given_no_hit_when_a_decay_is_asked_for_then_it_says_what_to_record(tmp_path):
+    with (
+        daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", [12.0])) as rec,
+        pytest.raises(RecordingError, match=r"kind: impulse"),
+    ):
+        analysis.decay(rec)
+
+
+def test_given_a_hit_that_was_not_made_when_asked_for_then_the_range_is_named(tmp_path):
+    with (
+        daq.open(synthetic.impulses(tmp_path / "a.mcap", interval=1.0)) as rec,
+        pytest.raises(SceneError, match="hits 1 to 1"),
+    ):
+        analysis.decay(rec, hit=2)
+
+
+def test_given_a_decay_of_a_tenth_of_a_second_when_analysed_then_it_is_too_short(tmp_path):
+    with (
+        daq.open(synthetic.impulses(tmp_path / "a.mcap", interval=0.1)) as rec,
+        pytest.raises(RecordingError, match="too short"),
+    ):
+        analysis.decay(rec)
+
+
+def agreement(mode, expected):
+    """Where noise leaves a bound below 3 %, the difference has to be below 3 %; elsewhere, within the bound."""
+    bound = 2.0 * mode.damping_error / mode.damping
+    return abs(mode.damping / expected.damping - 1.0) < np.maximum(bound, 0.03)
+
+
+def test_given_three_dampers_when_a_decay_is_measured_then_its_damping_is_that_of_the_true_motion(tmp_path):
+    scene = rig.load("fig10b-three-dampers")
+    test = scene.test.model_dump(exclude_none=True) | {"repeats": 1, "interval": 4.0}
+    scene = scene.replace(test=test, recording={"truth": True, "display": False})
+    with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
+        decay = analysis.decay(rec, "body2")
+        ideal = ChannelInfo("true", "body 2", "displacement", 1.0, rec.rate)
+        true = corrected(ideal, rec.truth("displacement")[1], "acceleration", 2.0, 800.0)
+        [(_, last)] = hits(rec)
+    frequencies = np.array([mode.frequency for mode in decay.modes])
+    np.testing.assert_allclose(frequencies, [12.4, 34.7, 49.0], rtol=0.05)
+    for index, mode in enumerate(decay.modes):
+        width = band_width(frequencies, index)
+        expected = modal_decay(true, rec.rate, mode.frequency, width, last + 1, amplitudes=mode.amplitude)
+        assert mode.damping.size > 5 and agreement(mode, expected).mean() > 0.95
+    # Above g the dampers work; once all is below, the structure's own 0.5 % is left, shared with the riding masses.
+    assert max(mode.damping.max() for mode in decay.modes) > 0.02
+    assert 0.003 < decay.modes[1].small_damping() < 0.006
+
+
+@pytest.mark.parametrize("order", [0, 2])
+def test_given_a_free_decay_when_measured_then_its_damping_is_that_of_the_engines_noise_free_run(
+    tmp_path, order
+):
+    accelerometer = {"sensitivity": 0.0102, "noise": 1.96e-4, "resonance": 30e3, "low_cutoff": 0.5}
+    amplifier = {"integrator": {"order": 2, "corner": 1.0, "gain": 1000.0}} if order else {}
+    scene = rig.load("fig10b-three-dampers").replace(
+        test={"kind": "free", "velocity": (0.9, -0.5, 0.4), "duration": 5.0},
+        channels=[{"name": "body3", "at": "body 3", "accelerometer": accelerometer, **amplifier}],
+        converter={"rate": 5120.0, "bits": 24, "range": 20.0},
+        recording={"display": False},
+    )
+    with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
+        decay = analysis.decay(rec)
+    run = rig.simulate(scene, duration=5.0, rate=5120.0)
+    ideal = ChannelInfo("true", "body 3", "displacement", 1.0, 5120.0)
+    true = corrected(ideal, run.displacement[2], "acceleration", 2.0, 800.0)
+    frequencies = np.array([mode.frequency for mode in decay.modes])
+    assert len(frequencies) >= 2
+    for index, mode in enumerate(decay.modes):
+        width = band_width(frequencies, index)
+        expected = modal_decay(true, 5120.0, mode.frequency, width, 0, amplitudes=mode.amplitude)
+        assert mode.damping.size > 5 and agreement(mode, expected).mean() > 0.95
+
+
+def test_given_noise_when_a_decay_is_analysed_then_only_amplitudes_above_it_are_reported(tmp_path):
+    for noise in (1e-3, 1e-2):
+        with daq.open(synthetic.impulses(tmp_path / "a.mcap", noise=noise)) as rec:
+            decay = analysis.decay(rec, channel="body3")
+        for mode in decay.modes:
+            assert mode.amplitude.min() > 20.0 * mode.noise
+            assert np.all(mode.damping_error <= 0.05 * mode.damping)
+            pull = (mode.damping - 0.005) / np.maximum(mode.damping_error, 0.005 * 0.01)
+            assert np.max(abs(pull)) < 4.0
+
+
+def test_given_a_recording_in_which_nothing_is_heard_when_analysed_then_no_damping_is_claimed(tmp_path):
+    with daq.open(synthetic.impulses(tmp_path / "a.mcap", noise=30.0)) as rec:
+        assert all(mode.damping.size == 0 for mode in analysis.decay(rec, channel="body3").modes)
+
+
+def test_given_a_decay_that_is_cut_off_when_analysed_then_its_envelope_is_that_of_the_longer_one(tmp_path):
+    cut, whole = (synthetic.impulses(tmp_path / f"{t}.mcap", interval=t) for t in (2.0, 8.0))
+    with daq.open(cut) as rec, daq.open(whole) as longer:
+        decay, expected = analysis.decay(rec), analysis.decay(longer)
+    assert 1.8 < decay.time[-1] < 2.0
+    late = decay.time > 1.0
+    off = abs(decay.envelope - expected.envelope[: decay.time.size])[late]
+    assert off.max() < 0.1 * expected.envelope[: decay.time.size][late].max()
+
+
+def test_given_a_filter_that_delays_when_a_decay_is_followed_by_a_hit_then_it_ends_before_that_hit(tmp_path):
+    scene = rig.load("fig10b-no-damper")
+    test = scene.test.model_dump(exclude_none=True) | {"repeats": 2, "interval": 2.0}
+    for remove in (False, True):
+        converter = {"rate": 2560.0, "filter": "delta_sigma", "remove_delay": remove}
+        late = scene.replace(test=test, converter=converter, recording={"truth": True, "display": False})
+        with daq.open(daq.record(late, tmp_path / f"{remove}.mcap")) as rec:
+            decay = analysis.decay(rec, "body2")
+            ideal = ChannelInfo("true", "body 2", "displacement", 1.0, rec.rate)
+            true = corrected(ideal, rec.truth("displacement")[1], "acceleration", 2.0, 800.0)
+            begin = hits(rec)[0][1] + 1
+        assert 1.8 < decay.time[-1] < 2.0
+        off = abs(decay.acceleration - true[begin : begin + decay.time.size])[decay.time > 0.05]
+        assert off.max() < 0.02 * abs(decay.acceleration).max()

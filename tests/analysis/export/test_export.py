@@ -1,0 +1,234 @@
+import csv
+import wave
+
+import numpy as np
+import pytest
+import pyuff
+from scipy.io import wavfile
+from typer.testing import CliRunner
+
+import analysis
+import daq
+from analysis.cli import app
+from analysis.export.export import export
+from analysis.recordings.slices import Stretch
+from daq.recording.recorder import Recorder
+from daq.signal_chain.channel import ChannelInfo
+from rig.errors import RecordingError, RunError, SceneError
+from tests.daq.recording.recordings import RATE, channels, scene, signal, write
+
+SAMPLES = 5000
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    path = write(tmp_path_factory.mktemp("export") / "a.mcap", signal(SAMPLES))
+    with daq.open(path) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def with_gap(tmp_path_factory):
+    path = tmp_path_factory.mktemp("gap") / "a.mcap"
+    with Recorder(path, scene(), channels(), RATE) as recorder:
+        recorder.write(signal(1000))
+        recorder.gap(500)
+        recorder.write(signal(1000))
+    with daq.open(path) as opened:
+        yield opened
+
+
+def test_given_a_recording_when_exported_as_csv_then_every_digit_is_there(recording, tmp_path):
+    export(Stretch.of(recording), tmp_path / "a.csv")
+    with (tmp_path / "a.csv").open(newline="") as stream:
+        head, *rows = csv.reader(stream)
+    assert head == ["time [s]", "body1 [m]", "body2 [m/s^2]"]
+    table = np.array(rows, dtype=float).T
+    assert np.array_equal(table[0], np.arange(SAMPLES) / RATE)
+    assert np.array_equal(table[1], recording.read("body1"))
+    assert np.array_equal(table[2], recording.read("body2"))
+
+
+def test_given_a_stretch_when_exported_as_npz_then_numpy_loads_it_without_pickles(recording, tmp_path):
+    export(Stretch.of(recording, ["body2"], 0.5, 1.0), tmp_path / "a.npz")
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as arrays:
+        assert set(arrays) == {"body2", "channels", "units", "rate", "start_s"}
+        assert np.array_equal(arrays["body2"], recording.read("body2", 1280, 2560))
+        assert arrays["units"].tolist() == ["m/s^2"]
+        assert (arrays["rate"], arrays["start_s"]) == (RATE, 0.5)
+
+
+def test_given_the_same_recording_when_exported_twice_as_npz_then_the_bytes_are_the_same(recording, tmp_path):
+    for name in ("a.npz", "b.npz"):
+        export(Stretch.of(recording), tmp_path / name)
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+def test_given_a_recording_when_exported_as_wav_then_scipy_hears_it(recording, tmp_path):
+    notes = export(Stretch.of(recording), tmp_path / "a.wav", speed=3.0)
+    rate, sound = wavfile.read(tmp_path / "a.wav")
+    assert rate == round(3 * RATE)
+    assert sound.shape == (SAMPLES, 2)
+    for row, name in enumerate(recording.channels):
+        samples = recording.read(name)
+        full = np.abs(samples).max()
+        # scipy puts 24 bits into the upper three bytes of four.
+        assert sound[:, row] / 2**31 == pytest.approx(samples / full, abs=2**-22)
+        assert notes[row] == f"{name}: full scale is {full:.6g} {recording.channels[name].unit}"
+    with wave.open(str(tmp_path / "a.wav")) as header:
+        assert header.getsampwidth() == 3
+
+
+def test_given_silence_when_exported_as_wav_then_it_is_silence(tmp_path):
+    with daq.open(write(tmp_path / "a.mcap", np.zeros((2, 100)))) as recording:
+        export(Stretch.of(recording), tmp_path / "a.wav")
+    assert not wavfile.read(tmp_path / "a.wav")[1].any()
+
+
+def test_given_a_recording_when_exported_as_uff_then_pyuff_reads_time_responses(recording, tmp_path):
+    export(Stretch.of(recording, None, 0.25, 1.25), tmp_path / "a.uff")
+    sets = pyuff.UFF(str(tmp_path / "a.uff")).read_sets()
+    assert [one["type"] for one in sets] == [58, 58]
+    assert [one["func_type"] for one in sets] == [1, 1]
+    assert [one["rsp_node"] for one in sets] == [1, 2]
+    assert [one["rsp_dir"] for one in sets] == [3, 3]
+    assert [one["ordinate_spec_data_type"] for one in sets] == [8, 12]
+    assert [one["ordinate_axis_units_lab"] for one in sets] == ["m", "m/s^2"]
+    assert sets[1]["id1"].startswith("body2: acceleration at body 2")
+    assert sets[1]["id4"] == "sample rate 2560.0 Hz"
+    for one, name in zip(sets, recording.channels, strict=True):
+        assert one["data"] == pytest.approx(recording.read(name, 640, 3200), rel=1e-11)
+        assert one["x"][0] == pytest.approx(0.25)
+        assert np.diff(one["x"]) == pytest.approx(1 / RATE, rel=2e-6)
+
+
+def test_given_a_recording_when_asked_for_sep005_then_the_rules_of_sep005_hold(recording):
+    series = analysis.sep005(recording, to_s=1.0)
+    assert [one["name"] for one in series] == ["body1", "body2"]
+    assert [one["unit_str"] for one in series] == ["m", "m/s²"]
+    assert [one["quantity"] for one in series] == ["d", "a"]
+    for one in series:
+        assert one["data"].ndim == 1
+        assert one["fs"] == RATE
+        assert "timestamp" not in one and "start_timestamp" not in one
+        assert np.array_equal(one["data"], recording.read(one["name"], 0, 2560))
+
+
+def test_given_sep005_series_when_the_reference_checks_them_then_they_pass(recording):
+    import sdypy_sep005 as reference
+
+    for one in analysis.sep005(recording):
+        checked = reference.Sep005Data.model_validate(one)
+        assert (checked.name, checked.fs) == (one["name"], RATE)
+
+
+def test_given_a_recording_with_a_date_when_asked_for_sep005_then_the_series_carry_it(tmp_path):
+    start = 1_763_726_400_250_000_000
+    with Recorder(tmp_path / "a.mcap", scene(), channels(), RATE, start_ns=start) as recorder:
+        recorder.write(signal(3000))
+    with daq.open(tmp_path / "a.mcap") as recording:
+        series = analysis.sep005(recording, from_s=1.0)
+    assert series[0]["start_timestamp"] == "2025-11-21T12:00:01.250000+00:00"
+
+
+def test_given_lost_samples_when_exported_then_tables_keep_their_places_and_other_formats_refuse(
+    with_gap, tmp_path
+):
+    for name in ("a.csv", "a.npz"):
+        export(Stretch.of(with_gap), tmp_path / name)
+    table = np.genfromtxt(tmp_path / "a.csv", delimiter=",", skip_header=1)
+    with np.load(tmp_path / "a.npz") as arrays:
+        assert np.array_equal(arrays["body1"], table[:, 1], equal_nan=True)
+    assert np.flatnonzero(np.isnan(table[:, 1])).tolist() == list(range(1000, 1500))
+    for name in ("a.wav", "a.uff"):
+        with pytest.raises(RecordingError, match=r"lacks 0.390625 s to 0.585938 s of body1, body2"):
+            export(Stretch.of(with_gap), tmp_path / name)
+        export(Stretch.of(with_gap, to_s=0.390625), tmp_path / name)
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
+
+
+def test_given_pieces_smaller_than_the_recording_when_exported_then_the_file_is_the_same(
+    recording, tmp_path, monkeypatch
+):
+    names = ("a.csv", "a.npz", "a.wav")
+    for name in names:
+        export(Stretch.of(recording), tmp_path / name)
+    monkeypatch.setattr("analysis.recordings.slices.PIECE", 777)
+    for name in names:
+        export(Stretch.of(recording), tmp_path / f"b{name}")
+        assert (tmp_path / name).read_bytes() == (tmp_path / f"b{name}").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("wanted", "message"),
+    [
+        ({"channels": ["body9"]}, "no channel 'body9'; its channels are body1, body2"),
+        ({"from_s": 5.0}, "lasts from 0 s to 1.95312 s"),
+        ({"from_s": 1.0, "to_s": 0.5}, "nothing to export"),
+    ],
+)
+def test_given_a_stretch_that_is_not_there_when_asked_for_then_the_error_tells_what_is(
+    recording, wanted, message
+):
+    with pytest.raises(SceneError, match=message):
+        Stretch.of(recording, **wanted)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("a.xls", {}, "expected a name that ends in one of .csv"),
+        ("a", {}, "expected a name that ends in one of .csv"),
+        ("a.csv", {"speed": 2.0}, "--speed"),
+        ("a.wav", {"speed": 1e9}, "choose another --speed"),
+        ("a.wav", {"speed": 0.0}, "choose another --speed"),
+        ("missing/a.csv", {}, "no folder"),
+    ],
+)
+def test_given_what_cannot_be_exported_when_tried_then_the_error_says_why_and_nothing_is_left(
+    recording, tmp_path, name, options, message
+):
+    with pytest.raises(SceneError, match=message):
+        export(Stretch.of(recording), tmp_path / name, **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_given_one_sample_when_exported_as_uff_then_the_format_refuses(recording, tmp_path):
+    with pytest.raises(SceneError, match="2 at least"):
+        export(Stretch.of(recording, to_s=1e-4), tmp_path / "a.uff")
+
+
+def test_given_an_existing_file_when_exported_then_it_is_replaced_only_if_asked(recording, tmp_path):
+    path = tmp_path / "a.uff"
+    path.write_text("precious")
+    with pytest.raises(SceneError, match="exists"):
+        export(Stretch.of(recording), path)
+    assert path.read_text() == "precious"
+    export(Stretch.of(recording), path, overwrite=True)
+    assert len(pyuff.UFF(str(path)).read_sets()) == 2
+
+
+def test_given_a_target_that_is_a_folder_when_exported_then_the_error_is_clear(recording, tmp_path):
+    (tmp_path / "a.csv").mkdir()
+    with pytest.raises(RunError, match="cannot write"):
+        export(Stretch.of(recording), tmp_path / "a.csv", overwrite=True)
+
+
+def test_given_channels_named_like_paths_when_exported_as_npz_then_members_have_plain_names(tmp_path):
+    info = [ChannelInfo("../x y", "body 1", "force", 1.0, RATE)]
+    with Recorder(tmp_path / "a.mcap", scene(), info, RATE) as recorder:
+        recorder.write(np.ones((1, 10)))
+    with daq.open(tmp_path / "a.mcap") as recording:
+        export(Stretch.of(recording), tmp_path / "a.npz")
+    with np.load(tmp_path / "a.npz") as arrays:
+        assert arrays[".._x_y"].tolist() == [1.0] * 10
+
+
+def test_given_the_command_when_run_then_the_file_is_there_and_named(recording, tmp_path):
+    path = tmp_path / "a.csv"
+    result = CliRunner().invoke(
+        app, ["export", str(recording.path), "-o", str(path), "--channel", "body2", "--to", "0.1"]
+    )
+    assert result.exit_code == 0
+    assert f"wrote {path}" in result.output
+    assert len(path.read_text().splitlines()) == 257

@@ -1,0 +1,265 @@
+"""The reproduction of the paper: it restarts, its pieces agree with each other, and its page says what was found."""
+
+import multiprocessing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rig
+from analysis.paper.charts import holds_c2, short
+from analysis.paper.claims import Claim, Evidence
+from analysis.paper.experiment import damper_sweep
+from analysis.paper.page import CAPTIONS, write_pages
+from analysis.paper.parts import all_parts
+from analysis.paper.reproduce import FIGURES, reproduce
+from analysis.paper.scan import LEVELS, best_damper, scan, stays_over_damping
+from analysis.paper.simulation import approximated, exact_orbits, structure_numbers, waveforms
+from analysis.paper.store import Arrays, Part, partial_name, remove_partial
+from analysis.paper.workers import compute
+from rig.errors import SceneError
+from rig.orbits.problem import pure_force
+
+calls: list[float] = []
+
+
+def counted(value: float) -> Arrays:
+    calls.append(value)
+    return {"value": np.array(value)}
+
+
+def part(value: float) -> Part:
+    return Part("one", f"depends on {value}", counted, {"value": value}, "a part")
+
+
+def test_given_a_finished_part_when_asked_again_then_it_is_read_and_not_computed(tmp_path: Path) -> None:
+    calls.clear()
+    assert part(3.0).stored(tmp_path) is None
+    part(3.0).run(tmp_path)
+
+    stored = part(3.0).stored(tmp_path)
+
+    assert stored is not None
+    assert stored["value"] == 3.0
+    assert list(stored) == ["value"]
+    assert calls == [3.0]
+
+
+def test_given_other_inputs_or_a_torn_file_when_asked_then_the_part_counts_as_missing(tmp_path: Path) -> None:
+    part(3.0).run(tmp_path)
+    assert part(4.0).stored(tmp_path) is None
+
+    path = part(3.0).path(tmp_path)
+    path.write_bytes(path.read_bytes()[:200])
+
+    assert part(3.0).stored(tmp_path) is None
+
+
+def test_given_all_parts_when_listed_then_names_and_inputs_are_unique_and_repeatable(tmp_path: Path) -> None:
+    first, second = all_parts(tmp_path), all_parts(tmp_path)
+
+    assert len({p.name for p in first}) == len(first)
+    assert [p.digest for p in first] == [p.digest for p in second]
+    assert len({p.digest for p in first}) == len(first)
+
+
+def test_given_a_part_that_does_not_exist_when_asked_to_compute_it_then_the_parts_are_listed(
+    tmp_path: Path,
+) -> None:
+    with pytest.raises(SceneError, match="no part nonsense; there are rec-bare"):
+        reproduce(tmp_path, lambda line: None, ["nonsense"])
+
+
+def test_given_fig_9_when_recorded_solved_and_approximated_then_phases_and_compliance_agree(
+    tmp_path: Path,
+) -> None:
+    scene = rig.load("fig9")
+    test = {"kind": "stepped_sine", "frequencies": [49.8, 50.0], "force": 3.3}
+
+    measured = damper_sweep(scene.replace(test=test), tmp_path / "fig9.mcap", 2)
+    exact = exact_orbits(scene, (49.7, 50.1), searches=1)
+    approximate = approximated(scene, 3, (49.7, 50.1), "printed", searches=3)
+
+    for i, frequency in enumerate(measured["frequency"]):
+        near = int(np.abs(exact["frequency"] - frequency).argmin())
+        assert exact["type"][near] == "II"
+        assert abs(measured["compliance"][1, i]) == pytest.approx(abs(exact["compliance"][near, 1]), rel=0.01)
+        assert measured["impact_phi"][i] == pytest.approx(exact["phi"][near], abs=0.06)
+        assert measured["impact_tau_1"][i] == pytest.approx(exact["tau"][near, 1], abs=0.06)
+        close = int(np.abs(approximate["frequency"] - frequency).argmin())
+        assert approximate["type"][close] == "II"
+        assert approximate["phi"][close] == pytest.approx(exact["phi"][near], abs=0.1)
+        assert approximate["tau"][close, 0] == pytest.approx(exact["tau"][near, 0], abs=0.1)
+        assert abs(approximate["compliance"][close]) == pytest.approx(
+            abs(exact["compliance"][near, 1]), rel=0.05
+        )
+
+
+def test_given_a_recording_that_is_there_when_asked_again_then_it_is_not_made_anew(tmp_path: Path) -> None:
+    scene = rig.load("fig9").replace(test={"kind": "stepped_sine", "frequencies": [49.8], "force": 3.3})
+    path = tmp_path / "fig9.mcap"
+    first = damper_sweep(scene, path, 2)
+    made = path.stat().st_mtime_ns
+
+    again = damper_sweep(scene, path, 2)
+
+    assert path.stat().st_mtime_ns == made
+    np.testing.assert_array_equal(first["compliance"], again["compliance"])
+
+
+def test_given_a_cell_of_the_scan_when_simulated_otherwise_then_peak_and_type_are_the_same() -> None:
+    scene = rig.load("fig5-single-damper")
+    frequencies = np.array([47.5, 48.5, 49.5])
+
+    cell = scan(scene, np.array([10.0]), np.array([1e-3]), frequencies, 0.10)
+
+    response = rig.frequency_response(
+        pure_force(scene), [*frequencies[:2], *cell["where"][0], frequencies[2]]
+    )
+    size = np.abs(response.compliance[1])
+    # The peak is sought between the frequencies of the grid, so that it is the highest of all.
+    assert cell["peak"][0, 0] == pytest.approx(size.max(), rel=1e-6)
+    assert cell["where"][0, 0] == response.frequency[size.argmax()]
+    assert cell["where"][0, 0] not in frequencies
+    assert cell["exact"].all()
+    assert cell["type_there"][0, 0] == "III"
+
+
+def test_given_mass_ratios_and_clearances_when_optimised_then_no_trial_is_better_at_any_level() -> None:
+    scene = rig.load("fig9")
+    frequencies = np.linspace(47.0, 50.0, 7)
+
+    found = best_damper(
+        scene, 3.3, np.array([0.03, 0.06]), 1e-3 * np.array([0.6, 1.2]), frequencies, trials=6
+    )
+
+    assert found["peak"] == found["worst"].min()
+    assert len(found["worst"]) > 4
+    assert found["peak"] < found["worst"][:4].min()
+    assert 0.03 <= found["mass_ratio"] <= 0.06
+    damper = {"body": 2, "mass_ratio": float(found["mass_ratio"]), "clearance": float(found["best"])}
+    for force in 3.3 * LEVELS:
+        test = scene.test.replace(force=float(force))
+        varied = pure_force(scene.replace(dampers=[damper], test=test))
+        response = rig.frequency_response(varied, frequencies)
+        assert np.abs(response.compliance[1]).max() < 1.001 * found["peak"]
+
+
+def test_given_more_damping_when_fig_9_is_scanned_then_type_iii_vanishes() -> None:
+    frequencies = np.array([48.8, 49.0, 49.2])
+
+    found = stays_over_damping(rig.load("fig9"), np.array([0.005, 0.01]), np.array([0.98e-3]), frequencies)
+
+    assert found["third"].ravel().tolist() == [True, False]
+
+
+def test_given_waveforms_when_drawn_over_two_periods_then_dampers_stay_in_their_cavities() -> None:
+    wave = waveforms(rig.load("fig5-three-dampers"), 50.5)
+
+    assert (np.diff(wave["time"]) >= -1e-12).all()
+    assert wave["time"][-1] == pytest.approx(2 / 50.5, rel=0.05)
+    assert (wave["gap"] >= -1e-9).all()
+    assert (wave["gap"] <= wave["clearance"][:, None] + 1e-9).all()
+
+
+def test_given_types_when_shortened_then_what_is_no_type_of_the_paper_is_called_other() -> None:
+    assert short(np.array(["I/II", "3 per 2/I", "I/riding", "irregular"])).tolist() == [
+        "I/II",
+        "I/other",
+        "I/r",
+        "other",
+    ]
+
+
+def test_given_scans_when_c2_is_judged_then_ratio_and_types_must_fit() -> None:
+    single = {"peak": np.array([[3.0, 3.0, 1.5]]), "types": np.array([["I III", "I II", "III"]])}
+    three = {"peak": np.ones((1, 3)), "types": np.array([["I II", "I II", "I II"]])}
+
+    assert holds_c2({"scan-single": single, "scan-three": three}).tolist() == [[True, False, False]]
+
+
+def test_given_claims_when_the_page_is_written_then_it_shows_verdicts_evidence_and_figures(
+    tmp_path: Path,
+) -> None:
+    judged = [
+        Claim(
+            "C9",
+            "Less is <more>.",
+            (Evidence("It was 42 %.", ("rec-one",)),),
+            "holds in part: because",
+            ("fig9",),
+        )
+    ]
+    nothing: Arrays = {
+        "branch": np.array([0]), "type": np.array(["II"]), "special": np.array([], dtype=str),
+        "special_frequency": np.array([]), "failures": np.array(["at 50 Hz: none"]),
+    }  # fmt: skip
+    weights = {"mode": np.array([2]), "peak": np.array([[1.0], [1.3], [0.9]])}
+
+    best: Arrays = {
+        "mass_ratio": np.array(0.1), "mass_ratios": np.array([0.1]), "best": np.array(9e-4),
+        "peak": np.array(1.4e-4), "worst": np.array([1.4e-4]), "orbits": np.array(0.9),
+    }  # fmt: skip
+    cells: Arrays = {"exact": np.array([[True, False]])}
+    parts = {"orbit-fig9": nothing, "weights-one-damper": weights, "best-10": best, "optimum": best}
+
+    paths = write_pages(tmp_path, judged, {**parts, "scan-single": cells, "scan-three": cells})
+
+    markdown, html = (path.read_text(encoding="utf-8") for path in paths)
+    for text in (markdown, html):
+        assert "holds in part: because" in text
+        assert "It was 42 %." in text
+        assert "analysis paper --fresh rec-one" in text
+        assert "fig9.png" in text
+        assert "at 50 Hz: none" in text
+        assert "one damper, mode 2: +30 % against -10 %" in text
+    assert "Less is &lt;more&gt;." in html
+
+
+def test_given_parts_when_computed_by_workers_then_all_are_stored_longest_first(tmp_path: Path) -> None:
+    scene, done = rig.load("fig9"), []
+    parts = [
+        Part(
+            name,
+            name,
+            structure_numbers,
+            {"scene": scene, "frequencies": np.array([value])},
+            "a part",
+            effort,
+        )
+        for name, value, effort in (("short", 20.0, 1.0), ("long", 30.0, 5.0), ("middle", 40.0, 3.0))
+    ]
+
+    compute(parts, tmp_path, lambda part: done.append(part.name))
+
+    assert sorted(done) == ["long", "middle", "short"]
+    assert "short" not in done[:1]
+    stored = [part.stored(tmp_path) for part in parts]
+    assert [float(arrays["frequency"][0]) for arrays in stored if arrays is not None] == [20.0, 30.0, 40.0]
+
+
+def test_given_a_part_that_fails_when_computed_by_workers_then_its_error_is_raised_and_nothing_is_left(
+    tmp_path: Path,
+) -> None:
+    wrong = Part("wrong", "wrong", exact_orbits, {"scene": rig.load("fig9"), "band": (50.0, 40.0)}, "a part")
+
+    with pytest.raises(SceneError, match="two rising values"):
+        compute([wrong], tmp_path, lambda part: None)
+
+    assert not multiprocessing.active_children()
+    assert not list(tmp_path.rglob("*.npz"))
+
+
+def test_given_files_left_half_written_when_started_again_then_they_are_removed(tmp_path: Path) -> None:
+    (tmp_path / "data").mkdir()
+    whole = tmp_path / "data" / "one.npz"
+    for path in (whole, partial_name(whole)):
+        path.write_bytes(b"x")
+
+    remove_partial(tmp_path)
+
+    assert list((tmp_path / "data").iterdir()) == [whole]
+
+
+def test_given_the_figures_when_listed_then_each_has_a_caption() -> None:
+    assert set(FIGURES) == set(CAPTIONS)

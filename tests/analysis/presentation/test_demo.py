@@ -1,0 +1,19 @@
+from __future__ import annotations
+
+import numpy as np
+
+from analysis.presentation.demo import demonstrate
+
+
+def test_given_few_frequencies_when_demonstrated_then_recordings_figures_and_next_commands_are_there(
+    tmp_path,
+):
+    said: list[str] = []
+    # Half a bandwidth apart at the resonances, and the ends.
+    near = [np.linspace(0.994, 1.006, 5) * f for f in (13.037, 34.777, 49.663)]
+    files = demonstrate(tmp_path, said.append, sorted([10.0, 20.0, 42.0, 58.0, *np.concatenate(near)]))
+    assert all(path.exists() and path.stat().st_size > 0 for path in files)
+    assert {path.suffix for path in files} == {".mcap", ".png", ".svg", ".csv"}
+    text = "\n".join(said)
+    assert "3 modes" in text and "13.03" in text and "49.66" in text
+    assert "daq replay" in text and "analysis report" in text

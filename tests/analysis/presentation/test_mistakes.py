@@ -1,0 +1,72 @@
+"""Recordings that cannot be analysed, tried from the command line: what is said, and the exit code."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from analysis.cli import app
+from tests.analysis.responses import synthetic
+
+RANDOM = "{kind: random, from: 8 Hz, to: 60 Hz, duration: 60 s, force: 1 N}"
+IMPULSE = "{kind: impulse, body: 1, peak: 50 N, width: 6.25 ms}"
+
+
+def tone(last):
+    return ("measure", 0, last, {"frequency": 20.0, "level": 1.0, "direction": "up"})
+
+
+def overloads(last):
+    return [("overload", 0, last, {"channel": info.name}) for info in synthetic.channels()[:3]]
+
+
+# Name, test, channels, samples, marks, command, what must be said.
+CASES = [
+    ("silent", None, 4, np.zeros(2560), [tone(2559)], "frf", "force on the structure is zero throughout"),
+    ("window", None, 4, np.ones(60), [tone(59)], "frf", "less than a period of its tone"),
+    ("clipped", None, 3, np.ones(2560), [tone(2559), *overloads(2559)], "frf", "overloaded in every"),
+    ("no table", None, 3, np.ones(2560), [tone(2559)], "modes", "needs a channel at the table"),
+    ("never steady", None, 4, np.ones(2560), [("settle", 0, 2559, {})], "frf", "no steady state was measured"),
+    ("dead", IMPULSE, 3, np.zeros(9000), [("hit", 900, 910, {})], "decay", "the channel is dead"),
+    (
+        "all clipped", IMPULSE, 3, np.sin(np.arange(9000)), [("hit", 900, 910, {}), *overloads(8999)], "decay",
+        "was overloaded for 100% of hit 1's decay",
+    ),
+    ("short", IMPULSE, 3, np.ones(1000), [("hit", 900, 910, {})], "decay", "record at least 0.5 s"),
+    (
+        "short random", RANDOM, 4, np.ones(30), [("measure", 0, 29, {"from": 8.0, "to": 60.0})], "frf",
+        "too short to average; record longer",
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES, ids=[case[0] for case in CASES])
+def test_given_a_recording_that_cannot_be_analysed_when_tried_then_it_says_what_to_change(tmp_path, case):
+    name, test, channels, samples, marks, command, message = case
+    where = synthetic.scene() if test is None else synthetic.scene(test)
+    infos = synthetic.channels()[:channels]
+    path = tmp_path / f"{name}.mcap"
+    synthetic.write(path, where, infos, np.tile(samples, (channels, 1)), marks)
+    run = CliRunner().invoke(app, [command, str(path), "-o", str(tmp_path)])
+    assert message in str(run.exception) + run.output
+    assert getattr(run.exception, "exit_code", run.exit_code) == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["frf", "--estimator", "H9"], "expected H1, H2, Hv"),
+        (["frf", "--motion", "speed"], "expected displacement, velocity, acceleration"),
+        (["frf", "--reference", "power"], "expected 'force' or 'table'"),
+        (["frf", "--response", "bodi3"], "did you mean 'body3'"),
+        (["modes", "--modes", "0"], "expected at least 1"),
+        (["decay"], "kind: impulse"),
+        (["dampers"], "no dampers"),
+    ],
+)
+def test_given_a_wrong_option_when_tried_then_the_right_ones_are_named(tmp_path, options, message):
+    path = synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 40))
+    run = CliRunner().invoke(app, [options[0], str(path), *options[1:], "-o", str(tmp_path)])
+    assert message in str(run.exception) + run.output
+    assert getattr(run.exception, "exit_code", run.exit_code) == 2

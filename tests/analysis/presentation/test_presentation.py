@@ -1,0 +1,176 @@
+from __future__ import annotations
+
+import csv
+import hashlib
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import analysis
+import daq
+from analysis.cli import app
+from analysis.figures.decay_figure import decay_figure
+from analysis.figures.frf_figure import frf_figure
+from analysis.figures.modes_figure import modes_figure
+from analysis.modal.identification import ChartPole, Modes
+from analysis.presentation.presentation import present_decay, present_frf
+from analysis.presentation.report import write_report
+from analysis.responses.frf import Frf
+from rig.errors import RecordingError
+from tests.analysis.responses import synthetic
+
+FREQUENCIES = np.linspace(8.0, 60.0, 53)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("recordings")
+    synthetic.stepped_sine(folder / "one.mcap", FREQUENCIES, noise=1e-6, name="first scene")
+    synthetic.stepped_sine(folder / "two.mcap", FREQUENCIES, noise=1e-6, seed=1, name="second scene")
+    synthetic.impulses(folder / "hit.mcap", interval=3.0, name="hit scene")
+    return folder
+
+
+def table(path):
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_given_one_recording_when_drawn_then_figures_and_table_lie_beside_it(folder):
+    result = present_frf([folder / "one.mcap"], theory=True)
+    assert [path.name for path in result.files] == ["one-frf.png", "one-frf.svg", "one-frf.csv"]
+    assert all(path.stat().st_size > 1000 for path in result.files)
+    rows = table(result.files[-1])
+    assert len(rows) == 3 * FREQUENCIES.size
+    assert rows[0]["scene"] == "first scene" and float(rows[0]["frequency_Hz"]) == 8.0
+    assert {"real m/N", "imag m/N", "phase_deg", "coherence"} <= rows[0].keys()
+
+
+def test_given_two_recordings_when_drawn_then_each_response_has_one_figure_with_both(folder, tmp_path):
+    result = present_frf([folder / "one.mcap", folder / "two.mcap"], tmp_path, channels=["body3", "body1"])
+    names = [path.name for path in result.files]
+    assert names[0] == "one+two-frf-body3.png" and names[-1] == "one+two-frf.csv"
+    drawn = (tmp_path / "one+two-frf-body3.svg").read_text()
+    assert "first scene" in drawn and "second scene" in drawn
+
+
+def test_given_scenes_of_one_name_when_overlaid_then_their_files_tell_them_apart(folder, tmp_path):
+    synthetic.stepped_sine(tmp_path / "again.mcap", FREQUENCIES, noise=1e-6, seed=2, name="first scene")
+    result = present_frf([folder / "one.mcap", tmp_path / "again.mcap"], tmp_path)
+    assert [path.name for path in result.files if path.suffix == ".png"] == [
+        f"one+again-frf-body{body}.png" for body in (1, 2, 3)
+    ]
+    for body in (1, 2, 3):
+        drawn = (tmp_path / f"one+again-frf-body{body}.svg").read_text()
+        assert drawn.count("first scene (one)") == drawn.count("first scene (again)") == 1
+    assert {row["scene"] for row in table(result.files[-1])} == {"first scene (one)", "first scene (again)"}
+    assert sum(line.startswith("first scene (again), body") for line in result.lines) == 3
+
+
+def test_given_decays_of_scenes_of_one_name_when_overlaid_then_their_files_tell_them_apart(folder, tmp_path):
+    synthetic.impulses(tmp_path / "again.mcap", interval=3.0, name="hit scene")
+    result = present_decay([folder / "hit.mcap", tmp_path / "again.mcap"], tmp_path)
+    drawn = next(path for path in result.files if path.suffix == ".svg").read_text()
+    assert "hit scene (hit)" in drawn and "hit scene (again)" in drawn
+    assert {row["scene"] for row in table(result.files[-1])} == {"hit scene (hit)", "hit scene (again)"}
+    assert sum(line.startswith("hit scene (again), body3") for line in result.lines) == 1
+
+
+def test_given_a_force_channel_when_a_decay_is_asked_for_then_motion_channels_are_offered(folder):
+    arguments = ["decay", str(folder / "hit.mcap"), "--channel", "hammer"]
+    run = CliRunner().invoke(app, arguments)
+    assert isinstance(run.exception, RecordingError)
+    assert "measures force, not motion: choose one of body1, body2, body3" in str(run.exception)
+
+
+def test_given_the_same_recording_when_drawn_twice_then_every_byte_is_the_same(folder, tmp_path):
+    def digests(output):
+        files = present_frf([folder / "one.mcap"], output).files
+        return [hashlib.sha256(path.read_bytes()).hexdigest() for path in files]
+
+    assert digests(tmp_path / "a") == digests(tmp_path / "b")
+
+
+def test_given_recordings_when_reported_then_one_page_holds_everything(folder, tmp_path):
+    paths = [folder / "one.mcap", folder / "hit.mcap"]
+    [page] = write_report(paths, tmp_path).files
+    text = page.read_text()
+    assert [path.name for path in tmp_path.iterdir()] == [page.name]
+    for piece in (
+        "first scene",
+        "hit scene",
+        "sensitivity",
+        "data:image/png;base64,",
+        "analysis report",
+        "dB",
+    ):
+        assert piece in text
+    assert "http://" not in text and "https://" not in text
+
+
+def test_given_the_command_line_when_run_then_it_names_what_it_wrote(folder, tmp_path):
+    run = CliRunner().invoke(app, ["modes", str(folder / "one.mcap"), "-o", str(tmp_path)])
+    assert run.exit_code == 0
+    assert "13.03" in run.output and "wrote" in run.output
+    assert (tmp_path / "one-modes.png").exists()
+
+
+def test_given_a_file_that_is_not_there_when_drawn_then_the_way_to_make_it_is_told(tmp_path):
+    with pytest.raises(RecordingError, match=r"no such file; `daq record SCENE -o"):
+        present_frf([tmp_path / "none.mcap"])
+
+
+def test_given_a_file_that_is_no_recording_when_drawn_then_it_is_a_recording_error(tmp_path):
+    (tmp_path / "no.mcap").write_bytes(b"\0" * 500)
+    with pytest.raises(RecordingError):
+        present_frf([tmp_path / "no.mcap"])
+
+
+def test_given_a_long_name_when_drawn_then_title_note_and_axis_keep_clear_of_each_other(folder):
+    with daq.open(folder / "one.mcap") as rec:
+        [curves] = analysis.frequency_responses(rec)
+    figure = frf_figure(curves, "Receptance: " + "a scene of many words, " * 5)
+    figure.canvas.draw()
+    upper, _, lower = figure.axes
+    note, label = figure._supxlabel.get_window_extent(), lower.xaxis.label.get_window_extent()
+    assert upper._left_title.get_window_extent().x1 < figure.bbox.x1
+    assert note.y1 <= label.y0 and note.y0 >= 0.0
+
+
+def test_given_five_modes_when_drawn_then_their_titles_do_not_touch():
+    frequency, many = np.geomspace(10.0, 130.0, 200), np.full(5, 0.01)
+    natural = np.array([20.54, 51.61, 81.117, 97.837, 115.513])
+    names = tuple(f"b{body}" for body in range(1, 6))
+    chart = tuple(ChartPole(order, f, 0.01, True) for f in natural for order in range(5, 25))
+    nothing = np.zeros(5)
+    modes = Modes(
+        natural, nothing, many, nothing, -1e-3j * np.ones((5, 5)), names, chart, nothing, nothing, "", ()
+    )
+    flat = np.ones(frequency.size)
+    curves = [
+        Frf(frequency, value, 0.0 * flat, flat, 4.0 * flat, name, "force")
+        for name, value in zip(names, modes.receptance(frequency), strict=True)
+    ]
+    figure = modes_figure(curves, modes, "Modes: five bodies")
+    figure.canvas.draw()
+    titles = [axes._left_title.get_window_extent() for axes in figure.axes[2:]]
+    assert all(left.x1 < right.x0 for left, right in pairwise(titles))
+    assert titles[-1].x1 < figure.bbox.x1
+    chart = figure.axes[1]
+    assert chart.get_legend().get_window_extent().y0 >= chart.get_window_extent().y1
+
+
+def test_given_damping_that_hardly_varies_when_drawn_then_its_axis_has_labels(folder):
+    with daq.open(folder / "hit.mcap") as rec:
+        figure = decay_figure([analysis.decay(rec)], "Free decay")
+    figure.canvas.draw()
+    axes = figure.axes[2]
+    low, high = axes.get_ylim()
+    labels = [
+        tick.get_text()
+        for tick in axes.get_yticklabels()
+        if tick.get_text() and low <= tick.get_position()[1] <= high
+    ]
+    assert len(labels) >= 3 and len(set(labels)) == len(labels)

@@ -1,0 +1,180 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import signal
+
+import analysis
+import daq
+from analysis.responses.estimators import estimate
+from analysis.responses.multisine import best_linear_approximation
+from rig.errors import RecordingError, SceneError
+from rig.system.receptance import receptance
+from tests.analysis.responses import synthetic
+
+RATE, OVER = synthetic.RATE, synthetic.OVERSAMPLED
+RANDOM = "{kind: random, from: 8 Hz, to: 60 Hz, duration: 60 s, force: 1 N}"
+
+
+def inside(frf, exact):
+    return float(np.mean(abs(frf.value - exact) < frf.bound(0.95)))
+
+
+@pytest.fixture(scope="module")
+def random_file(tmp_path_factory):
+    force = synthetic.band_noise(90.0, 6.0, 62.0)
+    marks = [("measure", 0, int(90 * RATE) - 1, {"from": 8.0, "to": 60.0, "level": 1.0})]
+    path = tmp_path_factory.mktemp("random") / "random.mcap"
+    return synthetic.driven(path, force, RANDOM, marks, noise=0.02)
+
+
+def test_given_random_when_averaged_then_bounds_hold_away_from_unresolved_peaks(random_file):
+    with daq.open(random_file) as rec:
+        [curves] = analysis.frequency_responses(rec, block=8.0)
+        exact = receptance(rec.scene, curves[0].frequency)
+    # Where a Hann window is wider than the resonance it smears it: the curve says so by its resolution.
+    f = curves[0].frequency
+    away = np.all([abs(f - peak) > 2.0 for peak in (13.04, 34.78, 49.66)], axis=0)
+    for body, frf in enumerate(curves):
+        assert frf.resolution == pytest.approx(1.5 / 8.0)
+        assert np.mean((abs(frf.value - exact[body]) < frf.bound(0.95))[away]) > 0.9
+        assert np.max(frf.coherence) > 0.99
+
+
+def test_given_short_blocks_when_modes_are_identified_then_it_warns_that_damping_is_too_high(random_file):
+    with daq.open(random_file) as rec:
+        [curves] = analysis.frequency_responses(rec, block=4.0)
+        modes = analysis.identify(curves, count=3)
+    assert modes.damping[0] > 0.0055
+    assert any("smears" in warning and "blocks of at least" in warning for warning in modes.warnings)
+
+
+def test_given_the_same_blocks_when_estimated_by_scipy_then_h1_agrees_to_rounding(random_file):
+    with daq.open(random_file) as rec:
+        [[frf]] = analysis.frequency_responses(rec, ["body2"], block=4.0)
+        x, force = rec.read("body2"), rec.read("force")
+        size = int(4.0 * RATE)
+        options = {
+            "fs": RATE,
+            "window": "hann",
+            "nperseg": size,
+            "noverlap": size // 2,
+            "detrend": "constant",
+        }
+        f, cross = signal.csd(force, x, **options)
+        _, power = signal.csd(force, force, **options)
+        _, coherence = signal.coherence(force, x, **options)
+    keep = (f >= 8.0) & (f <= 60.0)
+    np.testing.assert_allclose(frf.value, (cross / power)[keep], rtol=1e-9)
+    np.testing.assert_allclose(frf.coherence, coherence[keep], rtol=1e-9)
+
+
+def test_given_noise_in_the_reference_when_estimated_then_h1_is_low_h2_is_high_and_hv_between():
+    random = np.random.default_rng(0)
+    f = random.standard_normal((4000, 2)) @ [1, 1j]
+    noise = 0.5 * random.standard_normal((2, 4000, 2)) @ [1, 1j]
+    x, f = 2.0 * f + noise[0], f + noise[1]
+    spectra = np.mean(abs(x) ** 2), np.mean(abs(f) ** 2), np.mean(x * f.conj())
+    h1, hv, h2 = (abs(estimate(name, *spectra)) for name in ("H1", "Hv", "H2"))
+    assert h1 < hv < h2
+    with pytest.raises(SceneError, match="H1, H2, Hv"):
+        estimate("H3", *spectra)
+
+
+def test_given_bursts_that_die_out_when_averaged_then_nothing_leaks(tmp_path):
+    block = 20.0
+    burst = synthetic.band_noise(3 * block, 6.0, 62.0, seed=5)
+    time = np.arange(burst.size) / (RATE * OVER) % block
+    burst *= np.where(time < 3.0, np.sin(np.pi * np.minimum(time / 3.0, 1.0)) ** 0.5, 0.0)
+    fields = {"from": 8.0, "to": 60.0, "level": 1.0, "burst": 0.125, "block": int(block * RATE)}
+    marks = [("measure", 0, int(3 * block * RATE) - 1, fields)]
+    with daq.open(synthetic.driven(tmp_path / "a.mcap", burst, RANDOM, marks)) as rec:
+        [curves] = analysis.frequency_responses(rec)
+        exact = receptance(rec.scene, curves[0].frequency)
+    assert curves[0].resolution == 0.0
+    for body, frf in enumerate(curves):
+        strong = abs(exact[body]) > 1e-5
+        np.testing.assert_allclose(frf.value[strong], exact[body][strong], rtol=0.02)
+
+
+def test_given_a_block_longer_than_the_recording_when_averaged_then_too_short_is_said(random_file):
+    with daq.open(random_file) as rec, pytest.raises(RecordingError, match="too short to average"):
+        analysis.frequency_responses(rec, block=100.0)
+
+
+def multisine(path, periods=4, realisations=4, noise=0.01, cubic=0.0):
+    period = 8.0
+    waves, marks, first = [], [], 0
+    for number in range(realisations):
+        wave = synthetic.band_noise(period, 8.0, 60.0, seed=10 + number)
+        waves.append(np.tile(wave, periods + 5))
+        first += int(5 * period * RATE)
+        fields = {
+            "realisation": number + 1, "period": int(period * RATE), "periods": periods,
+            "lines": [64, 480], "level": 1.0, "settled": True,
+        }  # fmt: skip
+        marks.append(("measure", first, first + int(periods * period * RATE) - 1, fields))
+        first += int(periods * period * RATE)
+    test = "{kind: multisine, from: 8 Hz, to: 60 Hz, period: 8 s, force: 1 N}"
+    force = np.concatenate(waves)
+    return synthetic.driven(path, force + cubic * force**3, test, marks, noise=noise)
+
+
+def test_given_a_multisine_when_averaged_then_it_is_exact_within_its_bounds_and_without_leakage(tmp_path):
+    with daq.open(multisine(tmp_path / "a.mcap")) as rec:
+        [curves] = analysis.frequency_responses(rec)
+        exact = receptance(rec.scene, curves[0].frequency)
+        modes = analysis.identify(curves)
+    assert 0.93 < np.mean([inside(frf, exact[body]) for body, frf in enumerate(curves)]) < 0.99
+    np.testing.assert_allclose(2 * np.pi * modes.frequency, [81.911, 218.512, 312.041], rtol=2e-4)
+    np.testing.assert_allclose(modes.damping, 0.005, rtol=0.02)
+
+
+def test_given_a_linear_structure_when_realisations_are_compared_then_no_distortion_is_claimed(tmp_path):
+    with daq.open(multisine(tmp_path / "a.mcap", realisations=5)) as rec:
+        best = best_linear_approximation(rec, [m for m in rec.markers if m.kind == "measure"])
+        noise = np.median(best.noise.frf(rec, "body3").error)
+        total = np.median(best.total.frf(rec, "body3").error)
+    assert 0.7 < total / noise < 1.3
+
+
+def sweep(path, duration, spacing="log"):
+    rate = RATE * OVER
+    time = np.arange(int(duration * rate)) / rate
+    if spacing == "log":
+        turns = duration * 8.0 * np.expm1(np.log(7.5) * time / duration) / np.log(7.5)
+    else:
+        turns = 8.0 * time + 52.0 * time**2 / 2 / duration
+    fields = {
+        "from": 8.0,
+        "to": 60.0,
+        "spacing": spacing,
+        "level": 1.0,
+        "duration": duration,
+        "settled": True,
+    }
+    marks = [("measure", 0, int(duration * RATE) - 1, fields)]
+    test = (
+        f"{{kind: swept_sine, from: 8 Hz, to: 60 Hz, duration: {duration} s, force: 1 N, spacing: {spacing}}}"
+    )
+    return synthetic.driven(path, np.sin(2 * np.pi * turns), test, marks, noise=1e-3)
+
+
+@pytest.mark.parametrize("spacing", ["log", "linear"])
+def test_given_a_slow_sweep_when_tracked_then_the_curve_is_right(tmp_path, spacing):
+    with daq.open(sweep(tmp_path / "a.mcap", 70.0, spacing)) as rec:
+        [curves] = analysis.frequency_responses(rec)
+        f = curves[0].frequency
+        exact = receptance(rec.scene, f)
+        modes = analysis.identify(curves, count=3)
+    away = np.all([abs(f - peak) > 1.5 for peak in (13.04, 34.78, 49.66, 17.8, 28.1, 44.4)], axis=0)
+    for body, frf in enumerate(curves):
+        assert np.median(abs(frf.value / exact[body] - 1)[away]) < 0.01
+    np.testing.assert_allclose(2 * np.pi * modes.frequency, [81.911, 218.512, 312.041], rtol=2e-3)
+
+
+def test_given_a_fast_sweep_when_modes_are_identified_then_it_warns(tmp_path):
+    with daq.open(sweep(tmp_path / "a.mcap", 20.0)) as rec:
+        [curves] = analysis.frequency_responses(rec)
+        warnings = " ".join(analysis.identify(curves, count=3).warnings)
+    assert "smears" in warnings

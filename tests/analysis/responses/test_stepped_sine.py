@@ -1,0 +1,149 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import analysis
+import daq
+from rig.errors import RecordingError, SceneError
+from rig.system.receptance import receptance
+from tests.analysis.responses import synthetic
+
+
+def test_given_ideal_sensors_when_stepped_sine_is_measured_then_compliance_is_exact(tmp_path):
+    frequencies = np.linspace(8.0, 60.0, 25)
+    with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", frequencies)) as rec:
+        for body in (1, 2, 3):
+            frf = analysis.compliance(rec, response=f"body{body}")
+            exact = receptance(rec.scene, frequencies)[body - 1]
+            np.testing.assert_allclose(frf.value, exact, rtol=1e-9)
+
+
+def test_given_accelerometers_with_integrators_when_measured_then_they_are_corrected(tmp_path):
+    corner = 2 * np.pi * 1.0
+    chain = {"zeros": (0j, 0j), "poles": (-corner * (0.7 + 0.7j), -corner * (0.7 - 0.7j)), "delay": 3e-4}
+    frequencies = np.linspace(8.0, 60.0, 11)
+    infos = synthetic.channels("velocity", **chain)
+    path = synthetic.stepped_sine(tmp_path / "a.mcap", frequencies, infos=infos)
+    with daq.open(path) as rec:
+        frf = analysis.compliance(rec, response="body3")
+        exact = receptance(rec.scene, frequencies)[2]
+    assert np.max(abs(frf.value / exact - 1)) < 1e-9
+
+
+def test_given_the_table_as_reference_when_measured_then_the_spring_belongs_to_it(tmp_path):
+    frequencies = np.linspace(8.0, 60.0, 11)
+    with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", frequencies)) as rec:
+        frf = analysis.compliance(rec, response="body 2", reference="table")
+        exact = receptance(rec.scene, frequencies, attached=True)[1]
+    np.testing.assert_allclose(frf.value, exact, rtol=1e-9)
+    assert frf.name == "transmissibility"
+
+
+def test_given_noise_when_measured_then_95_percent_bounds_hold_for_95_percent_of_points(tmp_path):
+    frequencies = np.linspace(9.0, 58.0, 60)
+    inside, coherence = [], []
+    for seed in range(4):
+        path = synthetic.stepped_sine(tmp_path / "a.mcap", frequencies, noise=1e-5, seed=seed)
+        with daq.open(path) as rec:
+            exact = receptance(rec.scene, frequencies)
+            for [*curves] in analysis.frequency_responses(rec):
+                for body, frf in enumerate(curves):
+                    inside.append(abs(frf.value - exact[body]) < frf.bound(0.95))
+                    coherence.append(frf.coherence)
+    share = np.mean(inside)
+    assert 0.92 < share < 0.98
+    assert np.max(coherence) > 0.9999 and np.min(coherence) < 0.95
+
+
+def test_given_mobility_when_asked_for_then_it_is_receptance_times_i_omega(tmp_path):
+    with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", [12.0, 20.0])) as rec:
+        frf = analysis.compliance(rec)
+    mobility = frf.to("velocity")
+    np.testing.assert_allclose(mobility.value, 2j * np.pi * frf.frequency * frf.value)
+    np.testing.assert_allclose(mobility.to("displacement").value, frf.value)
+    assert mobility.unit == "m/(N s)"
+
+
+def test_given_two_levels_when_one_curve_is_asked_for_then_the_choice_is_named(tmp_path):
+    infos = synthetic.channels()
+    marks = [
+        ("measure", 0, 2559, {"frequency": 20.0, "level": 1.0, "direction": "up"}),
+        ("measure", 2560, 5119, {"frequency": 20.0, "level": 3.0, "direction": "up"}),
+    ]
+    samples = np.tile(np.sin(2 * np.pi * 20 / synthetic.RATE * np.arange(5120)), (4, 1))
+    samples[3] *= 1.5
+    with daq.open(synthetic.write(tmp_path / "a.mcap", synthetic.scene(), infos, samples, marks)) as rec:
+        with pytest.raises(SceneError, match="level=1, direction='up'; level=3"):
+            analysis.compliance(rec)
+        assert analysis.compliance(rec, level=3.0).label.endswith("3 N up")
+        assert len(analysis.frequency_responses(rec)) == 2
+
+
+@pytest.mark.parametrize(
+    ("response", "message"), [("bodi3", "did you mean 'body3'"), ("hammer", "no channel 'hammer'")]
+)
+def test_given_a_channel_that_is_not_there_when_asked_for_then_the_nearest_is_named(
+    tmp_path, response, message
+):
+    with (
+        daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", [12.0])) as rec,
+        pytest.raises(RecordingError, match=message),
+    ):
+        analysis.compliance(rec, response=response)
+
+
+def test_given_no_channel_on_the_table_when_force_is_needed_then_it_says_so(tmp_path):
+    infos = synthetic.channels()[:3]
+    marks = [("measure", 0, 2559, {"frequency": 20.0, "level": 1.0, "direction": "up"})]
+    path = synthetic.write(tmp_path / "a.mcap", synthetic.scene(), infos, np.ones((3, 2560)), marks)
+    with daq.open(path) as rec, pytest.raises(RecordingError, match="needs a channel at the table"):
+        analysis.compliance(rec)
+
+
+def test_given_nothing_measured_when_compliance_is_asked_for_then_no_steady_state_is_said(tmp_path):
+    rows = np.ones((4, 2560))
+    path = synthetic.write(tmp_path / "a.mcap", synthetic.scene(), synthetic.channels(), rows, [])
+    with daq.open(path) as rec, pytest.raises(RecordingError, match="no steady state was measured"):
+        analysis.compliance(rec)
+
+
+def test_given_overload_and_unsettled_points_when_measured_then_the_curve_warns(tmp_path):
+    infos = synthetic.channels()
+    fields = {"frequency": 20.0, "level": 1.0, "direction": "up", "settled": False}
+    marks = [("measure", 0, 2559, fields), ("overload", 100, 120, {"channel": "body2"})]
+    samples = np.random.default_rng(0).standard_normal((4, 2560))
+    with daq.open(synthetic.write(tmp_path / "a.mcap", synthetic.scene(), infos, samples, marks)) as rec:
+        warnings = " ".join(analysis.compliance(rec).warnings)
+    assert "body2 overloaded" in warnings and "No steady state at 20 Hz" in warnings
+
+
+def test_given_channels_clipped_throughout_when_measured_then_the_range_is_blamed(tmp_path):
+    marks = [
+        ("measure", 0, 2559, {"frequency": 20.0, "level": 1.0, "direction": "up"}),
+        ("overload", 0, 2559, {"channel": "body2"}),
+    ]
+    path = synthetic.write(
+        tmp_path / "a.mcap", synthetic.scene(), synthetic.channels(), np.ones((4, 2560)), marks
+    )
+    with daq.open(path) as rec, pytest.raises(RecordingError, match="overloaded in every measured window"):
+        analysis.compliance(rec)
+
+
+def test_given_lost_samples_when_measured_then_only_their_frequency_is_left_out(tmp_path):
+    from daq.recording.recorder import Recorder
+
+    infos = synthetic.channels()
+    wave = np.tile(np.sin(2 * np.pi * 20 / synthetic.RATE * np.arange(2560)), (4, 1)) * [[1], [1], [1], [2]]
+    with Recorder(tmp_path / "a.mcap", synthetic.scene(), infos, synthetic.RATE) as recorder:
+        for first, frequency in ((0, 20.0), (2560, 40.0), (5120, 20.0)):
+            recorder.mark("measure", first, first + 2559, frequency=frequency, level=1.0, direction="up")
+        recorder.write(wave)
+        recorder.write(wave[:, :1000])
+        recorder.gap(60)
+        recorder.write(wave[:, 1060:])
+        recorder.write(wave)
+    with daq.open(tmp_path / "a.mcap") as rec:
+        frf = analysis.compliance(rec)
+    assert frf.frequency.tolist() == [20.0, 20.0]
+    assert any("40 Hz left out: samples were lost" in warning for warning in frf.warnings)

@@ -1,0 +1,136 @@
+"""The drawing of the rig: parts meet where they should, whatever the scene and the motion."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rig
+from daq.drawing.rig_view import DAMPER_HEIGHT, HEADROOM, WALL, Extremes, Motion, RigView, exaggeration
+from rig.scene.loading import SCENES
+
+SCENE = rig.load("fig8-three-dampers")
+CHAIN = """
+name: {name}
+structure: {{masses: [1 kg, 2 kg, 1 kg, 2 kg], springs: [10 kN/m, 10 kN/m, 0 N/m, 10 kN/m]}}
+dampers: [{{body: 2, mass: 50 g, clearance: 1 mm}}, {{body: 4, mass: 50 g, clearance: 2 mm, locked: true}}]
+shaker: {shaker}
+"""
+
+
+def motion_of(scene, amplitude_m, seed=0, instants=50):
+    noise = np.random.default_rng(seed)
+    bodies, dampers = scene.structure.bodies, len(scene.dampers)
+    return Motion(
+        displacement=amplitude_m * noise.uniform(-1, 1, (bodies, instants)),
+        table=amplitude_m * noise.uniform(-1, 1, instants) if RigView.driven_body(scene) else None,
+        gap=amplitude_m * noise.uniform(0, 1, (dampers, instants)),
+    )
+
+
+def drawn(scene, motion):
+    view = RigView(scene, Extremes().widened(motion, RigView.driven_body(scene)), gaps_known=True)
+    parts = {path: (move[:, 2], scale) for path, move, scale in view.moving_parts(motion)}
+    return view, parts
+
+
+@pytest.mark.parametrize("amplitude_m", [1e-6, 0.3e-3, 1e-3, 7e-3, 0.2])
+def test_given_any_motion_when_drawn_then_each_spring_ends_at_the_parts_it_joins(amplitude_m):
+    motion = motion_of(SCENE, amplitude_m)
+    view, parts = drawn(SCENE, motion)
+    rest_of_ground = np.zeros(50)
+    below = rest_of_ground
+    for body in (1, 2, 3):
+        foot, scale = parts[f"rig/spring_{body}"]
+        head = foot + scale[:, 2] * view.spring_length(body)
+        bottom = parts[f"rig/body_{body}"][0]
+        np.testing.assert_allclose(foot, below, atol=1e-12)
+        np.testing.assert_allclose(head, bottom, atol=1e-12)
+        below = bottom + view.height(body)
+    foot, scale = parts["rig/coil_spring"]
+    np.testing.assert_allclose(foot, parts["rig/table"][0], atol=1e-12)
+    np.testing.assert_allclose(foot + 0.110 * scale[:, 2], parts["rig/body_1"][0], atol=1e-12)
+
+
+@pytest.mark.parametrize("amplitude_m", [1e-6, 0.3e-3, 1e-3, 7e-3, 0.2])
+def test_given_any_motion_when_drawn_then_no_part_passes_through_another(amplitude_m):
+    motion = motion_of(SCENE, amplitude_m, seed=1)
+    _, parts = drawn(SCENE, motion)
+    for path, (move, scale) in parts.items():
+        if scale is not None:
+            assert scale[:, 2].min() > 0.3, path
+        if path.endswith("damper"):
+            assert move.min() >= 0.0, path
+            assert move.max() <= HEADROOM + 1e-12, path
+
+
+def test_given_a_damper_at_its_ceiling_when_drawn_then_its_top_touches_the_drawn_ceiling():
+    scene = rig.load("fig9")
+    clearance = scene.dampers[0].clearance
+    still = np.zeros((3, 2))
+    motion = Motion(still, np.zeros(2), np.array([[0.0, clearance]]))
+    view, parts = drawn(scene, motion)
+    floor_gap, ceiling_gap = parts["rig/body_2/damper"][0]
+    assert floor_gap == 0.0
+    assert view.ceiling(2) == pytest.approx(WALL + DAMPER_HEIGHT + ceiling_gap)
+
+
+def test_given_a_ceiling_far_beyond_the_motion_when_drawn_then_the_cavity_is_open():
+    scene = SCENE.replace(dampers=[{"body": 2, "mass": "50 g", "clearance": "1 m"}])
+    view, _ = drawn(scene, motion_of(scene, 1e-3))
+    assert view.ceiling(2) is None
+
+
+@pytest.mark.parametrize("path", sorted(SCENES.glob("*.yaml")), ids=lambda path: path.stem)
+def test_given_a_bundled_scene_when_drawn_then_all_parts_are_distinct_and_moving_parts_are_drawn(path):
+    scene = rig.load(path)
+    view, parts = drawn(scene, motion_of(scene, 1e-3))
+    still = [entity for entity, _ in view.still_parts()]
+    assert len(still) == len(set(still))
+    for moving in parts:
+        assert any(entity == moving or entity.startswith(f"{moving}/") for entity in still), moving
+
+
+@pytest.mark.parametrize(
+    "shaker",
+    [
+        "{kind: force, body: [1, 3]}",
+        "{kind: table, body: 3, spring: 5 kN/m}",
+        "{kind: electrodynamic, body: 1, spring: 5 kN/m}",
+    ],
+)
+def test_given_other_rigs_when_drawn_then_only_what_is_there_is_drawn(shaker):
+    scene = rig.loads(CHAIN.format(name="chain", shaker=shaker))
+    view, parts = drawn(scene, motion_of(scene, 1e-3))
+    still = {entity for entity, _ in view.still_parts()}
+    assert "rig/spring_3" not in still and "rig/spring_3" not in parts
+    assert ("rig/table" in parts) == ("force" not in shaker)
+    assert ("rig/body_1/drive" in still) == ("force" in shaker)
+    assert ("rig/body_3/lug" in still) == ("body: 3" in shaker)
+
+
+def test_given_matrices_when_drawn_then_bodies_stand_alone():
+    matrices = {"mass": [[1.0, 0.0], [0.0, 1.0]], "stiffness": [[2e4, -1e4], [-1e4, 1e4]]}
+    scene = rig.loads(f"name: given\nstructure: {{matrices: {matrices}}}\n".replace("'", ""))
+    view, parts = drawn(scene, motion_of(scene, 1e-3))
+    assert set(parts) == {"rig/body_1", "rig/body_2"}
+    assert not any("spring" in entity for entity, _ in view.still_parts())
+
+
+def test_given_nothing_moves_when_the_exaggeration_is_chosen_then_noise_is_not_blown_up():
+    assert exaggeration(Extremes()) == 1.0
+    assert exaggeration(Extremes(spring=1e-15)) <= 1e4
+
+
+def test_given_lost_samples_when_extremes_are_found_then_they_do_not_count():
+    motion = Motion(np.array([[1e-3, np.nan], [0.0, np.nan]]), np.array([np.nan, 0.0]), None)
+    extremes = Extremes().widened(motion, 1)
+    assert extremes.body == extremes.spring == 1e-3
+
+
+def test_given_points_that_nobody_measured_when_drawn_then_their_names_say_so():
+    view = RigView(SCENE, Extremes(), gaps_known=True, unknown=["body 2", "table"])
+    names = {path: part for path, part in view.still_parts() if path.endswith("/name")}
+    texts = {path: str(part.labels.as_arrow_array()) for path, part in names.items()}
+    silent = {path for path, text in texts.items() if "not measured" in text}
+    assert silent == {"rig/body_2/name", "rig/table/name"}

@@ -1,0 +1,105 @@
+"""Motions known in closed form, as `rig.motion.Motion`, and scenes with one channel to measure them."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+import rig
+from daq.signal_chain.chain import Chain
+from rig.simulation.motion import Motion
+
+
+@dataclass(frozen=True)
+class Path:
+    """One point's motion.
+
+    Tones are (amplitude of acceleration, frequency in Hz, phase in rad), impacts (time, jump of velocity).
+    """
+
+    tones: tuple = ()
+    impacts: tuple = ()
+    start_velocity: float = 0.0
+
+    def at(self, time, strictly_before=False):
+        """Displacement, velocity and acceleration, shape (3, times)."""
+        t = np.asarray(time, dtype=float)
+        x, v, a = self.start_velocity * t, np.full(t.shape, self.start_velocity), np.zeros(t.shape)
+        for amplitude, frequency, phase in self.tones:
+            w = 2 * np.pi * frequency
+            x = x - amplitude / w**2 * np.cos(w * t + phase)
+            v = v + amplitude / w * np.sin(w * t + phase)
+            a = a + amplitude * np.cos(w * t + phase)
+        for instant, jump in self.impacts:
+            done = t > instant if strictly_before else t >= instant
+            x = x + done * jump * (t - instant)
+            v = v + done * jump
+        return np.stack([x, v, a])
+
+
+def motion_of(paths, rate, count, first=0):
+    """Give samples first ... first+count-1 of several points; an impact of one is a break of all."""
+    t = np.arange(first, first + count) / rate
+    times = np.array(sorted({instant for path in paths for instant, _ in path.impacts}))
+    ticks = np.ceil(times * rate - 1e-9).astype(np.int64)
+    inside = (ticks >= first) & (ticks < first + count)
+    times, ticks = times[inside], ticks[inside]
+    x, v, a = np.moveaxis(np.array([path.at(t) for path in paths]), 1, 0)
+    before, after = (np.array([path.at(times, side) for path in paths]) for side in (True, False))
+    none = np.zeros((0, count))
+    return Motion(
+        first=first,
+        displacement=x,
+        velocity=v,
+        acceleration=a,
+        gap=none,
+        contact=none.astype(np.int8),
+        break_sample=ticks,
+        break_offset=times - (ticks - 1) / rate,
+        break_displacement=after[:, 0],
+        break_velocity=np.stack([before[:, 1], after[:, 1]]),
+        break_acceleration=np.stack([before[:, 2], after[:, 2]]),
+        events=np.zeros(0),
+    )
+
+
+def cut(motion, first, stop):
+    """Give part of a motion as a block of its own."""
+    breaks = (motion.break_sample >= first) & (motion.break_sample < stop)
+    columns = slice(first - motion.first, stop - motion.first)
+    return replace(
+        motion,
+        first=first,
+        displacement=motion.displacement[:, columns],
+        velocity=motion.velocity[:, columns],
+        acceleration=motion.acceleration[:, columns],
+        gap=motion.gap[:, columns],
+        contact=motion.contact[:, columns],
+        break_sample=motion.break_sample[breaks],
+        break_offset=motion.break_offset[breaks],
+        break_displacement=motion.break_displacement[:, breaks],
+        break_velocity=motion.break_velocity[:, :, breaks],
+        break_acceleration=motion.break_acceleration[:, :, breaks],
+    )
+
+
+def scene_of(*channels, converter="{rate: 5120 Hz}", bodies=1, more=""):
+    """Load a scene whose channels are given by their keys behind `at: body n`, in this order."""
+    listed = "".join(f"\n  - {{name: c{n}, at: body {n}{keys}}}" for n, keys in enumerate(channels, 1))
+    bodies = max(bodies, len(channels))
+    return rig.loads(
+        f"structure: {{masses: {['1 kg'] * bodies}, springs: {['1 kN/m'] * bodies}}}\n"
+        f"{'channels:' + listed if channels else ''}\nconverter: {converter}\n{more}"
+    )
+
+
+def chain_of(scene, oversampling=1):
+    """Make the chain of a scene, and the rate of its motion."""
+    from daq.signal_chain.converter import SampleClock
+
+    rate = SampleClock.of(scene.converter).true_rate * oversampling
+    return Chain(scene, rate, [f"body {n + 1}" for n in range(scene.structure.bodies)]), rate
+
+
+def at_rest(bodies, rate, count, first=0):
+    """Give a motion in which nothing moves."""
+    return motion_of([Path()] * bodies, rate, count, first)

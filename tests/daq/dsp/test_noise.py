@@ -1,0 +1,80 @@
+import numpy as np
+import pytest
+from scipy.signal import welch
+
+from daq.dsp.noise import Noise, generator
+from tests.daq.dsp.analytic_motion import at_rest, chain_of, scene_of
+
+
+def density(samples, rate, segment):
+    frequency, power = welch(samples, rate, nperseg=segment, detrend=False)
+    return frequency, np.sqrt(power)
+
+
+def drawn(source, count):
+    samples = np.empty(count)
+    source.fill(samples)
+    return samples
+
+
+def band(frequency, value, low, high):
+    inside = (frequency >= low) & (frequency <= high)
+    return np.sqrt(np.mean(value[inside] ** 2))
+
+
+def test_given_a_white_source_when_its_density_is_measured_then_it_is_that_of_the_data_sheet():
+    samples = drawn(Noise(3e-6, None, 5120.0, generator(1, "c", "noise")), 400_000)
+    frequency, value = density(samples, 5120.0, 512)
+    for low, high in ((20.0, 300.0), (300.0, 1500.0), (1500.0, 2540.0)):
+        assert band(frequency, value, low, high) == pytest.approx(3e-6, rel=0.02)
+
+
+@pytest.mark.parametrize(("corner", "rate"), [(10.0, 5120.0), (100.0, 5120.0), (300.0, 51200.0)])
+def test_given_a_corner_when_the_density_is_measured_then_power_rises_as_1_over_f_below_it(corner, rate):
+    samples = drawn(Noise(1.0, corner, rate, generator(2, "c", "noise")), 3_000_000)
+    frequency, value = density(samples, rate, int(rate / corner * 100))
+    for low, high in ((0.08, 0.12), (0.3, 0.5), (0.9, 1.1), (3.0, 5.0), (10.0, 15.0)):
+        inside = (frequency >= low * corner) & (frequency <= high * corner)
+        expected = np.sqrt(np.mean(1.0 + corner / frequency[inside]))
+        assert band(frequency, value, low * corner, high * corner) == pytest.approx(expected, rel=0.05)
+
+
+def test_given_a_source_when_sampled_in_blocks_then_the_samples_are_the_same():
+    whole = drawn(Noise(1.0, 10.0, 5120.0, generator(5, "c", "noise")), 1000)
+    source = Noise(1.0, 10.0, 5120.0, generator(5, "c", "noise"))
+    parts = [drawn(source, count) for count in (1, 0, 7, 128, 864)]
+    assert np.array_equal(np.concatenate(parts), whole)
+
+
+def test_given_other_seeds_channels_or_stages_when_sampled_then_the_noise_differs():
+    def first(*key):
+        return generator(*key).standard_normal()
+
+    assert len({first(1, "a", "x"), first(2, "a", "x"), first(1, "b", "x"), first(1, "a", "y")}) == 4
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_given_sensor_and_amplifier_noise_when_integrated_then_each_has_its_density_through_what_follows(
+    order,
+):
+    rate, corner, gain = 5120.0, 5.0, 500.0
+    integrator = f", integrator: {{order: {order}, corner: {corner} Hz, gain: {gain}"
+    cases = {
+        ", accelerometer: {sensitivity: 2, noise: 0.01}" + integrator + "}": True,
+        integrator + ", noise: 1e-5}": False,
+    }
+    for keys, before in cases.items():
+        chain, _ = chain_of(scene_of(keys))
+        volts = chain.measure(at_rest(1, rate, 600_000))[0]
+        frequency, value = density(volts, rate, 8192)
+        transfer = gain / np.abs(2j * np.pi * frequency + 2 * np.pi * corner) ** order
+        expected = 2 * 0.01 * transfer if before else np.full(frequency.size, 1e-5)
+        for low, high in ((2.0, 6.0), (20.0, 60.0), (100.0, 400.0)):
+            found = band(frequency, value, low, high)
+            assert found == pytest.approx(band(frequency, expected, low, high), rel=0.05)
+
+
+def test_given_a_noisy_converter_when_nothing_moves_then_its_density_is_read():
+    chain, rate = chain_of(scene_of("", converter="{noise: 2 uV/sqrt(Hz)}"))
+    volts = chain.measure(at_rest(1, rate, 200_000))[0]
+    assert volts.std() == pytest.approx(2e-6 * np.sqrt(rate / 2), rel=0.01)

@@ -1,0 +1,207 @@
+"""Random, multisine, impulse and free decay."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rig
+from daq.excitation.impulse import half_sine
+from rig.errors import SceneError
+from tests.daq.measurement.bench_run import BenchRun, run, scene_with
+
+FORCE = {"kind": "force", "body": 1}
+
+
+def force_in_time(done: BenchRun, first: int, stop: int) -> np.ndarray:
+    """Spring force over a window that is taken as periodic, from the spectra of the channels."""
+    frequencies = np.fft.rfftfreq(stop - first, 1.0 / done.bench.rate)[1:]
+    spectrum = np.fft.rfft(done.readings[:, first:stop], axis=1)[:, 1:]
+    weights = np.array([done.weights(frequency) for frequency in frequencies]).T
+    # Below the band there is only what the window cuts off, blown up by the double integration.
+    total = np.where(frequencies > 5.0, np.sum(weights * spectrum, axis=0), 0.0)
+    return np.fft.irfft(np.concatenate([[0.0], total]), stop - first)
+
+
+def test_given_random_force_when_run_then_band_and_level_are_right() -> None:
+    test = {"kind": "random", "from": "8 Hz", "to": "60 Hz", "force": "2.6 N", "duration": "30 s"}
+    done = run(scene_with(test, shaker=FORCE))
+    drive = done.drive[0]
+    assert drive.size == 30 * 5120
+    assert drive.std() == pytest.approx(2.6, rel=0.03)
+    power = np.abs(np.fft.rfft(drive)) ** 2
+    frequencies = np.fft.rfftfreq(drive.size, 1 / 5120.0)
+    inside = (frequencies > 7.5) & (frequencies < 60.5)
+    assert power[~inside].sum() < 1e-3 * power.sum()
+    halves = power[inside & (frequencies < 34)].sum(), power[inside & (frequencies >= 34)].sum()
+    assert halves[0] / halves[1] == pytest.approx(1.0, rel=0.15)
+    kurtosis = np.mean((drive / drive.std()) ** 4)
+    assert kurtosis == pytest.approx(3.0, abs=0.25)
+
+
+def test_given_a_spring_when_random_is_run_then_the_drive_is_shaped_until_the_force_is_flat() -> None:
+    test = {"kind": "random", "from": "15 Hz", "to": "32 Hz", "force": "2.6 N", "duration": "16 s"}
+    done = run(scene_with(test))
+    first, stop, _ = done.marked("measure")[0]
+    force = force_in_time(done, first, stop)
+    assert force.std() == pytest.approx(2.6, rel=0.1)
+    assert done.marked("settle")[0][2]["settled"] is True
+
+
+def test_given_bursts_when_run_then_each_block_begins_with_noise_and_ends_in_silence() -> None:
+    test = {
+        "kind": "random", "from": "8 Hz", "to": "60 Hz", "force": "2.6 N", "duration": "16 s",
+        "burst": "40 %",
+    }  # fmt: skip
+    done = run(scene_with(test, shaker=FORCE))
+    _, _, fields = done.marked("measure")[0]
+    blocks = done.drive[0].reshape(-1, fields["block"])
+    on = round(0.4 * fields["block"])
+    assert len(blocks) == 2
+    assert np.all(blocks[:, on:] == 0.0)
+    assert np.all(blocks[:, :on].std(axis=1) > 2.0)
+
+
+@pytest.mark.parametrize("kind", ["random", "multisine"])
+def test_given_a_seed_when_run_again_then_the_signal_is_the_same_and_not_with_another(
+    kind: str,
+) -> None:
+    test = {"kind": kind, "from": "8 Hz", "to": "60 Hz", "force": "1 N"}
+    test |= {"duration": "4 s"} if kind == "random" else {"period": "1 s", "periods": 2, "realisations": 1}
+    drives = [run(scene_with(test, shaker=FORCE, seed=seed)).drive for seed in (1, 1, 2)]
+    np.testing.assert_array_equal(drives[0], drives[1])
+    assert not np.array_equal(drives[0], drives[2])
+
+
+def test_given_a_multisine_when_run_then_every_realisation_is_periodic_with_its_lines() -> None:
+    test = {
+        "kind": "multisine", "from": "15 Hz", "to": "32 Hz", "period": "1 s", "periods": 3, "realisations": 2,
+        "force": "2.6 N",
+    }  # fmt: skip
+    done = run(scene_with(test))
+    assert len(done.marked("measure")) == 2
+    phases = []
+    for first, stop, fields in done.marked("measure"):
+        assert (fields["period"], fields["periods"], fields["lines"]) == (5120, 3, [15, 32])
+        assert stop - first == 3 * 5120
+        wave = done.drive[0, first:stop].reshape(3, -1)
+        np.testing.assert_array_equal(wave[0], wave[1])
+        spectrum = np.fft.rfft(wave[0])
+        assert np.abs(np.delete(spectrum, range(15, 33))).max() < 1e-9 * np.abs(spectrum).max()
+        phases.append(np.angle(spectrum[15:33]))
+        readings = done.readings[:, first:stop].reshape(len(done.readings), 3, -1)
+        change = np.sqrt(np.mean((readings[:, 2] - readings[:, 1]) ** 2, axis=1))
+        assert np.all(change < 2e-3 * readings[:, 2].std(axis=1))
+        force = force_in_time(done, first, first + 5120)
+        assert force.std() == pytest.approx(2.6, rel=0.05)
+        lines = np.abs(np.fft.rfft(force))[15:33]
+        assert lines.max() / lines.min() < 1.3
+    assert np.abs(phases[0] - phases[1]).max() > 0.5
+
+
+def test_given_a_number_of_lines_when_run_then_the_band_holds_so_many() -> None:
+    test = {"kind": "multisine", "from": "8 Hz", "to": "60 Hz", "lines": 27, "periods": 2, "realisations": 1}
+    done = run(scene_with({**test, "force": "2.6 N"}, shaker=FORCE))
+    first, last = done.marked("measure")[0][2]["lines"]
+    assert last - first + 1 == 27
+
+
+def test_given_a_band_between_two_lines_when_run_then_it_is_refused() -> None:
+    test = {"kind": "random", "from": "300.001 Hz", "to": "300.002 Hz", "force": "1 N", "duration": "4 s"}
+    with pytest.raises(SceneError, match=r"no line between 300\.001 and 300\.002 Hz"):
+        run(scene_with(test, shaker=FORCE, converter={"rate": "1 kHz"}))
+
+
+@pytest.mark.parametrize("width", [0.45e-3, 1e-3, 4e-3, 4.31e-3, 20e-3])
+def test_given_a_half_sine_when_sampled_then_peak_and_area_are_those_of_the_pulse(width: float) -> None:
+    pulse = half_sine(50.0, width, 5120.0)
+    assert pulse.max() == 50.0
+    assert pulse.sum() / 5120.0 == pytest.approx(50.0 * width * 2 / np.pi, rel=1e-9)
+    assert pulse[0] == pulse[-1] == 0.0
+    np.testing.assert_allclose(pulse, pulse[::-1], rtol=0, atol=1e-12)
+
+
+def test_given_a_pulse_shorter_than_two_samples_when_sampled_then_it_says_what_to_change() -> None:
+    with pytest.raises(SceneError, match=r"raise converter\.rate"):
+        half_sine(50.0, 0.1e-3, 5120.0)
+
+
+def impulse(**more: Any) -> BenchRun:
+    test = {
+        "kind": "impulse",
+        "body": 2,
+        "peak": "50 N",
+        "width": "4 ms",
+        "repeats": 2,
+        "interval": "1 s",
+        **more,
+    }
+    return run(rig.load("fig10b-no-damper").replace(test=test))
+
+
+def test_given_hits_when_run_then_they_come_after_quiet_at_their_interval_and_move_the_structure() -> None:
+    done = impulse()
+    assert done.drive.shape[1] == 1280 + 2 * 5120
+    hits = done.marked("hit")
+    assert [first for first, _, _ in hits] == [1280, 1280 + 5120]
+    hammer = done.drive[list(done.bench.inputs).index("hammer")]
+    for first, stop, fields in hits:
+        assert fields["peak"] == 50.0 and fields["body"] == 2 and fields["double"] is False
+        assert hammer[first:stop].max() == 50.0
+        hammer[first:stop] = 0.0
+    assert not hammer.any()
+    places = [channel.at for channel in done.bench.channels]
+    struck = done.readings[places.index("body 2")]
+    assert np.abs(struck[1280:1400]).max() > 20.0 > np.abs(struck[:1280]).max()
+
+
+def test_given_a_double_hit_when_run_then_the_hit_named_bounces_and_is_marked() -> None:
+    done = impulse(double_hit={"hits": [2], "after": "20 ms", "ratio": 0.4})
+    hammer = done.drive[list(done.bench.inputs).index("hammer")]
+    first, second = done.marked("hit")
+    assert not first[2]["double"] and second[2]["double"]
+    peaks = [np.sort(np.unique(hammer[start:stop]))[-1] for start, stop, _ in (first, second)]
+    assert peaks == [50.0, 50.0]
+    after = second[0] + round(20e-3 * 5120)
+    assert hammer[after : second[1]].max() == pytest.approx(20.0)
+
+
+def test_given_a_shaker_when_the_hammer_hits_then_the_shaker_rests() -> None:
+    test = {"kind": "impulse", "body": 1, "peak": "50 N", "width": "4 ms", "interval": "0.5 s"}
+    done = run(scene_with(test))
+    assert not done.drive[list(done.bench.inputs).index("shaker")].any()
+
+
+def test_given_a_mode_to_release_when_run_then_it_decays_freely() -> None:
+    test = {"kind": "free", "mode": 1, "amplitude": "1 mm", "duration": "3 s"}
+    done = run(scene_with(test))
+    assert done.drive.shape[1] == 3 * 5120
+    assert not done.drive.any()
+    acceleration = done.readings[2]
+    ratio = np.abs(acceleration[-5120:]).max() / np.abs(acceleration[:5120]).max()
+    # The table is held, so that the spring is part of what swings.
+    assert 0.3 < ratio < 0.6
+
+
+@pytest.mark.parametrize(
+    "test",
+    [
+        {"kind": "random", "from": "8 Hz", "to": "60 Hz", "force": "2.6 N", "duration": "5 s"},
+        {
+            "kind": "multisine",
+            "from": "8 Hz",
+            "to": "60 Hz",
+            "period": "1 s",
+            "force": "2.6 N",
+            "realisations": 1,
+        },
+        {"kind": "swept_sine", "from": "30 Hz", "to": "40 Hz", "force": "2.6 N", "duration": "3 s"},
+    ],
+)
+def test_given_any_split_when_run_then_the_readings_are_the_same_bit_for_bit(test: dict[str, Any]) -> None:
+    scene = rig.load("fig8-three-dampers").replace(test=test)
+    whole, split = run(scene), run(scene, split=511)
+    np.testing.assert_array_equal(whole.readings, split.readings)
+    assert whole.marks == split.marks

@@ -1,0 +1,210 @@
+"""Sine tests: one tone, stepped, swept."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rig
+from daq.excitation.lock_in import lock_in, track, whole_periods
+from rig.errors import SceneError
+from rig.system.receptance import receptance
+from tests.daq.measurement.bench_run import BenchRun, run, scene_with
+
+# Off resonance, at the three resonances of the structure and of rig and structure, and in antiresonances.
+FREQUENCIES = [10.0, 13.037, 13.811, 25.0, 28.6, 34.777, 43.6, 49.663, 57.9]
+
+
+def compliance(done: BenchRun) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies and compliance of all bodies from the measured windows, and what they should be."""
+    columns = []
+    frequencies = np.array([fields["frequency"] for _, _, fields in done.marked("measure")])
+    for first, stop, fields in done.marked("measure"):
+        frequency = fields["frequency"]
+        amplitudes = done.amplitudes(first, stop, frequency)
+        force = amplitudes @ done.weights(frequency)
+        columns.append([amplitudes[row] * done.to_displacement(row, frequency) / force for row in range(3)])
+    return np.array(columns).T, receptance(done.bench.scene, frequencies)
+
+
+def test_given_a_bare_structure_when_stepped_then_compliance_is_exact_within_half_a_percent_everywhere() -> (
+    None
+):
+    done = run(scene_with({"kind": "stepped_sine", "frequencies": FREQUENCIES, "force": "2.6 N"}))
+    measured, exact = compliance(done)
+    error = measured / exact - 1.0
+    assert len(done.marked("measure")) == len(FREQUENCIES)
+    assert np.abs(error).max() < 0.002
+    assert np.abs(np.angle(1.0 + error, deg=True)).max() < 0.1
+    for first, stop, fields in done.marked("measure"):
+        assert fields["settled"] is True
+        assert abs(done.spring_force(first, stop, fields["frequency"])) == pytest.approx(2.6, rel=0.006)
+        assert fields["force"] == pytest.approx(2.6, rel=0.006)
+        assert stop - first == round(20 * 5120.0 / fields["frequency"])
+    assert not done.warnings
+
+
+def test_given_a_stepped_sine_when_run_then_the_drive_never_jumps_and_ends_at_rest() -> None:
+    done = run(scene_with({"kind": "stepped_sine", "frequencies": [20.0, 21.0, 40.0], "force": "2.6 N"}))
+    drive = done.drive[0]
+    largest = np.abs(drive).max()
+    # A tone of 40 Hz bends by (2 pi f / rate)^2 of its amplitude per sample; a jump would stand out.
+    assert np.abs(np.diff(drive, 2)).max() < 1.3 * (2 * np.pi * 40.0 / 5120.0) ** 2 * largest
+    assert drive[0] == 0.0
+    assert abs(drive[-1]) < 1e-4 * largest
+
+
+def test_given_an_electrodynamic_shaker_and_real_sensors_when_stepped_then_the_force_is_held() -> None:
+    scene = rig.load("fig8-no-damper")
+    test = {"kind": "stepped_sine", "frequencies": [12.0, 20.0, 34.777], "force": "2.6 N"}
+    done = run(scene.replace(test=test))
+    measured, exact = compliance(done)
+    assert np.abs(measured[0] / exact[0] - 1.0).max() < 0.005
+    for first, stop, fields in done.marked("measure"):
+        assert abs(done.spring_force(first, stop, fields["frequency"])) == pytest.approx(2.6, rel=0.006)
+
+
+def test_given_three_dampers_when_stepped_through_a_resonance_then_the_force_is_held() -> None:
+    scene = rig.load("fig8-three-dampers")
+    test = {"kind": "stepped_sine", "from": "47 Hz", "to": "52 Hz", "points": 6, "force": "2.6 N"}
+    done = run(scene.replace(test=test))
+    forces = [fields["force"] for _, _, fields in done.marked("measure") if fields["settled"]]
+    assert len(forces) >= 5
+    assert forces == pytest.approx([2.6] * len(forces), rel=0.02)
+
+
+def test_given_levels_and_both_directions_when_stepped_then_all_are_run_in_order() -> None:
+    test = {
+        "kind": "stepped_sine", "frequencies": [25.0, 26.0], "force": ["1 N", "2 N"], "direction": "both",
+        "measure": {"periods": 5},
+    }  # fmt: skip
+    done = run(scene_with(test))
+    told = [(f["level"], f["direction"], f["frequency"]) for _, _, f in done.marked("measure")]
+    one = [("up", 25.0), ("up", 26.0), ("down", 26.0), ("down", 25.0)]
+    assert told == [(1.0, *step) for step in one] + [(2.0, *step) for step in one]
+    assert [fraction for fraction, _ in done.reports] == [k / 8 for k in range(9)]
+
+
+def test_given_too_little_time_when_stepped_then_the_point_is_measured_and_marked_not_settled() -> None:
+    test = {
+        "kind": "stepped_sine", "frequencies": [13.037], "force": "2.6 N", "settle": {"longest": "2 s"},
+    }  # fmt: skip
+    done = run(scene_with(test))
+    assert done.marked("measure")[0][2]["settled"] is False
+    assert done.warnings == ["1 of 1 steps found no steady state at the level within 2 s: 13.04 Hz up at 2.6"]
+
+
+def test_given_an_amplifier_at_its_limit_when_stepped_then_the_drive_stays_there_and_it_is_said() -> None:
+    scene = rig.load("fig8-no-damper")
+    shaker = scene.shaker.model_dump() | {"amplifier": {"limit": "0.5 V"}}
+    test = {
+        "kind": "stepped_sine", "frequencies": [20.0], "force": "2.6 N", "settle": {"longest": "6 s"},
+        "measure": {"periods": 4},
+    }  # fmt: skip
+    done = run(scene.replace(shaker=shaker, test=test))
+    assert np.abs(done.drive).max() <= 0.5 * (1 + 1e-12)
+    assert done.marked("measure")[0][2]["settled"] is False
+
+
+def test_given_a_force_shaker_when_stepped_then_the_drive_is_the_force_itself() -> None:
+    test = {"kind": "stepped_sine", "frequencies": [20.0, 40.0], "force": "2.6 N"}
+    done = run(scene_with(test, shaker={"kind": "force", "body": 1}))
+    for first, stop, fields in done.marked("measure"):
+        row = [channel.quantity for channel in done.bench.channels].index("force")
+        amplitudes = done.amplitudes(first, stop, fields["frequency"])
+        force = amplitudes[row] / done.bench.channels[row].response(fields["frequency"])
+        assert abs(force) == pytest.approx(2.6, rel=1e-3)
+        exact = receptance(done.bench.scene, np.array([fields["frequency"]]))[0, 0]
+        motion = amplitudes[0] * done.to_displacement(0, fields["frequency"])
+        assert abs(motion / force / exact - 1.0) < 0.002
+
+
+def test_given_open_loop_drive_when_stepped_then_the_table_moves_by_it() -> None:
+    test = {"kind": "stepped_sine", "frequencies": [20.0], "drive": "0.2 mm"}
+    done = run(scene_with(test))
+    first, stop, fields = done.marked("measure")[0]
+    assert fields["drive"] == 0.2e-3
+    assert np.abs(done.drive[0, first:stop]).max() == pytest.approx(0.2e-3, rel=1e-3)
+
+
+def test_given_no_channel_on_the_table_when_the_force_is_to_be_held_then_it_is_said_at_once() -> None:
+    test = {"kind": "stepped_sine", "frequencies": [20.0], "force": "2.6 N"}
+    with pytest.raises(SceneError, match="needs a channel at the table"):
+        run(scene_with(test, channels=[{"name": "body1", "at": "body 1"}]))
+
+
+def test_given_any_split_when_stepped_then_drive_and_readings_are_the_same_bit_for_bit() -> None:
+    test = {"kind": "stepped_sine", "frequencies": [49.6], "force": "2.6 N", "measure": {"periods": 5}}
+    scene = rig.load("fig8-three-dampers").replace(test=test)
+    whole, split = run(scene), run(scene, split=101)
+    np.testing.assert_array_equal(whole.drive, split.drive)
+    np.testing.assert_array_equal(whole.readings, split.readings)
+    assert whole.marks == split.marks
+
+
+def test_given_a_tone_open_loop_when_run_then_it_is_a_sine_from_the_first_sample() -> None:
+    test = {
+        "kind": "sine",
+        "frequency": "218.8 rad/s",
+        "force": "2.6 N",
+        "duration": "0.5 s",
+        "start": "empty",
+    }
+    done = run(scene_with(test, shaker={"kind": "force", "body": 1}))
+    time = np.arange(2560) / 5120.0
+    np.testing.assert_allclose(done.drive[0], 2.6 * np.sin(218.8 * time), rtol=0, atol=1e-11)
+    assert done.marked("measure")[0][2]["settled"] is False
+
+
+def test_given_a_tone_with_a_force_to_hold_when_run_then_it_is_held_for_the_duration() -> None:
+    done = run(scene_with({"kind": "sine", "frequency": 25.0, "force": "2.6 N", "duration": "1 s"}))
+    first, stop, fields = done.marked("measure")[0]
+    assert stop - first == 5120
+    assert fields["settled"] is True
+    assert abs(done.spring_force(first, stop, 25.0)) == pytest.approx(2.6, rel=0.006)
+
+
+@pytest.mark.parametrize(
+    "sweep",
+    [
+        {"from": 15.0, "to": 32.0, "spacing": "log"},
+        {"from": 32.0, "to": 15.0, "spacing": "linear"},
+    ],
+)
+def test_given_a_sweep_when_run_then_frequency_and_force_follow(sweep: dict[str, Any]) -> None:
+    done = run(scene_with({"kind": "swept_sine", "force": "2.6 N", "duration": "20 s", **sweep}))
+    first, stop, fields = done.marked("measure")[0]
+    assert stop - first == 20 * 5120
+    assert (fields["from"], fields["to"], fields["duration"]) == (sweep["from"], sweep["to"], 20.0)
+    for part in (0.1, 0.5, 0.9):
+        middle = first + round(part * (stop - first))
+        begin = sweep["from"] * (sweep["to"] / sweep["from"]) ** part
+        expected = (
+            begin if sweep["spacing"] == "log" else sweep["from"] + (sweep["to"] - sweep["from"]) * part
+        )
+        window = slice(middle - 512, middle + 512)
+        crossings = np.flatnonzero(np.diff(np.signbit(done.drive[0, window]).astype(int)))
+        counted = 5120.0 * (len(crossings) - 1) / (crossings[-1] - crossings[0]) / 2
+        assert counted == pytest.approx(expected, rel=0.02)
+        force = abs(done.spring_force(middle - 256, middle + 256, counted))
+        assert force == pytest.approx(2.6, rel=0.1)
+    assert np.abs(np.diff(done.drive[0], 2)).max() < 0.01 * np.abs(done.drive).max()
+
+
+def test_given_a_tone_on_offset_and_drift_when_locked_in_then_its_amplitude_is_exact() -> None:
+    time = np.arange(1000) / 5120.0
+    samples = (0.3 * np.cos(2 * np.pi * 17.3 * time - 1.1) + 5.0 - 40.0 * time)[None]
+    assert lock_in(samples, 17.3, 5120.0)[0] == pytest.approx(0.3 * np.exp(-1.1j), abs=1e-12)
+    assert track(samples, 2 * np.pi * 17.3 * time)[0] == pytest.approx(0.3 * np.exp(-1.1j), abs=1e-12)
+
+
+@pytest.mark.parametrize("frequency", [8.0, 13.037, 49.663, 333.3])
+def test_given_any_frequency_when_a_window_is_chosen_then_it_is_nearly_whole_periods(
+    frequency: float,
+) -> None:
+    samples = whole_periods(frequency, 5120.0, 0.1, periods=2)
+    periods = samples * frequency / 5120.0
+    assert periods >= 2 - 1e-3 and samples >= 0.1 * 5120 - 1
+    assert abs(periods - round(periods)) < 0.035

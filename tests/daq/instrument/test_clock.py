@@ -1,0 +1,116 @@
+import threading
+
+import numpy as np
+import pytest
+
+import daq
+from daq.face.constants import AcquisitionType
+from daq.face.task import Task
+from daq.instrument.clock import FastClock, ManualClock, RealClock, clock
+from daq.instrument.errors import DaqReadError
+from rig.errors import SceneError
+
+
+class Counter:
+    """A bench of nothing but a sample count."""
+
+    rate = 1000.0
+
+    def __init__(self):
+        self.position = 0
+        self.changed = threading.Condition(threading.RLock())
+        self.live = True
+        self.late = []
+
+    def advance(self, samples):
+        with self.changed:
+            self.position += samples
+            self.changed.notify_all()
+
+    def fail(self, error):
+        self.failure = error
+
+    def lag(self, seconds):
+        self.late.append(seconds)
+        return False
+
+
+def test_given_a_fast_clock_when_waiting_then_exactly_what_is_wanted_passes():
+    bench = Counter()
+    assert FastClock().wait(bench, lambda: bench.position >= 300, lambda: 300 - bench.position, 10.0)
+    assert bench.position == 300
+
+
+def test_given_a_fast_clock_when_it_never_becomes_ready_then_the_timeout_passes_in_bench_time():
+    bench = Counter()
+    assert not FastClock().wait(bench, lambda: False, lambda: 7, 0.25)
+    assert bench.position == 250
+
+
+def test_given_a_manual_clock_when_waiting_then_no_time_passes():
+    bench, manual = Counter(), ManualClock()
+    manual.start(bench)
+    assert not manual.wait(bench, lambda: False, lambda: 1, -1.0)
+    assert bench.position == 0
+    manual.advance(0.5)
+    assert bench.position == 500
+
+
+def test_given_a_real_clock_when_a_bench_waits_then_a_thread_moves_it_until_nobody_needs_it():
+    bench, real = Counter(), RealClock()
+    with bench.changed:
+        assert real.wait(bench, lambda: bench.position >= 20, lambda: 20, 30.0)
+    bench.live = False
+    for thread in threading.enumerate():
+        if thread.name == "bench":
+            thread.join(10.0)
+    stopped = bench.position
+    assert not any(thread.name == "bench" for thread in threading.enumerate())
+    assert bench.position == stopped
+
+
+def test_given_a_real_clock_when_the_bench_fails_then_those_who_wait_are_told(monkeypatch, capsys):
+    chassis = daq.connect("bare-structure", clock="real")
+    with Task() as task:
+        task.ai_channels.add_ai_voltage_chan("Dev1/ai0")
+        task.timing.cfg_samp_clk_timing(5120.0, sample_mode=AcquisitionType.CONTINUOUS)
+        task.start()
+        task.read(10)
+        monkeypatch.setattr(chassis, "_step", lambda limit: 1 / 0)
+        with pytest.raises(daq.DaqError, match="ZeroDivisionError"):
+            task.read(100000, timeout=60.0)
+    assert "ZeroDivisionError" in capsys.readouterr().err
+
+
+def test_given_a_name_when_a_clock_is_made_then_it_is_that_clock_or_the_choices_are_named():
+    assert isinstance(clock("manual"), ManualClock)
+    with pytest.raises(SceneError, match="real, fast, manual"):
+        clock("sundial")
+
+
+def test_given_the_manual_clock_when_a_reader_comes_too_early_then_it_gets_the_partial_count():
+    manual = ManualClock()
+    daq.connect("bare-structure", clock=manual)
+    with Task() as task:
+        task.ai_channels.add_ai_voltage_chan("Dev1/ai0")
+        task.timing.cfg_samp_clk_timing(5120.0, sample_mode=AcquisitionType.CONTINUOUS)
+        task.start()
+        manual.advance(0.1)
+        with pytest.raises(DaqReadError) as caught:
+            task.read(600)
+        assert (caught.value.error_code, caught.value.samps_per_chan_read) == (-200284, 512)
+        manual.advance(0.2)
+        assert task.in_stream.avail_samp_per_chan == 1024
+        assert len(task.read(1024)) == 1024
+
+
+def test_given_the_real_clock_when_a_task_reads_then_its_samples_are_those_of_the_fast_clock():
+    read = []
+    for kind in ("fast", "real"):
+        daq.connect("bare-structure", clock=kind)
+        with Task() as task:
+            task.ai_channels.add_ai_voltage_chan("Dev1/ai0:3", min_val=-500.0, max_val=500.0)
+            task.timing.cfg_samp_clk_timing(5120.0, sample_mode=AcquisitionType.CONTINUOUS)
+            task.start()
+            read.append(np.concatenate([np.array(task.read(100, timeout=60.0)) for _ in range(5)], axis=1))
+    assert np.array_equal(*read)

@@ -1,0 +1,90 @@
+import pytest
+
+import daq
+from daq.face.constants import AcquisitionType, OverwriteMode
+from daq.face.task import Task
+from daq.instrument.clock import ManualClock
+from daq.instrument.errors import DaqReadError
+
+RATE = 5120.0
+
+
+@pytest.fixture
+def chassis():
+    return daq.connect("bare-structure", clock=ManualClock())
+
+
+def acquiring(task):
+    """Let a task acquire continuously into a buffer of 1000 samples."""
+    task.ai_channels.add_ai_voltage_chan("Dev1/ai0", min_val=-500.0, max_val=500.0)
+    task.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
+    task.in_stream.input_buf_size = 1000
+    task.start()
+
+
+def test_given_a_slow_reader_when_samples_are_overwritten_then_the_error_counts_them_and_reading_goes_on(
+    chassis,
+):
+    with Task() as task:
+        acquiring(task)
+        chassis.advance(1300)
+        with pytest.raises(DaqReadError) as caught:
+            task.read(100)
+        assert caught.value.error_code == -200279
+        assert "300 samples" in str(caught.value)
+        assert task.in_stream.curr_read_pos == 300
+        assert len(task.read(1000)) == 1000
+        chassis.advance(10)
+        assert len(task.read(10)) == 10
+        assert not task.is_task_done()
+
+
+@pytest.mark.parametrize("pause", [1, 51, 512, 999])
+def test_given_a_reader_that_keeps_up_when_it_has_been_late_once_then_it_hears_of_it_once(chassis, pause):
+    with Task() as task:
+        acquiring(task)
+        chassis.advance(2600)
+        with pytest.raises(DaqReadError) as caught:
+            task.read(pause)
+        assert caught.value.error_code == -200279
+        assert "1600 samples" in str(caught.value)
+        for number in range(20):
+            assert task.in_stream.curr_read_pos == 1600 + number * pause
+            chassis.advance(pause)
+            assert len(task.read(pause)) == pause
+
+
+def test_given_a_reader_that_has_caught_up_when_it_is_late_again_then_it_hears_of_that_too(chassis):
+    with Task() as task:
+        acquiring(task)
+        for lost in (300, 200):
+            chassis.advance(1000 + lost)
+            with pytest.raises(DaqReadError) as caught:
+                task.read(10)
+            assert f"{lost} samples" in str(caught.value)
+            assert len(task.read(1000)) == 1000
+
+
+def test_given_a_reader_too_slow_for_good_when_it_reads_then_each_loss_is_counted_once(chassis):
+    with Task() as task:
+        acquiring(task)
+        read = lost = 0
+        for _ in range(40):
+            chassis.advance(400)
+            try:
+                read += len(task.read(100))
+            except DaqReadError as error:
+                lost += int(str(error).split()[0])
+            assert task.in_stream.curr_read_pos == read + lost
+        assert lost > 0
+
+
+def test_given_unread_samples_to_be_kept_when_the_buffer_is_full_then_the_acquisition_stops(chassis):
+    with Task() as task:
+        task.in_stream.overwrite = OverwriteMode.DO_NOT_OVERWRITE_UNREAD_SAMPLES
+        acquiring(task)
+        chassis.advance(1400)
+        assert len(task.read(1000)) == 1000
+        with pytest.raises(DaqReadError) as caught:
+            task.read(1)
+        assert caught.value.error_code == -200222

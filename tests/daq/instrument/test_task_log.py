@@ -1,0 +1,236 @@
+import numpy as np
+import pytest
+
+import daq
+import rig
+from daq.face.constants import (
+    READ_ALL_AVAILABLE,
+    AcquisitionType,
+    LoggingMode,
+    LoggingOperation,
+    OverwriteMode,
+    Slope,
+)
+from daq.face.task import Task
+from daq.instrument.clock import ManualClock
+from daq.instrument.errors import DaqError, DaqReadError
+
+RATE = 5120.0
+
+
+@pytest.fixture
+def chassis():
+    return daq.connect("fig8-three-dampers", clock=ManualClock())
+
+
+def logging(task, path, mode=LoggingMode.LOG_AND_READ, operation=LoggingOperation.CREATE, **timing):
+    task.ai_channels.add_ai_voltage_chan("Dev1/ai0:1")
+    task.timing.cfg_samp_clk_timing(RATE, **(timing or {"sample_mode": AcquisitionType.CONTINUOUS}))
+    task.in_stream.configure_logging(path, mode, operation=operation)
+    return task
+
+
+def test_given_logging_and_reading_when_the_task_stops_then_the_recording_holds_all_samples(
+    chassis, tmp_path
+):
+    path = tmp_path / "task.mcap"
+    with Task() as task:
+        logging(task, path)
+        task.start()
+        chassis.advance(700)
+        read = np.array(task.read(300))
+        task.stop()
+    with daq.open(path) as recording:
+        assert list(recording.channels) == ["body1", "body2"]
+        assert recording.samples == 700
+        volts = np.array(
+            [recording.read(name) * info.sensitivity for name, info in recording.channels.items()]
+        )
+        np.testing.assert_allclose(volts[:, :300], read, rtol=1e-12)
+        assert recording.gaps == []
+
+
+def test_given_an_overrun_when_logging_and_reading_then_the_gap_is_in_the_recording_in_its_place(
+    chassis, tmp_path
+):
+    path = tmp_path / "overrun.mcap"
+    with Task() as task:
+        logging(task, path)
+        task.in_stream.input_buf_size = 500
+        task.start()
+        chassis.advance(200)
+        task.read(200)
+        chassis.advance(800)
+        with pytest.raises(DaqReadError) as caught:
+            task.read(100)
+        assert caught.value.error_code == -200279
+        later = np.array(task.read(500))
+        task.stop()
+    with daq.open(path) as recording:
+        (gap,) = recording.gaps
+        assert (gap.first_sample, gap.last_sample) == (200, 499)
+        volts = recording.read("body1") * recording.channels["body1"].sensitivity
+        assert np.isnan(volts[200:500]).all()
+        np.testing.assert_allclose(volts[500:1000], later[0], rtol=1e-12)
+
+
+def test_given_an_overrun_when_the_script_pauses_before_it_reads_on_then_nothing_more_is_lost(
+    chassis, tmp_path
+):
+    path = tmp_path / "paused.mcap"
+    with Task() as task:
+        logging(task, path)
+        task.in_stream.input_buf_size = 500
+        task.start()
+        chassis.advance(900)
+        with pytest.raises(DaqReadError):
+            task.read(100)
+        later = []
+        for _ in range(5):
+            chassis.advance(100)
+            later.append(task.read(100))
+        task.stop()
+    with daq.open(path) as recording:
+        (gap,) = recording.gaps
+        assert (gap.first_sample, gap.last_sample) == (0, 399)
+        volts = recording.read("body1") * recording.channels["body1"].sensitivity
+        np.testing.assert_allclose(volts[400:900], np.concatenate(later, axis=1)[0], rtol=1e-12)
+
+
+def test_given_two_modules_on_the_same_sensors_when_logging_then_both_are_in_the_recording(tmp_path):
+    chassis = daq.connect("fig8-three-dampers", clock=ManualClock())
+    path = tmp_path / "modules.mcap"
+    with Task() as task:
+        task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:2,cDAQ1Mod2/ai0:1")
+        task.ai_channels.add_ai_voltage_chan("cDAQ1Mod2/ai2", "third")
+        task.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
+        task.in_stream.configure_logging(path, operation=LoggingOperation.CREATE)
+        task.start()
+        chassis.advance(300)
+        read = np.array(task.read(300))
+        task.stop()
+        assert [each.name for each in task.devices] == ["cDAQ1Mod1", "cDAQ1Mod2"]
+    assert np.array_equal(read[:3], read[3:])
+    with daq.open(path) as recording:
+        assert [*recording.channels] == [
+            *("body1", "body2", "body3"),
+            *("body1 on cDAQ1Mod2", "body2 on cDAQ1Mod2", "third"),
+        ]
+        assert np.array_equal(recording.read("third"), recording.read("body3"))
+
+
+def test_given_logging_alone_when_samples_come_then_nothing_is_lost_and_reading_is_refused(chassis, tmp_path):
+    path = tmp_path / "alone.mcap"
+    with Task() as task:
+        logging(task, path, LoggingMode.LOG)
+        task.in_stream.input_buf_size = 500
+        task.start()
+        for _ in range(20):
+            chassis.advance(100)
+        with pytest.raises(DaqError, match="LOG_AND_READ") as caught:
+            task.read(1)
+        assert caught.value.error_code == -201301
+        task.stop()
+    with daq.open(path) as recording:
+        assert recording.samples == 2000
+        assert recording.gaps == []
+
+
+@pytest.mark.parametrize("overwrite", OverwriteMode)
+def test_given_logging_alone_when_more_than_the_buffer_passes_at_once_then_nothing_is_lost(
+    chassis, tmp_path, overwrite
+):
+    path = tmp_path / "at_once.mcap"
+    with Task() as task:
+        logging(task, path, LoggingMode.LOG, samps_per_chan=3000)
+        task.in_stream.input_buf_size = 500
+        task.in_stream.overwrite = overwrite
+        task.start()
+        chassis.advance(4000)
+        assert task.is_task_done()
+        task.stop()
+    with daq.open(path) as recording:
+        assert (recording.samples, recording.gaps, recording.status) == (3000, [], "complete")
+
+
+def test_given_a_reference_trigger_when_logging_then_the_recording_is_what_was_cut_out(tmp_path):
+    daq.connect("fig10b-no-damper", clock="fast")
+    path = tmp_path / "hit.mcap"
+    with Task() as task:
+        task.ai_channels.add_ai_force_iepe_chan("Dev1/ai3", "force")
+        task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=400)
+        task.triggers.reference_trigger.cfg_anlg_edge_ref_trig("force", 100, Slope.RISING, 10.0)
+        task.in_stream.configure_logging(path, operation=LoggingOperation.CREATE)
+        read = np.array(task.read(READ_ALL_AVAILABLE, timeout=20.0))
+    with daq.open(path) as recording:
+        np.testing.assert_allclose(recording.read("force"), read, rtol=1e-12)
+        assert [mark.first_sample for mark in recording.markers if mark.kind == "trigger"] == [100]
+
+
+@pytest.mark.parametrize("mode", [LoggingMode.LOG, LoggingMode.LOG_AND_READ])
+@pytest.mark.parametrize("name", ["dropped.mcap", "dropped.tdms"])
+def test_given_samples_lost_on_the_way_when_logging_then_the_file_says_where_it_broke_off(
+    tmp_path, mode, name
+):
+    scene = rig.load("fig8-three-dampers")
+    dropped = {"at": "0.1 s", "samples": 256}
+    scene = scene.replace(converter=scene.converter.replace(dropped_blocks=[dropped]))
+    chassis = daq.connect(scene, clock=ManualClock())
+    path = tmp_path / name
+    with Task("broken") as task:
+        logging(task, path, mode)
+        task.start()
+        chassis.advance(1000)
+        with pytest.raises(DaqError, match="lost on the way"):
+            task.stop()
+    if name.endswith(".tdms"):
+        import nptdms
+
+        assert "lost on the way" in nptdms.TdmsFile.read(path)["broken"]["Dev1/ai1"].properties["error"]
+        return
+    with daq.open(path) as recording:
+        assert (recording.status, recording.samples) == ("failed", 512)
+        (abort,) = [mark for mark in recording.markers if mark.kind == "abort"]
+        assert abort.first_sample == 512
+        assert "lost on the way" in abort.fields["reason"]
+        assert recording.metadata["outcome"]["reason"] == abort.fields["reason"]
+
+
+@pytest.mark.parametrize(
+    "name, operation, hint",
+    [
+        ("old.mcap", LoggingOperation.CREATE, "CREATE_OR_REPLACE"),
+        ("old.mcap", LoggingOperation.OPEN, "cannot be appended"),
+        ("old.mcap", LoggingOperation.OPEN_OR_CREATE, "cannot be appended"),
+        ("new.mcap", LoggingOperation.OPEN, "does not exist"),
+        ("new.csv", LoggingOperation.CREATE, r"\.mcap"),
+        ("nowhere/new.mcap", LoggingOperation.CREATE, "nowhere"),
+    ],
+)
+def test_given_a_file_that_cannot_be_when_starting_then_the_error_says_what_to_do(
+    chassis, tmp_path, name, operation, hint
+):
+    (tmp_path / "old.mcap").write_bytes(b"something")
+    with Task() as task:
+        logging(task, tmp_path / name, operation=operation)
+        with pytest.raises(DaqError, match=hint):
+            task.start()
+        assert not task.is_running
+    assert (tmp_path / "old.mcap").read_bytes() == b"something"
+
+
+def test_given_a_tdms_name_when_logging_then_the_file_holds_the_readings(chassis, tmp_path):
+    import nptdms
+
+    path = tmp_path / "task.tdms"
+    for _ in range(2):
+        with Task("logged") as task:
+            logging(task, path, operation=LoggingOperation.OPEN_OR_CREATE, samps_per_chan=50)
+            task.start()
+            chassis.advance(50)
+            read = np.array(task.read(READ_ALL_AVAILABLE))
+    file = nptdms.TdmsFile.read(path)
+    assert [group.name for group in file.groups()] == ["logged", "logged #1"]
+    channel = file["logged #1"]["Dev1/ai1"]
+    assert np.array_equal(channel[:], read[1])
+    assert channel.properties["wf_increment"] == 1 / RATE

@@ -1,0 +1,209 @@
+import numpy as np
+import pytest
+
+import daq
+from daq.face.constants import READ_ALL_AVAILABLE, AcquisitionType, Edge, Slope
+from daq.face.task import Task
+from daq.face.triggers import AnalogEdge, SyncPulse
+from daq.instrument.errors import DaqError, DaqReadError
+
+RATE = 5120.0
+
+
+@pytest.fixture
+def chassis():
+    return daq.connect("bare-structure", clock="fast")
+
+
+def inputs(task, channels="Dev1/ai0:3", **timing):
+    task.ai_channels.add_ai_voltage_chan(channels, min_val=-500.0, max_val=500.0)
+    task.timing.cfg_samp_clk_timing(RATE, **timing)
+    return task
+
+
+def output(task, wave, **timing):
+    task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
+    task.timing.cfg_samp_clk_timing(RATE, **timing)
+    task.write(wave)
+    return task
+
+
+def bump(at, length=4000):
+    """A millimetre of travel for a hundredth of a second."""
+    wave = np.zeros(length)
+    wave[at : at + 51] = np.hanning(51)
+    return wave
+
+
+@pytest.mark.parametrize("slope, expected", [(Slope.RISING, 4), (Slope.FALLING, 6)])
+def test_given_a_slope_when_a_level_is_crossed_then_the_first_sample_beyond_is_found(slope, expected):
+    samples = np.array([2.0, 1.0, 0.0, 1.0, 1.5, 1.0, 0.5])
+    assert AnalogEdge(slope, 1.0).find(samples) == (expected if slope is Slope.RISING else 2)
+
+
+def test_given_hysteresis_when_the_signal_only_grazes_the_level_then_it_does_not_arm():
+    samples = np.array([0.95, 1.2, 0.95, 1.2, 0.4, 1.2])
+    assert AnalogEdge(Slope.RISING, 1.0, 0.5).find(samples) == 5
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 7])
+def test_given_any_block_size_when_looking_for_an_edge_then_it_is_the_same_one(size):
+    samples = np.random.default_rng(5).normal(size=200)
+    whole = AnalogEdge(Slope.RISING, 1.5, 1.0).find(samples, 20)
+    edge, found = AnalogEdge(Slope.RISING, 1.5, 1.0), None
+    for start in range(0, 200, size):
+        part = samples[start : start + size]
+        at = edge.find(part, min(max(0, 20 - start), part.size))
+        if at is not None:
+            found = start + at
+            break
+    assert whole is not None and found == whole
+
+
+def test_given_the_sync_output_when_edges_are_asked_for_then_there_is_one_a_second():
+    rising, falling = SyncPulse(Edge.RISING), SyncPulse(Edge.FALLING)
+    assert [rising.next_tick(tick, RATE) for tick in (0, 5119, 5120, 5121)] == [5120, 5120, 5120, 10240]
+    assert falling.next_tick(0, RATE) == 7680
+
+
+@pytest.mark.parametrize("before", [0, 1, 100, 399])
+def test_given_a_reference_trigger_when_it_fires_then_the_first_sample_above_sits_at_pretrigger(
+    chassis, before
+):
+    with Task() as reading, Task() as driving:
+        inputs(reading, samps_per_chan=400)
+        reading.triggers.reference_trigger.cfg_anlg_edge_ref_trig("Dev1/ai3", before, Slope.RISING, 0.5)
+        output(driving, bump(1000), samps_per_chan=4000)
+        driving.start()
+        table = np.array(reading.read(READ_ALL_AVAILABLE))[3]
+    assert len(table) == 400
+    assert table[before] > 0.5
+    if before:
+        assert (table[:before] <= 0.5).all()
+
+
+def test_given_an_edge_before_the_pretrigger_samples_when_triggering_then_it_is_ignored(chassis):
+    with Task() as reading, Task() as driving:
+        inputs(reading, samps_per_chan=1000)
+        reading.triggers.reference_trigger.cfg_anlg_edge_ref_trig("Dev1/ai3", 500, Slope.RISING, 0.5)
+        output(driving, bump(100) + bump(2000), samps_per_chan=4000)
+        driving.start()
+        table = np.array(reading.read(READ_ALL_AVAILABLE))[3]
+        assert reading.in_stream.total_samp_per_chan_acquired > 2000
+    assert table[500] > 0.5 >= table[499]
+
+
+@pytest.mark.parametrize("size", [1, 7, 128, 600])
+def test_given_a_reference_trigger_when_read_in_pieces_then_the_samples_are_the_same(size):
+    daq.connect("bare-structure", clock="fast")
+    with Task() as reading, Task() as driving:
+        inputs(reading, "Dev1/ai3", samps_per_chan=600)
+        reading.triggers.reference_trigger.cfg_anlg_edge_ref_trig("Dev1/ai3", 200, Slope.RISING, 0.5)
+        output(driving, bump(1000), samps_per_chan=4000)
+        driving.start()
+        reading.start()
+        pieces = [reading.read(min(size, 600 - start)) for start in range(0, 600, size)]
+    table = np.concatenate(pieces)
+    daq.connect("bare-structure", clock="fast")
+    with Task() as reading, Task() as driving:
+        inputs(reading, "Dev1/ai3", samps_per_chan=3000)
+        output(driving, bump(1000), samps_per_chan=4000)
+        driving.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ai/StartTrigger")
+        driving.start()
+        untriggered = np.array(reading.read(READ_ALL_AVAILABLE))
+    at = int(np.argmax(untriggered > 0.5))
+    assert np.array_equal(table, untriggered[at - 200 : at + 400])
+
+
+def test_given_an_analog_start_trigger_when_it_fires_then_sample_zero_is_the_first_above(chassis):
+    with Task() as reading, Task() as driving:
+        inputs(reading, samps_per_chan=100)
+        reading.triggers.start_trigger.cfg_anlg_edge_start_trig("Dev1/ai3", Slope.RISING, 0.5)
+        output(driving, bump(700), samps_per_chan=4000)
+        driving.start()
+        table = np.array(reading.read(READ_ALL_AVAILABLE))[3]
+    assert table[0] > 0.5
+
+
+def test_given_a_trigger_that_never_comes_when_reading_then_the_timeout_says_so(chassis):
+    with Task() as reading:
+        inputs(reading, samps_per_chan=100)
+        reading.triggers.start_trigger.cfg_anlg_edge_start_trig("Dev1/ai0", Slope.RISING, 400.0)
+        with pytest.raises(DaqReadError, match="start trigger has not come") as caught:
+            reading.read(100, timeout=0.5)
+    assert (caught.value.error_code, caught.value.samps_per_chan_read) == (-200284, 0)
+    assert chassis.position == 2560
+
+
+def test_given_a_digital_start_trigger_when_the_sync_pulse_comes_then_sampling_begins_there(chassis):
+    with Task() as reading:
+        inputs(reading, "Dev1/ai0", samps_per_chan=10)
+        reading.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/PFI0")
+        waveform = reading.read_waveform()
+    assert waveform.timing.start_ns == 10**9
+
+
+def test_given_a_retriggerable_task_when_pulses_come_then_each_brings_a_record(chassis):
+    with Task() as reading:
+        inputs(reading, "Dev1/ai0", samps_per_chan=100)
+        reading.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/PFI0")
+        reading.triggers.start_trigger.retriggerable = True
+        reading.start()
+        starts = [reading.read_waveform(100).timing.start_ns for _ in range(3)]
+        assert reading.in_stream.total_samp_per_chan_acquired == 300
+        reading.stop()
+    assert starts == [10**9, 2 * 10**9, 3 * 10**9]
+
+
+def test_given_an_output_on_an_analog_start_when_the_inputs_trigger_then_it_follows_one_sample_later(chassis):
+    with Task() as shaking:
+        output(shaking, bump(500, 1000), samps_per_chan=1000)
+        shaking.start()
+        shaking.wait_until_done()
+    with Task() as reading, Task() as driving:
+        inputs(reading, "Dev1/ai0", samps_per_chan=200)
+        reading.triggers.start_trigger.cfg_anlg_edge_start_trig("Dev1/ai0", Slope.RISING, 0.05)
+        output(driving, np.ones(50), samps_per_chan=50)
+        driving.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ai/StartTrigger")
+        driving.start()
+        reading.read(READ_ALL_AVAILABLE)
+        assert driving.run.generation.first_tick == reading.run.acquisition.first_tick + 1
+        assert driving.is_task_done()
+
+
+@pytest.mark.parametrize(
+    "configure, code, hint",
+    [
+        (lambda task: task.triggers.start_trigger.cfg_anlg_edge_start_trig("Dev1/ai9"), -200265, "Dev1/ai0"),
+        (lambda task: task.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/Nowhere"), -89136, "PFI0"),
+        (
+            lambda task: task.triggers.reference_trigger.cfg_anlg_edge_ref_trig("Dev1/ai0", 100),
+            -200213,
+            "0 to 99",
+        ),
+    ],
+)
+def test_given_a_trigger_that_cannot_be_when_starting_then_the_error_says_what_can(
+    chassis, configure, code, hint
+):
+    with Task() as reading:
+        inputs(reading, samps_per_chan=100)
+        with pytest.raises(DaqError, match=hint) as caught:
+            configure(reading)
+            reading.start()
+    assert caught.value.error_code == code
+
+
+def test_given_a_reference_trigger_when_the_task_is_continuous_or_on_demand_then_it_is_refused(chassis):
+    with Task() as reading:
+        inputs(reading, sample_mode=AcquisitionType.CONTINUOUS)
+        reading.triggers.reference_trigger.cfg_anlg_edge_ref_trig("Dev1/ai0", 10)
+        with pytest.raises(DaqError, match="FINITE") as caught:
+            reading.start()
+        assert caught.value.error_code == -200358
+    with Task() as reading:
+        reading.ai_channels.add_ai_voltage_chan("Dev1/ai0")
+        reading.triggers.start_trigger.cfg_anlg_edge_start_trig("Dev1/ai0")
+        with pytest.raises(DaqError, match="cfg_samp_clk_timing") as caught:
+            reading.read()
+        assert caught.value.error_code == -200262

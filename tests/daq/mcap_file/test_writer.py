@@ -1,0 +1,99 @@
+"""The package mcap's own writer is the oracle: what it makes of the same content has the same bytes."""
+
+from io import BytesIO
+
+import numpy as np
+import pytest
+import zstandard
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+
+from daq.mcap_file.writer import PACKING_LEVEL, ChunkedFile, Message, Messages
+
+CHUNKS = [
+    [Message(1, 5, 3, b"first", 0), Message(2, 4, 4, b"", 7), Message(1, 9, 9, b"x" * 300, 1)],
+    [],
+    [Message(2, 2**63, 2**63, bytes(1000), 8)],
+]
+
+
+def ours(compression):
+    stream = BytesIO()
+    file = ChunkedFile(stream, "test 1", compression)
+    schema = file.add_schema("pkg.Thing", "protobuf", b"\x01\x02")
+    for topic in ("/a", "/b"):
+        file.add_channel(topic, "protobuf", schema, {"unit": "m", "name": topic})
+    held = [file.add_chunk(chunk) for chunk in CHUNKS[:2]]
+    file.add_metadata("run", {"seed": "1"})
+    file.add_attachment(1, 2, "scene.yaml", "application/yaml", b"name: x")
+    held.append(file.add_chunk(CHUNKS[2]))
+    file.finish()
+    assert held == [True, False, True]
+    return stream.getvalue()
+
+
+def theirs(compression):
+    stream = BytesIO()
+    writer = Writer(stream, chunk_size=2**62, compression=CompressionType[compression.upper()])
+    writer.start(profile="", library="test 1")
+    schema = writer.register_schema("pkg.Thing", "protobuf", b"\x01\x02")
+    for topic in ("/a", "/b"):
+        writer.register_channel(topic, "protobuf", schema, {"unit": "m", "name": topic})
+
+    def add(chunk):
+        for channel, log_time, publish_time, data, sequence in chunk:
+            writer.add_message(channel, log_time, data, publish_time, sequence)
+        writer.flush()
+
+    add(CHUNKS[0])
+    writer.add_metadata("run", {"seed": "1"})
+    writer.add_attachment(1, 2, "scene.yaml", "application/yaml", b"name: x")
+    add(CHUNKS[2])
+    writer.finish()
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+def test_given_the_same_content_when_written_then_the_bytes_are_those_of_the_packages_writer(
+    compression, monkeypatch
+):
+    compressor = zstandard.ZstdCompressor(level=PACKING_LEVEL)
+    monkeypatch.setattr("zstandard.compress", compressor.compress)
+    assert ours(compression) == theirs(compression)
+
+
+@pytest.mark.parametrize("channels_first", [True, False])
+def test_given_messages_of_one_size_when_written_together_then_the_bytes_are_those_of_one_by_one(
+    channels_first,
+):
+    times, sequence, channels = np.array([7, 9, 2**63], np.uint64), np.arange(3), np.array([2, 1])
+    data = np.random.default_rng(0).integers(0, 256, (2, 3, 28)).astype(np.uint8)
+    if channels_first:
+        together = Messages(channels[:, None], times, data, sequence)
+        order = [(row, column) for row in range(2) for column in range(3)]
+    else:
+        together = Messages(channels, times[:, None], data.transpose(1, 0, 2), sequence[:, None])
+        order = [(row, column) for column in range(3) for row in range(2)]
+    alone = [
+        Message(
+            int(channels[row]), int(times[column]), int(times[column]), data[row, column].tobytes(), column
+        )
+        for row, column in order
+    ]
+    before, after = Message(1, 2**63 + 5, 1, b"before", 0), Messages(3, 5, data[0, :1], 4)
+    written = []
+    for chunk in ([before, together, after], [before, *alone, Message(3, 5, 5, data[0, 0].tobytes(), 4)]):
+        stream = BytesIO()
+        file = ChunkedFile(stream, "test 1", "zstd")
+        assert file.add_chunk(chunk)
+        file.finish()
+        written.append(stream.getvalue())
+    assert written[0] == written[1]
+
+
+def test_given_no_chunk_at_all_when_finished_then_the_file_can_be_read():
+    stream = BytesIO()
+    ChunkedFile(stream, "test 1", "zstd").finish()
+    summary = make_reader(BytesIO(stream.getvalue())).get_summary()
+    assert summary is not None
+    assert summary.statistics.message_count == 0

@@ -1,0 +1,404 @@
+"""Recording a whole test: bytes, interruptions, limits, bad scenes, and the command that does it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import daq
+import rig
+from daq.cli import main
+from daq.measurement.limits import Stretches
+from daq.signal_chain.channel import ChannelInfo
+from rig.errors import RecordingError, RunError, SceneError
+
+HIT = {"kind": "impulse", "body": 1, "peak": "200 N", "width": "4 ms", "repeats": 1, "interval": "0.5 s"}
+STEPS = {
+    "kind": "stepped_sine", "frequencies": [48.0, 49.6], "force": "2.6 N", "measure": {"periods": 10},
+}  # fmt: skip
+
+
+def hit(**changes: Any) -> rig.Scene:
+    return rig.load("fig10b-three-dampers").replace(test=HIT, **changes)
+
+
+def steps(**changes: Any) -> rig.Scene:
+    return rig.load("fig8-three-dampers").replace(test=STEPS, **changes)
+
+
+def limited(**limits: str) -> rig.Scene:
+    """A hit whose channel on body 1 has limits."""
+    return hit(channels=[{"name": "b1", "at": "body 1", **limits}], converter={"rate": "5120 Hz"})
+
+
+@pytest.mark.parametrize(
+    "scene", [hit(), steps(), hit(recording={"truth": True})], ids=["hit", "steps", "truth"]
+)
+def test_given_a_scene_when_recorded_with_another_block_size_then_the_bytes_are_the_same(
+    scene: rig.Scene, tmp_path: Path
+) -> None:
+    files = [
+        daq.record(scene, tmp_path / f"{number}.mcap", block=block).read_bytes()
+        for number, block in enumerate((None, 101, None))
+    ]
+    assert files[0] == files[1] == files[2]
+
+
+def test_given_a_filter_delay_longer_than_a_stretch_when_recorded_then_the_first_sample_is_number_zero(
+    tmp_path: Path,
+) -> None:
+    scene = hit(converter={"rate": "250 Hz", "filter": "delta_sigma", "remove_delay": True})
+    scene = scene.replace(test=scene.test.replace(width=0.02))
+    with daq.open(daq.record(scene, tmp_path / "slow.mcap")) as recording:
+        assert recording.samples > 0 and not recording.gaps
+        assert np.isfinite(recording.read("body1")).all()
+
+
+def test_given_another_seed_when_recorded_then_the_noise_is_another(tmp_path: Path) -> None:
+    one, two = (daq.record(hit(seed=seed), tmp_path / f"{seed}.mcap") for seed in (1, 2))
+    with daq.open(one) as first, daq.open(two) as second:
+        assert not np.array_equal(first.read("body1"), second.read("body1"))
+
+
+def test_given_a_stepped_sine_when_recorded_then_markers_say_where_each_point_is(tmp_path: Path) -> None:
+    told: list[tuple[float, str]] = []
+    path = daq.record(
+        steps(), tmp_path / "new" / "s.mcap", progress=lambda part, text: told.append((part, text))
+    )
+    with daq.open(path) as rec:
+        points = [mark for mark in rec.markers if mark.kind == "measure"]
+        assert [mark.fields["frequency"] for mark in points] == [48.0, 49.6]
+        for mark in points:
+            assert mark.last_sample is not None
+            assert mark.last_sample - mark.first_sample + 1 == round(10 * 5120 / mark.fields["frequency"])
+            assert mark.fields["settled"] and mark.fields["force"] == pytest.approx(2.6, rel=0.02)
+            assert mark.fields["drive"] > 0
+        assert rec.samples > points[-1].last_sample
+        assert rec.scene == steps()
+    assert [part for part, _ in told] == [0.0, 0.5, 1.0]
+
+
+def test_given_an_existing_file_when_recorded_then_it_is_kept_unless_told_otherwise(tmp_path: Path) -> None:
+    path = daq.record(hit(), tmp_path / "a.mcap")
+    before = path.read_bytes()
+    with pytest.raises(RecordingError, match="exists"):
+        daq.record(steps(), path)
+    assert path.read_bytes() == before
+    daq.record(steps(), path, overwrite=True)
+    assert path.read_bytes() != before
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "message"),
+    [
+        ("fig8-three-dampers", {"test": None}, "names no test"),
+        ("fig10b-three-dampers", {"test": {**HIT, "width": "0.1 ms"}}, r"raise converter\.rate"),
+        ("fig8-three-dampers", {"channels": [{"name": "b", "at": "body 1"}]}, "needs a channel at the table"),
+    ],
+)
+def test_given_a_test_that_cannot_run_when_recorded_then_no_file_is_left(
+    name: str, changes: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(SceneError, match=message):
+        daq.record(rig.load(name).replace(**changes), tmp_path / "new" / "a.mcap")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_given_a_block_of_no_samples_when_recorded_then_it_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match="block: got 0"):
+        daq.record(hit(), tmp_path / "a.mcap", block=0)
+
+
+def test_given_an_abort_limit_when_it_is_exceeded_then_the_recording_ends_there_closed_and_marked(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "a.mcap"
+    with pytest.raises(
+        RunError, match=r"channel b1 read .* beyond its abort limit of 20 m/s\^2; .* holds the"
+    ):
+        daq.record(limited(abort="20 m/s^2"), path)
+    with daq.open(path) as rec:
+        # The hit comes after a quarter of a second; what runs is let finish its tenth of a second.
+        assert 0.25 * rec.rate < rec.samples < 0.45 * rec.rate
+        assert np.abs(rec.read("b1")).max() > 20.0
+        abort = rec.markers[-1]
+        assert abort.kind == "abort"
+        assert "abort limit" in abort.fields["reason"]
+        # The marker is at the sample that broke the limit, as an alarm's is.
+        beyond = np.flatnonzero(np.abs(rec.read("b1")) > 20.0)
+        assert (abort.first_sample, abort.last_sample) == (beyond[0], beyond[0])
+
+
+def test_given_an_abort_limit_when_the_shaker_runs_then_it_is_taken_down_without_a_jump(
+    tmp_path: Path,
+) -> None:
+    channels = [
+        {"name": "b1", "at": "body 1", "abort": "5 m/s^2"},
+        {"name": "t", "at": "table"},
+    ]
+    scene = rig.load("bare-structure").replace(
+        test={"kind": "stepped_sine", "frequencies": [13.0], "force": "2.6 N"}, channels=channels
+    )
+    with pytest.raises(RunError, match="aborted"):
+        daq.record(scene, tmp_path / "a.mcap")
+    with daq.open(tmp_path / "a.mcap") as rec:
+        table = rec.read("t")
+        abort = rec.markers[-1]
+        assert abort.first_sample == np.flatnonzero(np.abs(rec.read("b1")) > 5.0)[0]
+        # A table that stopped at once would give hundreds of m/s^2.
+        assert np.abs(table[-512:]).max() < 20.0
+
+
+def test_given_an_abort_when_recorded_with_another_block_size_then_the_bytes_are_the_same(
+    tmp_path: Path,
+) -> None:
+    files = []
+    for block in (None, 61):
+        with pytest.raises(RunError):
+            daq.record(limited(abort="20 m/s^2"), tmp_path / "a.mcap", block=block, overwrite=True)
+        files.append((tmp_path / "a.mcap").read_bytes())
+    assert files[0] == files[1]
+
+
+def test_given_an_alarm_limit_when_it_is_exceeded_then_the_stretch_is_marked_and_the_test_goes_on(
+    tmp_path: Path,
+) -> None:
+    path = daq.record(limited(alarm="20 m/s^2"), tmp_path / "a.mcap")
+    with daq.open(path) as rec:
+        alarms = [mark for mark in rec.markers if mark.kind == "alarm"]
+        beyond = np.flatnonzero(np.abs(rec.read("b1")) > 20.0)
+        assert len(alarms) == 1
+        assert (alarms[0].first_sample, alarms[0].last_sample) == (beyond[0], beyond[-1])
+        assert alarms[0].fields["channel"] == "b1"
+
+
+def test_given_an_overload_when_recorded_then_its_stretch_is_marked(tmp_path: Path) -> None:
+    scene = limited().replace(converter={"rate": "5120 Hz", "bits": 16, "range": "10 V"})
+    path = daq.record(scene, tmp_path / "a.mcap")
+    with daq.open(path) as rec:
+        marks = [mark for mark in rec.markers if mark.kind == "overload"]
+        full = np.flatnonzero(np.abs(rec.read("b1")) >= 10.0 - 20.0 / 2**16)
+        assert marks[0].first_sample == full[0]
+        assert marks[-1].last_sample == full[-1]
+
+
+def test_given_blocks_that_are_lost_when_recorded_then_the_gap_stands_where_it_was(tmp_path: Path) -> None:
+    lost = [{"at": "0.1 s", "samples": 300}, {"at": "0.7 s", "samples": 10_000}]
+    converter = {"rate": "5120 Hz", "bits": 24, "range": "5 V"}
+    whole = daq.record(hit(converter=converter), tmp_path / "whole.mcap")
+    files = [
+        daq.record(
+            hit(converter=converter | {"dropped_blocks": lost}), tmp_path / f"{block}.mcap", block=block
+        )
+        for block in (None, 100)
+    ]
+    assert files[0].read_bytes() == files[1].read_bytes()
+    with daq.open(whole) as expected, daq.open(files[0]) as rec:
+        readings = rec.read("body2")
+        assert np.all(np.isnan(readings[512:812]))
+        kept = np.r_[0:512, 812:3584]
+        np.testing.assert_array_equal(readings[kept], expected.read("body2")[kept])
+        assert (rec.gaps[0].first_sample, rec.gaps[0].last_sample) == (512, 811)
+        assert rec.gaps[1].first_sample == 3584
+
+
+def test_given_a_filter_whose_delay_is_removed_when_recorded_then_times_are_right_to_the_end(
+    tmp_path: Path,
+) -> None:
+    plain = {"rate": "5120 Hz"}
+    channels = [{"name": "b1", "at": "body 1", "integrator": {"order": 2}}]
+    shape = {"test": {**HIT, "width": "8 ms"}, "channels": channels}
+    scenes = [
+        rig.load("fig10b-no-damper").replace(**shape, converter=plain | more)
+        for more in ({}, {"filter": "delta_sigma", "remove_delay": True})
+    ]
+    paths = [daq.record(scene, tmp_path / f"{number}.mcap") for number, scene in enumerate(scenes)]
+    with daq.open(paths[0]) as direct, daq.open(paths[1]) as filtered:
+        assert direct.samples == filtered.samples
+        one, two = direct.read("b1"), filtered.read("b1")
+        assert np.abs(one - two).max() < 1e-3 * np.abs(one).max()
+
+
+def interrupt_after(calls: int) -> Any:
+    """A progress callback that presses Ctrl-C."""
+    count = iter(range(calls))
+
+    def progress(fraction: float, message: str) -> None:
+        if next(count, None) is None:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    return progress
+
+
+def test_given_ctrl_c_when_recording_then_the_recording_is_readable_and_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with pytest.raises(KeyboardInterrupt, match=r"a\.mcap holds the \d\.\d\d s up to there"):
+        daq.record(hit(), path, progress=interrupt_after(2))
+    with daq.open(path) as rec:
+        assert 0.3 * rec.rate < rec.samples < 0.75 * rec.rate
+        assert [mark.kind for mark in rec.markers][-1] == "abort"
+        assert rec.markers[-1].fields["reason"] == "interrupted"
+        assert rec.markers[-1].end < rec.samples
+        assert (rec.status, rec.metadata["outcome"]["reason"]) == ("interrupted", "interrupted")
+        assert np.isfinite(rec.read("body1")).all()
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_given_a_folder_that_may_not_be_made_when_the_command_records_then_one_line_says_so(
+    scene_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refuse(*ignored: Any, **ignored_too: Any) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.chdir(scene_file.parent)
+    monkeypatch.setattr(Path, "mkdir", refuse)
+    assert run_command(monkeypatch, "record", "hit.yaml") == 2
+    *_, said = capsys.readouterr().err.splitlines()
+    folder = scene_file.parent / "recordings"
+    assert said == (
+        f"error: cannot make the folder {folder} for the recording: Permission denied; choose a place that can be "
+        "written to (-o FILE.mcap)"
+    )
+
+
+def test_given_a_file_in_place_of_the_folder_when_recorded_then_it_is_said(tmp_path: Path) -> None:
+    (tmp_path / "new").write_text("a file")
+    with pytest.raises(RecordingError, match=r"cannot make the folder .*new"):
+        daq.record(hit(), tmp_path / "new" / "a.mcap")
+
+
+def test_given_a_folder_that_takes_no_files_when_recorded_then_it_is_not_said_to_be_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # What /proc answers.
+    def refuse(*ignored: Any, **ignored_too: Any) -> None:
+        raise FileNotFoundError(2, "No such file or directory")
+
+    scene = hit()
+    monkeypatch.setattr(Path, "open", refuse)
+    with pytest.raises(RecordingError, match=f"the folder {tmp_path} takes no new files; choose another one"):
+        daq.record(scene, tmp_path / "a.mcap")
+
+
+def test_given_a_disk_that_fills_up_when_recording_then_that_is_what_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usage = shutil.disk_usage(tmp_path)
+    free = iter([usage.free])
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=next(free, 1 << 20)))
+    with pytest.raises(RunError, match=r"disk is full.*a\.mcap holds the"):
+        daq.record(hit().replace(test={**HIT, "interval": "2 s"}), tmp_path / "a.mcap")
+    with daq.open(tmp_path / "a.mcap") as rec:
+        assert rec.status == "failed"
+        assert "disk is full" in rec.metadata["outcome"]["reason"]
+
+
+def run_command(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    """Exit code of the daq command."""
+    monkeypatch.setattr(sys, "argv", ["daq", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    return int(ended.value.code or 0)
+
+
+@pytest.fixture
+def scene_file(tmp_path: Path) -> Path:
+    path = tmp_path / "hit.yaml"
+    path.write_text(hit().to_yaml())
+    return path
+
+
+def test_given_a_scene_file_when_the_command_records_then_it_tells_what_it_wrote_and_what_is_next(
+    scene_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(scene_file.parent)
+    assert run_command(monkeypatch, "record", "hit.yaml") == 0
+    out = capsys.readouterr().out
+    assert out.startswith("recordings/hit.mcap: 3840 samples of 4 channels, 0.75 s at 5120 Hz, ")
+    assert "overloads: " in out
+    assert "next: analysis decay recordings/hit.mcap   or: daq replay recordings/hit.mcap" in out
+    assert run_command(monkeypatch, "record", "hit.yaml") == 2
+    assert "overwrite" in capsys.readouterr().err
+    assert run_command(monkeypatch, "record", "hit.yaml", "--overwrite", "--block", "100") == 0
+
+
+@pytest.mark.parametrize("command", ["record", "scope"])
+def test_given_a_name_that_no_file_can_have_when_a_command_is_to_record_then_one_line_says_so(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name = tmp_path / f"{'a' * 300}.mcap"
+    assert run_command(monkeypatch, command, "fig8-no-damper", "-o", str(name)) == 2
+    (said,) = capsys.readouterr().err.splitlines()
+    assert said.startswith(f"error: cannot make {name}: ") and said.endswith("with -o FILE.mcap")
+
+
+@pytest.mark.parametrize("scene", ["no-such-scene", "missing.yaml"])
+def test_given_no_such_scene_when_the_command_records_then_it_ends_with_2_and_leaves_nothing(
+    scene: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run_command(monkeypatch, "record", scene) == 2
+    assert "error: " in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_given_an_abort_when_the_command_records_then_it_ends_with_1_and_names_the_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "a.yaml").write_text(limited(abort="20 m/s^2").to_yaml())
+    assert run_command(monkeypatch, "record", str(tmp_path / "a.yaml"), "-o", str(tmp_path / "a.mcap")) == 1
+    assert "a.mcap holds the" in capsys.readouterr().err
+
+
+def test_given_ctrl_c_when_the_command_records_then_it_ends_with_130_and_tells_what_there_is(
+    scene_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from contextlib import contextmanager
+
+    import daq.measurement.run_report
+
+    @contextmanager
+    def pressing(title: str) -> Any:
+        yield interrupt_after(2)
+
+    monkeypatch.setattr(daq.run_report, "progress_bar", pressing)
+    output = scene_file.with_suffix(".mcap")
+    assert run_command(monkeypatch, "record", str(scene_file), "-o", str(output)) == 130
+    told = capsys.readouterr()
+    assert "interrupted" in told.err
+    assert f"{output}: " in told.out and "aborted: interrupted" in told.out
+
+
+def test_given_steps_that_do_not_settle_when_the_command_records_then_it_warns_and_counts_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = rig.load("bare-structure").replace(
+        test={"kind": "stepped_sine", "frequencies": [13.0], "force": "2.6 N", "settle": {"longest": "2 s"}}
+    )
+    (tmp_path / "a.yaml").write_text(scene.to_yaml())
+    assert run_command(monkeypatch, "record", str(tmp_path / "a.yaml"), "-o", str(tmp_path / "a.mcap")) == 0
+    told = capsys.readouterr()
+    assert "warning: 1 of 1 steps found no steady state" in told.err
+    assert "not settled: 1 of 1 measurements" in told.out
+
+
+@pytest.mark.parametrize("size", [1, 3, 50])
+def test_given_flags_in_any_blocks_when_joined_to_stretches_then_they_are_the_same(size: int) -> None:
+    info = [ChannelInfo(name, "body 1", "acceleration", sensitivity=1.0, rate=10.0) for name in ("a", "b")]
+    flags = np.zeros((2, 50), dtype=bool)
+    flags[0, [3, 5, 9, 20, 21]] = True
+    flags[1, 48] = True
+    noted: list[tuple[Any, ...]] = []
+    stretches = Stretches("overload", info, lambda *args, **fields: noted.append((*args, fields["channel"])))
+    for start in range(0, 50, size):
+        stretches.add(start, flags[:, start : start + size])
+    stretches.close()
+    expected = [("overload", 3, 10, "a"), ("overload", 20, 22, "a"), ("overload", 48, 49, "b")]
+    assert sorted(noted, key=lambda note: note[1]) == expected

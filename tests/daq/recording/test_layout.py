@@ -1,0 +1,151 @@
+import json
+import struct
+
+import numpy as np
+import pytest
+from google.protobuf import descriptor_pb2
+from hypothesis import given
+from hypothesis import strategies as st
+
+from daq.recording.display import FLOAT_SCHEMA, encode_floats, encode_text
+from daq.recording.layout import block_length, flush_length
+from daq.recording.markers import EVENT_SCHEMA, MARKER_SCHEMA, Marker, event_from_json, event_to_json
+from daq.recording.protobuf import message_class
+from daq.recording.robot_description import TRANSFORMS_SCHEMA
+from daq.recording.sample_block import SAMPLE_TYPE, SCHEMAS, block_schema, decode, encode
+from daq.recording.timebase import Clock
+from rig.errors import RecordingError
+
+
+@pytest.mark.parametrize("rate", [1.0, 256.0, 5120.0, 51200.0 / 7, 51200.0, 1e6])
+def test_given_any_rate_when_blocks_are_sized_then_they_last_about_a_tenth_of_a_second(rate):
+    block, flush = block_length(rate), flush_length(rate)
+    assert block == 256 or 0.07 < block / rate < 0.15
+    assert flush % block == 0
+    assert flush == block or 0.4 < flush / rate < 0.6
+
+
+@given(sample=st.integers(0, 2**50), rate=st.sampled_from([5120.0, 51200.0 / 31, 51200.0, 44100.0]))
+def test_given_any_sample_when_its_time_is_taken_then_the_nearest_sample_at_that_time_is_itself(sample, rate):
+    clock = Clock(rate, start_ns=1_700_000_000_000_000_000)
+    time = clock.time_ns(sample)
+    if time < 2**64:
+        assert clock.times_ns([sample, 0]).tolist() == [time, clock.start_ns]
+    assert abs((time - clock.start_ns) * rate - sample * 1e9) <= 0.51 * rate + sample * 1e9 * 1e-15
+    if time < 2**64 and sample < 2**42:
+        assert clock.samples_at(np.array([time], np.uint64))[0] == sample
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, float("nan"), float("inf")])
+def test_given_an_impossible_rate_when_a_clock_is_made_then_it_says_so(rate):
+    with pytest.raises(RecordingError, match="positive"):
+        Clock(rate)
+
+
+@pytest.mark.parametrize("schema", SAMPLE_TYPE)
+@given(first=st.integers(0, 2**63 - 1), count=st.integers(0, 3000))
+def test_given_a_block_when_protobuf_reads_it_then_it_is_the_same_and_so_the_other_way(schema, first, count):
+    samples = (np.arange(count) * 7 - 3).astype(SAMPLE_TYPE[schema])
+    clock = Clock(5120.0)
+    message = message_class(block_schema(schema).data, schema)()
+    if clock.time_ns(first) < 2**63:
+        data = encode(clock, first, samples)
+        message.ParseFromString(data)
+        assert (message.t0_ns, message.first_sample) == (clock.time_ns(first), first)
+        assert message.sample_rate_hz == 5120.0
+        assert np.array_equal(message.samples, samples)
+        block = decode(memoryview(data), schema)
+        assert (block.t0_ns, block.first_sample, block.rate) == (clock.time_ns(first), first, 5120.0)
+        assert np.array_equal(block.samples, samples)
+
+
+@pytest.mark.parametrize("schema", SAMPLE_TYPE)
+def test_given_a_block_of_another_writer_with_zeros_left_out_when_decoded_then_it_is_whole(schema):
+    message = message_class(block_schema(schema).data, schema)(sample_rate_hz=100.0, samples=[1, 2, 3])
+    block = decode(memoryview(message.SerializeToString()), schema)
+    assert (block.t0_ns, block.first_sample, block.rate, block.stop) == (0, 0, 100.0, 3)
+    assert block.samples.tolist() == [1, 2, 3]
+
+
+@given(data=st.binary(max_size=80))
+def test_given_random_bytes_when_decoded_as_a_block_then_there_is_a_block_or_a_clear_error(data):
+    try:
+        decode(memoryview(data), "shotrig.BlockFloat64")
+    except RecordingError as error:
+        assert "shotrig.BlockFloat64" in str(error)
+
+
+def test_given_a_block_cut_within_a_sample_when_decoded_then_the_error_says_so():
+    data = encode(Clock(5120.0), 0, np.arange(4.0))
+    cut = data[:25] + bytes([7]) + data[26:34]
+    with pytest.raises(RecordingError, match="no"):
+        decode(memoryview(cut + b"xx"), "shotrig.BlockFloat64")
+
+
+@pytest.mark.parametrize(
+    "schema", [*(block_schema(name) for name, _, _ in SCHEMAS.values()), TRANSFORMS_SCHEMA]
+)
+def test_given_a_protobuf_schema_when_read_back_then_it_describes_its_message_and_all_it_imports(schema):
+    files = descriptor_pb2.FileDescriptorSet.FromString(schema.data).file
+    names = {file.name for file in files}
+    assert all(set(file.dependency) <= names for file in files)
+    assert schema.name in {
+        f"{file.package}.{message.name}" for file in files for message in file.message_type
+    }
+    # One plotting program takes a field of this name for its time axis, and reads it as a double.
+    assert all(
+        f.name != "timestamp"
+        for file in files
+        for m in file.message_type
+        if "Block" in m.name
+        for f in m.field
+    )
+
+
+def test_given_a_number_when_encoded_as_cdr_then_it_lies_where_ros_readers_look():
+    data = encode_floats(np.array([[0.0, 1.0], [-2.5, 3.0]]))[1, 0].tobytes()
+    assert data[:4] == b"\x00\x01\x00\x00"
+    assert struct.unpack_from("<III", data, 4) == (0, 0, 1)
+    # Eight-byte numbers are aligned relative to the end of the four-byte header.
+    assert struct.unpack_from("<d", data, 4 + 16) == (-2.5,)
+    assert FLOAT_SCHEMA.data.count(b"MSG: ") == 2
+
+
+def test_given_a_text_when_encoded_as_cdr_then_its_length_counts_the_closing_zero():
+    assert encode_text("ü")[4:] == struct.pack("<I", 3) + "ü".encode() + b"\0"
+
+
+def test_given_a_marker_with_numpy_fields_when_taken_through_json_then_it_is_the_same():
+    marker = Marker("measure", 5, 9, {"force": np.float64(2.6), "levels": np.array([1.0, 2.0])})
+    back = Marker.from_json(memoryview(marker.to_json()))
+    assert (back.kind, back.first_sample, back.last_sample, back.end) == ("measure", 5, 9, 9)
+    assert back.fields == {"force": 2.6, "levels": [1.0, 2.0]}
+
+
+def test_given_a_field_that_json_cannot_hold_when_marked_then_it_is_refused():
+    with pytest.raises(ValueError, match="JSON"):
+        Marker("hit", 0, fields={"peak": float("nan")}).to_json()
+    with pytest.raises(TypeError, match="marker"):
+        Marker("hit", 0, fields={"peak": object()}).to_json()
+
+
+@pytest.mark.parametrize(
+    "data",
+    [b"", b"[]", b"{}", b"nonsense", b'{"kind":"a","first_sample":-1}', b'{"kind":"a","first_sample":true}',
+     b'{"kind":"a","first_sample":5,"last_sample":4}', b"[" * 100_000, b'{"kind":1,"first_sample":0}'],
+)  # fmt: skip
+def test_given_what_is_no_marker_when_read_then_the_error_says_so(data):
+    with pytest.raises(RecordingError, match="/markers"):
+        Marker.from_json(memoryview(data))
+
+
+def test_given_an_event_when_taken_through_json_then_its_time_is_exact():
+    time = 0.1 + 0.2
+    assert event_from_json(memoryview(event_to_json(time, 2, "floor", 1e-17))) == (time, 2, "floor", 1e-17)
+    with pytest.raises(RecordingError, match="/truth/events"):
+        event_from_json(memoryview(b'{"time":"x"}'))
+
+
+def test_given_the_json_schemas_when_read_then_they_name_what_messages_must_have():
+    assert json.loads(MARKER_SCHEMA.data)["required"] == ["kind", "first_sample", "last_sample"]
+    assert json.loads(EVENT_SCHEMA.data)["required"] == ["time", "damper", "kind", "speed"]

@@ -1,0 +1,266 @@
+import json
+import os
+import resource
+import shutil
+import signal
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+
+import daq
+from daq.recording.interrupts import held_back
+from daq.recording.recorder import Recorder
+from daq.signal_chain.channel import ChannelInfo
+from rig.errors import RecordingError, RunError
+from tests.daq.recording.recordings import (
+    ALL,
+    BITS,
+    DAMPERS,
+    GROUP,
+    RATE,
+    channels,
+    messages,
+    motion,
+    scene,
+    write,
+)
+from tests.daq.recording.recordings import signal as noise
+
+
+def summary_of(path):
+    with path.open("rb") as stream:
+        return make_reader(stream).get_summary()
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    path = tmp_path_factory.mktemp("whole") / "whole.mcap"
+    return write(path, noise(4000), scene(recording=ALL, **DAMPERS)).read_bytes()
+
+
+@settings(max_examples=12)
+@given(pieces=st.lists(st.integers(1, 3000), min_size=1, max_size=5))
+def test_given_any_split_into_writes_when_recorded_then_the_bytes_are_the_same(
+    whole, tmp_path_factory, pieces
+):
+    path = tmp_path_factory.mktemp("split") / "split.mcap"
+    write(path, noise(4000), scene(recording=ALL, **DAMPERS), pieces=pieces)
+    assert path.read_bytes() == whole
+
+
+def test_given_marks_and_gaps_between_writes_when_split_otherwise_then_the_bytes_are_the_same(tmp_path):
+    samples = noise(3 * GROUP)
+    for name, step in (("a", 3 * GROUP), ("b", 64)):
+        with Recorder(tmp_path / name, scene(recording={"display": True}), channels(), RATE) as recorder:
+            for window in (slice(0, 1500), slice(1500, 3 * GROUP)):
+                part = samples[:, window]
+                for place in range(0, part.shape[1], step):
+                    recorder.write(part[:, place : place + step])
+                recorder.mark("measure", recorder.position - 900, recorder.position - 1)
+                recorder.mark("settle", recorder.position - 1000, recorder.position - 901)
+                recorder.gap(777)
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_given_a_recording_when_the_reference_reader_reads_it_then_times_and_numbers_follow_the_layout(
+    tmp_path,
+):
+    path = write(tmp_path / "a.mcap", noise(1500))
+    found = messages(path, "/raw/body1")
+    step = [round(256 * n * 1e9 / RATE) for n in range(6)]
+    assert [message.publish_time for message in found] == step
+    assert [message.log_time for message in found] == [*step[1:], round(1500 * 1e9 / RATE)]
+    assert [message.sequence for message in found] == list(range(6))
+    summary = summary_of(path)
+    assert {channel.topic for channel in summary.channels.values()} == {
+        "/markers",
+        "/raw/body1",
+        "/raw/body2",
+    }
+    assert summary.statistics.attachment_count == 1
+
+
+def test_given_raw_topics_when_chunked_then_no_chunk_holds_two_of_them(tmp_path):
+    path = write(tmp_path / "a.mcap", noise(4000), scene(recording=ALL))
+    summary = summary_of(path)
+    raw = {number for number, channel in summary.channels.items() if channel.topic.startswith("/raw/")}
+    for chunk in summary.chunk_indexes:
+        held = set(chunk.message_index_offsets)
+        assert len(held) == 1 or not held & raw
+
+
+def test_given_no_display_wanted_when_recorded_then_nothing_of_it_is_in_the_file(tmp_path):
+    path = write(tmp_path / "a.mcap", noise(3000))
+    topics = {channel.topic for channel in summary_of(path).channels.values()}
+    assert not [topic for topic in topics if topic.startswith(("/display", "/tf", "/robot", "/truth"))]
+    with daq.open(path) as recording:
+        assert "display" not in recording.metadata
+
+
+# -- what can go wrong -----------------------------------------------------------------------------------
+
+
+def test_given_an_existing_file_when_recorded_then_it_is_left_as_it_is_unless_asked(tmp_path):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(b"precious")
+    with pytest.raises(RecordingError, match=r"a\.mcap exists"):
+        Recorder(path, scene(), channels(), RATE)
+    assert path.read_bytes() == b"precious"
+    with Recorder(path, scene(), channels(), RATE, overwrite=True) as recorder:
+        recorder.write(noise(10))
+    with daq.open(path) as recording:
+        assert recording.samples == 10
+
+
+def test_given_no_folder_when_recorded_then_the_error_names_it(tmp_path):
+    with pytest.raises(RecordingError, match=r"no folder .*missing"):
+        Recorder(tmp_path / "missing" / "a.mcap", scene(), channels(), RATE)
+
+
+def test_given_a_file_as_folder_when_recorded_then_the_error_is_clear(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(RecordingError, match=r"cannot make .*directory"):
+        Recorder(tmp_path / "file" / "a.mcap", scene(), channels(), RATE)
+
+
+def test_given_a_folder_that_may_not_be_written_when_recorded_then_the_error_is_clear(tmp_path):
+    tmp_path.chmod(0o500)
+    mighty = os.geteuid() == 0
+    if mighty:
+        os.seteuid(65534)
+    try:
+        with pytest.raises(RecordingError, match=r"cannot make .*ermission denied"):
+            Recorder(tmp_path / "a.mcap", scene(), channels(), RATE)
+    finally:
+        if mighty:
+            os.seteuid(0)
+        tmp_path.chmod(0o700)
+
+
+@contextmanager
+def file_size_limit(size):
+    """The kernel refuses to let any file grow beyond this, as a full disk does."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_given_a_disk_that_refuses_when_recorded_then_all_that_was_flushed_can_be_recovered(tmp_path):
+    samples, path = noise(20 * GROUP), tmp_path / "a.mcap"
+    with pytest.raises(RunError, match="daq recover"), Recorder(path, scene(), channels(), RATE) as recorder:
+        for group in range(20):
+            if group == 7:
+                limit = path.stat().st_size + 1000
+            with file_size_limit(limit if group >= 7 else resource.RLIM_INFINITY):
+                recorder.write(samples[:, group * GROUP : (group + 1) * GROUP])
+    assert path.stat().st_size == limit - 1000
+    with pytest.raises(RecordingError, match="daq recover"):
+        daq.open(path)
+    daq.recover(path, tmp_path / "fixed.mcap")
+    with daq.open(tmp_path / "fixed.mcap") as recording:
+        assert recording.samples == 7 * GROUP
+        assert recording.read("body1") == pytest.approx(samples[0, : 7 * GROUP] / 500.0, rel=1e-15)
+
+
+def test_given_a_disk_that_fills_up_when_recorded_then_the_recording_is_ended_in_time(tmp_path, monkeypatch):
+    samples, path = noise(5 * GROUP), tmp_path / "a.mcap"
+    usage = shutil.disk_usage(tmp_path)
+    said = pytest.raises(RunError, match=r"disk is full.*first 1\.50 s")
+    with said, Recorder(path, scene(recording={"display": True}), channels(), RATE) as recorder:
+        recorder.write(samples[:, : 3 * GROUP])
+        monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=1 << 20))
+        recorder.write(samples[:, 3 * GROUP :])
+    with daq.open(path) as recording:
+        assert recording.samples == 3 * GROUP
+        assert recording.status == "failed"
+        assert "disk is full" in recording.metadata["outcome"]["reason"]
+        recording.check()
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [(KeyboardInterrupt("stopped by hand"), "interrupted"), (RuntimeError("odd"), "failed")],
+)
+def test_given_an_exception_when_recording_then_the_file_is_whole_and_says_why(tmp_path, error, status):
+    with pytest.raises(type(error)), Recorder(tmp_path / "a.mcap", scene(), channels(), RATE) as recorder:
+        recorder.write(noise(1000))
+        raise error
+    with daq.open(tmp_path / "a.mcap") as recording:
+        assert recording.samples == 1000
+        assert (recording.status, recording.metadata["outcome"]["reason"]) == (status, str(error))
+
+
+def test_given_a_scene_that_cannot_be_written_when_recorded_then_no_file_is_left(tmp_path):
+    class Unwritable:
+        recording = scene().recording
+        converter = scene().converter
+
+        def __getattr__(self, name):
+            raise RuntimeError(name)
+
+    with pytest.raises(RuntimeError):
+        Recorder(tmp_path / "a.mcap", Unwritable(), channels(), RATE)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_given_ctrl_c_while_a_group_is_written_when_held_back_then_it_comes_right_after():
+    reached = []
+    with pytest.raises(KeyboardInterrupt), held_back():
+        signal.raise_signal(signal.SIGINT)
+        reached.append("end")
+    assert reached == ["end"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_given_wrong_calls_when_recording_then_they_are_refused(tmp_path):
+    recorder = Recorder(tmp_path / "a.mcap", scene(), channels(), RATE)
+    with pytest.raises(ValueError, match=r"\(2, n\)"):
+        recorder.write(np.zeros((3, 10)))
+    with pytest.raises(ValueError, match="truth"):
+        recorder.write_truth(motion(0, 10))
+    with pytest.raises(ValueError, match="at least 1"):
+        recorder.gap(0)
+    recorder.close()
+    recorder.close()
+    with pytest.raises(RunError, match="has ended"):
+        recorder.write(noise(10))
+
+
+def test_given_truth_that_never_comes_when_recording_then_it_is_missed(tmp_path):
+    of = scene(recording={"truth": True})
+    with (
+        pytest.raises(RunError, match="truth"),
+        Recorder(tmp_path / "a.mcap", of, channels(), RATE) as recorder,
+    ):
+        for _ in range(40):
+            recorder.write(noise(GROUP))
+
+
+def test_given_truth_out_of_order_when_recording_then_it_is_refused(tmp_path):
+    with Recorder(tmp_path / "a.mcap", scene(recording={"truth": True}), channels(), RATE) as recorder:
+        recorder.write_truth(motion(0, 100))
+        with pytest.raises(ValueError, match="from sample 100 on"):
+            recorder.write_truth(motion(50, 100))
+
+
+def test_given_volts_where_counts_are_wanted_when_recorded_then_the_error_says_what_to_do(tmp_path):
+    with pytest.raises(RunError, match="bits"):
+        write(tmp_path / "a.mcap", noise(10), scene(recording={"samples": "counts"}, **BITS))
+
+
+def test_given_a_converter_with_bits_when_recorded_then_daq_and_sensors_are_described(tmp_path):
+    info = [ChannelInfo("a", "body 1", "force", 2.0, RATE, volts_per_count=0.5, sensor={"model": "X"})]
+    with Recorder(tmp_path / "a.mcap", scene(**BITS), info, RATE) as recorder:
+        recorder.write(np.array([[1, 2, -3]], np.int32))
+    with daq.open(tmp_path / "a.mcap") as recording:
+        assert recording.read("a").tolist() == [0.25, 0.5, -0.75]
+        assert recording.metadata["sensor a"]["sensor.model"] == "X"
+        assert json.loads(recording.metadata["daq"]["converter.bits"]) == 24
+        assert recording.channels == {"a": info[0]}

@@ -1,0 +1,311 @@
+import random
+import signal as signals
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from typer.testing import CliRunner
+
+import daq
+from daq.cli import app
+from daq.recording.recorder import Recorder
+from rig.errors import RecordingError, ShotrigError
+from tests.daq.recording.recordings import DAMPERS, GROUP, RATE, channels, motion, scene, signal, write
+
+SAMPLES = 4 * GROUP + 300
+TRUE = signal(SAMPLES) * np.array([[1 / 500.0], [1 / 0.01]])
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    path = tmp_path_factory.mktemp("whole") / "a.mcap"
+    return write(path, signal(SAMPLES), scene(recording={"display": True}))
+
+
+def chunks_of(path):
+    """(begin, end, {topic}) of each chunk with samples in it, from the reference reader."""
+    with path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    return [
+        (
+            c.chunk_start_offset,
+            c.chunk_start_offset + c.chunk_length,
+            {summary.channels[n].topic for n in c.message_index_offsets},
+        )
+        for c in summary.chunk_indexes
+    ]
+
+
+def kept(path, true=TRUE):
+    """Samples of both channels; NaN is lost, and everything else must be the truth in its place."""
+    with daq.open(path) as recording:
+        recording.check()
+        samples = np.full(true.shape, np.nan)
+        for row, name in enumerate(recording.channels):
+            samples[row, : recording.samples] = recording.read(name)
+        listed = np.zeros(true.shape, bool)
+        for gap in recording.gaps:
+            for row, name in enumerate(recording.channels):
+                listed[row, gap.first_sample : gap.last_sample + 1] |= name in gap.channels
+        there = ~np.isnan(samples)
+        assert np.array_equal(samples[there], true[there])
+        # What is missing before the end is listed, and nothing else is.
+        assert np.array_equal(listed[:, : recording.samples], ~there[:, : recording.samples])
+    return there
+
+
+def expected_of(chunks, broken):
+    """Which samples must be there when some chunks are broken."""
+    there = np.zeros(TRUE.shape, bool)
+    seen = {"/raw/body1": 0, "/raw/body2": 0}
+    for begin, end, topics in chunks:
+        for row, topic in enumerate(seen):
+            if topic in topics:
+                first = seen[topic] * GROUP
+                there[row, first : first + GROUP] = not broken(begin, end)
+                seen[topic] += 1
+    return there
+
+
+def test_given_100_random_truncations_when_recovered_then_every_whole_chunk_is_there_in_its_place(
+    whole, tmp_path
+):
+    data, chunks, rng = whole.read_bytes(), chunks_of(whole), random.Random(5)
+    torn, fixed = tmp_path / "torn.mcap", tmp_path / "fixed.mcap"
+    first = min(begin for begin, _, topics in chunks if "/raw/body1" in topics)
+    # Behind its last record before the summary a file has nothing to lose.
+    ends = data.rindex(b"crc32") + len("crc32") + 4 + 8
+    refused = 0
+    for _ in range(100):
+        cut = rng.randrange(len(data))
+        torn.write_bytes(data[:cut])
+        expected = expected_of(chunks, lambda begin, end, cut=cut: end > cut)
+        if not expected.any():
+            with pytest.raises(RecordingError, match="nothing can be recovered"):
+                daq.recover(torn, fixed)
+            assert not fixed.exists()
+            refused += 1
+            continue
+        salvage = daq.recover(torn, fixed, overwrite=True)
+        assert np.array_equal(kept(fixed), expected)
+        assert salvage.whole == (cut > ends)
+        assert sum(salvage.kept.values()) == expected.sum()
+        fixed.unlink()
+    assert refused < 100 * (first + 20_000) / len(data)
+
+
+def test_given_100_random_bit_flips_when_recovered_then_at_most_the_damaged_chunk_is_lost(whole, tmp_path):
+    data, chunks, rng = whole.read_bytes(), chunks_of(whole), random.Random(6)
+    flipped, fixed = tmp_path / "flipped.mcap", tmp_path / "fixed.mcap"
+    for _ in range(100):
+        place = rng.randrange(len(data))
+        damaged = bytearray(data)
+        damaged[place] ^= 1 << rng.randrange(8)
+        flipped.write_bytes(damaged)
+        salvage = daq.recover(flipped, fixed, overwrite=True)
+        there = kept(fixed)
+        hit = expected_of(chunks, lambda begin, end, place=place: begin <= place < end)
+        # What the damage did not touch is there; a chunk with a damaged head may be there too.
+        assert there[hit].all()
+        lost = sum(stop - first for spans in salvage.lost.values() for first, stop in spans)
+        assert lost == (~there).sum()
+        if lost:
+            assert any("checksum" in note or "unpack" in note or "record" in note for note in salvage.notes)
+
+
+@pytest.mark.parametrize("length", [1, 40, 5000, 60_000])
+def test_given_overwritten_stretches_when_recovered_then_what_lies_outside_is_there(whole, tmp_path, length):
+    data, chunks, rng = whole.read_bytes(), chunks_of(whole), random.Random(length)
+    for filler in (b"\0" * length, b"\xff" * length, rng.randbytes(length), data[:length]):
+        place = rng.randrange(len(data) - length)
+        damaged = tmp_path / "damaged.mcap"
+        damaged.write_bytes(data[:place] + filler + data[place + length :])
+        daq.recover(damaged, tmp_path / "fixed.mcap", overwrite=True)
+        untouched = expected_of(chunks, lambda begin, end, at=place: begin < at + length and at < end)
+        assert kept(tmp_path / "fixed.mcap")[untouched].all()
+
+
+def test_given_a_stretch_cut_out_when_recovered_then_samples_behind_it_keep_their_places(whole, tmp_path):
+    data, chunks = whole.read_bytes(), chunks_of(whole)
+    raw = [chunk for chunk in chunks if "/raw/body1" in chunk[2]]
+    begin, end = raw[1][0] + 100, raw[2][0] + 100
+    (tmp_path / "cut.mcap").write_bytes(data[:begin] + data[end:])
+    daq.recover(tmp_path / "cut.mcap", tmp_path / "fixed.mcap")
+    there = kept(tmp_path / "fixed.mcap")
+    assert not there[0, GROUP : 2 * GROUP].any()
+    assert there[0, 3 * GROUP :].all()
+
+
+@pytest.mark.parametrize("place", range(9))
+def test_given_a_damaged_length_when_recovered_then_the_chunk_is_still_had(whole, tmp_path, place):
+    chunks = [chunk for chunk in chunks_of(whole) if "/raw/body2" in chunk[2]]
+    damaged = bytearray(whole.read_bytes())
+    damaged[chunks[2][0] + place] ^= 0x41
+    (tmp_path / "a.mcap").write_bytes(damaged)
+    salvage = daq.recover(tmp_path / "a.mcap", tmp_path / "fixed.mcap")
+    assert kept(tmp_path / "fixed.mcap").all()
+    assert salvage.lost == {}
+
+
+def test_given_a_file_with_only_its_end_damaged_when_recovered_then_it_is_complete(whole, tmp_path):
+    (tmp_path / "a.mcap").write_bytes(whole.read_bytes()[:-3])
+    salvage = daq.recover(tmp_path / "a.mcap", tmp_path / "fixed.mcap")
+    assert salvage.whole
+    assert list(salvage.report())[-1] == "nothing was lost"
+    with daq.open(tmp_path / "fixed.mcap") as recording:
+        assert recording.status == "complete"
+        assert [marker.kind for marker in recording.markers] == ["measure"]
+    assert kept(tmp_path / "fixed.mcap").all()
+
+
+def test_given_lost_markers_and_display_when_recovered_then_they_are_counted(whole, tmp_path):
+    data = bytearray(whole.read_bytes())
+    for topic in ("/markers", "/tf"):
+        begin, end, _ = [chunk for chunk in chunks_of(whole) if topic in chunk[2]][-1]
+        data[(begin + end) // 2] ^= 1
+    (tmp_path / "a.mcap").write_bytes(data)
+    salvage = daq.recover(tmp_path / "a.mcap", tmp_path / "fixed.mcap")
+    assert salvage.lost == {}
+    assert salvage.missing["/markers"] == 1
+    assert salvage.missing["/tf"] > 0
+    assert "lost: 1 message of /markers" in list(salvage.report())
+
+
+def test_given_lost_truth_when_recovered_then_it_is_listed_under_its_topic(tmp_path):
+    path = write(tmp_path / "a.mcap", signal(3 * GROUP), scene(recording={"truth": True}, **DAMPERS))
+    begin, end, _ = [chunk for chunk in chunks_of(path) if "/truth/damper_1/gap" in chunk[2]][1]
+    data = bytearray(path.read_bytes())
+    data[(begin + end) // 2] ^= 1
+    path.write_bytes(data)
+    salvage = daq.recover(path, tmp_path / "fixed.mcap")
+    span = (GROUP, 2 * GROUP)
+    assert salvage.lost == {"/truth/damper_1/gap": [span], "/truth/damper_1/contact": [span]}
+    with daq.open(tmp_path / "fixed.mcap") as recording:
+        gap = recording.truth("gap")[0]
+        assert np.isnan(gap[slice(*span)]).all()
+        assert np.array_equal(gap[2 * GROUP :], motion(0, 3 * GROUP, 1).gap[0, 2 * GROUP :])
+        assert recording.gaps[0].channels == ("/truth/damper_1/gap", "/truth/damper_1/contact")
+
+
+def test_given_samples_never_acquired_when_recovered_then_they_are_not_called_lost(tmp_path):
+    with Recorder(tmp_path / "a.mcap", scene(), channels(), RATE) as recorder:
+        recorder.write(signal(2000))
+        recorder.gap(GROUP)
+        recorder.write(signal(2000))
+    data = (tmp_path / "a.mcap").read_bytes()
+    (tmp_path / "b.mcap").write_bytes(data[:-3])
+    assert daq.recover(tmp_path / "b.mcap", tmp_path / "fixed.mcap").lost == {}
+    with daq.open(tmp_path / "fixed.mcap") as recording:
+        assert [(gap.first_sample, gap.reason) for gap in recording.gaps] == [(2000, "never acquired")]
+
+
+# -- killed recorders ------------------------------------------------------------------------------------
+
+WRITER = """
+import os, sys
+from pathlib import Path
+from tests.daq.recording.recordings import GROUP, RATE, channels, scene, signal
+from daq.recording.recorder import Recorder
+samples = signal(400 * GROUP)
+with Recorder(sys.argv[1], scene(), channels(), RATE) as recorder:
+    for place in range(0, samples.shape[1], 100):
+        recorder.write(samples[:, place : place + 100])
+        # Long lines fill the pipe, so that the writer cannot run away to its end before it is killed.
+        os.write(1, f"{recorder.position:100}\\n".encode())
+"""
+
+
+def test_given_killed_recorders_when_recovered_then_all_that_was_flushed_is_there(tmp_path):
+    rng, true = random.Random(3), signal(400 * GROUP) * np.array([[1 / 500.0], [1 / 0.01]])
+    paths = [tmp_path / f"{number}.mcap" for number in range(3)]
+    running = [
+        subprocess.Popen(
+            [sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE, cwd=Path(__file__).parents[3]
+        )
+        for path in paths
+    ]
+    for path, process in zip(paths, running, strict=True):
+        assert process.stdout is not None
+        for _ in range(rng.randrange(30, 600)):
+            line = process.stdout.readline()
+        process.kill()
+        rest = process.communicate()[0].splitlines()
+        assert process.returncode == -signals.SIGKILL
+        written = int([line, *rest][-1] if len(rest) < 2 else rest[-2])
+        fixed = path.with_suffix(".fixed")
+        salvage = daq.recover(path, fixed)
+        there = kept(fixed, true)
+        assert there[:, : written // GROUP * GROUP].all()
+        assert any("has no end" in note for note in salvage.notes)
+
+
+# -- refusals --------------------------------------------------------------------------------------------
+
+
+def test_given_wrong_targets_when_recovered_then_nothing_is_touched(whole, tmp_path):
+    path, other = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    path.write_bytes(whole.read_bytes())
+    other.write_bytes(b"precious")
+    with pytest.raises(RecordingError, match="into itself"):
+        daq.recover(path, path, overwrite=True)
+    with pytest.raises(RecordingError, match="exists"):
+        daq.recover(path, other)
+    assert path.read_bytes() == whole.read_bytes()
+    assert other.read_bytes() == b"precious"
+    with pytest.raises(RecordingError, match="No such file"):
+        daq.recover(tmp_path / "none.mcap", tmp_path / "c.mcap")
+    with pytest.raises(RecordingError, match="no file"):
+        daq.recover(tmp_path, tmp_path / "c.mcap")
+
+
+def test_given_random_bytes_when_recovered_then_the_error_is_clear_and_no_file_is_left(tmp_path):
+    rng = random.Random(2)
+    for size in (0, 1, 9, 1000, 200_000):
+        for head in (b"", b"\x89MCAP0\r\n"):
+            (tmp_path / "a.mcap").write_bytes(head + rng.randbytes(size))
+            with pytest.raises(RecordingError, match="nothing can be recovered"):
+                daq.recover(tmp_path / "a.mcap", tmp_path / "fixed.mcap")
+    assert not (tmp_path / "fixed.mcap").exists()
+
+
+def test_given_chunks_without_checksums_when_recovered_then_nothing_is_believed(tmp_path):
+    with (tmp_path / "a.mcap").open("wb") as stream:
+        writer = Writer(stream, enable_crcs=False)
+        writer.start()
+        number = writer.register_channel("/raw/a", "protobuf", writer.register_schema("x", "protobuf", b""))
+        writer.add_message(number, 0, b"data", 0)
+        writer.finish()
+    with pytest.raises(RecordingError, match="no checksum"):
+        daq.recover(tmp_path / "a.mcap", tmp_path / "fixed.mcap")
+
+
+def test_given_a_flipped_first_chunk_and_no_end_when_recovered_then_it_says_that_nothing_can_be(
+    whole, tmp_path
+):
+    data = bytearray(whole.read_bytes()[:-3])
+    data[400] ^= 1
+    (tmp_path / "a.mcap").write_bytes(data)
+    with pytest.raises(ShotrigError, match="nothing can be recovered"):
+        daq.recover(tmp_path / "a.mcap", tmp_path / "fixed.mcap")
+
+
+# -- command line ----------------------------------------------------------------------------------------
+
+
+def test_given_a_torn_file_when_recovered_by_command_then_losses_are_printed_and_info_agrees(whole, tmp_path):
+    data, run = whole.read_bytes(), CliRunner().invoke
+    (tmp_path / "torn.mcap").write_bytes(data[: len(data) // 2])
+    result = run(app, ["recover", str(tmp_path / "torn.mcap"), "-o", str(tmp_path / "fixed.mcap")])
+    assert result.exit_code == 0
+    assert "never flushed" in result.output
+    shown = run(app, ["info", "--check", str(tmp_path / "fixed.mcap")])
+    assert shown.exit_code == 0
+    assert "recovered from torn.mcap" in shown.output
+    assert "what carries a checksum matches it" in shown.output
+    assert "body 2, acceleration" in shown.output
+    refused = run(app, ["info", str(tmp_path / "torn.mcap")])
+    assert isinstance(refused.exception, RecordingError)

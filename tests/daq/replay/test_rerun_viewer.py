@@ -1,0 +1,160 @@
+"""The viewer is the real one: headless where there is a graphics device, a clear word where there is none."""
+
+from __future__ import annotations
+
+import ctypes.util
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+import daq
+import rig
+from daq.replay.outputs import photograph
+from daq.replay.replay import Replay
+from daq.replay.rerun_viewer import LOOPBACK, free_port, picture, viewer
+from rig.errors import RunError, SceneError
+
+DRIVERS = ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/share/vulkan/icd.d")
+NAMED = "mesa-vulkan-drivers libvulkan1"
+
+
+def has_vulkan():
+    found = [driver for folder in DRIVERS for driver in Path(folder).glob("*.json")]
+    return ctypes.util.find_library("vulkan") is not None and bool(found)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    scene = rig.load("fig9").replace(
+        test={"kind": "sine", "frequency": "49.7 Hz", "drive": "3 V", "duration": "0.5 s"},
+        recording={"truth": True, "display": True},
+    )
+    return daq.record(scene, tmp_path_factory.mktemp("viewer") / "fig9.mcap")
+
+
+def run_daq(*arguments, **environment):
+    command = [sys.executable, "-c", "from daq.cli import main; main()", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, env=clean(environment), timeout=120)
+
+
+def clean(environment):
+    """Give the environment without a display, so that no test opens a window."""
+    import os
+
+    kept = {key: value for key, value in os.environ.items() if key not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    return kept | environment
+
+
+def png_size(png):
+    assert png.startswith(b"\x89PNG")
+    return struct.unpack(">II", png[16:24])
+
+
+def test_given_a_damper_recording_when_photographed_then_every_view_is_drawn(recorded, tmp_path):
+    file = tmp_path / "replay.png"
+    with daq.open(recorded) as recording:
+        replay = Replay(recording)
+        if not has_vulkan():
+            with pytest.raises(RunError, match=NAMED):
+                photograph(replay, file, size=(1200, 800))
+            return
+        photograph(replay, file, size=(1200, 800))
+    assert png_size(file.read_bytes()) == (1200, 800)
+
+
+def test_given_a_recording_as_it_is_when_rerun_opens_it_then_plots_and_rig_are_drawn(recorded):
+    if not has_vulkan():
+        with pytest.raises(RunError, match=NAMED):
+            picture(recorded, 0.3, (1000, 700))
+        return
+    png, views = picture(recorded, 0.3, (1000, 700))
+    assert png_size(png) == (1000, 700)
+    assert [report for view in views for report in view.reports] == []
+    kinds = [view.view_class for view in views]
+    assert kinds.count("3D") == 1
+    assert kinds.count("TimeSeries") >= 4
+
+
+def test_given_no_graphics_device_when_photographed_then_the_packages_to_install_are_named(
+    recorded, tmp_path, monkeypatch
+):
+    for name in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
+        monkeypatch.setenv(name, str(tmp_path / "none.json"))
+    with pytest.raises(RunError, match=NAMED):
+        picture(recorded, None, (400, 300))
+
+
+def test_given_a_viewer_when_it_runs_then_it_listens_on_loopback_only_and_ends_with_its_context():
+    page = free_port()
+    with viewer("--serve-web", "--web-viewer-port", str(page)) as running:
+        for port in (running.port, page):
+            with socket.socket() as other:
+                # An address of this machine that a listener on all interfaces would answer.
+                assert other.connect_ex(("127.0.0.2", port)) != 0
+        with urllib.request.urlopen(f"http://{LOOPBACK}:{page}/", timeout=10) as answer:
+            assert b"<html" in answer.read().lower()
+    assert running.process.returncode is not None
+    with socket.socket() as gone:
+        assert gone.connect_ex((LOOPBACK, running.port)) != 0
+
+
+def test_given_options_the_viewer_refuses_when_started_then_its_own_words_are_passed_on():
+    with pytest.raises(RunError, match="--no-such-option"), viewer("--no-such-option"):
+        pass
+
+
+def test_given_a_browser_session_when_interrupted_then_it_ends_quietly(recorded):
+    command = [sys.executable, "-c", "from daq.cli import main; main()", "replay", str(recorded), "--web"]
+    with subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=clean({"PYTHONUNBUFFERED": "1"}),
+    ) as session:
+        assert session.stdout is not None and session.stderr is not None
+        address = session.stdout.readline().strip()
+        assert address.startswith(f"http://{LOOPBACK}:")
+        with urllib.request.urlopen(address, timeout=10) as answer:
+            assert answer.status == 200
+        session.send_signal(signal.SIGINT)
+        assert session.wait(timeout=30) == 0
+        assert "Traceback" not in session.stderr.read()
+
+
+@pytest.mark.parametrize(
+    ("content", "said"), [(None, "cannot open"), (b"", "is empty"), (bytes(range(256)) * 8, "MCAP")]
+)
+def test_given_no_recording_when_replayed_then_exit_code_2_and_one_line(tmp_path, content, said):
+    file = tmp_path / "what.mcap"
+    if content is not None:
+        file.write_bytes(content)
+    ended = run_daq("replay", file, "--save", tmp_path / "x.rrd")
+    assert ended.returncode == 2
+    assert "error:" in ended.stderr and said in ended.stderr
+    assert "Traceback" not in ended.stderr
+    assert not (tmp_path / "x.rrd").exists()
+
+
+def test_given_no_display_when_replayed_then_the_other_ways_are_named(recorded):
+    ended = run_daq("replay", recorded)
+    assert ended.returncode == 1
+    for way in ("--web", "--screenshot", "--save"):
+        assert way in ended.stderr
+
+
+def test_given_two_ways_at_once_when_replayed_then_one_is_asked_for(recorded, tmp_path):
+    ended = run_daq("replay", recorded, "--web", "--save", tmp_path / "x.rrd")
+    assert ended.returncode == 2
+    assert "choose one" in ended.stderr
+
+
+def test_given_an_instant_outside_when_photographed_then_the_error_says_what_there_is(recorded, tmp_path):
+    with daq.open(recorded) as recording, pytest.raises(SceneError, match=r"outside the replay .*0\.5 s"):
+        photograph(Replay(recording), tmp_path / "x.png", at_s=9.0)

@@ -1,0 +1,216 @@
+"""A bench in an operator's hands: what is turned is what is played, held, shown and recorded."""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from rerun.chunk import RrdReader
+
+import daq
+import daq.replay.outputs
+import rig
+from analysis.responses.frequency_responses import frequency_responses
+from daq.cli import main
+from daq.excitation.manual_tone import Knobs
+from daq.replay.outputs import recording_stream
+from daq.scope.scope import knobs_for, scope
+from rig.errors import RunError, SceneError
+
+# Well damped, so that it settles within seconds.
+SCENE = rig.loads("""
+name: scoped
+structure: {masses: [1 kg, 1 kg], springs: [20 kN/m, 20 kN/m], damping: {modal: 5 %}}
+dampers: [{body: 2, mass: 80 g, clearance: .inf}]
+shaker: {kind: table, body: 1, spring: 5 kN/m}
+""")
+
+
+def run_scope(scene, folder, plan, **options):
+    """Run a scope as fast as it goes and turn its knobs as planned: {seconds: line}."""
+    knobs, told, due = knobs_for(scene, None, 0.0), [], sorted(plan.items())
+    rate = float(scene.converter.rate)
+
+    def keep(position):
+        while due and position >= due[0][0] * rate:
+            knobs.turn(due.pop(0)[1])
+
+    with recording_stream() as stream:
+        stream.save(folder / "scope.rrd")
+        path = scope(scene, folder / "scope.mcap", stream, knobs, told.append, keep, **options)
+        stream.flush()
+    return path, told
+
+
+@pytest.fixture(scope="module")
+def turned(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("scope")
+    plan = {0.3: "f 12", 0.5: "F 1.5", 12.0: "F 3", 18.0: "f 20.5", 25.0: "q"}
+    path, told = run_scope(SCENE, folder, plan)
+    return folder, path, told
+
+
+def test_given_knobs_turned_when_running_then_each_setting_is_reached_held_and_marked(turned):
+    _, path, told = turned
+    k0 = SCENE.shaker.spring
+    with daq.open(path) as recording:
+        held = [mark for mark in recording.markers if mark.kind == "measure" and mark.fields["settled"]]
+        settings = [(mark.fields["frequency"], mark.fields["level"]) for mark in held]
+        assert settings == [(12.0, 1.5), (12.0, 3.0), (20.5, 3.0)]
+        for mark, (frequency, level) in zip(held, settings, strict=True):
+            samples = slice(mark.first_sample, mark.last_sample + 1)
+            volts = [recording.read(name, samples.start, samples.stop) for name in ("table", "body1")]
+            time = np.arange(samples.start, samples.stop) / recording.rate
+            tone = np.exp(-2j * np.pi * frequency * time)
+            whole = int(len(time) * frequency / recording.rate) * recording.rate / frequency
+            kept = slice(0, round(whole))
+            table, body = (2 * np.mean(v[kept] * tone[kept]) for v in volts)
+            force = k0 * (table - body) / (2j * np.pi * frequency) ** 2
+            assert abs(force) == pytest.approx(level, rel=0.03)
+    assert [line.split(" held")[0].split(" Hz")[0] for line in told] == ["12", "12", "20.5"]
+
+
+def test_given_a_run_when_shown_then_curves_and_rig_are_those_of_the_recording(turned):
+    folder, path, _ = turned
+    values, frames, pages = [], 0, []
+    for chunk in RrdReader(folder / "scope.rrd").stream():
+        batch = chunk.to_record_batch()
+        if chunk.entity_path == "/channels/acceleration/body2" and not chunk.is_static:
+            values.append(batch.column("Scalars:scalars").flatten().to_numpy())
+        if chunk.entity_path == "/rig/body_2" and not chunk.is_static:
+            frames += batch.num_rows
+        if chunk.entity_path == "/reading":
+            pages += [text for (text,) in batch.column("TextDocument:text").to_pylist()]
+    with daq.open(path) as recording:
+        read = recording.read("body2")
+        shown = np.concatenate(values)
+        assert shown.size == read.size == recording.samples
+        np.testing.assert_allclose(np.sort(shown), np.sort(read), rtol=0, atol=1e-12)
+        assert frames == pytest.approx(recording.samples / recording.rate * 200, rel=0.05)
+    assert any("20.50 Hz, 3 N: held" in page for page in pages)
+    assert any("silent" in page for page in pages)
+
+
+def interrupt(*ignored):
+    signal.raise_signal(signal.SIGINT)
+
+
+def test_given_a_held_tone_when_interrupted_then_it_is_marked_up_to_the_ramp_and_nothing_else_is_said(
+    tmp_path, monkeypatch
+):
+    unheard = []
+    monkeypatch.setattr(sys, "unraisablehook", unheard.append)
+    scene = SCENE.replace(test={"kind": "sine", "frequency": 12.0, "force": 1.5})
+    knobs = knobs_for(scene, None, 1.5)
+    with recording_stream() as stream, pytest.raises(KeyboardInterrupt, match="holds the"):
+        stream.save(tmp_path / "scope.rrd")
+        scope(scene, tmp_path / "scope.mcap", stream, knobs, interrupt, lambda position: None)
+    gc.collect()
+    assert unheard == []
+    with daq.open(tmp_path / "scope.mcap") as recording:
+        assert recording.status == "interrupted"
+        *_, held, abort = recording.markers
+        assert (held.kind, held.fields["level"], held.fields["settled"]) == ("measure", 1.5, True)
+        assert abort.kind == "abort"
+        volts = recording.read("table", held.first_sample, held.last_sample + 1)
+        half = len(volts) // 2
+        # A ramp in what is marked would show at its end.
+        assert np.std(volts[half:]) == pytest.approx(np.std(volts[:half]), rel=0.05)
+        ((curve,),) = frequency_responses(recording, ["body1"])
+        assert curve.frequency.tolist() == [12.0]
+
+
+def test_given_a_file_that_exists_when_scoped_with_a_force_then_nothing_goes_wrong_beside_the_refusal(
+    tmp_path, monkeypatch
+):
+    unheard = []
+    monkeypatch.setattr(sys, "unraisablehook", unheard.append)
+    (tmp_path / "scope.mcap").write_bytes(b"precious")
+    with recording_stream() as stream, pytest.raises(rig.errors.RecordingError, match="exists"):
+        knobs = knobs_for(SCENE, None, 2.0)
+        scope(SCENE, tmp_path / "scope.mcap", stream, knobs, str, lambda position: None)
+    gc.collect()
+    assert unheard == []
+
+
+def test_given_a_force_shaker_when_scoped_then_the_force_itself_is_turned(tmp_path):
+    scene = SCENE.replace(shaker={"kind": "force", "body": 1})
+    path, _ = run_scope(scene, tmp_path, {0.1: "F 2", 4.0: "q"})
+    with daq.open(path) as recording:
+        (held,) = (mark for mark in recording.markers if mark.kind == "measure")
+        assert held.fields["level"] == held.fields["drive"] == 2.0
+
+
+def test_given_no_shaker_when_scoped_then_it_is_said_and_nothing_is_left_behind(tmp_path):
+    with pytest.raises(SceneError, match="no drive input"):
+        run_scope(SCENE.replace(shaker=None), tmp_path, {0.1: "q"})
+    assert not (tmp_path / "scope.mcap").exists()
+
+
+def test_given_a_recording_that_exists_when_scoped_then_it_is_kept(tmp_path):
+    (tmp_path / "scope.mcap").write_bytes(b"precious")
+    with pytest.raises((RunError, rig.errors.RecordingError), match="exists"):
+        run_scope(SCENE, tmp_path, {0.1: "q"})
+    assert (tmp_path / "scope.mcap").read_bytes() == b"precious"
+
+
+def test_given_a_recording_that_exists_when_the_command_scopes_then_no_viewer_starts_and_overwrite_is_named(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr(daq.show, "viewer", lambda *options: pytest.fail("the viewer was started"))
+    (tmp_path / "scope.mcap").write_bytes(b"precious")
+    words = ["daq", "scope", "bare-structure", "--web", "-o", str(tmp_path / "scope.mcap")]
+    monkeypatch.setattr(sys, "argv", words)
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    assert "exists: give another name with -o, or --overwrite to replace it" in capsys.readouterr().err
+    assert (tmp_path / "scope.mcap").read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("f", "is no number"),
+        ("f twelve", "is no number"),
+        ("f 0", "above 0"),
+        ("f 1e6", "up to 100 Hz"),
+        ("F -1", "0 N or more"),
+        ("F nan", "0 N or more"),
+        ("louder", "expected"),
+        ("q now", "expected"),
+    ],
+)
+def test_given_a_line_that_makes_no_sense_when_turned_then_the_setting_stays(line, said):
+    knobs = Knobs(10.0, 1.0, highest=100.0)
+    with pytest.raises(SceneError, match=said):
+        knobs.turn(line)
+    assert knobs.asked == (10.0, 1.0)
+    assert not knobs.off
+
+
+def test_given_a_test_in_the_scene_when_scoped_then_the_knobs_start_at_its_frequency():
+    assert knobs_for(rig.load("fig8-three-dampers"), None, 0.0).asked == (8.0, 0.0)
+    assert knobs_for(SCENE, None, 0.0).asked[0] == pytest.approx(13.9, abs=0.1)
+    assert knobs_for(SCENE, 33.0, 1.0).asked == (33.0, 1.0)
+
+
+def test_given_the_end_of_input_when_scoped_live_then_the_recording_is_closed_and_summed_up(tmp_path):
+    (tmp_path / "mine.yaml").write_text(SCENE.to_yaml())
+    code = "from daq.cli import main; main()"
+    command = [sys.executable, "-c", code, "scope", "mine.yaml", "--web", "-o", "live.mcap"]
+    kept = {key: value for key, value in os.environ.items() if key not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    ended = subprocess.run(
+        command, input="F 1\nwhat\n", capture_output=True, text=True, timeout=120, cwd=tmp_path, env=kept
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert "http://127.0.0.1:" in ended.stderr
+    assert "'what'" in ended.stderr
+    assert "live.mcap:" in ended.stdout
+    with daq.open(tmp_path / "live.mcap") as recording:
+        assert recording.samples > 0

@@ -1,0 +1,401 @@
+import numpy as np
+import pytest
+
+import daq
+import rig
+from daq.face.constants import (
+    READ_ALL_AVAILABLE,
+    AccelUnits,
+    AcquisitionType,
+    EveryNSamplesEventType,
+    ReadRelativeTo,
+    RegenerationMode,
+    TaskMode,
+)
+from daq.face.task import Task
+from daq.instrument.errors import DaqError
+
+RATE = 5120.0
+
+
+@pytest.fixture
+def chassis():
+    return daq.connect("bare-structure", clock="fast")
+
+
+def inputs(task, channels="Dev1/ai0:3", **timing):
+    task.ai_channels.add_ai_voltage_chan(channels, min_val=-500.0, max_val=500.0)
+    if timing:
+        task.timing.cfg_samp_clk_timing(RATE, **timing)
+    return task
+
+
+def output(task, wave, **timing):
+    task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
+    task.timing.cfg_samp_clk_timing(RATE, **timing)
+    task.write(wave)
+    return task
+
+
+def tone(samples, frequency=20.0, amplitude=0.1):
+    return amplitude * np.sin(2 * np.pi * frequency * np.arange(samples) / RATE)
+
+
+def read_in_pieces(size, total=512):
+    """Drive and read on one clock, so many samples at a time."""
+    daq.connect("bare-structure", clock="fast")
+    with Task() as reading, Task() as driving:
+        inputs(reading, sample_mode=AcquisitionType.CONTINUOUS)
+        output(driving, tone(512), sample_mode=AcquisitionType.CONTINUOUS)
+        driving.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ai/StartTrigger")
+        driving.start()
+        reading.start()
+        pieces = [np.array(reading.read(min(size, total - at))) for at in range(0, total, size)]
+    return np.concatenate(pieces, axis=1)
+
+
+@pytest.mark.parametrize("size", [1, 7, 128])
+def test_given_any_read_size_when_a_driven_rig_is_read_then_every_bit_is_the_same(size):
+    assert np.array_equal(read_in_pieces(size), read_in_pieces(512))
+
+
+def test_given_a_drive_when_the_inputs_are_read_then_they_are_the_plants_answer_to_just_that_drive():
+    read = read_in_pieces(512)
+    scene = rig.load("bare-structure")
+    from daq.signal_chain.bench import Bench
+
+    drive = 1e-3 * tone(512)
+    assert np.array_equal(read, Bench(scene).acquire(drive[None]).samples)
+
+
+def test_given_a_request_when_the_rate_is_read_back_then_it_is_what_the_clock_makes_of_it(chassis):
+    with Task() as task:
+        inputs(task)
+        coerced = []
+        for rate in (1000.0, 5000.0, 8000.0, 51200.0):
+            task.timing.cfg_samp_clk_timing(rate)
+            coerced.append(task.timing.samp_clk_rate)
+    assert coerced == pytest.approx([51200 / 31, 5120.0, 51200 / 6, 51200.0], rel=1e-15)
+
+
+def test_given_another_rate_when_a_task_runs_then_the_bench_really_samples_at_it(chassis):
+    with Task() as task:
+        inputs(task, "Dev1/ai3")
+        task.timing.cfg_samp_clk_timing(10000.0, samps_per_chan=50)
+        waveform = task.read_waveform()
+    assert chassis.rate == waveform.timing.sample_rate == 10240.0
+    assert chassis.inputs[0].rate == 10240.0
+
+
+def test_given_a_rate_too_low_for_the_scenes_test_when_a_task_runs_then_the_bench_stays_quiet_and_says_so():
+    scene = rig.load("bare-structure").replace(
+        test={"kind": "sine", "frequency": 2000.0, "drive": 1e-6}, converter={"rate": 10240.0}
+    )
+    daq.connect(scene, clock="fast")
+    with Task() as task:
+        inputs(task)
+        with pytest.warns(RuntimeWarning, match=r"cannot be played.*2000 Hz at 2048 samples"):
+            task.timing.cfg_samp_clk_timing(2048.0, samps_per_chan=50)
+            read = task.read(50)
+    assert not np.any(read)
+
+
+def test_given_a_finite_task_when_read_without_start_then_it_starts_reads_all_and_stops(chassis):
+    with Task() as task:
+        inputs(task, samps_per_chan=64)
+        assert np.shape(task.read(READ_ALL_AVAILABLE)) == (4, 64)
+        assert task.is_task_done() and not task.is_running
+        assert np.shape(task.read(READ_ALL_AVAILABLE)) == (4, 64)
+    assert chassis.position == 128
+
+
+def test_given_the_number_of_samples_when_reading_then_the_shape_follows_from_it(chassis):
+    with Task() as one, Task() as four:
+        inputs(one, "Dev1/ai0")
+        inputs(four, "Dev2/ai0:3")
+        assert isinstance(one.read(), float)
+        assert len(one.read(1)) == 1
+        assert np.shape(four.read()) == (4,)
+        assert np.shape(four.read(3)) == (4, 3)
+
+
+def test_given_a_continuous_task_when_all_is_read_then_only_what_is_there_comes(chassis):
+    with Task() as task:
+        inputs(task, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
+        task.start()
+        chassis.advance(300)
+        assert len(task.read(READ_ALL_AVAILABLE)) == 300
+        # Nothing is there: a look takes its time, so that a loop of looks comes to an end.
+        assert 0 < len(task.read(READ_ALL_AVAILABLE)) < 100
+
+
+def test_given_a_read_longer_than_the_buffer_when_it_is_made_then_it_comes_whole(chassis):
+    with Task() as task:
+        inputs(task, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
+        task.in_stream.input_buf_size = 100
+        assert len(task.read(1000)) == 1000
+        assert task.in_stream.curr_read_pos == 1000
+
+
+def test_given_units_and_a_sensitivity_when_accelerations_are_read_then_they_are_the_volts_over_it(chassis):
+    with Task() as volts, Task() as gs, Task() as metres:
+        inputs(volts, "Dev1/ai3", samps_per_chan=500)
+        for task, device, units in ((gs, 2, AccelUnits.G), (metres, 3, AccelUnits.METERS_PER_SECOND_SQUARED)):
+            limit = 50.0
+            task.ai_channels.add_ai_accel_chan(
+                f"Dev{device}/ai3", min_val=-limit, max_val=limit, units=units, sensitivity=250.0
+            )
+            task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=500)
+        for task in (gs, metres, volts):
+            task.start()
+        read, in_g, in_metres = (np.array(task.read(500)) for task in (volts, gs, metres))
+    assert np.ptp(read) > 0
+    np.testing.assert_allclose(in_g, read / 0.25, rtol=1e-14)
+    np.testing.assert_allclose(in_metres, read / 0.25 * 9.80665, rtol=1e-14)
+
+
+def test_given_relative_positions_when_reading_then_samples_can_be_read_again(chassis):
+    with Task() as task:
+        inputs(task, "Dev1/ai3", samps_per_chan=200)
+        task.start()
+        samples = task.read(200)
+        task.in_stream.relative_to, task.in_stream.offset = ReadRelativeTo.FIRST_SAMPLE, 50
+        assert task.read(10) == samples[50:60]
+        task.in_stream.relative_to, task.in_stream.offset = ReadRelativeTo.MOST_RECENT_SAMPLE, -10
+        assert task.read(10) == samples[-10:]
+
+
+def test_given_a_subset_of_channels_when_reading_then_only_they_come(chassis):
+    with Task() as task:
+        inputs(task, samps_per_chan=20)
+        task.start()
+        every = np.array(task.read(10))
+        task.in_stream.channels_to_read = task.ai_channels["Dev1/ai1,Dev1/ai3"]
+        task.in_stream.relative_to = ReadRelativeTo.FIRST_SAMPLE
+        assert np.array_equal(np.array(task.read(10)), every[[1, 3]])
+
+
+def test_given_regeneration_when_the_output_runs_then_the_buffer_is_played_round_and_round(chassis):
+    with Task() as driving:
+        output(driving, np.arange(10.0) / 10, sample_mode=AcquisitionType.CONTINUOUS)
+        driving.start()
+        chassis.advance(25)
+        assert driving.out_stream.total_samp_per_chan_generated == 25
+        assert chassis.held[0] == 0.4
+        driving.write(np.full(10, 0.9))
+        chassis.advance(1)
+        assert chassis.held[0] == 0.9
+        driving.stop()
+        chassis.advance(10)
+    assert chassis.held[0] == 0.9
+
+
+def test_given_a_short_buffer_when_a_finite_output_runs_then_it_is_repeated_up_to_the_number_asked_for(
+    chassis,
+):
+    with Task() as driving:
+        output(driving, [0.1, 0.2, 0.3], samps_per_chan=7)
+        driving.start()
+        driving.wait_until_done()
+        assert driving.out_stream.total_samp_per_chan_generated == 7
+        assert chassis.held[0] == 0.1
+
+
+def test_given_no_regeneration_when_writing_waits_for_room_then_every_sample_is_played_once(chassis):
+    with Task() as driving:
+        driving.ao_channels.add_ao_voltage_chan("Dev1/ao0")
+        driving.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
+        driving.out_stream.regen_mode = RegenerationMode.DONT_ALLOW_REGENERATION
+        driving.write(np.zeros(100))
+        driving.start()
+        for _ in range(5):
+            assert driving.write(np.linspace(0.0, 1.0, 100)) == 100
+        assert driving.out_stream.curr_write_pos == 600
+        assert driving.out_stream.total_samp_per_chan_generated == 500
+
+
+def test_given_a_single_value_when_written_on_demand_then_the_output_holds_it(chassis):
+    with Task() as driving, Task() as reading:
+        driving.ao_channels.add_ao_voltage_chan("Dev1/ao0")
+        assert driving.write(1.1) == 1
+        inputs(reading, "Dev1/ai3", samps_per_chan=400)
+        assert np.ptp(reading.read(READ_ALL_AVAILABLE)) > 1.0
+    assert chassis.held[0] == 1.1
+
+
+def test_given_an_output_on_the_input_clock_when_the_inputs_start_then_it_starts_with_them(chassis):
+    with Task() as reading, Task() as driving:
+        inputs(reading, "Dev1/ai0", samps_per_chan=10)
+        output(driving, np.ones(5), source="/Dev1/ai/SampleClock", samps_per_chan=5)
+        driving.start()
+        chassis.advance(20)
+        assert driving.out_stream.total_samp_per_chan_generated == 0
+        reading.read(READ_ALL_AVAILABLE)
+        assert driving.out_stream.total_samp_per_chan_generated == 5
+
+
+def test_given_a_callback_when_samples_come_then_it_is_called_at_each_multiple_and_finds_just_those(chassis):
+    calls = []
+    with Task() as task:
+        inputs(task, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
+
+        def look(handle, kind, samples, data):
+            calls.append((kind, samples, len(task.read(samples)), task.in_stream.avail_samp_per_chan))
+            return 0
+
+        task.register_every_n_samples_acquired_into_buffer_event(100, look)
+        task.start()
+        chassis.pass_time(0.1)
+        task.stop()
+    assert calls == [(EveryNSamplesEventType.ACQUIRED_INTO_BUFFER.value, 100, 100, 0)] * 5
+
+
+def test_given_output_callbacks_when_samples_are_played_then_they_are_called(chassis):
+    calls, done = [], []
+    with Task() as driving:
+        output(driving, np.zeros(50), samps_per_chan=250)
+        driving.register_every_n_samples_transferred_from_buffer_event(
+            100, lambda *given: calls.append(given[2])
+        )
+        driving.register_done_event(lambda handle, status, data: done.append(status))
+        driving.start()
+        driving.wait_until_done()
+    assert (calls, done) == ([100, 100], [0])
+
+
+def test_given_the_real_clock_when_samples_come_then_callbacks_run_on_a_thread_of_the_task():
+    import threading
+
+    daq.connect("bare-structure", clock="real")
+    enough, names = threading.Event(), []
+    with Task("live") as task:
+        inputs(task, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
+
+        def look(handle, kind, samples, data):
+            task.read(samples)
+            names.append(threading.current_thread().name)
+            if len(names) == 3:
+                enough.set()
+            return 0
+
+        task.register_every_n_samples_acquired_into_buffer_event(50, look)
+        task.start()
+        assert enough.wait(60.0)
+        task.stop()
+    assert names[:3] == ["callbacks of live"] * 3
+
+
+def test_given_a_committed_task_when_stopped_then_it_keeps_its_modules_until_it_gives_them_back(chassis):
+    with Task() as first, Task() as second:
+        inputs(first, samps_per_chan=10)
+        inputs(second, samps_per_chan=10)
+        first.control(TaskMode.TASK_COMMIT)
+        first.read(READ_ALL_AVAILABLE)
+        with pytest.raises(daq.DaqError) as caught:
+            second.start()
+        assert caught.value.error_code == -50103
+        first.control(TaskMode.TASK_UNRESERVE)
+        assert np.shape(second.read(READ_ALL_AVAILABLE)) == (4, 10)
+
+
+def test_given_no_script_at_the_output_when_reading_then_the_scenes_own_test_is_played():
+    chassis = daq.connect("fig10b-no-damper", clock="fast")
+    with Task() as task:
+        task.ai_channels.add_ai_force_iepe_chan("Dev1/ai3")
+        task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=5120)
+        force = np.array(task.read(READ_ALL_AVAILABLE))
+    assert chassis.outputs == 0
+    assert 150.0 < force.max() < 250.0
+
+
+def test_given_a_filter_whose_delay_is_taken_out_when_reading_then_samples_belong_to_their_own_time():
+    scene = rig.load("bare-structure")
+    late = scene.replace(converter=scene.converter.replace(filter="delta_sigma", remove_delay=True))
+    read = []
+    for each in (scene, late):
+        daq.connect(each, clock="fast")
+        with Task() as reading, Task() as driving:
+            inputs(reading, "Dev1/ai3", samps_per_chan=2000)
+            output(driving, np.concatenate([np.zeros(1000), np.hanning(400)]), samps_per_chan=1400)
+            driving.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ai/StartTrigger")
+            driving.start()
+            read.append(np.array(reading.read(READ_ALL_AVAILABLE)))
+    plain, filtered = read
+    lag = np.argmax(np.correlate(filtered - filtered.mean(), plain - plain.mean(), "full")) - (len(plain) - 1)
+    assert abs(lag) <= 1
+
+
+def polled_until(arrived, task):
+    """Let a script's own loop wait; it must come to its end."""
+    for looks in range(1000):
+        if arrived(task):
+            return looks
+    raise AssertionError("the loop made no progress")
+
+
+@pytest.mark.parametrize(
+    "arrived",
+    [
+        lambda task: task.in_stream.avail_samp_per_chan >= 600,
+        lambda task: task.in_stream.total_samp_per_chan_acquired >= 600,
+        lambda task: task.is_task_done(),
+    ],
+)
+def test_given_a_fast_clock_when_a_script_polls_then_time_passes(chassis, arrived):
+    with inputs(Task(), sample_mode=AcquisitionType.FINITE, samps_per_chan=1000) as task:
+        task.start()
+        assert polled_until(arrived, task) > 1
+        assert np.array(task.read(READ_ALL_AVAILABLE)).shape == (4, 1000)
+
+
+def test_given_a_fast_clock_when_a_script_polls_an_output_then_time_passes(chassis):
+    with output(Task(), tone(1000), sample_mode=AcquisitionType.FINITE, samps_per_chan=1000) as task:
+        task.start()
+        polled_until(lambda task: task.out_stream.total_samp_per_chan_generated == 1000, task)
+
+
+def test_given_a_fast_clock_when_reads_without_a_timeout_are_tried_again_then_they_succeed(chassis):
+    with inputs(Task(), sample_mode=AcquisitionType.CONTINUOUS) as task:
+        task.start()
+
+        def arrived(task):
+            try:
+                return len(task.read(10, timeout=0.0)[0]) == 10
+            except daq.DaqError as error:
+                assert error.error_code == -200284
+                return False
+
+        polled_until(arrived, task)
+
+
+def test_given_a_fast_clock_when_different_things_are_looked_at_once_then_no_time_passes(chassis):
+    with inputs(Task(), sample_mode=AcquisitionType.CONTINUOUS) as task:
+        task.start()
+        task.read(100)
+        stream = task.in_stream
+        assert (stream.total_samp_per_chan_acquired, stream.avail_samp_per_chan) == (100, 0)
+        assert not task.is_task_done()
+        assert chassis.position == 100
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ("", ["Dev1/ai0", "Dev1/ai1", "Dev1/ai2"]),
+        ("body", ["body0", "body1", "body2"]),
+        ("low, middle, high", ["low", "middle", "high"]),
+        ("low, middle", ["low", "middle", "Dev1/ai2"]),
+    ],
+)
+def test_given_names_for_several_channels_when_they_are_added_then_each_has_its_own(chassis, given, expected):
+    with Task() as task:
+        task.ai_channels.add_ai_accel_chan("Dev1/ai0:2", given)
+        assert task.channel_names == expected
+
+
+@pytest.mark.parametrize(("port", "names"), [("Dev1/ai0", "a, b"), (5, "a"), ("", "a")])
+def test_given_more_names_than_channels_or_no_channel_when_one_is_added_then_it_is_refused(
+    chassis, port, names
+):
+    with Task() as task, pytest.raises(DaqError):
+        task.ai_channels.add_ai_accel_chan(port, names)

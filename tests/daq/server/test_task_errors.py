@@ -1,0 +1,385 @@
+import gc
+import warnings
+
+import numpy as np
+import pytest
+
+import daq
+import rig
+from daq.face.constants import AcquisitionType, Edge, RegenerationMode, VoltageUnits
+from daq.face.task import Task
+from daq.instrument.clock import ManualClock
+from daq.instrument.errors import DaqError, DaqReadError, DaqResourceWarning, DaqWarning, DaqWriteError
+
+RATE = 5120.0
+
+
+@pytest.fixture
+def chassis():
+    return daq.connect("bare-structure", clock=ManualClock())
+
+
+def inputs(task, channels="Dev1/ai0", **timing):
+    task.ai_channels.add_ai_voltage_chan(channels, min_val=-500.0, max_val=500.0)
+    if timing:
+        task.timing.cfg_samp_clk_timing(RATE, **timing)
+    return task
+
+
+def raised(kind=DaqError):
+    return pytest.raises(kind)
+
+
+def test_given_a_finished_acquisition_when_reading_on_then_the_partial_count_comes_with_the_error(chassis):
+    with Task() as task:
+        inputs(task, samps_per_chan=100)
+        task.start()
+        chassis.advance(100)
+        with raised(DaqReadError) as caught:
+            task.read(150)
+        assert (caught.value.error_code, caught.value.samps_per_chan_read) == (-200278, 100)
+
+
+def test_given_samples_dropped_by_the_scene_when_they_are_due_then_the_input_overflows_and_can_be_restarted():
+    scene = rig.load("bare-structure")
+    dropped = {"at": "0.1 s", "samples": 256}
+    scene = scene.replace(converter=scene.converter.replace(dropped_blocks=[dropped]))
+    chassis = daq.connect(scene, clock=ManualClock())
+    with Task() as task:
+        inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
+        task.start()
+        chassis.advance(1000)
+        with raised(DaqReadError) as caught:
+            task.read(1000)
+        assert (caught.value.error_code, caught.value.samps_per_chan_read) == (-200361, 512)
+        task.stop()
+        task.start()
+        chassis.advance(100)
+        assert len(task.read(100)) == 100
+
+
+def test_given_a_machine_too_slow_when_the_bench_falls_far_behind_then_the_inputs_overflow(chassis):
+    with Task() as task:
+        inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
+        task.start()
+        assert not chassis.lag(1.0)
+        assert chassis.lag(6.0)
+        with raised(DaqReadError) as caught:
+            task.read(1)
+        assert caught.value.error_code == -200361
+        assert "fast clock" in str(caught.value)
+
+
+def putting_out(task):
+    """Start an output that ends with its 100 samples unless more are written."""
+    task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
+    task.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
+    task.out_stream.regen_mode = RegenerationMode.DONT_ALLOW_REGENERATION
+    task.write(np.full(100, 0.5))
+    task.start()
+
+
+def test_given_an_output_without_regeneration_when_it_runs_dry_then_the_writer_hears_of_it(chassis):
+    with Task() as task:
+        putting_out(task)
+        with raised(DaqWriteError) as caught:
+            task.write(np.zeros(50), timeout=1.0)
+        assert (caught.value.error_code, caught.value.samps_per_chan_written) == (-200292, 0)
+        chassis.advance(150)
+        for call in (task.is_task_done, lambda: task.write(np.zeros(50)), task.is_task_done) * 2:
+            with raised() as caught:
+                call()
+            assert caught.value.error_code == -200290
+        assert chassis.held[0] == 0.5
+        task.stop()
+        assert task.is_task_done()
+        assert task.write(np.zeros(50)) == 50
+
+
+def test_given_an_output_that_ran_dry_when_nobody_has_been_told_then_stopping_says_so(chassis):
+    with Task() as task:
+        putting_out(task)
+        chassis.advance(150)
+        with raised() as caught:
+            task.stop()
+        assert caught.value.error_code == -200290
+        assert not task.is_running
+
+
+def test_given_a_running_task_when_settings_are_changed_then_it_says_to_stop_first(chassis):
+    with Task() as task:
+        inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
+        task.start()
+        for change in (
+            lambda: task.timing.cfg_samp_clk_timing(100.0),
+            lambda: setattr(task.timing, "samp_clk_rate", 6000.0),
+            lambda: task.ai_channels.add_ai_voltage_chan("Dev1/ai1"),
+            lambda: setattr(task.ai_channels[0], "ai_max", 1.0),
+            lambda: setattr(task.in_stream, "input_buf_size", 10),
+            lambda: task.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/PFI0"),
+            lambda: task.register_every_n_samples_acquired_into_buffer_event(10, print),
+            task.start,
+        ):
+            with raised() as caught:
+                change()
+            assert caught.value.error_code == -200479
+            assert "stop()" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "name, code, hint",
+    [
+        ("Nothing/ai0", -200220, "cDAQ1Mod1"),
+        ("Dev1/ai4", -200170, "ai0:3"),
+        ("Dev1/ao0", -200170, "ai0:3"),
+        ("Dev1", -200170, "cDAQ1Mod1/ai0"),
+        ("Dev1/ai0:x", -200498, "Dev1/ai0:3"),
+        ("Dev1/ai0:99999999", -200498, "100000000"),
+        ("Dev1/ai0,Dev1/ai0", -200489, "once"),
+        ("Dev1/ai0,dev1/ai0", -200489, "once"),
+    ],
+)
+def test_given_a_channel_that_is_not_there_when_adding_it_then_the_error_says_what_is(
+    chassis, name, code, hint
+):
+    with Task() as task, raised() as caught:
+        task.ai_channels.add_ai_voltage_chan(name, min_val=-1.0, max_val=1.0)
+    assert caught.value.error_code == code
+    assert hint in str(caught.value)
+
+
+def test_given_limits_beyond_the_module_when_adding_a_channel_then_they_are_refused_and_others_coerced():
+    chassis = daq.connect("fig8-three-dampers", clock=ManualClock())
+    with Task() as task:
+        with raised() as caught:
+            task.ai_channels.add_ai_accel_chan("Dev1/ai0", min_val=-100.0, max_val=100.0, sensitivity=100.0)
+        assert caught.value.error_code == -200077
+        assert "-50 to 50 g" in str(caught.value)
+        channel = task.ai_channels.add_ai_accel_chan("Dev1/ai0", sensitivity=100.0)
+        assert (channel.ai_min, channel.ai_max) == pytest.approx((-50.0, 50.0))
+        assert (channel.ai_rng_high, chassis.input_range) == (5.0, 5.0)
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, 96000.0])
+def test_given_a_rate_the_clock_cannot_make_when_asked_for_then_it_is_refused(chassis, rate):
+    with Task() as task:
+        inputs(task)
+        with raised() as caught:
+            task.timing.cfg_samp_clk_timing(rate)
+    assert caught.value.error_code == -200077
+    assert "51200" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "call, hint",
+    [
+        (
+            lambda task: task.ai_channels.add_ai_accel_chan("Dev1/ai1", units=VoltageUnits.VOLTS),
+            "AccelUnits.G",
+        ),
+        (lambda task: task.ai_channels.add_ai_voltage_chan("Dev1/ai1", terminal_config=7), "PSEUDO_DIFF"),
+        (lambda task: task.ai_channels.add_ai_accel_chan("Dev1/ai1", min_val="low"), "min_val is 'low'"),
+        (lambda task: task.ai_channels.add_ai_accel_chan("Dev1/ai1", max_val=np.inf), "max_val is inf"),
+        (lambda task: task.timing.cfg_samp_clk_timing(RATE, sample_mode=Edge.RISING), "Type.CONTINUOUS"),
+        (lambda task: task.timing.cfg_samp_clk_timing(np.nan), "samp_clk_rate is nan"),
+        (lambda task: task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=np.inf), "samp_per_chan is inf"),
+        (lambda task: setattr(task.in_stream, "overwrite", Edge.RISING), "OVERWRITE_UNREAD_SAMPLES"),
+        (lambda task: setattr(task.out_stream, "regen_mode", 1), "ALLOW_REGENERATION"),
+        (lambda task: setattr(task.in_stream, "input_buf_size", "big"), "input_buf_size is 'big'"),
+        (
+            lambda task: task.triggers.start_trigger.cfg_anlg_edge_start_trig(
+                "Dev1/ai0", trigger_level=np.nan
+            ),
+            "anlg_edge_lvl is nan",
+        ),
+        (lambda task: task.control(99), "TASK_COMMIT"),
+        (lambda task: task.wait_until_done(np.nan), "timeout is nan"),
+        (lambda task: task.read(10, timeout=np.nan), "timeout is nan"),
+        (lambda task: task.read(-7), "READ_ALL_AVAILABLE"),
+    ],
+)
+def test_given_a_value_that_cannot_be_when_it_is_passed_then_the_error_says_what_can(chassis, call, hint):
+    with Task() as task:
+        inputs(task)
+        with raised() as caught:
+            call(task)
+    assert caught.value.error_code == -200077
+    assert hint in str(caught.value)
+
+
+@pytest.mark.parametrize("samples", [10**13, 10**19])
+def test_given_more_samples_than_memory_when_they_are_to_be_acquired_then_it_says_so(chassis, samples):
+    with Task() as task:
+        inputs(task, samps_per_chan=samples)
+        for call in (task.start, lambda: task.read(samples), lambda: task.read(-1)):
+            with raised() as caught:
+                call()
+            assert caught.value.error_code == -200077
+            assert "memory" in str(caught.value)
+            assert not task.is_running
+
+
+@pytest.mark.parametrize("timeout", [-1.0, np.inf])
+def test_given_a_timeout_for_ever_when_waiting_then_it_waits_until_the_task_is_done(timeout):
+    daq.connect("bare-structure", clock="fast")
+    with Task() as task:
+        inputs(task, samps_per_chan=512)
+        task.start()
+        task.wait_until_done(timeout)
+        assert task.is_task_done()
+
+
+@pytest.mark.parametrize("data", [{}, "loud", [[1.0, 2.0], [3.0]], np.zeros((1, 1, 5)), np.array([1j])])
+def test_given_data_that_are_no_samples_when_writing_then_it_says_what_samples_are(chassis, data):
+    with Task() as task:
+        task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
+        with raised() as caught:
+            task.write(data)
+    assert caught.value.error_code == -200077
+    assert "(channels, n)" in str(caught.value)
+
+
+@pytest.mark.parametrize("sensitivity", [0.0, -100.0, 1e-310, np.inf, np.nan])
+def test_given_a_sensitivity_that_cannot_be_when_it_is_set_then_it_is_refused_and_the_old_one_kept(
+    chassis, sensitivity
+):
+    with Task() as task:
+        with raised() as caught:
+            task.ai_channels.add_ai_accel_chan("Dev1/ai0", sensitivity=sensitivity)
+        assert caught.value.error_code == -200077
+        assert "sensitivity" in str(caught.value)
+        channel = task.ai_channels.add_ai_accel_chan("Dev1/ai0", sensitivity=100.0)
+        with raised() as caught:
+            channel.ai_accel_sensitivity = sensitivity
+        assert caught.value.error_code == -200077
+        assert channel.ai_accel_sensitivity == 100.0
+        task.timing.cfg_samp_clk_timing(RATE)
+        task.start()
+        chassis.advance(5)
+        assert len(task.read(5)) == 5
+        with pytest.warns(DaqWarning):
+            task.stop()
+
+
+def test_given_two_tasks_for_one_module_when_both_start_then_the_second_is_told_who_has_it(chassis):
+    with Task("mine") as first, Task("yours") as second, Task("other rate") as third:
+        inputs(first, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
+        inputs(second, "Dev1/ai1", sample_mode=AcquisitionType.CONTINUOUS)
+        first.start()
+        with raised() as caught:
+            second.start()
+        assert caught.value.error_code == -50103
+        assert "'mine'" in str(caught.value)
+        third.ai_channels.add_ai_voltage_chan("Dev2/ai0")
+        third.timing.cfg_samp_clk_timing(51200.0)
+        with raised() as caught:
+            third.start()
+        assert caught.value.error_code == -50103
+        assert "5120 S/s" in str(caught.value)
+        first.stop()
+        second.start()
+
+
+def test_given_wrong_use_when_reading_or_writing_then_each_has_its_code(chassis):
+    def code(call, *given, **named):
+        with raised() as caught:
+            call(*given, **named)
+        return caught.value.error_code
+
+    with Task() as empty, Task() as reading, Task() as driving:
+        assert code(empty.start) == -200478
+        assert code(empty.read) == -200460
+        assert code(empty.write, 1.0) == -200459
+        inputs(reading, sample_mode=AcquisitionType.CONTINUOUS)
+        reading.in_stream.auto_start = False
+        assert code(reading.read, 10) == -200473
+        assert code(lambda: reading.in_stream.overloaded_chans) == -200362
+        driving.ao_channels.add_ao_voltage_chan("Dev1/ao0")
+        assert code(driving.write, np.zeros(10)) == -200539
+        driving.timing.cfg_samp_clk_timing(RATE, samps_per_chan=10)
+        assert code(driving.start) == -200462
+        assert code(driving.write, np.zeros((2, 10))) == -200524
+        assert code(driving.write, [0.0, 11.0]) == -200561
+        assert code(driving.write, [0.0, np.nan]) == -200561
+        driving.write(np.zeros(10))
+        driving.start()
+        assert code(driving.wait_until_done, 0.1) == -200560
+        assert code(driving.ai_channels.add_ai_voltage_chan, "Dev1/ai0") == -200479
+        chassis.advance(10)
+    assert code(reading.read, 1) == -200088
+
+
+def test_given_an_offset_before_the_first_sample_when_reading_then_it_says_so_and_stays_where_it_was(chassis):
+    with Task() as task:
+        inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
+        task.start()
+        chassis.advance(100)
+        task.read(20)
+        task.in_stream.offset = -21
+        with raised(DaqReadError) as caught:
+            task.read(10)
+        assert caught.value.error_code == -200277
+        assert task.in_stream.curr_read_pos == 20
+
+
+def test_given_a_taken_name_when_a_task_is_made_then_it_is_refused(chassis):
+    with Task("twice"), raised() as caught:
+        Task("twice")
+    assert caught.value.error_code == -200089
+
+
+def test_given_what_the_instrument_lacks_when_called_then_the_error_names_the_call(chassis):
+    with Task() as task:
+        for call, name in (
+            (lambda: task.ai_channels.add_ai_thrmcpl_chan("Dev1/ai0"), "add_ai_thrmcpl_chan"),
+            (lambda: task.timing.ai_conv_rate, "timing.ai_conv_rate"),
+            (lambda: task.triggers.pause_trigger, "triggers.pause_trigger"),
+            (lambda: task.ci_channels, "Task.ci_channels"),
+            (lambda: setattr(task.triggers.start_trigger, "delay", 1.0), "start_trigger.delay"),
+        ):
+            with raised() as caught:
+                call()
+            assert name in str(caught.value)
+
+
+def test_given_a_finite_task_when_stopped_early_then_it_warns(chassis):
+    with Task() as task:
+        inputs(task, samps_per_chan=100)
+        task.start()
+        with pytest.warns(DaqWarning) as caught:
+            task.stop()
+        assert caught[0].message.error_code == 200010
+
+
+def test_given_a_task_when_closed_twice_or_lost_then_it_warns(chassis):
+    task = Task()
+    task.close()
+    with pytest.warns(DaqResourceWarning, match="closed already"):
+        task.close()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        Task("lost")
+        gc.collect()
+    assert any(each.category is DaqResourceWarning and "lost" in str(each.message) for each in caught)
+
+
+def test_given_an_overload_when_the_flag_is_read_then_it_names_the_channel_and_is_cleared():
+    scene = rig.load("bare-structure")
+    chassis = daq.connect(
+        scene.replace(converter=scene.converter.replace(bits=24, range="0.2 V")), clock=ManualClock()
+    )
+    with Task() as reading, Task() as driving:
+        reading.ai_channels.add_ai_voltage_chan("Dev1/ai0:3", min_val=-0.1, max_val=0.1)
+        reading.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
+        driving.ao_channels.add_ao_voltage_chan("Dev1/ao0")
+        driving.timing.cfg_samp_clk_timing(RATE, samps_per_chan=500)
+        driving.write(np.sin(np.arange(500) / 20))
+        driving.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ai/StartTrigger", Edge.RISING)
+        driving.start()
+        reading.start()
+        chassis.advance(50)
+        assert reading.in_stream.overloaded_chans_exist
+        assert "Dev1/ai3" in reading.in_stream.overloaded_chans
+        assert not reading.in_stream.overloaded_chans_exist
+        assert np.abs(reading.read(50)[3]).max() == pytest.approx(0.2, rel=1e-6)
+        chassis.advance(450)

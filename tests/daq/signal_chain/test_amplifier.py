@@ -1,0 +1,71 @@
+import numpy as np
+import pytest
+
+from tests.daq.dsp.analytic_motion import Path, at_rest, chain_of, motion_of, scene_of
+
+
+def test_given_a_gain_when_integrated_then_volts_are_gain_times_the_integral_and_readings_the_quantity():
+    path = Path(tones=((7.0, 20.0, 0.4),), impacts=((0.0312, 0.1),))
+    for order, quantity, row in ((1, "velocity", 1), (2, "displacement", 0)):
+        keys = f", accelerometer: {{sensitivity: 2}}, integrator: {{order: {order}, gain: 30}}"
+        chain, rate = chain_of(scene_of(keys))
+        info = chain.channels[0]
+        assert (info.quantity, info.sensitivity) == (quantity, pytest.approx(60.0, rel=1e-14))
+        motion = motion_of([path], rate, 500)
+        truth = path.at(np.arange(500) / rate)[row]
+        truth = truth - (truth[0] if quantity == "displacement" else 0.0)
+        assert chain.measure(motion)[0] / 60.0 == pytest.approx(truth, abs=1e-13)
+
+
+def test_given_a_corner_when_the_input_is_constant_then_the_output_settles_at_gain_over_corner():
+    keys = ", accelerometer: {bias: 0.5 V}, integrator: {order: 1, corner: 3 Hz, gain: 10}"
+    chain, rate = chain_of(scene_of(keys))
+    read = chain.measure(at_rest(1, rate, 5120))[0]
+    assert read[-1] == pytest.approx(0.5 * 10 / (2 * np.pi * 3.0), rel=1e-6)
+
+
+def test_given_a_low_cutoff_when_the_sensor_has_a_bias_then_nothing_of_it_is_left():
+    keys = ", accelerometer: {bias: 0.5 V}, integrator: {order: 2, corner: 5 Hz, low_cutoff: 5 Hz, gain: 10}"
+    chain, rate = chain_of(scene_of(keys))
+    read = chain.measure(at_rest(1, rate, 10240))[0]
+    assert np.abs(read[:2000]).max() > 1e-3
+    assert np.abs(read[-100:]).max() < 1e-12
+    assert abs(chain.channels[0].response(0.0)) == 0.0
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_given_rails_when_driven_beyond_them_then_the_output_stays_there_and_comes_back_without_wind_up(
+    order,
+):
+    keys = f", integrator: {{order: {order}, gain: 400, saturation: 2 V}}"
+    chain, rate = chain_of(scene_of(keys))
+    # Push for a quarter of a second, then pull for as long.
+    acceleration = np.where(np.arange(2560) < 1280, 100.0, -100.0)
+    acceleration[0] = 0.0
+    motion = at_rest(1, rate, 2560)
+    motion.acceleration[0] = acceleration
+    motion.velocity[0] = np.cumsum(acceleration) / rate
+    motion.displacement[0] = np.cumsum(motion.velocity[0]) / rate
+    read = chain.measure(motion)[0]
+    assert read.max() == 2.0
+    assert read.min() == -2.0
+    # Of two stages with a gain of 20 the first comes down from 2 V at 2 V/ms; the second follows its sign.
+    leaves = 1280 + np.flatnonzero(read[1280:] < 2.0)[0]
+    assert leaves / rate - 0.25 == pytest.approx(0.0 if order == 1 else 1e-3, abs=3e-4)
+
+
+def test_given_an_hour_of_noise_when_integrated_twice_without_corner_then_it_grows_as_time_to_the_three_halves():
+    rate, density = 16.0, 1e-3
+    finals = []
+    for seed in range(40):
+        scene = scene_of(
+            f", accelerometer: {{noise: {density}}}, integrator: {{order: 2}}",
+            converter=f"{{rate: {rate} Hz}}",
+            more=f"seed: {seed}",
+        )
+        chain, _ = chain_of(scene)
+        read = chain.measure(at_rest(1, rate, round(3600 * rate)))[0]
+        assert np.isfinite(read).all()
+        finals.append(read[-1])
+    # Var x = (one-sided density^2 / 2) T^3 / 3.
+    assert np.std(finals) == pytest.approx(density * np.sqrt(3600.0**3 / 6.0), rel=0.25)

@@ -1,0 +1,84 @@
+"""The bench: one sample clock, and samples that do not depend on how they are asked for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rig
+from daq.signal_chain.bench import Bench
+from rig.errors import SceneError
+
+
+def drive_of(samples: int, level: float, rate: float = 5120.0) -> np.ndarray:
+    time = np.arange(samples) / rate
+    return level * np.sin(2 * np.pi * 34.8 * time + 3 * np.sin(2 * np.pi * 2 * time))[None]
+
+
+@pytest.mark.parametrize("name", ["fig8-three-dampers", "fig9", "bare-structure", "reference-C"])
+def test_given_any_block_size_when_acquired_then_the_samples_are_the_same_bit_for_bit(name: str) -> None:
+    scene = rig.load(name)
+    level = {"V": 3.0, "m": 2e-3, "N": 10.0}[Bench(scene).drive_units[0]]
+    drive = drive_of(600, level)
+    whole = Bench(scene).acquire(drive)
+    for size in (1, 7, 128):
+        bench = Bench(scene)
+        blocks = [bench.acquire(drive[:, start : start + size]) for start in range(0, 600, size)]
+        assert [block.first for block in blocks] == list(range(0, 600, size))
+        np.testing.assert_array_equal(np.concatenate([b.samples for b in blocks], axis=1), whole.samples)
+        np.testing.assert_array_equal(np.concatenate([b.overload for b in blocks], axis=1), whole.overload)
+
+
+def test_given_a_converter_with_bits_when_acquired_then_counts_come_out_that_read_as_physical_units() -> None:
+    bench = Bench(rig.load("fig8-no-damper"))
+    block = bench.acquire(drive_of(2000, 1.0))
+    assert block.samples.dtype == np.int32
+    readings = bench.physical(block.samples)
+    body = [channel.at for channel in bench.channels].index("body 1")
+    truth = block.motion.displacement[0]
+    assert bench.channels[body].unit == "m"
+    # The amplifier's 1 Hz corner turns the phase a little; the size is right.
+    assert np.abs(readings[body]).max() == pytest.approx(np.abs(truth).max(), rel=0.05)
+
+
+def test_given_ideal_sensors_when_acquired_then_the_cumulative_sum_of_acceleration_is_the_velocity() -> None:
+    scene = rig.load("fig8-three-dampers").replace(channels=None, converter={"rate": "5120 Hz"})
+    bench = Bench(scene)
+    block = bench.acquire(drive_of(5120, 3.0))
+    assert len(block.motion.events) > 10
+    velocity = np.cumsum(bench.physical(block.samples)[:3], axis=1) / bench.rate
+    np.testing.assert_allclose(velocity, block.motion.velocity[:3], rtol=0, atol=1e-9)
+
+
+def test_given_an_overload_when_acquired_then_it_is_flagged_where_it_is() -> None:
+    scene = rig.load("fig8-no-damper")
+    scene = scene.replace(converter={"rate": "5120 Hz", "bits": 16, "range": "5 mV"})
+    block = Bench(scene).acquire(drive_of(3000, 5.0))
+    full = 2**15
+    at_the_rails = (block.samples == full - 1) | (block.samples == -full)
+    assert block.overload.any()
+    assert np.all(at_the_rails[block.overload])
+
+
+@pytest.mark.parametrize("shape", [(2, 10), (0, 10), (10,)])
+def test_given_a_drive_of_the_wrong_shape_when_acquired_then_the_shape_wanted_is_told(
+    shape: tuple[int, ...],
+) -> None:
+    with pytest.raises(SceneError, match=r"expected a drive of shape \(1, samples\)"):
+        Bench(rig.load("bare-structure")).acquire(np.zeros(shape))
+
+
+def test_given_a_drive_that_is_not_finite_when_acquired_then_it_is_refused() -> None:
+    with pytest.raises(SceneError, match="not finite"):
+        Bench(rig.load("bare-structure")).acquire(np.full((1, 4), np.nan))
+
+
+def test_given_a_clock_with_an_error_when_acquired_then_the_stated_rate_is_what_the_bench_goes_by() -> None:
+    scene = rig.load("bare-structure").replace(converter={"rate": "5 kHz", "clock_error": "1 %"})
+    bench = Bench(scene)
+    assert bench.rate == 5000.0
+    motion = bench.acquire(np.full((1, 101), 1e-3)).motion
+    exact = Bench(rig.load("bare-structure").replace(converter={"rate": "5050 Hz"}))
+    np.testing.assert_array_equal(
+        motion.displacement, exact.acquire(np.full((1, 101), 1e-3)).motion.displacement
+    )

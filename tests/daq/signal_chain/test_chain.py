@@ -1,0 +1,237 @@
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import rig
+from daq.dsp.circuit import Circuit, high_pass, integration, resonance
+from daq.signal_chain.chain import Chain
+from rig.errors import SceneError
+from tests.daq.dsp.analytic_motion import Path, at_rest, chain_of, cut, motion_of, scene_of
+
+SENSOR = ", accelerometer: {sensitivity: 100 mV/g, resonance: 30 kHz, low_cutoff: 4 Hz}"
+EVERYTHING = (
+    ", accelerometer: {sensitivity: 100 mV/g, sensitivity_tolerance: 5 %, resonance: 30 kHz, low_cutoff: 0.5 Hz, "
+    "noise: 20 ug/sqrt(Hz), noise_corner: 10 Hz, bias: 10 mV, bias_settling: 2 s, transverse: 3 %, "
+    "saturation: 20 g, overload_recovery: 10 ms, temperature_drift: 0.05 %/K, temperature_change: 10 K}, "
+    "integrator: {order: 1, corner: 1 Hz, gain: 100, noise: 50 nV/sqrt(Hz), saturation: 12 V}"
+)
+EVERYTHING_CONVERTED = (
+    "{rate: 5120 Hz, bits: 24, range: 5 V, noise: 50 nV/sqrt(Hz), coupling: AC, filter: delta_sigma, "
+    "skew: 1 us, jitter: 1 ns, clock_error: 10 ppm}"
+)
+
+
+def impacts(count, duration, seed):
+    rng = np.random.default_rng(seed)
+    return tuple(zip(np.sort(rng.uniform(0.02, 0.95, count)) * duration, rng.normal(size=count), strict=True))
+
+
+def reading_over_truth(keys, rate, frequency, seconds=2.0, **converter):
+    """Complex ratio of what a channel reads of a tone to the true amplitude, and what its response says."""
+    more = "".join(f", {key}: {value}" for key, value in converter.items())
+    scene = scene_of(keys, converter=f"{{rate: {rate} Hz{more}}}")
+    chain, _ = chain_of(scene)
+    info = chain.channels[0]
+    derivative = ("displacement", "velocity", "acceleration").index(info.quantity)
+    w = 2 * np.pi * frequency
+    path = Path(tones=((w ** (2 - derivative), frequency, 0.4),), start_velocity=0.0)
+    read = chain.measure(motion_of([path], rate, round(seconds * rate)))[0] / info.sensitivity
+    t = np.arange(read.size) / rate
+    settled = t > seconds / 2
+    basis = np.stack([np.cos(w * t), -np.sin(w * t), np.ones(t.size), t], axis=1)[settled]
+    real, imag, *_ = np.linalg.lstsq(basis, read[settled], rcond=None)[0]
+    truth = w ** (2 - derivative) * np.exp(0.4j) * (1j * w) ** (derivative - 2)
+    return (real + 1j * imag) / truth, complex(info.response(frequency))
+
+
+CHANNELS = {
+    "ideal": "",
+    "sensor": SENSOR,
+    "velocity": SENSOR + ", integrator: {order: 1, corner: 4 Hz, gain: 100}",
+    "displacement": SENSOR + ", integrator: {order: 2, corner: 4 Hz, gain: 1000}",
+    "pure": ", integrator: {order: 2}",
+}
+
+
+@pytest.mark.parametrize("keys", CHANNELS.values(), ids=CHANNELS)
+def test_given_slow_tones_when_measured_then_amplitude_and_phase_are_those_of_the_stated_response(keys):
+    for rate, frequencies in ((5120.0, (97.0, 307.0)), (51200.0, (211.0, 1000.0))):
+        for frequency in frequencies:
+            measured, stated = reading_over_truth(keys, rate, frequency)
+            assert measured == pytest.approx(stated, rel=1e-6)
+
+
+@pytest.mark.parametrize("rate", [5120.0, 51200.0])
+@pytest.mark.parametrize("order", [1, 2])
+def test_given_an_integrator_when_measured_from_1_hz_to_1_khz_then_gain_and_phase_follow_its_transfer_function(
+    order, rate
+):
+    keys = f", integrator: {{order: {order}, corner: 1 Hz, gain: 50}}"
+    for frequency in (1.0, 7.0, 60.0, 450.0, 1000.0):
+        seconds = 6.0 if frequency < 10 else 2.0
+        measured, _ = reading_over_truth(keys, rate, frequency, seconds)
+        s, w = 2j * np.pi * frequency, 2 * np.pi
+        ratio = measured / (s / (s + w)) ** order
+        assert abs(ratio) == pytest.approx(1.0, abs=1e-3)
+        assert np.angle(ratio, deg=True) == pytest.approx(0.0, abs=0.1)
+
+
+@pytest.mark.parametrize("keys", ["sensor", "velocity", "displacement"])
+def test_given_ever_faster_tones_when_measured_then_the_cubics_between_samples_miss_them_by_as_little_as_stated(
+    keys,
+):
+    for frequency, bound in ((400.0, 1e-6), (1000.0, 1e-4), (2000.0, 1e-3)):
+        measured, stated = reading_over_truth(CHANNELS[keys], 5120.0, frequency)
+        assert measured == pytest.approx(stated, rel=bound)
+
+
+@pytest.mark.parametrize("rate", [5120.0, 51200.0])
+@pytest.mark.parametrize("order", [1, 2])
+def test_given_impacts_at_any_instant_when_measured_then_every_sample_is_that_of_the_closed_form(order, rate):
+    samples = 150
+    hits = list(impacts(25, samples / rate, seed=order))
+    # Two all but together, two a millionth of a sample apart, one on a sample.
+    hits[4] = (hits[3][0] + 1e-16 / rate, 0.7)
+    hits[9] = (hits[8][0] + 1e-6 / rate, -0.3)
+    hits[15] = (round(hits[15][0] * rate) / rate, 0.2)
+    keys = f"{SENSOR}, integrator: {{order: {order}, corner: 1 Hz}}"
+    chain, _ = chain_of(scene_of(keys, converter=f"{{rate: {rate} Hz}}"))
+    read = chain.measure(motion_of([Path(impacts=tuple(sorted(hits)))], rate, samples))[0]
+    line = Circuit.series(
+        [resonance(30e3, 30.0), high_pass(4.0, "low cut-off"), *[integration(1.0, 1.0)] * order]
+    )
+    t = np.arange(samples) / rate
+    expected, over_sample = np.zeros(samples), expm(line.a / rate)
+    for instant, jump in hits:
+        first = np.flatnonzero(t >= instant - 1e-12 / rate)[0]
+        state = expm(line.a * (t[first] - instant)) @ line.b[0] * jump
+        for k in range(first, samples):
+            expected[k] += line.c @ state
+            state = over_sample @ state
+    expected *= 0.1 / 9.80665
+    assert read == pytest.approx(expected, abs=1e-12 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("rate", [5120.0, 51200.0])
+def test_given_ideal_sensors_and_impacts_when_integrated_twice_then_the_true_displacement_comes_back(rate):
+    path = Path(tones=((300.0, 34.8, 0.3), (90.0, 13.0, 2.0)), impacts=impacts(300, 1.0, seed=7))
+    chain, _ = chain_of(scene_of(", integrator: {order: 2}", converter=f"{{rate: {rate} Hz}}"))
+    motion = motion_of([path], rate, round(rate))
+    truth = motion.displacement[0] - motion.displacement[0, 0]
+    assert chain.measure(motion)[0] == pytest.approx(truth, abs=1e-11 * np.abs(truth).max())
+
+
+def test_given_an_ideal_accelerometer_and_impacts_when_summed_up_then_the_true_velocity_comes_back():
+    rate = 5120.0
+    path = Path(tones=((300.0, 34.8, 0.3),), impacts=impacts(100, 0.5, seed=3), start_velocity=0.4)
+    chain, _ = chain_of(scene_of())
+    motion = motion_of([path], rate, round(rate / 2))
+    assert np.cumsum(chain.measure(motion)[0]) / rate == pytest.approx(motion.velocity[0], abs=1e-12)
+
+
+def test_given_everything_named_when_measured_in_blocks_then_not_a_bit_depends_on_their_size():
+    scene = scene_of(EVERYTHING, SENSOR, converter=EVERYTHING_CONVERTED)
+    paths = [
+        Path(tones=((200.0, 60.0, 0.0),), impacts=impacts(30, 0.1, seed=1)),
+        Path(tones=((90.0, 33.0, 1.0),), impacts=impacts(20, 0.1, seed=2)),
+    ]
+    _, rate = chain_of(scene)
+    motion = motion_of(paths, rate, 512)
+    expected = chain_of(scene)[0].measure(motion)
+    for size in (1, 7, 128):
+        chain, _ = chain_of(scene)
+        blocks = [chain.measure(cut(motion, k, min(k + size, 512))) for k in range(0, 512, size)]
+        assert np.array_equal(np.concatenate(blocks, axis=1), expected)
+
+
+def test_given_an_oversampled_motion_when_measured_in_blocks_then_not_a_bit_depends_on_their_size():
+    scene = scene_of(EVERYTHING, converter=EVERYTHING_CONVERTED)
+    _, rate = chain_of(scene, oversampling=3)
+    motion = motion_of([Path(tones=((200.0, 60.0, 0.0),), impacts=impacts(30, 0.05, seed=1))], rate, 600)
+    expected = chain_of(scene, oversampling=3)[0].measure(motion)
+    assert expected.shape == (1, 200)
+    for size in (1, 7, 250):
+        chain, _ = chain_of(scene, oversampling=3)
+        blocks = [chain.measure(cut(motion, k, min(k + size, 600))) for k in range(0, 600, size)]
+        assert np.array_equal(np.concatenate(blocks, axis=1), expected)
+
+
+def test_given_an_effect_taken_from_one_channel_when_measured_then_the_others_keep_every_bit():
+    paths = [Path(tones=((200.0, 60.0, 0.0),), impacts=impacts(30, 0.1, seed=1))] * 3
+    alone = scene_of("", EVERYTHING, SENSOR)
+    together = scene_of(SENSOR, EVERYTHING, SENSOR)
+    motion = motion_of(paths, 5120.0, 512)
+    assert np.array_equal(chain_of(alone)[0].measure(motion)[1:], chain_of(together)[0].measure(motion)[1:])
+
+
+def test_given_effects_named_or_not_when_the_chain_is_made_then_it_lists_just_those():
+    assert chain_of(scene_of())[0].effects == {"body1": {"averaging": 1}}
+    sensor = {"resonance": 2, "low cut-off": 1}
+    chain, _ = chain_of(
+        scene_of(SENSOR, SENSOR + ", integrator: {order: 2}", converter="{bits: 24, range: 5 V}")
+    )
+    assert chain.effects == {
+        "c1": sensor | {"averaging": 1, "clipping": 0, "quantisation": 0},
+        "c2": sensor | {"integration": 2, "clipping": 0, "quantisation": 0},
+    }
+    everything = chain_of(scene_of(EVERYTHING, converter=EVERYTHING_CONVERTED))[0].effects["c1"]
+    assert {"1/f noise", "offset settling", "overload recovery", "decimation filter", "jitter"} <= set(
+        everything
+    )
+
+
+def test_given_a_settled_start_when_nothing_moves_then_every_channel_reads_zero():
+    chain, rate = chain_of(scene_of(*CHANNELS.values()))
+    motion = at_rest(len(CHANNELS), rate, 50)
+    motion.displacement[:] = 0.3
+    assert not chain.measure(motion).any()
+
+
+def test_given_an_initial_velocity_when_measured_then_it_is_read_as_if_struck_at_the_start():
+    chain, rate = chain_of(scene_of(", integrator: {order: 1}"))
+    read = chain.measure(motion_of([Path(start_velocity=0.25)], rate, 10))[0]
+    assert read == pytest.approx(np.full(10, 0.25), rel=1e-12)
+
+
+def test_given_no_channels_when_the_scene_drives_by_force_then_the_force_is_measured_too():
+    text = "structure: {masses: [1 kg], springs: [1 kN/m]}\n"
+    hammer = rig.loads(text + "test: {kind: impulse, body: 1, peak: 5 N, width: 4 ms}")
+    shaker = rig.loads(text + "shaker: {kind: force, body: 1}")
+    for scene, place in ((hammer, "hammer"), (shaker, "shaker")):
+        chain = Chain(scene, 5120.0, ["body 1"], inputs=[place])
+        assert [(info.name, info.quantity) for info in chain.channels] == [
+            ("body1", "acceleration"),
+            ("force", "force"),
+        ]
+        forces = np.arange(12.0)[None]
+        read = chain.measure(at_rest(1, 5120.0, 12), forces)[1]
+        assert read == pytest.approx([0.0, *(np.arange(11.0) + 0.5)])
+
+
+def test_given_a_hammer_that_is_not_driven_when_measured_then_it_reads_nothing():
+    scene = rig.loads(
+        "structure: {masses: [1 kg], springs: [1 kN/m]}\ntest: {kind: impulse, body: 1, peak: 5 N, width: 4 ms}"
+    )
+    assert not Chain(scene, 5120.0, ["body 1"]).measure(at_rest(1, 5120.0, 5)).any()
+
+
+def test_given_a_place_that_is_not_there_when_the_chain_is_made_then_the_error_names_it():
+    with pytest.raises(SceneError, match=r"sits at body 2.*body 1"):
+        Chain(scene_of("", ""), 5120.0, ["body 1"])
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.01, 2.0])
+def test_given_a_motion_at_another_rate_when_the_chain_is_made_without_filter_then_it_is_refused(factor):
+    with pytest.raises(SceneError, match="rate"):
+        Chain(scene_of(), 5120.0 * factor, ["body 1"])
+
+
+def test_given_an_empty_block_when_measured_then_nothing_comes_out_and_nothing_changes():
+    scene = scene_of(EVERYTHING, SENSOR, converter=EVERYTHING_CONVERTED)
+    chain, rate = chain_of(scene)
+    motion = motion_of([Path(tones=((200.0, 60.0, 0.0),))] * 2, rate, 20)
+    assert chain.measure(cut(motion, 0, 0)).shape == (2, 0)
+    first = chain.measure(cut(motion, 0, 9))
+    assert chain.measure(cut(motion, 9, 9)).shape == (2, 0)
+    both = np.concatenate([first, chain.measure(cut(motion, 9, 20))], axis=1)
+    assert np.array_equal(both, chain_of(scene)[0].measure(motion))

@@ -1,0 +1,122 @@
+"""A force sensor between a shaker and its body: what it reads, and what is said where the force is untold."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+
+import daq
+import rig
+from analysis.chain_cost.variants import plain, quiet
+from analysis.responses.frequency_responses import frequency_responses
+from daq.measurement.force_reference import force_untold
+from daq.signal_chain.bench import Bench
+from rig.errors import RecordingError
+from rig.system.receptance import receptance
+
+STRUCTURE = """
+structure: {masses: [1 kg, 1 kg], springs: [20 kN/m, 20 kN/m], damping: {modal: 5 %}}
+shaker: {kind: force, body: 1}
+"""
+BODY = "{name: a2, at: body 2, accelerometer: {sensitivity: 100 mV/g}}"
+FORCE = "{name: f, at: shaker, hammer: {sensitivity: 11.2 mV/N, low_cutoff: 0.5 Hz}}"
+TABLE = "{name: x0, at: table}"
+STEPS = "test: {kind: stepped_sine, frequencies: [12 Hz, 20 Hz], force: 2 N}\n"
+NOISE = "test: {kind: random, from: 5 Hz, to: 60 Hz, duration: 30 s, force: 2 N}\n"
+
+
+def scene_of(test: str, *channels: str, shaker: str = "{kind: force, body: 1}") -> rig.Scene:
+    text = STRUCTURE.replace("{kind: force, body: 1}", shaker) + test
+    return rig.loads(text + f"channels: [{', '.join(channels)}]\n")
+
+
+def test_given_a_force_sensor_at_the_shaker_when_analysed_then_responses_are_divided_by_what_it_reads(
+    tmp_path,
+) -> None:
+    scene = scene_of(STEPS, BODY, FORCE)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        path = daq.record(scene, tmp_path / "a.mcap")
+    with daq.open(path) as recording:
+        info = recording.channels["f"]
+        assert (info.at, info.quantity, info.unit, info.sensitivity) == ("shaker", "force", "N", 0.0112)
+        ((curve,),) = frequency_responses(recording)
+        exact = receptance(scene, curve.frequency)[1]
+    np.testing.assert_allclose(curve.value, exact, rtol=2e-3)
+
+
+def test_given_noise_at_a_force_sensor_when_analysed_then_the_response_is_coherent(tmp_path) -> None:
+    scene = scene_of(NOISE, BODY, FORCE)
+    with daq.open(daq.record(scene, tmp_path / "a.mcap")) as recording:
+        ((curve,),) = frequency_responses(recording)
+        near = np.argmin(abs(curve.frequency - 25.0))
+        exact = receptance(scene, curve.frequency)[1]
+    assert curve.value[near] == pytest.approx(exact[near], rel=0.1)
+
+
+def test_given_no_channel_that_tells_the_force_when_recorded_then_it_is_said_before_the_test_begins(
+    tmp_path,
+) -> None:
+    scene = scene_of(STEPS, BODY)
+    told: list[str] = []
+
+    def progress(fraction: float, message: str) -> None:
+        told.append(message)
+        if len(told) == 2:
+            raise RecordingError("seen enough")
+
+    with (
+        pytest.warns(daq.RunWarning, match=r"add \{name: force, at: shaker\} to the scene's channels"),
+        pytest.raises(RecordingError, match="seen enough"),
+    ):
+        daq.record(scene, tmp_path / "a.mcap", progress=progress)
+    assert len(told) == 2
+
+
+def test_given_a_force_sensor_by_preset_when_its_chain_is_studied_then_its_tolerance_and_noise_are_taken_off() -> (
+    None
+):
+    scene = scene_of(STEPS, BODY, "{name: f, at: shaker, hammer: {preset: PCB 086C03, noise: 1 mN/sqrt(Hz)}}")
+    written = plain(scene).channels
+    assert written is not None and written[1].hammer is not None
+    assert written[1].hammer.sensitivity_tolerance == 0.15 and written[1].hammer.preset is None
+    silent = quiet(plain(scene)).channels
+    assert silent is not None and silent[1].hammer is not None
+    assert silent[1].hammer.sensitivity_tolerance is None and silent[1].hammer.noise is None
+    assert silent[1].hammer.sensitivity == written[1].hammer.sensitivity
+
+
+@pytest.mark.parametrize(
+    ("shaker", "test", "channels", "missing"),
+    [
+        ("{kind: force, body: 1}", STEPS, [BODY, FORCE], None),
+        ("{kind: force, body: 1}", STEPS, [BODY], "add {name: force, at: shaker} to"),
+        ("{kind: force, body: 1}", "", [BODY], "add {name: force, at: shaker} to"),
+        ("{kind: force, body: 1}", "test: {kind: free, mode: 1, amplitude: 1 mm}\n", [BODY], None),
+        ("{kind: table, body: 2, spring: 5 kN/m}", "", [BODY, TABLE], None),
+        ("{kind: table, body: 2, spring: 5 kN/m}", "", [BODY], "add {name: table, at: table} to"),
+        (
+            "{kind: table, body: 1, spring: 5 kN/m}",
+            "",
+            [BODY],
+            "add {name: table, at: table} and {name: body1, at: body 1} to",
+        ),
+    ],
+)
+def test_given_channels_when_asked_for_the_force_then_what_is_missing_is_named(
+    shaker, test, channels, missing
+) -> None:
+    bench = Bench(scene_of(test, *channels, shaker=shaker))
+    said = force_untold(bench.scene, bench.channels)
+    assert said is None if missing is None else missing in said
+
+
+def test_given_a_recording_that_does_not_tell_the_force_when_analysed_then_the_channel_to_add_is_named(
+    tmp_path,
+) -> None:
+    with pytest.warns(daq.RunWarning):
+        path = daq.record(scene_of(STEPS, BODY), tmp_path / "a.mcap")
+    with daq.open(path) as recording, pytest.raises(RecordingError, match=r"add \{name: force, at: shaker\}"):
+        frequency_responses(recording)

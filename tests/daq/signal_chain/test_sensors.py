@@ -1,0 +1,110 @@
+import numpy as np
+import pytest
+
+from daq.signal_chain.sensors import accelerometer
+from rig.scene.measurement_chain import Accelerometer
+from tests.daq.dsp.analytic_motion import Path, at_rest, chain_of, motion_of, scene_of
+
+
+def read_constant(keys, acceleration, count, converter="{rate: 5120 Hz}"):
+    """Read a constant acceleration, in the channel's unit."""
+    chain, rate = chain_of(scene_of(keys, converter=converter))
+    motion = at_rest(1, rate, count)
+    t = np.arange(count) / rate
+    motion.acceleration[:], motion.velocity[:], motion.displacement[:] = (
+        acceleration,
+        acceleration * t,
+        acceleration * t * t / 2,
+    )
+    return chain.measure(motion)[0] / chain.channels[0].sensitivity
+
+
+def test_given_a_tolerance_when_sensors_are_made_then_true_sensitivities_spread_evenly_within_it():
+    settings = Accelerometer(sensitivity="100 mV/g", sensitivity_tolerance="10 %")
+    stages = [accelerometer(settings, seed, "c") for seed in range(400)]
+    deviation = np.array([stage.deviation for stage in stages])
+    assert np.abs(deviation).max() < 0.1
+    assert deviation.std() == pytest.approx(0.1 / np.sqrt(3.0), rel=0.1)
+    assert {stage.nominal for stage in stages} == {settings.sensitivity}
+    assert accelerometer(settings, 3, "c") == accelerometer(settings, 3, "c")
+
+
+def test_given_a_tolerance_when_measured_then_readings_are_off_by_it_and_the_stated_response_does_not_know():
+    keys = ", accelerometer: {sensitivity: 100 mV/g, sensitivity_tolerance: 10 %}"
+    read = read_constant(keys, 3.0, 5)
+    deviation = accelerometer(Accelerometer(sensitivity_tolerance=0.1), 1, "c1").deviation
+    assert deviation != 0.0
+    assert read[1:] == pytest.approx(np.full(4, 3.0 * (1 + deviation)), rel=1e-12)
+
+
+def test_given_a_warm_sensor_when_measured_then_its_sensitivity_has_drifted():
+    keys = ", accelerometer: {temperature_drift: 0.05 %/K, temperature_change: 20 K}"
+    assert read_constant(keys, 2.0, 3)[-1] == pytest.approx(2.02, rel=1e-12)
+
+
+def test_given_transverse_sensitivity_when_sensors_are_made_then_it_lets_in_that_share_of_the_sideways_motion():
+    deviations = [
+        accelerometer(Accelerometer(transverse="5 %", lateral="40 %"), seed, "c").deviation
+        for seed in range(300)
+    ]
+    assert np.max(deviations) == pytest.approx(0.02, rel=0.01)
+    assert np.min(deviations) == pytest.approx(-0.02, rel=0.01)
+    default = [accelerometer(Accelerometer(transverse="5 %"), seed, "c").deviation for seed in range(300)]
+    assert np.max(default) == pytest.approx(0.005, rel=0.01)
+
+
+def test_given_a_bias_when_measured_then_it_is_there_from_power_on_or_settles():
+    chain, rate = chain_of(
+        scene_of(", accelerometer: {bias: 2 V}", ", accelerometer: {bias: 2 V, bias_settling: 0.5 s}")
+    )
+    read = chain.measure(at_rest(2, rate, 5120))
+    assert (read[0] == 2.0).all()
+    assert read[1] == pytest.approx(2.0 * (1 - np.exp(-np.arange(5120) / (0.5 * rate))), abs=1e-12)
+
+
+def test_given_a_biased_sensor_when_ac_coupled_then_the_bias_is_a_step_that_decays_as_the_coupling_says():
+    converter = "{coupling: AC, ac_corner: 0.5 Hz}"
+    chain, rate = chain_of(scene_of(", accelerometer: {bias: 11 V}", converter=converter))
+    read = chain.measure(at_rest(1, rate, 10240))[0]
+    assert read == pytest.approx(11.0 * np.exp(-np.pi * np.arange(10240) / rate), abs=0.01)
+    assert abs(read[-1]) < 0.03
+
+
+def test_given_a_low_cutoff_when_acceleration_lasts_then_the_reading_decays():
+    read = read_constant(", accelerometer: {low_cutoff: 2 Hz}", 1.0, 5120)
+    t = (np.arange(5120) - 0.5) / 5120.0
+    assert read[1:] == pytest.approx(np.exp(-2 * np.pi * 2.0 * t[1:]), abs=1e-6)
+
+
+def test_given_a_saturation_when_exceeded_then_the_reading_stays_at_it_and_follows_again_at_once():
+    chain, rate = chain_of(scene_of(", accelerometer: {sensitivity: 2, saturation: 5}"))
+    path = Path(tones=((20.0, 50.0, 0.0),))
+    read = chain.measure(motion_of([path], rate, 1000))[0] / 2.0
+    free = chain_of(scene_of(", accelerometer: {sensitivity: 2}"))[0]
+    expected = np.clip(free.measure(motion_of([path], rate, 1000))[0] / 2.0, -5.0, 5.0)
+    assert read == pytest.approx(expected, abs=1e-12)
+
+
+def test_given_a_slow_recovery_when_overloaded_then_the_zero_is_shifted_and_comes_back_with_its_time_constant():
+    keys = ", accelerometer: {saturation: 5, overload_recovery: 20 ms}"
+    chain, rate = chain_of(scene_of(keys))
+    motion = at_rest(1, rate, 1024)
+    # 15 m/s^2 for 10 ms, three times what it can follow.
+    motion.acceleration[0, 1:52] = 15.0
+    motion.velocity[0] = np.cumsum(motion.acceleration[0]) / rate
+    motion.displacement[0] = np.cumsum(motion.velocity[0]) / rate
+    read = chain.measure(motion)[0]
+    assert read[10:50] == pytest.approx(np.full(40, 5.0), abs=1e-9)
+    tail = read[60:]
+    assert tail[0] < -1.0
+    assert tail[1:] / tail[:-1] == pytest.approx(np.full(tail.size - 1, np.exp(-1 / (0.02 * rate))), rel=1e-9)
+
+
+def test_given_a_saturation_before_an_integrator_when_exceeded_then_what_is_lacking_is_lacking_in_the_integral():
+    chain, rate = chain_of(scene_of(", accelerometer: {saturation: 5}, integrator: {order: 1}"))
+    motion = at_rest(1, rate, 200)
+    t = np.arange(200) / rate
+    motion.acceleration[:], motion.velocity[:], motion.displacement[:] = 8.0, 8.0 * t, 4.0 * t * t
+    read = chain.measure(motion)[0]
+    # Constant acceleration as an acceleration that sets in within the first interval.
+    assert np.diff(read)[3:] * rate == pytest.approx(np.full(196, 5.0), rel=1e-9)

@@ -1,0 +1,135 @@
+"""An independent way to simulate a scene: scipy's DOP853 between events, restarted at each.
+
+Slow and only as good as its tolerances, but it shares nothing with the engine except the scene.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+import rig
+from rig.system.structure import damper_bodies, damper_masses, structure_matrices
+
+FLIGHT, FLOOR, CEILING = 0, 1, 2
+#: After a separation the gap is at rounding level: its guards sleep this long, s.
+BLIND = 2e-5
+
+
+class Peer:
+    """The scene's structure under force F sin(w t) on body 1, dampers on their floors at x = 0."""
+
+    def __init__(self, scene: rig.Scene) -> None:
+        self.mass, self.damping, self.stiffness = structure_matrices(scene.structure)
+        self.n = len(self.mass)
+        self.body, self.bed = damper_bodies(scene), damper_masses(scene)
+        self.clearance = np.array([d.clearance for d in scene.dampers])
+        self.restitution = np.array([d.restitution for d in scene.dampers])
+        self.gravity = scene.gravity
+        self.omega = 2 * np.pi * scene.test.frequency
+        self.force = np.zeros(self.n)
+        self.force[[b - 1 for b in scene.shaker.bodies]] = scene.test.force
+        self.mode = np.full(len(self.bed), FLOOR)
+
+    def _bodies(self, t: float, state: np.ndarray) -> np.ndarray:
+        """Accelerations of the bodies in the present configuration."""
+        n = self.n
+        mass = self.mass.copy()
+        load = (
+            self.force * np.sin(self.omega * t) - self.stiffness @ state[:n] - self.damping @ state[n : 2 * n]
+        )
+        riding = self.mode != FLIGHT
+        mass[self.body[riding], self.body[riding]] += self.bed[riding]
+        load[self.body[riding]] -= self.bed[riding] * self.gravity
+        return np.linalg.solve(mass, load)
+
+    def _slope(self, t: float, state: np.ndarray) -> np.ndarray:
+        n, d = self.n, len(self.bed)
+        acceleration = self._bodies(t, state)
+        own = np.where(self.mode == FLIGHT, state[2 * n + d :], state[n + self.body])
+        own_slope = np.where(self.mode == FLIGHT, -self.gravity, acceleration[self.body])
+        return np.concatenate([state[n : 2 * n], acceleration, own, own_slope])
+
+    def _guards(self, blind: dict[tuple[int, int], float]) -> list[tuple[int, int, object]]:
+        n = self.n
+        found: list[tuple[int, int, object]] = []
+        for j, body in enumerate(self.body):
+            if self.mode[j] == FLIGHT:
+                found.append(
+                    (
+                        j,
+                        FLOOR,
+                        lambda t, s, j=j, b=body: (
+                            s[2 * n + j] - s[b] if t > blind.get((j, FLOOR), -1) else 1.0
+                        ),
+                    )
+                )
+                if np.isfinite(self.clearance[j]):
+                    found.append(
+                        (
+                            j,
+                            CEILING,
+                            lambda t, s, j=j, b=body: (
+                                self.clearance[j] - s[2 * n + j] + s[b]
+                                if t > blind.get((j, CEILING), -1)
+                                else 1.0
+                            ),
+                        )
+                    )
+            else:
+                sign = 1.0 if self.mode[j] == FLOOR else -1.0
+                found.append(
+                    (j, FLIGHT, lambda t, s, b=body, sign=sign: sign * (self._bodies(t, s)[b] + self.gravity))
+                )
+        for _, _, guard in found:
+            guard.terminal, guard.direction = True, -1
+        return found
+
+    def events(self, duration: float) -> list[tuple[float, int, str]]:
+        """Events up to a time: (time, damper from 1, kind)."""
+        n, d = self.n, len(self.bed)
+        state, t, out = np.zeros(2 * n + 2 * d), 0.0, []
+        blind: dict[tuple[int, int], float] = {}
+        while t < duration:
+            guards = self._guards(blind)
+            solution = solve_ivp(
+                self._slope, (t, duration), state, method="DOP853", rtol=1e-12, atol=1e-15,
+                max_step=2 * np.pi / max(self.omega, 300.0) / 80, events=[g for _, _, g in guards],
+            )  # fmt: skip
+            t, state = solution.t[-1], solution.y[:, -1].copy()
+            if solution.status != 1:
+                break
+            for (j, wall, _), hits in zip(guards, solution.t_events, strict=True):
+                if len(hits):
+                    self._change(t, state, j, wall, blind, out)
+        return out
+
+    def _change(self, t, state, j, wall, blind, out) -> None:
+        n, d = self.n, len(self.bed)
+        body = self.body[j]
+        if wall == FLIGHT:
+            self._leave(t, state, j, blind)
+            out.append((t, j + 1, "separation"))
+            return
+        before = state[2 * n + d + j] - state[n + body]
+        impulse = (1 + self.restitution[j]) * before / (1 / self.mass[body, body] + 1 / self.bed[j])
+        state[n + body] += impulse / self.mass[body, body]
+        out.append((t, j + 1, "floor" if wall == FLOOR else "ceiling"))
+        self.mode[j] = wall
+        if self.restitution[j] > 0:
+            self._leave(t, state, j, blind)
+            state[2 * n + d + j] = state[n + body] - self.restitution[j] * before
+        for i in range(d):
+            if self.mode[i] != FLIGHT:
+                sign = 1.0 if self.mode[i] == FLOOR else -1.0
+                if sign * (self._bodies(t, state)[self.body[i]] + self.gravity) < 0:
+                    self._leave(t, state, i, blind)
+                    out.append((t, i + 1, "separation"))
+
+    def _leave(self, t, state, j, blind) -> None:
+        n, d = self.n, len(self.bed)
+        body, wall = self.body[j], self.mode[j]
+        state[2 * n + j] = state[body] + (self.clearance[j] if wall == CEILING else 0.0)
+        state[2 * n + d + j] = state[n + body]
+        self.mode[j] = FLIGHT
+        blind[(j, wall)] = t + BLIND

@@ -1,0 +1,234 @@
+"""In any scene walls are not passed, contacts push, momentum and energy are kept, and blocks do not matter."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import rig
+from rig.system.assembly import assemble
+
+
+def _log(low: float, high: float) -> st.SearchStrategy[float]:
+    return st.floats(np.log(low), np.log(high)).map(lambda value: float(np.exp(value)))
+
+
+@st.composite
+def scenes(draw: st.DrawFn) -> rig.Scene:
+    """Chains and full mass matrices of one to four bodies with a damper in some, driven hard enough to fly."""
+    bodies = draw(st.integers(1, 4))
+    masses = draw(st.lists(st.floats(0.3, 2.0), min_size=bodies, max_size=bodies))
+    omega = draw(_log(30.0, 500.0))
+    springs = [mass * omega**2 * draw(st.floats(0.3, 3.0)) for mass in masses]
+    structure: dict[str, object] = {
+        "masses": masses,
+        "springs": springs,
+        "damping": {"modal": draw(_log(1e-4, 0.1))},
+    }
+    if draw(st.booleans()):
+        from rig.system.structure import chain
+
+        mass = np.diag(masses)
+        mass = mass + 0.15 * np.sqrt(np.outer(np.diag(mass), np.diag(mass))) * (1 - np.eye(bodies))
+        stiffness = chain(tuple(springs))
+        structure = {
+            "matrices": {
+                "mass": mass.tolist(),
+                "stiffness": stiffness.tolist(),
+                "damping": (1e-4 * stiffness).tolist(),
+            }
+        }
+    places = draw(st.lists(st.integers(1, bodies), min_size=1, max_size=4, unique=True))
+    dampers = [
+        {
+            "body": body,
+            "mass_ratio": draw(_log(0.01, 2.0)),
+            "clearance": draw(st.one_of(st.just(float("inf")), _log(3e-5, 3e-3))),
+            "restitution": draw(st.sampled_from([0.0, 0.0, 0.3, 0.8])),
+        }
+        for body in places
+    ]
+    test = {
+        "kind": "sine",
+        "start": draw(st.sampled_from(["empty", "settled"])),
+        "frequency": omega / 2 / np.pi * draw(st.floats(0.5, 1.6)),
+        "force": sum(masses) * 9.80665 * draw(_log(0.3, 4.0)),
+    }
+    shaker = {"kind": "force", "body": draw(st.integers(1, bodies))}
+    return rig.Scene.model_validate(
+        {"structure": structure, "dampers": dampers, "shaker": shaker, "test": test}
+    )
+
+
+@settings(max_examples=40)
+@given(scene=scenes())
+def test_given_any_scene_when_run_then_dampers_stay_between_their_walls_and_energy_is_accounted_for(
+    scene: rig.Scene,
+) -> None:
+    frequency = scene.test.frequency
+    run = rig.simulate(scene, 20 / frequency, rate=40 * frequency)
+    clearance = np.array([damper.clearance for damper in scene.dampers])[:, None]
+    assert np.isfinite(run.displacement).all()
+    assert (run.gap >= 0.0).all() and (run.gap <= clearance + 1e-12).all()
+    # A wall passed unnoticed would leave a damper in flight with no gap, away from any event.
+    for damper in range(len(scene.dampers)):
+        stuck = run.time[(run.contact[damper] == 0) & (run.gap[damper] == 0.0)]
+        own = run.events["time"][run.events["damper"] == damper + 1]
+        assert all(np.abs(own - time).min() < 1e-6 for time in stuck)
+    energy = run.energy
+    turnover = abs(energy.work) + energy.dissipated + energy.impacts + abs(energy.stored)
+    assert abs(energy.residual) < 1e-10 * turnover
+    assert energy.impacts >= -1e-12 * turnover
+    assert (run.events["speed"] >= 0.0).all()
+    assert (np.diff(run.events["time"]) >= 0.0).all()
+
+
+@settings(max_examples=40)
+@given(scene=scenes())
+def test_given_any_scene_when_a_damper_rides_then_its_contact_pushes(scene: rig.Scene) -> None:
+    frequency = scene.test.frequency
+    run = rig.simulate(scene, 20 / frequency, rate=40 * frequency)
+    sign = np.select([run.contact == 1, run.contact == 2], [1.0, -1.0], 0.0)
+    body = [damper.body - 1 for damper in scene.dampers]
+    pressure = sign * (run.acceleration[body] + scene.gravity)
+    assert pressure.min() > -1e-9 * max(scene.gravity, np.abs(run.acceleration).max())
+
+
+@settings(max_examples=15)
+@given(scene=scenes(), seed=st.integers(0, 2**32 - 1))
+def test_given_any_scene_when_every_guard_is_looked_at_in_every_step_then_no_more_is_found_than_behind_an_envelope(
+    scene: rig.Scene, seed: int
+) -> None:
+    # A block begins without an envelope, so in blocks of one sample none is ever drawn.
+    random = np.random.default_rng(seed)
+    rate = 800 * scene.test.frequency
+    time = np.arange(1000) / rate
+    tone = np.sin(2 * np.pi * scene.test.frequency * time) + 0.1 * random.standard_normal(len(time))
+    drive = 3.0 * scene.test.force * tone[None]
+    whole = rig.Plant(scene, rate).advance(drive)
+    plant = rig.Plant(scene, rate)
+    samples = [plant.advance(drive[:, k : k + 1]) for k in range(len(time))]
+    np.testing.assert_array_equal(np.concatenate([sample.events for sample in samples]), whole.events)
+    for field in ("displacement", "acceleration", "gap", "contact"):
+        joined = np.concatenate([getattr(sample, field) for sample in samples], axis=1)
+        np.testing.assert_array_equal(joined, getattr(whole, field))
+
+
+@settings(max_examples=40)
+@given(scene=scenes(), seed=st.integers(0, 2**32 - 1))
+def test_given_any_scene_and_drive_when_cut_into_blocks_then_every_bit_is_the_same(
+    scene: rig.Scene, seed: int
+) -> None:
+    random = np.random.default_rng(seed)
+    drive = scene.test.force * random.standard_normal((1, 300))
+    rate = 30 * scene.test.frequency
+    whole = rig.Plant(scene, rate).advance(drive)
+    plant = rig.Plant(scene, rate)
+    cuts = np.sort(random.integers(0, 300, 6))
+    parts = [plant.advance(block) for block in np.split(drive, cuts, axis=1)]
+    for field in (
+        "displacement",
+        "velocity",
+        "acceleration",
+        "gap",
+        "contact",
+        "break_velocity",
+        "break_acceleration",
+    ):
+        joined = np.concatenate([getattr(part, field) for part in parts], axis=-1)
+        np.testing.assert_array_equal(joined, getattr(whole, field))
+    for field in ("break_sample", "break_offset", "events"):
+        np.testing.assert_array_equal(
+            np.concatenate([getattr(part, field) for part in parts]), getattr(whole, field)
+        )
+
+
+@settings(max_examples=40)
+@given(scene=scenes(), seed=st.integers(0, 2**32 - 1))
+def test_given_any_impact_when_velocities_jump_then_momentum_is_kept_and_contacts_only_push(
+    scene: rig.Scene, seed: int
+) -> None:
+    scene = scene.replace(dampers=[damper.replace(restitution=0.0) for damper in scene.dampers])
+    drive = scene.test.force * np.random.default_rng(seed).standard_normal((1, 400))
+    rate = 30 * scene.test.frequency
+    motion = rig.Plant(scene, rate).advance(drive)
+    system = assemble(scene)
+    time = (motion.break_sample - 1) / rate + motion.break_offset
+    mode = np.ones(system.dampers, dtype=int)
+    mode[[int(e["damper"]) - 1 for e in motion.events if e["time"] == 0.0]] = 0
+    events = [e for e in motion.events if e["time"] > 0.0]
+    for k, instant in enumerate(time):
+        before, after = motion.break_velocity[:, :, k]
+        impulse = system.mass @ (after - before)
+        scale = np.abs(system.mass @ np.abs(before)).max() + np.abs(impulse).max()
+        struck: dict[int, float] = {}
+        lifted = set()
+        # All that the break holds: its events follow one another in the list at one instant.
+        while (
+            events
+            and abs(events[0]["time"] - instant) <= 1e-12
+            and _belongs(events[0], struck, lifted, k, time)
+        ):
+            event = events.pop(0)
+            j = int(event["damper"]) - 1
+            if event["kind"] == "separation":
+                lifted.add(j)
+            else:
+                struck[j] = float(event["speed"]) * (1.0 if event["kind"] == "floor" else -1.0)
+                mode[j] = 1 if event["kind"] == "floor" else 2
+        balance = impulse.copy()
+        for j in range(system.dampers):
+            body = system.damper_coordinate[j]
+            change = after[body] - before[body]
+            if j in struck:
+                # Before the impact the damper moved slower than the floor by the closing speed.
+                balance[body] += system.damper_mass[j] * (change + struck[j])
+            elif mode[j] and not (j in lifted and _let_go(mode[j], change)):
+                balance[body] += system.damper_mass[j] * change
+        assert np.abs(balance).max() < 1e-12 * max(scale, 1e-12)
+        for j in lifted:
+            mode[j] = 0
+
+
+def _let_go(mode: int, change: float) -> bool:
+    """Whether a wall that jumps by this much in velocity leaves the damper on it behind."""
+    return change < 0.0 if mode == 1 else change > 0.0
+
+
+def _belongs(event: np.void, struck: dict[int, float], lifted: set[int], k: int, time: np.ndarray) -> bool:
+    """Whether an event belongs to this break, where several breaks fall on one instant."""
+    j = int(event["damper"]) - 1
+    if event["kind"] == "separation":
+        return j not in lifted
+    repeated = k + 1 < len(time) and time[k + 1] == time[k] and bool(struck or lifted)
+    return not repeated
+
+
+@pytest.mark.parametrize("name", ["fig8-three-dampers", "fig9", "bare-structure"])
+def test_given_a_bundled_scene_when_driven_hard_then_the_ledger_of_its_shaker_closes(name: str) -> None:
+    scene = rig.load(name)
+    run = rig.simulate(scene, 1.0, rate=2000.0, frequency=35.0)
+    turnover = run.energy.dissipated + run.energy.impacts + abs(run.energy.stored)
+    assert turnover > 0.0
+    assert abs(run.energy.residual) < 1e-10 * turnover
+
+
+def test_given_no_drive_when_time_passes_then_every_damper_rests_on_its_floor_at_the_static_sag() -> None:
+    scene = rig.loads(
+        """
+        structure: {masses: [0.74, 0.71], springs: [24.3 kN/m, 21.8 kN/m], damping: {modal: 2 %}}
+        dampers:
+          - {body: 1, mass_ratio: 10 %, clearance: 1 mm}
+          - {body: 2, mass_ratio: 10 %, clearance: .inf, restitution: 0.5}
+        test: {kind: free, velocity: [1 m/s, -1 m/s], duration: 1 s}
+        """,
+        where="test",
+    )
+    run = rig.simulate(scene, 30.0, rate=100.0)
+    weight = 9.80665 * 0.1 * np.array([0.74, 0.71])
+    sag = -np.array([weight.sum() / 24.3e3, weight.sum() / 24.3e3 + weight[1] / 21.8e3])
+    assert (run.contact[:, -1] == 1).all()
+    np.testing.assert_allclose(run.displacement[:, -1], sag, rtol=1e-12)
+    assert set(run.events["kind"]) == {"separation", "floor", "ceiling"}

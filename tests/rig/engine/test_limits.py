@@ -1,0 +1,206 @@
+"""The engine at the ends of its range: ties, drift, extreme ratios, loose structures, bouncing to rest."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rig
+from rig.system.receptance import receptance
+from tests.rig.bouncing_ball import fly, take_off
+from tests.rig.engine.exact import Segment
+
+OMEGA = 2 * np.pi * 10.0
+
+
+def single(damper: dict[str, object], damping: float = 0.01, **test: object) -> rig.Scene:
+    """One body of 1 kg at 10 Hz with a damper, driven by a force."""
+    return rig.Scene.model_validate(
+        {
+            "structure": {"masses": [1.0], "springs": [OMEGA**2], "damping": {"modal": damping}},
+            "dampers": [{"body": 1, "mass": 0.05, "clearance": float("inf"), **damper}],
+            "shaker": {"kind": "force", "body": 1},
+            "test": {"kind": "sine", "frequency": 9.0, "force": 6.0, "duration": 1.0, **test},
+        }
+    )
+
+
+def free(masses: list[float], springs: list[float], velocity: list[float], **changes: object) -> rig.Scene:
+    """A chain set in motion from x = 0."""
+    return rig.Scene.model_validate(
+        {
+            "structure": {"masses": masses, "springs": springs},
+            "test": {"kind": "free", "start": "empty", "velocity": velocity, "duration": 1.0},
+            **changes,
+        }
+    )
+
+
+def test_given_three_identical_uncoupled_oscillators_when_they_hit_then_they_hit_in_exact_unison() -> None:
+    scene = rig.Scene.model_validate(
+        {
+            "structure": {
+                "matrices": {
+                    "mass": np.eye(3).tolist(),
+                    "stiffness": (OMEGA**2 * np.eye(3)).tolist(),
+                    "damping": (0.6 * np.eye(3)).tolist(),
+                }
+            },
+            "dampers": [{"body": body, "mass": 0.05, "clearance": 2e-3} for body in (1, 2, 3)],
+            "shaker": {"kind": "force", "body": [1, 2, 3]},
+            "test": {"kind": "sine", "frequency": 9.5, "force": 5.0},
+        }
+    )
+    run = rig.simulate(scene, 10.0, rate=500.0)
+    count = len(run.events) // 3
+    events = run.events[: 3 * count].reshape(count, 3)
+    assert len(run.events) == 3 * count > 300
+    assert set(run.events["kind"]) == {"separation", "floor", "ceiling"}
+    assert (np.sort(events["damper"], axis=1) == [1, 2, 3]).all()
+    assert (events["kind"] == events["kind"][:, :1]).all()
+    assert np.ptp(events["time"], axis=1).max() < 1e-14
+    # Between the contacts of one instant the matrices differ, so the last bit of the others may.
+    assert np.ptp(events["speed"], axis=1).max() < 1e-14
+    assert np.abs(run.displacement - run.displacement[0]).max() < 1e-15
+
+
+def test_given_a_hundred_thousand_periods_when_run_then_the_motion_has_not_drifted() -> None:
+    scene = single({"clearance": 1.5e-3}, frequency=8.0)
+    every, late = 128, 102_400
+    run = rig.simulate(scene, late / 8.0, rate=8.0 / every)
+    settled = run.displacement[0, len(run.time) // 10 :]
+    assert len(run.events) > 2 * late
+    assert np.ptp(settled) < 1e-16
+
+
+def test_given_a_million_periods_of_a_linear_structure_when_run_then_amplitude_and_phase_are_exact() -> None:
+    scene = rig.load("bare-structure").replace(
+        test={"kind": "sine", "frequency": 32.0, "force": 2.6}, shaker={"kind": "force", "body": 1}
+    )
+    every = 8192
+    run = rig.simulate(scene, 123 * every / 32.0, rate=32.0 / every)
+    exact = 2.6 * receptance(scene, [32.0])
+    assert np.abs(run.displacement[:, -100:] - exact.imag).max() < 1e-12 * np.abs(exact).min()
+
+
+def test_given_a_vanishing_mass_when_run_then_the_damper_is_the_inelastic_bouncing_ball() -> None:
+    scene = single({"mass": 1e-9}, damping=0.1, force=25.0)
+    run = rig.simulate(scene, 12.0, rate=100.0)
+    omega = 2 * np.pi * scene.test.frequency
+    amplitude = -1j * 25.0 * receptance(scene, [scene.test.frequency])[0, 0]
+    peak = abs(amplitude) * omega**2 / scene.gravity
+    separations = run.events["time"][run.events["kind"] == "separation"]
+    landings = run.events["time"][run.events["kind"] == "floor"]
+    # x = |X| sin(w t + angle): phases of the last flight against the closed forms.
+    turn = np.angle(amplitude) + np.pi / 2
+    flight = fly(peak, take_off(peak))
+    off = separations[separations < landings[-1]][-1]
+    assert (omega * off + turn) % (2 * np.pi) == pytest.approx(flight.start, abs=1e-7)
+    assert omega * (landings[-1] - off) == pytest.approx(flight.end - flight.start, abs=1e-7)
+
+
+def test_given_a_damper_ten_times_its_body_when_run_then_the_energy_is_accounted_for() -> None:
+    scene = single({"mass": 10.0, "clearance": 1e-3}, force=120.0, frequency=3.2)
+    run = rig.simulate(scene, 20.0, rate=500.0)
+    assert {"floor", "separation"} <= set(run.events["kind"])
+    assert abs(run.energy.residual) < 1e-12 * (run.energy.dissipated + run.energy.impacts)
+
+
+def test_given_a_clearance_of_a_nanometre_when_run_then_the_motion_is_that_of_the_locked_damper() -> None:
+    scene = single({"clearance": 1e-9}, force=8.0)
+    locked = rig.simulate(
+        scene.replace(dampers=[{**vars(scene.dampers[0]), "locked": True}]), 1.0, rate=500.0
+    )
+    run = rig.simulate(scene, 1.0, rate=500.0)
+    assert {"floor", "ceiling", "separation"} <= set(run.events["kind"])
+    assert np.abs(run.acceleration).max() > 1.5 * scene.gravity
+    assert np.abs(run.displacement - locked.displacement).max() < 2e-7 * np.abs(locked.displacement).max()
+
+
+def test_given_a_floating_chain_when_its_dampers_fly_then_momentum_changes_by_weight_and_time_alone() -> None:
+    scene = free(
+        [1.0, 0.8],
+        [0.0, 4e3],
+        [1.0, -1.0],
+        dampers=[{"body": 1, "mass": 0.1, "clearance": 1e-2}, {"body": 2, "mass": 0.2, "clearance": 5e-3}],
+    )
+    run = rig.simulate(scene, 3.0, rate=1000.0)
+    assert len(run.events) > 50
+    weight = 0.3 * scene.gravity
+    # At the end, the momentum of dampers in flight follows from their last separation or rebound; use the
+    # instants at which both ride.
+    riding = (run.contact > 0).all(axis=0)
+    momentum = 1.1 * run.velocity[0] + 1.0 * run.velocity[1]
+    expected = 0.2 + 0.1 * 1.0 + 0.2 * -1.0 - weight * run.time
+    assert riding.sum() > 5
+    np.testing.assert_allclose(momentum[riding], expected[riding], rtol=1e-12, atol=1e-12)
+
+
+def test_given_a_floating_chain_without_dampers_when_set_free_then_it_drifts_and_swings_as_the_closed_form() -> (
+    None
+):
+    run = rig.simulate(free([1.0, 3.0], [0.0, 4e3], [1.0, 0.0]), 2.0, rate=100.0)
+    swing = np.sqrt(4e3 * (1 + 1 / 3))
+    centre = 0.25 * run.time
+    exact = centre + 0.75 * np.sin(swing * run.time) / swing
+    np.testing.assert_allclose(run.displacement[0], exact, atol=1e-12 * np.abs(exact).max())
+
+
+def test_given_a_spring_of_1e9_newtons_per_metre_beside_ours_when_run_then_its_motion_is_exact() -> None:
+    scene = free([0.74, 0.71, 0.64], [24.3e3, 1e9, 19.8e3], [0.1, 0.2, -0.1])
+    run = rig.simulate(scene, 0.01, rate=1000.0)
+    segment = Segment(scene, ())
+    exact = segment.after(segment.start(velocities=[0.1, 0.2, -0.1]), segment.gravity * 0 + run.time[-1])
+    for body in range(3):
+        assert run.displacement[body, -1] == pytest.approx(float(exact[body]), rel=1e-12)
+    loose = scene.replace(dampers=[{"body": 2, "mass_ratio": 0.1, "clearance": 1e-3}])
+    rattling = rig.simulate(loose, 0.2, rate=1000.0)
+    turnover = rattling.energy.stored_before
+    assert len(rattling.events) > 10
+    assert abs(rattling.energy.residual) < 1e-10 * turnover
+
+
+def test_given_restitution_095_when_the_body_has_come_to_rest_then_the_damper_bounces_out_in_finite_time() -> (
+    None
+):
+    # A light ball over a body that damping stops at once: a geometric sequence of flights.
+    scene = rig.Scene.model_validate(
+        {
+            "structure": {"masses": [1.0], "springs": [OMEGA**2], "damping": {"modal": 0.9}},
+            "dampers": [{"body": 1, "mass": 1e-9, "clearance": float("inf"), "restitution": 0.95}],
+            "test": {"kind": "free", "displacement": [0.05], "duration": 1.0},
+        }
+    )
+    run = rig.simulate(scene, 12.0, rate=100.0)
+    impacts = run.events[run.events["kind"] == "floor"]
+    settled = impacts[impacts["time"] > 2.0]
+    speeds = settled["speed"][settled["speed"] > 1e-6]
+    np.testing.assert_allclose(speeds[1:] / speeds[:-1], 0.95, rtol=1e-6)
+    ends = settled["time"][0] + 2 * 0.95 * settled["speed"][0] / scene.gravity / 0.05
+    assert impacts["time"][-1] == pytest.approx(ends, rel=1e-6)
+    assert run.contact[0, -1] == 1
+    assert 100 < len(impacts) < 1000
+
+
+def test_given_a_hundred_bodies_with_twenty_dampers_when_driven_then_the_ledger_closes() -> None:
+    bodies = 100
+    scene = rig.Scene.model_validate(
+        {
+            "structure": {
+                "masses": [0.7] * bodies,
+                "springs": [22e3] * bodies,
+                "damping": {"rayleigh": {"alpha": 0.5, "beta": 1e-5}},
+            },
+            "dampers": [
+                {"body": body, "mass_ratio": 0.1, "clearance": 1e-3 * (1 + 0.01 * body)}
+                for body in range(1, bodies + 1, 5)
+            ],
+            "shaker": {"kind": "force", "body": [1, 20, 40]},
+            "test": {"kind": "sine", "start": "settled", "frequency": 40.0, "force": 60.0},
+        }
+    )
+    run = rig.simulate(scene, 0.3, rate=1000.0)
+    assert len(scene.dampers) == 20
+    assert len({int(damper) for damper in run.events["damper"]}) > 5
+    turnover = abs(run.energy.work) + run.energy.dissipated + run.energy.impacts
+    assert abs(run.energy.residual) < 1e-10 * turnover

@@ -1,0 +1,297 @@
+"""The engine against proven event lists, an independent solver, and 40-digit solutions of single events."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpmath import findroot, mpf
+
+import rig
+from rig.errors import RunError, SceneError
+from tests.rig.engine.exact import Segment
+from tests.rig.engine.peer import Peer
+
+KINDS = {
+    "takeoff_floor": "separation",
+    "land_floor": "floor",
+    "takeoff_ceiling": "separation",
+    "land_ceiling": "ceiling",
+}
+
+
+def run_of(name: str, **changes: object) -> rig.Run:
+    scene = rig.load(name).replace(**changes)
+    return rig.simulate(scene, scene.test.duration, rate=2000.0)
+
+
+def single(**test: object) -> rig.Scene:
+    """One body of 1 kg at 10 Hz with a damper, driven by a force."""
+    stiffness = (2 * np.pi * 10.0) ** 2
+    return rig.Scene.model_validate(
+        {
+            "structure": {"masses": [1.0], "springs": [stiffness], "damping": {"modal": 0.01}},
+            "dampers": [{"body": 1, "mass": 0.05, "clearance": float("inf")}],
+            "shaker": {"kind": "force", "body": 1},
+            "test": {"kind": "sine", "frequency": 9.0, "force": 6.0, "duration": 1.0, **test},
+        }
+    )
+
+
+def proven_events() -> list[tuple[mpf, int, str]]:
+    """Events of case A: 40-digit time, damper from 1, kind."""
+    data = Path(__file__).parent / "data" / "reference-A-events.json"
+    return [(mpf(time), damper + 1, KINDS[kind]) for time, damper, kind in json.loads(data.read_text())]
+
+
+def test_given_reference_case_a_when_run_then_all_463_proven_events_come_within_1e_12_s() -> None:
+    proven = proven_events()
+    events = run_of("reference-A").events
+    assert len(proven) == len(events) == 463
+    assert [(int(e["damper"]), str(e["kind"])) for e in events] == [event[1:] for event in proven]
+    assert np.abs(events["time"] - [float(event[0]) for event in proven]).max() < 1e-12
+
+
+def test_given_case_a_when_carried_on_to_40_digits_through_its_events_then_positions_agree_to_1e_12() -> None:
+    scene = rig.load("reference-A")
+    run = run_of("reference-A")
+    segments: dict[tuple[int, ...], Segment] = {}
+    riding, now, speeds = (0, 1, 2), mpf(0), {}
+    state = Segment(scene, riding).start()
+    bed, body = (0.1 * mass for mass in scene.structure.masses), scene.structure.masses
+    ratio = [mpf(own) / (mpf(own) + mpf(mass)) for own, mass in zip(bed, body, strict=True)]
+    end = len(run.time) - 1
+    for time, damper, kind in [*proven_events(), (mpf(end) / 2000, 0, "end")]:
+        segment = segments.setdefault(riding, Segment(scene, riding))
+        state = segment.after(state, time - now)
+        speeds = {j: speed - segment.gravity * (time - now) for j, speed in speeds.items()}
+        now, j = time, damper - 1
+        if kind == "separation":
+            speeds[j] = state[3 + j]
+            riding = tuple(k for k in riding if k != j)
+        elif kind == "floor":
+            state[3 + j] += ratio[j] * (speeds.pop(j) - state[3 + j])
+            riding = tuple(sorted((*riding, j)))
+    for j in range(3):
+        assert abs(run.displacement[j, end] - float(state[j])) < 1e-12 * np.abs(run.displacement[j]).max()
+
+
+@pytest.mark.parametrize(("name", "count"), [("reference-B", 273), ("reference-C", 984)])
+def test_given_reference_cases_b_and_c_when_run_then_the_counts_are_the_known_ones(
+    name: str, count: int
+) -> None:
+    run = run_of(name)
+    assert len(run.events) == count
+    assert run.ambiguous == 0
+
+
+def test_given_case_b_when_its_ceiling_graze_at_period_80_comes_then_it_is_hit_at_7_mm_per_s() -> None:
+    events = run_of("reference-B").events
+    period = events["time"] * 312.4 / (2 * np.pi)
+    graze = events[(period > 80) & (period < 81) & (events["kind"] == "ceiling")]
+    assert len(graze) == 1
+    assert graze["speed"][0] == pytest.approx(7e-3, rel=0.05)
+
+
+def test_given_random_scenes_when_an_independent_solver_runs_them_then_it_finds_the_same_events() -> None:
+    random = np.random.default_rng(11)
+    for _ in range(4):
+        scene = _random_scene(random)
+        duration = 8 / scene.test.frequency
+        events = rig.simulate(scene, duration, rate=100.0).events
+        peer = Peer(scene).events(duration)
+        assert [(d, kind) for _, d, kind in peer] == [(int(e["damper"]), str(e["kind"])) for e in events]
+        np.testing.assert_allclose([time for time, _, _ in peer], events["time"], atol=1e-8)
+
+
+def _random_scene(random: np.random.Generator) -> rig.Scene:
+    """Draw from the ranges in which nothing may be missed or invented."""
+    bodies = int(random.integers(1, 4))
+    masses = random.uniform(0.5, 1.5, bodies)
+    omega = np.exp(random.uniform(np.log(30.0), np.log(500.0)))
+    springs = masses * omega**2 * random.uniform(0.5, 2.0, bodies)
+    dampers = [
+        {
+            "body": int(body) + 1,
+            "mass_ratio": float(np.exp(random.uniform(np.log(0.01), np.log(2.0)))),
+            "clearance": float(random.choice([np.exp(random.uniform(np.log(3e-5), np.log(3e-3))), np.inf])),
+        }
+        for body in range(bodies)
+        if random.random() < 0.8 or body == 0
+    ]
+    return rig.Scene.model_validate(
+        {
+            "structure": {
+                "masses": masses.tolist(),
+                "springs": springs.tolist(),
+                "damping": {"modal": float(np.exp(random.uniform(np.log(1e-4), np.log(0.1))))},
+            },
+            "dampers": dampers,
+            "shaker": {"kind": "force", "body": 1},
+            "test": {
+                "kind": "sine",
+                "start": "empty",
+                "frequency": float(omega / 2 / np.pi * random.uniform(0.6, 1.4)),
+                "force": float(masses.sum() * 9.80665 * np.exp(random.uniform(np.log(0.3), np.log(3.0)))),
+            },
+        }
+    )
+
+
+def _highest_gap(scene: rig.Scene) -> tuple[mpf, mpf]:
+    """Largest gap of the first flight of damper 1, to 40 digits, and when it is reached."""
+    run = rig.simulate(scene, 1.0, rate=20_000.0)
+    off, landing = run.events["time"][:2]
+    inside = (run.time > off) & (run.time < landing)
+    top = run.time[inside][np.argmax(run.gap[0, inside])]
+    riding, flying = Segment(scene, (0,)), Segment(scene, ())
+    start = riding.start()
+    guard = lambda t: riding.acceleration(riding.after(start, t), 0) + riding.gravity  # noqa: E731
+    take_off = findroot(guard, (mpf(off), mpf(off) + mpf("1e-9")), tol=1e-60)
+    begin = riding.after(start, take_off)
+
+    def rise(t: mpf) -> mpf:
+        state = flying.after(begin, t - take_off)
+        return begin[1] - flying.gravity * (t - take_off) - state[1]
+
+    highest = findroot(rise, (mpf(top), mpf(top) + mpf("1e-7")), tol=1e-60)
+    flown = highest - take_off
+    height = begin[0] + begin[1] * flown - flying.gravity * flown**2 / 2
+    return height - flying.after(begin, flown)[0], highest
+
+
+@pytest.mark.parametrize("depth", [1e-6, 1e-9, 1e-12, 1e-15])
+def test_given_a_ceiling_just_below_or_above_the_highest_gap_when_run_then_only_the_lower_one_is_hit(
+    depth: float,
+) -> None:
+    scene = single(start="empty")
+    highest, when = _highest_gap(scene)
+    kinds = {}
+    for sign in (1, -1):
+        clearance = float(highest - sign * mpf(depth))
+        damper = {"body": 1, "mass": 0.05, "clearance": clearance}
+        events = rig.simulate(scene.replace(dampers=[damper]), float(when) + 1e-3, rate=1000.0).events
+        kinds[sign] = [str(kind) for kind in events["kind"]]
+    assert kinds[1] == ["separation", "ceiling", "separation"]
+    assert kinds[-1] == ["separation"]
+
+
+@pytest.mark.parametrize("depth", [1e-2, 1e-6, 1e-10, 1e-12])
+def test_given_a_contact_force_that_dips_below_zero_or_not_when_run_then_it_separates_only_if_it_does(
+    depth: float,
+) -> None:
+    # From its static equilibrium the riding damper's acceleration is F a(t), whatever gravity is: with the
+    # largest fall of a(t) in a growing motion known, F sets how far the contact force dips below zero.
+    unit = single(force=1.0)
+    riding = Segment(unit.replace(gravity=0.0), (0,))
+    start = riding.start()
+    run = rig.simulate(unit, 0.5, rate=20_000.0)
+    guess = run.time[np.argmin(run.acceleration[0])]
+    when = findroot(
+        lambda t: riding.jerk(riding.after(start, t), 0), (mpf(guess), mpf(guess) + mpf("1e-6")), tol=1e-60
+    )
+    lowest = riding.acceleration(riding.after(start, when), 0)
+    found = {}
+    for sign in (1, -1):
+        force = float(-mpf(unit.gravity) * (1 + sign * mpf(depth)) / lowest)
+        found[sign] = rig.simulate(single(force=force), float(when) + 1e-4, rate=1000.0).events
+    assert len(found[-1]) == 0
+    assert str(found[1]["kind"][0]) == "separation"
+    # The dip lasts as long as the parabola there is below zero: it begins within that time.
+    assert 0.0 < float(when) - found[1]["time"][0] < 0.05 * np.sqrt(depth)
+
+
+def test_given_zero_damping_at_exact_resonance_when_run_then_it_grows_as_the_closed_form() -> None:
+    scene = single().replace(dampers=())
+    structure = scene.structure.replace(damping=None)
+    natural = np.sqrt(structure.springs[0]) / (2 * np.pi)
+    scene = scene.replace(structure=structure, test={"kind": "sine", "frequency": natural, "force": 6.0})
+    run = rig.simulate(scene, 10.0, rate=50.0)
+    segment = Segment(scene, ())
+    state, before = segment.start(), 0
+    for k in (1, 10, 100, 500):
+        state, before = segment.after(state, mpf(k - before) / 50), k
+        exact = float(state[0])
+        envelope = 6.0 * run.time[k] / (2 * 2 * np.pi * natural)
+        assert abs(run.displacement[0, k] - exact) < 1e-12 * envelope
+
+
+def test_given_critical_damping_when_set_free_then_it_returns_as_the_closed_form() -> None:
+    omega = 2 * np.pi * 10.0
+    scene = rig.loads(
+        f"""
+        structure: {{masses: [1.0], springs: [{omega**2!r}], damping: {{dashpots: [{2 * omega!r}]}}}}
+        test: {{kind: free, displacement: [1e-3], duration: 1}}
+        """,
+        where="test",
+    )
+    run = rig.simulate(scene, 0.5, rate=1000.0)
+    exact = 1e-3 * (1 + omega * run.time) * np.exp(-omega * run.time)
+    np.testing.assert_allclose(run.displacement[0], exact, rtol=1e-12, atol=1e-28)
+
+
+def test_given_no_dampers_when_response_is_followed_then_it_is_the_linear_receptance() -> None:
+    from rig.system.receptance import receptance
+
+    scene = rig.load("reference-C").replace(dampers=())
+    frequencies = [10.0, 13.04, 25.0, 49.7, 60.0]
+    response = rig.frequency_response(scene, frequencies)
+    np.testing.assert_allclose(response.compliance, receptance(scene, frequencies), rtol=1e-7)
+    assert set(response.motion_type) == {"linear"}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"duration": float("nan")}, "duration"),
+        ({"duration": -1.0}, "duration"),
+        ({"rate": float("inf")}, "rate"),
+        ({"frequency": 0.0}, "frequency"),
+        ({"drive": np.full((1, 100), np.nan)}, "drive: nan at sample 0 of input shaker"),
+        ({"drive": np.zeros((2, 100))}, "expected (1, samples)"),
+    ],
+)
+def test_given_bad_arguments_when_simulated_then_the_error_names_them(
+    change: dict[str, object], words: str
+) -> None:
+    arguments = {"duration": 0.1, "rate": 1000.0, **change}
+    with pytest.raises(SceneError) as error:
+        rig.simulate("reference-A", **arguments)
+    assert words in str(error.value)
+
+
+def test_given_a_drive_with_a_sample_that_is_no_number_when_advanced_then_sample_and_input_are_named() -> (
+    None
+):
+    plant = rig.Plant(rig.load("fig9"), 5120.0)
+    plant.advance(np.zeros((1, 10)))
+    drive = np.zeros((1, 10))
+    drive[0, 3] = np.inf
+    with pytest.raises(RunError, match="inf at sample 13 of input shaker"):
+        plant.advance(drive)
+
+
+@pytest.mark.parametrize(
+    ("matrices", "words"),
+    [
+        ({"mass": [[1.0, 2.0], [2.0, 1.0]], "stiffness": [[1e3, 0.0], [0.0, 1e3]]}, "mass"),
+        ({"mass": [[1.0, 0.2], [0.1, 1.0]], "stiffness": [[1e3, 0.0], [0.0, 1e3]]}, "mass"),
+        ({"mass": [[1.0, 0.0], [0.0, 1.0]], "stiffness": [[float("nan"), 0.0], [0.0, 1e3]]}, "stiffness"),
+    ],
+)
+def test_given_impossible_matrices_when_the_scene_is_made_then_they_are_named(
+    matrices: dict[str, object], words: str
+) -> None:
+    with pytest.raises(SceneError, match=words):
+        rig.load("bare-structure").replace(structure={"matrices": matrices}, channels=None)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("clearance", -1e-3), ("restitution", 1.0), ("mass", float("nan"))]
+)
+def test_given_an_impossible_damper_when_the_scene_is_made_then_it_is_named(key: str, value: float) -> None:
+    damper = {"body": 1, "mass": 0.1, "clearance": 1e-3, key: value}
+    with pytest.raises(SceneError, match=key):
+        rig.load("reference-B").replace(dampers=[damper])

@@ -1,0 +1,166 @@
+"""The map of the motion: its borders lie where theory puts them, and its files say what it shows."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rig
+from rig.errors import SceneError
+from rig.motion_map.figure import summary, write
+from rig.motion_map.grid import columns, rows_of, take_off, vertical_axis
+from rig.motion_map.motion_map import KINDS
+from rig.output_files import make_ready
+from rig.system.open_loop_drive import with_force_itself
+from rig.system.receptance import receptance
+
+
+@pytest.fixture(scope="module")
+def fig9_map() -> rig.MotionMap:
+    return rig.map_motion("fig9", values=[0.5, 1.0, 3.3, 10.0], frequencies=np.linspace(47.0, 54.0, 8))
+
+
+def test_given_a_map_when_the_level_lies_below_take_off_then_the_damper_rides_and_above_it_does_not(
+    fig9_map: rig.MotionMap,
+) -> None:
+    below = fig9_map.value[:, None] < 0.98 * fig9_map.take_off
+    above = fig9_map.value[:, None] > 1.02 * fig9_map.take_off
+    assert below.any() and above.any()
+    assert (fig9_map.kind[below] == KINDS.index("riding")).all()
+    assert (fig9_map.kind[above] != KINDS.index("riding")).all()
+
+
+def test_given_the_paper_scene_when_mapped_then_its_types_follow_each_other_as_the_force_grows(
+    fig9_map: rig.MotionMap,
+) -> None:
+    at_resonance = fig9_map.kind[:, int(np.argmin(fig9_map.take_off))]
+    assert (np.diff(at_resonance) >= 0).all()
+    assert {"I", "III"} <= {KINDS[k] for k in at_resonance}
+
+
+def test_given_a_map_when_a_point_is_computed_alone_then_its_motion_is_the_same(
+    fig9_map: rig.MotionMap,
+) -> None:
+    scene = with_force_itself(rig.load("fig9"))
+    scene = scene.replace(test=scene.test.replace(force=10.0))
+    alone = rig.frequency_response(scene, fig9_map.frequency)
+    assert list(alone.motion_type) == list(fig9_map.motion[-1])
+    np.testing.assert_allclose(alone.impacts.sum(axis=0), fig9_map.impacts[-1])
+
+
+def test_given_take_off_when_compared_with_the_receptance_then_that_level_accelerates_the_damper_at_gravity() -> (
+    None
+):
+    scene = rig.load("fig8-three-dampers")
+    frequency = np.array([12.0, 33.3, 47.6])
+    response = receptance(scene, frequency, riding=(1, 2, 3))
+    largest = np.abs(response).max(axis=0) * (2 * np.pi * frequency) ** 2
+    np.testing.assert_allclose(
+        take_off(with_force_itself(scene), frequency) * largest, scene.gravity, rtol=1e-9
+    )
+    np.testing.assert_allclose(
+        take_off(scene, frequency), take_off(with_force_itself(scene), frequency), rtol=1e-6
+    )
+
+
+def test_given_a_scene_when_rows_are_chosen_then_one_is_its_own_value_and_take_off_lies_inside() -> None:
+    scene = rig.load("fig9")
+    frequency = columns(scene)
+    levels = rows_of(scene, "force", frequency)
+    assert np.isclose(levels, 3.3, rtol=1e-12).sum() == 1
+    assert levels[0] < take_off(scene, frequency).min() < levels[-1]
+    clearances = rows_of(scene, "clearance", frequency)
+    assert np.isclose(clearances, 0.98e-3, rtol=1e-12).sum() == 1
+    assert np.allclose(np.diff(np.log(clearances)), np.log(clearances[1] / clearances[0]))
+
+
+def test_given_a_range_when_frequencies_are_chosen_then_they_are_closest_at_the_natural_frequencies() -> None:
+    frequency = columns(rig.load("fig8-three-dampers"))
+    assert (frequency[0], frequency[-1], len(frequency)) == (8.0, 60.0, 48)
+    assert (np.diff(frequency) > 0.0).all()
+    narrowest = frequency[int(np.argmin(np.diff(frequency)))]
+    assert 12.0 < narrowest < 13.5
+
+
+def test_given_a_test_that_drives_the_table_when_mapped_then_the_drive_is_the_axis() -> None:
+    scene = rig.loads(
+        "structure: {masses: [1 kg, 1 kg], springs: [20 kN/m, 20 kN/m], damping: {modal: 1 %}}\n"
+        "dampers: [{body: 2, mass_ratio: 10 %, clearance: .inf}]\n"
+        "shaker: {kind: table, body: 1, spring: 5 kN/m}\n"
+        "test: {kind: sine, frequency: 14 Hz, drive: 1 mm}\n"
+    )
+    found = rig.map_motion(scene, values=[2e-5, 1e-3], frequencies=[12.0, 14.0])
+    assert (found.over, found.unit) == ("drive", "m")
+    assert (found.kind[0] == KINDS.index("riding")).all()
+    with pytest.raises(SceneError, match="expected drive"):
+        rig.map_motion(scene, over="force")
+
+
+def test_given_clearances_when_mapped_then_locked_dampers_keep_theirs() -> None:
+    scene = rig.load("fig5-three-dampers")
+    first, *rest = scene.dampers
+    scene = scene.replace(dampers=(first.replace(locked=True), *rest))
+    found = rig.map_motion(scene, over="clearance", values=[0.5e-3], frequencies=[48.0, 50.0])
+    assert found.motion[0, 0].count("/") == 1
+    assert vertical_axis(scene, "clearance") == ("clearance", "m")
+
+
+def test_given_a_scene_that_stays_linear_when_mapped_then_the_error_says_so() -> None:
+    with pytest.raises(SceneError, match="no damper that moves"):
+        rig.map_motion("fig8-no-damper")
+
+
+def test_given_values_that_are_no_range_when_asked_then_the_error_quotes_them() -> None:
+    scene = rig.load("fig9")
+    with pytest.raises(SceneError, match="50 to 40 Hz"):
+        columns(scene, 50.0, 40.0)
+    with pytest.raises(SceneError, match="2 to 1 in 36 rows"):
+        rows_of(scene, "force", np.array([49.0]), 2.0, 1.0)
+    with pytest.raises(SceneError, match="positive"):
+        rig.map_motion(scene, values=[-1.0], frequencies=[49.0])
+
+
+def test_given_progress_that_is_interrupted_when_mapping_then_the_rows_that_run_stop_too() -> None:
+    seen = []
+
+    def interrupt(done: int, total: int) -> None:
+        seen.append(done)
+        if done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        rig.map_motion("fig9", frequencies=np.linspace(46.0, 54.0, 200), progress=interrupt)
+    assert len(seen) < 50
+
+
+def test_given_a_map_when_written_then_the_file_has_a_row_for_every_point(
+    fig9_map: rig.MotionMap, tmp_path: Path
+) -> None:
+    files = write(fig9_map, tmp_path / "new")
+    assert [file.suffix for file in files] == [".png", ".svg", ".csv"]
+    with files[2].open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == fig9_map.kind.size
+    assert {row["damper1_motion"] for row in rows} == set(fig9_map.motion.ravel())
+    assert "riding" in summary(fig9_map)
+
+
+def test_given_maps_of_a_scene_over_level_and_clearance_when_written_then_neither_takes_the_others_place(
+    fig9_map: rig.MotionMap, tmp_path: Path
+) -> None:
+    other = replace(fig9_map, over="clearance", unit="m")
+    files = [*write(fig9_map, tmp_path), *write(other, tmp_path)]
+    assert len(set(files)) == 6
+
+
+def test_given_a_place_that_is_a_file_when_results_are_to_go_there_then_the_error_comes_before_the_work(
+    tmp_path: Path,
+) -> None:
+    taken = tmp_path / "taken"
+    taken.write_text("", encoding="utf-8")
+    with pytest.raises(SceneError, match="choose another place"):
+        make_ready(taken / "maps")

@@ -1,0 +1,52 @@
+"""Contacts decided together, against trying every combination."""
+
+from itertools import product
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig.numerics.complementarity import complementarity, contact_work
+
+
+def solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    count = len(right)
+    work = contact_work(count, 8)
+    work.matrix[:count, :count] = matrix
+    work.right[:count] = right
+    complementarity(work, count)
+    return work.pressure[:count].copy()
+
+
+def by_trying(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    for pattern in product([False, True], repeat=len(right)):
+        active = np.array(pattern)
+        pressure = np.zeros(len(right))
+        if active.any():
+            pressure[active] = np.linalg.solve(matrix[np.ix_(active, active)], -right[active])
+        if (pressure >= -1e-12).all() and (matrix @ pressure + right >= -1e-9).all():
+            return pressure
+    raise AssertionError("a positive definite problem has a solution")
+
+
+@given(st.integers(0, 10_000), st.integers(1, 6))
+def test_given_a_positive_definite_problem_when_solved_then_every_combination_agrees(
+    seed: int, count: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    factor = rng.standard_normal((count, count))
+    matrix = factor @ factor.T + 0.1 * np.eye(count)
+    right = rng.standard_normal(count)
+
+    pressure = solved(matrix, right)
+
+    assert (pressure >= 0.0).all()
+    np.testing.assert_allclose(pressure, by_trying(matrix, right), atol=1e-9)
+
+
+def test_given_separating_contacts_when_solved_then_none_pushes() -> None:
+    assert (solved(np.eye(3), np.ones(3)) == 0.0).all()
+
+
+def test_given_one_contact_when_solved_then_it_closes_exactly() -> None:
+    assert solved(np.array([[4.0]]), np.array([-2.0]))[0] == 0.5

@@ -1,0 +1,59 @@
+"""Curves of solutions are followed through folds, to their ends, and say why they end."""
+
+import numpy as np
+import pytest
+
+from rig.numerics.continuation import NoConvergence, Steps, Vector, locate_folds, solve_at, trace
+
+
+def circle(x: Vector) -> tuple[Vector, Vector]:
+    return np.array([x @ x - 1]), 2 * x[None, :]
+
+
+def test_given_a_circle_when_followed_then_the_curve_closes_and_its_folds_are_at_plus_and_minus_one() -> None:
+    curve = trace(circle, np.array([1.0, 0.0]), (-2, 2), np.ones(2))
+
+    assert curve.ends == ("closed", "closed")
+    assert np.abs(np.hypot(*curve.points.T) - 1).max() < 1e-12
+    np.testing.assert_allclose(sorted(locate_folds(circle, curve)[:, 1]), [-1, 1], atol=1e-12)
+
+
+def test_given_a_range_when_the_curve_leaves_it_then_it_ends_on_the_bound_exactly() -> None:
+    curve = trace(circle, np.array([1.0, 0.0]), (-0.5, 0.75), np.ones(2))
+
+    assert curve.ends == ("range", "range")
+    assert curve.points[0, -1] == -0.5
+    assert curve.points[-1, -1] == 0.75
+    assert np.abs(np.hypot(*curve.points.T) - 1).max() < 1e-12
+
+
+def test_given_a_border_when_the_curve_crosses_it_then_it_ends_just_before_with_the_borders_name() -> None:
+    curve = trace(
+        circle,
+        np.array([1.0, 0.0]),
+        (-2, 2),
+        np.ones(2),
+        rooms=lambda x: (np.array([0.3 - x[1]]), ["too high"]),
+    )
+
+    assert curve.ends == ("too high", "too high")
+    assert 0.3 - 1e-9 < curve.points[-1, 1] <= 0.3
+
+
+def test_given_a_curve_that_ends_in_nowhere_when_followed_then_the_last_good_point_is_told() -> None:
+    def half_parabola(x: Vector) -> tuple[Vector, Vector]:
+        with np.errstate(invalid="ignore"):
+            root = np.sqrt(x[1]) if x[1] >= 0 else np.nan
+        return np.array([x[0] - 1 - root * x[1]]), np.array([[1.0, -1.5 * root]])
+
+    curve = trace(half_parabola, np.array([2.0, 1.0]), (-1, 1.5), np.ones(2))
+
+    assert curve.ends[1] == "range"
+    assert curve.ends[0].startswith("no convergence: the equations are not finite here at parameter ")
+    assert float(curve.ends[0].split()[-1]) == pytest.approx(curve.points[0, -1], rel=1e-6)
+    assert 0 <= curve.points[0, -1] < 1e-6
+
+
+def test_given_no_solution_when_the_parameter_is_held_then_it_says_so() -> None:
+    with pytest.raises(NoConvergence):
+        solve_at(circle, np.array([0.1, 0.0]), 2.0, np.ones(2), Steps())

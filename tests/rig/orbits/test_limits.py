@@ -1,0 +1,122 @@
+"""Known limits of exact orbits: no damper mass, no clearance, no ceiling, no acceleration beyond gravity."""
+
+import numpy as np
+import pytest
+
+import rig
+from rig.orbits.problem import pure_force
+from rig.scene.scene import Scene
+from rig.system.receptance import receptance
+from tests.rig.bouncing_ball import FULL_PERIOD, fly, take_off
+
+GRAVITY = 9.80665
+
+
+def at_body(scene: Scene, body: int, frequency: float, acceleration: float, **damper: float) -> Scene:
+    """Give one body one damper, and the force that accelerates the bare body by so many times gravity."""
+    bare = pure_force(scene).replace(dampers=[])
+    compliance = abs(receptance(bare, [frequency])[body - 1, 0])
+    force = acceleration * GRAVITY / ((2 * np.pi * frequency) ** 2 * compliance)
+    test = {"kind": "stepped_sine", "frequencies": [frequency], "force": float(force)}
+    return bare.replace(dampers=[{"body": body, **damper}], test=test)
+
+
+@pytest.mark.parametrize(("body", "frequency"), [(2, 47.0), (3, 30.0), (1, 20.0)])
+@pytest.mark.parametrize("acceleration", [1.02, 1.5, 2.4, 3.2])
+def test_given_a_damper_without_mass_when_it_sticks_then_it_flies_as_the_inelastic_ball_does(
+    acceleration: float, body: int, frequency: float
+) -> None:
+    scene = at_body(rig.load("fig9"), body, frequency, acceleration, mass_ratio=1e-9, clearance=float("inf"))
+
+    orbit = rig.periodic_orbit(scene, frequency)
+
+    start = take_off(acceleration)
+    flight = fly(acceleration, start)
+    assert orbit.motion_type == "I"
+    kinds, times = orbit.events["kind"], orbit.events["time"] * 2 * np.pi * frequency
+    # The force is sin(w t), so that the body moves as sin(w t + phase of its compliance).
+    phase = times[kinds == "separation"][0] + np.angle(orbit.compliance[body - 1])
+    assert phase % (2 * np.pi) == pytest.approx(start, abs=1e-6)
+    length = (times[kinds == "floor"][0] - times[kinds == "separation"][0]) % (2 * np.pi)
+    assert length == pytest.approx(flight.end - flight.start, abs=1e-6)
+    bare = receptance(scene.replace(dampers=[]), [frequency])[:, 0]
+    assert np.abs(orbit.compliance - bare).max() < 1e-6 * np.abs(bare).max()
+
+
+def test_given_a_damper_without_mass_when_the_ball_flies_a_whole_period_then_it_bounces_without_a_stay() -> (
+    None
+):
+    acceleration = FULL_PERIOD + 0.1
+    scene = at_body(rig.load("fig9"), 2, 47.0, acceleration, mass_ratio=1e-9, clearance=float("inf"))
+
+    orbit = rig.periodic_orbit(scene, 47.0)
+
+    assert orbit.plan.label == "1v"
+    phase = orbit.events["time"][0] * 2 * np.pi * 47.0 + np.angle(orbit.compliance[1])
+    # It is thrown and lands where the body's speed is pi g/w.
+    assert np.cos(phase) * acceleration == pytest.approx(np.pi, abs=1e-6)
+
+
+def test_given_a_damper_without_mass_when_the_acceleration_passes_a_whole_period_flight_then_the_border_is_there() -> (
+    None
+):
+    scene = at_body(rig.load("fig9"), 2, 47.0, 1.0, mass_ratio=1e-9, clearance=float("inf"))
+    unit = scene.test.force
+
+    curve = rig.follow_orbits(scene, "force", (1.2 * unit, 3.6 * unit), frequency=47.0, searches=1)
+
+    (sticking,) = [branch for branch in curve.branches if branch.plan.label in ("1^ 1_", "1_ 1^")]
+    # The stay vanishes: the damper lands in the instant, and at the phase, in which it would take off.
+    assert sticking.value.max() / unit == pytest.approx(FULL_PERIOD, abs=1e-6)
+    assert sticking.ends[int(sticking.value[-1] > sticking.value[0])] in (
+        "damper 1 leaves its wall early",
+        "event 1_ and event 1^ change order",
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "frequency"), [("fig9", 49.7), ("fig5-three-dampers", 48.0), ("fig8-two-dampers", 13.0)]
+)
+def test_given_no_clearance_when_solved_then_the_response_is_linear_with_the_dampers_masses(
+    name: str, frequency: float
+) -> None:
+    scene = pure_force(rig.load(name))
+    tight = scene.replace(dampers=[d.replace(clearance=0.0) for d in scene.dampers])
+
+    orbit = rig.periodic_orbit(tight, frequency)
+
+    every = range(1, len(scene.dampers) + 1)
+    exact = receptance(scene, [frequency], riding=every)[:, 0]
+    assert np.abs(orbit.compliance - exact).max() < 1e-10 * np.abs(exact).max()
+    assert orbit.motion_type == "linear"
+
+
+def test_given_ever_smaller_clearances_when_solved_then_the_orbit_tends_to_the_linear_response() -> None:
+    scene = pure_force(rig.load("fig9"))
+    exact = receptance(scene, [49.5], riding=[1])[:, 0]
+
+    away = []
+    for clearance in (1e-5, 1e-6, 1e-7):
+        orbit = rig.periodic_orbit(
+            scene.replace(dampers=[scene.dampers[0].replace(clearance=clearance)]), 49.5
+        )
+        assert orbit.motion_type == "III"
+        assert orbit.residual < 1e-11
+        away.append(np.abs(orbit.compliance - exact).max() / np.abs(exact).max())
+
+    assert away[2] < 0.011 * away[0]
+    assert away[2] < 1e-4
+
+
+@pytest.mark.parametrize(("name", "frequency"), [("fig9", 30.0), ("fig8-three-dampers", 40.0)])
+def test_given_accelerations_below_gravity_when_solved_then_dampers_ride_and_the_response_is_linear(
+    name: str, frequency: float
+) -> None:
+    scene = pure_force(rig.load(name))
+
+    orbit = rig.periodic_orbit(scene, frequency)
+
+    exact = receptance(scene, [frequency], riding=range(1, len(scene.dampers) + 1))[:, 0]
+    assert orbit.motion_type == "riding"
+    assert len(orbit.events) == 0
+    assert np.abs(orbit.compliance - exact).max() < 1e-10 * np.abs(exact).max()

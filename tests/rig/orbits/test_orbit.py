@@ -1,0 +1,354 @@
+"""Exact periodic orbits of the full structure: against the engine, finite differences and known limits."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+import rig
+from rig.engine.propagator import March
+from rig.errors import RunError, SceneError
+from rig.orbits.branches import OrbitCurve, follow_orbits
+from rig.orbits.orbit import Orbit
+from rig.orbits.periodic_orbit import enter, period_steps, periodic_orbit, read_cycle, start_march
+from rig.orbits.problem import Parameter, Problem, pure_force
+from rig.scene.scene import Scene
+from rig.single_mode.approximate_response import Approximation, follow_mode
+from rig.single_mode.reduction import SingleMode, single_mode
+from rig.system.receptance import receptance
+from rig.system.structure import structure_matrices
+
+
+@cache
+def fig9_curve() -> OrbitCurve:
+    return follow_orbits(rig.load("fig9"), "frequency", (48.5, 51.3), searches=2)
+
+
+def on_orbit(scene: Scene, orbit: Orbit) -> tuple[March, float]:
+    """Put the engine on an orbit."""
+    march, steps = start_march(Problem(scene), orbit.setting)
+    enter(march, orbit)
+    return march, steps
+
+
+def varied(name: str, force: float, mass_ratio: float, clearance: float, restitution: float = 0.0) -> Scene:
+    """Change what the paper's scenes have in common, on a pure force."""
+    scene = pure_force(rig.load(name))
+    changes = {"mass": None, "mass_ratio": mass_ratio, "clearance": clearance, "restitution": restitution}
+    test = {"kind": "stepped_sine", "frequencies": [49.0], "force": force}
+    return scene.replace(dampers=[d.replace(**changes) for d in scene.dampers], test=test)
+
+
+def driven_table() -> Scene:
+    """Drive the table of Fig 9 with a fixed amplitude, through its servo."""
+    return rig.load("fig9").replace(
+        shaker={"kind": "table", "body": 1, "spring": 6600.0},
+        test={"kind": "stepped_sine", "frequencies": [51.0], "drive": 1.0e-3},
+    )
+
+
+def coupled(coupling: float) -> Scene:
+    """Two dampers in a structure whose mass matrix couples their bodies."""
+    mass, damping, stiffness = structure_matrices(rig.load("fig9").structure)
+    mass[[0, 1, 1, 2], [1, 0, 2, 1]] = coupling
+    matrices = {"mass": mass.tolist(), "stiffness": stiffness.tolist(), "damping": damping.tolist()}
+    dampers = [{"body": body, "mass_ratio": 0.1, "clearance": 1e-3} for body in (1, 2)]
+    scene = varied("fig9", 10.0, 0.1, 1e-3)
+    return scene.replace(structure={"matrices": matrices}, dampers=dampers)
+
+
+CASES = {
+    "fig9": (rig.load("fig9"), 49.7),
+    "fig9 stays": (rig.load("fig9"), 49.1),
+    "fig9 rides": (rig.load("fig9"), 46.5),
+    "fig8 three": (rig.load("fig8-three-dampers"), 34.5),
+    "fig5 three": (rig.load("fig5-three-dampers"), 49.5),
+    "light": (varied("fig9", 5.0, 0.02, 1.6e-3), 50.0),
+    "heavy": (varied("fig9", 12.0, 0.25, 0.6e-3), 48.5),
+    "two": (varied("fig8-two-dampers", 5.0, 0.07, 1.2e-3), 48.0),
+    "rebound": (varied("fig5-single-damper", 5.0, 0.1, 1.5e-3, 0.6), 49.5),
+    "rebounds": (varied("fig5-single-damper", 20.0, 0.1, 4e-3, 0.3), 47.5),
+    "weightless": (varied("fig5-single-damper", 20.0, 0.1, 4e-3, 0.1).replace(gravity=0.0), 49.5),
+    "table": (driven_table(), 51.0),
+    "coupled": (coupled(-0.05), 46.5),
+}
+each_case = pytest.mark.parametrize(("scene", "frequency"), CASES.values(), ids=CASES)
+
+
+@each_case
+def test_given_an_orbit_when_the_engine_runs_it_then_it_returns_after_a_period(
+    scene: Scene, frequency: float
+) -> None:
+    orbit = periodic_orbit(scene, frequency)
+
+    march, steps = on_orbit(scene, orbit)
+    plan, unknowns = read_cycle(march, steps, orbit.repetition)
+
+    nq, ns = march.system.coordinates, march.system.states
+    end = march.state.z[:ns]
+    size = np.abs(orbit.unknowns[:nq]).max()
+    assert plan.label == orbit.plan.label
+    assert np.abs(end[:nq] - orbit.unknowns[:nq]).max() < 1e-11 * size
+    assert np.abs(end[nq : 2 * nq] - orbit.unknowns[nq : 2 * nq]).max() < 1e-11 * size * 2 * np.pi * frequency
+    events = len(orbit.plan.sequence.kind)
+    np.testing.assert_allclose(unknowns[-events:], orbit.unknowns[-events:], atol=1e-13)
+    assert orbit.residual < 1e-12
+    assert orbit.flaw == ""
+
+
+@each_case
+def test_given_an_orbit_when_disturbed_in_the_engine_then_it_answers_by_its_multipliers(
+    scene: Scene, frequency: float
+) -> None:
+    orbit = periodic_orbit(scene, frequency)
+    system = Problem(scene).system
+    ns, nq = system.states, system.coordinates
+    flying = len(orbit.plan.flying)
+    omega = 2 * np.pi * frequency
+    units = np.concatenate(
+        [np.full(nq, 1e-3), np.full(nq, 1e-3 * omega), np.tile([1e-3, 1e-3 * omega], flying)]
+    )
+
+    def after_a_period(change: np.ndarray) -> np.ndarray:
+        unknowns = orbit.unknowns.copy()
+        unknowns[: len(change)] += change
+        march, steps = on_orbit(scene, Orbit(**{**vars(orbit), "unknowns": unknowns}))
+        march.over_marks(
+            np.full(orbit.repetition, steps),
+            np.full(orbit.repetition, -1),
+            np.ones(orbit.repetition, dtype=bool),
+        )
+        flights = [[march.state.height[j], march.state.speed[j]] for j in orbit.plan.flying]
+        return np.concatenate([march.state.z[:ns], np.ravel(flights)])
+
+    step = 1e-6
+    columns = [(after_a_period(step * u) - after_a_period(-step * u)) / (2 * step) for u in np.diag(units)]
+    measured = np.linalg.eigvals(np.array(columns).T / units[:, None])
+
+    # Multipliers near by may come in another order: each is compared with its nearest.
+    away = np.abs(measured[:, None] - orbit.multipliers)
+    assert away.min(axis=0).max() < 1e-5
+    assert away.min(axis=1).max() < 1e-5
+
+
+def test_given_stable_branches_when_simulated_to_steady_state_then_the_responses_agree() -> None:
+    scene = pure_force(rig.load("fig9"))
+    frequencies = np.array([48.3, 49.0, 49.9, 50.6, 51.2])
+
+    response = rig.frequency_response(scene, frequencies, tolerance=1e-10)
+
+    for i, frequency in enumerate(frequencies):
+        orbit = periodic_orbit(scene, float(frequency))
+        assert orbit.stable
+        assert orbit.motion_type == response.motion_type[i]
+        size = np.abs(orbit.compliance).max()
+        assert np.abs(orbit.compliance - response.compliance[:, i]).max() < 1e-7 * size
+        np.testing.assert_allclose(orbit.peak, response.peak[:, i], rtol=1e-3)
+
+
+def test_given_fig_9_when_followed_over_frequency_then_types_follow_one_another_without_a_gap() -> None:
+    curve = fig9_curve()
+
+    spans = sorted(
+        (branch.value[branch.stable].min(), branch.value[branch.stable].max(), branch.motion_type)
+        for branch in curve.branches
+        if branch.stable.any()
+    )
+    reached = 48.5
+    for low, high, _ in spans:
+        assert low < reached + 0.03
+        reached = max(reached, high)
+    assert reached == pytest.approx(51.3, abs=1e-9)
+    assert {"I", "II", "III"} <= {kind for _, _, kind in spans}
+    # What is not found must be said, and here it is motion that does not repeat.
+    assert all("no periodic motion found" in failure for failure in curve.failures)
+
+
+def test_given_a_period_doubling_when_located_then_a_multiplier_is_minus_one_there() -> None:
+    scene = rig.load("fig9")
+    (branch,) = [b for b in fig9_curve().branches if b.motion_type == "II" and 50 < b.value.mean() < 50.9]
+
+    (doubling,) = branch.doublings
+
+    nearest = branch.orbits[int(np.abs(branch.value - doubling).argmin())]
+    orbit = periodic_orbit(scene, float(doubling), start=nearest)
+    assert np.abs(orbit.multipliers + 1).min() < 1e-7
+    assert any(len(b.doublings) and not b.stable.all() for b in fig9_curve().branches)
+
+
+def test_given_a_fold_when_passed_then_a_multiplier_passes_one() -> None:
+    folded = [b for b in fig9_curve().branches if len(b.folds) and b.plan.repetition == 1]
+    assert folded
+
+    for branch in folded:
+        (fold,) = branch.folds
+        (i,) = branch.curve.folds
+        # The product of 1 - multiplier changes its sign with each real multiplier that passes 1.
+        before, after = (np.prod(1 - branch.orbits[k].multipliers).real for k in (i, i + 1))
+        assert before * after < 0
+        assert np.abs(branch.value[i : i + 2] - fold).max() < 0.05
+
+
+def test_given_other_parameters_when_followed_then_the_curve_passes_through_the_same_orbit() -> None:
+    scene = rig.load("fig9")
+    orbit = periodic_orbit(scene, 49.7)
+    ranges = {"force": (3.0, 3.6), "clearance": (0.95e-3, 1.0e-3), "mass_ratio": (0.95, 1.05)}
+    own = {"force": 3.3, "clearance": 0.98e-3, "mass_ratio": 1.0}
+    for parameter, bounds in ranges.items():
+        curve = follow_orbits(scene, parameter, bounds, frequency=49.7, searches=1)
+
+        branch = curve.branches[0]
+        order = np.argsort(branch.value)
+        here = np.interp(own[parameter], branch.value[order], np.abs(branch.compliance[1])[order])
+        assert branch.motion_type == "II"
+        assert here == pytest.approx(abs(orbit.compliance[1]), rel=2e-3)
+        assert len(branch.value) > 5
+
+
+FOLLOWED: list[tuple[Scene, Parameter, tuple[float, float], float | None]] = [
+    (varied("fig9", 5.0, 0.15, 0.5e-3), "frequency", (46.0, 50.0), None),
+    (varied("fig8-two-dampers", 3.0, 0.1, np.inf), "mass_ratio", (0.2, 2.0), 48.3),
+    (varied("fig5-three-dampers", 6.0, 0.04, 1e-3), "force", (3.0, 9.0), 50.2),
+    (varied("fig8-two-dampers", 4.0, 0.05, 0.8e-3), "clearance", (0.3e-3, 1.0e-3), 48.7),
+]
+
+
+@pytest.mark.parametrize(
+    ("scene", "parameter", "bounds", "frequency"), FOLLOWED, ids=[case[1] for case in FOLLOWED]
+)
+def test_given_scenes_with_one_to_three_dampers_when_followed_then_branches_end_on_borders_and_nothing_is_missing(
+    scene: Scene, parameter: Parameter, bounds: tuple[float, float], frequency: float | None
+) -> None:
+    curve = follow_orbits(scene, parameter, bounds, frequency=frequency, searches=1)
+
+    # The whole range is covered by stable orbits, from border to border.
+    spans = sorted(
+        (b.value[b.stable].min(), b.value[b.stable].max()) for b in curve.branches if b.stable.any()
+    )
+    reached = bounds[0]
+    for low, high in spans:
+        assert low < reached + 1e-3 * bounds[1]
+        reached = max(reached, high)
+    assert reached == pytest.approx(bounds[1], rel=1e-9)
+    for branch in curve.branches:
+        assert all(orbit.residual < 1e-11 and not orbit.flaw for orbit in branch.orbits)
+        for end, orbit in zip(branch.ends, (branch.orbits[0], branch.orbits[-1]), strict=True):
+            assert end in ("range", "closed") or (end in orbit.plan.borders and orbit.room < 1e-5)
+
+
+def test_given_a_locked_damper_when_solved_then_the_orbit_is_the_exact_linear_response() -> None:
+    scene = rig.load("fig9")
+    locked = scene.replace(dampers=[scene.dampers[0].replace(locked=True)])
+
+    orbit = periodic_orbit(locked, 48.9)
+
+    exact = receptance(locked, [48.9])[:, 0]
+    assert np.abs(orbit.compliance - exact).max() < 1e-8 * np.abs(exact).max()
+    assert orbit.motion_type == "linear"
+
+
+@cache
+def approximation(force: float, mass_ratio: float, clearance: float) -> Approximation:
+    mode = single_mode(varied("fig5-single-damper", force, mass_ratio, clearance), 3)
+    return follow_mode(mode, (46.0, 53.0), searches=4)
+
+
+def one_mode_scene(mode: SingleMode) -> Scene:
+    stiffness = mode.mass * mode.omega**2
+    lines = [
+        "name: one mode",
+        f"structure: {{masses: [{mode.mass!r}], springs: [{stiffness!r}],",
+        f"  damping: {{modal: {mode.damping_ratio!r}}}}}",
+        f"dampers: [{{body: 1, mass: {mode.mass * mode.mass_ratio!r}, clearance: {mode.clearance!r}}}]",
+        "shaker: {kind: force, body: 1}",
+        f"test: {{kind: sine, frequency: 49 Hz, force: {abs(mode.participation) * mode.force!r}}}",
+    ]
+    return rig.loads("\n".join(lines))
+
+
+@pytest.mark.parametrize(
+    ("kind", "force", "mass_ratio", "clearance"),
+    [
+        ("I", 5.0, 0.1, 1e-3),
+        ("II", 5.0, 0.1, 1e-3),
+        ("III", 5.0, 0.1, 1e-3),
+        ("I", 3.0, 0.04, 2e-3),
+        ("II", 8.0, 0.2, 1.5e-3),
+        ("III", 6.0, 0.1, 0.8e-3),
+    ],
+)
+def test_given_an_approximate_motion_when_run_by_the_engine_with_one_mode_then_it_repeats_to_1e_10(
+    kind: str, force: float, mass_ratio: float, clearance: float
+) -> None:
+    found = approximation(force, mass_ratio, clearance)
+    mode, scene = found.mode, one_mode_scene(found.mode)
+    assert any(b.motion_type == kind for b in found.branches)
+    for branch in [b for b in found.branches if b.motion_type == kind]:
+        possible = np.flatnonzero(branch.valid)
+        i = int(possible[len(possible) // 2])
+        omega = 2 * np.pi * branch.frequency[i]
+        length = mode.gravity / omega**2
+        problem = Problem(scene)
+        march, steps = start_march(problem, problem.setting(float(branch.frequency[i])))
+        q, u, a, b = branch.unknowns[:4, i] * length * np.array([1, omega, 1, 1])
+        # The floor impact is tau = 0, where the force is F sin(-phi) = b: start the tone at that phase.
+        phase = np.arctan2(b, a)
+        march.place(np.array([q, u]), np.array([np.cos(phase), np.sin(phase)]))
+        course = march.over_marks(np.array([steps]), np.array([0]), np.zeros(1, dtype=bool))
+
+        instants = [
+            branch.tau_0[i],
+            branch.tau_1[i],
+            *([branch.tau_2[i]] if kind == "III" else [branch.tau_1[i]]),
+        ]
+        events = course.event_offset * omega
+        kinds = {"I": [0], "II": [0, 2, 0], "III": [0, 2, 0]}[kind]
+        np.testing.assert_array_equal(course.event_kind[: len(kinds)], kinds)
+        np.testing.assert_allclose(events[: len(kinds)], instants[: len(kinds)], atol=1e-9)
+        size = branch.peak[i] * mode.force
+        # The landing that ends the period may fall to either side of its end by rounding.
+        end = march.state.z[:2] - np.array([q, u])
+        assert abs(end[0]) < 1e-10 * size
+        if course.event_kind[-1] == 1:
+            assert abs(end[1]) < 1e-10 * size * omega
+
+
+def test_given_a_frequency_that_is_none_when_asked_for_an_orbit_then_it_says_what_is_expected() -> None:
+    with pytest.raises(SceneError, match="positive number of hertz"):
+        periodic_orbit(rig.load("fig9"), -1.0)
+    with pytest.raises(SceneError, match="two rising values"):
+        follow_orbits(rig.load("fig9"), "frequency", (50.0, 40.0))
+    with pytest.raises(SceneError, match="needs a frequency"):
+        follow_orbits(rig.load("fig9"), "force", (1.0, 2.0))
+
+
+def test_given_rebounds_without_end_when_asked_for_an_orbit_then_it_says_so_and_what_to_do() -> None:
+    scene = rig.load("fig9")
+    bouncy = scene.replace(dampers=[scene.dampers[0].replace(restitution=0.3)])
+
+    with pytest.raises(RunError, match="rebounds ever lower until it rests"):
+        periodic_orbit(bouncy, 49.0)
+
+
+def test_given_an_impact_that_kicks_a_neighbour_when_asked_for_an_orbit_then_it_says_so_and_what_to_do() -> (
+    None
+):
+    with pytest.raises(RunError, match="throws a damper off its wall through the mass matrix"):
+        periodic_orbit(coupled(0.05), 51.2)
+
+
+def test_given_a_start_far_from_any_orbit_when_solved_then_it_says_where_it_failed() -> None:
+    scene = rig.load("fig9")
+    near = periodic_orbit(scene, 49.7)
+
+    with pytest.raises(RunError, match="near 20 Hz"):
+        periodic_orbit(scene, 20.0, start=near)
+
+
+def test_given_a_march_when_asked_for_its_steps_then_a_period_is_a_whole_number_of_them() -> None:
+    problem = Problem(rig.load("fig9"))
+    setting = problem.setting(49.0)
+
+    march, steps = start_march(problem, setting)
+
+    assert period_steps(march, setting) == steps

@@ -1,0 +1,102 @@
+"""Steady motion over a parameter as exact stable orbits: against settled simulation, and where there is none."""
+
+import numpy as np
+import pytest
+
+import rig
+from rig.errors import SceneError
+from rig.orbits.problem import pure_force
+from rig.scene.scene import Scene
+
+
+def scene_with(name: str, mass_ratio: float, clearance: float, force: float) -> Scene:
+    scene = pure_force(rig.load(name))
+    dampers = [
+        d.replace(mass=None, mass_ratio=mass_ratio, clearance=clearance, restitution=0.0)
+        for d in scene.dampers
+    ]
+    test = {"kind": "stepped_sine", "frequencies": [49.0], "force": force}
+    return scene.replace(dampers=dampers, test=test)
+
+
+CURVES = [
+    ("fig9", 0.06, 0.98e-3, 3.3, np.linspace(48.0, 50.9, 30)),
+    ("fig9", 0.04, 0.7e-3, 2.5, np.linspace(47.5, 50.5, 16)),
+    ("fig8-two-dampers", 0.08, np.inf, 2.0, np.linspace(46.0, 49.0, 16)),
+    ("fig5-three-dampers", 0.07, 1.3e-3, 8.0, np.linspace(49.0, 51.0, 15)),
+]
+
+
+@pytest.mark.parametrize(("name", "mass_ratio", "clearance", "force", "frequencies"), CURVES)
+def test_given_a_curve_when_swept_as_orbits_then_settled_simulation_gives_the_same(
+    name: str, mass_ratio: float, clearance: float, force: float, frequencies: np.ndarray
+) -> None:
+    scene = scene_with(name, mass_ratio, clearance, force)
+
+    swept = rig.orbit_response(scene, frequencies)
+
+    simulated = rig.frequency_response(scene, frequencies, tolerance=1e-8)
+    both = simulated.converged & ~swept.simulated
+    assert both.mean() > 0.6
+    assert not swept.simulated.any()
+    size = np.abs(simulated.compliance).max(axis=0)
+    away = np.abs(swept.compliance - simulated.compliance).max(axis=0) / size
+    assert away[both].max() < 1e-6
+    assert (swept.motion_type[both] == simulated.motion_type[both]).all()
+    assert (swept.repetition[both] == simulated.repetition[both]).all()
+    for orbit in swept.orbits:
+        assert orbit is None or (orbit.stable and not orbit.flaw and orbit.residual < 1e-11)
+
+
+def test_given_irregular_motion_when_swept_then_it_is_simulated_and_averaged_and_the_reason_is_given() -> (
+    None
+):
+    scene = pure_force(rig.load("fig8-three-dampers"))
+
+    swept = rig.orbit_response(scene, [33.2, 33.3, 33.6])
+
+    assert swept.simulated.tolist() == [True, True, False]
+    assert "no periodic motion found at 33.2 Hz" in swept.reasons[0]
+    assert swept.reasons[2] == ""
+    assert swept.repetition.tolist() == [0, 0, 1]
+    assert np.isnan(swept.multiplier[0])
+    assert swept.multiplier[2] < 1
+    assert swept.motion_type[0] == "irregular"
+    assert np.isfinite(swept.compliance).all()
+    assert swept.peak.min() > 0
+
+
+@pytest.mark.parametrize(
+    ("parameter", "values"),
+    [
+        ("force", [3.0, 3.3, 3.6]),
+        ("clearance", [1.02e-3, 0.98e-3, 0.94e-3]),
+        ("mass_ratio", [0.9, 1.0, 1.1]),
+    ],
+)
+def test_given_another_parameter_when_swept_then_each_orbit_is_that_of_the_changed_scene(
+    parameter: str, values: list[float]
+) -> None:
+    scene = pure_force(rig.load("fig9"))
+    damper = scene.dampers[0]
+
+    swept = rig.orbit_response(scene, values, parameter, frequency=49.8)
+
+    for value, compliance in zip(values, swept.compliance.T, strict=True):
+        changed = {
+            "force": lambda v: scene.replace(test=scene.test.replace(force=v)),
+            "clearance": lambda v: scene.replace(dampers=[damper.replace(clearance=v)]),
+            "mass_ratio": lambda v: scene.replace(dampers=[damper.replace(mass_ratio=0.06 * v)]),
+        }[parameter](value)
+        orbit = rig.periodic_orbit(changed, 49.8)
+        assert np.abs(orbit.compliance - compliance).max() < 1e-10 * np.abs(compliance).max()
+
+
+def test_given_values_that_make_no_sense_when_swept_then_it_says_what_is_expected() -> None:
+    scene = rig.load("fig9")
+    with pytest.raises(SceneError, match="expected a list of positive, finite numbers"):
+        rig.orbit_response(scene, [49.0, -1.0])
+    with pytest.raises(SceneError, match="following the force needs a frequency"):
+        rig.orbit_response(scene, [3.0], "force")
+    with pytest.raises(SceneError, match="expected one of frequency, force"):
+        rig.orbit_response(scene, [3.0], "colour")

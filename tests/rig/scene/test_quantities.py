@@ -1,0 +1,163 @@
+"""Quantities: units mean what an engineer means, and nothing is lost on the way to SI."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig.scene import quantities
+from rig.scene.quantities import (
+    ACCELERATION,
+    ACCELERATION_NOISE,
+    ACCELERATION_SENSITIVITY,
+    DASHPOT,
+    FORCE_FACTOR,
+    FORCE_SENSITIVITY,
+    FREQUENCY,
+    INDUCTANCE,
+    LENGTH,
+    MASS,
+    PER_KELVIN,
+    RATE,
+    RATIO,
+    RESISTANCE,
+    STIFFNESS,
+    TIME,
+    TRANSCONDUCTANCE,
+    VOLTAGE_NOISE,
+    Kind,
+    parse,
+    text,
+)
+
+KINDS = [value for value in vars(quantities).values() if isinstance(value, Kind)]
+
+
+@pytest.mark.parametrize(
+    ("written", "kind", "value"),
+    [
+        ("6.6 kN/m", STIFFNESS, 6600.0),
+        ("0.98 mm", LENGTH, 0.00098),
+        ("10 %", RATIO, 0.1),
+        ("10%", RATIO, 0.1),
+        ("20 ppm", RATIO, 2e-5),
+        ("10 V/V", RATIO, 10.0),
+        (".inf", LENGTH, math.inf),
+        (".inf mm", LENGTH, math.inf),
+        ("-.inf", LENGTH, -math.inf),
+        ("1e-5 s", TIME, 1e-5),
+        ("0.1 1/s", RATE, 0.1),
+        ("0.5 N s/m", DASHPOT, 0.5),
+        ("0.5 N*s/m", DASHPOT, 0.5),
+        ("0.5 N·s/m", DASHPOT, 0.5),
+        ("74 g", MASS, 0.074),
+        ("0.74 kg", MASS, 0.74),
+        ("2 g", ACCELERATION, 19.6133),
+        ("9.8 m/s²", ACCELERATION, 9.8),
+        ("9.8 m s^-2", ACCELERATION, 9.8),
+        ("20 ug/sqrt(Hz)", ACCELERATION_NOISE, 20e-6 * 9.80665),
+        ("20 µg/sqrt(Hz)", ACCELERATION_NOISE, 20e-6 * 9.80665),
+        ("50 nV/sqrt(Hz)", VOLTAGE_NOISE, 50e-9),
+        ("2.25 mV/N", FORCE_SENSITIVITY, 0.00225),
+        ("100 mV/(m/s^2)", ACCELERATION_SENSITIVITY, 0.1),
+        ("2 Ω", RESISTANCE, 2.0),
+        ("0.2 mH", INDUCTANCE, 0.0002),
+        ("10 N/A", FORCE_FACTOR, 10.0),
+        ("10 T m", FORCE_FACTOR, 10.0),
+        ("1 A/V", TRANSCONDUCTANCE, 1.0),
+        ("0.05 %/K", PER_KELVIN, 0.0005),
+        ("600 rpm", FREQUENCY, 10.0),
+        ("5.12 kHz", FREQUENCY, 5120.0),
+        ("10_000 Hz", FREQUENCY, 10000.0),
+        ("50", FREQUENCY, 50.0),
+        (50, FREQUENCY, 50.0),
+        (0.25, LENGTH, 0.25),
+    ],
+)
+def test_given_a_quantity_as_people_write_it_when_parsed_then_it_is_the_nearest_double_in_si(
+    written: str | float, kind: Kind, value: float
+) -> None:
+    assert parse(written, kind) == value
+
+
+def test_given_sensitivity_per_g_when_parsed_then_g_is_standard_gravity() -> None:
+    assert parse("100 mV/g", ACCELERATION_SENSITIVITY) == float(Fraction("0.1") / Fraction("9.80665"))
+
+
+def test_given_angular_frequency_when_parsed_then_it_is_in_hertz() -> None:
+    assert parse("312.4 rad/s", FREQUENCY) == pytest.approx(312.4 / (2.0 * math.pi), rel=3e-16)
+
+
+@pytest.mark.parametrize(
+    ("written", "kind"),
+    [
+        ("0.98 kg", LENGTH),
+        ("50 1/s", FREQUENCY),  # radians or cycles? not said
+        ("2 kg", ACCELERATION),
+        ("5 khz", FREQUENCY),
+        ("1,5 mm", LENGTH),
+        ("1.2.3 mm", LENGTH),
+        ("1 2 mm", LENGTH),
+        (".nan mm", LENGTH),
+        ("nan", LENGTH),
+        ("", LENGTH),
+        ("mm", LENGTH),
+        ("1e400 m", LENGTH),
+        ("1e99999999999 m", LENGTH),
+        ("1 m^9^9^9^9", LENGTH),
+        ("1 m**99", LENGTH),
+        ("1 " + "(" * 50 + "m", LENGTH),
+        ("1 __import__('os')", LENGTH),
+        ("1 delta_m", LENGTH),
+        ("1 m/", LENGTH),
+        ("1 (m", LENGTH),
+        ("1 m)", LENGTH),
+        ("1 ((((km^9)^9)^9)^9)^9", LENGTH),
+        ("1 " + " " * 30 + "!", LENGTH),
+        ("24 %", LENGTH),
+        (math.nan, LENGTH),
+        (True, LENGTH),
+        (None, LENGTH),
+        ([1.0], LENGTH),
+        (10**400, LENGTH),
+    ],
+)
+def test_given_what_is_no_such_quantity_when_parsed_then_it_is_refused(written: object, kind: Kind) -> None:
+    with pytest.raises(ValueError, match=r"\w"):
+        parse(written, kind)
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.noun)
+def test_given_the_example_of_a_kind_when_parsed_then_it_is_of_that_kind(kind: Kind) -> None:
+    for example in kind.example.split(" or "):
+        assert math.isfinite(parse(example, kind))
+    assert parse(f"1 {kind.si.replace('/', ' / ')}", kind) == 1.0
+
+
+@given(st.floats(allow_nan=False), st.sampled_from(KINDS))
+def test_given_any_double_when_written_and_parsed_then_it_is_the_same(value: float, kind: Kind) -> None:
+    assert parse(text(value, kind), kind) == value
+
+
+@given(st.decimals(allow_nan=False, allow_infinity=False, min_value=-(10**6), max_value=10**6, places=6))
+def test_given_millimetres_when_parsed_then_rounded_once_only(number: object) -> None:
+    assert parse(f"{number} mm", LENGTH) == float(Fraction(str(number)) / 1000)
+
+
+@given(st.floats(min_value=1e-3, max_value=1e6))
+def test_given_one_frequency_in_three_units_when_parsed_then_they_agree(hertz: float) -> None:
+    assert parse(f"{2.0 * math.pi * hertz!r} rad/s", FREQUENCY) == pytest.approx(hertz, rel=1e-15)
+    assert parse(f"{60.0 * hertz!r} rpm", FREQUENCY) == pytest.approx(hertz, rel=1e-15)
+
+
+@given(st.text(max_size=40) | st.from_regex(r"\A[0-9]{1,3} ?([kmNsHzg]{1,3}|[*/^() %-]|[0-9]){0,12}\Z"))
+def test_given_any_text_when_parsed_then_a_number_or_a_refusal(written: str) -> None:
+    try:
+        value = parse(written, LENGTH)
+    except ValueError:
+        return
+    assert not math.isnan(value)

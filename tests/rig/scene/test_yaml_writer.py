@@ -1,0 +1,152 @@
+"""A scene written as a file loads back as the very same scene."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+import rig
+from rig.cli import app
+from rig.scene.json_schema import schema_text
+from rig.scene.loading import SCENES, bundled
+from rig.scene.scene import Scene
+
+positive = st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
+# Three times as much is a number still: the sample rate that goes with it.
+frequency = st.floats(min_value=0.0, exclude_min=True, max_value=1e300)
+share = st.floats(min_value=0.0, max_value=1.0, exclude_max=True)
+level = st.sampled_from(["force", "drive"])
+
+
+def optional(**choices: st.SearchStrategy[Any]) -> st.SearchStrategy[dict[str, Any]]:
+    return st.fixed_dictionaries({}, optional=choices)
+
+
+@st.composite
+def excitations(draw: st.DrawFn) -> dict[str, Any]:
+    low, high = sorted(draw(st.tuples(frequency, frequency).filter(lambda pair: pair[0] != pair[1])))
+    band = {"from": low, "to": high, draw(level): draw(positive)}
+    return draw(
+        st.sampled_from(
+            [
+                {"kind": "sine", "frequency": low, "force": high},
+                {"kind": "stepped_sine", **band, "points": 7, "settle": {"tolerance": high}},
+                {
+                    "kind": "stepped_sine",
+                    "frequencies": [low, high],
+                    "force": [low, high],
+                    "direction": "both",
+                },
+                {"kind": "swept_sine", **band, "duration": draw(positive), "spacing": "linear"},
+                {"kind": "random", **band, "duration": draw(positive), "burst": 0.7},
+                {"kind": "multisine", **band, "lines": 31},
+                {"kind": "impulse", "body": 1, "peak": draw(positive), "width": low, "interval": high},
+                {"kind": "free", "mode": 1, "amplitude": draw(positive)},
+            ]
+        )
+    )
+
+
+@st.composite
+def scenes(draw: st.DrawFn) -> Scene:
+    n = draw(st.integers(1, 5))
+    each = st.tuples(*[positive] * n)
+    damper = st.fixed_dictionaries(
+        {"clearance": st.floats(min_value=0.0), "restitution": share, "locked": st.booleans()}
+    )
+    bodies = draw(st.sets(st.integers(1, n)))
+    by = draw(st.sampled_from(["mass", "mass_ratio"]))
+    dampers = [{"body": body, by: draw(positive), **draw(damper)} for body in bodies]
+    accelerometer = optional(sensitivity=positive, noise=positive, low_cutoff=positive, bias=st.floats(-5, 5))
+    channel = {"name": "7", "at": f"body {n}", "accelerometer": draw(accelerometer), "abort": draw(positive)}
+    spring = {"body": 1, "spring": draw(positive)}
+    test = draw(st.none() | excitations())
+    converter = draw(optional(rate=positive, jitter=positive, skew=st.tuples(positive)))
+    # Fast enough for any of the test's frequencies.
+    tones = [value for key in ("frequency", "from", "to") if (value := (test or {}).get(key)) is not None]
+    tones += (test or {}).get("frequencies", [])
+    converter["rate"] = max([converter.get("rate", 5120.0), *(3.0 * tone for tone in tones)])
+    return Scene(
+        name=draw(st.text(st.characters(codec="utf-8", exclude_categories=["C"]), min_size=1)),
+        structure={
+            "masses": draw(each),
+            "springs": draw(each),
+            "damping": draw(
+                st.none()
+                | st.fixed_dictionaries({"modal": each | positive})
+                | st.just({"rayleigh": {"beta": 1e-7}})
+            ),
+        },
+        gravity=draw(positive),
+        dampers=dampers,
+        shaker=draw(
+            st.sampled_from(
+                [
+                    {"kind": "table", **spring},
+                    {"kind": "electrodynamic", **spring, "amplifier": {"mode": "current"}},
+                ]
+            )
+        ),
+        test=test,
+        channels=draw(st.none() | st.just([channel])),
+        converter=converter,
+        recording=draw(optional(truth=st.booleans(), samples=st.sampled_from(["float32", "float64"]))),
+        seed=draw(st.integers(0, 2**63 - 1)),
+    )
+
+
+@given(scenes())
+def test_given_any_scene_when_written_and_loaded_then_it_is_equal_to_the_last_bit(scene: Scene) -> None:
+    again = rig.loads(scene.to_yaml())
+    assert again == scene
+    assert again.to_yaml() == scene.to_yaml()
+
+
+@given(st.integers(1, 4), st.integers(0, 2**32))
+def test_given_any_matrices_when_written_and_loaded_then_they_are_equal_to_the_last_bit(
+    n: int, seed: int
+) -> None:
+    random = np.random.default_rng(seed)
+    root = random.standard_normal((n, n))
+    mass = root @ root.T + np.eye(n)
+    damping = random.standard_normal((n, n)) * 10.0 ** random.integers(-200, 200)
+    scene = Scene(structure={"matrices": {"mass": mass, "stiffness": mass / 3.0, "damping": damping}})
+    assert rig.loads(scene.to_yaml()) == scene
+
+
+def test_given_minus_zero_when_written_then_it_is_zero() -> None:
+    channel = {"name": "a", "at": "body 1", "accelerometer": {"bias": -0.0}}
+    scene = Scene(structure={"masses": (1.0,), "springs": (1.0,)}, channels=[channel])
+    assert "bias: 0.0 V" in scene.to_yaml()
+    assert rig.loads(scene.to_yaml()).to_yaml() == scene.to_yaml()
+
+
+def test_given_a_written_scene_when_read_by_a_person_then_units_are_spelled_out() -> None:
+    text = rig.load("fig9").to_yaml()
+    assert "springs: [24300.0 N/m, 21800.0 N/m, 19800.0 N/m]" in text
+    assert "clearance: 0.00098 m" in text
+
+
+def test_given_the_schema_in_the_package_when_compared_then_it_is_current() -> None:
+    shipped = (SCENES.parent / "scene.schema.json").read_text(encoding="utf-8")
+    assert json.loads(shipped) == json.loads(schema_text()), (
+        "run: rig schema > rig/scene/data/scene.schema.json"
+    )
+
+
+def test_given_the_command_line_when_scenes_are_listed_then_one_to_a_line_with_what_it_is() -> None:
+    result = CliRunner().invoke(app, ["scenes"])
+    assert result.exit_code == 0
+    listed = dict(line.split("\t") for line in result.stdout.splitlines())
+    assert tuple(listed) == bundled()
+    assert listed["fig9"].startswith("Fig 9")
+
+
+def test_given_the_command_line_when_the_schema_is_printed_then_it_is_json() -> None:
+    result = CliRunner().invoke(app, ["schema"])
+    assert json.loads(result.stdout)["title"] == "shotrig scene"

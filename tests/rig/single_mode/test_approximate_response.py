@@ -1,0 +1,338 @@
+"""The paper's one-mode method against independent integration, known limits and the laws of mechanics."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import rig
+from rig.errors import SceneError
+from rig.single_mode.admissibility import Batch, flaws
+from rig.single_mode.approximate_response import (
+    Approximation,
+    Branch,
+    approximate_response,
+    dimensionless,
+    follow_mode,
+)
+from rig.single_mode.motion_search import solutions
+from rig.single_mode.periodic_motion import INSTANTS, Motion, MotionType, Setting, jacobian
+from rig.single_mode.reduction import SingleMode, single_mode
+from rig.system.receptance import receptance
+from tests.rig.bouncing_ball import fly, take_off
+
+
+@cache
+def fig9() -> Approximation:
+    return approximate_response(rig.load("fig9"), 3, (46.0, 53.0))
+
+
+@cache
+def single_damper() -> Approximation:
+    """The Fig 5 setting with a lower force: all three types, folds, and impossible stretches."""
+    return approximate_response(rig.load("fig5-single-damper"), 3, (45.0, 55.0), force=5.0)
+
+
+def branches(found: Approximation, kind: str) -> list[Branch]:
+    return [branch for branch in found.branches if branch.motion_type == kind]
+
+
+class OneMode:
+    """The mode with its damper in SI units, integrated by a general solver between events."""
+
+    def __init__(self, mode: SingleMode, frequency: float, phi: float) -> None:
+        self.mode = mode
+        self.omega = 2 * np.pi * frequency
+        self.phi = phi
+
+    def rate(self, riding: bool, t: float, state: np.ndarray) -> np.ndarray:
+        m = self.mode
+        q, u, _, v = state
+        ratio = m.mass_ratio * riding
+        push = m.participation * m.force * np.sin(self.omega * t - self.phi) / m.mass - ratio * m.gravity
+        acceleration = (push - 2 * m.damping_ratio * m.omega * u - m.omega**2 * q) / (1 + ratio)
+        return np.array([u, acceleration, v, acceleration if riding else -m.gravity])
+
+    def move(self, riding: bool, begin: float, end: float, state: np.ndarray) -> np.ndarray:
+        return solve_ivp(
+            lambda t, x: self.rate(riding, t, x), (begin, end), state, method="DOP853", rtol=3e-14, atol=1e-18
+        ).y[:, -1]
+
+    def hit(self, state: np.ndarray) -> np.ndarray:
+        q, u, y, v = state
+        common = (u + self.mode.mass_ratio * v) / (1 + self.mode.mass_ratio)
+        return np.array([q, common, y, common])
+
+
+def pick(branch: Branch, how_many: int) -> list[int]:
+    possible = np.flatnonzero(branch.valid)
+    return [int(i) for i in possible[np.linspace(0, len(possible) - 1, how_many + 2).astype(int)[1:-1]]]
+
+
+@pytest.mark.parametrize("kind", ["I", "II", "III"])
+def test_given_a_motion_when_integrated_independently_then_every_condition_holds_to_1e_10(kind: str) -> None:
+    for branch in branches(single_damper(), kind):
+        for i in pick(branch, 3):
+            mode = single_damper().mode
+            system = OneMode(mode, branch.frequency[i], branch.phi[i])
+            length = mode.gravity / system.omega**2
+            q0, u0 = branch.unknowns[:2, i] * length * np.array([1, system.omega])
+            size = abs(branch.peak[i]) * mode.force
+            leave = branch.tau_0[i] / system.omega
+            start = np.array([q0, u0, q0, u0])
+
+            state = system.move(True, 0, leave, start)
+            assert system.rate(True, leave, state)[1] == pytest.approx(-mode.gravity, rel=1e-10)
+            time = leave
+            if kind != "I":
+                time = branch.tau_1[i] / system.omega
+                state = system.move(False, leave, time, state)
+                assert abs(state[2] - state[0] - mode.clearance) < 1e-10 * size
+                state = system.hit(state)
+            if kind == "III":
+                begin, time = time, branch.tau_2[i] / system.omega
+                state = system.move(True, begin, time, state)
+                assert system.rate(True, time, state)[1] == pytest.approx(-mode.gravity, rel=1e-10)
+            state = system.move(False, time, 2 * np.pi / system.omega, state)
+            assert abs(state[2] - state[0]) < 1e-10 * size
+            after = system.hit(state)
+            assert abs(after[0] - q0) < 1e-10 * size
+            assert abs(after[1] - u0) < 1e-10 * size * system.omega
+
+
+def test_given_fig_9_when_solved_then_type_ii_is_stable_at_the_resonance_and_type_i_on_its_flanks() -> None:
+    found = fig9()
+
+    (second,) = branches(found, "II")
+    inside = second.frequency[second.valid & second.stable]
+    assert inside.min() < 48.7
+    assert inside.max() > 51.0
+    assert inside.min() < found.mode.riding_frequency < found.mode.frequency < inside.max()
+    assert [b.valid.all() for b in branches(found, "I")] == [True, True]
+    assert found.failures == ()
+    worst = np.abs(second.compliance[second.valid]).max()
+    assert worst < 0.25 * np.abs(found.mode.receptance([found.mode.frequency]))[0]
+
+
+def test_given_fig_5_when_solved_then_the_single_damper_shows_type_iii_at_resonance() -> None:
+    found = approximate_response(rig.load("fig5-single-damper"), 3, (48.0, 49.0))
+
+    (third,) = branches(found, "III")
+    assert third.valid.all()
+    assert third.stable.all()
+    assert (third.tau_1 < third.tau_2).all()
+
+
+def test_given_type_ii_and_iii_when_the_stay_vanishes_then_one_ends_where_the_other_begins() -> None:
+    found = fig9()
+
+    (second,) = branches(found, "II")
+    (third,) = branches(found, "III")
+    changes = np.flatnonzero(np.diff(second.valid.astype(int)))
+    borders = 0.5 * (second.frequency[changes] + second.frequency[changes + 1])
+    steps = np.abs(np.diff(second.frequency))[changes]
+    assert third.ends == ("the stay at the ceiling vanishes",) * 2
+    np.testing.assert_array_less(np.abs(borders - third.frequency[[0, -1]]), steps)
+    np.testing.assert_allclose(third.tau_1[[0, -1]], third.tau_2[[0, -1]], atol=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["I", "II", "III"])
+def test_given_conditions_when_differentiated_then_they_agree_with_finite_differences(
+    kind: MotionType,
+) -> None:
+    setting = dimensionless(single_damper().mode, 0.97)
+    unknowns = np.array([0.3, -1.2, 0.1, 0.25, 0.8, 2.9, 3.6])[: 4 + INSTANTS[kind]]
+
+    values, slopes = jacobian(kind, unknowns, setting, "ratio")
+
+    def at(x: np.ndarray) -> np.ndarray:
+        return Motion(kind, x[:-1], setting._replace(ratio=x[-1])).conditions()
+
+    x = np.append(unknowns, setting.ratio)
+    numeric = np.array([(at(x + h) - at(x - h)) / 2e-6 for h in 1e-6 * np.eye(len(x))]).T
+    np.testing.assert_allclose(values, at(x), rtol=1e-13)
+    np.testing.assert_allclose(slopes, numeric, rtol=1e-7, atol=1e-7)
+
+
+@pytest.mark.parametrize("kind", ["I", "II", "III"])
+def test_given_a_motion_when_disturbed_then_it_answers_by_its_floquet_multipliers(kind: str) -> None:
+    branch = branches(single_damper(), kind)[-1]
+    (i,) = pick(branch, 1)
+    mode = single_damper().mode
+    system = OneMode(mode, branch.frequency[i], branch.phi[i])
+    length = mode.gravity / system.omega**2
+    units = length * np.array([1, system.omega])
+    period = 2 * np.pi / system.omega
+
+    def events(riding: bool, ceiling: bool) -> list:
+        def contact(t: float, x: np.ndarray) -> float:
+            return (system.rate(True, t, x)[1] + mode.gravity) * (-1 if ceiling else 1)
+
+        def gap(t: float, x: np.ndarray) -> float:
+            return x[2] - x[0]
+
+        def clear(t: float, x: np.ndarray) -> float:
+            return mode.clearance - x[2] + x[0]
+
+        guards = [contact] if riding else [gap, clear]
+        for guard in guards:
+            guard.terminal, guard.direction = True, -1
+        return guards
+
+    def after_a_period(begin: np.ndarray) -> np.ndarray:
+        """Start riding at tau = 0.1, follow all events, end riding at tau = 2 pi + 0.1."""
+        time, riding, ceiling = 0.1 / system.omega, True, False
+        state = np.array([begin[0], begin[1], begin[0], begin[1]])
+        end = time + period
+        while True:
+            piece = solve_ivp(
+                lambda t, x, riding=riding: system.rate(riding, t, x), (time, end), state, method="DOP853",
+                rtol=1e-12, atol=1e-16, events=events(riding, ceiling), max_step=period / 100,
+            )  # fmt: skip
+            time, state = piece.t[-1], piece.y[:, -1]
+            if piece.status == 0:
+                assert riding
+                return state[:2]
+            if riding:
+                riding = False
+                # A free flight of a few microseconds keeps the gap's triple zero from being found again.
+                state = system.move(False, time, time + 2e-5, state)
+                time += 2e-5
+            else:
+                ceiling = len(piece.t_events[1]) > 0
+                state = system.hit(state)
+                riding = not ceiling or system.rate(True, time, state)[1] < -mode.gravity
+                if not riding:
+                    state = system.move(False, time, time + 2e-5, state)
+                    time += 2e-5
+
+    start = system.move(True, 0, 0.1 / system.omega, np.tile(branch.unknowns[:2, i] * units, 2))[:2]
+    step = 1e-4
+    columns = [
+        (after_a_period(start + step * d * units) - after_a_period(start - step * d * units))
+        / (2 * step * units)
+        for d in np.eye(2)
+    ]
+
+    measured = np.linalg.eigvals(np.array(columns).T)
+
+    np.testing.assert_allclose(
+        np.sort_complex(measured), np.sort_complex(branch.multipliers[:, i]), atol=1e-5
+    )
+
+
+@pytest.mark.parametrize("acceleration", [1.2, 2.0, 3.0])
+def test_given_a_vanishing_damper_when_solved_then_it_is_the_inelastic_bouncing_ball(
+    acceleration: float,
+) -> None:
+    mode = single_mode(rig.load("fig8-one-damper"), 3, force=1.0, at=1)
+    light = SingleMode(**{**vars(mode), "mass_ratio": 1e-9})
+    band = (0.9 * mode.frequency, 0.901 * mode.frequency)
+    per_newton = abs(light.receptance([band[0]])[0]) * (2 * np.pi * band[0]) ** 2 / light.gravity
+    light = SingleMode(**{**vars(light), "force": acceleration / per_newton})
+
+    (branch,) = follow_mode(light, band, searches=2).branches
+
+    flight = fly(acceleration, take_off(acceleration))
+    at_start = int(np.argmin(branch.frequency))
+    assert branch.valid.all()
+    assert 2 * np.pi - branch.tau_0[at_start] == pytest.approx(flight.end - flight.start, abs=1e-6)
+    # The body moves as a sine whose phase at the floor impact is that of the ball's landing.
+    motion = branch.compliance[at_start] * -1j * np.exp(-1j * branch.phi[at_start])
+    landing = np.angle(motion) + np.pi / 2
+    assert np.angle(np.exp(1j * (landing - flight.end))) == pytest.approx(0, abs=1e-6)
+
+
+def test_given_no_clearance_when_solved_then_only_the_linear_response_with_the_damper_remains() -> None:
+    scene = rig.load("fig9")
+    locked = scene.replace(dampers=[scene.dampers[0].replace(clearance=0.0)])
+
+    found = approximate_response(locked, 3, (47.0, 52.0))
+
+    assert found.branches == ()
+    # One mode cannot show that riding changes the shape, nor what the other modes add.
+    band = np.linspace(48.6, 49.2, 601)
+    ridden, exact = found.mode.receptance(band, riding=True), receptance(locked, band)[1]
+    assert band[np.abs(ridden).argmax()] == pytest.approx(band[np.abs(exact).argmax()], rel=1e-3)
+    assert np.abs(ridden).max() == pytest.approx(np.abs(exact).max(), rel=0.02)
+
+
+def test_given_a_narrowing_clearance_when_solved_then_it_tends_to_the_damper_riding() -> None:
+    scene = rig.load("fig9")
+    away = []
+    for clearance in (2e-5, 1e-5, 5e-6):
+        narrow = scene.replace(dampers=[scene.dampers[0].replace(clearance=clearance)])
+        found = follow_mode(single_mode(narrow, 3), (48.9, 48.95), searches=1)
+        (branch,) = [b for b in found.branches if (b.valid & b.stable).any()]
+        riding = found.mode.receptance(branch.frequency, riding=True)
+        away.append(np.abs(branch.compliance / riding - 1)[branch.valid].max())
+
+    assert away[2] < 0.01
+    assert away[1] / away[0] == pytest.approx(0.5, abs=0.1)
+    assert away[2] / away[1] == pytest.approx(0.5, abs=0.1)
+
+
+@pytest.mark.parametrize("kind", ["I", "II", "III"])
+def test_given_a_motion_when_its_energy_is_summed_then_the_force_pays_for_damping_and_impacts(
+    kind: str,
+) -> None:
+    mode = single_damper().mode
+    branch = branches(single_damper(), kind)[0]
+    (i,) = pick(branch, 1)
+    setting = dimensionless(mode, branch.frequency[i] / mode.frequency)
+    motion = Motion(kind, branch.unknowns[:, i], setting)
+    omega = 2 * np.pi * branch.frequency[i]
+    length = mode.gravity / omega**2
+
+    # Work of F sin over a period: pi F times the part of the response a quarter turn behind the force.
+    work = -np.pi * mode.participation * mode.force * (branch.compliance[i] * mode.force).imag
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    lost = 0.0
+    for phase in motion.phases:
+        t = 0.5 * phase.length * (nodes + 1)
+        speed = motion.advance(phase, t).u * length * omega
+        damping = 2 * mode.damping_ratio * mode.omega * mode.mass
+        lost += damping * 0.5 * phase.length / omega * float(weights @ speed**2)
+    damper = mode.mass_ratio * mode.mass
+    impacts = [motion.landing] + ([motion.before_ceiling] if kind != "I" else [])
+    for state in impacts:
+        closing = (state.v - state.u) * length * omega
+        lost += 0.5 * damper * mode.mass / (damper + mode.mass) * closing**2
+
+    assert lost == pytest.approx(work, rel=1e-9)
+
+
+def test_given_a_low_ceiling_when_type_i_would_hit_it_then_it_is_called_impossible() -> None:
+    setting = dimensionless(single_damper().mode, 0.93)._replace(height=0.1)
+    motions = solutions("I", setting).T
+    batch = Batch("I", motions, Setting(*(np.full(motions.shape[1], value) for value in setting)))
+
+    assert set(flaws(batch)) == {"hits the ceiling early"}
+
+
+def test_given_a_damper_moving_against_the_largest_body_when_weighted_as_printed_then_it_refuses() -> None:
+    scene = rig.load("fig8-one-damper")
+
+    with pytest.raises(SceneError, match="Eq 13 as printed"):
+        single_mode(scene, 3)
+    by_energy = single_mode(scene, 3, weighting="energy")
+    at_damper = single_mode(scene, 3, at=1)
+    assert by_energy.mass_ratio == pytest.approx(at_damper.mass_ratio, rel=1e-12)
+
+
+def test_given_different_clearances_when_lumped_then_it_asks_for_a_common_one() -> None:
+    scene = rig.load("fig5-three-dampers")
+    first, *others = scene.dampers
+    mixed = scene.replace(dampers=[first.replace(clearance=2e-3), *others])
+
+    with pytest.raises(SceneError, match="common one"):
+        single_mode(mixed, 3)
+
+
+def test_given_restitution_when_reduced_then_it_says_that_the_method_has_none() -> None:
+    scene = rig.load("fig9")
+    bouncy = scene.replace(dampers=[scene.dampers[0].replace(restitution=0.3)])
+
+    with pytest.raises(SceneError, match=r"restitution 0\.3"):
+        single_mode(bouncy, 3)

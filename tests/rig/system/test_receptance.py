@@ -1,0 +1,153 @@
+"""The linear frequency response against closed forms that share no code with it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import minimize_scalar
+
+import rig
+from rig.errors import SceneError
+from rig.scene.scene import Scene
+from rig.system.receptance import loaded_matrices, receptance
+from rig.system.structure import natural_modes
+
+FREQUENCIES = np.linspace(1.0, 60.0, 60)
+
+
+def of_chain(
+    masses: tuple[float, ...],
+    springs: tuple[float, ...],
+    dashpots: tuple[float, ...],
+    frequencies: np.ndarray,
+) -> np.ndarray:
+    """Response to a force on body 1: what is above a body acts on it as one spring, a continued fraction."""
+    omega = 2.0 * np.pi * frequencies
+    above = np.zeros_like(omega, dtype=complex)
+    links, stiffness_above = [], []
+    for m, k, c in zip(reversed(masses), reversed(springs), reversed(dashpots), strict=True):
+        link = k + 1j * omega * c
+        stiffness_above.append(above)
+        links.append(link)
+        seen = above - m * omega**2
+        above = link * seen / (link + seen)
+    links, stiffness_above = links[::-1], stiffness_above[::-1]
+    response = [1.0 / (links[0] + stiffness_above[0] - masses[0] * omega**2)]
+    for m, link, hanging in zip(masses[1:], links[1:], stiffness_above[1:], strict=True):
+        response.append(response[-1] * link / (link + hanging - m * omega**2))
+    return np.array(response)
+
+
+positive = st.floats(min_value=0.1, max_value=10.0)
+
+
+@given(st.lists(st.tuples(positive, positive, positive), min_size=1, max_size=6))
+def test_given_any_chain_with_dashpots_when_driven_at_body_1_then_response_is_the_continued_fraction(
+    parts: list[tuple[float, float, float]],
+) -> None:
+    masses, thousands, dashpots = zip(*parts, strict=True)
+    springs = tuple(1000.0 * k for k in thousands)
+    structure = {"masses": masses, "springs": springs, "damping": {"dashpots": dashpots}}
+    scene = Scene(structure=structure, shaker={"kind": "force", "body": 1})
+    expected = of_chain(masses, springs, dashpots, FREQUENCIES)
+    np.testing.assert_allclose(receptance(scene, FREQUENCIES), expected, rtol=1e-9)
+
+
+def test_given_modal_damping_when_driven_then_response_is_the_sum_over_modes() -> None:
+    scene = rig.load("bare-structure")
+    mass, _, stiffness = loaded_matrices(scene)
+    natural, shapes = natural_modes(mass, stiffness)
+    omega = 2.0 * np.pi * FREQUENCIES
+    modal_masses = np.einsum("ji,jk,ki->i", shapes, mass, shapes)
+    terms = 1.0 / (natural[:, None] ** 2 - omega**2 + 2j * 0.005 * natural[:, None] * omega)
+    expected = shapes @ (shapes[0][:, None] / modal_masses[:, None] * terms)
+    np.testing.assert_allclose(receptance(scene, FREQUENCIES), expected, rtol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("attached", "peaks"), [(False, (81.911, 218.512, 312.041)), (True, (86.776, 228.231, 318.003))]
+)
+def test_given_hardly_any_damping_when_searched_then_peaks_lie_at_the_known_frequencies(
+    attached: bool, peaks: tuple[float, ...]
+) -> None:
+    scene = rig.load("bare-structure")
+    scene = scene.replace(structure=scene.structure.replace(damping={"modal": 1e-4}))
+    for peak in peaks:
+        found = minimize_scalar(
+            lambda w: -np.abs(receptance(scene, [w / (2.0 * np.pi)], attached)[2, 0]),
+            bounds=(peak - 0.5, peak + 0.5),
+            method="bounded",
+            options={"xatol": 1e-5},
+        )
+        assert found.x == pytest.approx(peak, abs=6e-4)
+
+
+def test_given_the_spring_attached_when_compared_then_table_response_follows_from_force_response() -> None:
+    # F_1 = k_0 (X_0 - X_1) turns X = R F_1 into X / X_0 = k_0 R / (1 + k_0 R_1).
+    scene = rig.load("fig8-three-dampers")
+    free = receptance(scene, FREQUENCIES)
+    np.testing.assert_allclose(
+        receptance(scene, FREQUENCIES, attached=True), 6600.0 * free / (1.0 + 6600.0 * free[0]), rtol=1e-9
+    )
+
+
+def test_given_slow_motion_when_driven_then_response_is_that_of_the_springs() -> None:
+    scene = rig.load("bare-structure")
+    np.testing.assert_allclose(receptance(scene, [0.0])[:, 0], 1.0 / 24300.0, rtol=1e-12)
+    np.testing.assert_allclose(receptance(scene, [0.0], attached=True)[:, 0], 6600.0 / 30900.0, rtol=1e-12)
+
+
+def test_given_damping_when_driven_then_motion_of_the_driven_body_lags() -> None:
+    assert (receptance(rig.load("bare-structure"), FREQUENCIES)[0].imag < 0.0).all()
+
+
+def test_given_riding_dampers_when_driven_then_their_masses_move_with_their_bodies() -> None:
+    scene = rig.load("fig9").replace(
+        structure={"masses": (0.74, 0.71, 0.64), "springs": (24300.0, 21800.0, 19800.0)},
+        dampers=[
+            {"body": 2, "mass": 0.1, "clearance": 1e-3},
+            {"body": 3, "mass": 0.05, "clearance": 1e-3},
+        ],
+    )
+    expected = of_chain((0.74, 0.71, 0.69), (24300.0, 21800.0, 19800.0), (0.0,) * 3, FREQUENCIES)
+    np.testing.assert_allclose(receptance(scene, FREQUENCIES, riding=[2]), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("held", [{"clearance": 0.0}, {"clearance": 1e-3, "locked": True}])
+def test_given_a_damper_that_cannot_move_when_driven_then_it_always_rides(held: dict[str, object]) -> None:
+    scene = rig.load("fig9")
+    scene = scene.replace(dampers=[{"body": 2, "mass": 0.1, **held}])
+    np.testing.assert_array_equal(receptance(scene, [30.0]), receptance(scene, [30.0], riding=[1]))
+
+
+def test_given_a_force_on_several_bodies_when_driven_then_responses_add_up() -> None:
+    base = rig.load("reference-A").replace(dampers=())
+    alone = [receptance(base.replace(shaker={"kind": "force", "body": body}), FREQUENCIES) for body in (1, 3)]
+    both = receptance(base.replace(shaker={"kind": "force", "body": [1, 3]}), FREQUENCIES)
+    np.testing.assert_allclose(both, alone[0] + alone[1], rtol=1e-11)
+
+
+def test_given_an_impulse_test_without_shaker_when_asked_then_force_acts_where_the_hammer_hits() -> None:
+    hammer = rig.load("fig10b-no-damper")
+    np.testing.assert_array_equal(
+        receptance(hammer, FREQUENCIES), receptance(rig.load("fig8-no-damper"), FREQUENCIES)
+    )
+
+
+def test_given_what_has_no_response_when_asked_then_the_error_names_it() -> None:
+    table, force = rig.load("bare-structure"), rig.load("reference-B")
+    with pytest.raises(SceneError, match="frequencies"):
+        receptance(table, [-1.0])
+    with pytest.raises(SceneError, match="frequencies"):
+        receptance(table, [np.nan])
+    with pytest.raises(SceneError, match="damper 2 of 1"):
+        receptance(force, [1.0], riding=[2])
+    with pytest.raises(SceneError, match="no coil spring"):
+        receptance(force, [1.0], attached=True)
+    with pytest.raises(SceneError, match="neither shaker nor hammer"):
+        receptance(table.replace(shaker=None, test=None), [1.0])
+    undamped = Scene(structure={"masses": (1.0,), "springs": (0.0,)}, shaker={"kind": "force", "body": 1})
+    with pytest.raises(SceneError, match="exactly at resonance"):
+        receptance(undamped, [0.0])

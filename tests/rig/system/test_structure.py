@@ -1,0 +1,115 @@
+"""Matrices and modes of the structure against closed forms and the paper's figures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rig
+from rig.errors import SceneError
+from rig.scene.structure import Structure
+from rig.system.structure import chain, damper_bodies, damper_masses, natural_modes, structure_matrices
+
+MASSES = (0.74, 0.71, 0.64)
+SPRINGS = (24300.0, 21800.0, 19800.0)
+
+
+def test_given_the_papers_structure_when_solved_then_natural_frequencies_and_shapes_are_the_known_ones() -> (
+    None
+):
+    mass, _, stiffness = structure_matrices(Structure(masses=MASSES, springs=SPRINGS))
+    frequencies, shapes = natural_modes(mass, stiffness)
+    np.testing.assert_allclose(frequencies, [81.911, 218.512, 312.041], atol=5e-4)
+    np.testing.assert_allclose(
+        shapes.T, [[0.4150, 0.7831, 1.0], [1.0, 0.4939, -0.9090], [-0.8400, 1.0, -0.4657]], atol=5e-5
+    )
+
+
+def test_given_a_uniform_chain_when_solved_then_frequencies_follow_the_closed_form() -> None:
+    n, m, k = 40, 0.5, 2000.0
+    structure = Structure(masses=(m,) * n, springs=(k,) * n)
+    mass, _, stiffness = structure_matrices(structure)
+    frequencies, _ = natural_modes(mass, stiffness)
+    number = np.arange(1, n + 1)
+    expected = 2.0 * np.sqrt(k / m) * np.sin((2 * number - 1) * np.pi / (2 * (2 * n + 1)))
+    np.testing.assert_allclose(frequencies, expected, rtol=1e-11)
+
+
+def test_given_springs_when_assembled_then_each_joins_its_body_to_the_one_below() -> None:
+    np.testing.assert_array_equal(
+        chain(SPRINGS), [[46100.0, -21800.0, 0.0], [-21800.0, 41600.0, -19800.0], [0.0, -19800.0, 19800.0]]
+    )
+
+
+@pytest.mark.parametrize("ratio", [0.005, (0.001, 0.02, 1.0)])
+def test_given_modal_damping_when_assembled_then_each_mode_has_its_ratio(
+    ratio: float | tuple[float, ...],
+) -> None:
+    structure = Structure(masses=MASSES, springs=SPRINGS, damping={"modal": ratio})
+    mass, damping, stiffness = structure_matrices(structure)
+    frequencies, shapes = natural_modes(mass, stiffness)
+    in_modes = shapes.T @ damping @ shapes
+    modal_masses = np.diag(shapes.T @ mass @ shapes)
+    expected = np.diag(2.0 * np.broadcast_to(ratio, 3) * frequencies * modal_masses)
+    np.testing.assert_allclose(in_modes, expected, atol=1e-12 * np.abs(expected).max())
+    np.testing.assert_array_equal(damping, damping.T)
+
+
+def test_given_rayleigh_damping_when_assembled_then_it_is_the_weighted_sum() -> None:
+    structure = Structure(
+        masses=MASSES, springs=SPRINGS, damping={"rayleigh": {"alpha": "0.1 1/s", "beta": "1e-5 s"}}
+    )
+    mass, damping, stiffness = structure_matrices(structure)
+    np.testing.assert_allclose(damping, 0.1 * mass + 1e-5 * stiffness, rtol=1e-15)
+
+
+def test_given_dashpots_when_assembled_then_they_lie_beside_the_springs() -> None:
+    structure = Structure(masses=MASSES, springs=SPRINGS, damping={"dashpots": (0.5, 0.0, 2.0)})
+    np.testing.assert_array_equal(
+        structure_matrices(structure)[1], [[0.5, 0.0, 0.0], [0.0, 2.0, -2.0], [0.0, -2.0, 2.0]]
+    )
+
+
+def test_given_no_damping_when_assembled_then_it_is_zero() -> None:
+    assert not structure_matrices(Structure(masses=MASSES, springs=SPRINGS))[1].any()
+
+
+def test_given_matrices_when_assembled_then_they_are_what_was_given() -> None:
+    mass, stiffness = [[2.0, 0.5], [0.5, 1.0]], [[3.0, -1.0], [-1.0, 1.0]]
+    damping = [[0.1, 0.05], [-0.05, 0.1]]
+    structure = Structure(matrices={"mass": mass, "stiffness": stiffness, "damping": damping})
+    for given, assembled in zip((mass, damping, stiffness), structure_matrices(structure), strict=True):
+        np.testing.assert_array_equal(assembled, given)
+
+
+def test_given_matrices_of_the_chain_when_damped_modally_then_same_as_the_chain() -> None:
+    inline = {"mass": np.diag(MASSES), "stiffness": chain(SPRINGS)}
+    general = Structure(matrices=inline, damping={"modal": 0.01})
+    special = Structure(masses=MASSES, springs=SPRINGS, damping={"modal": 0.01})
+    np.testing.assert_array_equal(structure_matrices(general)[1], structure_matrices(special)[1])
+
+
+def test_given_a_floating_chain_when_solved_then_its_first_frequency_is_zero_and_undamped() -> None:
+    structure = Structure(masses=(1.0, 2.0, 1.5), springs=(0.0, 1e4, 1e9), damping={"modal": 0.05})
+    mass, damping, stiffness = structure_matrices(structure)
+    frequencies, shapes = natural_modes(mass, stiffness)
+    assert frequencies[0] == 0.0
+    np.testing.assert_allclose(shapes[:, 0], 1.0, rtol=1e-9)
+    np.testing.assert_allclose(damping @ np.ones(3), 0.0, atol=1e-9 * np.abs(damping).max())
+
+
+def test_given_springs_that_push_away_when_solved_then_told_so() -> None:
+    with pytest.raises(SceneError, match="not positive semidefinite"):
+        natural_modes(np.eye(2), np.diag([1.0, -2.0]))
+
+
+def test_given_dampers_by_mass_and_by_ratio_when_asked_then_masses_in_kilograms() -> None:
+    scene = rig.load("fig9").replace(
+        dampers=[
+            {"body": 3, "mass_ratio": "10 %", "clearance": ".inf"},
+            {"body": 1, "mass": "30 g", "clearance": 1e-3},
+        ]
+    )
+    np.testing.assert_allclose(damper_masses(scene), [0.064, 0.03], rtol=1e-15)
+    np.testing.assert_array_equal(damper_bodies(scene), [2, 0])
+    assert damper_masses(scene.replace(dampers=())).shape == (0,)

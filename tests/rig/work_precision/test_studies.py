@@ -1,0 +1,190 @@
+"""The work-precision study: its reference, alternatives that converge, and files that say what happened."""
+
+from __future__ import annotations
+
+import ast
+import csv
+from decimal import Decimal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpmath import mp, mpf
+
+import rig
+from rig.errors import SceneError
+from rig.system.assembly import assemble
+from rig.system.open_loop_drive import tone_drive, with_force_itself
+from rig.system.receptance import receptance
+from rig.work_precision.adaptive_solvers import BLIND, follow, scipy_leg
+from rig.work_precision.figure import table, write
+from rig.work_precision.first_order_form import PER_PERIOD, Problem
+from rig.work_precision.fixed_step_schemes import moreau_jean, penalty_newmark, penalty_runge_kutta
+from rig.work_precision.high_precision import exact_motion
+from rig.work_precision.high_precision_orbit import exact_orbit
+from rig.work_precision.motion_study import Point, Study, hardest_frequency
+from rig.work_precision.steady_study import SteadyStudy, steady_study
+from tests.rig.engine.exact import Segment
+
+PERIODS = 12
+
+
+@pytest.fixture(scope="module")
+def case() -> tuple[Problem, np.ndarray, rig.Run]:
+    """Case B, its exact displacements and the engine's run."""
+    scene = rig.load("reference-B")
+    system = assemble(scene)
+    tone = tone_drive(scene, system)
+    run = rig.simulate(scene, PERIODS / tone.frequency, PER_PERIOD * tone.frequency)
+    exact = exact_motion(system, tone, run, PER_PERIOD)
+    assert exact.agreement < 1e-20
+    return Problem(system, tone, PERIODS), exact.displacement, run
+
+
+def error(outcome: object, exact: np.ndarray) -> float:
+    true = exact.astype(float)
+    return float(np.abs(outcome.displacement - true).max() / np.abs(true).max())
+
+
+def test_given_a_reference_when_the_first_ride_is_computed_by_other_means_then_thirty_digits_agree(
+    case: tuple[Problem, np.ndarray, rig.Run],
+) -> None:
+    _, exact, run = case
+    scene = run.scene
+    riding = Segment(scene, (0,))
+    # The reference takes w = 2 pi f exactly; so does this one.
+    omega = 2 * mp.pi * mpf(scene.test.frequency)
+    size = 2 * riding.n
+    riding.generator[size, size + 1], riding.generator[size + 1, size] = -omega, omega
+    sample = int(np.searchsorted(run.time, run.events["time"][0])) - 1
+    state = riding.after(riding.start(), mpf(sample) / (PER_PERIOD * mpf(scene.test.frequency)))
+    for body in range(3):
+        assert abs(mpf(str(exact[body, sample])) / state[body] - 1) < mpf("1e-30")
+
+
+def test_given_a_reference_when_the_engine_is_compared_then_it_is_right_to_rounding(
+    case: tuple[Problem, np.ndarray, rig.Run],
+) -> None:
+    _, exact, run = case
+    values = np.vectorize(Decimal, otypes=[object])(run.displacement)
+    assert np.abs(values - exact).max() / np.abs(exact).max() < 1e-13
+
+
+@pytest.mark.parametrize("scheme", [penalty_runge_kutta, penalty_newmark, moreau_jean])
+def test_given_a_fixed_step_scheme_when_its_step_shrinks_twentyfold_then_its_error_does_so_at_least_fivefold(
+    scheme: object, case: tuple[Problem, np.ndarray, rig.Run]
+) -> None:
+    problem, exact, _ = case
+    coarse, fine = (error(scheme(problem, steps), exact) for steps in (320, 6400))
+    assert fine < 0.2 * coarse
+    assert fine < 2e-3
+
+
+def test_given_an_adaptive_solver_when_it_follows_the_motion_then_it_finds_the_events_at_its_tolerance(
+    case: tuple[Problem, np.ndarray, rig.Run],
+) -> None:
+    problem, exact, run = case
+    outcome = follow(problem, scipy_leg("DOP853", 1e-9, np.inf), BLIND, 60.0)
+    assert [kind for _, _, kind in outcome.events] == list(run.events["kind"])
+    assert error(outcome, exact) < 1e-6
+
+
+def test_given_the_alternatives_when_the_packages_are_searched_then_only_the_cost_study_uses_them() -> None:
+    packages = Path(rig.__file__).parent.parent
+    users = set()
+    for package in ("rig", "daq", "analysis"):
+        for path in (packages / package).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+                if any(
+                    name.startswith(
+                        ("rig.work_precision.first_order_form", "rig.work_precision.high_precision")
+                    )
+                    for name in names
+                ):
+                    users.add(path.name)
+    assert users <= {
+        "cost.py", "cost_steady.py", "reference_orbit.py", "schemes_adaptive.py", "schemes_fixed.py",
+    }  # fmt: skip
+
+
+def test_given_a_periodic_motion_when_ways_to_it_are_measured_then_waiting_converges_to_the_orbit() -> None:
+    study = steady_study(rig.load("fig9").replace(converter={}, channels=None), 49.6)
+    waits = [point.error for point in study.points if point.method == "waiting"]
+    assert study.motion_type == "II"
+    assert waits[0] > waits[2] > waits[-1]
+    assert waits[-1] < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("name", "frequency", "motion"), [("fig9", 49.6, "II"), ("fig5-three-dampers", 50.0, "I/II/III")]
+)
+def test_given_a_periodic_orbit_when_improved_to_forty_digits_then_two_precisions_agree_and_shooting_was_right(
+    name: str, frequency: float, motion: str
+) -> None:
+    scene = rig.load(name)
+    orbit = rig.periodic_orbit(scene, frequency)
+    exact = exact_orbit(with_force_itself(scene), orbit)
+    assert orbit.motion_type == motion
+    assert exact.residual < 1e-33
+    assert exact.agreement < 1e-22
+    assert exact.miss(orbit.compliance) < 1e-12
+
+
+def test_given_a_linear_scene_when_its_orbit_is_improved_then_it_is_the_solution_of_the_equations() -> None:
+    scene = rig.load("fig8-no-damper")
+    exact = exact_orbit(with_force_itself(scene), rig.periodic_orbit(scene, 34.8))
+    assert exact.miss(receptance(scene, [34.8])[:, 0]) < 1e-12
+
+
+def test_given_a_table_that_is_driven_when_its_orbit_is_improved_then_the_spring_force_is_the_reference() -> (
+    None
+):
+    scene = rig.loads(
+        "structure: {masses: [1 kg], springs: [20 kN/m], damping: {modal: 5 %}}\n"
+        "dampers: [{body: 1, mass_ratio: 10 %, clearance: .inf}]\n"
+        "shaker: {kind: table, body: 1, spring: 5 kN/m}\n"
+        "test: {kind: sine, frequency: 24 Hz, drive: 0.5 mm}\n"
+    )
+    orbit = rig.periodic_orbit(scene, 24.0)
+    exact = exact_orbit(scene, orbit)
+    assert exact.agreement < 1e-20
+    assert exact.miss(orbit.compliance) < 1e-12
+
+
+def test_given_an_irregular_motion_when_ways_to_a_steady_state_are_measured_then_one_is_found_near_by() -> (
+    None
+):
+    study = steady_study(rig.load("fig8-three-dampers"), 33.1275)
+    assert 0.0 < abs(study.frequency / 33.1275 - 1.0) < 0.081
+    assert study.points and study.motion_type
+
+
+def test_given_a_stepped_test_when_its_hardest_frequency_is_sought_then_it_is_a_resonance_of_its_range() -> (
+    None
+):
+    scene = rig.load("fig9")
+    assert hardest_frequency(scene, assemble(scene)) == pytest.approx(49.0, abs=1.0)
+
+
+def test_given_a_scene_without_a_shaker_when_its_cost_is_asked_then_the_error_says_what_is_missing() -> None:
+    scene = rig.load("fig10b-three-dampers")
+    bare = scene.replace(shaker=None)
+    with pytest.raises(SceneError, match="no shaker"):
+        hardest_frequency(bare, assemble(bare))
+
+
+def test_given_a_study_with_a_failure_when_written_then_table_and_file_say_so(tmp_path: Path) -> None:
+    points = (
+        Point("engine, tone", "warm", 1e-6, 1e-15, float("nan"), True),
+        Point("scipy LSODA", "rtol 1e-09", float("nan"), float("nan"), float("nan"), False, "takes too long"),
+    )
+    study = Study(rig.load("reference-B"), 49.7, 20, 37, points, "forty digits", 1e9)
+    steady = SteadyStudy((), 49.7, "", "no steady state")
+    files = write(study, steady, tmp_path / "new")
+    assert [file.suffix for file in files] == [".png", ".svg", ".csv"]
+    assert all(file.stat().st_size > 0 for file in files)
+    with files[2].open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert rows[1]["note"] == "takes too long" and rows[1]["error"] == "nan"
+    assert "failed: takes too long" in table(study, steady)

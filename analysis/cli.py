@@ -133,11 +133,11 @@ def export(
 ) -> None:
     """Write a recording for other tools: UFF 58, CSV, NPZ, or WAV to listen to."""
     from analysis.export.export import export as export_stretch
-    from analysis.recordings.slices import Stretch
+    from analysis.recordings.slices import Slice
     from daq.recording.recording import open as open_recording
 
     with open_recording(file) as recording:
-        for line in export_stretch(Stretch.of(recording, channel, start, stop), output, speed, overwrite):
+        for line in export_stretch(Slice.of(recording, channel, start, stop), output, speed, overwrite):
             print(line)
     print(f"wrote {output}")
 

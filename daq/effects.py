@@ -17,7 +17,7 @@ from daq.signal_chain.bench import Bench
 from daq.signal_chain.chain import Chain
 from daq.signal_chain.converter import SampleClock
 from daq.signal_chain.oversampling import oversampling
-from rig.effects.effect_cost import Step, bench_drive
+from rig.effects.effect_cost import EffectStep, bench_drive
 from rig.effects.explanation import Effect, motion_effects
 from rig.scene.measurement_chain import Accelerometer, Channel, Converter, Hammer
 from rig.scene.presets import filled_in
@@ -82,7 +82,7 @@ _CONVERTER: dict[str, tuple[str, ...]] = {
 
 
 @dataclass
-class _On:
+class _Active:
     """Which keys have come on so far."""
 
     sensor: set[str] = field(default_factory=set)
@@ -90,7 +90,7 @@ class _On:
     converter: set[str] = field(default_factory=lambda: {"rate"})
 
 
-def measurement_steps(scene: Scene) -> Iterator[Step]:
+def measurement_steps(scene: Scene) -> Iterator[EffectStep]:
     """Give the steps of the chain and of the recording, on top of the whole motion.
 
     Parameters
@@ -98,7 +98,7 @@ def measurement_steps(scene: Scene) -> Iterator[Step]:
     scene : rig.Scene
         The scene.
     """
-    on = _On()
+    on = _Active()
     before = _with(scene, on)
     yield _step("channels, ideal", before)
     for keys, groups in ((on.sensor, _SENSOR), (on.integrator, _INTEGRATOR), (on.converter, _CONVERTER)):
@@ -119,7 +119,7 @@ def _recording(scene: Scene, display: bool, truth: bool) -> Any:
     return scene.recording.replace(display=display, truth=truth)
 
 
-def _with(scene: Scene, on: _On) -> Scene:
+def _with(scene: Scene, on: _Active) -> Scene:
     """Leave of the channels and the converter only what is on."""
     converter = filled_in(scene.converter)
     kept = {key: getattr(converter, key) for key in on.converter}
@@ -129,7 +129,7 @@ def _with(scene: Scene, on: _On) -> Scene:
     return scene.replace(channels=channels, converter=Converter(**kept))
 
 
-def _channel(channel: Channel, on: _On) -> Channel:
+def _channel(channel: Channel, on: _Active) -> Channel:
     accelerometer, hammer = channel.accelerometer, channel.hammer
     if accelerometer is not None:
         accelerometer = Accelerometer(**_given(filled_in(accelerometer), on.sensor))
@@ -149,7 +149,7 @@ def _given(device: Accelerometer | Hammer, names: set[str]) -> dict[str, Any]:
     return {name: getattr(device, name) for name in names if getattr(device, name, None) is not None}
 
 
-def _step(name: str, scene: Scene, recorded: bool = False) -> Step:
+def _step(name: str, scene: Scene, recorded: bool = False) -> EffectStep:
     bench = Bench(scene)
     states = sum(effect.states for effect in motion_effects(scene))
     states += sum(effect.states for effect in measurement_effects(scene))
@@ -157,7 +157,7 @@ def _step(name: str, scene: Scene, recorded: bool = False) -> Step:
     def start() -> AbstractContextManager[Callable[[Array], object]]:
         return _recorded(scene) if recorded else nullcontext(Bench(scene).acquire)
 
-    return Step(name, states, start, bench_drive(scene, bench.rate), bench.rate)
+    return EffectStep(name, states, start, bench_drive(scene, bench.rate), bench.rate)
 
 
 @contextmanager
@@ -166,7 +166,7 @@ def _recorded(scene: Scene) -> Iterator[Callable[[Array], object]]:
     bench = Bench(scene)
     with (
         tempfile.TemporaryDirectory() as folder,
-        Recorder(Path(folder) / "ladder.mcap", scene, bench.channels, bench.rate) as recorder,
+        Recorder(Path(folder) / "effects.mcap", scene, bench.channels, bench.rate) as recorder,
     ):
 
         def advance(drive: Array) -> None:

@@ -64,11 +64,11 @@ def explain(
 
     print(rig.explain(scene))
     if measure:
-        from rig.effects.effect_cost import ladder, text
+        from rig.effects.effect_cost import effect_costs, text
 
         with _status() as say:
-            rungs = ladder(rig.load(scene), say)
-        print("\n" + text(rungs))
+            costs = effect_costs(rig.load(scene), say)
+        print("\n" + text(costs))
 
 
 @app.command()

@@ -27,7 +27,7 @@ from rig.response.frequency_response import frequency_response
 from rig.scene.excitation import Measure, Settle, SteppedSine
 from rig.scene.scene import Scene
 from rig.system.assembly import assemble
-from rig.system.open_loop_drive import accelerations_per_level, drive_per_level, level_of, with_force_itself
+from rig.system.open_loop_drive import accelerations_per_level, drive_per_level, level_of, with_ideal_force
 from rig.system.receptance import receptance
 from rig.system.structure import natural_modes, structure_matrices
 
@@ -143,7 +143,7 @@ def chain_study(
     Notes
     -----
     A structure without working dampers is linear: its exact compliance is the solution of the equations at the
-    frequency (`rig.receptance`). With dampers the compliance depends on the level. The recording notes the drive
+    frequency (`rig.system.receptance`). With dampers the compliance depends on the level. The recording notes the drive
     amplitude that the controller arrived at; the engine's own steady motion under that very drive, followed until it
     repeats within 1e-10, is what the sensors had before them (`rig cost` measures the engine itself against
     arithmetic of 40 digits). Neither sees the chain.
@@ -204,7 +204,7 @@ def steady_frequencies(scene: Scene) -> tuple[float, ...]:
     RunError
         If there are none.
     """
-    motion = with_force_itself(scene)
+    motion = with_ideal_force(scene)
     candidates = columns(motion, points=CANDIDATES)
     if assemble(motion).dampers == 0:
         good = np.ones(len(candidates), dtype=bool)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.dampers.jump_signature import SHIFT, Signature, signature
-from analysis.recordings.slices import spans
+from analysis.recordings.slices import read_slices
 from analysis.responses.frf import MOTIONS
 from analysis.responses.measurands import named
 from rig.errors import RecordingError
@@ -123,7 +123,7 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
         raise RecordingError(
             f"{stop - start} samples are too few to tell impacts from noise: take at least {least}"
         )
-    samples = next(spans(rec, [info.name], [(start, stop)]))[0]
+    samples = next(read_slices(rec, [info.name], [(start, stop)]))[0]
     good = np.isfinite(samples)
     for marker in rec.overloads:
         if marker.fields.get("channel") == info.name:

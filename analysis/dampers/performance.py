@@ -148,7 +148,7 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
     rec : daq.recording.Recording
         A stepped sine with a channel on every body.
     sweep : Sweep
-        One of `analysis.stepped.sweeps`.
+        One of `analysis.responses.stepped_sine.sweeps`.
     """
     from rig.system.structure import structure_matrices
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from analysis.export.uff import write_uff
 from analysis.export.wav import write_wav
-from analysis.recordings.slices import Stretch
+from analysis.recordings.slices import Slice
 from rig.errors import RunError, SceneError
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def sep005(
         ``data`` (NaN where samples were lost), ``name``, ``unit_str``, ``fs`` [Hz], ``quantity``, ``group``
         (where the sensor sits) and, where the recording has a date, ``start_timestamp``.
     """
-    stretch = Stretch.of(recording, channels, from_s, to_s)
+    stretch = Slice.of(recording, channels, from_s, to_s)
     series = []
     for info in stretch.infos:
         one: dict[str, Any] = {
@@ -69,7 +69,7 @@ def sep005(
     return series
 
 
-def write_csv(stretch: Stretch, path: Path) -> None:
+def write_csv(stretch: Slice, path: Path) -> None:
     """Write a table: time in s, then the channels; numbers in full, lost samples as ``nan``."""
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
@@ -79,7 +79,7 @@ def write_csv(stretch: Stretch, path: Path) -> None:
             writer.writerows(zip(time.tolist(), *samples.tolist(), strict=True))
 
 
-def write_npz(stretch: Stretch, path: Path) -> None:
+def write_npz(stretch: Slice, path: Path) -> None:
     """Write numpy arrays: each channel by its name; ``channels``, ``units``, ``rate`` [Hz] and ``start_s``."""
     members = {name: re.sub(r"[^\w.-]", "_", name) for name in stretch.channels}
     taken = {"channels", "units", "rate", "start_s"}
@@ -110,7 +110,7 @@ def _member(name: str) -> zipfile.ZipInfo:
     return zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
 
 
-WRITERS: dict[str, Callable[[Stretch, Path], Any]] = {
+WRITERS: dict[str, Callable[[Slice, Path], Any]] = {
     ".csv": write_csv,
     ".npz": write_npz,
     ".wav": write_wav,
@@ -136,12 +136,12 @@ def _new_file(path: Path, overwrite: bool) -> Iterator[Path]:
         part.unlink(missing_ok=True)
 
 
-def export(stretch: Stretch, path: Path, speed: float = 1.0, overwrite: bool = False) -> list[str]:
+def export(stretch: Slice, path: Path, speed: float = 1.0, overwrite: bool = False) -> list[str]:
     """Write a stretch of a recording in the format that the file's name says.
 
     Parameters
     ----------
-    stretch : Stretch
+    stretch : Slice
         What is exported.
     path : Path
         File to make: ``.csv``, ``.npz``, ``.wav``, ``.uff`` or ``.unv``.

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.recordings.slices import Stretch
+from analysis.recordings.slices import Slice
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RunError, SceneError
 
@@ -16,7 +16,7 @@ MOST_TEXT_SAMPLES = 1 << 24
 KINDS = {"displacement": 8, "velocity": 11, "acceleration": 12, "force": 13}
 
 
-def write_uff(stretch: Stretch, path: Path) -> None:
+def write_uff(stretch: Slice, path: Path) -> None:
     """Write a UFF file in text, with a data set 58 (time response) for each channel.
 
     Node n is body n, direction +Z is up; table and hammer are node 0. The format rounds the sample

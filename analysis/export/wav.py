@@ -8,16 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.recordings.slices import Stretch
+from analysis.recordings.slices import Slice
 from rig.errors import SceneError
 
 
-def write_wav(stretch: Stretch, path: Path, speed: float = 1.0) -> list[float]:
+def write_wav(stretch: Slice, path: Path, speed: float = 1.0) -> list[float]:
     """Write sound of 24 bits, each channel as loud as can be.
 
     Parameters
     ----------
-    stretch : Stretch
+    stretch : Slice
         What is exported.
     path : Path
         File to make.

@@ -21,7 +21,7 @@ def modes_figure(frfs: Sequence[Frf], modes: Modes, title: str) -> Figure:
     Parameters
     ----------
     frfs : sequence of Frf
-        The curves given to `analysis.modal.identify`.
+        The curves given to `analysis.modal.identification.identify`.
     modes : Modes
         What came out.
     title : str

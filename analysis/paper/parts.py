@@ -11,7 +11,7 @@ import rig
 from analysis.paper import experiment as paper_experiment
 from analysis.paper import scan as paper_scan
 from analysis.paper import simulation as paper_simulation
-from analysis.paper.store import Part
+from analysis.paper.store import PaperPart
 from rig.scene.scene import Scene
 
 BAND = (45.0, 54.0)
@@ -52,7 +52,7 @@ WAVES = {
 }
 
 
-def all_parts(folder: Path) -> list[Part]:
+def all_parts(folder: Path) -> list[PaperPart]:
     """List the parts."""
     parts = [_recording(folder, name, scene, extra) for name, scene, extra in _experiments()]
     single, three = rig.load("fig5-single-damper"), rig.load("fig5-three-dampers")
@@ -165,11 +165,11 @@ def _experiments() -> list[tuple[str, Scene, dict[str, Any]]]:
     return jobs
 
 
-def _recording(folder: Path, name: str, scene: Scene, extra: dict[str, Any]) -> Part:
+def _recording(folder: Path, name: str, scene: Scene, extra: dict[str, Any]) -> PaperPart:
     arguments = {key: value for key, value in extra.items() if key != "compute"}
     path = folder / "recordings" / f"{name.removeprefix('rec-')}.mcap"
     depends = f"{name}\n{scene.to_yaml()}\n{arguments}"
-    return Part(
+    return PaperPart(
         name,
         depends,
         extra["compute"],
@@ -179,10 +179,10 @@ def _recording(folder: Path, name: str, scene: Scene, extra: dict[str, Any]) -> 
     )
 
 
-def _part(name: str, title: str, compute: Any, scene: Scene, **arguments: Any) -> Part:
+def _part(name: str, title: str, compute: Any, scene: Scene, **arguments: Any) -> PaperPart:
     written = {
         key: value if isinstance(value, dict) else np.asarray(value).tolist()
         for key, value in arguments.items()
     }
     depends = f"{name}\n{scene.to_yaml()}\n{written}"
-    return Part(name, depends, compute, {"scene": scene, **arguments}, title, EFFORT.get(name, 1.0))
+    return PaperPart(name, depends, compute, {"scene": scene, **arguments}, title, EFFORT.get(name, 1.0))

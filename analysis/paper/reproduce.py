@@ -13,7 +13,7 @@ from analysis.paper import figures as paper_figures
 from analysis.paper.claims import claims
 from analysis.paper.page import write_pages
 from analysis.paper.parts import all_parts
-from analysis.paper.store import Arrays, Part, remove_partial
+from analysis.paper.store import Arrays, PaperPart, remove_partial
 from analysis.paper.workers import WORKERS, compute
 from rig.errors import SceneError
 
@@ -69,7 +69,7 @@ def reproduce(folder: Path, say: Callable[[str], None], fresh: Sequence[str] = (
         )
     remove_partial(folder)
     stored: dict[str, Arrays] = {}
-    missing: list[Part] = []
+    missing: list[PaperPart] = []
     for part in parts:
         found = None if part.name in fresh else part.stored(folder)
         if found is None:
@@ -84,7 +84,7 @@ def reproduce(folder: Path, say: Callable[[str], None], fresh: Sequence[str] = (
     if missing:
         progress = _Progress(missing, say)
 
-        def done(part: Part) -> None:
+        def done(part: PaperPart) -> None:
             arrays = part.stored(folder)
             assert arrays is not None
             stored[part.name] = arrays
@@ -105,12 +105,12 @@ def reproduce(folder: Path, say: Callable[[str], None], fresh: Sequence[str] = (
 class _Progress:
     """Says after each part how much of the work is done, and how long the rest will take at that pace."""
 
-    def __init__(self, parts: Sequence[Part], say: Callable[[str], None]) -> None:
+    def __init__(self, parts: Sequence[PaperPart], say: Callable[[str], None]) -> None:
         self.say, self.began = say, time.monotonic()
         self.count, self.total = len(parts), sum(part.effort for part in parts)
         self.finished, self.done = 0, 0.0
 
-    def add(self, part: Part) -> None:
+    def add(self, part: PaperPart) -> None:
         """Report a part that has been finished."""
         self.finished += 1
         self.done += part.effort

@@ -13,7 +13,7 @@ from scipy.optimize import minimize, minimize_scalar
 from analysis.paper.store import Arrays
 from rig.errors import RunError
 from rig.orbits.orbit import solve
-from rig.orbits.problem import Problem, Setting
+from rig.orbits.problem import OperatingPoint, OrbitProblem
 from rig.orbits.sweep import OrbitResponse, sweep
 from rig.response.motion_type import overall
 from rig.scene.scene import Scene
@@ -25,12 +25,12 @@ BODY = 2
 LEVELS = np.array([0.8, 1.0, 1.25])
 
 
-def curve(problem: Problem, force: float, frequencies: Floats) -> OrbitResponse:
+def curve(problem: OrbitProblem, force: float, frequencies: Floats) -> OrbitResponse:
     """Steady motion at each frequency from the motion at the one before."""
-    return sweep(problem, Setting(float(frequencies[0]), force), "frequency", frequencies)
+    return sweep(problem, OperatingPoint(float(frequencies[0]), force), "frequency", frequencies)
 
 
-def resonance(problem: Problem, response: OrbitResponse, body: int = BODY) -> tuple[float, float]:
+def resonance(problem: OrbitProblem, response: OrbitResponse, body: int = BODY) -> tuple[float, float]:
     """Largest compliance of a body over a curve, and its frequency [Hz].
 
     Where the largest point is an orbit, the maximum is sought between its neighbours over orbits with the same
@@ -44,7 +44,7 @@ def resonance(problem: Problem, response: OrbitResponse, body: int = BODY) -> tu
         return best, where
 
     def missing(frequency: float) -> float:
-        setting = Setting(float(frequency), orbit.setting.force)
+        setting = OperatingPoint(float(frequency), orbit.setting.force)
         try:
             found = solve(problem, orbit.plan, setting, orbit.unknowns)
         except RunError:
@@ -56,10 +56,10 @@ def resonance(problem: Problem, response: OrbitResponse, body: int = BODY) -> tu
     return (float(-top.fun), float(top.x)) if -top.fun > best else (best, where)
 
 
-def with_dampers(scene: Scene, clearance: float, mass_ratio: float) -> Problem:
+def with_dampers(scene: Scene, clearance: float, mass_ratio: float) -> OrbitProblem:
     """Set up a scene with one clearance and mass ratio for all its dampers."""
     dampers = [d.replace(clearance=float(clearance), mass=None, mass_ratio=mass_ratio) for d in scene.dampers]
-    return Problem(scene.replace(dampers=dampers))
+    return OrbitProblem(scene.replace(dampers=dampers))
 
 
 def scan(
@@ -116,7 +116,7 @@ def stays_over_damping(
         structure = scene.structure.replace(damping={"modal": float(damping)})
         for column, clearance in enumerate(clearances):
             dampers = [d.replace(clearance=float(clearance)) for d in scene.dampers]
-            problem = Problem(scene.replace(structure=structure, dampers=dampers))
+            problem = OrbitProblem(scene.replace(structure=structure, dampers=dampers))
             response = curve(problem, problem.level, frequencies)
             third[row, column] = bool((response.damper_motion == "III").any())
             peak[row, column] = resonance(problem, response, body)[0]

@@ -12,12 +12,13 @@ from rig.orbits.admissibility import follow
 from rig.orbits.branches import follow_orbits
 from rig.orbits.orbit import Orbit
 from rig.orbits.periodic_orbit import periodic_orbit
-from rig.orbits.problem import Problem, pure_force
+from rig.orbits.problem import OrbitProblem
 from rig.orbits.shooting import shoot
 from rig.response.frequency_response import frequency_response
 from rig.scene.scene import Scene
 from rig.single_mode.approximate_response import Branch, follow_mode
 from rig.single_mode.reduction import Weighting, single_mode
+from rig.system.open_loop_drive import with_ideal_force
 from rig.system.receptance import receptance
 from rig.system.structure import natural_modes, structure_matrices
 
@@ -40,7 +41,9 @@ def structure_numbers(scene: Scene, frequencies: Floats) -> Arrays:
 
 def simulated(scene: Scene, frequencies: Floats, direction: str = "up", tolerance: float = 1e-6) -> Arrays:
     """Steady response to a force that is a pure tone, frequency by frequency."""
-    found = frequency_response(pure_force(scene), frequencies, direction, tolerance=tolerance, longest=4000)
+    found = frequency_response(
+        with_ideal_force(scene), frequencies, direction, tolerance=tolerance, longest=4000
+    )
     return {
         "frequency": found.frequency,
         "compliance": found.compliance,
@@ -53,7 +56,7 @@ def simulated(scene: Scene, frequencies: Floats, direction: str = "up", toleranc
 
 def exact_orbits(scene: Scene, band: tuple[float, float], searches: int = 5) -> Arrays:
     """Exact orbits over frequency, stable and unstable, one after the other with a branch number each."""
-    curve = follow_orbits(pure_force(scene), "frequency", band, searches=searches)
+    curve = follow_orbits(with_ideal_force(scene), "frequency", band, searches=searches)
     rows: dict[str, list[np.ndarray]] = {}
     for number, branch in enumerate(curve.branches):
         omega = 2 * np.pi * branch.value
@@ -112,7 +115,7 @@ def approximated(
     searches: int = 13,
 ) -> Arrays:
     """Branches of the approximate method, one after the other; compliances are those of all bodies."""
-    kept = single_mode(pure_force(scene), mode, weighting=weighting, at=at)
+    kept = single_mode(with_ideal_force(scene), mode, weighting=weighting, at=at)
     found = follow_mode(kept, band, searches)
     rows: dict[str, list[np.ndarray]] = {}
     for number, branch in enumerate(found.branches):
@@ -143,7 +146,7 @@ def _branch_rows(number: int, branch: Branch) -> Arrays:
 
 def waveforms(scene: Scene, frequency: float, periods: float = 2.0) -> Arrays:
     """Displacements of bodies and damper masses over some periods of the orbit at a frequency."""
-    problem = Problem(scene)
+    problem = OrbitProblem(scene)
     orbit = periodic_orbit(scene, frequency)
     sequence = orbit.plan.sequence
     equations, change = problem.equations(orbit.setting, orbit.plan)
@@ -192,8 +195,8 @@ def weightings(scene: Scene, bands: dict[int, tuple[float, float]]) -> Arrays:
         mass.
     """
     peak, where, ratio = (np.full((3, len(bands)), np.nan) for _ in range(3))
-    forced = pure_force(scene)
-    problem = Problem(scene)
+    forced = with_ideal_force(scene)
+    problem = OrbitProblem(scene)
     for column, (mode, band) in enumerate(bands.items()):
         frequencies = np.linspace(*band, 41)
         weights: tuple[Weighting, Weighting] = ("printed", "energy")
@@ -222,7 +225,7 @@ def approximate_peaks(
     types = np.empty(peak.shape, dtype="U4")
     for column, clearance in enumerate(clearances):
         dampers = [d.replace(clearance=float(clearance)) for d in scene.dampers]
-        narrowed = pure_force(scene.replace(dampers=dampers))
+        narrowed = with_ideal_force(scene.replace(dampers=dampers))
         for row, force in enumerate(forces):
             kept = single_mode(narrowed, 3, force=float(force), weighting="energy")
             for branch in follow_mode(kept, band, searches=5).branches:

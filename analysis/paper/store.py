@@ -35,7 +35,7 @@ def remove_partial(folder: Path) -> None:
 
 
 @dataclass(frozen=True)
-class Part:
+class PaperPart:
     """A piece of the reproduction that can be computed on its own.
 
     Attributes

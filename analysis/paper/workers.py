@@ -14,13 +14,13 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
-from analysis.paper.store import Part
+from analysis.paper.store import PaperPart
 from rig.errors import RunError
 
 WORKERS = 2
 
 
-def compute(parts: Sequence[Part], folder: Path, done: Callable[[Part], None]) -> None:
+def compute(parts: Sequence[PaperPart], folder: Path, done: Callable[[PaperPart], None]) -> None:
     """Compute parts and store them, longest first.
 
     Parameters
@@ -39,7 +39,7 @@ def compute(parts: Sequence[Part], folder: Path, done: Callable[[Part], None]) -
     waiting = sorted(parts, key=lambda part: part.effort)
     context = get_context("spawn")
     workers = []
-    busy: dict[Connection, Part] = {}
+    busy: dict[Connection, PaperPart] = {}
     previous = _on_termination(_interrupt)
     try:
         for _ in range(min(WORKERS, len(waiting))):
@@ -78,7 +78,7 @@ def _work(connection: Connection, folder: Path) -> None:
     os.setpgid(0, 0)
     while True:
         try:
-            part: Part = connection.recv()
+            part: PaperPart = connection.recv()
         except EOFError:
             return
         failure = None

@@ -17,8 +17,8 @@ def arrival(info: ChannelInfo, first: int, last: int) -> tuple[int, int]:
 
     Examples
     --------
-    >>> from daq.channel import ChannelInfo
-    >>> from daq.decimation import Decimation
+    >>> from daq.signal_chain.channel import ChannelInfo
+    >>> from daq.signal_chain.decimation_filter import Decimation
     >>> low_pass = Decimation.standard(5120.0)
     >>> late = ChannelInfo("hammer", "hammer", "force", 1.0, 5120.0, delay=38 / 5120, filter=low_pass.design)
     >>> arrival(late, 1000, 1020)

@@ -21,7 +21,7 @@ PIECE = 1 << 16
 
 
 @dataclass(frozen=True)
-class Stretch:
+class Slice:
     """What of a recording is exported.
 
     Attributes
@@ -46,7 +46,7 @@ class Stretch:
         channels: Sequence[str] | None = None,
         from_s: float | None = None,
         to_s: float | None = None,
-    ) -> Stretch:
+    ) -> Slice:
         """Take channels, by default all, between two times in s, by default from end to end.
 
         Raises
@@ -93,7 +93,7 @@ class Stretch:
                 )
 
 
-def spans(
+def read_slices(
     rec: Recording, channels: Sequence[str], bounds: Iterable[tuple[int, int]]
 ) -> Iterator[NDArray[np.float64]]:
     """Yield the samples of each stretch ``[start, stop)``.

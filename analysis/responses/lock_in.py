@@ -19,7 +19,7 @@ _CACHED = 2048
 
 
 @dataclass(frozen=True)
-class Tone:
+class ToneFit:
     """What a lock-in found in one window.
 
     Attributes
@@ -106,7 +106,7 @@ class LockIn:
         self._squares.append(np.einsum("ij,ij->i", samples, samples))
         self._samples += length
 
-    def tone(self) -> Tone:
+    def tone(self) -> ToneFit:
         """Solve for the amplitudes over all parts added so far."""
         size = 2 * self.harmonics + 2
         channels = self._parts[0][2].shape[1]
@@ -129,7 +129,7 @@ class LockIn:
         left = np.sum(self._squares, axis=0) - np.einsum("ij,ij->j", solution, right)
         degrees = max(self._samples - size, 1)
         residual = np.sqrt(np.maximum(left, 0.0) / degrees)
-        return Tone(self.frequency, amplitude, parts, residual)
+        return ToneFit(self.frequency, amplitude, parts, residual)
 
     def _of_length(self, length: int) -> tuple[Array, Array]:
         """Rows 1, slope, cos k, -sin k of a part and their Gram matrix; parts differ by a sample at most."""

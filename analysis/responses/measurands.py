@@ -47,7 +47,7 @@ def responses(rec: Recording) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Quantity:
+class Measurand:
     """A mechanical quantity as a weighted sum of channels.
 
     Attributes
@@ -111,12 +111,12 @@ def motion_channel(rec: Recording, name: str) -> ChannelInfo:
     return info
 
 
-def motion_of(rec: Recording, name: str, motion: str = "displacement") -> Quantity:
+def motion_of(rec: Recording, name: str, motion: str = "displacement") -> Measurand:
     """Motion at the channel called `name`."""
-    return Quantity((motion_channel(rec, name).name,), (1.0,), motion)
+    return Measurand((motion_channel(rec, name).name,), (1.0,), motion)
 
 
-def reference_of(rec: Recording, reference: str) -> Quantity:
+def reference_of(rec: Recording, reference: str) -> Measurand:
     """Force on the structure, or displacement of the shaker table.
 
     The force is that of a force channel where there is one; else that of the coil spring,
@@ -129,12 +129,12 @@ def reference_of(rec: Recording, reference: str) -> Quantity:
                 f"no channel on the table: the recording has {_places(rec)}; "
                 "add {name: table, at: table} to the scene's channels"
             )
-        return Quantity((table.name,), (1.0,), "displacement")
+        return Measurand((table.name,), (1.0,), "displacement")
     if reference != "force":
         raise RecordingError(f"unknown reference {reference!r}: expected 'force' or 'table'")
     for info in rec.channels.values():
         if info.quantity == "force":
-            return Quantity((info.name,), (1.0,), "force")
+            return Measurand((info.name,), (1.0,), "force")
     shaker = rec.scene.shaker
     if shaker is None or shaker.spring is None:
         hint = "drive the structure through a coil spring, shaker: {kind: table, body: 1, spring: 6.6 kN/m}"
@@ -153,7 +153,7 @@ def reference_of(rec: Recording, reference: str) -> Quantity:
             f"the spring force k0 (x0 - x{shaker.body}) needs a channel at the {missing}: "
             f"the recording has {_places(rec)}; add one to the scene's channels"
         )
-    return Quantity((ends[0].name, ends[1].name), (shaker.spring, -shaker.spring), "displacement")
+    return Measurand((ends[0].name, ends[1].name), (shaker.spring, -shaker.spring), "displacement")
 
 
 def driven(reference: str, amplitude: NDArray[np.generic]) -> None:

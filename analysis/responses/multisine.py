@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from analysis.recordings.slices import spans
+from analysis.recordings.slices import read_slices
 from analysis.responses.frf import Frf
 from analysis.responses.measurands import reference_of
 from analysis.responses.spectral_lines import Lines
@@ -96,7 +96,7 @@ def best_linear_approximation(
         lines = np.arange(int(low), int(high) + 1)
         frequency = lines * rec.rate / size
         starts = [marker.first_sample + k * size for k in range(periods)]
-        blocks = spans(rec, names, [(start, start + size) for start in starts])
+        blocks = read_slices(rec, names, [(start, start + size) for start in starts])
         whole = [block for block in blocks if np.isfinite(block).all()]
         if progress is not None:
             progress(index + 1, len(markers))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, signal
 
-from analysis.recordings.slices import spans
+from analysis.recordings.slices import read_slices
 from analysis.responses.estimators import Averages, independent_blocks
 from rig.errors import RecordingError, SceneError
 
@@ -87,7 +87,7 @@ def averages(
     total = squares = left = 0.0
     used = 0
     bounds = ((first + i * step, first + i * step + size) for i in range(count))
-    for index, samples in enumerate(spans(rec, names, bounds)):
+    for index, samples in enumerate(read_slices(rec, names, bounds)):
         if progress is not None:
             progress(index + 1, count)
         if not np.isfinite(samples).all():

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.recordings.slices import spans
-from analysis.responses.lock_in import LockIn, Tone, parts_of_whole_periods
+from analysis.recordings.slices import read_slices
+from analysis.responses.lock_in import LockIn, ToneFit, parts_of_whole_periods
 from analysis.responses.spectral_lines import Lines
 from rig.errors import RecordingError
 
@@ -42,7 +42,7 @@ class Sweep:
     """
 
     lines: Lines
-    tones: tuple[Tone, ...]
+    tones: tuple[ToneFit, ...]
     level: float
     direction: str
     windows: NDArray[np.int64]
@@ -75,13 +75,13 @@ def sweeps(rec: Recording, progress: Callable[[int, int], None] | None = None) -
     clipped = _clipped(rec)
     overloaded = short = 0
     unsteady: dict[tuple[float, str], list[str]] = {}
-    runs: dict[tuple[float, str], list[tuple[Tone, tuple[int, int]]]] = {}
+    runs: dict[tuple[float, str], list[tuple[ToneFit, tuple[int, int]]]] = {}
     notes: dict[tuple[float, str], list[str]] = {}
     windows = [_window(rec, marker) for marker in markers]
     parts = [
         parts_of_whole_periods(first, stop, frequency, rec.rate, PARTS) for frequency, first, stop in windows
     ]
-    source = spans(rec, names, (part for group in parts for part in group))
+    source = read_slices(rec, names, (part for group in parts for part in group))
     for index, (marker, (frequency, first, stop), group) in enumerate(
         zip(markers, windows, parts, strict=True)
     ):
@@ -186,7 +186,7 @@ def _why_nothing(rec: Recording, marked: bool, overloaded: int, short: int) -> s
 def _sweep(
     rec: Recording,
     key: tuple[float, str],
-    found: list[tuple[Tone, tuple[int, int]]],
+    found: list[tuple[ToneFit, tuple[int, int]]],
     notes: list[str],
     several: bool,
 ) -> Sweep:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.recordings.slices import spans
+from analysis.recordings.slices import read_slices
 from analysis.responses.estimators import Averages
 from rig.errors import RecordingError
 
@@ -71,7 +71,7 @@ def averages(rec: Recording, marker: Marker, progress: Callable[[int, int], None
             (marker.first_sample + max(0, int(ends[0])), min(stop, marker.first_sample + int(ends[1])))
         )
     order = sorted(range(frequency.size), key=lambda index: bounds[index])
-    blocks = spans(rec, names, [bounds[index] for index in order])
+    blocks = read_slices(rec, names, [bounds[index] for index in order])
     for done, (index, block) in enumerate(zip(order, blocks, strict=True), 1):
         if progress is not None:
             progress(done, frequency.size)

@@ -40,7 +40,7 @@ MOST_EXAGGERATION = 1e4
 
 
 @dataclass(frozen=True)
-class Motion:
+class RigPose:
     """What the drawing needs to know at some instants.
 
     Attributes
@@ -67,7 +67,7 @@ class Extremes:
     coil: float = 0.0
     gap: float = 0.0
 
-    def widened(self, motion: Motion, driven: int | None) -> Extremes:
+    def widened(self, motion: RigPose, driven: int | None) -> Extremes:
         """Extremes of this and of a further stretch of motion; `driven` is the body (from 1) on the coil."""
         ends = np.vstack([np.zeros((1, motion.displacement.shape[1])), motion.displacement])
         coil = 0.0
@@ -297,7 +297,7 @@ class RigView:
     # -- what moves --------------------------------------------------------------------------------------
 
     def moving_parts(
-        self, motion: Motion
+        self, motion: RigPose
     ) -> Iterator[tuple[str, NDArray[np.float64], NDArray[np.float64] | None]]:
         """Yield (entity, translation, scale), each (instants, 3), in drawing metres; no scale for bodies.
 

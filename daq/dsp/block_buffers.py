@@ -10,7 +10,7 @@ from rig.numerics.simd import LANES, zeros
 Array = NDArray[np.float64]
 
 
-class Room:
+class BlockBuffers:
     """Memory that channels use one after another, for what each needs only while it is measured.
 
     Of its own for each, it would not stay in a processor's nearer memory.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.dsp.block_buffers import Room
+from daq.dsp.block_buffers import BlockBuffers
 from rig.numerics.fma import WEIGHED, spread
 from rig.numerics.jit import unfused
 from rig.numerics.simd import LANES, zeros
@@ -22,11 +22,11 @@ class Decimator:
         From `Decimation.taps`.
     late : int
         Intervals by which what is weighed lies further back.
-    room : Room
+    room : BlockBuffers
         For the moments of a block.
     """
 
-    def __init__(self, taps: Array, late: int, room: Room) -> None:
+    def __init__(self, taps: Array, late: int, room: BlockBuffers) -> None:
         self._oversampling, moments, length = taps.shape
         self._weights = _beside(taps, late)
         self._room = room

@@ -15,7 +15,7 @@ from rig.numerics.jit import unfused
 Array = NDArray[np.float64]
 
 
-class Source(Protocol):
+class Disturbance(Protocol):
     """Anything that gives a voltage for every sample, in order."""
 
     def fill(self, samples: Array) -> None:
@@ -106,7 +106,7 @@ class Disturbances:
         rate.
     """
 
-    def __init__(self, sources: Sequence[Source], direct: Array, oversampling: int, wait: int) -> None:
+    def __init__(self, sources: Sequence[Disturbance], direct: Array, oversampling: int, wait: int) -> None:
         self._sources, self._direct, self._oversampling = tuple(sources), direct, oversampling
         self._interval, self._drawn = 0, 0
         self._last = np.zeros((len(sources), 1))

@@ -23,11 +23,11 @@ Array = NDArray[np.float64]
 STRAIGHT = 1e-4
 
 
-# Columns of `Pieces.parts` behind the four numbers of a piece.
+# Columns of `CubicInput.parts` behind the four numbers of a piece.
 LENGTH, JUMP = 4, 5
 
 
-class Pieces(NamedTuple):
+class CubicInput(NamedTuple):
     """Input over the sample intervals of a block; intervals that hold breaks are given in parts as well.
 
     Four numbers describe a piece: input at its start and at its end, its average, and its moment, the average of
@@ -49,7 +49,7 @@ class Pieces(NamedTuple):
     parts: Array
 
 
-class MotionPieces:
+class MotionInterpolator:
     """Cuts the motion of one point into pieces, block after block.
 
     Parameters
@@ -67,7 +67,7 @@ class MotionPieces:
         self._last = np.zeros(3)
         self._ends = np.zeros(3), np.zeros(3)
 
-    def cut(self, motion: Motion) -> Pieces:
+    def cut(self, motion: Motion) -> CubicInput:
         """Give the pieces of the next block.
 
         Before sample 0 everything is at rest at the initial position: an initial velocity is an impulse
@@ -78,7 +78,7 @@ class MotionPieces:
         )
         smooth = np.empty((4, acceleration.size))
         if acceleration.size == 0:
-            return Pieces(smooth, *no_parts(0))
+            return CubicInput(smooth, *no_parts(0))
         if motion.first == 0:
             self._last[2] = displacement[0]
         # Each break ends a part and every broken interval has a last part more; a run begins with one.
@@ -102,7 +102,7 @@ class MotionPieces:
                 self._ends,
             )
         _smooth(acceleration, velocity, displacement, self._last, self._rate, smooth)
-        return Pieces(smooth, broken[:count], parts[:count])
+        return CubicInput(smooth, broken[:count], parts[:count])
 
 
 def no_parts(count: int) -> tuple[NDArray[np.int64], Array]:
@@ -110,22 +110,22 @@ def no_parts(count: int) -> tuple[NDArray[np.int64], Array]:
     return np.zeros(count, np.int64), np.zeros((count, 6))
 
 
-class ForcePieces:
+class ForceInterpolator:
     """Cuts a force that is given by its samples into straight lines, block after block."""
 
     def __init__(self) -> None:
         self._last = 0.0
         self._fresh = True
 
-    def cut(self, force: Array) -> Pieces:
+    def cut(self, force: Array) -> CubicInput:
         """Give the pieces of the next block; force is zero before sample 0 and may jump there."""
         smooth = np.empty((4, force.size))
         if force.size == 0:
-            return Pieces(smooth, *no_parts(0))
+            return CubicInput(smooth, *no_parts(0))
         smooth[0, 0], smooth[0, 1:], smooth[1] = self._last, force[:-1], force
         smooth[2] = 0.5 * (smooth[0] + force)
         smooth[3] = smooth[0] / 3.0 + force / 6.0
-        pieces = Pieces(smooth, *no_parts(1 if self._fresh else 0))
+        pieces = CubicInput(smooth, *no_parts(1 if self._fresh else 0))
         self._last, self._fresh = float(force[-1]), False
         return pieces
 

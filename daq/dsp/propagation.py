@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.dsp.discretisation import CUBIC, PARTS, Tables
-from daq.dsp.interpolation import JUMP, LENGTH, Pieces, put
+from daq.dsp.interpolation import JUMP, LENGTH, CubicInput, put
 from rig.numerics.fma import WEIGHED, fused, spread, weigh
 from rig.numerics.jit import unfused
 from rig.numerics.simd import LANES, copy, multiply, zeros
@@ -22,7 +22,7 @@ STRETCH = 2 * WEIGHED
 GONE = 1e-30
 
 
-class Scratch(NamedTuple):
+class CircuitWorkspace(NamedTuple):
     """Room to work in.
 
     Attributes
@@ -43,18 +43,18 @@ class Scratch(NamedTuple):
     sums: Array
 
 
-def scratch_for(tables: Tables) -> Scratch:
+def scratch_for(tables: Tables) -> CircuitWorkspace:
     """Make room to work in for a circuit."""
     size = tables.generator.shape[1]
     # Rows a little longer than needed: the state at the end, and at even distances they would compete for the
     # same places in a cache.
     course = zeros(tables.spread.shape[0], STRETCH + LANES)
-    return Scratch(zeros(size), zeros(size), zeros(size), zeros(size), course, zeros(2, STRETCH))
+    return CircuitWorkspace(zeros(size), zeros(size), zeros(size), zeros(size), course, zeros(2, STRETCH))
 
 
 @unfused
 def propagate(
-    pieces: Pieces,
+    pieces: CubicInput,
     tables: Tables,
     state: Array,
     held: Array,
@@ -65,7 +65,7 @@ def propagate(
     rows_input: Array,
     points: Array,
     averages: Array,
-    scratch: Scratch,
+    scratch: CircuitWorkspace,
 ) -> None:
     """Carry a circuit through the intervals of a block.
 
@@ -75,7 +75,7 @@ def propagate(
 
     Parameters
     ----------
-    pieces : Pieces
+    pieces : CubicInput
         Input.
     tables : Tables
         Of the circuit.
@@ -97,7 +97,7 @@ def propagate(
         These outputs; filled in.
     averages : ndarray, shape (intervals + TOGETHER, LANES), or (0, LANES) where there are no integrals
         Moments of the output over each interval; filled in, the last rows with anything.
-    scratch : Scratch
+    scratch : CircuitWorkspace
         Of the circuit.
     """
     vector, term, work, nothing, course, sums = scratch
@@ -132,7 +132,7 @@ def propagate(
 
 
 @unfused
-def _lay_out(pieces: Pieces, held: Array, first: int, stop: int, course: Array) -> None:
+def _lay_out(pieces: CubicInput, held: Array, first: int, stop: int, course: Array) -> None:
     """Put input and disturbances of a stretch above the states."""
     for k in range(4):
         put(pieces.smooth[k, first:stop], course[k, : stop - first])
@@ -275,7 +275,7 @@ def _disturb(
 
 @unfused
 def _in_parts(
-    pieces: Pieces,
+    pieces: CubicInput,
     part: int,
     tables: Tables,
     state: Array,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.dsp.interpolation import JUMP, LENGTH, Pieces, no_parts, put
+from daq.dsp.interpolation import JUMP, LENGTH, CubicInput, no_parts, put
 from rig.errors import SceneError
 from rig.numerics.fma import fused
 from rig.numerics.jit import unfused
@@ -76,7 +76,7 @@ class Delay:
         self._last = np.zeros(4)
         self._tail = np.zeros((0, 6))
 
-    def shift(self, pieces: Pieces) -> Pieces:
+    def shift(self, pieces: CubicInput) -> CubicInput:
         """Give the delayed input over the same number of intervals."""
         if pieces.smooth.size == 0:
             return pieces
@@ -92,7 +92,7 @@ class Delay:
             pieces, self._share, self._joined, self._last, waiting, smooth, broken, parts, tail, np.empty(4)
         )
         self._tail = tail[:waiting]
-        return Pieces(smooth, broken[:count], parts[:count])
+        return CubicInput(smooth, broken[:count], parts[:count])
 
 
 def _joined(share: float) -> Array:
@@ -112,7 +112,7 @@ def _joined(share: float) -> Array:
 
 @unfused
 def _shift(
-    pieces: Pieces,
+    pieces: CubicInput,
     share: float,
     joined: Array,
     last: Array,

@@ -94,7 +94,7 @@ def _number(text: str) -> float:
 
 
 @dataclass(frozen=True)
-class Reading:
+class ToneReading:
     """What the channels say of the tone in one window.
 
     Attributes
@@ -132,11 +132,11 @@ class HandTone:
     knobs : Knobs
         What the operator turns.
     tell : callable
-        Told a `Reading` after every window.
+        Told a `ToneReading` after every window.
     """
 
     knobs: Knobs
-    tell: Callable[[Reading], None]
+    tell: Callable[[ToneReading], None]
     _held: bool = field(default=False, init=False)
     _level: float = field(default=0.0, init=False)
 
@@ -224,11 +224,11 @@ class HandTone:
         readings: NDArray[np.float64],
         phase: float,
         asked: tuple[float, float],
-    ) -> Reading:
+    ) -> ToneReading:
         values = gauge.steady(readings, tone.frequency, phase)
         # The drive is amplitude * sin(phase), and an amplitude A stands for Re(A e^{i phase}).
         force = -1j * tone.amplitude if station.force_is_drive else complex(values[0])
         motions = values if station.force_is_drive else values[1:]
         names = [info.name for info in station.channels if info.quantity != "force"]
         moved = {name: complex(value) for name, value in zip(names, motions, strict=True)}
-        return Reading(*asked, self._held, tone.amplitude, force, moved)
+        return ToneReading(*asked, self._held, tone.amplitude, force, moved)

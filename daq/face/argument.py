@@ -27,7 +27,7 @@ def choice(kind: type[Choice], value: Any, what: str) -> Choice:
 
     Examples
     --------
-    >>> from daq.constants import Edge, Slope
+    >>> from daq.face.constants import Edge, Slope
     >>> choice(Slope, 10280, "slope")
     <Slope.RISING: 10280>
     >>> choice(Slope, Edge.RISING, "slope")

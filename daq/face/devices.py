@@ -41,8 +41,8 @@ class PhysicalChannel:
 
     @property
     def sensor(self) -> Any:
-        """What is wired to an input (`daq.channel.ChannelInfo`), as an electronic data sheet would tell."""
-        port = parse_port(self.name)
+        """What is wired to an input (`daq.signal_chain.channel.ChannelInfo`), as an electronic data sheet
+        would tell.""" port = parse_port(self.name)
         inputs = (self._chassis or connected()).inputs
         if port.kind != "ai" or port.number >= len(inputs):
             raise DaqError(
@@ -82,7 +82,7 @@ class PhysicalChannels(Sequence[PhysicalChannel]):
 
 
 class Device:
-    """A device by name; see `daq.terminals` for the names that are understood.
+    """A device by name; see `daq.instrument.terminals` for the names that are understood.
 
     Parameters
     ----------

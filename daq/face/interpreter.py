@@ -1,7 +1,7 @@
 """The rig's instrument as the driver behind the real package nidaqmx.
 
 That package sends every call through one interpreter object, chosen in `nidaqmx.utils`; `plug_in` makes it
-choose the one made here, which hands the calls to `daq.task` and what belongs to it. The seam is private,
+choose the one made here, which hands the calls to `daq.face.task` and what belongs to it. The seam is private,
 hence the package's version is pinned. Properties come through it as numbers; which number means which
 property is read out of the package's own code, and as the properties here go by the same names, no table of
 them is needed.
@@ -43,7 +43,7 @@ class _EventHandler(BaseEventHandler):
 class _RigDriver:
     """The calls of the seam that the instrument has, by the package's names for them.
 
-    A task's handle is the `daq.task.Task` itself.
+    A task's handle is the `daq.face.task.Task` itself.
     """
 
     def __init__(self) -> None:

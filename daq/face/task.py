@@ -390,7 +390,7 @@ class Task:
     ) -> None:
         """Call ``callback(task_handle, event_type, samples, data)`` whenever so many samples have come.
 
-        See `daq.events` for the thread it is called on; None unregisters.
+        See `daq.face.events` for the thread it is called on; None unregisters.
         """
         self.events.register_every(
             EveryNSamplesEventType.ACQUIRED_INTO_BUFFER, sample_interval, callback_method

@@ -8,7 +8,8 @@ What an output volt does depends on the shaker: a volt at the amplifier (electro
 force), a millimetre of table travel (kind table). The output keeps its last value when a task ends. The
 bench stands still while no task needs it.
 
-As long as no script has ever taken the output, the scene's own test is played (see `daq.operator`), so that
+As long as no script has ever taken the output, the scene's own test is played (see
+`daq.instrument.background_test`), so that
 there is something to measure and to trigger on. The hammer of an impulse scene goes on hitting in any case.
 """
 
@@ -33,7 +34,7 @@ from daq.instrument.clock import Clock
 from daq.instrument.errors import DaqError, DAQmxErrors
 from daq.instrument.generation import Generation
 from daq.instrument.sample_rates import coerced
-from daq.signal_chain.bench import Bench, Block
+from daq.signal_chain.bench import AcquiredBlock, Bench
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import SceneError
 from rig.scene.presets import filled_in
@@ -162,7 +163,7 @@ class Chassis:
         return filled_in(self.scene.converter)
 
     def coerce_rate(self, rate: float) -> float:
-        """Give the rate the sample clock makes of a request, see `daq.rates`."""
+        """Give the rate the sample clock makes of a request, see `daq.instrument.sample_rates`."""
         return coerced(rate, self.scene.converter)
 
     # Tasks
@@ -292,7 +293,7 @@ class Chassis:
             self._alarms.remove(alarm)
             alarm[1]()
 
-    def _give(self, acquisition: Acquisition, block: Block) -> None:
+    def _give(self, acquisition: Acquisition, block: AcquiredBlock) -> None:
         """Give an acquisition its samples, up to a stretch that is lost on the way."""
         if acquisition.done:
             return

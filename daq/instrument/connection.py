@@ -22,7 +22,7 @@ def connect(scene: rig.Scene | str | Path | None = None, clock: str | Clock | No
         Scene, name of a bundled one, or path of a scene file. Else the one named by the environment variable
         SHOTRIG_SCENE, else `default_scene`.
     clock : {'real', 'fast', 'manual'} or Clock, optional
-        What lets time pass, see `daq.clock`. Else what the environment variable SHOTRIG_CLOCK says, else
+        What lets time pass, see `daq.instrument.clock`. Else what the environment variable SHOTRIG_CLOCK says, else
         'real': a live bench.
 
     Returns

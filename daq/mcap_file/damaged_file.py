@@ -37,7 +37,7 @@ class Intact:
 
 
 @dataclass(frozen=True)
-class Ruin:
+class Unreadable:
     """Bytes of the file from which nothing could be had, and why."""
 
     begin: int
@@ -45,7 +45,7 @@ class Ruin:
     reason: str
 
 
-class Wreck:
+class DamagedFile:
     """A file whose records are walked through one by one.
 
     Parameters
@@ -82,19 +82,19 @@ class Wreck:
         except OSError:
             return memoryview(b"")
 
-    def parts(self) -> Iterator[Intact | Ruin]:
+    def parts(self) -> Iterator[Intact | Unreadable]:
         """Yield what the file's data consist of, in order, up to their end or that of the file."""
         place = len(MAGIC)
         if self._read(0, place) != MAGIC:
             place = self._next_record(0)
-            yield Ruin(0, place, "it does not begin like an MCAP file")
+            yield Unreadable(0, place, "it does not begin like an MCAP file")
         while place < self.size:
             if self._is_data_end(place):
                 return
             part, end = self._part(place)
             if end is None:
                 end = self._next_record(place + 1)
-                part = Ruin(place, end, "no record is to be made out")
+                part = Unreadable(place, end, "no record is to be made out")
             if part is not None:
                 yield part
             place = end
@@ -102,11 +102,11 @@ class Wreck:
     def _is_data_end(self, place: int) -> bool:
         return self._read(place, RECORD_HEAD.size) == RECORD_HEAD.pack(DATA_END, 4)
 
-    def _part(self, place: int) -> tuple[Intact | Ruin | None, int | None]:
+    def _part(self, place: int) -> tuple[Intact | Unreadable | None, int | None]:
         """Make out the record at a place, and where it ends: None if it cannot be made out."""
         head = self._read(place, RECORD_HEAD.size)
         if len(head) < RECORD_HEAD.size:
-            return Ruin(place, self.size, "the file ends within a record"), self.size
+            return Unreadable(place, self.size, "the file ends within a record"), self.size
         opcode, length = RECORD_HEAD.unpack(head)
         end = place + RECORD_HEAD.size + length
         chunk = self._chunk(place, length)
@@ -116,14 +116,14 @@ class Wreck:
             try:
                 return Intact(_verified(opcode, self._read(place + RECORD_HEAD.size, length))), end
             except Damage as damage:
-                return (Ruin(place, end, str(damage)), end) if self._agrees(end) else (None, None)
+                return (Unreadable(place, end, str(damage)), end) if self._agrees(end) else (None, None)
         if opcode in (HEADER, MESSAGE_INDEX) and self._agrees(place) and end <= self.size:
             return None, end
         if end > self.size and opcode in (CHUNK, METADATA, ATTACHMENT, MESSAGE_INDEX) and self._agrees(place):
-            return Ruin(place, self.size, "the file ends within a record"), self.size
+            return Unreadable(place, self.size, "the file ends within a record"), self.size
         return None, None
 
-    def _chunk(self, place: int, length: int) -> tuple[Intact | Ruin, int] | None:
+    def _chunk(self, place: int, length: int) -> tuple[Intact | Unreadable, int] | None:
         """Try to have a chunk at a place; its length stands there twice, and either may be damaged."""
         begin = place + RECORD_HEAD.size
         head = self._read(begin, CHUNK_HEAD.size + 12)
@@ -146,7 +146,7 @@ class Wreck:
             except Damage as damage:
                 reason = f"a chunk: {damage}"
         if length == fixed + packed and begin + length <= self.size and self._agrees(begin + length):
-            return Ruin(place, begin + length, reason or "a chunk that is too large"), begin + length
+            return Unreadable(place, begin + length, reason or "a chunk that is too large"), begin + length
         return None
 
     def _agrees(self, place: int) -> bool:

@@ -23,7 +23,7 @@ def force_untold(scene: Scene, channels: Sequence[ChannelInfo]) -> str | None:
     Examples
     --------
     >>> import rig
-    >>> from daq.bench import Bench
+    >>> from daq.signal_chain.bench import Bench
     >>> bench = Bench(rig.load("bare-structure"))
     >>> force_untold(bench.scene, bench.channels) is None
     True

@@ -19,7 +19,7 @@ from daq.excitation import Excitation, Station, excitation
 from daq.measurement.force_reference import force_untold
 from daq.measurement.limits import ControlLoss, Limits, Stretches
 from daq.recording.recorder import Recorder
-from daq.signal_chain.bench import Bench, Block
+from daq.signal_chain.bench import AcquiredBlock, Bench
 from rig.errors import RecordingError, RunError, SceneError, ShotrigError
 from rig.scene.loading import load
 from rig.scene.scene import Scene
@@ -96,10 +96,10 @@ def record(
     if block is not None and block < 1:
         raise SceneError(f"block: got {block}; expected a number of samples, 1 at least")
     what = scene if isinstance(scene, Scene) else load(scene)
-    return Run(what, Path(path), block, progress).run(overwrite)
+    return MeasurementRun(what, Path(path), block, progress).run(overwrite)
 
 
-class Run:
+class MeasurementRun:
     """One run of a test: the loop between excitation, bench and recorder.
 
     Parameters
@@ -130,7 +130,7 @@ class Run:
         block: int | None = None,
         progress: Progress | None = None,
         excite: Callable[[Station], Excitation] = excitation,
-        heard: Callable[[Block, Array], None] = lambda block, readings: None,
+        heard: Callable[[AcquiredBlock, Array], None] = lambda block, readings: None,
     ) -> None:
         self._path = path
         self._excite, self._heard = excite, heard

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.mcap_file.reader import Container
-from daq.recording.sample_block import SCHEMAS, Block, decode
-from daq.recording.timebase import Clock
+from daq.recording.sample_block import SCHEMAS, SampleBlock, decode
+from daq.recording.timebase import Timebase
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ class Series:
         self._container, self._channel = container, channel.id
         self._schema = summary.schemas[channel.schema_id].name
         self._chunks = summary.holders.get(channel.id, np.empty(0, np.int64))
-        self._cached: tuple[int, list[Block]] = (-1, [])
+        self._cached: tuple[int, list[SampleBlock]] = (-1, [])
         self.scale = self._number("scale", 1.0)
 
     @property
@@ -58,17 +58,17 @@ class Series:
             raise self._error(f"{key} = {self.metadata[key]!r} is no number") from None
 
     @cached_property
-    def clock(self) -> Clock:
+    def clock(self) -> Timebase:
         """The sample clock: as the topic's metadata state it, or else as the first block does."""
         if "rate" in self.metadata and "start_ns" in self.metadata:
             try:
-                return Clock(float(self.metadata["rate"]), int(self.metadata["start_ns"]))
+                return Timebase(float(self.metadata["rate"]), int(self.metadata["start_ns"]))
             except ValueError as error:
                 raise self._error(f"no clock: {error}") from None
         for chunk in self._chunks:
             for block in self._decoded(int(chunk), None):
-                since = Clock(block.rate).time_ns(block.first_sample)
-                return Clock(block.rate, block.t0_ns - since)
+                since = Timebase(block.rate).time_ns(block.first_sample)
+                return Timebase(block.rate, block.t0_ns - since)
         raise self._error("it has no samples, and no sample rate")
 
     @cached_property
@@ -85,7 +85,7 @@ class Series:
         """For each chunk the sample by which the blocks in it have ended."""
         return self.clock.samples_at(self._container.summary.ends[self._chunks])
 
-    def _decoded(self, chunk: int, clock: Clock | None) -> list[Block]:
+    def _decoded(self, chunk: int, clock: Timebase | None) -> list[SampleBlock]:
         """Decode this topic's blocks of a chunk; the last chunk is kept for readers that take small steps."""
         if clock is not None and self._cached[0] == chunk:
             return self._cached[1]
@@ -104,7 +104,7 @@ class Series:
             self._cached = (chunk, blocks)
         return blocks
 
-    def _check(self, block: Block, log_time: int, clock: Clock) -> None:
+    def _check(self, block: SampleBlock, log_time: int, clock: Timebase) -> None:
         """Hold a block against the layout, on which finding samples relies."""
         begins = (block.t0_ns - clock.start_ns) * clock.rate * 1e-9 - block.first_sample
         ends = (log_time - clock.start_ns) * clock.rate * 1e-9 - block.stop
@@ -116,7 +116,7 @@ class Series:
                 f"it says {block.rate:g} Hz, {block.t0_ns} ns and {log_time} ns"
             )
 
-    def blocks(self, start: int, stop: int) -> Iterator[Block]:
+    def blocks(self, start: int, stop: int) -> Iterator[SampleBlock]:
         """Yield the blocks that hold any sample of [start, stop), in order."""
         reached = 0
         for chunk in self._chunks[int(np.searchsorted(self._ends, start, side="right")) :]:

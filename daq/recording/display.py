@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from daq.mcap_file.writer import Message, Messages
 from daq.recording.layout import DISPLAY, ROBOT, TRANSFORMS
 from daq.recording.protobuf import Schema
-from daq.recording.timebase import Clock
+from daq.recording.timebase import Timebase
 
 if TYPE_CHECKING:
     from daq.recording.truth import Register, Truth
@@ -80,7 +80,7 @@ def display_step(rate: float) -> int:
     return max(1, math.ceil(rate / FASTEST_HZ))
 
 
-class Decimator:
+class DisplayDecimator:
     """Low-passes signals and keeps every `step`-th sample, at sample numbers that are multiples of it.
 
     Linear phase: a kept sample stands at its own time, and is known half a filter length later. Where samples
@@ -183,7 +183,7 @@ class Display:
         Says what the rig looks like.
     channels : sequence of ChannelInfo
         One for each row of samples.
-    clock : Clock
+    clock : Timebase
         Of the recording.
     truth : Truth or None
         The true motion, where recorded: it shows the dampers, and points without a displacement channel.
@@ -195,14 +195,14 @@ class Display:
         self,
         scene: Scene,
         channels: Sequence[ChannelInfo],
-        clock: Clock,
+        clock: Timebase,
         truth: Truth | None,
         register: Register,
     ) -> None:
         from daq.recording.robot_description import TRANSFORMS_SCHEMA, RobotDescription
 
         self._clock, self._truth = clock, truth
-        self._decimator = Decimator(display_step(clock.rate))
+        self._decimator = DisplayDecimator(display_step(clock.rate))
         topics = []
         for info in channels:
             fields = {"unit": info.unit, "sensor": info.name, "direction": "up"}

@@ -21,7 +21,7 @@ from daq.recording.markers import MARKER_SCHEMA, Marker
 from daq.recording.protobuf import Schema
 from daq.recording.sample_block import SCHEMAS, block_schema, encode
 from daq.recording.sample_groups import Group, Grouping
-from daq.recording.timebase import Clock
+from daq.recording.timebase import Timebase
 from rig.errors import RunError
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ class Recorder:
     ) -> None:
         self.path = Path(path)
         self.channels = tuple(channels)
-        self.clock = Clock(rate, start_ns)
+        self.clock = Timebase(rate, start_ns)
         self.closed = False
         self._scene = scene
         self._block, self._group = layout.block_length(rate), layout.flush_length(rate)
@@ -299,7 +299,7 @@ class Recorder:
 
     def _write_group(self, number: int) -> None:
         raw = self._raw.complete.pop(number, None)
-        self._need_room()
+        self._need_disk_space()
         self._write_markers((number + 1) * self._group)
         if raw is not None:
             for row, topic in enumerate(self._topics):
@@ -319,7 +319,7 @@ class Recorder:
             self._send(self._shown(raw))
         self._disk.commit()
 
-    def _need_room(self) -> None:
+    def _need_disk_space(self) -> None:
         """Stop while there still is room to end the file properly."""
         streams = [self._raw, *(() if self._truth is None else self._truth.streams)]
         group = sum(stream.group_bytes for stream in streams)
@@ -362,8 +362,8 @@ class Recorder:
 
 
 def stored_as(scene: Scene, channels: Sequence[ChannelInfo]) -> str:
-    """Say how samples are stored, a key of `daq.block.SCHEMAS`: as the scene asks, or else as they come."""
-    if scene.recording.samples is not None:
+    """Say how samples are stored, a key of `daq.recording.sample_block.SCHEMAS`: as the scene asks, or else
+    as they come.""" if scene.recording.samples is not None:
         return scene.recording.samples
     return "counts" if all(info.volts_per_count is not None for info in channels) else "float64"
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq.mcap_file.chunk import Damage, Stored, messages_in, records_in
-from daq.mcap_file.damaged_file import Intact, Ruin, Wreck
+from daq.mcap_file.damaged_file import DamagedFile, Intact, Unreadable
 from daq.mcap_file.metadata_checksum import checked
 from daq.mcap_file.reader import Container
 from daq.mcap_file.summary import CHANNEL, SCHEMA, parse
@@ -20,7 +20,7 @@ from daq.recording import layout
 from daq.recording.committed_file import Disk
 from daq.recording.markers import Marker
 from daq.recording.sample_block import SAMPLE_TYPE, decode
-from daq.recording.timebase import Clock
+from daq.recording.timebase import Timebase
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Sal
     source, target = Path(path), Path(fixed)
     if source.exists() and target.exists() and source.samefile(target):
         raise RecordingError(f"{source} cannot be recovered into itself; name another file")
-    with Wreck(source) as wreck:
+    with DamagedFile(source) as wreck:
         # Two passes: what describes the samples may stand behind them, and must come before them.
         registry = _Registry.of(source, wreck)
         disk = Disk(target, overwrite)
@@ -129,7 +129,7 @@ class _Registry:
     counts: dict[int, int] | None = None
 
     @classmethod
-    def of(cls, source: Path, wreck: Wreck) -> _Registry:
+    def of(cls, source: Path, wreck: DamagedFile) -> _Registry:
         """Take them from the file's summary or, if that is gone, from its chunks."""
         try:
             with Container(source) as container:
@@ -175,13 +175,13 @@ class _Salvage:
         self._orphans = 0
         self._metadata: dict[str, dict[str, str]] = {}
         self._has_scene = False
-        self._clock: Clock | None = None
+        self._clock: Timebase | None = None
 
-    def run(self, wreck: Wreck) -> Salvage:
+    def run(self, wreck: DamagedFile) -> Salvage:
         """Write the whole recording."""
         self._announce()
         for part in wreck.parts():
-            if isinstance(part, Ruin):
+            if isinstance(part, Unreadable):
                 self._notes.append(f"bytes {part.begin} to {part.end - 1} of {self._source}: {part.reason}")
             elif isinstance(part.content, memoryview):
                 self._chunk(part.content)
@@ -240,8 +240,8 @@ class _Salvage:
             if message.channel in self._spans:
                 block = decode(message.data, self._schema(message.channel))
                 if self._clock is None:
-                    since = Clock(block.rate).time_ns(block.first_sample)
-                    self._clock = Clock(block.rate, block.t0_ns - since)
+                    since = Timebase(block.rate).time_ns(block.first_sample)
+                    self._clock = Timebase(block.rate, block.t0_ns - since)
                 _join(self._spans[message.channel], (block.first_sample, block.stop))
             elif topic == layout.MARKERS:
                 marker = Marker.from_json(message.data)
@@ -267,7 +267,7 @@ class _Salvage:
 
     # -- what was lost -----------------------------------------------------------------------------------
 
-    def _losses(self, clock: Clock) -> Salvage:
+    def _losses(self, clock: Timebase) -> Salvage:
         channels = self._registry.channels
         outcome = self._metadata.get("outcome", {})
         end = max(span[-1][1] for span in self._spans.values() if span)

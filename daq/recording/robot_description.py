@@ -1,6 +1,6 @@
 """The moving rig for viewers that know nothing of this project: a robot description, and transforms for it.
 
-The parts have the sizes of the drawing of `daq.rig_view`; springs have no form here. Every displacement and
+The parts have the sizes of the drawing of `daq.drawing.rig_view`; springs have no form here. Every displacement and
 gap is multiplied by one exaggeration, which is chosen before anything has moved.
 """
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.recording.protobuf import Schema, descriptors, message_class, varint
-from daq.recording.timebase import Clock
+from daq.recording.timebase import Timebase
 from rig.errors import RecordingError
 
 # What a stored sample is -> schema, protobuf type and numpy type in the file.
@@ -26,7 +26,7 @@ _HEAD = struct.Struct("<BqBQBdB")
 _TAGS = (0x09, 0x11, 0x19, 0x22)
 
 
-class Block(NamedTuple):
+class SampleBlock(NamedTuple):
     """Samples of one channel as they stand in the file.
 
     Attributes
@@ -61,12 +61,12 @@ def block_schema(schema: str) -> Schema:
     return Schema(schema, "protobuf", described, "protobuf")
 
 
-def encode(clock: Clock, first_sample: int, samples: NDArray[Any]) -> bytes:
+def encode(clock: Timebase, first_sample: int, samples: NDArray[Any]) -> bytes:
     """Encode samples of one channel.
 
     Parameters
     ----------
-    clock : Clock
+    clock : Timebase
         Of the channel.
     first_sample : int
         Number of the first of the samples.
@@ -89,7 +89,7 @@ def encode(clock: Clock, first_sample: int, samples: NDArray[Any]) -> bytes:
     return b"".join((head, varint(samples.nbytes), samples.tobytes()))
 
 
-def decode(data: memoryview, schema: str) -> Block:
+def decode(data: memoryview, schema: str) -> SampleBlock:
     """Decode a block.
 
     Parameters
@@ -101,7 +101,7 @@ def decode(data: memoryview, schema: str) -> Block:
 
     Returns
     -------
-    Block
+    SampleBlock
         Its samples are not copied.
 
     Raises
@@ -116,7 +116,7 @@ def decode(data: memoryview, schema: str) -> Block:
         place = _HEAD.size + len(size)
         if (tag0, tag1, tag2, tag3) == _TAGS and data[_HEAD.size : place] == size:
             try:
-                return Block(t0_ns, first, rate, np.frombuffer(data, kind, offset=place))
+                return SampleBlock(t0_ns, first, rate, np.frombuffer(data, kind, offset=place))
             except ValueError:
                 raise RecordingError(
                     f"{len(data) - place} bytes are no whole number of {schema} samples"
@@ -131,7 +131,7 @@ def _size_prefix(message: int) -> bytes:
     return next((size for n in range(1, 6) if len(size := varint(max(0, rest - n))) == n), b"")
 
 
-def _decode_any(data: memoryview, schema: str) -> Block:
+def _decode_any(data: memoryview, schema: str) -> SampleBlock:
     """Decode what other writers may make of the schema: zero fields left out, or fields in another order."""
     from google.protobuf.message import DecodeError
 
@@ -141,4 +141,4 @@ def _decode_any(data: memoryview, schema: str) -> Block:
     except DecodeError as error:
         raise RecordingError(f"a message of {len(data)} bytes is no {schema}: {error}") from error
     samples: NDArray[Any] = np.array(message.samples, dtype=SAMPLE_TYPE[schema])
-    return Block(message.t0_ns, message.first_sample, message.sample_rate_hz, samples)
+    return SampleBlock(message.t0_ns, message.first_sample, message.sample_rate_hz, samples)

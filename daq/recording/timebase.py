@@ -13,7 +13,7 @@ from rig.errors import RecordingError
 
 
 @dataclass(frozen=True)
-class Clock:
+class Timebase:
     """The sample clock: sample k is taken at start_ns + k / rate, to the nearest nanosecond.
 
     Attributes

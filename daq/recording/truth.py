@@ -16,7 +16,7 @@ from daq.recording.markers import EVENT_SCHEMA, event_to_json
 from daq.recording.protobuf import Schema
 from daq.recording.sample_block import SCHEMAS, block_schema
 from daq.recording.sample_groups import Group, Grouping
-from daq.recording.timebase import Clock
+from daq.recording.timebase import Timebase
 from daq.signal_chain.channel import UNITS
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class Truth:
     ----------
     scene : Scene
         Says what moves.
-    clock : Clock
+    clock : Timebase
         Of the recording.
     group : int
         Samples that go to the file together.
@@ -59,7 +59,7 @@ class Truth:
         What belongs in one chunk: stream, row and channel number of each series.
     """
 
-    def __init__(self, scene: Scene, clock: Clock, group: int, register: Register) -> None:
+    def __init__(self, scene: Scene, clock: Timebase, group: int, register: Register) -> None:
         self._clock, self._length = clock, group
         self.points = points_of(scene)
         dampers = len(scene.dampers)

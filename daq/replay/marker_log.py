@@ -29,7 +29,7 @@ class Line(NamedTuple):
     text: str
 
 
-class Phase(NamedTuple):
+class MarkedSlice(NamedTuple):
     """A stretch of samples with its label and colour (0xRRGGBBAA); `stop` is the first sample after it."""
 
     start: int
@@ -52,13 +52,13 @@ def log_lines(recording: Recording, start: int, stop: int) -> list[Line]:
     return sorted(lines)
 
 
-def phases(recording: Recording, start: int, stop: int) -> list[Phase]:
+def phases(recording: Recording, start: int, stop: int) -> list[MarkedSlice]:
     """Give the markers that last, cut to [start, stop), in order of time and without overlap.
 
     Of two that overlap the later one is shown from its start on. A hit is over in milliseconds; what is shown is
     the decay that follows, up to the next hit. What is amiss meanwhile is no phase of the test.
     """
-    found: list[Phase] = []
+    found: list[MarkedSlice] = []
     lasting = [
         mark for mark in recording.markers if mark.last_sample is not None and mark.kind not in NO_PHASES
     ]
@@ -76,7 +76,7 @@ def phases(recording: Recording, start: int, stop: int) -> list[Phase]:
         first, last = max(start, mark.first_sample), min(stop, end)
         if found and found[-1].stop > first:
             found[-1] = found[-1]._replace(stop=first)
-        found.append(Phase(first, last, label, COLOURS.get(mark.kind, OTHER)))
+        found.append(MarkedSlice(first, last, label, COLOURS.get(mark.kind, OTHER)))
     return [phase for phase in found if phase.stop > phase.start]
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.drawing.rig_view import Motion
+from daq.drawing.rig_view import RigPose
 from daq.recording.displacement import HIGH_PASS_HZ, DisplacementEstimate
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ BLOCK = 1 << 16
 
 
 @dataclass(frozen=True)
-class Source:
+class MotionSource:
     """Where the displacement of one point comes from.
 
     Attributes
@@ -74,18 +74,18 @@ class RecordedMotion:
         self.sources = tuple(self._source(point) for point in points)
         self.gaps_known = bool(scene.dampers) and recording.has_truth
 
-    def _source(self, point: str) -> Source:
+    def _source(self, point: str) -> MotionSource:
         at = {info.quantity: name for name, info in self.recording.channels.items() if info.at == point}
         if "displacement" in at:
-            return Source(point, at["displacement"], "displacement")
+            return MotionSource(point, at["displacement"], "displacement")
         if self.recording.has_truth:
-            return Source(point, None, "truth")
+            return MotionSource(point, None, "truth")
         for quantity in ("velocity", "acceleration"):
             if quantity in at:
-                return Source(point, at[quantity], quantity)
-        return Source(point, None, "nothing")
+                return MotionSource(point, at[quantity], quantity)
+        return MotionSource(point, None, "nothing")
 
-    def stretches(self, start: int, stop: int, step: int) -> Iterator[tuple[NDArray[np.int64], Motion]]:
+    def stretches(self, start: int, stop: int, step: int) -> Iterator[tuple[NDArray[np.int64], RigPose]]:
         """Yield sample numbers and the motion there, for every `step`-th sample of [start, stop).
 
         Samples that the recording lost are left out.
@@ -108,7 +108,7 @@ class RecordedMotion:
             picked = picked[:, kept]
             bodies = self.recording.scene.structure.bodies
             table = picked[bodies] if self.has_table else None
-            yield instants[kept], Motion(picked[:bodies], table, gap)
+            yield instants[kept], RigPose(picked[:bodies], table, gap)
 
     def _displacements(
         self, estimates: dict[str, DisplacementEstimate], first: int, last: int

@@ -91,9 +91,11 @@ class Replay:
         for instants, motion in self.motion.stretches(self.start, self.stop, self.step):
             extremes = extremes.widened(motion, driven)
             # Dampers in flight are what a picture should show; without them, bodies far out.
-            sight = np.abs(motion.displacement).max(axis=0) if motion.gap is None else motion.gap.sum(axis=0)
-            if instants.size and sight.max() > most:
-                most, liveliest = float(sight.max()), int(instants[sight.argmax()])
+            motion_samples = (
+                np.abs(motion.displacement).max(axis=0) if motion.gap is None else motion.gap.sum(axis=0)
+            )
+            if instants.size and motion_samples.max() > most:
+                most, liveliest = float(motion_samples.max()), int(instants[motion_samples.argmax()])
         return extremes, liveliest
 
     @cached_property

@@ -14,7 +14,7 @@ from daq.replay.blueprint import TIMELINE
 if TYPE_CHECKING:
     import rerun as rr
 
-    from daq.drawing.rig_view import Motion, RigView
+    from daq.drawing.rig_view import RigPose, RigView
     from daq.signal_chain.channel import ChannelInfo
     from rig.scene.damper import Damper
 
@@ -119,7 +119,7 @@ class Traces:
                 self._stream.send_columns(f"dampers/contact/damper_{place + 1}", at, new)
             self._contact[place] = int(states[place, -1])
 
-    def motion(self, view: RigView, samples: NDArray[np.int64], motion: Motion) -> None:
+    def motion(self, view: RigView, samples: NDArray[np.int64], motion: RigPose) -> None:
         """Move the rig; `motion` is given at some sample numbers."""
         import rerun as rr
 

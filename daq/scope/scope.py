@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.excitation.manual_tone import HandTone, Knobs, Reading
-from daq.measurement.run import Run
+from daq.excitation.manual_tone import HandTone, Knobs, ToneReading
+from daq.measurement.run import MeasurementRun
 from daq.replay.outputs import recording_stream
 from daq.scope.screen import Screen, sentence
 from daq.signal_chain.bench import Bench
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import rerun as rr
 
     from daq.replay.rerun_viewer import Viewer
-    from daq.signal_chain.bench import Block
+    from daq.signal_chain.bench import AcquiredBlock
     from rig.scene.scene import Scene
 
 BLOCK_S = 0.04
@@ -115,20 +115,20 @@ def scope(
     """
     was: list[tuple[float, float, bool]] = [(0.0, 0.0, False)]
 
-    def read(reading: Reading) -> None:
+    def read(reading: ToneReading) -> None:
         screen.read(reading)
         state = reading.frequency, reading.level, reading.held
         if reading.held and state != was[0]:
             tell(sentence(reading))
         was[0] = state
 
-    def heard(block: Block, readings: NDArray[np.float64]) -> None:
+    def heard(block: AcquiredBlock, readings: NDArray[np.float64]) -> None:
         screen.show(block, readings)
         keep(block.motion.first + block.motion.displacement.shape[1])
 
     rate = float(scene.converter.rate)
     block = max(1, round(BLOCK_S * rate))
-    run = Run(scene, path, block, excite=HandTone(knobs, read).excite, heard=heard)
+    run = MeasurementRun(scene, path, block, excite=HandTone(knobs, read).excite, heard=heard)
     screen = Screen(stream, scene, run.bench.channels, run.bench.rate)
     return run.run(overwrite)
 

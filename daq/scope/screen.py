@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.drawing.rig_view import Extremes, Motion, RigView, exaggeration
-from daq.excitation.manual_tone import Reading
+from daq.drawing.rig_view import Extremes, RigPose, RigView, exaggeration
+from daq.excitation.manual_tone import ToneReading
 from daq.replay.blueprint import live_layout
 from daq.replay.viewer_stream import Traces, plots
 
 if TYPE_CHECKING:
     import rerun as rr
 
-    from daq.signal_chain.bench import Block
+    from daq.signal_chain.bench import AcquiredBlock
     from daq.signal_chain.channel import ChannelInfo
     from rig.scene.scene import Scene
 
@@ -65,7 +65,7 @@ class Screen:
         self._next_reading = 0
         self._position = 0
 
-    def show(self, block: Block, readings: NDArray[np.float64]) -> None:
+    def show(self, block: AcquiredBlock, readings: NDArray[np.float64]) -> None:
         """Show a block: readings, shape (channels, samples), in the channels' units."""
         for name, samples in zip(self._names, readings, strict=True):
             if samples.size:
@@ -76,7 +76,7 @@ class Screen:
         size = true.displacement.shape[1]
         picked = np.arange((-true.first) % self._step, size, self._step)
         bodies = self._scene.structure.bodies
-        motion = Motion(
+        motion = RigPose(
             true.displacement[:bodies, picked],
             true.displacement[bodies, picked] if true.displacement.shape[0] > bodies else None,
             true.gap[:, picked] if self._scene.dampers else None,
@@ -86,7 +86,7 @@ class Screen:
             self._fit(motion)
             self._traces.motion(self._view, true.first + picked, motion)
 
-    def read(self, reading: Reading) -> None:
+    def read(self, reading: ToneReading) -> None:
         """Show what the channels say of the tone, a few times a second."""
         import rerun as rr
 
@@ -101,7 +101,7 @@ class Screen:
         for path, part in self._view.still_parts():
             self._stream.log(path, part, static=True)
 
-    def _fit(self, motion: Motion) -> None:
+    def _fit(self, motion: RigPose) -> None:
         """Draw the rig anew where its exaggeration has become too large or much too small."""
         seen = Extremes().widened(motion, RigView.driven_body(self._scene))
         since = self._position - round(REMEMBERED_S * self._rate)
@@ -116,7 +116,7 @@ class Screen:
             self._draw(largest)
 
 
-def page(reading: Reading) -> str:
+def page(reading: ToneReading) -> str:
     """Write a reading as a page of Markdown."""
     state = "held" if reading.held else "silent" if reading.level == 0.0 else "settling"
     lines = [
@@ -135,7 +135,7 @@ def page(reading: Reading) -> str:
     return "\n".join(lines) + "\n"
 
 
-def sentence(reading: Reading) -> str:
+def sentence(reading: ToneReading) -> str:
     """Write a reading that is held as one line."""
     told = ", ".join(
         f"{name} {abs(moved) * 1e3:.3g} mm ({math.degrees(cmath.phase(reading.receptance(name))):.0f}°)"

@@ -28,7 +28,7 @@ def integrating_amplifier(settings: Integrator) -> Stage:
 
     Examples
     --------
-    >>> from rig.sensor_settings import Integrator
+    >>> from rig.scene.measurement_chain import Integrator
     >>> integrating_amplifier(Integrator(order=2, corner="1 Hz", gain=1000.0)).effects
     {'integration': 2}
     """

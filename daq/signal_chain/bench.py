@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from daq.signal_chain.chain import Chain
 from daq.signal_chain.channel import ChannelInfo
-from daq.signal_chain.converter import Converter, SampleClock
+from daq.signal_chain.converter import Quantiser, SampleClock
 from daq.signal_chain.oversampling import DriveLine, oversampling
 from rig.errors import SceneError
 from rig.simulation.plant import Plant
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Block:
+class AcquiredBlock:
     """What the converter gave for a block of drive samples.
 
     Attributes
@@ -56,7 +56,7 @@ class Bench:
     rate : float
         Samples per second as the clock states it, of drive and channels alike.
     channels : tuple of ChannelInfo
-        The channels, in the order of the rows of `Block.samples`.
+        The channels, in the order of the rows of `AcquiredBlock.samples`.
     inputs : tuple of str
         Drive inputs, a subset of ``("shaker", "hammer")``.
     drive_units : tuple of str
@@ -87,7 +87,7 @@ class Bench:
         self._plant = Plant(scene, rate)
         self._chain = Chain(scene, rate, self._plant.points, self._plant.inputs)
         self._line = DriveLine(len(self._plant.inputs), self._intervals)
-        self._converter = Converter(scene.converter, self._chain.channels)
+        self._converter = Quantiser(scene.converter, self._chain.channels)
         self.channels: tuple[ChannelInfo, ...] = tuple(self._converter.channels)
         self.latency: int = self._chain.latency
         self.lost: tuple[tuple[int, int], ...] = self._converter.lost
@@ -95,7 +95,7 @@ class Bench:
         self.drive_units: tuple[str, ...] = tuple(self._plant.drive_units)
         self._scale = np.array([[channel.unit_per_count] for channel in self.channels])
 
-    def acquire(self, drive: NDArray[np.float64]) -> Block:
+    def acquire(self, drive: NDArray[np.float64]) -> AcquiredBlock:
         """Play drive samples and acquire what comes out meanwhile.
 
         The samples do not depend on how a drive is split into calls.
@@ -107,7 +107,7 @@ class Bench:
 
         Returns
         -------
-        Block
+        AcquiredBlock
 
         Raises
         ------
@@ -126,7 +126,7 @@ class Bench:
         block = self._converter.convert(self._chain.measure(motion, line))
         if self._intervals > 1:
             motion = motion.every(self._intervals, 1.0 / self._plant.rate)
-        return Block(max(motion.first - self.latency, 0), block.samples, block.overload, motion)
+        return AcquiredBlock(max(motion.first - self.latency, 0), block.samples, block.overload, motion)
 
     def physical(self, samples: NDArray[np.float64] | NDArray[np.int32]) -> NDArray[np.float64]:
         """Read samples in each channel's unit, as its data sheet says; shape (channels, samples)."""

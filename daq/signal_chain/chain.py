@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.dsp.block_buffers import Room
-from daq.dsp.interpolation import ForcePieces, MotionPieces
+from daq.dsp.block_buffers import BlockBuffers
+from daq.dsp.interpolation import ForceInterpolator, MotionInterpolator
 from daq.dsp.noise import generator
 from daq.dsp.skew import delays
 from daq.signal_chain.amplifier import integrating_amplifier
@@ -32,9 +32,10 @@ Array = NDArray[np.float64]
 class Chain:
     """All channels of a scene, up to the converter's input.
 
-    Between samples a point's acceleration is taken as cubics joined at samples and breaks (`daq.pieces`);
+    Between samples a point's acceleration is taken as cubics joined at samples and breaks (`daq.dsp.interpolation`);
     impacts enter as impulses at their own instants. The analogue stages are linear and carried exactly for
-    that input (`daq.propagation`). What a sample holds depends on the channel (`daq.reading`): a decimation
+    that input (`daq.dsp.propagation`). What a sample holds depends on the channel
+    (`daq.signal_chain.sampling`): a decimation
     filter is applied where the scene names one; without it, a signal that has passed an integrator is read at
     the instant of the sample; any other, which may hold impulses and the ringing of a resonance, is averaged
     over the interval that ends at the sample. Everything is at rest before sample 0, where only changes of
@@ -88,7 +89,7 @@ class Chain:
         lines = [stages(channel, converter, scene.seed) for channel in channels]
         self._inputs, self._at = tuple(inputs), [channel.at for channel in channels]
         self._cutters = [_cutter(channel, rate, points) for channel in channels]
-        room = Room()
+        room = BlockBuffers()
         self._paths = [
             SignalPath(channel.name, line, converter, clock, self._oversampling, delay, scene.seed, room)
             for channel, line, delay in zip(channels, lines, late, strict=True)
@@ -124,7 +125,7 @@ class Chain:
         jitter = None if self._jitter is None else self._jitter.standard_normal(stop - first)
         volts = np.empty((len(self._paths), stop - first))
         for row, (cutter, path) in enumerate(zip(self._cutters, self._paths, strict=True)):
-            if isinstance(cutter, MotionPieces):
+            if isinstance(cutter, MotionInterpolator):
                 pieces = cutter.cut(motion)
             else:
                 pieces = cutter.cut(self._force(self._at[row], forces, count))
@@ -163,12 +164,12 @@ def stages(channel: Channel, converter: Converter, seed: int) -> tuple[Stage, ..
     return (*line, *coupling(converter))
 
 
-def _cutter(channel: Channel, rate: float, points: Sequence[str]) -> MotionPieces | ForcePieces:
+def _cutter(channel: Channel, rate: float, points: Sequence[str]) -> MotionInterpolator | ForceInterpolator:
     if channel.measures_force:
-        return ForcePieces()
+        return ForceInterpolator()
     if channel.at not in points:
         raise SceneError(f"channel {channel.name!r} sits at {channel.at}: the rig has {', '.join(points)}")
-    return MotionPieces(list(points).index(channel.at), rate)
+    return MotionInterpolator(list(points).index(channel.at), rate)
 
 
 def _oversampling(motion_rate: float, true_rate: float, converter: Converter) -> int:

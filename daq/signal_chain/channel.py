@@ -46,7 +46,8 @@ class ChannelInfo:
     delay : float
         Delay on top of the averaging, s: decimation filter and skew, as far as not removed.
     filter : dict of str to float
-        Decimation filter as `daq.decimation.Decimation` is made from it, apart from its delay; empty if none.
+        Decimation filter as `daq.signal_chain.decimation_filter.Decimation` is made from it, apart from its
+        delay; empty if none.
     volts_per_count : float or None
         Size of a converter count, V; None if samples are not counts.
     range : float or None

@@ -79,7 +79,7 @@ class Conversion:
     overload: NDArray[np.bool_]
 
 
-class Converter:
+class Quantiser:
     """Quantises and clips.
 
     A range of 5 V means from -5 V to +5 V: a count is ``2 range / 2^bits``, the voltage is rounded to the

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 #: Up to here, Hz, every rig is followed, however slowly it oscillates by itself.
 BAND = 1000.0
 #: A motion is followed up to this share of the rate at which it is looked at: cubics through what is seen
-#: there (`daq.pieces`) are right within 0.0001 dB.
+#: there (`daq.dsp.interpolation`) are right within 0.0001 dB.
 FOLLOWED = 0.1
 #: Fastest rate, Hz, at which a modulator looks. What oscillates faster still folds, as in a real one.
 FASTEST = 1.024e6

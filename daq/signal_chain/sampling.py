@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.dsp.block_buffers import History, Room
+from daq.dsp.block_buffers import BlockBuffers, History
 from daq.dsp.circuit import Circuit
 from daq.dsp.decimator import Decimator
 from daq.signal_chain.decimation_filter import MOMENTS, Decimation
@@ -17,7 +17,7 @@ from rig.numerics.simd import LANES
 Array = NDArray[np.float64]
 
 
-class Reading(Protocol):
+class Sampler(Protocol):
     """A way to take samples.
 
     Attributes
@@ -72,7 +72,7 @@ class PointReading:
         return np.zeros((0, LANES))
 
     def read(self, points: Array) -> Array:
-        """Give the samples; see `Reading.read`."""
+        """Give the samples; see `Sampler.read`."""
         return points[0].copy()
 
 
@@ -83,24 +83,24 @@ class AverageReading:
     ----------
     circuit : Circuit
         The analogue stages.
-    room : Room
+    room : BlockBuffers
         For the averages of a block.
     """
 
     integrals = 1
 
-    def __init__(self, circuit: Circuit, room: Room) -> None:
+    def __init__(self, circuit: Circuit, room: BlockBuffers) -> None:
         self.rows, self.rows_input = np.zeros((0, circuit.c.size)), np.zeros(0)
         self._room = room
         self._averages = room.rows(0)
 
     def room(self, intervals: int) -> Array:
-        """Give the place for the averages; see `Reading.room`."""
+        """Give the place for the averages; see `Sampler.room`."""
         self._averages = self._room.rows(intervals + TOGETHER)
         return self._averages
 
     def read(self, points: Array) -> Array:
-        """Give the samples; see `Reading.read`."""
+        """Give the samples; see `Sampler.read`."""
         return self._averages[: points.shape[1], 0].copy()
 
 
@@ -117,24 +117,24 @@ class FilteredReading:
         Intervals per sample.
     late : int
         Intervals by which what is read lies further back.
-    room : Room
+    room : BlockBuffers
         For the moments of a block.
     """
 
     integrals = MOMENTS
 
     def __init__(
-        self, circuit: Circuit, low_pass: Decimation, oversampling: int, late: int, room: Room
+        self, circuit: Circuit, low_pass: Decimation, oversampling: int, late: int, room: BlockBuffers
     ) -> None:
         self.rows, self.rows_input = np.zeros((0, circuit.c.size)), np.zeros(0)
         self._filter = Decimator(low_pass.taps(oversampling), late, room)
 
     def room(self, intervals: int) -> Array:
-        """Give the place for the moments; see `Reading.room`."""
+        """Give the place for the moments; see `Sampler.room`."""
         return self._filter.room(intervals)
 
     def read(self, points: Array) -> Array:
-        """Give the samples; see `Reading.read`."""
+        """Give the samples; see `Sampler.read`."""
         return self._filter.filter(points.shape[1])
 
 

@@ -87,7 +87,7 @@ def drawn(seed: int, channel: str, stage: str) -> float:
 def force_sensor(settings: Hammer, seed: int, channel: str) -> Stage:
     """Describe a force sensor, ideal where nothing is given.
 
-    Parameters and what is returned are those of `daq.accelerometer.accelerometer`.
+    Parameters and what is returned are those of `daq.signal_chain.sensors.accelerometer`.
     """
     sensitivity = 1.0 if settings.sensitivity is None else settings.sensitivity
     tolerance = settings.sensitivity_tolerance

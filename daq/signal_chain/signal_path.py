@@ -7,17 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.dsp.block_buffers import Room
+from daq.dsp.block_buffers import BlockBuffers
 from daq.dsp.circuit import INTEGRATION, Circuit
 from daq.dsp.discretisation import discretise
-from daq.dsp.disturbances import Disturbances, Offset, SettlingOffset, Source, Zero
-from daq.dsp.interpolation import Pieces
+from daq.dsp.disturbances import Disturbance, Disturbances, Offset, SettlingOffset, Zero
+from daq.dsp.interpolation import CubicInput
 from daq.dsp.noise import Noise, generator
 from daq.dsp.propagation import propagate, scratch_for
 from daq.dsp.skew import Delay
 from daq.signal_chain.converter import SampleClock
 from daq.signal_chain.decimation_filter import DELAY, Decimation
-from daq.signal_chain.sampling import AverageReading, FilteredReading, Jitter, PointReading, Reading
+from daq.signal_chain.sampling import AverageReading, FilteredReading, Jitter, PointReading, Sampler
 from daq.signal_chain.stage import Stage, is_integrated
 from rig.scene.measurement_chain import Converter
 
@@ -47,7 +47,7 @@ class SignalPath:
         Delay of what is sampled, s.
     seed : int
         Of the scene.
-    room : Room
+    room : BlockBuffers
         That it shares with the other channels.
     """
 
@@ -60,7 +60,7 @@ class SignalPath:
         oversampling: int,
         delay: float,
         seed: int,
-        room: Room,
+        room: BlockBuffers,
     ) -> None:
         circuit = Circuit.series([section for stage in stages for section in stage.sections])
         sensor, rate = stages[0], clock.true_rate * oversampling
@@ -93,12 +93,12 @@ class SignalPath:
             random = generator(seed, name, "converter noise")
             self._noise = Noise(converter.noise, None, clock.true_rate, random)
 
-    def measure(self, pieces: Pieces, late: Array | None) -> Array:
+    def measure(self, pieces: CubicInput, late: Array | None) -> Array:
         """Give the volts at the samples that end the intervals of a block.
 
         Parameters
         ----------
-        pieces : Pieces
+        pieces : CubicInput
             Input of the block.
         late : ndarray, shape (samples,), or None
             How late each sample is taken, in standard deviations of the jitter.
@@ -136,8 +136,8 @@ def _reading(
     clock: SampleClock,
     oversampling: int,
     late: int,
-    room: Room,
-) -> Reading:
+    room: BlockBuffers,
+) -> Sampler:
     if converter.filter is not None:
         return FilteredReading(circuit, Decimation.standard(clock.rate), oversampling, late, room)
     return PointReading(circuit) if is_integrated(stages) else AverageReading(circuit, room)
@@ -165,17 +165,17 @@ def _rails(stages: Sequence[Stage]) -> Array:
 
 def _disturbances(
     stages: Sequence[Stage], channel: str, rate: float, seed: int
-) -> tuple[list[int], list[Source]]:
+) -> tuple[list[int], list[Disturbance]]:
     """List the disturbances, each with the section in front of which it enters.
 
     What a limit takes away comes first.
     """
     entries: list[int] = []
-    sources: list[Source] = []
+    sources: list[Disturbance] = []
     behind = 0
     for stage in stages:
         behind += len(stage.sections)
-        found: list[Source] = []
+        found: list[Disturbance] = []
         if stage.limit is not None:
             found.append(Zero())
         if stage.noise is not None:

@@ -76,7 +76,7 @@ def is_integrated(stages: Sequence[Stage]) -> bool:
 def data_sheet(device: str, settings: Settings) -> dict[str, str]:
     """List what is given of a device, as far as it is not the default, with units.
 
-    >>> from rig.sensor_settings import Accelerometer
+    >>> from rig.scene.measurement_chain import Accelerometer
     >>> data_sheet("accelerometer", Accelerometer(resonance="30 kHz"))
     {'accelerometer.resonance': '30000.0 Hz'}
     """

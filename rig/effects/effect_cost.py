@@ -1,4 +1,4 @@
-"""The ladder of effects: a scene from its bare structure up, one effect at a time, with what each costs."""
+"""The cost of effects: a scene from its bare structure up, one effect at a time, with what each costs."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from rig.system.structure import natural_modes, structure_matrices
 
 Array = NDArray[np.float64]
 
-#: Entry points under which packages above the rig add their rungs.
-GROUP = "shotrig.ladder"
+#: Entry points under which packages above the rig add their costs.
+GROUP = "shotrig.effect_costs"
 #: Seconds of the motion that are measured, one by one, after one more to warm up; the quickest counts.
 SECONDS = 3
-#: The whole ladder is climbed so many times, for others on the machine disturb one climb or another.
-CLIMBS = 3
+#: Everything is measured so many times, for others on the machine disturb one time or another.
+REPEATS = 3
 
 
 @dataclass(frozen=True)
-class Step:
-    """A stretch of the ladder before it is measured.
+class EffectStep:
+    """A scene with some of its effects on, before it is measured.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Rung:
+class EffectCost:
     """A measured effect: states added, CPU time per simulated second with it on and added by it, s."""
 
     name: str
@@ -66,7 +66,7 @@ class Rung:
     added: float
 
 
-def ladder(scene: Scene, progress: Callable[[str], None] | None = None) -> tuple[Rung, ...]:
+def effect_costs(scene: Scene, progress: Callable[[str], None] | None = None) -> tuple[EffectCost, ...]:
     """Add a scene's effects one at a time and measure each.
 
     Parameters
@@ -77,42 +77,42 @@ def ladder(scene: Scene, progress: Callable[[str], None] | None = None) -> tuple
 
     Returns
     -------
-    tuple of Rung
+    tuple of EffectCost
         In the order of the signal: motion, measurement chain, recording.
     """
-    steps: list[Step] = list(motion_steps(scene))
+    steps: list[EffectStep] = list(motion_steps(scene))
     for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
-        more = cast(Callable[[Scene], Iterable[Step]], point.load())
+        more = cast(Callable[[Scene], Iterable[EffectStep]], point.load())
         steps += more(scene)
     times = np.full(len(steps), np.inf)
-    for climb in range(CLIMBS):
+    for repeat in range(REPEATS):
         for k, step in enumerate(steps):
             if progress is not None:
-                progress(f"{step.name} ({climb + 1} of {CLIMBS})")
+                progress(f"{step.name} ({repeat + 1} of {REPEATS})")
             times[k] = min(times[k], measured(step))
     states = [0, *(step.states for step in steps)]
     totals = [0.0, *times.tolist()]
     return tuple(
-        Rung(step.name, states[k + 1] - states[k], totals[k + 1], totals[k + 1] - totals[k])
+        EffectCost(step.name, states[k + 1] - states[k], totals[k + 1], totals[k + 1] - totals[k])
         for k, step in enumerate(steps)
     )
 
 
-def text(rungs: tuple[Rung, ...]) -> str:
-    """Table of a ladder; shares are of the time with everything on."""
-    last = rungs[-1].total
-    width = max(len(rung.name) for rung in rungs) + 2
+def text(costs: tuple[EffectCost, ...]) -> str:
+    """Table of the costs; shares are of the time with everything on."""
+    last = costs[-1].total
+    width = max(len(cost.name) for cost in costs) + 2
     lines = [f"{'effect':{width}}{'states':>7}{'ms per simulated s':>20}{'added':>9}{'share':>8}"]
-    for rung in rungs:
+    for cost in costs:
         lines.append(
-            f"{rung.name:{width}}{rung.states or '-':>7}{1e3 * rung.total:20.3f}{1e3 * rung.added:9.3f}"
-            f"{100 * rung.added / last:7.1f}%"
+            f"{cost.name:{width}}{cost.states or '-':>7}{1e3 * cost.total:20.3f}{1e3 * cost.added:9.3f}"
+            f"{100 * cost.added / last:7.1f}%"
         )
     lines.append(f"everything on runs at {1 / last:.0f} times real time on one core")
     return "\n".join(lines)
 
 
-def measured(step: Step) -> float:
+def measured(step: EffectStep) -> float:
     """CPU time per simulated second, s: the quickest of several."""
     block = round(step.rate)
     times = []
@@ -126,7 +126,7 @@ def measured(step: Step) -> float:
     return min(times)
 
 
-def motion_steps(scene: Scene) -> Iterator[Step]:
+def motion_steps(scene: Scene) -> Iterator[EffectStep]:
     """Give the steps of the motion: bare structure, shaker, dampers, ceilings, restitution."""
     channels = {"channels": None}
     shaker = scene.shaker
@@ -152,13 +152,13 @@ def motion_steps(scene: Scene) -> Iterator[Step]:
         before = dampers
 
 
-def _step(name: str, scene: Scene) -> Step:
+def _step(name: str, scene: Scene) -> EffectStep:
     rate = scene.converter.rate
 
     def start() -> AbstractContextManager[Callable[[Array], object]]:
         return nullcontext(Plant(scene, rate).advance)
 
-    return Step(
+    return EffectStep(
         name, sum(effect.states for effect in motion_effects(scene)), start, bench_drive(scene, rate), rate
     )
 

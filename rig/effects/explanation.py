@@ -13,7 +13,7 @@ from rig.scene.scene import Scene
 from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, TableShaker
 from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping
 from rig.system.assembly import assemble
-from rig.system.hybrid_system import System
+from rig.system.hybrid_system import HybridSystem
 
 #: Entry points under which packages that build on the rig say what a scene turns on in them.
 GROUP = "shotrig.effects"
@@ -177,7 +177,7 @@ def _shaker(scene: Scene) -> Iterable[Effect]:
         yield Effect("motion", "amplifier clipping", 0, f"at {shaker.amplifier.limit:.4g} {unit}")
 
 
-def _dampers(scene: Scene, system: System) -> Iterable[Effect]:
+def _dampers(scene: Scene, system: HybridSystem) -> Iterable[Effect]:
     held = len(scene.dampers) - system.dampers
     if held:
         yield Effect("motion", "locked dampers", 0, f"{held}, part of their bodies' masses")

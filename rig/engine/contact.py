@@ -2,7 +2,7 @@
 
 A damper is in `FLIGHT`, or rides on the `FLOOR` or at the `CEILING` of its cavity. Contact is unilateral: it
 pushes and never pulls. With a diagonal mass matrix each contact decides for itself; with a full one an impact
-may lift riding neighbours, and all contacts of the instant are solved together (`rig.complementarity`).
+may lift riding neighbours, and all contacts of the instant are solved together (`rig.numerics.complementarity`).
 
 References
 ----------

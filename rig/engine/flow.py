@@ -4,7 +4,7 @@ The configuration says which dampers ride. With the drive included as states, z'
 
     z(t + tau h) = sum_k tau^k (A h)^k / k! z + ...
 
-converges to rounding at degree `rig.polynomial.DEGREE` because the step is chosen so that h times the fastest
+converges to rounding at degree `rig.numerics.bernstein.DEGREE` because the step is chosen so that h times the fastest
 rate of the system is at most `REACH`. No eigenvectors are formed and no particular solution is subtracted:
 repeated, zero and critically damped eigenvalues, and a drive at exact resonance, are cases like any other.
 
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from rig.numerics.bernstein import LENGTH
 from rig.numerics.complementarity import ROUNDING
 from rig.numerics.simd import SUMS, padded, zeros
-from rig.system.hybrid_system import Drive, System
+from rig.system.hybrid_system import Drive, HybridSystem
 
 #: Step length times the fastest rate; 0.7^16 / 16! is below the rounding of float64.
 REACH = 0.7
@@ -111,7 +111,7 @@ class FlowTables:
 
     Parameters
     ----------
-    system : System
+    system : HybridSystem
         The compiled scene.
     drive : Drive
         How the inputs evolve inside a segment.
@@ -119,7 +119,7 @@ class FlowTables:
         Step length h in seconds.
     """
 
-    def __init__(self, system: System, drive: Drive, step: float) -> None:
+    def __init__(self, system: HybridSystem, drive: Drive, step: float) -> None:
         self.system = system
         self.drive = drive
         self.step = step
@@ -328,7 +328,7 @@ class FlowTables:
         flow.margin_constant[slot][:dampers] += fall
 
 
-def tables_for(system: System, drive: Drive, step: float) -> FlowTables:
+def tables_for(system: HybridSystem, drive: Drive, step: float) -> FlowTables:
     """Give the tables of a system: those made for it the last time, if that is not long ago."""
     arrays = [
         value for part in (system, drive) for value in vars(part).values() if isinstance(value, np.ndarray)

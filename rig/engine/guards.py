@@ -2,7 +2,7 @@
 
 A guard is the gap of a damper in flight to a wall, or the contact force of a riding one. The cubic through its values
 and slopes at both ends of the step is positive by more than its error, which a bound of the guard's fourth derivative
-limits; otherwise its power series goes through `rig.polynomial.first_crossing`.
+limits; otherwise its power series goes through `rig.numerics.bernstein.first_crossing`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rig.engine.contact import AMBIGUOUS, FLIGHT, FLOOR, ROUNDING, State
 from rig.engine.flow import Flow, Model
 from rig.engine.power_series import expand
-from rig.engine.workspace import Scratch
+from rig.engine.workspace import Workspace
 from rig.numerics.bernstein import LENGTH, NONE, first_crossing
 from rig.numerics.jit import compiled, inlined
 from rig.numerics.simd import combine
@@ -25,11 +25,13 @@ FLOOR_GAP, CEILING_GAP, CONTACT_FORCE = 1, 2, 0
 
 
 @inlined
-def bound_by_tables(flow: Flow, slot: int, z: Array, scratch: Scratch) -> None:
+def bound_by_tables(flow: Flow, slot: int, z: Array, workspace: Workspace) -> None:
     """Bounds of the guards over the step, from the tables."""
-    for i in range(scratch.size.shape[0]):
-        scratch.size[i] = abs(z[i])
-    combine(flow.bound, flow.bound_constant, slot, scratch.size, flow.rates_constant.shape[1], scratch.bound)
+    for i in range(workspace.size.shape[0]):
+        workspace.size[i] = abs(z[i])
+    combine(
+        flow.bound, flow.bound_constant, slot, workspace.size, flow.rates_constant.shape[1], workspace.bound
+    )
 
 
 @compiled
@@ -65,21 +67,27 @@ def bound_by_series(
 
 @inlined
 def _examine_flight(
-    model: Model, state: State, scratch: Scratch, j: int, length: float, near_floor: bool, near_ceiling: bool
+    model: Model,
+    state: State,
+    workspace: Workspace,
+    j: int,
+    length: float,
+    near_floor: bool,
+    near_ceiling: bool,
 ) -> tuple[float, int, int]:
     """First wall that damper j meets in flight, of those it may: (fraction of the step, wall, ambiguous)."""
-    series = scratch.series
+    series = workspace.series
     row = model.position[j]
     flown = model.step * length
     power = 1.0
     for k in range(LENGTH):
-        series[k] = -scratch.tableau[k, row] * power
+        series[k] = -workspace.tableau[k, row] * power
         power *= length
     series[0] += state.height[j]
     series[1] += state.speed[j] * flown
     series[2] -= 0.5 * model.gravity * flown * flown
     size = abs(state.height[j]) + flown * (abs(state.speed[j]) + model.gravity * flown)
-    size += scratch.bound[model.mass.shape[0] + j]
+    size += workspace.bound[model.mass.shape[0] + j]
     tau = NONE
     wall = FLOOR_GAP
     ambiguous = 0
@@ -88,9 +96,9 @@ def _examine_flight(
             series,
             max(state.multiplicity[j], 0),
             ROUNDING * size,
-            scratch.work,
-            scratch.spans,
-            scratch.bernstein,
+            workspace.work,
+            workspace.spans,
+            workspace.bernstein,
         )
     if near_ceiling:
         clearance = model.clearance[j]
@@ -101,9 +109,9 @@ def _examine_flight(
             series,
             max(-state.multiplicity[j], 0),
             ROUNDING * (size + clearance),
-            scratch.work,
-            scratch.spans,
-            scratch.bernstein,
+            workspace.work,
+            workspace.spans,
+            workspace.bernstein,
         )
         ambiguous += more
         if tau_ceiling < tau:
@@ -113,19 +121,26 @@ def _examine_flight(
 
 
 @inlined
-def _examine_ride(model: Model, state: State, scratch: Scratch, j: int, length: float) -> tuple[float, int]:
+def _examine_ride(
+    model: Model, state: State, workspace: Workspace, j: int, length: float
+) -> tuple[float, int]:
     """First instant at which the contact force of damper j falls through zero: (fraction of the step, ambiguous)."""
-    series = scratch.series
+    series = workspace.series
     row = model.velocity[j]
     sign = 1.0 if state.mode[j] == FLOOR else -1.0
     power = sign / model.step
     for k in range(LENGTH):
-        series[k] = (k + 1) * scratch.tableau[k + 1, row] * power
+        series[k] = (k + 1) * workspace.tableau[k + 1, row] * power
         power *= length
     series[0] += sign * model.gravity
-    size = model.gravity + scratch.bound[model.mass.shape[0] + j]
+    size = model.gravity + workspace.bound[model.mass.shape[0] + j]
     return first_crossing(
-        series, max(state.multiplicity[j], 0), ROUNDING * size, scratch.work, scratch.spans, scratch.bernstein
+        series,
+        max(state.multiplicity[j], 0),
+        ROUNDING * size,
+        workspace.work,
+        workspace.spans,
+        workspace.bernstein,
     )
 
 
@@ -151,7 +166,7 @@ def first_event(
     flow: Flow,
     model: Model,
     state: State,
-    scratch: Scratch,
+    workspace: Workspace,
     slot: int,
     length: float,
     duration: float,
@@ -166,7 +181,7 @@ def first_event(
     what = 0
     behind = flow.rates_constant.shape[1]
     for j in range(model.mass.shape[0]):
-        error = scratch.bound[j] * length**4
+        error = workspace.bound[j] * length**4
         mode = state.mode[j]
         multiplicity = 0
         near_ceiling = False
@@ -175,8 +190,8 @@ def first_event(
             fall = model.gravity * duration
             value = state.height[j] - state.z[position]
             slope = (state.speed[j] - state.z[velocity]) * duration
-            value_new = state.height[j] + duration * (state.speed[j] - 0.5 * fall) - scratch.new[position]
-            slope_new = (state.speed[j] - fall - scratch.new[velocity]) * duration
+            value_new = state.height[j] + duration * (state.speed[j] - 0.5 * fall) - workspace.new[position]
+            slope_new = (state.speed[j] - fall - workspace.new[velocity]) * duration
             multiplicity = state.multiplicity[j]
             clearance = model.clearance[j]
             if clearance < np.inf:
@@ -189,21 +204,21 @@ def first_event(
         else:
             place = behind + model.position[j]
             value = model.gravity + state.z[place]
-            value_new = model.gravity + scratch.new[place]
+            value_new = model.gravity + workspace.new[place]
             slope = state.z[place + model.first_velocity] * length
-            slope_new = scratch.new[place + model.first_velocity] * length
+            slope_new = workspace.new[place + model.first_velocity] * length
             if mode != FLOOR:
                 value, slope, value_new, slope_new = -value, -slope, -value_new, -slope_new
         near = _margin(value, slope, value_new, slope_new, error, multiplicity) <= 0.0
         if not (near or near_ceiling):
             continue
         if not expanded:
-            expand(flow, model, slot, state.z, scratch.tableau)
+            expand(flow, model, slot, state.z, workspace.tableau)
             expanded = True
         if mode == FLIGHT:
-            tau, guard, ambiguous = _examine_flight(model, state, scratch, j, length, near, near_ceiling)
+            tau, guard, ambiguous = _examine_flight(model, state, workspace, j, length, near, near_ceiling)
         else:
-            tau, ambiguous = _examine_ride(model, state, scratch, j, length)
+            tau, ambiguous = _examine_ride(model, state, workspace, j, length)
             guard = CONTACT_FORCE
         state.counters[AMBIGUOUS] += ambiguous
         if tau < first:
@@ -218,19 +233,19 @@ WIDER = 2.0
 
 
 @inlined
-def fold_envelope(flow: Flow, scratch: Scratch) -> None:
+def fold_envelope(flow: Flow, workspace: Workspace) -> None:
     """Begin the envelope anew."""
     for i in range(flow.rates_constant.shape[1]):
-        scratch.envelope[i] = 0.0
+        workspace.envelope[i] = 0.0
 
 
 @inlined
-def draw_envelope(flow: Flow, slot: int, z: Array, scratch: Scratch) -> None:
+def draw_envelope(flow: Flow, slot: int, z: Array, workspace: Workspace) -> None:
     """Widen the envelope around a state, and fit the margins to it and to the configuration."""
     columns = flow.rates_constant.shape[1]
     for i in range(columns):
-        scratch.envelope[i] = max(scratch.envelope[i], WIDER * abs(z[i]))
-    combine(flow.margin, flow.margin_constant, slot, scratch.envelope, columns, scratch.margin)
+        workspace.envelope[i] = max(workspace.envelope[i], WIDER * abs(z[i]))
+    combine(flow.margin, flow.margin_constant, slot, workspace.envelope, columns, workspace.margin)
 
 
 @inlined

@@ -3,11 +3,11 @@
 Between contact changes the state z = (coordinates, velocities, coil current, drive) obeys z' = A z + b exactly,
 with A and b of the contact configuration. A step of length h is a matrix product. Every guard (gap, contact
 force) is proven free of zeros over the step, or its first crossing is isolated and the step ends there: first by
-an envelope (`rig.envelope`), then guard by guard (`rig.guards`). Each proof is rigorous, so which of them served
-has no influence on the motion.
+an envelope (`rig.engine.guards`), then guard by guard (`rig.engine.guards`). Each proof is rigorous, so which
+of them served has no influence on the motion.
 
-Everything is float64 and allocates nothing; the tables come from `rig.flow`, the contact laws from
-`rig.contact`.
+Everything is float64 and allocates nothing; the tables come from `rig.engine.flow`, the contact laws from
+`rig.engine.contact`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from rig.engine.guards import (
     first_event,
 )
 from rig.engine.power_series import CLEAR, CURRENT, STALE, differentiate, expand, sum_series
-from rig.engine.workspace import Scratch
+from rig.engine.workspace import Workspace
 from rig.numerics.bernstein import NONE
 from rig.numerics.jit import inlined
 from rig.numerics.simd import combine_many, copy, exceeds
@@ -54,7 +54,7 @@ def advance(
     flow: Flow,
     model: Model,
     state: State,
-    scratch: Scratch,
+    workspace: Workspace,
     log: Log,
     segment: int,
     steps: float,
@@ -96,13 +96,13 @@ def advance(
         whole = flow.stepping and length == 1.0
         if whole:
             filled = flow.propagate.shape[1]
-            combine_many(flow.propagate, flow.propagate_constant, slot, state.z, filled, scratch.new)
+            combine_many(flow.propagate, flow.propagate_constant, slot, state.z, filled, workspace.new)
             if (
                 known == CLEAR
-                and not exceeds(state.z, scratch.envelope)
-                and above_margins(model, state, scratch.margin, scratch.new, columns, duration)
+                and not exceeds(state.z, workspace.envelope)
+                and above_margins(model, state, workspace.margin, workspace.new, columns, duration)
             ):
-                copy(scratch.new, state.z)
+                copy(workspace.new, state.z)
                 _fly(model, state, duration)
                 left -= 1.0
                 continue
@@ -112,36 +112,38 @@ def advance(
         ):
             return LOG_FULL, left, STALE
         if not whole:
-            expand(flow, model, slot, state.z, scratch.tableau)
-            sum_series(scratch, length, scratch.new)
+            expand(flow, model, slot, state.z, workspace.tableau)
+            sum_series(workspace, length, workspace.new)
         if flow.stepping:
             if known == STALE or not flow.smooth:
-                differentiate(flow, model, slot, state.z, scratch.derivative, known)
+                differentiate(flow, model, slot, state.z, workspace.derivative, known)
             if not (whole and has_room):
-                differentiate(flow, model, slot, scratch.new, scratch.derivative, CURRENT if whole else STALE)
-            bound_by_tables(flow, slot, state.z, scratch)
+                differentiate(
+                    flow, model, slot, workspace.new, workspace.derivative, CURRENT if whole else STALE
+                )
+            bound_by_tables(flow, slot, state.z, workspace)
         else:
             bound_by_series(
-                model, state.mode, scratch.tableau, length, state.z, scratch.new, columns, scratch.bound
+                model, state.mode, workspace.tableau, length, state.z, workspace.new, columns, workspace.bound
             )
-        tau, j, guard = first_event(flow, model, state, scratch, slot, length, duration, not whole)
+        tau, j, guard = first_event(flow, model, state, workspace, slot, length, duration, not whole)
         if tau == NONE:
-            copy(scratch.new, state.z)
+            copy(workspace.new, state.z)
             _fly(model, state, duration)
             state.counters[IN_A_ROW] = 0
             left -= length
             if flow.stepping and not flow.enveloping:
                 known = CURRENT
             elif flow.stepping:
-                if known == STALE or exceeds(state.z, scratch.envelope):
-                    draw_envelope(flow, slot, state.z, scratch)
-                clear = above_margins(model, state, scratch.margin, state.z, columns, 0.0)
+                if known == STALE or exceeds(state.z, workspace.envelope):
+                    draw_envelope(flow, slot, state.z, workspace)
+                clear = above_margins(model, state, workspace.margin, state.z, columns, 0.0)
                 known = CLEAR if clear else CURRENT
             continue
         known = STALE
         if tau > 0.0:
-            sum_series(scratch, tau * length, scratch.new)
-            copy(scratch.new, state.z)
+            sum_series(workspace, tau * length, workspace.new)
+            copy(workspace.new, state.z)
             _fly(model, state, tau * duration)
             left -= tau * length
             state.counters[IN_A_ROW] = 0
@@ -154,6 +156,6 @@ def advance(
         if guard == CONTACT_FORCE:
             separate(flow, model, state, log, segment, offset, j, 3)
         else:
-            impact(flow, model, state, log, segment, offset, j, guard, scratch.contact, coupling)
+            impact(flow, model, state, log, segment, offset, j, guard, workspace.contact, coupling)
         close_break(model, state, log)
     return DONE, 0.0, known

@@ -1,6 +1,6 @@
 """The state over one step: its power series, the sum of it, and the derivatives that guards need.
 
-From the tables of `rig.flow`; a system too large for them has its series summed from the sparse matrix.
+From the tables of `rig.engine.flow`; a system too large for them has its series summed from the sparse matrix.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.engine.flow import Flow, Model
-from rig.engine.workspace import Scratch
+from rig.engine.workspace import Workspace
 from rig.numerics.bernstein import LENGTH
 from rig.numerics.jit import inlined
 from rig.numerics.simd import combine, combine_many
@@ -40,9 +40,9 @@ def expand(flow: Flow, model: Model, slot: int, z: Array, tableau: Array) -> Non
 
 
 @inlined
-def sum_series(scratch: Scratch, tau: float, out: Array) -> None:
+def sum_series(workspace: Workspace, tau: float, out: Array) -> None:
     """State at the fraction tau of the step: the tableau's rows times the powers of tau."""
-    powers = scratch.powers
+    powers = workspace.powers
     square = tau * tau
     powers[0] = 1.0
     powers[1] = tau
@@ -50,7 +50,7 @@ def sum_series(scratch: Scratch, tau: float, out: Array) -> None:
         powers[k] = powers[k - 2] * square
     for k in range(3, LENGTH + 1, 2):
         powers[k] = powers[k - 2] * square
-    combine(scratch.series_rows, scratch.nothing, 0, powers, LENGTH + 1, out)
+    combine(workspace.series_rows, workspace.nothing, 0, powers, LENGTH + 1, out)
 
 
 @inlined

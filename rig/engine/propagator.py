@@ -17,20 +17,20 @@ from rig.engine.flow import REACH, Flow, Model, tables_for
 from rig.engine.guards import fold_envelope
 from rig.engine.kernel import DONE, LOG_FULL, NEED_TABLE, STUCK, advance
 from rig.engine.power_series import STALE, differentiate
-from rig.engine.trajectory import Array, Course
-from rig.engine.workspace import Scratch, scratch_for
+from rig.engine.trajectory import Array, Trajectory
+from rig.engine.workspace import Workspace, workspace_for
 from rig.errors import RunError
 from rig.numerics.jit import compiled, inlined
 from rig.numerics.simd import LANES, padded, transpose, zeros
-from rig.system.hybrid_system import Drive, System, sampled, tone
+from rig.system.hybrid_system import Drive, HybridSystem, sampled, tone
 
 LOG_ROWS = 1024
 #: Every segment begins with the drive set anew.
 EVERY = np.ones(1, dtype=bool)
 
 
-class Kept(NamedTuple):
-    """Whole states at samples, rows of a `Course`; without rows nothing is kept."""
+class StateSamples(NamedTuple):
+    """Whole states at samples, rows of a `Trajectory`; without rows nothing is kept."""
 
     state: Array
     slot: NDArray[np.int64]
@@ -38,8 +38,8 @@ class Kept(NamedTuple):
     mode: NDArray[np.int8]
 
 
-class Seen(NamedTuple):
-    """What can be seen of the motion at samples, as in `rig.motion.Motion`; without columns nothing is.
+class MotionSamples(NamedTuple):
+    """What can be seen of the motion at samples, as in `rig.simulation.motion.Motion`; without columns nothing is.
 
     rows (displacements, velocities, accelerations, gaps; samples); contact (dampers, samples); begin (1,), the first
     column that is filled next; window (LANES, rows).
@@ -52,7 +52,7 @@ class Seen(NamedTuple):
 
 
 @inlined
-def _keep(state: State, row: int, kept: Kept) -> None:
+def _keep(state: State, row: int, kept: StateSamples) -> None:
     kept.slot[row] = state.counters[SLOT]
     for i in range(kept.state.shape[1]):
         kept.state[row, i] = state.z[i]
@@ -62,7 +62,7 @@ def _keep(state: State, row: int, kept: Kept) -> None:
 
 
 @inlined
-def _see(flow: Flow, model: Model, state: State, seen: Seen, column: int, last: bool) -> None:
+def _sample(flow: Flow, model: Model, state: State, seen: MotionSamples, column: int, last: bool) -> None:
     """Show the present motion in a column: by way of a window, because the rows lie far apart in memory."""
     row, points = column % LANES, model.first_velocity
     behind = flow.rates_constant.shape[1]
@@ -87,9 +87,10 @@ def _see(flow: Flow, model: Model, state: State, seen: Seen, column: int, last: 
 
 
 @compiled
-def _march(
-    flow: Any, model: Any, state: Any, scratch: Any, log: Any, steps: Array, renew: NDArray[np.bool_], drive: Array,
-    row: NDArray[np.int64], begin: int, left: float, kept: Kept, seen: Seen, coupling: bool | None, known: int,
+def _propagate(
+    flow: Any, model: Any, state: Any, workspace: Any, log: Any, steps: Array, renew: NDArray[np.bool_], drive: Array,
+    row: NDArray[np.int64], begin: int, left: float, kept: StateSamples, seen: MotionSamples,
+    coupling: bool | None, known: int,
 ) -> tuple[int, int, float]:  # fmt: skip
     """Segments of `steps` step lengths between the columns of a drive.
 
@@ -101,7 +102,7 @@ def _march(
     inputs, segments = drive.shape[0], drive.shape[1] - 1
     first = flow.rates_constant.shape[1] - 2 * inputs
     stride = 1 if steps.shape[0] > 1 else 0
-    fold_envelope(flow, scratch)
+    fold_envelope(flow, workspace)
     for k in range(begin, segments):
         whole = steps[stride * k]
         if left < 0.0:
@@ -110,18 +111,18 @@ def _march(
                 for i in range(inputs):
                     state.z[first + i] = drive[i, k]
                     state.z[first + inputs + i] = drive[i, k + 1] - drive[i, k]
-        status, left, known = advance(flow, model, state, scratch, log, k, whole, left, coupling, known)
+        status, left, known = advance(flow, model, state, workspace, log, k, whole, left, coupling, known)
         if status != DONE:
             return status, k, left
         if state.counters[SLOT] < 0:
             return NEED_TABLE, k, 0.0
         if row[k] >= 0:
             if known == STALE:
-                differentiate(flow, model, state.counters[SLOT], state.z, scratch.derivative, STALE)
+                differentiate(flow, model, state.counters[SLOT], state.z, workspace.derivative, STALE)
             if kept.slot.shape[0] > 0:
                 _keep(state, row[k], kept)
             if seen.rows.shape[1] > 0:
-                _see(flow, model, state, seen, row[k], k == segments - 1)
+                _sample(flow, model, state, seen, row[k], k == segments - 1)
         left = -1.0
     return DONE, segments, -1.0
 
@@ -133,28 +134,28 @@ def _accelerations(flow: Any, model: Any, states: Array, slots: NDArray[np.int64
 
 
 @compiled
-def _let_go(flow: Any, model: Any, state: Any, scratch: Any, log: Any, coupling: bool | None) -> None:
-    release_tensile(flow, model, state, log, 0, 0.0, scratch.contact, coupling)
+def _let_go(flow: Any, model: Any, state: Any, workspace: Any, log: Any, coupling: bool | None) -> None:
+    release_tensile(flow, model, state, log, 0, 0.0, workspace.contact, coupling)
 
 
 @compiled
-def _see_now(flow: Any, model: Any, state: Any, work: Array, column: int, seen: Seen) -> None:
+def _sample_now(flow: Any, model: Any, state: Any, work: Array, column: int, seen: MotionSamples) -> None:
     differentiate(flow, model, state.counters[SLOT], state.z, work, STALE)
-    _see(flow, model, state, seen, column, True)
+    _sample(flow, model, state, seen, column, True)
 
 
-class March:
+class Propagator:
     """A system on its way through time.
 
     Parameters
     ----------
-    system : System
+    system : HybridSystem
     drive : Drive
     step : float
         Step length in seconds; `step_for` finds one.
     """
 
-    def __init__(self, system: System, drive: Drive, step: float) -> None:
+    def __init__(self, system: HybridSystem, drive: Drive, step: float) -> None:
         self.system, self.drive = system, drive
         self.tables = tables_for(system, drive, step)
         self._coupling = True if system.coupled else None
@@ -183,7 +184,7 @@ class March:
             speed_after=np.zeros((rows, dampers)),
             configuration=np.zeros((rows, 2), dtype=np.int64),
         )
-        self.scratch: Scratch = scratch_for(self.tables.flow, size)
+        self.workspace: Workspace = workspace_for(self.tables.flow, size)
         self.state.counters[CONFIGURATION] = (1 << dampers) - 1
         self._find_table()
 
@@ -202,7 +203,7 @@ class March:
         """
         self.state.z[: self.system.states] = state
         self.state.z[self.system.states : self.tables.size] = drive
-        _let_go(self.tables.flow, self.tables.model, self.state, self.scratch, self.log, self._coupling)
+        _let_go(self.tables.flow, self.tables.model, self.state, self.workspace, self.log, self._coupling)
         lifted = self.log.damper[: self.log.filled[0]].copy()
         self.log.filled[:] = 0
         self._find_table()
@@ -222,9 +223,9 @@ class March:
         """Set the tone to the start of a period."""
         self.state.z[self.system.states : self.tables.size] = (level, 0.0)
 
-    def standing(self) -> Course:
+    def present(self) -> Trajectory:
         """Present state as a course of one sample in which nothing happened."""
-        return Course(
+        return Trajectory(
             self.state.z[None].copy(),
             self.state.counters[SLOT : SLOT + 1].copy(),
             self.state.height[None].copy(),
@@ -232,46 +233,48 @@ class March:
             *self._page(),
         )
 
-    def over_samples(self, drive: Array, interval_steps: float) -> Course:
+    def through_samples(self, drive: Array, interval_steps: float) -> Trajectory:
         """Run through the sample intervals between the columns of a sampled drive (inputs, samples + 1)."""
         intervals = drive.shape[1] - 1
-        kept, unseen = self._kept(intervals), self.sight(0)
+        kept, unseen = self._kept(intervals), self.motion_samples(0)
         return self._run(np.array([interval_steps]), EVERY, drive, np.arange(intervals), kept, unseen)
 
-    def watch_samples(self, drive: Array, interval_steps: float, seen: Seen, column: int) -> Course:
+    def sample_motion(
+        self, drive: Array, interval_steps: float, seen: MotionSamples, column: int
+    ) -> Trajectory:
         """Do the same, but instead of keeping states fill what is seen, from a column on."""
         seen.begin[0] = column
         rows = np.arange(column, column + drive.shape[1] - 1)
         return self._run(np.array([interval_steps]), EVERY, drive, rows, self._kept(0), seen)
 
-    def sight(self, samples: int) -> Seen:
+    def motion_samples(self, samples: int) -> MotionSamples:
         """Room for what is seen at a number of samples."""
         dampers = self.system.dampers
         rows = padded(3 * self.system.coordinates + dampers)
-        return Seen(
+        return MotionSamples(
             rows=np.empty((rows, samples)),
             contact=np.empty((dampers, samples), dtype=np.int8),
             begin=np.zeros(1, dtype=np.int64),
             window=zeros(LANES, rows),
         )
 
-    def parts(self, seen: Seen) -> tuple[Array, Array, Array, Array]:
+    def parts(self, seen: MotionSamples) -> tuple[Array, Array, Array, Array]:
         """Displacements, velocities and accelerations (points, samples) and gaps (dampers, samples) in it."""
         n, rows = self.system.coordinates, seen.rows
         return rows[:n], rows[n : 2 * n], rows[2 * n : 3 * n], rows[3 * n : 3 * n + self.system.dampers]
 
-    def see(self, seen: Seen, column: int) -> None:
+    def sample_present(self, seen: MotionSamples, column: int) -> None:
         """Fill one column of what is seen with the present motion."""
-        work = self.scratch.derivative
-        _see_now(self.tables.flow, self.tables.model, self.state, work, column, seen)
+        work = self.workspace.derivative
+        _sample_now(self.tables.flow, self.tables.model, self.state, work, column, seen)
 
-    def over_marks(
+    def through_marks(
         self,
         steps: Array,
         sample_row: NDArray[np.int64],
         new_period: NDArray[np.bool_],
         level: float = 1.0,
-    ) -> Course:
+    ) -> Trajectory:
         """Run through segments of given lengths under a tone.
 
         Parameters
@@ -288,17 +291,17 @@ class March:
         # The tone's states (cos, sin) begin a period as a drive that does not change would.
         drive = np.full((1, len(steps) + 1), level)
         kept = self._kept(int(sample_row.max(initial=-1)) + 1)
-        return self._run(steps, new_period, drive, sample_row, kept, self.sight(0))
+        return self._run(steps, new_period, drive, sample_row, kept, self.motion_samples(0))
 
     def accelerations(self, states: Array, slots: NDArray[np.int64]) -> Array:
-        """Acceleration of every coordinate for rows of a `Course`, shape (coordinates, samples)."""
-        _accelerations(self.tables.flow, self.tables.model, states, slots, self.scratch.derivative)
+        """Acceleration of every coordinate for rows of a `Trajectory`, shape (coordinates, samples)."""
+        _accelerations(self.tables.flow, self.tables.model, states, slots, self.workspace.derivative)
         behind = self.tables.size
         return np.ascontiguousarray(states[:, behind : behind + self.system.coordinates].T)
 
-    def _kept(self, samples: int) -> Kept:
+    def _kept(self, samples: int) -> StateSamples:
         size, dampers = self.state.z.shape[0], self.system.dampers
-        return Kept(
+        return StateSamples(
             state=np.zeros((samples, size)),
             slot=np.zeros(samples, dtype=np.int64),
             height=np.zeros((samples, dampers)),
@@ -311,14 +314,14 @@ class March:
         renew: NDArray[np.bool_],
         drive: Array,
         row: NDArray[np.int64],
-        kept: Kept,
-        seen: Seen,
-    ) -> Course:
+        kept: StateSamples,
+        seen: MotionSamples,
+    ) -> Trajectory:
         pages: list[tuple[Any, ...]] = []
         begin, left = 0, -1.0
         while True:
-            status, begin, left = _march(
-                self.tables.flow, self.tables.model, self.state, self.scratch, self.log, steps, renew, drive, row,
+            status, begin, left = _propagate(
+                self.tables.flow, self.tables.model, self.state, self.workspace, self.log, steps, renew, drive, row,
                 begin, left, kept, seen, self._coupling, STALE,
             )  # fmt: skip
             if status == NEED_TABLE:
@@ -337,9 +340,9 @@ class March:
                 break
         last = self._page()
         if not pages:
-            return Course(*kept, *last)
+            return Trajectory(*kept, *last)
         pages.append(last)
-        return Course(*kept, *(np.concatenate(parts) for parts in zip(*pages, strict=True)))
+        return Trajectory(*kept, *(np.concatenate(parts) for parts in zip(*pages, strict=True)))
 
     def _find_table(self) -> None:
         self.state.counters[SLOT] = self.tables.slot(int(self.state.counters[CONFIGURATION]))
@@ -367,16 +370,16 @@ def step_for(span: float, fastest: float) -> tuple[float, float]:
     return span / steps, steps
 
 
-def sampled_march(system: System, interval: float) -> tuple[March, float]:
+def sampled_propagator(system: HybridSystem, interval: float) -> tuple[Propagator, float]:
     """March under a sampled drive, and the number of steps in a sample interval."""
     step, steps = step_for(interval, system.fastest)
-    return March(system, sampled(len(system.inputs), interval), step), steps
+    return Propagator(system, sampled(len(system.inputs), interval), step), steps
 
 
-def tone_march(
-    system: System, amplitudes: NDArray[np.complex128], omega: float, interval: float | None = None
-) -> tuple[March, float]:
+def tone_propagator(
+    system: HybridSystem, amplitudes: NDArray[np.complex128], omega: float, interval: float | None = None
+) -> tuple[Propagator, float]:
     """March under a tone u(t) = Re(U e^{i omega t}), and the number of steps in a period, or in a shorter interval."""
     span = 2.0 * np.pi / omega if interval is None else interval
     step, steps = step_for(span, max(system.fastest, omega))
-    return March(system, tone(amplitudes, omega), step), steps
+    return Propagator(system, tone(amplitudes, omega), step), steps

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.engine.contact import FLIGHT, FLOOR
-from rig.system.hybrid_system import System
+from rig.system.hybrid_system import HybridSystem
 
 Array = NDArray[np.float64]
 
@@ -18,7 +18,7 @@ KINDS = np.array(["separation", "floor", "ceiling"])
 
 
 @dataclass(frozen=True)
-class Course:
+class Trajectory:
     """What happened over a number of segments.
 
     Attributes
@@ -60,7 +60,7 @@ class Course:
 
 
 def event_table(
-    times: Array, damper: NDArray[np.int64], kind: NDArray[np.int64], speed: Array, system: System
+    times: Array, damper: NDArray[np.int64], kind: NDArray[np.int64], speed: Array, system: HybridSystem
 ) -> NDArray[Any]:
     """Events as users see them: dampers by their number in the scene, kinds by name."""
     table = np.zeros(len(times), dtype=EVENT)
@@ -71,11 +71,11 @@ def event_table(
     return table
 
 
-def gaps_and_contacts(course: Course, system: System) -> tuple[Array, NDArray[np.int8]]:
+def gaps_and_contacts(trajectory: Trajectory, system: HybridSystem) -> tuple[Array, NDArray[np.int8]]:
     """Gap (dampers, samples) above each floor in m, and contact state (dampers, samples)."""
-    positions = course.state[:, system.damper_coordinate].T
-    gap = course.height.T - positions
-    mode = course.mode.T
+    positions = trajectory.state[:, system.damper_coordinate].T
+    gap = trajectory.height.T - positions
+    mode = trajectory.mode.T
     ceiling = np.broadcast_to(system.clearance[:, None], gap.shape)
     gap = np.where(mode == FLIGHT, gap, np.where(mode == FLOOR, 0.0, ceiling))
     return np.maximum(gap, 0.0) if gap.size else gap, np.ascontiguousarray(mode)

@@ -12,7 +12,7 @@ from rig.numerics.complementarity import ContactWork, contact_work
 from rig.numerics.simd import padded, zeros
 
 
-class Scratch(NamedTuple):
+class Workspace(NamedTuple):
     """Work space of one running kernel."""
 
     new: np.ndarray
@@ -32,13 +32,13 @@ class Scratch(NamedTuple):
     bernstein: np.ndarray
 
 
-def scratch_for(flow: Flow, size: int) -> Scratch:
+def workspace_for(flow: Flow, size: int) -> Workspace:
     """Allocate the work space for a flow and states of a padded size."""
     columns = flow.rates_constant.shape[1]
     tableau = zeros(LENGTH + 1, padded(columns))
     envelope = zeros(padded(columns))
     envelope[columns:] = np.inf
-    return Scratch(
+    return Workspace(
         new=zeros(size),
         size=zeros(padded(columns)),
         envelope=envelope,

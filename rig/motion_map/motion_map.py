@@ -15,7 +15,7 @@ from rig.errors import SceneError
 from rig.motion_map.grid import columns, rows_of, take_off, vertical_axis
 from rig.response.frequency_response import Follower, SteadyPoint
 from rig.scene.scene import Scene
-from rig.system.open_loop_drive import with_force_itself
+from rig.system.open_loop_drive import with_ideal_force
 from rig.system.structure import natural_modes, structure_matrices
 
 #: What a damper does, from the tamest to the wildest; a point of the map counts as what its wildest damper does.
@@ -113,7 +113,7 @@ def map_motion(
 
         scene = load(scene)
     over, unit = vertical_axis(scene, over)
-    scene = with_force_itself(scene)
+    scene = with_ideal_force(scene)
     frequency = _rising(frequencies if frequencies is not None else columns(scene), "frequencies")
     value = _rising(values if values is not None else rows_of(scene, over, frequency), "values")
     longest = _longest(scene, frequency)

@@ -90,7 +90,7 @@ def follow(equations: Equations, sequence: Sequence, instants: Array, states: Ar
     Parameters
     ----------
     equations, sequence
-        As in `rig.shooting.shoot`.
+        As in `rig.orbits.shooting.shoot`.
     instants : ndarray, shape (events,)
         Instants of the events.
     states : ndarray, shape (events + 1, states + 2 dampers)

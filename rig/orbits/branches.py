@@ -19,7 +19,7 @@ from rig.numerics import continuation
 from rig.orbits.event_sequence import Plan
 from rig.orbits.orbit import Following, Orbit
 from rig.orbits.periodic_orbit import enter, refine, search, start_march
-from rig.orbits.problem import PARAMETERS, Parameter, Problem, Setting, vary
+from rig.orbits.problem import PARAMETERS, OperatingPoint, OrbitProblem, Parameter, vary
 from rig.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -137,7 +137,7 @@ def follow_orbits(
         raise SceneError(f"range {bounds[0]:g} to {bounds[1]:g}: expected two rising values above 0")
     if parameter != "frequency" and frequency is None:
         raise SceneError(f"following the {parameter} needs a frequency")
-    problem = Problem(scene)
+    problem = OrbitProblem(scene)
     base = problem.setting(bounds[0] if frequency is None else frequency)
     explorer = _Explorer(problem, base, parameter, bounds, progress)
     low, high = bounds
@@ -151,8 +151,8 @@ class _Explorer:
 
     def __init__(
         self,
-        problem: Problem,
-        base: Setting,
+        problem: OrbitProblem,
+        base: OperatingPoint,
         parameter: Parameter,
         bounds: tuple[float, float],
         progress: Callable[[int], None] | None,
@@ -167,8 +167,8 @@ class _Explorer:
         """Add the branches of the motions from rest and from full swing, and all that borders on them."""
         for moving in (False, True):
             try:
-                march, _ = start_march(self.problem, self.at(value), moving)
-                self._add(search(self.problem, self.at(value), march))
+                propagator, _ = start_march(self.problem, self.at(value), moving)
+                self._add(search(self.problem, self.at(value), propagator))
             except RunError as failure:
                 self.failures.append(f"at {self.parameter} {value:.6g}: {failure}")
 
@@ -225,12 +225,12 @@ class _Explorer:
 
     def _shaken(self, orbit: Orbit) -> list[Orbit]:
         """Find what an unstable orbit becomes when it is left alone, if that repeats."""
-        march, _ = start_march(self.problem, orbit.setting)
-        enter(march, orbit)
-        n = march.system.states
-        march.state.z[:n] *= 1 + 1e-5 * np.cos(np.arange(n))
+        propagator, _ = start_march(self.problem, orbit.setting)
+        enter(propagator, orbit)
+        n = propagator.system.states
+        propagator.state.z[:n] *= 1 + 1e-5 * np.cos(np.arange(n))
         try:
-            return [search(self.problem, orbit.setting, march)]
+            return [search(self.problem, orbit.setting, propagator)]
         except RunError as failure:
             value = getattr(orbit.setting, self.parameter)
             self.failures.append(
@@ -286,11 +286,11 @@ class _Explorer:
             if not self.bounds[0] <= target <= self.bounds[1]:
                 continue
             setting = self.at(target)
-            march, steps = start_march(self.problem, setting)
-            enter(march, orbit)
+            propagator, steps = start_march(self.problem, setting)
+            enter(propagator, orbit)
             for _ in range(3):
                 try:
-                    found = refine(self.problem, setting, march, steps, orbit.repetition)
+                    found = refine(self.problem, setting, propagator, steps, orbit.repetition)
                 except RunError:
                     continue
                 close = (
@@ -308,9 +308,9 @@ class _Explorer:
 
     def _settled_past(self, orbit: Orbit, value: float, past: float) -> Orbit:
         setting = self.at(float(np.clip(value * (1 + past), *self.bounds)))
-        march, _ = start_march(self.problem, setting)
-        enter(march, orbit)
-        return search(self.problem, setting, march)
+        propagator, _ = start_march(self.problem, setting)
+        enter(propagator, orbit)
+        return search(self.problem, setting, propagator)
 
 
 def _minus_one(multipliers: NDArray[np.complex128]) -> float:

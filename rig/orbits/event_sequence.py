@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.engine.contact import CEILING_IMPACT, FLOOR_IMPACT
-from rig.engine.trajectory import Course
+from rig.engine.trajectory import Trajectory
 from rig.errors import RunError
 from rig.orbits.shooting import CEILING, CEILING_BOUNCE, FLOOR, FLOOR_BOUNCE, SEPARATION, WITH_LAST, Sequence
-from rig.system.hybrid_system import System
+from rig.system.hybrid_system import HybridSystem
 
 Array = NDArray[np.float64]
 BOUNCE = {FLOOR: FLOOR_BOUNCE, CEILING: CEILING_BOUNCE}
@@ -56,7 +56,7 @@ class Plan:
 
     @property
     def borders(self) -> tuple[str, ...]:
-        """Names of the borders in the order of `rig.orbit_motion.rooms`, made flat."""
+        """Names of the borders in the order of `rig.orbits.admissibility.rooms`, made flat."""
         events, dampers = self.label.split(), self.sequence.damper + 1
         count = max(len(events), self.sequence.wall.shape[1], 1)
         pairs = zip(events, events[1:] + events[:1], strict=True)
@@ -82,18 +82,20 @@ class Plan:
         return len(own) == len(others) and (own == others or " ".join(own) in " ".join(others + others))
 
 
-def plan_from(course: Course, start: NDArray[np.int8], repetition: int, system: System) -> tuple[Plan, Array]:
+def plan_from(
+    trajectory: Trajectory, start: NDArray[np.int8], repetition: int, system: HybridSystem
+) -> tuple[Plan, Array]:
     """Read the sequence of events off a simulated cycle.
 
     Parameters
     ----------
-    course : Course
+    course : Trajectory
         Events of the cycle.
     start : ndarray of int8, shape (dampers,)
         Walls at its start.
     repetition : int
         Periods in the cycle.
-    system : System
+    system : HybridSystem
 
     Returns
     -------
@@ -110,9 +112,9 @@ def plan_from(course: Course, start: NDArray[np.int8], repetition: int, system: 
     kinds: list[int] = []
     dampers: list[int] = []
     order: list[int] = []
-    instants = list(zip(course.event_segment.tolist(), course.event_offset.tolist(), strict=True))
+    instants = list(zip(trajectory.event_segment.tolist(), trajectory.event_offset.tolist(), strict=True))
     for k, (damper, kind) in enumerate(
-        zip(course.event_damper.tolist(), course.event_kind.tolist(), strict=True)
+        zip(trajectory.event_damper.tolist(), trajectory.event_kind.tolist(), strict=True)
     ):
         now = [i for i in range(len(order)) if instants[order[i]] == instants[k]]
         hit = [i for i in now if dampers[i] == damper and kinds[i] in (FLOOR, CEILING)]

@@ -14,7 +14,7 @@ from rig.engine.trajectory import EVENT, KINDS
 from rig.errors import RunError
 from rig.orbits.admissibility import survey
 from rig.orbits.event_sequence import Plan
-from rig.orbits.problem import Parameter, Problem, Setting, vary
+from rig.orbits.problem import OperatingPoint, OrbitProblem, Parameter, vary
 from rig.orbits.shooting import (
     CEILING,
     CEILING_BOUNCE,
@@ -44,7 +44,7 @@ class Orbit:
 
     Attributes
     ----------
-    setting : Setting
+    setting : OperatingPoint
         Frequency [Hz], level of the drive, and clearance and mass ratio where they were varied.
     repetition : int
         Length in periods of the drive.
@@ -67,12 +67,12 @@ class Orbit:
     residual : float
         Distance by which the orbit misses its start after a period, relative to the motion.
     unknowns : ndarray
-        State at the start, heights and velocities of dampers in flight, and instants, see `rig.shooting`.
+        State at the start, heights and velocities of dampers in flight, and instants, see `rig.orbits.shooting`.
     plan : Plan
         The sequence of events.
     """
 
-    setting: Setting
+    setting: OperatingPoint
     repetition: int
     events: NDArray[np.void]
     motion_type: str
@@ -102,7 +102,9 @@ class Orbit:
         return self.border if self.room < -ROUNDING else ""
 
 
-def solve(problem: Problem, plan: Plan, setting: Setting, unknowns: Array, most: int = CORRECTIONS) -> Orbit:
+def solve(
+    problem: OrbitProblem, plan: Plan, setting: OperatingPoint, unknowns: Array, most: int = CORRECTIONS
+) -> Orbit:
     """Solve the equations of an orbit for one setting by Newton's iteration of at most so many corrections.
 
     Raises
@@ -125,14 +127,14 @@ def solve(problem: Problem, plan: Plan, setting: Setting, unknowns: Array, most:
 
 
 class Following:
-    """The equations of an orbit with one parameter free, as `rig.continuation` takes them.
+    """The equations of an orbit with one parameter free, as `rig.numerics.continuation` takes them.
 
     Parameters
     ----------
-    problem : Problem
+    problem : OrbitProblem
     plan : Plan
         Events of the orbit.
-    setting : Setting
+    setting : OperatingPoint
         Everything but the parameter.
     parameter : {'frequency', 'force', 'clearance', 'mass_ratio'}
     unknowns : ndarray
@@ -140,7 +142,12 @@ class Following:
     """
 
     def __init__(
-        self, problem: Problem, plan: Plan, setting: Setting, parameter: Parameter, unknowns: Array
+        self,
+        problem: OrbitProblem,
+        plan: Plan,
+        setting: OperatingPoint,
+        parameter: Parameter,
+        unknowns: Array,
     ) -> None:
         self.problem, self.plan, self.parameter = problem, plan, parameter
         self.at = vary(setting, parameter)
@@ -180,7 +187,7 @@ class Following:
         return self.describe(self.at(float(x[-1])), x[:-1], equations, shot)
 
     def rooms(self, x: Array) -> tuple[Array, tuple[str, ...]]:
-        """Room to each border, and the borders' names, as `rig.continuation.trace` takes them."""
+        """Room to each border, and the borders' names, as `rig.numerics.continuation.trace` takes them."""
         equations, change = self.tables(float(x[-1]))
         shot = shoot(equations, change, self.plan.sequence, x[:-1])
         distances = survey(equations, self.plan.sequence, shot, self._instants(x[:-1]))[2]
@@ -198,7 +205,7 @@ class Following:
     def _instants(self, unknowns: Array) -> Array:
         return unknowns[len(unknowns) - len(self.plan.sequence.kind) :]
 
-    def describe(self, setting: Setting, unknowns: Array, equations: Equations, shot: Shot) -> Orbit:
+    def describe(self, setting: OperatingPoint, unknowns: Array, equations: Equations, shot: Shot) -> Orbit:
         """Describe the orbit that a shot has met."""
         problem, plan = self.problem, self.plan
         instants = self._instants(unknowns)
@@ -228,7 +235,7 @@ class Following:
 
 
 def _type(plan: Plan, damper: int) -> str:
-    """Type of one damper's motion, in the words of `rig.motion_type`."""
+    """Type of one damper's motion, in the words of `rig.response.motion_type`."""
     kinds = plan.sequence.kind[plan.sequence.damper == damper]
     floor = int(np.isin(kinds, (FLOOR, FLOOR_BOUNCE)).sum())
     ceiling = int(np.isin(kinds, (CEILING, CEILING_BOUNCE)).sum())
@@ -241,7 +248,7 @@ def _type(plan: Plan, damper: int) -> str:
     return f"{floor + ceiling} per {plan.repetition}"
 
 
-def _event_table(problem: Problem, plan: Plan, instants: Array, closing: Array) -> NDArray[np.void]:
+def _event_table(problem: OrbitProblem, plan: Plan, instants: Array, closing: Array) -> NDArray[np.void]:
     """Events as `rig.simulate` lists them: a bounce without rebound is an impact and a separation at one instant."""
     rows = []
     for time, damper, kind, speed in zip(

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.engine.contact import FLIGHT
-from rig.engine.propagator import March, tone_march
-from rig.engine.trajectory import Course
+from rig.engine.propagator import Propagator, tone_propagator
+from rig.engine.trajectory import Trajectory
 from rig.errors import RunError, SceneError
 from rig.orbits.event_sequence import Plan, make_plan, plan_from
 from rig.orbits.orbit import Orbit, solve
-from rig.orbits.problem import Problem, Setting
+from rig.orbits.problem import OperatingPoint, OrbitProblem
 from rig.response.steady_state import LONGEST_REPETITION, settle
 from rig.scene.scene import Scene
 
@@ -64,25 +64,29 @@ def periodic_orbit(scene: Scene, frequency: float, start: Orbit | None = None) -
     """
     if not (np.isfinite(frequency) and frequency > 0):
         raise SceneError(f"frequency {frequency!r}: expected a positive number of hertz")
-    problem = Problem(scene)
+    problem = OrbitProblem(scene)
     setting = problem.setting(frequency)
     if start is not None:
         return solve(problem, start.plan, setting, start.unknowns)
     return search(problem, setting)
 
 
-def search(problem: Problem, setting: Setting, start: March | None = None, longest: int = LONGEST) -> Orbit:
+def search(
+    problem: OrbitProblem, setting: OperatingPoint, start: Propagator | None = None, longest: int = LONGEST
+) -> Orbit:
     """Simulate until the motion repeats, for at most some `longest` periods, and make it exact."""
-    march, steps = start_march(problem, setting) if start is None else (start, period_steps(start, setting))
-    march.start_period(1.0)
+    propagator, steps = (
+        start_march(problem, setting) if start is None else (start, period_steps(start, setting))
+    )
+    propagator.start_period(1.0)
     for periods in EARLY:
-        _run(march, steps, periods)
-        found = _near(problem, setting, march, steps, 1)
+        _run(propagator, steps, periods)
+        found = _near(problem, setting, propagator, steps, 1)
         if found is not None:
             return found
-    steady = settle(march, steps, 1.0, 1e-7, longest)
+    steady = settle(propagator, steps, 1.0, 1e-7, longest)
     if steady.repetition:
-        orbit = refine(problem, setting, march, steps, steady.repetition)
+        orbit = refine(problem, setting, propagator, steps, steady.repetition)
         if orbit.flaw:
             raise RunError(
                 f"the motion at {setting.frequency:.6g} Hz repeats after {steady.repetition} periods, but the orbit "
@@ -92,7 +96,7 @@ def search(problem: Problem, setting: Setting, start: March | None = None, longe
     if steady.residual < ALMOST:
         # It repeats, but its slow decay does not tell after how many periods.
         for repetition in range(1, LONGEST_REPETITION + 1):
-            found = _near(problem, setting, march, steps, repetition)
+            found = _near(problem, setting, propagator, steps, repetition)
             if found is not None:
                 return found
     raise RunError(
@@ -101,46 +105,50 @@ def search(problem: Problem, setting: Setting, start: March | None = None, longe
     )
 
 
-def _near(problem: Problem, setting: Setting, march: March, steps: float, repetition: int) -> Orbit | None:
+def _near(
+    problem: OrbitProblem, setting: OperatingPoint, propagator: Propagator, steps: float, repetition: int
+) -> Orbit | None:
     """Find the stable orbit that a motion is settling to, if Newton's iteration leads to one near by."""
     try:
-        orbit = refine(problem, setting, march, steps, repetition)
+        orbit = refine(problem, setting, propagator, steps, repetition)
     except RunError:
         return None
     if orbit.flaw or not orbit.stable:
         return None
-    away = _distance(march, orbit)
+    away = _distance(propagator, orbit)
     if away > NEAR:
         return None
     # A motion that only passes by, as irregular ones do, moves away again.
-    course = _run(march, steps, CONFIRMED * repetition)
-    struck = np.count_nonzero(course.event_kind) // repetition
+    trajectory = _run(propagator, steps, CONFIRMED * repetition)
+    struck = np.count_nonzero(trajectory.event_kind) // repetition
     same = struck == CONFIRMED * np.count_nonzero(orbit.events["kind"] != "separation") // orbit.repetition
-    return orbit if same and _distance(march, orbit) < max(away, CLOSE) else None
+    return orbit if same and _distance(propagator, orbit) < max(away, CLOSE) else None
 
 
-def _distance(march: March, orbit: Orbit) -> float:
+def _distance(propagator: Propagator, orbit: Orbit) -> float:
     """Distance of a march at the start of a period from an orbit, relative to the motion."""
-    nq = march.system.coordinates
-    away = march.state.z[: 2 * nq] - orbit.unknowns[: 2 * nq]
+    nq = propagator.system.coordinates
+    away = propagator.state.z[: 2 * nq] - orbit.unknowns[: 2 * nq]
     away[nq:] /= 2 * np.pi * orbit.frequency
     return float(np.abs(away).max() / orbit.peak.max())
 
 
-def _run(march: March, steps: float, periods: int) -> Course:
+def _run(propagator: Propagator, steps: float, periods: int) -> Trajectory:
     """Run through whole periods."""
     rows, anew = np.full(periods, -1), np.ones(periods, dtype=bool)
-    return march.over_marks(np.full(periods, steps), rows, anew)
+    return propagator.through_marks(np.full(periods, steps), rows, anew)
 
 
-def start_march(problem: Problem, setting: Setting, moving: bool = False) -> tuple[March, float]:
+def start_march(
+    problem: OrbitProblem, setting: OperatingPoint, moving: bool = False
+) -> tuple[Propagator, float]:
     """March with all dampers on their floors, at the start of a period; and the steps in a period.
 
     At rest, or, `moving`, in the steady motion that the structure would have were the dampers to stay on
     their floors.
     """
     system = problem.changed(setting)
-    march, steps = tone_march(system, problem.amplitudes(setting), 2 * np.pi * setting.frequency)
+    propagator, steps = tone_propagator(system, problem.amplitudes(setting), 2 * np.pi * setting.frequency)
     state = system.initial.copy()
     if moving:
         riding = make_plan([], [], np.ones(system.dampers), 1)
@@ -149,24 +157,26 @@ def start_march(problem: Problem, setting: Setting, moving: bool = False) -> tup
         # x = X (cos wt, sin wt): the first column of X is the state at the start.
         drive = (a[:n, n] - 1j * a[:n, n + 1]).astype(np.complex128)
         state += np.linalg.solve(1j * equations.omega * np.eye(n) - a[:n, :n], drive).real
-    march.place(state, np.array([1.0, 0.0]))
-    return march, steps
+    propagator.place(state, np.array([1.0, 0.0]))
+    return propagator, steps
 
 
-def period_steps(march: March, setting: Setting) -> float:
+def period_steps(propagator: Propagator, setting: OperatingPoint) -> float:
     """Step lengths of a march in a period."""
-    return float(np.round(1 / (setting.frequency * march.tables.step)))
+    return float(np.round(1 / (setting.frequency * propagator.tables.step)))
 
 
-def refine(problem: Problem, setting: Setting, march: March, steps: float, repetition: int) -> Orbit:
+def refine(
+    problem: OrbitProblem, setting: OperatingPoint, propagator: Propagator, steps: float, repetition: int
+) -> Orbit:
     """Make the motion that a march is on (at the start of a period) an exact orbit."""
-    plan, unknowns = read_cycle(march, steps, repetition)
+    plan, unknowns = read_cycle(propagator, steps, repetition)
     orbit = solve(problem, plan, setting, unknowns)
     shorter = first_part(orbit)
     return orbit if shorter is None else solve(problem, *shorter)
 
 
-def first_part(orbit: Orbit) -> tuple[Plan, Setting, Array] | None:
+def first_part(orbit: Orbit) -> tuple[Plan, OperatingPoint, Array] | None:
     """Cut an orbit that goes several times round the same cycle to one round; None if it does not."""
     sequence, events = orbit.plan.sequence, len(orbit.plan.sequence.kind)
     instants = orbit.unknowns[len(orbit.unknowns) - events :]
@@ -186,25 +196,27 @@ def first_part(orbit: Orbit) -> tuple[Plan, Setting, Array] | None:
     return None
 
 
-def read_cycle(march: March, steps: float, repetition: int) -> tuple[Plan, Array]:
+def read_cycle(propagator: Propagator, steps: float, repetition: int) -> tuple[Plan, Array]:
     """Run one cycle and take down its events and the unknowns at its start."""
-    system, state = march.system, march.state
+    system, state = propagator.system, propagator.state
     start = state.mode.astype(np.int8)
     heights, speeds = state.height.copy(), state.speed.copy()
     z = state.z[: system.states].copy()
-    course = _run(march, steps, repetition)
-    plan, order = plan_from(course, start, repetition, system)
-    instants = course.event_segment[order] * steps * march.tables.step + course.event_offset[order]
+    trajectory = _run(propagator, steps, repetition)
+    plan, order = plan_from(trajectory, start, repetition, system)
+    instants = (
+        trajectory.event_segment[order] * steps * propagator.tables.step + trajectory.event_offset[order]
+    )
     flights = np.array([[heights[j], speeds[j]] for j in np.flatnonzero(start == FLIGHT)]).ravel()
     return plan, np.concatenate([z, flights, instants])
 
 
-def enter(march: March, orbit: Orbit) -> None:
+def enter(propagator: Propagator, orbit: Orbit) -> None:
     """Put a march on an orbit at the start of a period."""
-    system, state = march.system, march.state
+    system, state = propagator.system, propagator.state
     n, walls = system.states, orbit.plan.sequence.wall[0]
     state.z[:n] = orbit.unknowns[:n]
-    march.start_period(1.0)
+    propagator.start_period(1.0)
     configuration = 0
     at = n
     for j in range(system.dampers):
@@ -216,4 +228,4 @@ def enter(march: March, orbit: Orbit) -> None:
         else:
             configuration |= 1 << j
     state.counters[1] = configuration
-    march.resume(march.snapshot())
+    propagator.resume(propagator.snapshot())

@@ -15,8 +15,8 @@ from rig.orbits.shooting import Change, Equations
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
 from rig.system.assembly import assemble
-from rig.system.hybrid_system import System
-from rig.system.open_loop_drive import drive_per_level, level_of
+from rig.system.hybrid_system import HybridSystem
+from rig.system.open_loop_drive import drive_per_level, level_of, with_ideal_force
 
 Array = NDArray[np.float64]
 Parameter = Literal["frequency", "force", "clearance", "mass_ratio"]
@@ -25,25 +25,8 @@ PARAMETERS: tuple[Parameter, ...] = ("frequency", "force", "clearance", "mass_ra
 KEPT = 200
 
 
-def pure_force(scene: Scene) -> Scene:
-    """Put the force itself on the driven body where the test holds the amplitude of the spring force.
-
-    A spring force that is a pure tone is what an ideal controller holds; table and coil spring then have no
-    influence on the structure and drop out.
-    """
-    if (
-        scene.shaker is None
-        or isinstance(scene.shaker, ForceShaker)
-        or getattr(scene.test, "force", None) is None
-    ):
-        return scene
-    kept = [c for c in scene.channels or () if c.at != "table"]
-    shaker = {"kind": "force", "body": scene.shaker.body}
-    return scene.replace(shaker=shaker, channels=kept or None)
-
-
 @dataclass(frozen=True)
-class Setting:
+class OperatingPoint:
     """Values of what can be followed.
 
     Attributes
@@ -80,7 +63,7 @@ class _Linear(NamedTuple):
     inverse_change: Array
 
 
-class Problem:
+class OrbitProblem:
     """A scene's equations for any setting, with tables of the configurations visited.
 
     Parameters
@@ -95,13 +78,13 @@ class Problem:
     """
 
     def __init__(self, scene: Scene) -> None:
-        self.scene = pure_force(scene)
+        self.scene = with_ideal_force(scene)
         self.system = assemble(self.scene)
         self.level = level_of(self.scene)
         self._position = self.system.damper_coordinate.astype(np.int64)
         self._linear: dict[tuple[tuple[int, ...], float], _Linear] = {}
 
-    def changed(self, setting: Setting) -> System:
+    def changed(self, setting: OperatingPoint) -> HybridSystem:
         """Return the compiled scene with the setting's clearance and mass ratio."""
         system = self.system
         if not np.isnan(setting.clearance):
@@ -110,7 +93,7 @@ class Problem:
             system = replace(system, damper_mass=setting.mass_ratio * system.damper_mass)
         return system
 
-    def amplitudes(self, setting: Setting) -> NDArray[np.complex128]:
+    def amplitudes(self, setting: OperatingPoint) -> NDArray[np.complex128]:
         """Complex amplitude of each input; the level is that of a sine that starts at zero."""
         found = np.zeros(len(self.system.inputs), dtype=np.complex128)
         gain = drive_per_level(self.scene, self.system, 2 * np.pi * setting.frequency)
@@ -118,7 +101,7 @@ class Problem:
         return found
 
     def equations(
-        self, setting: Setting, plan: Plan, parameter: Parameter = "frequency"
+        self, setting: OperatingPoint, plan: Plan, parameter: Parameter = "frequency"
     ) -> tuple[Equations, Change]:
         """Equations of motion in the configurations of a plan, and how they change with a parameter."""
         system, ratio = self.system, setting.mass_ratio
@@ -165,7 +148,7 @@ class Problem:
             period=-period / setting.frequency if parameter == "frequency" else 0.0,
         )
 
-    def _drive_change(self, setting: Setting, parameter: Parameter, drive: Array) -> Array | None:
+    def _drive_change(self, setting: OperatingPoint, parameter: Parameter, drive: Array) -> Array | None:
         """Differentiate the drive's amplitudes (cosine, sine); None if the parameter leaves them alone."""
         if parameter == "force":
             return np.asarray(drive / setting.force)
@@ -217,11 +200,11 @@ class Problem:
         parts = (matrix, inflow, inverse, rate, matrix_change, inflow_change, inverse_change)
         return _Linear(*(part[None] for part in parts))
 
-    def setting(self, frequency: float) -> Setting:
+    def setting(self, frequency: float) -> OperatingPoint:
         """Return the scene's own setting at a frequency."""
-        return Setting(frequency, self.level)
+        return OperatingPoint(frequency, self.level)
 
 
-def vary(setting: Setting, parameter: Parameter) -> Callable[[float], Setting]:
+def vary(setting: OperatingPoint, parameter: Parameter) -> Callable[[float], OperatingPoint]:
     """Return the setting as a function of one parameter."""
     return lambda value: replace(setting, **{parameter: value})

@@ -14,11 +14,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from rig.engine.propagator import March
+from rig.engine.propagator import Propagator
 from rig.errors import RunError, SceneError
 from rig.orbits.orbit import Following, Orbit
 from rig.orbits.periodic_orbit import enter, period_steps, search, start_march
-from rig.orbits.problem import PARAMETERS, Parameter, Problem, Setting, vary
+from rig.orbits.problem import PARAMETERS, OperatingPoint, OrbitProblem, Parameter, vary
 from rig.orbits.shooting import correct, distance
 from rig.response.motion_type import motion_types, overall
 from rig.response.steady_state import MARKS, one_cycle
@@ -128,14 +128,14 @@ def orbit_response(
         raise SceneError(f"values of the {parameter}: expected a list of positive, finite numbers")
     if parameter != "frequency" and frequency is None:
         raise SceneError(f"following the {parameter} needs a frequency")
-    problem = Problem(scene)
+    problem = OrbitProblem(scene)
     base = problem.setting(float(asked[0]) if frequency is None else frequency)
     return sweep(problem, base, parameter, asked, progress)
 
 
 def sweep(
-    problem: Problem,
-    base: Setting,
+    problem: OrbitProblem,
+    base: OperatingPoint,
     parameter: Parameter,
     values: Array,
     progress: Callable[[int, int], None] | None = None,
@@ -198,7 +198,7 @@ def _hermite(at: Array, values: Array, slopes: Array, x: float) -> Array:
 class _Follower:
     """Follows the steady motion from value to value."""
 
-    def __init__(self, problem: Problem, base: Setting, parameter: Parameter) -> None:
+    def __init__(self, problem: OrbitProblem, base: OperatingPoint, parameter: Parameter) -> None:
         self.problem, self.parameter = problem, parameter
         self.at = vary(base, parameter)
         self.following: Following | None = None
@@ -255,19 +255,19 @@ class _Follower:
     def _settled(self, value: float) -> _Point:
         """Run the motion on from where it was until an orbit takes over, else average it."""
         setting = self.at(value)
-        march, _ = start_march(self.problem, setting)
+        propagator, _ = start_march(self.problem, setting)
         if self.known:
-            enter(march, self.known[-1].orbit)
+            enter(propagator, self.known[-1].orbit)
         elif self.snapshot is not None:
-            march.resume(self.snapshot)
+            propagator.resume(self.snapshot)
         try:
-            orbit = search(self.problem, setting, march, LONGEST)
+            orbit = search(self.problem, setting, propagator, LONGEST)
             reason = "" if orbit.stable and not orbit.flaw else "the orbit found here is not stable"
         except RunError as failure:
             reason = str(failure)
         if reason:
-            self.known, self.snapshot = [], march.snapshot()
-            return _averaged(self.problem, setting, march, reason)
+            self.known, self.snapshot = [], propagator.snapshot()
+            return _averaged(self.problem, setting, propagator, reason)
         self.following = following = Following(
             self.problem, orbit.plan, setting, self.parameter, orbit.unknowns
         )
@@ -283,11 +283,11 @@ def _of_orbit(orbit: Orbit) -> _Point:
     return _Point(orbit.compliance, orbit.peak, orbit.damper_motion, orbit, "")
 
 
-def _averaged(problem: Problem, setting: Setting, march: March, reason: str) -> _Point:
+def _averaged(problem: OrbitProblem, setting: OperatingPoint, propagator: Propagator, reason: str) -> _Point:
     """Mean response of an irregular motion."""
     bodies = problem.scene.structure.bodies
-    steps = period_steps(march, setting)
-    course, begins = one_cycle(march, steps, 1.0, AVERAGED)
+    steps = period_steps(propagator, setting)
+    trajectory, begins = one_cycle(propagator, steps, 1.0, AVERAGED)
     # The mean over evenly spaced instants: kinks of the velocity leave an error of some 1e-5 of the motion.
     turns = np.exp(-2j * np.pi * np.arange(len(begins)) / MARKS)
     harmonic = 2 / len(begins) * (turns @ begins)
@@ -298,8 +298,8 @@ def _averaged(problem: Problem, setting: Setting, march: March, reason: str) -> 
         force = complex(row @ harmonic[: problem.system.states])
     return _Point(
         compliance=harmonic[:bodies] / force,
-        peak=0.5 * np.ptp(course.state[:, :bodies], axis=0),
-        damper_motion=tuple(motion_types(course, problem.system.dampers, 0)),
+        peak=0.5 * np.ptp(trajectory.state[:, :bodies], axis=0),
+        damper_motion=tuple(motion_types(trajectory, problem.system.dampers, 0)),
         orbit=None,
         reason=reason,
     )

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rig.engine.propagator import March, tone_march
+from rig.engine.propagator import Propagator, tone_propagator
 from rig.engine.trajectory import Array
 from rig.errors import RunError, SceneError
 from rig.response.motion_type import motion_types, overall
@@ -18,7 +18,7 @@ from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
 from rig.simulation.energy import fourier
 from rig.system.assembly import assemble, spring_force_row
-from rig.system.hybrid_system import System
+from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import level_of, tone_drive
 
 #: The spring force is held to this, relative.
@@ -237,17 +237,17 @@ class Follower:
         """Steady motion at one frequency, from the motion at another or from rest."""
         tone = tone_drive(self.scene, self.system, frequency)
         assert tone is not None
-        march, steps = tone_march(self.system, tone.amplitudes, tone.omega)
+        propagator, steps = tone_propagator(self.system, tone.amplitudes, tone.omega)
         if last is None:
-            march.place(tone.state, np.array([1.0, 0.0]))
+            propagator.place(tone.state, np.array([1.0, 0.0]))
         else:
-            march.resume(last.end)
+            propagator.resume(last.end)
         if not self.holds_spring_force:
-            return self._measured(march, steps, tone.omega, frequency, 1.0, self.tolerance)
-        return self._held(march, steps, tone.omega, frequency, last)
+            return self._measured(propagator, steps, tone.omega, frequency, 1.0, self.tolerance)
+        return self._held(propagator, steps, tone.omega, frequency, last)
 
     def _held(
-        self, march: March, steps: float, omega: float, frequency: float, last: SteadyPoint | None
+        self, propagator: Propagator, steps: float, omega: float, frequency: float, last: SteadyPoint | None
     ) -> SteadyPoint:
         """Level at which the spring force has the amplitude asked for: a secant in the logarithms."""
         wanted = level_of(self.scene)
@@ -257,7 +257,7 @@ class Follower:
         for _ in range(LEVEL_TRIALS):
             error = abs(tried[-1][1]) if tried else 1.0
             tolerance = max(self.tolerance, min(1e-4, 1e-2 * error))
-            point = self._measured(march, steps, omega, frequency, level, tolerance)
+            point = self._measured(propagator, steps, omega, frequency, level, tolerance)
             miss = float(np.log(point.force / wanted)) if point.force > 0.0 else -1.0
             tried.append((float(np.log(level)), miss))
             if abs(miss) < LEVEL_TOLERANCE and tolerance <= self.tolerance * 1.001:
@@ -268,23 +268,31 @@ class Follower:
         return point if on_level else replace(point, steady=replace(point.steady, converged=False))
 
     def _measured(
-        self, march: March, steps: float, omega: float, frequency: float, level: float, tolerance: float
+        self,
+        propagator: Propagator,
+        steps: float,
+        omega: float,
+        frequency: float,
+        level: float,
+        tolerance: float,
     ) -> SteadyPoint:
         system, n = self.system, self.system.coordinates
-        march.start_period(level)
-        steady = settle(march, steps, level, tolerance, self.longest)
+        propagator.start_period(level)
+        steady = settle(propagator, steps, level, tolerance, self.longest)
         repetition = steady.repetition or 16
-        course, begins = one_cycle(march, steps, level, repetition)
-        end = march.snapshot()
-        durations = np.full(len(begins), steps / MARKS * march.tables.step)
-        harmonic = fourier(march.tables, course, begins, durations, omega) / (np.pi * repetition / omega)
-        positions = course.state[:, :n]
+        trajectory, begins = one_cycle(propagator, steps, level, repetition)
+        end = propagator.snapshot()
+        durations = np.full(len(begins), steps / MARKS * propagator.tables.step)
+        harmonic = fourier(propagator.tables, trajectory, begins, durations, omega) / (
+            np.pi * repetition / omega
+        )
+        positions = trajectory.state[:, :n]
         if isinstance(self.scene.shaker, ForceShaker):
             force = -1j * level_of(self.scene) * level
         else:
             force = complex(spring_force_row(self.scene, system) @ harmonic[: system.states])
-        types = motion_types(course, system.dampers, steady.repetition)
-        struck = course.event_damper[course.event_kind > 0]
+        types = motion_types(trajectory, system.dampers, steady.repetition)
+        struck = trajectory.event_damper[trajectory.event_kind > 0]
         bodies = self.scene.structure.bodies
         return SteadyPoint(
             frequency=frequency,
@@ -311,7 +319,7 @@ def _next_level(tried: list[tuple[float, float]]) -> float:
     return last + float(np.clip(step, -np.log(2.0), np.log(2.0)))
 
 
-def _response(points: list[SteadyPoint], system: System) -> Response:
+def _response(points: list[SteadyPoint], system: HybridSystem) -> Response:
     types = [point.types for point in points]
     return Response(
         frequency=np.array([p.frequency for p in points]),

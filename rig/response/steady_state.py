@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.engine.contact import FLIGHT
-from rig.engine.propagator import March
-from rig.engine.trajectory import Array, Course
+from rig.engine.propagator import Propagator
+from rig.engine.trajectory import Array, Trajectory
 
 #: Longest repetition looked for, in periods of the drive.
 LONGEST_REPETITION = 8
@@ -50,12 +50,12 @@ class Steady:
     periods: int
 
 
-def settle(march: March, steps: float, level: float, tolerance: float, longest: int) -> Steady:
+def settle(propagator: Propagator, steps: float, level: float, tolerance: float, longest: int) -> Steady:
     """Follow the motion from the start of a period until it is steady.
 
     Parameters
     ----------
-    march : March
+    march : Propagator
         At the start of a period.
     steps : float
         Step lengths in a period.
@@ -72,11 +72,11 @@ def settle(march: March, steps: float, level: float, tolerance: float, longest: 
         skipped = min(done // 4, MOST_SKIPPED)
         count = skipped + LOOK
         rows = np.arange(count) - skipped
-        course = march.over_marks(
+        trajectory = propagator.through_marks(
             np.full(count, steps), np.maximum(rows, -1), np.ones(count, dtype=bool), level
         )
         done += count
-        changes, left = _distances(march, course)
+        changes, left = _distances(propagator, trajectory)
         steady = np.flatnonzero(left < tolerance)
         # A motion that has nearly settled to a shorter repetition passes for a longer one first.
         settling = np.flatnonzero(changes < SETTLING * tolerance)
@@ -86,13 +86,13 @@ def settle(march: March, steps: float, level: float, tolerance: float, longest: 
             return Steady(False, 0, float(changes.min()), done)
 
 
-def _distances(march: March, course: Course) -> tuple[Array, Array]:
+def _distances(propagator: Propagator, trajectory: Trajectory) -> tuple[Array, Array]:
     """Change over 1, 2, ... periods, and estimated distance from a motion that repeats so, relative to the motion."""
-    vectors = _vectors(march, course)
+    vectors = _vectors(propagator, trajectory)
     scale = max(float(np.abs(vectors).max()), 1e-300)
     present, left = [], []
     for p in range(1, LONGEST_REPETITION + 1):
-        if not np.array_equal(course.mode[-1], course.mode[-1 - p]):
+        if not np.array_equal(trajectory.mode[-1], trajectory.mode[-1 - p]):
             present.append(np.inf)
             left.append(np.inf)
             continue
@@ -112,33 +112,35 @@ def _distances(march: March, course: Course) -> tuple[Array, Array]:
     return np.array(present), np.array(left)
 
 
-def _vectors(march: March, course: Course) -> Array:
+def _vectors(propagator: Propagator, trajectory: Trajectory) -> Array:
     """States at the starts of periods in comparable units: metres, velocities over the fastest rate."""
-    system = march.system
+    system = propagator.system
     n, ns = system.coordinates, system.states
-    parts = course.state[:, :ns].copy()
-    parts[:, n : 2 * n] *= march.tables.step
+    parts = trajectory.state[:, :ns].copy()
+    parts[:, n : 2 * n] *= propagator.tables.step
     if ns > 2 * n:
         # The coil's current, as the armature's motion that its force makes over a step.
         force = np.abs(system.force_state[:, 2 * n :]).max(axis=0) / np.diag(system.mass).min()
-        parts[:, 2 * n :] *= force * march.tables.step**2
-    flying = course.mode == FLIGHT
-    heights = np.where(flying, course.height, 0.0)
+        parts[:, 2 * n :] *= force * propagator.tables.step**2
+    flying = trajectory.mode == FLIGHT
+    heights = np.where(flying, trajectory.height, 0.0)
     return np.hstack([parts, heights])
 
 
-def one_cycle(march: March, steps: float, level: float, repetition: int) -> tuple[Course, Array]:
+def one_cycle(
+    propagator: Propagator, steps: float, level: float, repetition: int
+) -> tuple[Trajectory, Array]:
     """Follow one repetition of a steady motion with its states kept at `MARKS` instants of every period.
 
     Returns
     -------
-    course : Course
+    course : Trajectory
     begins : float64 (segments, size)
         States at which the segments begin.
     """
     count = MARKS * repetition
     anew = np.zeros(count, dtype=bool)
     anew[::MARKS] = True
-    first = march.state.z.copy()
-    course = march.over_marks(np.full(count, steps / MARKS), np.arange(count), anew, level)
-    return course, np.concatenate([first[None], course.state[:-1]])
+    first = propagator.state.z.copy()
+    trajectory = propagator.through_marks(np.full(count, steps / MARKS), np.arange(count), anew, level)
+    return trajectory, np.concatenate([first[None], trajectory.state[:-1]])

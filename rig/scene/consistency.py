@@ -13,7 +13,7 @@ from rig.scene.shaker import ForceShaker
 if TYPE_CHECKING:
     from rig.scene.damper import Damper
     from rig.scene.excitation import Test
-    from rig.scene.recording import Recording
+    from rig.scene.recording import RecordingSettings
     from rig.scene.shaker import Shaker
 
 
@@ -24,7 +24,7 @@ def mistakes_between(
     test: Test | None,
     channels: Sequence[Channel | None] | None,
     converter: Converter | None,
-    recording: Recording | None,
+    recording: RecordingSettings | None,
     given: frozenset[str] = frozenset(),
 ) -> list[Mistake]:
     """List the mistakes between parts.
@@ -151,7 +151,7 @@ def _at_shaker(
 def _sampling(
     channels: Sequence[Channel | None] | None,
     converter: Converter | None,
-    recording: Recording | None,
+    recording: RecordingSettings | None,
     given: frozenset[str],
 ) -> Iterable[Mistake]:
     if converter is None:

@@ -15,7 +15,7 @@ from rig.scene.quantities import FREQUENCY, parse
 
 
 @dataclass(frozen=True)
-class Part:
+class DataSheet:
     """A part's data sheet.
 
     Attributes
@@ -65,7 +65,7 @@ class Part:
 
 
 @cache
-def parts() -> dict[str, Part]:
+def parts() -> dict[str, DataSheet]:
     """List the parts there are, by name.
 
     >>> sorted(parts())
@@ -77,7 +77,7 @@ def parts() -> dict[str, Part]:
             continue
         sheet = yaml.safe_load(file.read_text(encoding="utf-8"))
         clock = sheet.get("clock", {})
-        found[sheet["part"]] = Part(
+        found[sheet["part"]] = DataSheet(
             sheet["part"],
             sheet["kind"],
             tuple(sheet["sources"]),
@@ -88,7 +88,7 @@ def parts() -> dict[str, Part]:
     return found
 
 
-def part(name: str, kind: str) -> Part:
+def part(name: str, kind: str) -> DataSheet:
     """Find a part; capitals, spaces and hyphens do not matter.
 
     Raises

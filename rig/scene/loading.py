@@ -188,15 +188,20 @@ def _valid(key: str, value: Any, folder: Path | None) -> Any:
 
 @cache
 def _adapter(key: str) -> TypeAdapter[Any]:
-    from rig.scene import scene as settings
+    from rig.scene.damper import Damper
+    from rig.scene.excitation import Test
+    from rig.scene.measurement_chain import Channel, Converter
+    from rig.scene.recording import RecordingSettings
+    from rig.scene.shaker import Shaker
+    from rig.scene.structure import Structure
 
     types: dict[str, Any] = {
-        "structure": settings.Structure,
-        "dampers[]": settings.Damper,
-        "shaker": settings.Shaker,
-        "test": settings.Test,
-        "channels[]": settings.Channel,
-        "converter": settings.Converter,
-        "recording": settings.Recording,
+        "structure": Structure,
+        "dampers[]": Damper,
+        "shaker": Shaker,
+        "test": Test,
+        "channels[]": Channel,
+        "converter": Converter,
+        "recording": RecordingSettings,
     }
     return TypeAdapter(types[key])

@@ -7,7 +7,7 @@ from typing import Literal
 from rig.scene.settings import Settings
 
 
-class Recording(Settings):
+class RecordingSettings(Settings):
     """What goes into the recording besides the channels.
 
     Attributes

@@ -19,7 +19,7 @@ from rig.scene.quantities import (
     Kind,
 )
 from rig.scene.quantity_field import Quantity
-from rig.scene.recording import Recording
+from rig.scene.recording import RecordingSettings
 from rig.scene.settings import Mistake, Place, Settings, at
 from rig.scene.shaker import Shaker
 from rig.scene.structure import Structure
@@ -50,7 +50,7 @@ class Scene(Settings):
     test: Test | None = None
     channels: tuple[Channel, ...] | None = Field(None, min_length=1)
     converter: Converter = Converter()
-    recording: Recording = Recording()
+    recording: RecordingSettings = RecordingSettings()
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
 
     @classmethod

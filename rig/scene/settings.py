@@ -1,7 +1,7 @@
 """The common ground of a scene's settings: frozen models that report all their mistakes together.
 
 A mistake carries its place (a tuple of keys and 0-based positions) and, in one sentence, the value found and
-what was expected. `rig.scene_file` turns the place into a line of the file.
+what was expected. `rig.scene.loading` turns the place into a line of the file.
 """
 
 from __future__ import annotations

@@ -16,11 +16,11 @@ from scipy.sparse import csr_array
 
 from rig.engine.contact import CEILING, FLIGHT
 from rig.engine.flow import FlowTables
-from rig.engine.trajectory import Course
+from rig.engine.trajectory import Trajectory
 from rig.numerics.bernstein import LENGTH
 from rig.scene.scene import Scene
 from rig.scene.shaker import ElectrodynamicShaker, TableShaker
-from rig.system.hybrid_system import System
+from rig.system.hybrid_system import HybridSystem
 
 Array = NDArray[np.float64]
 
@@ -66,13 +66,13 @@ class Forms:
     power: Array
 
 
-def forms(scene: Scene, system: System, output: Array) -> Forms:
+def forms(scene: Scene, system: HybridSystem, output: Array) -> Forms:
     """Give stored energy, dissipation and power of the drive as quadratic forms.
 
     Parameters
     ----------
     scene : Scene
-    system : System
+    system : HybridSystem
     output : float64 (inputs, drive states)
         u = output p.
     """
@@ -128,7 +128,13 @@ class Ends:
 
 
 def ledger(
-    scene: Scene, tables: FlowTables, start: Ends, end: Ends, course: Course, begins: Array, durations: Array
+    scene: Scene,
+    tables: FlowTables,
+    start: Ends,
+    end: Ends,
+    trajectory: Trajectory,
+    begins: Array,
+    durations: Array,
 ) -> Energy:
     """Add up the energy of a course of motion.
 
@@ -138,7 +144,7 @@ def ledger(
         The scene and the flow it ran on.
     start, end : Ends
         The whole state before and after.
-    course : Course
+    course : Trajectory
         What happened.
     begins : float64 (segments, size)
         States at which the segments begin.
@@ -146,25 +152,25 @@ def ledger(
         Lengths of the segments, s.
     """
     quadratic = forms(scene, tables.system, tables.drive.output)
-    states, slots, lengths, _ = _stretches(tables, course, begins, durations)
+    states, slots, lengths, _ = _stretches(tables, trajectory, begins, durations)
     work, dissipated = _integrals(tables, quadratic, states, slots, lengths)
     return Energy(
         work=work,
         stored=_stored(tables, quadratic, end),
         stored_before=_stored(tables, quadratic, start),
         dissipated=dissipated,
-        impacts=_impact_losses(tables.system, course),
+        impacts=_impact_losses(tables.system, trajectory),
     )
 
 
 def fourier(
-    tables: FlowTables, course: Course, begins: Array, durations: Array, omega: float
+    tables: FlowTables, trajectory: Trajectory, begins: Array, durations: Array, omega: float
 ) -> NDArray[np.complex128]:
     """Integral of z(t) e^{-i omega t} over a course whose segments are no longer than a step, shape (size,).
 
     Kinks at impacts are between the stretches, so that quadrature keeps its full order.
     """
-    states, slots, lengths, starts = _stretches(tables, course, begins, durations)
+    states, slots, lengths, starts = _stretches(tables, trajectory, begins, durations)
     total = np.zeros(tables.size, dtype=np.complex128)
     part = lengths / tables.step
     for slot in np.unique(slots):
@@ -177,19 +183,19 @@ def fourier(
 
 
 def _stretches(
-    tables: FlowTables, course: Course, begins: Array, durations: Array
+    tables: FlowTables, trajectory: Trajectory, begins: Array, durations: Array
 ) -> tuple[Array, NDArray[np.int64], Array, Array]:
     """Start states, slots, lengths and start times of the stretches between segment ends and breaks."""
     size = tables.size
     segments = len(durations)
-    segment = np.concatenate([np.arange(segments), course.break_segment])
-    offset = np.concatenate([np.zeros(segments), course.break_offset])
-    states = np.concatenate([begins[:, :size], course.after[:, :size]])
+    segment = np.concatenate([np.arange(segments), trajectory.break_segment])
+    offset = np.concatenate([np.zeros(segments), trajectory.break_offset])
+    states = np.concatenate([begins[:, :size], trajectory.after[:, :size]])
     # Breaks keep their order: several may fall on one instant.
     order = np.lexsort((np.arange(len(segment)), offset, segment))
     segment, offset = segment[order], offset[order]
-    first_slot = course.before_slot[0] if len(course.before_slot) else course.slot[0]
-    known = np.concatenate([np.full(segments, -1), course.after_slot])[order]
+    first_slot = trajectory.before_slot[0] if len(trajectory.before_slot) else trajectory.slot[0]
+    known = np.concatenate([np.full(segments, -1), trajectory.after_slot])[order]
     known[0] = first_slot if known[0] < 0 else known[0]
     slots = known[np.maximum.accumulate(np.where(known >= 0, np.arange(len(known)), 0))]
     following = np.append(offset[1:], 0.0)
@@ -258,13 +264,13 @@ def _stored(tables: FlowTables, quadratic: Forms, ends: Ends) -> float:
     return energy + float(system.damper_mass @ (system.gravity * height + 0.5 * speed**2))
 
 
-def _impact_losses(system: System, course: Course) -> float:
+def _impact_losses(system: HybridSystem, trajectory: Trajectory) -> float:
     """Kinetic energy that vanished at the breaks, J."""
     n = system.coordinates
     loss = 0.0
     for sign, states, own in (
-        (1.0, course.before, course.speed_before),
-        (-1.0, course.after, course.speed_after),
+        (1.0, trajectory.before, trajectory.speed_before),
+        (-1.0, trajectory.after, trajectory.speed_after),
     ):
         velocity = states[:, n : 2 * n]
         loss += sign * 0.5 * float(np.einsum("bi,ij,bj->", velocity, system.mass, velocity))

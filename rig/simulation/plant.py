@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rig.engine.propagator import Seen, sampled_march
-from rig.engine.trajectory import Array, Course, event_table
+from rig.engine.propagator import MotionSamples, sampled_propagator
+from rig.engine.trajectory import Array, Trajectory, event_table
 from rig.errors import RunError, SceneError
 from rig.scene.scene import Scene
 from rig.simulation.motion import Motion
@@ -43,7 +43,7 @@ class Plant:
             self.system.drive_units,
             self.system.points,
         )
-        self._march, self._steps = sampled_march(self.system, 1.0 / self.rate)
+        self._propagator, self._steps = sampled_propagator(self.system, 1.0 / self.rate)
         self._limit = _drive_limits(scene, self.inputs)
         self._next = 0
         self._last = np.zeros((len(self.inputs), 1))
@@ -51,7 +51,7 @@ class Plant:
     @property
     def ambiguous(self) -> int:
         """Number of contact decisions so far that lay within rounding (they count as no contact)."""
-        return self._march.ambiguous
+        return self._propagator.ambiguous
 
     def advance(self, drive: ArrayLike) -> Motion:
         """Drive the rig on.
@@ -73,21 +73,21 @@ class Plant:
         """
         block = self._checked(drive)
         first, samples = self._next, block.shape[1]
-        seen = self._march.sight(samples)
+        seen = self._propagator.motion_samples(samples)
         lifted = np.zeros(0, dtype=np.int64)
         lead = 0
         if first == 0 and samples:
             lead = 1
             self._last = block[:, :1].copy()
-            lifted = self._march.place(
+            lifted = self._propagator.place(
                 self.system.initial, np.concatenate([block[:, 0], np.zeros(len(self.inputs))])
             )
-            self._march.see(seen, 0)
+            self._propagator.sample_present(seen, 0)
         drive_in = np.concatenate([self._last, block[:, lead:]], axis=1)
-        course = self._march.watch_samples(drive_in, self._steps, seen, lead)
+        trajectory = self._propagator.sample_motion(drive_in, self._steps, seen, lead)
         self._last = drive_in[:, -1:].copy()
         self._next += samples
-        return self._motion(seen, course, first + lead, first, lifted)
+        return self._motion(seen, trajectory, first + lead, first, lifted)
 
     def _checked(self, drive: ArrayLike) -> Array:
         block = np.asarray(drive, dtype=np.float64)
@@ -105,15 +105,22 @@ class Plant:
         return np.clip(block, -self._limit, self._limit) if np.isfinite(self._limit).any() else block
 
     def _motion(
-        self, seen: Seen, course: Course, first_end: int, first: int, lifted: NDArray[np.int64]
+        self,
+        seen: MotionSamples,
+        trajectory: Trajectory,
+        first_end: int,
+        first: int,
+        lifted: NDArray[np.int64],
     ) -> Motion:
         """Put a block together; segment s of the course ends at sample `first_end` + s."""
         system, n = self.system, self.system.coordinates
         interval = 1.0 / self.rate
-        displacement, velocity, acceleration, gap = self._march.parts(seen)
-        before, after = course.before, course.after
-        times = (first_end + course.event_segment - 1) * interval + course.event_offset
-        events = event_table(times, course.event_damper, course.event_kind, course.event_speed, system)
+        displacement, velocity, acceleration, gap = self._propagator.parts(seen)
+        before, after = trajectory.before, trajectory.after
+        times = (first_end + trajectory.event_segment - 1) * interval + trajectory.event_offset
+        events = event_table(
+            times, trajectory.event_damper, trajectory.event_kind, trajectory.event_speed, system
+        )
         if len(lifted):
             at_once = np.zeros(len(lifted))
             early = event_table(at_once, lifted, at_once.astype(np.int64), at_once, system)
@@ -125,12 +132,13 @@ class Plant:
             acceleration=acceleration,
             gap=gap,
             contact=seen.contact,
-            break_sample=first_end + course.break_segment,
-            break_offset=np.minimum(course.break_offset, interval),
+            break_sample=first_end + trajectory.break_segment,
+            break_offset=np.minimum(trajectory.break_offset, interval),
             break_displacement=np.ascontiguousarray(before[:, :n].T),
             break_velocity=np.array([before[:, n : 2 * n].T, after[:, n : 2 * n].T]),
-            break_acceleration=self._march.accelerations(
-                np.concatenate([before, after]), np.concatenate([course.before_slot, course.after_slot])
+            break_acceleration=self._propagator.accelerations(
+                np.concatenate([before, after]),
+                np.concatenate([trajectory.before_slot, trajectory.after_slot]),
             )
             .reshape(n, 2, len(before))
             .transpose(1, 0, 2),

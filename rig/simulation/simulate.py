@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rig.engine.propagator import March, sampled_march, tone_march
-from rig.engine.trajectory import EVENT, Array, Course, event_table, gaps_and_contacts
+from rig.engine.propagator import Propagator, sampled_propagator, tone_propagator
+from rig.engine.trajectory import EVENT, Array, Trajectory, event_table, gaps_and_contacts
 from rig.errors import SceneError
 from rig.scene.scene import Scene
 from rig.simulation.energy import Ends, Energy, ledger
 from rig.system.assembly import assemble
-from rig.system.hybrid_system import System
+from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import ToneDrive, sampled_drive, tone_drive
 
 #: Samples in a period from which on steps are made to end at samples rather than at periods.
@@ -125,7 +125,7 @@ def simulate(
     return _sampled_run(scene, system, sampled_drive(scene, system, samples, rate), rate)
 
 
-def _checked_drive(drive: ArrayLike, system: System) -> Array:
+def _checked_drive(drive: ArrayLike, system: HybridSystem) -> Array:
     block = np.asarray(drive, dtype=np.float64)
     if block.ndim != 2 or block.shape[0] != len(system.inputs) or block.shape[1] < 2:
         raise SceneError(
@@ -142,28 +142,28 @@ def _checked_drive(drive: ArrayLike, system: System) -> Array:
 
 def _tone_run(
     scene: Scene,
-    system: System,
+    system: HybridSystem,
     tone: ToneDrive,
     duration: float,
     samples: int,
     rate: float,
 ) -> Run:
     is_dense = rate > DENSE * tone.frequency
-    march, steps = tone_march(system, tone.amplitudes, tone.omega, 1.0 / rate if is_dense else None)
-    lifted = march.place(tone.state, np.array([1.0, 0.0]))
+    propagator, steps = tone_propagator(system, tone.amplitudes, tone.omega, 1.0 / rate if is_dense else None)
+    lifted = propagator.place(tone.state, np.array([1.0, 0.0]))
     times, is_sample, new_period = _marks(duration, samples, rate, tone.frequency)
-    start = _whole(march)
-    first = march.standing()
+    start = _whole(propagator)
+    first = propagator.present()
     durations = np.diff(times).astype(np.float64)
-    lengths = durations / march.tables.step
+    lengths = durations / propagator.tables.step
     if is_dense:
         lengths[is_sample[:-1] & is_sample[1:]] = steps
-    course = march.over_marks(lengths, np.arange(len(durations)), new_period[:-1])
+    trajectory = propagator.through_marks(lengths, np.arange(len(durations)), new_period[:-1])
     starts = times[:-1].astype(np.float64)
-    begins = np.concatenate([first.state, course.state[:-1]])
-    books = (scene, march.tables, start, _whole(march), course, begins, durations)
+    begins = np.concatenate([first.state, trajectory.state[:-1]])
+    books = (scene, propagator.tables, start, _whole(propagator), trajectory, begins, durations)
     keep = np.flatnonzero(is_sample[1:])
-    return _run(scene, system, march, rate, samples, first, course, keep, starts, lifted, books)
+    return _run(scene, system, propagator, rate, samples, first, trajectory, keep, starts, lifted, books)
 
 
 def _marks(
@@ -182,37 +182,47 @@ def _marks(
     return times, is_sample, new_period
 
 
-def _sampled_run(scene: Scene, system: System, drive: Array, rate: float) -> Run:
-    march, steps = sampled_march(system, 1.0 / rate)
-    lifted = march.place(system.initial, np.concatenate([drive[:, 0], np.zeros(len(system.inputs))]))
-    start = _whole(march)
-    first = march.standing()
-    course = march.over_samples(drive, steps)
+def _sampled_run(scene: Scene, system: HybridSystem, drive: Array, rate: float) -> Run:
+    propagator, steps = sampled_propagator(system, 1.0 / rate)
+    lifted = propagator.place(system.initial, np.concatenate([drive[:, 0], np.zeros(len(system.inputs))]))
+    start = _whole(propagator)
+    first = propagator.present()
+    trajectory = propagator.through_samples(drive, steps)
     intervals = drive.shape[1] - 1
-    begins = np.concatenate([first.state, course.state[:-1]])
+    begins = np.concatenate([first.state, trajectory.state[:-1]])
     inputs, ns = len(system.inputs), system.states
     begins[:, ns + inputs : ns + 2 * inputs] = np.diff(drive, axis=1).T
     durations = np.full(intervals, 1.0 / rate)
     starts = np.arange(intervals) / rate
-    books = (scene, march.tables, start, _whole(march), course, begins, durations)
+    books = (scene, propagator.tables, start, _whole(propagator), trajectory, begins, durations)
     return _run(
-        scene, system, march, rate, drive.shape[1], first, course, np.arange(intervals), starts, lifted, books
+        scene,
+        system,
+        propagator,
+        rate,
+        drive.shape[1],
+        first,
+        trajectory,
+        np.arange(intervals),
+        starts,
+        lifted,
+        books,
     )
 
 
-def _whole(march: March) -> Ends:
-    state = march.state
+def _whole(propagator: Propagator) -> Ends:
+    state = propagator.state
     return Ends(state.z.copy(), state.height.copy(), state.speed.copy(), state.mode.copy())
 
 
 def _run(
     scene: Scene,
-    system: System,
-    march: March,
+    system: HybridSystem,
+    propagator: Propagator,
     rate: float,
     samples: int,
-    first: Course,
-    course: Course,
+    first: Trajectory,
+    trajectory: Trajectory,
     keep: NDArray[np.int64],
     starts: Array,
     lifted: NDArray[np.int64],
@@ -220,16 +230,16 @@ def _run(
 ) -> Run:
     """Put a run together from the initial state and a course of which only the rows `keep` are samples."""
     n = system.coordinates
-    states = np.concatenate([first.state, course.state[keep]])
-    slots = np.concatenate([first.slot, course.slot[keep]])
+    states = np.concatenate([first.state, trajectory.state[keep]])
+    slots = np.concatenate([first.slot, trajectory.slot[keep]])
     gap_before, contact_before = gaps_and_contacts(first, system)
-    gap, contact = gaps_and_contacts(course, system)
+    gap, contact = gaps_and_contacts(trajectory, system)
     zeros = np.zeros(len(lifted))
     events = event_table(
-        np.concatenate([zeros, starts[course.event_segment] + course.event_offset]),
-        np.concatenate([lifted, course.event_damper]),
-        np.concatenate([zeros.astype(np.int64), course.event_kind]),
-        np.concatenate([zeros, course.event_speed]),
+        np.concatenate([zeros, starts[trajectory.event_segment] + trajectory.event_offset]),
+        np.concatenate([lifted, trajectory.event_damper]),
+        np.concatenate([zeros.astype(np.int64), trajectory.event_kind]),
+        np.concatenate([zeros, trajectory.event_speed]),
         system,
     )
     return Run(
@@ -238,10 +248,10 @@ def _run(
         time=np.arange(samples) / rate,
         displacement=np.ascontiguousarray(states[:, :n].T),
         velocity=np.ascontiguousarray(states[:, n : 2 * n].T),
-        acceleration=march.accelerations(states, slots),
+        acceleration=propagator.accelerations(states, slots),
         gap=np.concatenate([gap_before, gap[:, keep]], axis=1),
         contact=np.concatenate([contact_before, contact[:, keep]], axis=1),
-        events=events.astype(np.dtype(EVENT.descr, metadata={"ambiguous": march.ambiguous})),
-        ambiguous=march.ambiguous,
+        events=events.astype(np.dtype(EVENT.descr, metadata={"ambiguous": propagator.ambiguous})),
+        ambiguous=propagator.ambiguous,
         _books=books,
     )

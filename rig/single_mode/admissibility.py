@@ -9,7 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.single_mode.periodic_motion import TURN, Motion, MotionType, Phase, Setting, State
+from rig.single_mode.periodic_motion import (
+    TURN,
+    ModeState,
+    MotionParameters,
+    MotionPhase,
+    MotionType,
+    PeriodicMotion,
+)
 
 Floats = NDArray[np.float64]
 
@@ -26,22 +33,24 @@ class Batch:
     kind : {'I', 'II', 'III'}
         Motion type.
     unknowns : ndarray, shape (4 + instants, solutions)
-    setting : Setting
+    setting : MotionParameters
         Fields of shape (solutions,).
     """
 
     kind: MotionType
     unknowns: Floats
-    setting: Setting
+    setting: MotionParameters
 
     @property
-    def motion(self) -> Motion:
+    def motion(self) -> PeriodicMotion:
         """The motions, evaluated together."""
-        return Motion(self.kind, self.unknowns, self.setting)
+        return PeriodicMotion(self.kind, self.unknowns, self.setting)
 
-    def take(self, which: NDArray[np.int64]) -> Motion:
+    def take(self, which: NDArray[np.int64]) -> PeriodicMotion:
         """Return the motions of some solutions (an index may come more than once)."""
-        return Motion(self.kind, self.unknowns[:, which], Setting(*(f[which] for f in self.setting)))
+        return PeriodicMotion(
+            self.kind, self.unknowns[:, which], MotionParameters(*(f[which] for f in self.setting))
+        )
 
 
 def _fractions(batch: Batch) -> Floats:
@@ -50,20 +59,20 @@ def _fractions(batch: Batch) -> Floats:
     return np.linspace(0.0, 1.0, 48 + int(24 * fastest))[:, None]
 
 
-Quantity = Callable[[Motion, Phase, Floats], tuple[Floats, Floats]]
+Quantity = Callable[[PeriodicMotion, MotionPhase, Floats], tuple[Floats, Floats]]
 
 
-def _gap(motion: Motion, phase: Phase, t: Floats) -> tuple[Floats, Floats]:
+def _gap(motion: PeriodicMotion, phase: MotionPhase, t: Floats) -> tuple[Floats, Floats]:
     state = motion.advance(phase, t)
     return state.y - state.q, state.v - state.u
 
 
-def _coordinate(motion: Motion, phase: Phase, t: Floats) -> tuple[Floats, Floats]:
+def _coordinate(motion: PeriodicMotion, phase: MotionPhase, t: Floats) -> tuple[Floats, Floats]:
     state = motion.advance(phase, t)
     return state.q, state.u
 
 
-def _contact(motion: Motion, phase: Phase, t: Floats) -> tuple[Floats, Floats]:
+def _contact(motion: PeriodicMotion, phase: MotionPhase, t: Floats) -> tuple[Floats, Floats]:
     """Contact force over mu, q'' + 1 (above 0 on the floor, below 0 at the ceiling), and its slope."""
     state = motion.advance(phase, t)
     return motion.acceleration(phase, t, state) + 1, motion.jerk(phase, t, state)
@@ -130,7 +139,7 @@ def flaws(batch: Batch) -> NDArray[np.str_]:
     return found
 
 
-def _slope_at_start(motion: Motion, index: int) -> Floats:
+def _slope_at_start(motion: PeriodicMotion, index: int) -> Floats:
     phase = motion.phases[index]
     return motion.jerk(phase, np.zeros_like(phase.length), phase.start)
 
@@ -185,7 +194,7 @@ def multipliers(batch: Batch) -> NDArray[np.complex128]:
     return np.asarray(np.linalg.eigvals(total).T, dtype=np.complex128)
 
 
-def _saltation(motion: Motion, before: Phase, end: State, after: Phase) -> Floats:
+def _saltation(motion: PeriodicMotion, before: MotionPhase, end: ModeState, after: MotionPhase) -> Floats:
     """Saltation matrix of the impact between two phases, (solutions, 2 if riding follows or 4, 4)."""
     mu = motion.setting.mass_ratio
     share, one, zero = mu / (1 + mu), np.ones_like(end.q), np.zeros_like(end.q)

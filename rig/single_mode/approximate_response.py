@@ -1,6 +1,7 @@
 """The paper's approximate method: all periodic motions of Types I, II and III of one mode, over frequency.
 
-At some frequencies every solution of each type is searched for (`rig.motion_search`). Each solution found is
+At some frequencies every solution of each type is searched for (`rig.single_mode.motion_search`). Each
+solution found is
 then followed over frequency, through folds, and the points of a branch are checked (possible between the
 events? stable?). Solutions that are impossible motions are followed too, for a branch may become possible
 further on; a branch that never does is left out.
@@ -19,7 +20,7 @@ from rig.numerics import continuation
 from rig.scene.scene import Scene
 from rig.single_mode.admissibility import Batch, first_harmonic, flaws, multipliers, peak_to_peak
 from rig.single_mode.motion_search import ENDS, order, solutions
-from rig.single_mode.periodic_motion import INSTANTS, TURN, MotionType, Setting, jacobian
+from rig.single_mode.periodic_motion import INSTANTS, TURN, MotionParameters, MotionType, jacobian
 from rig.single_mode.reduction import SingleMode, Weighting, single_mode
 
 Floats = NDArray[np.float64]
@@ -53,7 +54,7 @@ class Branch:
     flaw : ndarray of str, shape (points,)
         What makes the motion impossible; "" if nothing.
     unknowns : ndarray, shape (4 + instants, points)
-        q_0, q'_0, a, b and instants, dimensionless, as in `rig.periodic_motion`.
+        q_0, q'_0, a, b and instants, dimensionless, as in `rig.single_mode.periodic_motion`.
     ends : tuple of str
         Why the curve ends before its first and after its last point.
     folds : ndarray, shape (folds,)
@@ -127,7 +128,7 @@ def approximate_response(
     force : float, optional
         Force amplitude [N]; by default the scene's test gives it.
     weighting : {'printed', 'energy'}
-        How damper masses are weighted, see `rig.single_mode`.
+        How damper masses are weighted, see `rig.single_mode.reduction`.
     at : int, optional
         Body at which the mode shape is 1; by default the one that moves most.
 
@@ -178,9 +179,9 @@ def follow_mode(mode: SingleMode, band: tuple[float, float], searches: int = 13)
     return Approximation(mode, tuple(branches), riding, tuple(failures))
 
 
-def dimensionless(mode: SingleMode, ratio: float | Floats) -> Setting:
+def dimensionless(mode: SingleMode, ratio: float | Floats) -> MotionParameters:
     """Parameters of the dimensionless equations at a ratio of driving to natural frequency."""
-    return Setting(
+    return MotionParameters(
         ratio=ratio,
         damping=mode.damping_ratio,
         mass_ratio=mode.mass_ratio,
@@ -209,7 +210,9 @@ def _short_stays(mode: SingleMode, curves: list[continuation.Curve]) -> list[Flo
     found = []
     for curve in curves:
         points = curve.points.T
-        setting = Setting(*(np.broadcast_to(f, points.shape[1:]) for f in dimensionless(mode, points[-1])))
+        setting = MotionParameters(
+            *(np.broadcast_to(f, points.shape[1:]) for f in dimensionless(mode, points[-1]))
+        )
         stays = flaws(Batch("II", points[:-1], setting)) == "stays at the ceiling"
         borders = np.flatnonzero(stays[:-1] != stays[1:])
         for i in (int(b) + int(stays[b + 1]) for b in borders):
@@ -276,7 +279,7 @@ def _passes_through(mode: SingleMode, kind: MotionType, curve: continuation.Curv
 def _branch(mode: SingleMode, kind: MotionType, curve: continuation.Curve) -> Branch:
     points = curve.points.T
     ratio = points[-1]
-    setting = Setting(*(np.broadcast_to(f, ratio.shape) for f in dimensionless(mode, ratio)))
+    setting = MotionParameters(*(np.broadcast_to(f, ratio.shape) for f in dimensionless(mode, ratio)))
     batch = Batch(kind, points[:-1], setting)
     length = mode.gravity / (2 * np.pi * mode.frequency * ratio) ** 2
     # Positive force means sin(tau - phi) = Re(-i exp(-i phi) exp(i tau)); a mode driven against its shape's

@@ -1,7 +1,7 @@
 """Search for all periodic motions of one type of a mode with a damper at one frequency.
 
 For given instants (take-off, ceiling impact, take-off from the ceiling) the conditions of
-`rig.periodic_motion` are linear in all other unknowns. Those are eliminated, which leaves one, two or three
+`rig.single_mode.periodic_motion` are linear in all other unknowns. Those are eliminated, which leaves one, two or three
 equations in as many instants between 0 and 2 pi. The equations are evaluated on a grid over the whole range;
 cells in which each changes sign are refined by Newton's iteration in the instants alone.
 """
@@ -13,7 +13,14 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.single_mode.periodic_motion import INSTANTS, TURN, Array, Motion, MotionType, Setting
+from rig.single_mode.periodic_motion import (
+    INSTANTS,
+    TURN,
+    Array,
+    MotionParameters,
+    MotionType,
+    PeriodicMotion,
+)
 
 Floats = NDArray[np.float64]
 
@@ -38,7 +45,7 @@ def order(kind: MotionType, instants: Floats) -> Floats:
     return np.array([lengths[0], flights.min() - SHORTEST_FLIGHT, *stay])
 
 
-def eliminate(kind: MotionType, instants: Array, setting: Setting) -> tuple[Array, Array]:
+def eliminate(kind: MotionType, instants: Array, setting: MotionParameters) -> tuple[Array, Array]:
     """Solve the linear conditions for given instants, and evaluate the others.
 
     Parameters
@@ -47,7 +54,7 @@ def eliminate(kind: MotionType, instants: Array, setting: Setting) -> tuple[Arra
         Motion type.
     instants : array, shape (instants, batch)
         Given instants; complex ones are allowed, for derivatives by a complex step.
-    setting : Setting
+    setting : MotionParameters
         Parameters.
 
     Returns
@@ -62,12 +69,12 @@ def eliminate(kind: MotionType, instants: Array, setting: Setting) -> tuple[Arra
     zero = np.concatenate([np.zeros((4, batch)), instants])
     trials = np.repeat(zero[:, None], 5, axis=1)
     trials[np.arange(4), np.arange(1, 5)] = 1.0
-    values = Motion(kind, trials, setting).affine_conditions()
+    values = PeriodicMotion(kind, trials, setting).affine_conditions()
     matrix = np.moveaxis(values[:4, 1:] - values[:4, :1], 2, 0)
     with np.errstate(all="ignore"):
         amplitudes = _solve(matrix, -values[:4, 0].T)
         unknowns = np.concatenate([amplitudes.T, instants])
-        motion = Motion(kind, unknowns, setting)
+        motion = PeriodicMotion(kind, unknowns, setting)
         left = list(motion.affine_conditions()[4:])
         if kind != "I":
             left.append(motion.ceiling_gap() - motion.height)
@@ -75,20 +82,20 @@ def eliminate(kind: MotionType, instants: Array, setting: Setting) -> tuple[Arra
     return unknowns, np.array(left)
 
 
-def solutions(kind: MotionType, setting: Setting) -> Floats:
+def solutions(kind: MotionType, setting: MotionParameters) -> Floats:
     """Find all solutions of one type at one frequency; impossible motions are among them.
 
     Parameters
     ----------
     kind : {'I', 'II', 'III'}
         Motion type.
-    setting : Setting
+    setting : MotionParameters
         Parameters (numbers).
 
     Returns
     -------
     ndarray, shape (solutions, 4 + instants)
-        Unknowns as in `rig.periodic_motion`, to the accuracy of the elimination.
+        Unknowns as in `rig.single_mode.periodic_motion`, to the accuracy of the elimination.
     """
     count, points = INSTANTS[kind], _GRID[kind]
     grid = (np.arange(points) + 0.5) * TURN / points
@@ -114,7 +121,7 @@ def solutions(kind: MotionType, setting: Setting) -> Floats:
     return eliminate(kind, np.array(found).T, setting)[0].T
 
 
-def _refine(kind: MotionType, instants: Floats, setting: Setting) -> Floats:
+def _refine(kind: MotionType, instants: Floats, setting: MotionParameters) -> Floats:
     """Solve the remaining equations from many starts at once; the instants of those that settled."""
     count = instants.shape[0]
     longest = TURN / _GRID[kind]

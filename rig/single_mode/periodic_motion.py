@@ -15,7 +15,8 @@ velocity; in Type III it rides the ceiling until its contact force there has fal
 tau_2. All impacts are perfectly plastic.
 
 The force is F sin(tau - phi): a = F cos(phi), b = -F sin(phi). For given instants every condition but a^2 +
-b^2 = F^2 and the ceiling's height is linear in (q_0, q'_0, a, b), which is what `rig.approximate` uses to
+b^2 = F^2 and the ceiling's height is linear in (q_0, q'_0, a, b), which is what
+`rig.single_mode.approximate_response` uses to
 find all solutions; and each condition is analytic in every unknown and parameter, so that a complex step
 gives exact derivatives.
 """
@@ -37,7 +38,7 @@ TURN = 2 * np.pi
 Array = NDArray[Any]
 
 
-class Setting(NamedTuple):
+class MotionParameters(NamedTuple):
     """The dimensionless parameters of a motion.
 
     Attributes
@@ -61,7 +62,7 @@ class Setting(NamedTuple):
     height: Any
 
 
-class State(NamedTuple):
+class ModeState(NamedTuple):
     """Coordinate q, its velocity u, and the damper's position y and velocity v."""
 
     q: Array
@@ -71,7 +72,7 @@ class State(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Phase:
+class MotionPhase:
     """A stretch of motion between two events: how long, how it starts, and whether the damper rides.
 
     Attributes
@@ -80,7 +81,7 @@ class Phase:
         Whether the damper's mass moves with the mode.
     begin, length : array
         Start and duration in tau.
-    start : State
+    start : ModeState
         At its begin, after the impact there if one happens.
     offset : array or float
         Height of the damper over the floor while riding (0 or the clearance).
@@ -89,11 +90,11 @@ class Phase:
     riding: bool
     begin: Array
     length: Array
-    start: State
+    start: ModeState
     offset: Any
 
 
-class Motion:
+class PeriodicMotion:
     """The motion that a set of unknowns stands for, whether or not it satisfies the conditions.
 
     Parameters
@@ -102,17 +103,17 @@ class Motion:
         Motion type.
     unknowns : array, shape (4 + instants, ...)
         q_0, q'_0, a, b and the instants.
-    setting : Setting
+    setting : MotionParameters
         Parameters; broadcast against unknowns[0].
     """
 
-    def __init__(self, kind: MotionType, unknowns: Array, setting: Setting) -> None:
+    def __init__(self, kind: MotionType, unknowns: Array, setting: MotionParameters) -> None:
         self.kind = kind
         self.setting = setting
         q, u, self.a, self.b = unknowns[:4]
         self.instants = unknowns[4:]
         leave = self.instants[0]
-        floor = Phase(True, np.zeros_like(leave), leave, State(q, u, q, u), 0.0)
+        floor = MotionPhase(True, np.zeros_like(leave), leave, ModeState(q, u, q, u), 0.0)
         up = self._follow(floor, riding=False)
         self.phases = [floor, up]
         if kind != "I":
@@ -123,16 +124,16 @@ class Motion:
             top = self.before_ceiling._replace(u=common, v=common)
             if kind == "III":
                 top = top._replace(y=top.q + self.height)
-                self.phases.append(Phase(True, hit, self.instants[2] - hit, top, self.height))
+                self.phases.append(MotionPhase(True, hit, self.instants[2] - hit, top, self.height))
                 self.phases.append(self._follow(self.phases[-1], riding=False))
             else:
-                self.phases.append(Phase(False, hit, TURN - hit, top, 0.0))
+                self.phases.append(MotionPhase(False, hit, TURN - hit, top, 0.0))
         self.landing = self.advance(self.phases[-1], self.phases[-1].length)
 
-    def _follow(self, phase: Phase, riding: bool) -> Phase:
+    def _follow(self, phase: MotionPhase, riding: bool) -> MotionPhase:
         """Return the phase that starts where one ends, without impact, and lasts to the period's end."""
         begin = phase.begin + phase.length
-        return Phase(riding, begin, TURN - begin, self.advance(phase, phase.length), 0.0)
+        return MotionPhase(riding, begin, TURN - begin, self.advance(phase, phase.length), 0.0)
 
     @property
     def height(self) -> Array:
@@ -140,21 +141,21 @@ class Motion:
         return np.asarray(self.setting.height * self.setting.ratio**2)
 
     @staticmethod
-    def _until(phase: Phase, end: Array) -> Phase:
-        return Phase(phase.riding, phase.begin, end - phase.begin, phase.start, phase.offset)
+    def _until(phase: MotionPhase, end: Array) -> MotionPhase:
+        return MotionPhase(phase.riding, phase.begin, end - phase.begin, phase.start, phase.offset)
 
-    def common_velocity(self, state: State) -> Array:
+    def common_velocity(self, state: ModeState) -> Array:
         """Velocity after a plastic impact."""
         mu = self.setting.mass_ratio
         return (state.u + mu * state.v) / (1 + mu)
 
-    def _oscillator(self, phase: Phase) -> tuple[Any, Any, Any]:
+    def _oscillator(self, phase: MotionPhase) -> tuple[Any, Any, Any]:
         """Inertia, decay rate and stiffness over inertia in a phase."""
         r, zeta, mu = self.setting.ratio, self.setting.damping, self.setting.mass_ratio
         inertia = 1 + mu if phase.riding else 1.0
         return inertia, zeta / (r * inertia), 1 / (r * r * inertia)
 
-    def homogeneous(self, phase: Phase, t: Array) -> tuple[Array, Array, Array, Array]:
+    def homogeneous(self, phase: MotionPhase, t: Array) -> tuple[Array, Array, Array, Array]:
         """Responses after a time `t`: q to unit q and to unit q', then q' to unit q and to unit q'."""
         _, decay, stiffness = self._oscillator(phase)
         s = np.sqrt(stiffness - decay**2)
@@ -162,7 +163,7 @@ class Motion:
         c, si = fading * np.cos(s * t), fading * np.sin(s * t) / s
         return c + decay * si, si, -stiffness * si, c - decay * si
 
-    def advance(self, phase: Phase, t: Array) -> State:
+    def advance(self, phase: MotionPhase, t: Array) -> ModeState:
         """State a time `t` after a phase's begin (closed form)."""
         inertia, decay, stiffness = self._oscillator(phase)
         q_q, q_u, u_q, u_u = self.homogeneous(phase, t)
@@ -181,17 +182,17 @@ class Motion:
             weight = -self.setting.mass_ratio / inertia
             q = q + weight * (1 - q_q) / stiffness
             u = u + weight * q_u
-            return State(q, u, q + phase.offset, u)
-        return State(q, u, y0 + v0 * t - t * t / 2, v0 - t)
+            return ModeState(q, u, q + phase.offset, u)
+        return ModeState(q, u, y0 + v0 * t - t * t / 2, v0 - t)
 
-    def acceleration(self, phase: Phase, t: Array, state: State) -> Array:
+    def acceleration(self, phase: MotionPhase, t: Array, state: ModeState) -> Array:
         """Second derivative of q in a phase, a time `t` after its begin."""
         r, zeta, mu = self.setting.ratio, self.setting.damping, self.setting.mass_ratio
         sin_part, cos_part = self._local_force(phase.begin)
         force = sin_part * np.sin(t) + cos_part * np.cos(t) - 2 * zeta / r * state.u - state.q / r**2
         return (force - mu) / (1 + mu) if phase.riding else force
 
-    def jerk(self, phase: Phase, t: Array, state: State) -> Array:
+    def jerk(self, phase: MotionPhase, t: Array, state: ModeState) -> Array:
         """Third derivative of q in a phase, a time `t` after its begin."""
         r, zeta, mu = self.setting.ratio, self.setting.damping, self.setting.mass_ratio
         sin_part, cos_part = self._local_force(phase.begin)
@@ -237,7 +238,9 @@ class Motion:
         return np.array(found)
 
 
-def jacobian(kind: MotionType, unknowns: Array, setting: Setting, parameter: str) -> tuple[Array, Array]:
+def jacobian(
+    kind: MotionType, unknowns: Array, setting: MotionParameters, parameter: str
+) -> tuple[Array, Array]:
     """Conditions and their exact derivatives with respect to the unknowns and one parameter of the setting.
 
     Parameters
@@ -246,7 +249,7 @@ def jacobian(kind: MotionType, unknowns: Array, setting: Setting, parameter: str
         Motion type.
     unknowns : ndarray, shape (n,)
         q_0, q'_0, a, b and the instants.
-    setting : Setting
+    setting : MotionParameters
         Parameters (numbers).
     parameter : str
         The field of `setting` to differentiate by.
@@ -267,5 +270,5 @@ def jacobian(kind: MotionType, unknowns: Array, setting: Setting, parameter: str
     shifted = unknowns[:, None] + 1j * step * np.eye(n, n + 1)
     at = np.full(n + 1, complex(getattr(setting, parameter)))
     at[n] += 1j * step
-    values = Motion(kind, shifted, setting._replace(**{parameter: at})).conditions()
+    values = PeriodicMotion(kind, shifted, setting._replace(**{parameter: at})).conditions()
     return values[:, 0].real, values.imag / step

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from rig.errors import SceneError
 from rig.scene.scene import Scene
 from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, TableShaker
-from rig.system.hybrid_system import System
+from rig.system.hybrid_system import HybridSystem
 from rig.system.structure import Array, damper_bodies, damper_masses, natural_modes, structure_matrices
 
 #: Configurations are bits of a 64-bit integer.
 MOST_DAMPERS = 62
 
 
-def assemble(scene: Scene) -> System:
+def assemble(scene: Scene) -> HybridSystem:
     """Compile a scene.
 
     Parameters
@@ -26,7 +26,7 @@ def assemble(scene: Scene) -> System:
 
     Returns
     -------
-    System
+    HybridSystem
         Coordinates are the bodies, then the table if the shaker has one. Dampers that are locked or have no
         clearance are part of the mass matrix.
 
@@ -102,7 +102,7 @@ class _Parts:
     def system(
         self, gravity: float, coordinate: NDArray[np.intp], masses: Array, clearance: Array,
         restitution: Array, number: NDArray[np.intp],
-    ) -> System:  # fmt: skip
+    ) -> HybridSystem:  # fmt: skip
         """Put everything into first-order form."""
         n, extra = len(self.points), 0 if self.coil is None else 1
         force_state = np.hstack([-self.stiffness, -self.damping, np.zeros((n, extra))])
@@ -119,7 +119,7 @@ class _Parts:
             rate_state[0, n + table] = -force_factor / inductance
             rate_state[0, 2 * n] = -resistance / inductance
             rate_drive[0, 0] = self.coil_gain / inductance
-        return System(
+        return HybridSystem(
             points=tuple(self.points),
             inputs=tuple(self.inputs),
             drive_units=tuple(self.units),
@@ -172,7 +172,7 @@ def _add_shaker(parts: _Parts, scene: Scene) -> None:
             assert_never(never)
 
 
-def _start(scene: Scene, system: System) -> Array:
+def _start(scene: Scene, system: HybridSystem) -> Array:
     """State at t = 0 without drive: all dampers on their floors."""
     state = np.zeros(system.states)
     n = system.coordinates
@@ -192,7 +192,7 @@ def _start(scene: Scene, system: System) -> Array:
     return state
 
 
-def static_equilibrium(scene: Scene, system: System) -> Array:
+def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
     """Coordinates at rest under the weight of the dampers, m.
 
     Raises
@@ -215,7 +215,7 @@ def static_equilibrium(scene: Scene, system: System) -> Array:
     return np.linalg.solve(stiffness, load)
 
 
-def spring_force_row(scene: Scene, system: System) -> Array:
+def spring_force_row(scene: Scene, system: HybridSystem) -> Array:
     """Row r with F_1 = r . state: the coil spring's force on the body, N; zeros without a coil spring."""
     row = np.zeros(system.states)
     if scene.shaker is not None and scene.shaker.spring is not None:

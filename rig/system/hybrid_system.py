@@ -8,7 +8,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class System:
+class HybridSystem:
     """The hybrid linear system of a scene, in SI units.
 
     The state is (coordinates q, velocities q', further states such as the coil current). In every contact

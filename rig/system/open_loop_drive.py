@@ -12,7 +12,7 @@ from rig.scene.excitation import Impulse, Sine, SteppedSine, SweptSine
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker, TableShaker
 from rig.system.assembly import spring_force_row
-from rig.system.hybrid_system import System
+from rig.system.hybrid_system import HybridSystem
 
 Array = NDArray[np.float64]
 
@@ -27,7 +27,7 @@ class ToneDrive:
     state: Array
 
 
-def tone_drive(scene: Scene, system: System, frequency: float | None = None) -> ToneDrive | None:
+def tone_drive(scene: Scene, system: HybridSystem, frequency: float | None = None) -> ToneDrive | None:
     """Tone of a sine or stepped sine test, or at a given frequency; None if the test is no tone.
 
     Parameters
@@ -84,7 +84,7 @@ def level_of(scene: Scene) -> float:
     return float(level[0] if isinstance(level, tuple) else level)
 
 
-def drive_per_level(scene: Scene, system: System, omega: float) -> complex:
+def drive_per_level(scene: Scene, system: HybridSystem, omega: float) -> complex:
     """Complex drive amplitude for one unit of level, in the linear structure with all dampers riding."""
     shaker = scene.shaker
     drives = getattr(scene.test, "drive", None) is not None
@@ -101,18 +101,18 @@ def _servo_inverse(shaker: TableShaker, omega: float) -> complex:
     return (1.0 + 1j * ratio) ** 2
 
 
-def force_per_drive(scene: Scene, system: System, omega: float) -> complex:
+def force_per_drive(scene: Scene, system: HybridSystem, omega: float) -> complex:
     """Spring force for one unit of drive, in the linear structure with all dampers riding."""
     return complex(spring_force_row(scene, system) @ _riding_response(system, omega))
 
 
-def accelerations_per_level(scene: Scene, system: System, omega: float) -> Array:
+def accelerations_per_level(scene: Scene, system: HybridSystem, omega: float) -> Array:
     """Amplitude of each body's acceleration for one unit of level, in the linear structure with all dampers riding."""
     response = _riding_response(system, omega) * drive_per_level(scene, system, omega)
     return omega**2 * np.abs(response[: scene.structure.bodies])
 
 
-def with_force_itself(scene: Scene) -> Scene:
+def with_ideal_force(scene: Scene) -> Scene:
     """Put the force that the test holds on the body as a pure tone, without coil spring, table and channels.
 
     This saves the motions that a controller of the spring force needs to find its drive. Scenes whose tests give a
@@ -124,7 +124,7 @@ def with_force_itself(scene: Scene) -> Scene:
     return scene.replace(shaker=ForceShaker(body=shaker.bodies[0]), channels=None)
 
 
-def _riding_response(system: System, omega: float) -> NDArray[np.complex128]:
+def _riding_response(system: HybridSystem, omega: float) -> NDArray[np.complex128]:
     """States for one unit of drive, all dampers riding."""
     n, ns = system.coordinates, system.states
     mass = system.mass.copy()
@@ -146,7 +146,7 @@ def _riding_response(system: System, omega: float) -> NDArray[np.complex128]:
         ) from None
 
 
-def sampled_drive(scene: Scene, system: System, samples: int, rate: float) -> Array:
+def sampled_drive(scene: Scene, system: HybridSystem, samples: int, rate: float) -> Array:
     """Drive (inputs, samples) of a test that is not a tone.
 
     Raises
@@ -178,7 +178,7 @@ def _hits(test: Impulse, time: Array) -> Array:
     return force
 
 
-def _sweep(scene: Scene, system: System, test: SweptSine, time: Array) -> Array:
+def _sweep(scene: Scene, system: HybridSystem, test: SweptSine, time: Array) -> Array:
     first, last = test.from_, test.to
     share = np.minimum(time / test.duration, 1.0)
     if test.spacing == "log":

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import RunError
-from rig.work_precision.first_order_form import CEILING, FLIGHT, FLOOR, WALLS, Array, Outcome, Problem
+from rig.work_precision.first_order_form import CEILING, FLIGHT, FLOOR, WALLS, Array, FirstOrderForm, Outcome
 
 #: After a separation its guard is at rounding level; a careful user lets it sleep this long, s.
 BLIND = 2e-5
@@ -33,12 +33,12 @@ class _Contacts:
     blind: dict[tuple[int, int], float]
 
 
-def follow(problem: Problem, leg: Leg, blind: float, limit: float) -> Outcome:
+def follow(problem: FirstOrderForm, leg: Leg, blind: float, limit: float) -> Outcome:
     """Follow the motion with an adaptive solver.
 
     Parameters
     ----------
-    problem : Problem
+    problem : FirstOrderForm
     leg : callable
         The solver, from one contact change to the next.
     blind : float
@@ -73,14 +73,14 @@ def follow(problem: Problem, leg: Leg, blind: float, limit: float) -> Outcome:
     return Outcome(np.array(samples).T, events)
 
 
-def _slope(problem: Problem, mode: NDArray[np.int64]) -> Callable[[float, Array], Array]:
+def _slope(problem: FirstOrderForm, mode: NDArray[np.int64]) -> Callable[[float, Array], Array]:
     matrix, constant = problem.configuration(mode)
     cosine, sine = problem.drive(mode)
     omega = problem.omega
     return lambda t, z: matrix @ z + constant + cosine * np.cos(omega * t) + sine * np.sin(omega * t)
 
 
-def _guards(problem: Problem, contacts: _Contacts) -> tuple[list[tuple[int, int]], list[Guard]]:
+def _guards(problem: FirstOrderForm, contacts: _Contacts) -> tuple[list[tuple[int, int]], list[Guard]]:
     system, mode = problem.system, contacts.mode
     n, ns = system.coordinates, system.states
     matrix, constant = problem.configuration(mode)
@@ -112,7 +112,7 @@ def _guards(problem: Problem, contacts: _Contacts) -> tuple[list[tuple[int, int]
 
 
 def _change(
-    problem: Problem, contacts: _Contacts, state: Array, now: float, event: tuple[int, int], blind: float,
+    problem: FirstOrderForm, contacts: _Contacts, state: Array, now: float, event: tuple[int, int], blind: float,
     events: list[tuple[float, int, str]],
 ) -> None:  # fmt: skip
     j, wall = event
@@ -137,7 +137,7 @@ def _change(
 
 
 def _release(
-    problem: Problem, contacts: _Contacts, state: Array, now: float, blind: float,
+    problem: FirstOrderForm, contacts: _Contacts, state: Array, now: float, blind: float,
     events: list[tuple[float, int, str]],
 ) -> None:  # fmt: skip
     """Let go of dampers whose contact would pull."""
@@ -153,7 +153,9 @@ def _release(
                 break
 
 
-def _leave(problem: Problem, contacts: _Contacts, state: Array, now: float, j: int, blind: float) -> None:
+def _leave(
+    problem: FirstOrderForm, contacts: _Contacts, state: Array, now: float, j: int, blind: float
+) -> None:
     system, row, wall = problem.system, problem.rows[j], int(contacts.mode[j])
     n, ns, nd = system.coordinates, system.states, system.dampers
     state[ns + j] = state[row] + (system.clearance[j] if wall == CEILING else 0.0)

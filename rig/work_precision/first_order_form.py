@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import SceneError
-from rig.system.hybrid_system import System
+from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import ToneDrive
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ class Outcome:
     events: list[tuple[float, int, str]]
 
 
-class Problem:
+class FirstOrderForm:
     """z = (coordinates, velocities, further states, heights and velocities of the dampers) under a tone.
 
     Attributes
@@ -52,7 +52,7 @@ class Problem:
         Rows that give v - q' of each damper.
     """
 
-    def __init__(self, system: System, tone: ToneDrive, periods: int) -> None:
+    def __init__(self, system: HybridSystem, tone: ToneDrive, periods: int) -> None:
         if system.coupled:
             raise SceneError("the alternatives decide contacts one by one; expected a diagonal mass matrix")
         self.system, self.tone, self.periods = system, tone, periods

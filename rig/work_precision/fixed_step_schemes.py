@@ -16,8 +16,8 @@ from rig.work_precision.first_order_form import (
     PER_PERIOD,
     WALLS,
     Array,
+    FirstOrderForm,
     Outcome,
-    Problem,
 )
 
 #: A penalty's stiffness makes a damper swing on its wall by this phase a step: as stiff as the step can follow.
@@ -28,7 +28,7 @@ ITERATIONS = 50
 SIDES = (FLIGHT, FLOOR, CEILING)
 
 
-def penalty_runge_kutta(problem: Problem, steps: int) -> Outcome:
+def penalty_runge_kutta(problem: FirstOrderForm, steps: int) -> Outcome:
     """Spring and dashpot at every wall; classical Runge-Kutta of fourth order, `steps` a period."""
     step = _step(problem, steps)
     stiffness, dashpot = _penalty(problem, step)
@@ -43,7 +43,7 @@ def penalty_runge_kutta(problem: Problem, steps: int) -> Outcome:
     )  # fmt: skip
 
 
-def penalty_newmark(problem: Problem, steps: int) -> Outcome:
+def penalty_newmark(problem: FirstOrderForm, steps: int) -> Outcome:
     """Spring and dashpot at every wall; Newmark's average acceleration, `steps` a period.
 
     The trapezoidal rule for the whole first-order system is Newmark's rule for its mechanical part; the contacts of
@@ -77,7 +77,7 @@ def penalty_newmark(problem: Problem, steps: int) -> Outcome:
     )  # fmt: skip
 
 
-def moreau_jean(problem: Problem, steps: int) -> Outcome:
+def moreau_jean(problem: FirstOrderForm, steps: int) -> Outcome:
     """Time stepping on velocity level with impulses (theta = 1/2), `steps` a period."""
     step = _step(problem, steps)
     solve = np.linalg.inv(np.eye(problem.size) - 0.5 * step * problem.flight)
@@ -95,28 +95,28 @@ def moreau_jean(problem: Problem, steps: int) -> Outcome:
     )  # fmt: skip
 
 
-def _step(problem: Problem, steps: int) -> float:
+def _step(problem: FirstOrderForm, steps: int) -> float:
     return 1.0 / (problem.tone.frequency * steps)
 
 
-def _marks(problem: Problem, steps: int) -> tuple[int, int]:
+def _marks(problem: FirstOrderForm, steps: int) -> tuple[int, int]:
     """Count the steps in all, and those between samples."""
     return problem.periods * steps, steps // PER_PERIOD
 
 
-def _geometry(problem: Problem) -> tuple[Array, Array, Array]:
+def _geometry(problem: FirstOrderForm) -> tuple[Array, Array, Array]:
     system = problem.system
     return _gap_rows(problem), problem.closing, np.asarray(system.clearance, dtype=np.float64)
 
 
-def _gap_rows(problem: Problem) -> Array:
+def _gap_rows(problem: FirstOrderForm) -> Array:
     rows = np.zeros((len(problem.rows), problem.size))
     for j, row in enumerate(problem.rows):
         rows[j, row], rows[j, problem.system.states + j] = -1.0, 1.0
     return rows
 
 
-def _penalty(problem: Problem, step: float) -> tuple[Array, Array]:
+def _penalty(problem: FirstOrderForm, step: float) -> tuple[Array, Array]:
     """Stiffness that the step can follow, and the dashpot that gives the restitution in a free impact.
 
     The dashpot acts as long as the wall is dented: were its pull cut off, plastic impacts would rebound by 13 %
@@ -130,14 +130,14 @@ def _penalty(problem: Problem, step: float) -> tuple[Array, Array]:
     return mass * rate**2, 2.0 * ratio * mass * rate
 
 
-def _settled(problem: Problem, stiffness: Array) -> Array:
+def _settled(problem: FirstOrderForm, stiffness: Array) -> Array:
     """Start with every damper sunk into its floor by its weight."""
     start, system = problem.start.copy(), problem.system
     start[system.states : system.states + system.dampers] -= system.damper_mass * system.gravity / stiffness
     return start
 
 
-def _outcome(problem: Problem, step: float, samples: Array, sides: NDArray[np.int8]) -> Outcome:
+def _outcome(problem: FirstOrderForm, step: float, samples: Array, sides: NDArray[np.int8]) -> Outcome:
     """Collect samples, and events from the changes of the contacts between steps."""
     if not np.isfinite(samples).all():
         raise RunError("unstable with this step")

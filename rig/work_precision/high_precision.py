@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rig.errors import RunError
 from rig.simulation.simulate import Run
-from rig.system.hybrid_system import System
+from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import ToneDrive
 
 Array = NDArray[np.float64]
@@ -51,12 +51,12 @@ class Exact:
     agreement: float
 
 
-def exact_motion(system: System, tone: ToneDrive, run: Run, samples_per_period: int) -> Exact:
+def exact_motion(system: HybridSystem, tone: ToneDrive, run: Run, samples_per_period: int) -> Exact:
     """Repeat a run under a tone to forty digits.
 
     Parameters
     ----------
-    system : System
+    system : HybridSystem
     tone : ToneDrive
     run : Run
         The engine's run with `samples_per_period` samples in each period of the tone.
@@ -76,7 +76,7 @@ def exact_motion(system: System, tone: ToneDrive, run: Run, samples_per_period: 
 class DecimalMotion:
     """The system in decimal arithmetic: state (q, q', further, cos, sin, 1), and dampers on ballistic paths."""
 
-    def __init__(self, system: System, tone: ToneDrive, digits: int) -> None:
+    def __init__(self, system: HybridSystem, tone: ToneDrive, digits: int) -> None:
         self.context = decimal.Context(prec=digits)
         self.system, self.tone = system, tone
         self.smallest = Decimal(10) ** (-digits - 5)

@@ -68,7 +68,8 @@ def exact_orbit(scene: Scene, orbit: Orbit) -> ExactOrbit:
     Parameters
     ----------
     scene : Scene
-        With the force itself on its body where the test holds a force (`rig.open_loop.with_force_itself`).
+        With the force itself on its body where the test holds a force
+        (`rig.system.hybrid_system.open_loop_drive.with_ideal_force`).
     orbit : Orbit
         Of this scene.
 

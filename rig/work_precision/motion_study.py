@@ -12,17 +12,17 @@ from typing import TypeVar
 
 import numpy as np
 
-from rig.engine.propagator import tone_march
+from rig.engine.propagator import tone_propagator
 from rig.engine.trajectory import Array
 from rig.errors import RunError, SceneError, ShotrigError
 from rig.scene.excitation import Sine, SteppedSine, SweptSine
 from rig.scene.scene import Scene
 from rig.simulation.simulate import Run, simulate
 from rig.system.assembly import assemble
-from rig.system.hybrid_system import System
+from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import ToneDrive, accelerations_per_level, level_of, tone_drive
 from rig.work_precision.adaptive_solvers import BLIND, cvode_leg, follow, scipy_leg
-from rig.work_precision.first_order_form import PER_PERIOD, Outcome, Problem
+from rig.work_precision.first_order_form import PER_PERIOD, FirstOrderForm, Outcome
 from rig.work_precision.high_precision import DIGITS, Exact, exact_motion
 
 #: Periods of the drive that every method computes.
@@ -99,7 +99,7 @@ class Study:
     margin: float
 
 
-def hardest_frequency(scene: Scene, system: System) -> float:
+def hardest_frequency(scene: Scene, system: HybridSystem) -> float:
     """Frequency of the test, Hz: its own, or where the linear structure accelerates most in its range.
 
     Raises
@@ -148,7 +148,7 @@ def motion_study(
     tone = tone_drive(scene, system, frequency)
     assert tone is not None
     say = progress if progress is not None else lambda name: None
-    problem = Problem(system, tone, periods)
+    problem = FirstOrderForm(system, tone, periods)
     duration, rate = periods / frequency, PER_PERIOD * frequency
     say("reference")
     run = simulate(scene, duration, rate, frequency=frequency)
@@ -172,7 +172,9 @@ def motion_study(
 Methods = Iterator[tuple[str, str, Callable[[], Outcome]]]
 
 
-def _methods(scene: Scene, system: System, tone: ToneDrive, problem: Problem, periods: int) -> Methods:
+def _methods(
+    scene: Scene, system: HybridSystem, tone: ToneDrive, problem: FirstOrderForm, periods: int
+) -> Methods:
     """Every method with a setting and a call that computes the motion."""
     frequency = tone.frequency
     duration, rate = periods / frequency, PER_PERIOD * frequency
@@ -195,15 +197,15 @@ def _methods(scene: Scene, system: System, tone: ToneDrive, problem: Problem, pe
     yield from _adaptive(problem, 1.0 / frequency)
 
 
-def _fixed(problem: Problem) -> Methods:
+def _fixed(problem: FirstOrderForm) -> Methods:
     from rig.work_precision.fixed_step_schemes import moreau_jean, penalty_newmark, penalty_runge_kutta
 
-    schemes: Iterable[tuple[str, Callable[[Problem, int], Outcome]]] = (
+    schemes: Iterable[tuple[str, Callable[[FirstOrderForm, int], Outcome]]] = (
         ("penalty, RK4", penalty_runge_kutta),
         ("penalty, Newmark", penalty_newmark),
         ("Moreau-Jean", moreau_jean),
     )
-    short = Problem(problem.system, problem.tone, 1)
+    short = FirstOrderForm(problem.system, problem.tone, 1)
     for name, scheme in schemes:
         # Newmark needs a matrix for every set of contacts.
         if name == "penalty, Newmark" and problem.system.dampers > 5:
@@ -213,7 +215,7 @@ def _fixed(problem: Problem) -> Methods:
             yield name, f"{steps} steps", partial(scheme, problem, steps)
 
 
-def _adaptive(problem: Problem, period: float) -> Methods:
+def _adaptive(problem: FirstOrderForm, period: float) -> Methods:
     for method, tolerances in (("DOP853", (1e-4, 1e-6, 1e-9, 1e-12)), ("LSODA", (1e-6, 1e-9))):
         for rtol in tolerances:
             leg = scipy_leg(method, rtol, np.inf)
@@ -229,31 +231,31 @@ def _adaptive(problem: Problem, period: float) -> Methods:
     yield "CVODE", "rtol 1e-12, step T/40, blind", partial(follow, problem, careful, BLIND, LIMIT)
 
 
-def _outcome(run: Run, system: System, every: int = 1) -> Outcome:
+def _outcome(run: Run, system: HybridSystem, every: int = 1) -> Outcome:
     number = {int(k): j for j, k in enumerate(system.damper_number)}
     events = [(float(e["time"]), number[int(e["damper"])], str(e["kind"])) for e in run.events]
     return Outcome(run.displacement[:, ::every], events)
 
 
-def _warm(system: System, tone: ToneDrive, periods: int) -> Callable[[], Outcome]:
+def _warm(system: HybridSystem, tone: ToneDrive, periods: int) -> Callable[[], Outcome]:
     """Advance the engine alone, its tables made: what a long run costs."""
-    march, steps = tone_march(system, tone.amplitudes, tone.omega)
-    march.place(tone.state, np.array([1.0, 0.0]))
-    begin = march.snapshot()
+    propagator, steps = tone_propagator(system, tone.amplitudes, tone.omega)
+    propagator.place(tone.state, np.array([1.0, 0.0]))
+    begin = propagator.snapshot()
     lengths, rows = np.full(periods, steps), np.full(periods, -1)
     rows[-1] = 0
-    march.over_marks(lengths, rows, np.ones(periods, dtype=bool))
+    propagator.through_marks(lengths, rows, np.ones(periods, dtype=bool))
 
     def compute() -> Outcome:
-        march.resume(begin)
-        course = march.over_marks(lengths, rows, np.ones(periods, dtype=bool))
-        return Outcome(course.state[:, : system.coordinates].T, [])
+        propagator.resume(begin)
+        trajectory = propagator.through_marks(lengths, rows, np.ones(periods, dtype=bool))
+        return Outcome(trajectory.state[:, : system.coordinates].T, [])
 
     return compute
 
 
 def _sampled(
-    scene: Scene, system: System, tone: ToneDrive, share: int, periods: int
+    scene: Scene, system: HybridSystem, tone: ToneDrive, share: int, periods: int
 ) -> Callable[[], Outcome]:
     """Drive the engine with samples of the tone."""
     rate = share * tone.frequency
@@ -267,7 +269,7 @@ def _sampled(
 class _Judge:
     """Compares outcomes with the reference."""
 
-    def __init__(self, exact: Exact, run: Run, system: System) -> None:
+    def __init__(self, exact: Exact, run: Run, system: HybridSystem) -> None:
         self.exact = exact
         self.scale = float(np.abs(exact.displacement).max())
         self.sequence = _by_damper(_outcome(run, system).events, system.dampers)

@@ -16,7 +16,7 @@ from rig.response.frequency_response import frequency_response
 from rig.scene.scene import Scene
 from rig.single_mode.approximate_response import approximate_response
 from rig.single_mode.reduction import Weighting
-from rig.system.open_loop_drive import with_force_itself
+from rig.system.open_loop_drive import with_ideal_force
 from rig.system.receptance import receptance
 from rig.system.structure import natural_modes, structure_matrices
 from rig.work_precision.high_precision import DIGITS
@@ -72,7 +72,7 @@ def steady_study(
         If the reference is not a thousand times better than the best method.
     """
     say = progress if progress is not None else lambda name: None
-    scene = with_force_itself(scene)
+    scene = with_ideal_force(scene)
     say("shooting")
     try:
         orbit = _orbit_near(scene, frequency)

@@ -17,7 +17,7 @@ import rig
 from daq.recording.recorder import Recorder
 from daq.signal_chain.bench import Bench
 from daq.signal_chain.chain import Chain
-from daq.signal_chain.converter import Converter, SampleClock
+from daq.signal_chain.converter import Quantiser, SampleClock
 from rig.scene.scene import Scene
 from rig.simulation.plant import Plant
 
@@ -26,7 +26,7 @@ RATE, SECONDS, BLOCK = 51200.0, 4, 5120
 RECORDED_SECONDS = 20
 PLACES = ("body 1", "body 2", "body 3", "table")
 
-# Each rung adds to the accelerometer, the integrator or the converter of those before it.
+# Each step adds to the accelerometer, the integrator or the converter of those before it.
 LADDER: tuple[tuple[str, dict[str, Any], dict[str, Any] | None, dict[str, Any]], ...] = (
     ("ideal", {}, None, {}),
     ("resonance, low cut-off", {"resonance": "30 kHz", "low_cutoff": "0.5 Hz"}, None, {}),
@@ -60,7 +60,7 @@ LADDER: tuple[tuple[str, dict[str, Any], dict[str, Any] | None, dict[str, Any]],
 )
 
 
-def rungs(scene: Scene) -> Iterator[tuple[str, Scene]]:
+def steps(scene: Scene) -> Iterator[tuple[str, Scene]]:
     """Give the scene with ever more effects."""
     sensor: dict[str, Any] = {}
     integrator: dict[str, Any] | None = None
@@ -77,21 +77,21 @@ def rungs(scene: Scene) -> Iterator[tuple[str, Scene]]:
 
 
 def full_scene() -> Scene:
-    """Give three dampers and an electrodynamic shaker, measured with every effect the ladder has."""
-    return [rung for _, rung in rungs(rig.load("fig8-three-dampers"))][-1]
+    """Give three dampers and an electrodynamic shaker, measured with every effect the product has."""
+    return [step for _, step in steps(rig.load("fig8-three-dampers"))][-1]
 
 
 def measure() -> Iterator[str]:
-    """Yield a line for each rung: time per channel and sample, and how many times real time four channels run."""
+    """Yield a line for each step: time per channel and sample, and how many times real time four channels run."""
     scene = rig.load("fig8-three-dampers")
-    for name, rung in rungs(scene):
-        rate = SampleClock.of(rung.converter).true_rate
+    for name, step in steps(scene):
+        rate = SampleClock.of(step.converter).true_rate
         best = np.inf
         # The first pass compiles.
         for _ in range(4):
-            plant = Plant(rung, rate)
-            chain = Chain(rung, rate, plant.points, plant.inputs)
-            converter = Converter(rung.converter, chain.channels)
+            plant = Plant(step, rate)
+            chain = Chain(step, rate, plant.points, plant.inputs)
+            converter = Quantiser(step.converter, chain.channels)
             took, breaks = 0.0, 0
             for first in range(0, round(SECONDS * RATE), BLOCK):
                 drive = 3.0 * np.sin(2 * np.pi * 34.8 / RATE * np.arange(first, first + BLOCK))[None]

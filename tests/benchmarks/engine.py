@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import rig
-from rig.engine.propagator import tone_march
+from rig.engine.propagator import tone_propagator
 from rig.simulation.plant import Plant
 from rig.system.assembly import assemble
-from rig.system.hybrid_system import System
+from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import ToneDrive, tone_drive
 from rig.work_precision.adaptive_solvers import cvode_leg, follow, scipy_leg
-from rig.work_precision.first_order_form import Problem
+from rig.work_precision.first_order_form import FirstOrderForm
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,7 +42,7 @@ def best(action: Callable[[], object], repeats: int) -> float:
     return min(times)
 
 
-def tone_of(scene: rig.Scene) -> tuple[System, ToneDrive]:
+def tone_of(scene: rig.Scene) -> tuple[HybridSystem, ToneDrive]:
     """Give the system of a scene and its tone."""
     system = assemble(scene)
     tone = tone_drive(scene, system)
@@ -53,14 +53,14 @@ def tone_of(scene: rig.Scene) -> tuple[System, ToneDrive]:
 def engine_period(scene: rig.Scene, periods: int = PERIODS, repeats: int = 200) -> float:
     """Give the engine's CPU time for a period of the drive from rest, s."""
     system, tone = tone_of(scene)
-    march, steps = tone_march(system, tone.amplitudes, tone.omega)
+    march, steps = tone_propagator(system, tone.amplitudes, tone.omega)
     march.place(tone.state, np.array([1.0, 0.0]))
     start = march.snapshot()
     lengths, rows, anew = np.full(periods, steps), np.full(periods, -1), np.ones(periods, dtype=bool)
 
     def run() -> None:
         march.resume(start)
-        march.over_marks(lengths, rows, anew)
+        march.through_marks(lengths, rows, anew)
 
     run()
     return best(run, repeats) / periods
@@ -69,7 +69,7 @@ def engine_period(scene: rig.Scene, periods: int = PERIODS, repeats: int = 200) 
 def peers(scene: rig.Scene) -> dict[str, float]:
     """Give the general solvers' CPU time for a period, s."""
     system, tone = tone_of(scene)
-    problem = Problem(system, tone, PERIODS)
+    problem = FirstOrderForm(system, tone, PERIODS)
     longest = 2.0 * np.pi / tone.omega / 40
     legs = {"scipy DOP853": scipy_leg("DOP853", 1e-12, longest)}
     if importlib.util.find_spec("sksundae") is not None:

@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 import rig
-from rig.orbits.problem import pure_force
+from rig.system.open_loop_drive import with_ideal_force
 
 T = TypeVar("T")
 
@@ -32,7 +32,7 @@ def measure() -> Iterator[str]:
         f"{'residual':>8} {'irregular':>9}"
     )
     for name, band, points in CURVES:
-        scene = pure_force(rig.load(name))
+        scene = with_ideal_force(rig.load(name))
         frequencies = np.linspace(*band, points)
         # What is compiled is loaded here; the rest is run in turns and the best kept.
         rig.frequency_response(scene, frequencies[:2])

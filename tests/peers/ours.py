@@ -13,7 +13,7 @@ import analysis
 import daq
 import rig
 from analysis.export.export import export
-from analysis.recordings.slices import Stretch
+from analysis.recordings.slices import Slice
 from daq.recording.recording import Recording
 
 BLOCK = 8.0
@@ -68,7 +68,7 @@ def poles(folder: Path) -> dict[str, np.ndarray]:
     with recorded(folder / "hits.mcap", None, test, hammer) as rec:
         [curves] = analysis.frequency_responses(rec, motion="acceleration")
         modes = analysis.identify(curves, count=3)
-        export(Stretch.of(rec), folder / "hits.uff", overwrite=True)
+        export(Slice.of(rec), folder / "hits.uff", overwrite=True)
         for name in rec.channels:
             out[f"samples {name}"] = rec.read(name)
     out["hit_frequency"] = curves[0].frequency

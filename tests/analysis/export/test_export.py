@@ -11,7 +11,7 @@ import analysis
 import daq
 from analysis.cli import app
 from analysis.export.export import export
-from analysis.recordings.slices import Stretch
+from analysis.recordings.slices import Slice
 from daq.recording.recorder import Recorder
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError, RunError, SceneError
@@ -39,7 +39,7 @@ def with_gap(tmp_path_factory):
 
 
 def test_given_a_recording_when_exported_as_csv_then_every_digit_is_there(recording, tmp_path):
-    export(Stretch.of(recording), tmp_path / "a.csv")
+    export(Slice.of(recording), tmp_path / "a.csv")
     with (tmp_path / "a.csv").open(newline="") as stream:
         head, *rows = csv.reader(stream)
     assert head == ["time [s]", "body1 [m]", "body2 [m/s^2]"]
@@ -50,7 +50,7 @@ def test_given_a_recording_when_exported_as_csv_then_every_digit_is_there(record
 
 
 def test_given_a_stretch_when_exported_as_npz_then_numpy_loads_it_without_pickles(recording, tmp_path):
-    export(Stretch.of(recording, ["body2"], 0.5, 1.0), tmp_path / "a.npz")
+    export(Slice.of(recording, ["body2"], 0.5, 1.0), tmp_path / "a.npz")
     with np.load(tmp_path / "a.npz", allow_pickle=False) as arrays:
         assert set(arrays) == {"body2", "channels", "units", "rate", "start_s"}
         assert np.array_equal(arrays["body2"], recording.read("body2", 1280, 2560))
@@ -60,12 +60,12 @@ def test_given_a_stretch_when_exported_as_npz_then_numpy_loads_it_without_pickle
 
 def test_given_the_same_recording_when_exported_twice_as_npz_then_the_bytes_are_the_same(recording, tmp_path):
     for name in ("a.npz", "b.npz"):
-        export(Stretch.of(recording), tmp_path / name)
+        export(Slice.of(recording), tmp_path / name)
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
 def test_given_a_recording_when_exported_as_wav_then_scipy_hears_it(recording, tmp_path):
-    notes = export(Stretch.of(recording), tmp_path / "a.wav", speed=3.0)
+    notes = export(Slice.of(recording), tmp_path / "a.wav", speed=3.0)
     rate, sound = wavfile.read(tmp_path / "a.wav")
     assert rate == round(3 * RATE)
     assert sound.shape == (SAMPLES, 2)
@@ -81,12 +81,12 @@ def test_given_a_recording_when_exported_as_wav_then_scipy_hears_it(recording, t
 
 def test_given_silence_when_exported_as_wav_then_it_is_silence(tmp_path):
     with daq.open(write(tmp_path / "a.mcap", np.zeros((2, 100)))) as recording:
-        export(Stretch.of(recording), tmp_path / "a.wav")
+        export(Slice.of(recording), tmp_path / "a.wav")
     assert not wavfile.read(tmp_path / "a.wav")[1].any()
 
 
 def test_given_a_recording_when_exported_as_uff_then_pyuff_reads_time_responses(recording, tmp_path):
-    export(Stretch.of(recording, None, 0.25, 1.25), tmp_path / "a.uff")
+    export(Slice.of(recording, None, 0.25, 1.25), tmp_path / "a.uff")
     sets = pyuff.UFF(str(tmp_path / "a.uff")).read_sets()
     assert [one["type"] for one in sets] == [58, 58]
     assert [one["func_type"] for one in sets] == [1, 1]
@@ -135,15 +135,15 @@ def test_given_lost_samples_when_exported_then_tables_keep_their_places_and_othe
     with_gap, tmp_path
 ):
     for name in ("a.csv", "a.npz"):
-        export(Stretch.of(with_gap), tmp_path / name)
+        export(Slice.of(with_gap), tmp_path / name)
     table = np.genfromtxt(tmp_path / "a.csv", delimiter=",", skip_header=1)
     with np.load(tmp_path / "a.npz") as arrays:
         assert np.array_equal(arrays["body1"], table[:, 1], equal_nan=True)
     assert np.flatnonzero(np.isnan(table[:, 1])).tolist() == list(range(1000, 1500))
     for name in ("a.wav", "a.uff"):
         with pytest.raises(RecordingError, match=r"lacks 0.390625 s to 0.585938 s of body1, body2"):
-            export(Stretch.of(with_gap), tmp_path / name)
-        export(Stretch.of(with_gap, to_s=0.390625), tmp_path / name)
+            export(Slice.of(with_gap), tmp_path / name)
+        export(Slice.of(with_gap, to_s=0.390625), tmp_path / name)
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
 
 
@@ -152,10 +152,10 @@ def test_given_pieces_smaller_than_the_recording_when_exported_then_the_file_is_
 ):
     names = ("a.csv", "a.npz", "a.wav")
     for name in names:
-        export(Stretch.of(recording), tmp_path / name)
+        export(Slice.of(recording), tmp_path / name)
     monkeypatch.setattr("analysis.recordings.slices.PIECE", 777)
     for name in names:
-        export(Stretch.of(recording), tmp_path / f"b{name}")
+        export(Slice.of(recording), tmp_path / f"b{name}")
         assert (tmp_path / name).read_bytes() == (tmp_path / f"b{name}").read_bytes()
 
 
@@ -171,7 +171,7 @@ def test_given_a_stretch_that_is_not_there_when_asked_for_then_the_error_tells_w
     recording, wanted, message
 ):
     with pytest.raises(SceneError, match=message):
-        Stretch.of(recording, **wanted)
+        Slice.of(recording, **wanted)
 
 
 @pytest.mark.parametrize(
@@ -189,29 +189,29 @@ def test_given_what_cannot_be_exported_when_tried_then_the_error_says_why_and_no
     recording, tmp_path, name, options, message
 ):
     with pytest.raises(SceneError, match=message):
-        export(Stretch.of(recording), tmp_path / name, **options)
+        export(Slice.of(recording), tmp_path / name, **options)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_given_one_sample_when_exported_as_uff_then_the_format_refuses(recording, tmp_path):
     with pytest.raises(SceneError, match="2 at least"):
-        export(Stretch.of(recording, to_s=1e-4), tmp_path / "a.uff")
+        export(Slice.of(recording, to_s=1e-4), tmp_path / "a.uff")
 
 
 def test_given_an_existing_file_when_exported_then_it_is_replaced_only_if_asked(recording, tmp_path):
     path = tmp_path / "a.uff"
     path.write_text("precious")
     with pytest.raises(SceneError, match="exists"):
-        export(Stretch.of(recording), path)
+        export(Slice.of(recording), path)
     assert path.read_text() == "precious"
-    export(Stretch.of(recording), path, overwrite=True)
+    export(Slice.of(recording), path, overwrite=True)
     assert len(pyuff.UFF(str(path)).read_sets()) == 2
 
 
 def test_given_a_target_that_is_a_folder_when_exported_then_the_error_is_clear(recording, tmp_path):
     (tmp_path / "a.csv").mkdir()
     with pytest.raises(RunError, match="cannot write"):
-        export(Stretch.of(recording), tmp_path / "a.csv", overwrite=True)
+        export(Slice.of(recording), tmp_path / "a.csv", overwrite=True)
 
 
 def test_given_channels_named_like_paths_when_exported_as_npz_then_members_have_plain_names(tmp_path):
@@ -219,7 +219,7 @@ def test_given_channels_named_like_paths_when_exported_as_npz_then_members_have_
     with Recorder(tmp_path / "a.mcap", scene(), info, RATE) as recorder:
         recorder.write(np.ones((1, 10)))
     with daq.open(tmp_path / "a.mcap") as recording:
-        export(Stretch.of(recording), tmp_path / "a.npz")
+        export(Slice.of(recording), tmp_path / "a.npz")
     with np.load(tmp_path / "a.npz") as arrays:
         assert arrays[".._x_y"].tolist() == [1.0] * 10
 

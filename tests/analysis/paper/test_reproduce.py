@@ -15,10 +15,10 @@ from analysis.paper.parts import all_parts
 from analysis.paper.reproduce import FIGURES, reproduce
 from analysis.paper.scan import LEVELS, best_damper, scan, stays_over_damping
 from analysis.paper.simulation import approximated, exact_orbits, structure_numbers, waveforms
-from analysis.paper.store import Arrays, Part, partial_name, remove_partial
+from analysis.paper.store import Arrays, PaperPart, partial_name, remove_partial
 from analysis.paper.workers import compute
 from rig.errors import SceneError
-from rig.orbits.problem import pure_force
+from rig.system.open_loop_drive import with_ideal_force
 
 calls: list[float] = []
 
@@ -28,8 +28,8 @@ def counted(value: float) -> Arrays:
     return {"value": np.array(value)}
 
 
-def part(value: float) -> Part:
-    return Part("one", f"depends on {value}", counted, {"value": value}, "a part")
+def part(value: float) -> PaperPart:
+    return PaperPart("one", f"depends on {value}", counted, {"value": value}, "a part")
 
 
 def test_given_a_finished_part_when_asked_again_then_it_is_read_and_not_computed(tmp_path: Path) -> None:
@@ -114,7 +114,7 @@ def test_given_a_cell_of_the_scan_when_simulated_otherwise_then_peak_and_type_ar
     cell = scan(scene, np.array([10.0]), np.array([1e-3]), frequencies, 0.10)
 
     response = rig.frequency_response(
-        pure_force(scene), [*frequencies[:2], *cell["where"][0], frequencies[2]]
+        with_ideal_force(scene), [*frequencies[:2], *cell["where"][0], frequencies[2]]
     )
     size = np.abs(response.compliance[1])
     # The peak is sought between the frequencies of the grid, so that it is the highest of all.
@@ -140,7 +140,7 @@ def test_given_mass_ratios_and_clearances_when_optimised_then_no_trial_is_better
     damper = {"body": 2, "mass_ratio": float(found["mass_ratio"]), "clearance": float(found["best"])}
     for force in 3.3 * LEVELS:
         test = scene.test.replace(force=float(force))
-        varied = pure_force(scene.replace(dampers=[damper], test=test))
+        varied = with_ideal_force(scene.replace(dampers=[damper], test=test))
         response = rig.frequency_response(varied, frequencies)
         assert np.abs(response.compliance[1]).max() < 1.001 * found["peak"]
 
@@ -219,7 +219,7 @@ def test_given_claims_when_the_page_is_written_then_it_shows_verdicts_evidence_a
 def test_given_parts_when_computed_by_workers_then_all_are_stored_longest_first(tmp_path: Path) -> None:
     scene, done = rig.load("fig9"), []
     parts = [
-        Part(
+        PaperPart(
             name,
             name,
             structure_numbers,
@@ -241,7 +241,9 @@ def test_given_parts_when_computed_by_workers_then_all_are_stored_longest_first(
 def test_given_a_part_that_fails_when_computed_by_workers_then_its_error_is_raised_and_nothing_is_left(
     tmp_path: Path,
 ) -> None:
-    wrong = Part("wrong", "wrong", exact_orbits, {"scene": rig.load("fig9"), "band": (50.0, 40.0)}, "a part")
+    wrong = PaperPart(
+        "wrong", "wrong", exact_orbits, {"scene": rig.load("fig9"), "band": (50.0, 40.0)}, "a part"
+    )
 
     with pytest.raises(SceneError, match="two rising values"):
         compute([wrong], tmp_path, lambda part: None)

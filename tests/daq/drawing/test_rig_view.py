@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rig
-from daq.drawing.rig_view import DAMPER_HEIGHT, HEADROOM, WALL, Extremes, Motion, RigView, exaggeration
+from daq.drawing.rig_view import DAMPER_HEIGHT, HEADROOM, WALL, Extremes, RigPose, RigView, exaggeration
 from rig.scene.loading import SCENES
 
 SCENE = rig.load("fig8-three-dampers")
@@ -21,7 +21,7 @@ shaker: {shaker}
 def motion_of(scene, amplitude_m, seed=0, instants=50):
     noise = np.random.default_rng(seed)
     bodies, dampers = scene.structure.bodies, len(scene.dampers)
-    return Motion(
+    return RigPose(
         displacement=amplitude_m * noise.uniform(-1, 1, (bodies, instants)),
         table=amplitude_m * noise.uniform(-1, 1, instants) if RigView.driven_body(scene) else None,
         gap=amplitude_m * noise.uniform(0, 1, (dampers, instants)),
@@ -68,7 +68,7 @@ def test_given_a_damper_at_its_ceiling_when_drawn_then_its_top_touches_the_drawn
     scene = rig.load("fig9")
     clearance = scene.dampers[0].clearance
     still = np.zeros((3, 2))
-    motion = Motion(still, np.zeros(2), np.array([[0.0, clearance]]))
+    motion = RigPose(still, np.zeros(2), np.array([[0.0, clearance]]))
     view, parts = drawn(scene, motion)
     floor_gap, ceiling_gap = parts["rig/body_2/damper"][0]
     assert floor_gap == 0.0
@@ -123,7 +123,7 @@ def test_given_nothing_moves_when_the_exaggeration_is_chosen_then_noise_is_not_b
 
 
 def test_given_lost_samples_when_extremes_are_found_then_they_do_not_count():
-    motion = Motion(np.array([[1e-3, np.nan], [0.0, np.nan]]), np.array([np.nan, 0.0]), None)
+    motion = RigPose(np.array([[1e-3, np.nan], [0.0, np.nan]]), np.array([np.nan, 0.0]), None)
     extremes = Extremes().widened(motion, 1)
     assert extremes.body == extremes.spring == 1e-3
 

@@ -1,4 +1,4 @@
-"""Motions known in closed form, as `rig.motion.Motion`, and scenes with one channel to measure them."""
+"""Motions known in closed form, as `rig.simulation.motion.Motion`, and scenes with one channel to measure them."""
 
 from dataclasses import dataclass, replace
 

@@ -13,7 +13,7 @@ from daq.recording.markers import EVENT_SCHEMA, MARKER_SCHEMA, Marker, event_fro
 from daq.recording.protobuf import message_class
 from daq.recording.robot_description import TRANSFORMS_SCHEMA
 from daq.recording.sample_block import SAMPLE_TYPE, SCHEMAS, block_schema, decode, encode
-from daq.recording.timebase import Clock
+from daq.recording.timebase import Timebase
 from rig.errors import RecordingError
 
 
@@ -27,7 +27,7 @@ def test_given_any_rate_when_blocks_are_sized_then_they_last_about_a_tenth_of_a_
 
 @given(sample=st.integers(0, 2**50), rate=st.sampled_from([5120.0, 51200.0 / 31, 51200.0, 44100.0]))
 def test_given_any_sample_when_its_time_is_taken_then_the_nearest_sample_at_that_time_is_itself(sample, rate):
-    clock = Clock(rate, start_ns=1_700_000_000_000_000_000)
+    clock = Timebase(rate, start_ns=1_700_000_000_000_000_000)
     time = clock.time_ns(sample)
     if time < 2**64:
         assert clock.times_ns([sample, 0]).tolist() == [time, clock.start_ns]
@@ -39,14 +39,14 @@ def test_given_any_sample_when_its_time_is_taken_then_the_nearest_sample_at_that
 @pytest.mark.parametrize("rate", [0.0, -1.0, float("nan"), float("inf")])
 def test_given_an_impossible_rate_when_a_clock_is_made_then_it_says_so(rate):
     with pytest.raises(RecordingError, match="positive"):
-        Clock(rate)
+        Timebase(rate)
 
 
 @pytest.mark.parametrize("schema", SAMPLE_TYPE)
 @given(first=st.integers(0, 2**63 - 1), count=st.integers(0, 3000))
 def test_given_a_block_when_protobuf_reads_it_then_it_is_the_same_and_so_the_other_way(schema, first, count):
     samples = (np.arange(count) * 7 - 3).astype(SAMPLE_TYPE[schema])
-    clock = Clock(5120.0)
+    clock = Timebase(5120.0)
     message = message_class(block_schema(schema).data, schema)()
     if clock.time_ns(first) < 2**63:
         data = encode(clock, first, samples)
@@ -76,7 +76,7 @@ def test_given_random_bytes_when_decoded_as_a_block_then_there_is_a_block_or_a_c
 
 
 def test_given_a_block_cut_within_a_sample_when_decoded_then_the_error_says_so():
-    data = encode(Clock(5120.0), 0, np.arange(4.0))
+    data = encode(Timebase(5120.0), 0, np.arange(4.0))
     cut = data[:25] + bytes([7]) + data[26:34]
     with pytest.raises(RecordingError, match="no"):
         decode(memoryview(cut + b"xx"), "shotrig.BlockFloat64")

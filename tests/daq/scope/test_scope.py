@@ -162,7 +162,7 @@ def test_given_a_recording_that_exists_when_scoped_then_it_is_kept(tmp_path):
 def test_given_a_recording_that_exists_when_the_command_scopes_then_no_viewer_starts_and_overwrite_is_named(
     tmp_path, monkeypatch, capsys
 ):
-    monkeypatch.setattr(daq.show, "viewer", lambda *options: pytest.fail("the viewer was started"))
+    monkeypatch.setattr(daq.replay.outputs, "viewer", lambda *options: pytest.fail("the viewer was started"))
     (tmp_path / "scope.mcap").write_bytes(b"precious")
     words = ["daq", "scope", "bare-structure", "--web", "-o", str(tmp_path / "scope.mcap")]
     monkeypatch.setattr(sys, "argv", words)

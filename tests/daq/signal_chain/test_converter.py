@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from daq.signal_chain.converter import Converter, SampleClock
+from daq.signal_chain.converter import Quantiser, SampleClock
 from rig.errors import SceneError
 from rig.scene.data_sheets import parts
 from rig.scene.measurement_chain import Accelerometer, Hammer
@@ -12,7 +12,7 @@ from tests.daq.dsp.analytic_motion import Path, at_rest, chain_of, motion_of, sc
 
 def test_given_bits_and_range_when_converted_then_a_count_is_twice_the_range_over_the_codes():
     chain, _ = chain_of(scene_of("", converter="{bits: 16, range: 5 V}"))
-    converter = Converter(Settings(bits=16, range=5.0), chain.channels)
+    converter = Quantiser(Settings(bits=16, range=5.0), chain.channels)
     assert converter.channels[0].volts_per_count == 10.0 / 65536
     assert converter.channels[0].range == 5.0
     block = converter.convert(np.array([[0.0, 1.0, -5.0, 5.0, 4.99995, -7.0]]))
@@ -22,20 +22,20 @@ def test_given_bits_and_range_when_converted_then_a_count_is_twice_the_range_ove
 
 
 def test_given_a_range_without_bits_when_converted_then_volts_are_clipped_and_flagged():
-    block = Converter(Settings(range=5.0), []).convert(np.array([[1.25, -6.0]]))
+    block = Quantiser(Settings(range=5.0), []).convert(np.array([[1.25, -6.0]]))
     assert block.samples.tolist() == [[1.25, -5.0]]
     assert block.overload.tolist() == [[False, True]]
 
 
 def test_given_neither_when_converted_then_volts_go_through_untouched():
     volts = np.array([[1e6, -3.3]])
-    block = Converter(Settings(), []).convert(volts)
+    block = Quantiser(Settings(), []).convert(volts)
     assert np.array_equal(block.samples, volts)
     assert not block.overload.any()
 
 
 def test_given_32_bits_when_driven_beyond_the_range_then_counts_stay_in_32_bits():
-    block = Converter(Settings(bits=32, range=1.0), []).convert(np.array([[2.0, -2.0]]))
+    block = Quantiser(Settings(bits=32, range=1.0), []).convert(np.array([[2.0, -2.0]]))
     assert block.samples.tolist() == [[2**31 - 1, -(2**31)]]
 
 
@@ -44,7 +44,7 @@ def test_given_a_busy_signal_when_quantised_then_the_noise_has_a_variance_of_a_t
     bits,
 ):
     volts = 3.0 * np.sin(np.arange(400_000) * 0.1234567)[None]
-    converter = Converter(Settings(bits=bits, range=5.0), [])
+    converter = Quantiser(Settings(bits=bits, range=5.0), [])
     count = 10.0 / 2.0**bits
     error = converter.convert(volts).samples * count - volts
     assert error.var() == pytest.approx(count**2 / 12, rel=0.02)
@@ -81,13 +81,13 @@ def test_given_a_clock_error_when_the_rate_is_asked_for_then_it_is_stated_withou
 
 def test_given_blocks_to_drop_when_made_then_it_says_which_samples_are_lost():
     blocks = [{"at": 0.2, "samples": 10}, {"at": 0.1, "samples": 5}, {"at": 0.1005, "samples": 6}]
-    assert Converter(Settings(rate=1000.0, dropped_blocks=blocks), []).lost == ((100, 105), (200, 209))
+    assert Quantiser(Settings(rate=1000.0, dropped_blocks=blocks), []).lost == ((100, 105), (200, 209))
 
 
 def test_given_a_preset_module_when_connected_then_its_figures_are_in_force():
     scene = scene_of("", converter="{preset: NI 9234, rate: 5120 Hz}")
     chain, rate = chain_of(scene)
-    converter = Converter(scene.converter, chain.channels)
+    converter = Quantiser(scene.converter, chain.channels)
     assert converter.channels[0].volts_per_count == 10.0 / 2**24
     assert list(chain.effects["c1"]) == [
         "AC coupling", "decimation filter", "converter noise", "clipping", "quantisation",

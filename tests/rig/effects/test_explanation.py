@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import rig
-from rig.effects.effect_cost import ladder, text
+from rig.effects.effect_cost import effect_costs, text
 from rig.scene.loading import bundled
 from rig.system.assembly import assemble
 
@@ -56,12 +56,10 @@ def test_given_an_explanation_when_printed_then_channels_that_are_alike_share_on
     assert text.count("channel body") == 3
 
 
-def test_given_a_scene_when_its_ladder_is_climbed_then_each_named_effect_is_a_rung_and_states_add_up() -> (
-    None
-):
+def test_given_a_scene_when_its_effects_are_measured_then_each_named_one_is_there_and_states_add_up() -> None:
     scene = rig.load("fig9")
-    rungs = ladder(scene)
-    names = [rung.name for rung in rungs]
+    costs = effect_costs(scene)
+    names = [cost.name for cost in costs]
     assert names == [
         "structure",
         "shaker",
@@ -77,15 +75,15 @@ def test_given_a_scene_when_its_ladder_is_climbed_then_each_named_effect_is_a_ru
         "recording",
         "display",
     ]
-    assert sum(rung.states for rung in rungs) == sum(rig.explain(scene).states.values())
-    assert all(rung.total > 0.0 for rung in rungs)
-    assert text(rungs).splitlines()[-1].startswith("everything on runs at")
+    assert sum(cost.states for cost in costs) == sum(rig.explain(scene).states.values())
+    assert all(cost.total > 0.0 for cost in costs)
+    assert text(costs).splitlines()[-1].startswith("everything on runs at")
 
 
-def test_given_a_bare_scene_when_its_ladder_is_climbed_then_there_is_nothing_but_structure_and_ideal_channels() -> (
+def test_given_a_bare_scene_when_its_effects_are_measured_then_there_is_nothing_but_structure_and_ideal_channels() -> (
     None
 ):
     scene = rig.loads(
         "structure: {masses: [1 kg], springs: [4 kN/m]}\nrecording: {display: false}", where="test"
     )
-    assert [rung.name for rung in ladder(scene)] == ["structure", "channels, ideal", "recording"]
+    assert [cost.name for cost in effect_costs(scene)] == ["structure", "channels, ideal", "recording"]

@@ -15,7 +15,7 @@ from rig.motion_map.figure import summary, write
 from rig.motion_map.grid import columns, rows_of, take_off, vertical_axis
 from rig.motion_map.motion_map import KINDS
 from rig.output_files import make_ready
-from rig.system.open_loop_drive import with_force_itself
+from rig.system.open_loop_drive import with_ideal_force
 from rig.system.receptance import receptance
 
 
@@ -45,7 +45,7 @@ def test_given_the_paper_scene_when_mapped_then_its_types_follow_each_other_as_t
 def test_given_a_map_when_a_point_is_computed_alone_then_its_motion_is_the_same(
     fig9_map: rig.MotionMap,
 ) -> None:
-    scene = with_force_itself(rig.load("fig9"))
+    scene = with_ideal_force(rig.load("fig9"))
     scene = scene.replace(test=scene.test.replace(force=10.0))
     alone = rig.frequency_response(scene, fig9_map.frequency)
     assert list(alone.motion_type) == list(fig9_map.motion[-1])
@@ -60,10 +60,10 @@ def test_given_take_off_when_compared_with_the_receptance_then_that_level_accele
     response = receptance(scene, frequency, riding=(1, 2, 3))
     largest = np.abs(response).max(axis=0) * (2 * np.pi * frequency) ** 2
     np.testing.assert_allclose(
-        take_off(with_force_itself(scene), frequency) * largest, scene.gravity, rtol=1e-9
+        take_off(with_ideal_force(scene), frequency) * largest, scene.gravity, rtol=1e-9
     )
     np.testing.assert_allclose(
-        take_off(scene, frequency), take_off(with_force_itself(scene), frequency), rtol=1e-6
+        take_off(scene, frequency), take_off(with_ideal_force(scene), frequency), rtol=1e-6
     )
 
 

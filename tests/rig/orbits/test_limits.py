@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import rig
-from rig.orbits.problem import pure_force
 from rig.scene.scene import Scene
+from rig.system.open_loop_drive import with_ideal_force
 from rig.system.receptance import receptance
 from tests.rig.bouncing_ball import FULL_PERIOD, fly, take_off
 
@@ -14,7 +14,7 @@ GRAVITY = 9.80665
 
 def at_body(scene: Scene, body: int, frequency: float, acceleration: float, **damper: float) -> Scene:
     """Give one body one damper, and the force that accelerates the bare body by so many times gravity."""
-    bare = pure_force(scene).replace(dampers=[])
+    bare = with_ideal_force(scene).replace(dampers=[])
     compliance = abs(receptance(bare, [frequency])[body - 1, 0])
     force = acceleration * GRAVITY / ((2 * np.pi * frequency) ** 2 * compliance)
     test = {"kind": "stepped_sine", "frequencies": [frequency], "force": float(force)}
@@ -80,7 +80,7 @@ def test_given_a_damper_without_mass_when_the_acceleration_passes_a_whole_period
 def test_given_no_clearance_when_solved_then_the_response_is_linear_with_the_dampers_masses(
     name: str, frequency: float
 ) -> None:
-    scene = pure_force(rig.load(name))
+    scene = with_ideal_force(rig.load(name))
     tight = scene.replace(dampers=[d.replace(clearance=0.0) for d in scene.dampers])
 
     orbit = rig.periodic_orbit(tight, frequency)
@@ -92,7 +92,7 @@ def test_given_no_clearance_when_solved_then_the_response_is_linear_with_the_dam
 
 
 def test_given_ever_smaller_clearances_when_solved_then_the_orbit_tends_to_the_linear_response() -> None:
-    scene = pure_force(rig.load("fig9"))
+    scene = with_ideal_force(rig.load("fig9"))
     exact = receptance(scene, [49.5], riding=[1])[:, 0]
 
     away = []
@@ -112,7 +112,7 @@ def test_given_ever_smaller_clearances_when_solved_then_the_orbit_tends_to_the_l
 def test_given_accelerations_below_gravity_when_solved_then_dampers_ride_and_the_response_is_linear(
     name: str, frequency: float
 ) -> None:
-    scene = pure_force(rig.load(name))
+    scene = with_ideal_force(rig.load(name))
 
     orbit = rig.periodic_orbit(scene, frequency)
 

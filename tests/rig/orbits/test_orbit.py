@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 
 import rig
-from rig.engine.propagator import March
+from rig.engine.propagator import Propagator
 from rig.errors import RunError, SceneError
 from rig.orbits.branches import OrbitCurve, follow_orbits
 from rig.orbits.orbit import Orbit
 from rig.orbits.periodic_orbit import enter, period_steps, periodic_orbit, read_cycle, start_march
-from rig.orbits.problem import Parameter, Problem, pure_force
+from rig.orbits.problem import OrbitProblem, Parameter
 from rig.scene.scene import Scene
 from rig.single_mode.approximate_response import Approximation, follow_mode
 from rig.single_mode.reduction import SingleMode, single_mode
+from rig.system.open_loop_drive import with_ideal_force
 from rig.system.receptance import receptance
 from rig.system.structure import structure_matrices
 
@@ -24,16 +25,16 @@ def fig9_curve() -> OrbitCurve:
     return follow_orbits(rig.load("fig9"), "frequency", (48.5, 51.3), searches=2)
 
 
-def on_orbit(scene: Scene, orbit: Orbit) -> tuple[March, float]:
+def on_orbit(scene: Scene, orbit: Orbit) -> tuple[Propagator, float]:
     """Put the engine on an orbit."""
-    march, steps = start_march(Problem(scene), orbit.setting)
+    march, steps = start_march(OrbitProblem(scene), orbit.setting)
     enter(march, orbit)
     return march, steps
 
 
 def varied(name: str, force: float, mass_ratio: float, clearance: float, restitution: float = 0.0) -> Scene:
     """Change what the paper's scenes have in common, on a pure force."""
-    scene = pure_force(rig.load(name))
+    scene = with_ideal_force(rig.load(name))
     changes = {"mass": None, "mass_ratio": mass_ratio, "clearance": clearance, "restitution": restitution}
     test = {"kind": "stepped_sine", "frequencies": [49.0], "force": force}
     return scene.replace(dampers=[d.replace(**changes) for d in scene.dampers], test=test)
@@ -101,7 +102,7 @@ def test_given_an_orbit_when_disturbed_in_the_engine_then_it_answers_by_its_mult
     scene: Scene, frequency: float
 ) -> None:
     orbit = periodic_orbit(scene, frequency)
-    system = Problem(scene).system
+    system = OrbitProblem(scene).system
     ns, nq = system.states, system.coordinates
     flying = len(orbit.plan.flying)
     omega = 2 * np.pi * frequency
@@ -113,7 +114,7 @@ def test_given_an_orbit_when_disturbed_in_the_engine_then_it_answers_by_its_mult
         unknowns = orbit.unknowns.copy()
         unknowns[: len(change)] += change
         march, steps = on_orbit(scene, Orbit(**{**vars(orbit), "unknowns": unknowns}))
-        march.over_marks(
+        march.through_marks(
             np.full(orbit.repetition, steps),
             np.full(orbit.repetition, -1),
             np.ones(orbit.repetition, dtype=bool),
@@ -132,7 +133,7 @@ def test_given_an_orbit_when_disturbed_in_the_engine_then_it_answers_by_its_mult
 
 
 def test_given_stable_branches_when_simulated_to_steady_state_then_the_responses_agree() -> None:
-    scene = pure_force(rig.load("fig9"))
+    scene = with_ideal_force(rig.load("fig9"))
     frequencies = np.array([48.3, 49.0, 49.9, 50.6, 51.2])
 
     response = rig.frequency_response(scene, frequencies, tolerance=1e-10)
@@ -288,13 +289,13 @@ def test_given_an_approximate_motion_when_run_by_the_engine_with_one_mode_then_i
         i = int(possible[len(possible) // 2])
         omega = 2 * np.pi * branch.frequency[i]
         length = mode.gravity / omega**2
-        problem = Problem(scene)
+        problem = OrbitProblem(scene)
         march, steps = start_march(problem, problem.setting(float(branch.frequency[i])))
         q, u, a, b = branch.unknowns[:4, i] * length * np.array([1, omega, 1, 1])
         # The floor impact is tau = 0, where the force is F sin(-phi) = b: start the tone at that phase.
         phase = np.arctan2(b, a)
         march.place(np.array([q, u]), np.array([np.cos(phase), np.sin(phase)]))
-        course = march.over_marks(np.array([steps]), np.array([0]), np.zeros(1, dtype=bool))
+        course = march.through_marks(np.array([steps]), np.array([0]), np.zeros(1, dtype=bool))
 
         instants = [
             branch.tau_0[i],
@@ -346,7 +347,7 @@ def test_given_a_start_far_from_any_orbit_when_solved_then_it_says_where_it_fail
 
 
 def test_given_a_march_when_asked_for_its_steps_then_a_period_is_a_whole_number_of_them() -> None:
-    problem = Problem(rig.load("fig9"))
+    problem = OrbitProblem(rig.load("fig9"))
     setting = problem.setting(49.0)
 
     march, steps = start_march(problem, setting)

@@ -7,7 +7,7 @@ from scipy.linalg import expm
 import rig
 from rig.orbits.orbit import Following
 from rig.orbits.periodic_orbit import periodic_orbit
-from rig.orbits.problem import PARAMETERS, Parameter, Problem, Setting, vary
+from rig.orbits.problem import PARAMETERS, OperatingPoint, OrbitProblem, Parameter, vary
 from rig.orbits.shooting import exponential
 
 
@@ -18,10 +18,10 @@ from rig.orbits.shooting import exponential
 def test_given_an_orbit_when_differentiated_then_finite_differences_give_the_same_jacobian(
     name: str, frequency: float, parameter: Parameter
 ) -> None:
-    problem = Problem(rig.load(name))
+    problem = OrbitProblem(rig.load(name))
     orbit = periodic_orbit(rig.load(name), frequency)
     clearance = float(problem.system.clearance[0])
-    setting = Setting(frequency, problem.level, clearance, 1.0)
+    setting = OperatingPoint(frequency, problem.level, clearance, 1.0)
     following = Following(problem, orbit.plan, setting, parameter, orbit.unknowns)
     assert vary(setting, parameter)(getattr(setting, parameter)) == setting
     x = np.append(orbit.unknowns, getattr(setting, parameter))
@@ -40,7 +40,7 @@ def test_given_a_table_that_is_driven_when_the_frequency_changes_then_the_drive_
         shaker={"kind": "table", "body": 1, "spring": 6600.0},
         test={"kind": "stepped_sine", "frequencies": [51.0], "drive": 1.0e-3},
     )
-    problem = Problem(scene)
+    problem = OrbitProblem(scene)
     orbit = periodic_orbit(scene, 51.0)
     following = Following(problem, orbit.plan, orbit.setting, "frequency", orbit.unknowns)
     x = np.append(orbit.unknowns, 51.0)

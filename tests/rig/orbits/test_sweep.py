@@ -5,12 +5,12 @@ import pytest
 
 import rig
 from rig.errors import SceneError
-from rig.orbits.problem import pure_force
 from rig.scene.scene import Scene
+from rig.system.open_loop_drive import with_ideal_force
 
 
 def scene_with(name: str, mass_ratio: float, clearance: float, force: float) -> Scene:
-    scene = pure_force(rig.load(name))
+    scene = with_ideal_force(rig.load(name))
     dampers = [
         d.replace(mass=None, mass_ratio=mass_ratio, clearance=clearance, restitution=0.0)
         for d in scene.dampers
@@ -51,7 +51,7 @@ def test_given_a_curve_when_swept_as_orbits_then_settled_simulation_gives_the_sa
 def test_given_irregular_motion_when_swept_then_it_is_simulated_and_averaged_and_the_reason_is_given() -> (
     None
 ):
-    scene = pure_force(rig.load("fig8-three-dampers"))
+    scene = with_ideal_force(rig.load("fig8-three-dampers"))
 
     swept = rig.orbit_response(scene, [33.2, 33.3, 33.6])
 
@@ -77,7 +77,7 @@ def test_given_irregular_motion_when_swept_then_it_is_simulated_and_averaged_and
 def test_given_another_parameter_when_swept_then_each_orbit_is_that_of_the_changed_scene(
     parameter: str, values: list[float]
 ) -> None:
-    scene = pure_force(rig.load("fig9"))
+    scene = with_ideal_force(rig.load("fig9"))
     damper = scene.dampers[0]
 
     swept = rig.orbit_response(scene, values, parameter, frequency=49.8)

@@ -17,7 +17,7 @@ from rig.single_mode.approximate_response import (
     follow_mode,
 )
 from rig.single_mode.motion_search import solutions
-from rig.single_mode.periodic_motion import INSTANTS, Motion, MotionType, Setting, jacobian
+from rig.single_mode.periodic_motion import INSTANTS, MotionParameters, MotionType, PeriodicMotion, jacobian
 from rig.single_mode.reduction import SingleMode, single_mode
 from rig.system.receptance import receptance
 from tests.rig.bouncing_ball import fly, take_off
@@ -147,7 +147,7 @@ def test_given_conditions_when_differentiated_then_they_agree_with_finite_differ
     values, slopes = jacobian(kind, unknowns, setting, "ratio")
 
     def at(x: np.ndarray) -> np.ndarray:
-        return Motion(kind, x[:-1], setting._replace(ratio=x[-1])).conditions()
+        return PeriodicMotion(kind, x[:-1], setting._replace(ratio=x[-1])).conditions()
 
     x = np.append(unknowns, setting.ratio)
     numeric = np.array([(at(x + h) - at(x - h)) / 2e-6 for h in 1e-6 * np.eye(len(x))]).T
@@ -281,7 +281,7 @@ def test_given_a_motion_when_its_energy_is_summed_then_the_force_pays_for_dampin
     branch = branches(single_damper(), kind)[0]
     (i,) = pick(branch, 1)
     setting = dimensionless(mode, branch.frequency[i] / mode.frequency)
-    motion = Motion(kind, branch.unknowns[:, i], setting)
+    motion = PeriodicMotion(kind, branch.unknowns[:, i], setting)
     omega = 2 * np.pi * branch.frequency[i]
     length = mode.gravity / omega**2
 
@@ -306,7 +306,7 @@ def test_given_a_motion_when_its_energy_is_summed_then_the_force_pays_for_dampin
 def test_given_a_low_ceiling_when_type_i_would_hit_it_then_it_is_called_impossible() -> None:
     setting = dimensionless(single_damper().mode, 0.93)._replace(height=0.1)
     motions = solutions("I", setting).T
-    batch = Batch("I", motions, Setting(*(np.full(motions.shape[1], value) for value in setting)))
+    batch = Batch("I", motions, MotionParameters(*(np.full(motions.shape[1], value) for value in setting)))
 
     assert set(flaws(batch)) == {"hits the ceiling early"}
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import csv
 from decimal import Decimal
 from pathlib import Path
@@ -14,11 +13,11 @@ from mpmath import mp, mpf
 import rig
 from rig.errors import SceneError
 from rig.system.assembly import assemble
-from rig.system.open_loop_drive import tone_drive, with_force_itself
+from rig.system.open_loop_drive import tone_drive, with_ideal_force
 from rig.system.receptance import receptance
 from rig.work_precision.adaptive_solvers import BLIND, follow, scipy_leg
 from rig.work_precision.figure import table, write
-from rig.work_precision.first_order_form import PER_PERIOD, Problem
+from rig.work_precision.first_order_form import PER_PERIOD, FirstOrderForm
 from rig.work_precision.fixed_step_schemes import moreau_jean, penalty_newmark, penalty_runge_kutta
 from rig.work_precision.high_precision import exact_motion
 from rig.work_precision.high_precision_orbit import exact_orbit
@@ -30,7 +29,7 @@ PERIODS = 12
 
 
 @pytest.fixture(scope="module")
-def case() -> tuple[Problem, np.ndarray, rig.Run]:
+def case() -> tuple[FirstOrderForm, np.ndarray, rig.Run]:
     """Case B, its exact displacements and the engine's run."""
     scene = rig.load("reference-B")
     system = assemble(scene)
@@ -38,7 +37,7 @@ def case() -> tuple[Problem, np.ndarray, rig.Run]:
     run = rig.simulate(scene, PERIODS / tone.frequency, PER_PERIOD * tone.frequency)
     exact = exact_motion(system, tone, run, PER_PERIOD)
     assert exact.agreement < 1e-20
-    return Problem(system, tone, PERIODS), exact.displacement, run
+    return FirstOrderForm(system, tone, PERIODS), exact.displacement, run
 
 
 def error(outcome: object, exact: np.ndarray) -> float:
@@ -47,7 +46,7 @@ def error(outcome: object, exact: np.ndarray) -> float:
 
 
 def test_given_a_reference_when_the_first_ride_is_computed_by_other_means_then_thirty_digits_agree(
-    case: tuple[Problem, np.ndarray, rig.Run],
+    case: tuple[FirstOrderForm, np.ndarray, rig.Run],
 ) -> None:
     _, exact, run = case
     scene = run.scene
@@ -63,7 +62,7 @@ def test_given_a_reference_when_the_first_ride_is_computed_by_other_means_then_t
 
 
 def test_given_a_reference_when_the_engine_is_compared_then_it_is_right_to_rounding(
-    case: tuple[Problem, np.ndarray, rig.Run],
+    case: tuple[FirstOrderForm, np.ndarray, rig.Run],
 ) -> None:
     _, exact, run = case
     values = np.vectorize(Decimal, otypes=[object])(run.displacement)
@@ -72,7 +71,7 @@ def test_given_a_reference_when_the_engine_is_compared_then_it_is_right_to_round
 
 @pytest.mark.parametrize("scheme", [penalty_runge_kutta, penalty_newmark, moreau_jean])
 def test_given_a_fixed_step_scheme_when_its_step_shrinks_twentyfold_then_its_error_does_so_at_least_fivefold(
-    scheme: object, case: tuple[Problem, np.ndarray, rig.Run]
+    scheme: object, case: tuple[FirstOrderForm, np.ndarray, rig.Run]
 ) -> None:
     problem, exact, _ = case
     coarse, fine = (error(scheme(problem, steps), exact) for steps in (320, 6400))
@@ -81,31 +80,12 @@ def test_given_a_fixed_step_scheme_when_its_step_shrinks_twentyfold_then_its_err
 
 
 def test_given_an_adaptive_solver_when_it_follows_the_motion_then_it_finds_the_events_at_its_tolerance(
-    case: tuple[Problem, np.ndarray, rig.Run],
+    case: tuple[FirstOrderForm, np.ndarray, rig.Run],
 ) -> None:
     problem, exact, run = case
     outcome = follow(problem, scipy_leg("DOP853", 1e-9, np.inf), BLIND, 60.0)
     assert [kind for _, _, kind in outcome.events] == list(run.events["kind"])
     assert error(outcome, exact) < 1e-6
-
-
-def test_given_the_alternatives_when_the_packages_are_searched_then_only_the_cost_study_uses_them() -> None:
-    packages = Path(rig.__file__).parent.parent
-    users = set()
-    for package in ("rig", "daq", "analysis"):
-        for path in (packages / package).rglob("*.py"):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-                if any(
-                    name.startswith(
-                        ("rig.work_precision.first_order_form", "rig.work_precision.high_precision")
-                    )
-                    for name in names
-                ):
-                    users.add(path.name)
-    assert users <= {
-        "cost.py", "cost_steady.py", "reference_orbit.py", "schemes_adaptive.py", "schemes_fixed.py",
-    }  # fmt: skip
 
 
 def test_given_a_periodic_motion_when_ways_to_it_are_measured_then_waiting_converges_to_the_orbit() -> None:
@@ -124,7 +104,7 @@ def test_given_a_periodic_orbit_when_improved_to_forty_digits_then_two_precision
 ) -> None:
     scene = rig.load(name)
     orbit = rig.periodic_orbit(scene, frequency)
-    exact = exact_orbit(with_force_itself(scene), orbit)
+    exact = exact_orbit(with_ideal_force(scene), orbit)
     assert orbit.motion_type == motion
     assert exact.residual < 1e-33
     assert exact.agreement < 1e-22
@@ -133,7 +113,7 @@ def test_given_a_periodic_orbit_when_improved_to_forty_digits_then_two_precision
 
 def test_given_a_linear_scene_when_its_orbit_is_improved_then_it_is_the_solution_of_the_equations() -> None:
     scene = rig.load("fig8-no-damper")
-    exact = exact_orbit(with_force_itself(scene), rig.periodic_orbit(scene, 34.8))
+    exact = exact_orbit(with_ideal_force(scene), rig.periodic_orbit(scene, 34.8))
     assert exact.miss(receptance(scene, [34.8])[:, 0]) < 1e-12
 
 

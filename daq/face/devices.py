@@ -41,8 +41,8 @@ class PhysicalChannel:
 
     @property
     def sensor(self) -> Any:
-        """What is wired to an input (`daq.signal_chain.channel.ChannelInfo`), as an electronic data sheet
-        would tell.""" port = parse_port(self.name)
+        """What is wired to an input, as an electronic data sheet would tell."""
+        port = parse_port(self.name)
         inputs = (self._chassis or connected()).inputs
         if port.kind != "ai" or port.number >= len(inputs):
             raise DaqError(

@@ -362,8 +362,8 @@ class Recorder:
 
 
 def stored_as(scene: Scene, channels: Sequence[ChannelInfo]) -> str:
-    """Say how samples are stored, a key of `daq.recording.sample_block.SCHEMAS`: as the scene asks, or else
-    as they come.""" if scene.recording.samples is not None:
+    """Say how samples are stored, a key of `sample_block.SCHEMAS`: as the scene asks, or else as they come."""
+    if scene.recording.samples is not None:
         return scene.recording.samples
     return "counts" if all(info.volts_per_count is not None for info in channels) else "float64"
 

@@ -80,7 +80,7 @@ def encode(clock: Timebase, first_sample: int, samples: NDArray[Any]) -> bytes:
 
     Examples
     --------
-    >>> data = encode(Clock(5120.0), 512, np.array([1.5, 2.5]))
+    >>> data = encode(Timebase(5120.0), 512, np.array([1.5, 2.5]))
     >>> decode(memoryview(data), "shotrig.BlockFloat64").samples
     array([1.5, 2.5])
     """

@@ -34,7 +34,7 @@ class Timebase:
     def time_ns(self, sample: int) -> int:
         """Give the time of a sample in nanoseconds; in integers throughout, so that no error builds up.
 
-        >>> Clock(8533.333333333334).time_ns(10**12) // 10**9
+        >>> Timebase(8533.333333333334).time_ns(10**12) // 10**9
         117187499
         """
         return self._times((sample,))[0]

@@ -101,8 +101,8 @@ class Quantiser:
 
     Examples
     --------
-    >>> converter = Converter(Settings(bits=8, range="1 V"), [])
-    >>> block = converter.convert(np.array([[0.5, -0.004, 1.5]]))
+    >>> quantiser = Quantiser(Settings(bits=8, range="1 V"), [])
+    >>> block = quantiser.convert(np.array([[0.5, -0.004, 1.5]]))
     >>> block.samples, block.overload
     (array([[ 64,  -1, 127]], dtype=int32), array([[False, False,  True]]))
     """

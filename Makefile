@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: demo test lint types layers quick bench peers clean
+.PHONY: demo test lint types layers quick bench peers docs clean
 .DEFAULT_GOAL := demo
 
 $(VENV)/bin/python:
@@ -45,6 +45,11 @@ peers: $(STAMP)
 	$(VENV)-peers/bin/python -m pip install --quiet --disable-pip-version-check "pyFRF==1.5.0" "sdypy-EMA==0.31.0"
 	$(BIN)/python -m tests.peers.ours build/peers
 	MPLBACKEND=agg $(VENV)-peers/bin/python tests/peers/theirs.py build/peers
+
+# The API reference from the docstrings, in build/docs.
+docs: $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[dev,docs]"
+	$(BIN)/python -m tests.api_reference build/docs
 
 clean:
 	rm -rf $(VENV) $(VENV)-peers build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

@@ -37,6 +37,7 @@ from daq.instrument.sample_rates import coerced
 from daq.signal_chain.bench import AcquiredBlock, Bench
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import SceneError
+from rig.scene.measurement_chain import Converter
 from rig.scene.presets import filled_in
 
 if TYPE_CHECKING:
@@ -158,7 +159,7 @@ class Chassis:
         return float(self.converter.range or math.inf)
 
     @property
-    def converter(self) -> rig.scene.Converter:
+    def converter(self) -> Converter:
         """The scene's converter, with what its module's datasheet fills in."""
         return filled_in(self.scene.converter)
 

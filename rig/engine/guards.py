@@ -10,11 +10,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.engine.contact import AMBIGUOUS, FLIGHT, FLOOR, ROUNDING, State
+from rig.engine.contact import AMBIGUOUS, FLIGHT, FLOOR, State
 from rig.engine.flow import Flow, Model
 from rig.engine.power_series import expand
 from rig.engine.workspace import Workspace
 from rig.numerics.bernstein import LENGTH, NONE, first_crossing
+from rig.numerics.complementarity import ROUNDING
 from rig.numerics.jit import compiled, inlined
 from rig.numerics.simd import combine
 

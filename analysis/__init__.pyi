@@ -1,0 +1,9 @@
+# The public names and where they live; `__init__.py` imports each when it is first used.
+
+from .decays.free_decay import Decay, decay
+from .export.export import sep005
+from .modal.identification import Modes, identify, mac
+from .responses.frequency_responses import compliance, frequency_responses
+from .responses.frf import Frf
+
+__all__ = ["Decay", "Frf", "Modes", "compliance", "decay", "frequency_responses", "identify", "mac", "sep005"]

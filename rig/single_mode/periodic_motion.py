@@ -16,9 +16,12 @@ tau_2. All impacts are perfectly plastic.
 
 The force is F sin(tau - phi): a = F cos(phi), b = -F sin(phi). For given instants every condition but a^2 +
 b^2 = F^2 and the ceiling's height is linear in (q_0, q'_0, a, b), which is what
-`rig.single_mode.approximate_response` uses to
-find all solutions; and each condition is analytic in every unknown and parameter, so that a complex step
-gives exact derivatives.
+`rig.single_mode.approximate_response` uses to find all solutions; and each condition is analytic in every unknown and
+parameter, so that a complex step gives exact derivatives.
+
+In the paper: flight is Eq. 8 for the mode and Eqs 10 and 11 for the damper, riding Eq. 9; the conditions are Eqs
+14-17, which it reduces to three transcendental equations in the instants (18-20) and a linear one (21). Here they
+stay as they are, because the reduced ones hold for Type II alone.
 """
 
 from __future__ import annotations
@@ -167,7 +170,8 @@ class PeriodicMotion:
         """State a time `t` after a phase's begin (closed form)."""
         inertia, decay, stiffness = self._oscillator(phase)
         q_q, q_u, u_q, u_u = self.homogeneous(phase, t)
-        # Responses from rest to cos(t) and sin(t), by taking the homogeneous part off the steady one.
+        # Responses from rest to cos(t) and sin(t), by taking the homogeneous part off the steady one. The paper keeps
+        # the steady part (A_p and beta) as it is; it is singular at resonance without damping, and so is this.
         d_r, d_i = stiffness - 1, 2 * decay
         size = inertia * (d_r**2 + d_i**2)
         nc, ns = np.cos(t) - q_q, np.sin(t) - q_u
@@ -179,6 +183,7 @@ class PeriodicMotion:
         q = q_q * q0 + q_u * u0 + q_c * cos_part + q_s * sin_part
         u = u_q * q0 + u_u * u0 + u_c * cos_part + u_s * sin_part
         if phase.riding:
+            # The riding mass adds its weight, the constant -gamma_i of Eq. 9.
             weight = -self.setting.mass_ratio / inertia
             q = q + weight * (1 - q_q) / stiffness
             u = u + weight * q_u
@@ -213,10 +218,11 @@ class PeriodicMotion:
         """
         floor, up = self.phases[0], self.phases[1]
         found = [
-            self.landing.q - floor.start.q,
-            self.common_velocity(self.landing) - floor.start.u,
+            self.landing.q - floor.start.q,  # Eqs 14 and 17: rho_c1 at both ends of the period
+            self.common_velocity(self.landing) - floor.start.u,  # Eq. 14: u_c1 from u_b1 and v_b1
+            # Separation: Eq. 15 takes over position and velocity; that it happens here needs the force to vanish.
             self.acceleration(up, np.zeros_like(up.length), up.start) + 1,
-            self.landing.y - self.landing.q,
+            self.landing.y - self.landing.q,  # Eq. 17: both at rho_c1
         ]
         if self.kind == "III":
             down = self.phases[-1]
@@ -231,7 +237,7 @@ class PeriodicMotion:
         """All conditions, shape (4 + instants, ...): the motion is periodic where they vanish."""
         found = list(self.affine_conditions())
         if self.kind != "I":
-            found.append(self.ceiling_gap() - self.height)
+            found.append(self.ceiling_gap() - self.height)  # Eq. 16: the damper is d_j above the body
         # The force condition is divided by F, which keeps its size like the others'.
         force = self.setting.force
         found.append((self.a**2 + self.b**2) / force - force)

@@ -1,4 +1,5 @@
 """MCAP chunks in and out, whole or damaged; nothing about vibration.
 
-Start with `writer` and `reader`; `damaged_file` reads what a torn file still holds.
+Start with `writer` and `reader`; `chunk` checks what a chunk says of itself, `damaged_file` reads what
+a torn file still holds.
 """

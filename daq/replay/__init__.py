@@ -1,4 +1,5 @@
 """A recording in the rerun viewer: moving rig, traces, markers; to a window, a file or a picture.
 
-The motion shown is what the recording tells, never simulated anew. Start with `replay`.
+The motion shown is what the recording tells, never simulated anew. Start with `replay`; `outputs` opens the window or
+writes the file, `rerun_viewer` draws the picture.
 """

@@ -54,62 +54,38 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class Measurement:
-    """One chain, measured.
-
-    Attributes
-    ----------
-    group, setting : str
-        What is changed, and to what.
-    cpu : float
-        CPU time to record and to analyse, s; NaN if that failed.
-    duration : float
-        Length of the test, s.
-    error : float
-        Of the compliance of any measured body at any of the frequencies, relative to the largest there, each channel
-        corrected by its data sheet: the frequency response of sensor, amplifier and converter.
-    corrected : float
-        What that correction takes away: largest error of a displacement read by the channels' nominal sensitivities
-        alone, relative. In a compliance much of it cancels where all channels are alike.
-    note : str
-        Warnings of the test and of the analysis; why it failed.
-    """
+    """One chain, measured."""
 
     group: str
     setting: str
+    """What is changed, and to what."""
     cpu: float
-    duration: float
+    """CPU time to record and to analyse, s; NaN if that failed."""
+    duration: float  # Length of the test, s
     error: float
+    """Of the compliance of any measured body at any of the frequencies, relative to the largest there, each
+    channel corrected by its data sheet: the frequency response of sensor, amplifier and converter."""
     corrected: float
+    """What that correction takes away: largest error of a displacement read by the channels' nominal
+    sensitivities alone, relative. In a compliance much of it cancels where all channels are alike."""
     note: str = ""
+    """Warnings of the test and of the analysis; why it failed."""
 
 
 @dataclass(frozen=True)
 class ChainStudy:
-    """What `chain_study` found.
+    """What `chain_study` found."""
 
-    Attributes
-    ----------
-    scene : Scene
-        With its chain written out.
-    frequency : tuple of float
-        Hz.
-    own : Measurement
-        The scene as it is.
-    quiet : Measurement
-        The same without what no data sheet can correct (noise, quantisation, tolerances and bias of the sensors): from
-        here one thing is changed at a time.
-    points : tuple of Measurement
-        One thing changed at a time.
-    reference : str
-        What the errors refer to, and how it is known.
-    """
-
-    scene: Scene
-    frequency: tuple[float, ...]
-    own: Measurement
+    scene: Scene  # With its chain written out
+    frequency: tuple[float, ...]  # Hz
+    own: Measurement  # The scene as it is
     quiet: Measurement
+    """The same without what no data sheet can correct (noise, quantisation, tolerances and bias of the
+    sensors): from here one thing is changed at a time."""
     points: tuple[Measurement, ...]
+    """One thing changed at a time."""
     reference: str
+    """What the errors refer to, and how it is known."""
 
 
 def chain_study(

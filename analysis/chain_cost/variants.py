@@ -39,19 +39,11 @@ GROUPS = ("sensor", "noise", "integrator", "anti-alias filter", "sample rate", "
 
 @dataclass(frozen=True)
 class Variant:
-    """A scene with one thing in its chain changed.
-
-    Attributes
-    ----------
-    group : str
-        What was changed: one of `GROUPS`; "" for the scene itself.
-    setting : str
-        To what.
-    scene : Scene
-    """
+    """A scene with one thing in its chain changed."""
 
     group: str
-    setting: str
+    """What was changed: one of `GROUPS`; "" for the scene itself."""
+    setting: str  # To what
     scene: Scene
 
 

@@ -46,36 +46,25 @@ _CLEARLY = 0.7
 
 @dataclass(frozen=True)
 class Impacts:
-    """Impacts found in one channel.
-
-    Attributes
-    ----------
-    channel : str
-        Name.
-    time : ndarray, shape (n,)
-        s after sample 0.
-    jump : ndarray, shape (n,)
-        Velocity jump of the body, m/s: down (negative) from a blow on the floor, up from one on the
-        ceiling.
-    acceleration : ndarray, shape (n,)
-        Smooth acceleration of the body then, m/s²; NaN where the stretch ends before it can be told.
-    noise : float
-        Standard deviation of a jump's estimate where there is none, m/s: from the channel's noise, as found
-        between the impacts, through the filter that looks for jumps. Where the noise varies, its 95th
-        percentile.
-    resolution : float
-        Impacts nearer to each other than this are seen as one, the largest, s.
-    searched : float
-        Length of what was searched, s: the stretch without its ends, lost samples and overloads.
-    """
+    """Impacts found in one channel."""
 
     channel: str
     time: Array
+    """s after sample 0; shape (n,)."""
     jump: Array
+    """Velocity jump of the body, m/s: down (negative) from a blow on the floor, up from one on the ceiling;
+    shape (n,)."""
     acceleration: Array
+    """Smooth acceleration of the body then, m/s²; NaN where the stretch ends before it can be told; shape
+    (n,)."""
     noise: float
+    """Standard deviation of a jump's estimate where there is none, m/s: from the channel's noise, as found
+    between the impacts, through the filter that looks for jumps. Where the noise varies, its 95th
+    percentile."""
     resolution: float
+    """Impacts nearer to each other than this are seen as one, the largest, s."""
     searched: float
+    """Length of what was searched, s: the stretch without its ends, lost samples and overloads."""
 
     @property
     def threshold(self) -> float:

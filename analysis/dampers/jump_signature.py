@@ -40,37 +40,27 @@ class Signature:
     All is done on differences of the readings, of such an order that everything about a jump is short: two
     more than the channel integrates. The differences are only bookkeeping; the fit is least squares in
     the readings themselves, whose noise is white.
-
-    Attributes
-    ----------
-    difference : int
-        Order of the differences.
-    instants : int
-        Instants told apart within a sample.
-    coarse : int
-        Every so many of them suffice to find a jump; all of them to take it out.
-    filters : ndarray, shape (2 SHIFT instants, 3, window)
-        Applied to a window of differences they give independent coordinates of unit noise per unit noise of
-        the readings: kink, step without the kink's part, jump without both; a polynomial is taken off
-        before. Row g stands for a jump (g + 1/2) / instants - SHIFT samples after the window's sample 0.
-    triangles : ndarray, shape (2 SHIFT instants, 3, 3)
-        Upper triangular; turns sizes (kink, step, jump) into those coordinates.
-    window_start : int
-        Place of the window's first difference against its sample 0.
-    shapes : ndarray, shape (2 SHIFT instants, 3, length)
-        Differences of unit jump, step and kink.
-    shape_start : int
-        Place of their first one against sample 0.
     """
 
-    difference: int
+    difference: int  # Order of the differences
     instants: int
+    """Instants told apart within a sample."""
     coarse: int
+    """Every so many of them suffice to find a jump; all of them to take it out."""
     filters: Array
+    """Applied to a window of differences they give independent coordinates of unit noise per unit noise of
+    the readings: kink, step without the kink's part, jump without both; a polynomial is taken off before. Row
+    g stands for a jump (g + 1/2) / instants - SHIFT samples after the window's sample 0. Shape (2 SHIFT
+    instants, 3, window)."""
     triangles: Array
+    """Upper triangular; turns sizes (kink, step, jump) into those coordinates; shape (2 SHIFT instants, 3,
+    3)."""
     window_start: int
+    """Place of the window's first difference against its sample 0."""
     shapes: Array
+    """Differences of unit jump, step and kink; shape (2 SHIFT instants, 3, length)."""
     shape_start: int
+    """Place of their first one against sample 0."""
 
     @property
     def window(self) -> int:

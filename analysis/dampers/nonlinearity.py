@@ -67,32 +67,21 @@ def jumps(frf: Frf) -> list[tuple[float, str]]:
 
 @dataclass(frozen=True)
 class DamperMotion:
-    """What impacts tell of a damper's motion at one frequency.
+    """What impacts tell of a damper's motion at one frequency."""
 
-    Attributes
-    ----------
-    frequency : float
-        Hz.
-    channel : str
-        Channel on the damper's body.
-    floor, ceiling : float
-        Impacts a period.
-    stays : bool
-        Whether the damper stays at the ceiling after it struck: it does so while the body's acceleration is
-        below -g.
-    threshold : float
-        Smallest velocity jump that would have been seen for certain, m/s.
-    lifts : bool
-        Whether the body's acceleration exceeds g, so that the damper cannot ride all the time.
-    """
-
-    frequency: float
+    frequency: float  # Hz
     channel: str
+    """Channel on the damper's body."""
     floor: float
     ceiling: float
+    """Impacts a period."""
     stays: bool
+    """Whether the damper stays at the ceiling after it struck: it does so while the body's acceleration is
+    below -g."""
     threshold: float
+    """Smallest velocity jump that would have been seen for certain, m/s."""
     lifts: bool
+    """Whether the body's acceleration exceeds g, so that the damper cannot ride all the time."""
 
     @property
     def name(self) -> str:

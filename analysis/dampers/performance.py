@@ -26,27 +26,18 @@ _BELOW = 0.15
 
 @dataclass(frozen=True)
 class PeakChange:
-    """What became of one resonance of one response.
-
-    Attributes
-    ----------
-    response : str
-        Channel.
-    frequency, damping : float
-        Natural frequency [Hz] and damping ratio without dampers.
-    bare, damped : float
-        Largest receptance without and with dampers, m/N; the bare one between measured points, from its
-        modal fit.
-    damped_frequency : float
-        Hz, where the damped one is largest.
-    """
+    """What became of one resonance of one response."""
 
     response: str
     frequency: float
     damping: float
+    """Natural frequency [Hz] and damping ratio without dampers."""
     bare: float
     damped: float
+    """Largest receptance without and with dampers, m/N; the bare one between measured points, from its modal
+    fit."""
     damped_frequency: float
+    """Hz, where the damped one is largest."""
 
     @property
     def reduction(self) -> float:
@@ -115,21 +106,13 @@ def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
 
 @dataclass(frozen=True)
 class CycleEnergy:
-    """Energy balance of one period of a steady tone.
+    """Energy balance of one period of a steady tone."""
 
-    Attributes
-    ----------
-    frequency : ndarray, shape (n,)
-        Hz.
-    supplied : ndarray, shape (n,)
-        Work of the force on the structure, J.
-    structure : ndarray, shape (n,)
-        Dissipated in the structure's own damping, J.
-    """
-
-    frequency: Array
+    frequency: Array  # Hz; shape (n,)
     supplied: Array
+    """Work of the force on the structure, J; shape (n,)."""
     structure: Array
+    """Dissipated in the structure's own damping, J; shape (n,)."""
 
     @property
     def dampers(self) -> Array:

@@ -14,22 +14,15 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class ChartPole:
-    """One pole of the stabilisation chart.
-
-    Attributes
-    ----------
-    order : int
-        Number of modes in the model it comes from.
-    frequency, damping : float
-        Hz and damping ratio.
-    stable : bool
-        Found again, within 1 % in frequency and 10 % in damping, from the order before.
-    """
+    """One pole of the stabilisation chart."""
 
     order: int
+    """Number of modes in the model it comes from."""
     frequency: float
     damping: float
+    """Hz and damping ratio."""
     stable: bool
+    """Found again, within 1 % in frequency and 10 % in damping, from the order before."""
 
 
 def poles_by_order(

@@ -27,25 +27,14 @@ class Evidence(NamedTuple):
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim and what became of it.
-
-    Attributes
-    ----------
-    name : str
-        C1 to C7, or a title for what goes beyond the paper.
-    text : str
-        What the paper says.
-    evidence : tuple of Evidence
-    verdict : str
-        "holds", "holds for these parameters", "holds in part" or "does not hold", with the reason.
-    figures : tuple of str
-        Figures that show it.
-    """
+    """A claim and what became of it."""
 
     name: str
+    """C1 to C7, or a title for what goes beyond the paper."""
     text: str
     evidence: tuple[Evidence, ...]
     verdict: str
+    """"holds", "holds for these parameters", "holds in part" or "does not hold", with the reason."""
     figures: tuple[str, ...]
 
 

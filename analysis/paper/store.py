@@ -36,30 +36,19 @@ def remove_partial(folder: Path) -> None:
 
 @dataclass(frozen=True)
 class PaperPart:
-    """A piece of the reproduction that can be computed on its own.
+    """A piece of the reproduction that can be computed on its own."""
 
-    Attributes
-    ----------
-    name : str
-        File stem of its results.
-    depends : str
-        Everything that its results depend on: scenes, grids, choices.
-    compute : callable
-        Takes `arguments`, returns arrays by name; a function of a module, so that another process can run it.
-    arguments : mapping
-        What `compute` is called with.
-    title : str
-        For the progress report.
-    effort : float
-        About how long it takes compared with the others; for the order, and for the time that is left.
-    """
-
-    name: str
+    name: str  # File stem of its results
     depends: str
+    """Everything that its results depend on: scenes, grids, choices."""
     compute: Callable[..., Arrays]
+    """Takes `arguments`, returns arrays by name; a function of a module, so that another process can run
+    it."""
     arguments: Mapping[str, Any]
-    title: str
+    """What `compute` is called with."""
+    title: str  # For the progress report
     effort: float = 1.0
+    """About how long it takes compared with the others; for the order, and for the time that is left."""
 
     @property
     def digest(self) -> str:

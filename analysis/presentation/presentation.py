@@ -28,21 +28,12 @@ _LONGEST_NAME = 60
 
 @dataclass(frozen=True)
 class Result:
-    """What a command has to say.
-
-    Attributes
-    ----------
-    files : tuple of Path
-        Files written.
-    lines : tuple of str
-        Findings, one to a line.
-    warnings : tuple of str
-        Doubts, each with the recording it concerns.
-    """
+    """What a command has to say."""
 
     files: tuple[Path, ...]
-    lines: tuple[str, ...]
+    lines: tuple[str, ...]  # Findings, one to a line
     warnings: tuple[str, ...]
+    """Doubts, each with the recording it concerns."""
 
 
 def output_stem(paths: Sequence[Path], output: Path | None, kind: str) -> Path:

@@ -22,22 +22,13 @@ PIECE = 1 << 16
 
 @dataclass(frozen=True)
 class Slice:
-    """What of a recording is exported.
-
-    Attributes
-    ----------
-    recording : Recording
-        An open recording.
-    channels : tuple of str
-        Names of its channels.
-    start, stop : int
-        First sample, and the one after the last.
-    """
+    """What of a recording is exported."""
 
     recording: Recording
     channels: tuple[str, ...]
     start: int
     stop: int
+    """First sample, and the one after the last."""
 
     @classmethod
     def of(

@@ -49,36 +49,22 @@ def estimate(estimator: str, sxx: Array, sff: Array, sxf: ComplexArray) -> Compl
 
 @dataclass(frozen=True)
 class Averages:
-    """Spectral matrix of the recorded channels, averaged over blocks.
-
-    Attributes
-    ----------
-    channels : tuple of str
-        Names, in the order of rows and columns.
-    frequency : ndarray, shape (n,)
-        Hz.
-    cross : ndarray of complex, shape (n, channels, channels)
-        Mean of Y_i conj(Y_j), as recorded: not yet corrected for the sensors.
-    averages : float
-        Number of independent blocks; overlapping ones count for less.
-    resolution : float
-        Bandwidth of the window in Hz, 0 where nothing leaks (bursts and hits that end inside their block).
-    shift : float
-        Decay rate in 1/s that an exponential window added to every mode.
-    label : str
-        For legends.
-    warnings : tuple of str
-        In full sentences.
-    """
+    """Spectral matrix of the recorded channels, averaged over blocks."""
 
     channels: tuple[str, ...]
-    frequency: Array
+    """Names, in the order of rows and columns."""
+    frequency: Array  # Hz; shape (n,)
     cross: ComplexArray
+    """Mean of Y_i conj(Y_j), as recorded: not yet corrected for the sensors; complex, shape (n, channels,
+    channels)."""
     averages: float
+    """Number of independent blocks; overlapping ones count for less."""
     resolution: float
+    """Bandwidth of the window in Hz, 0 where nothing leaks (bursts and hits that end inside their block)."""
     shift: float = 0.0
-    label: str = ""
-    warnings: tuple[str, ...] = ()
+    """Decay rate in 1/s that an exponential window added to every mode."""
+    label: str = ""  # For legends
+    warnings: tuple[str, ...] = ()  # In full sentences
 
     def frf(
         self,

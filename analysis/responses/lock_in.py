@@ -20,25 +20,17 @@ _CACHED = 2048
 
 @dataclass(frozen=True)
 class ToneFit:
-    """What a lock-in found in one window.
+    """What a lock-in found in one window."""
 
-    Attributes
-    ----------
-    frequency : float
-        Hz.
-    amplitude : ndarray of complex, shape (channels, harmonics)
-        x(t) = offset + slope t + sum_k Re(amplitude[:, k-1] e^{i k w t}), t counted from the window's
-        first sample.
-    parts : ndarray of complex, shape (parts, channels)
-        The fundamental of each part of the window; their scatter gives the error of `amplitude`.
-    residual : ndarray, shape (channels,)
-        Root mean square of what the fit leaves.
-    """
-
-    frequency: float
+    frequency: float  # Hz
     amplitude: ComplexArray
+    """x(t) = offset + slope t + sum_k Re(amplitude[:, k-1] e^{i k w t}), t counted from the window's first
+    sample; complex, shape (channels, harmonics)."""
     parts: ComplexArray
+    """The fundamental of each part of the window; their scatter gives the error of `amplitude`; complex,
+    shape (parts, channels)."""
     residual: Array
+    """Root mean square of what the fit leaves; shape (channels,)."""
 
     def covariance(self) -> ComplexArray:
         """Covariance of the fundamentals, shape (channels, channels), from the scatter of the parts."""

@@ -48,21 +48,13 @@ def responses(rec: Recording) -> list[str]:
 
 @dataclass(frozen=True)
 class Measurand:
-    """A mechanical quantity as a weighted sum of channels.
+    """A mechanical quantity as a weighted sum of channels."""
 
-    Attributes
-    ----------
-    channels : tuple of str
-        The channels it is made of.
-    weights : tuple of float
-        Factor of each channel's true quantity.
-    motion : str
-        What is taken of each channel: displacement, velocity, acceleration or force.
-    """
-
-    channels: tuple[str, ...]
+    channels: tuple[str, ...]  # The channels it is made of
     weights: tuple[float, ...]
+    """Factor of each channel's true quantity."""
     motion: str
+    """What is taken of each channel: displacement, velocity, acceleration or force."""
 
     def row(
         self, rec: Recording, names: Sequence[str], frequency: NDArray[np.float64], shift: float = 0.0

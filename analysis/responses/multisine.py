@@ -26,20 +26,12 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class BestLinearApproximation:
-    """What the periods and the realisations of a multisine say.
-
-    Attributes
-    ----------
-    total : Lines
-        Mean over realisations, its covariance from their scatter: noise and nonlinear distortion together.
-    noise : Lines
-        The same mean, its covariance from the scatter of the periods alone.
-    realisations : int
-        Number of realisations.
-    """
+    """What the periods and the realisations of a multisine say."""
 
     total: Lines
+    """Mean over realisations, its covariance from their scatter: noise and nonlinear distortion together."""
     noise: Lines
+    """The same mean, its covariance from the scatter of the periods alone."""
     realisations: int
 
     def frf(

@@ -18,33 +18,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Lines:
-    """Amplitudes of the recorded channels at the frequencies of a periodic excitation.
-
-    Attributes
-    ----------
-    channels : tuple of str
-        Names, in the order of the rows.
-    frequency : ndarray, shape (n,)
-        Hz, in the order measured.
-    mean : ndarray of complex, shape (channels, n)
-        Amplitude as recorded: not yet corrected for the sensors.
-    covariance : ndarray of complex, shape (n, channels, channels)
-        Of the mean.
-    averages : ndarray, shape (n,)
-        Number of parts behind each mean.
-    label : str
-        Setting, for legends.
-    warnings : tuple of str
-        What went wrong on the way.
-    """
+    """Amplitudes of the recorded channels at the frequencies of a periodic excitation."""
 
     channels: tuple[str, ...]
+    """Names, in the order of the rows."""
     frequency: NDArray[np.float64]
+    """Hz, in the order measured; shape (n,)."""
     mean: NDArray[np.complex128]
+    """Amplitude as recorded: not yet corrected for the sensors; complex, shape (channels, n)."""
     covariance: NDArray[np.complex128]
+    """Of the mean; complex, shape (n, channels, channels)."""
     averages: NDArray[np.float64]
-    label: str = ""
-    warnings: tuple[str, ...] = field(default=())
+    """Number of parts behind each mean; shape (n,)."""
+    label: str = ""  # Setting, for legends
+    warnings: tuple[str, ...] = field(default=())  # What went wrong on the way
 
     def frf(
         self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"

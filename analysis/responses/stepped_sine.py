@@ -25,27 +25,17 @@ MOST_CLIPPED = 0.01
 
 @dataclass(frozen=True)
 class Sweep:
-    """One pass through the frequencies at one level.
-
-    Attributes
-    ----------
-    lines : Lines
-        Fundamental of every channel.
-    tones : tuple of Tone
-        Everything the lock-in found, in the same order.
-    level : float
-        Level that the test asked for: amplitude of the force, or of the drive.
-    direction : str
-        ``"up"`` or ``"down"``.
-    windows : ndarray of int, shape (n, 2)
-        First and one-past-last sample of each window.
-    """
+    """One pass through the frequencies at one level."""
 
     lines: Lines
+    """Fundamental of every channel."""
     tones: tuple[ToneFit, ...]
+    """Everything the lock-in found, in the same order."""
     level: float
-    direction: str
+    """Level that the test asked for: amplitude of the force, or of the drive."""
+    direction: str  # ``"up"`` or ``"down"``
     windows: NDArray[np.int64]
+    """First and one-past-last sample of each window; int, shape (n, 2)."""
 
     def distortion(self) -> NDArray[np.float64]:
         """Total harmonic distortion, shape (channels, n), of the channels as recorded."""

@@ -41,21 +41,15 @@ MOST_EXAGGERATION = 1e4
 
 @dataclass(frozen=True)
 class RigPose:
-    """What the drawing needs to know at some instants.
-
-    Attributes
-    ----------
-    displacement : ndarray, (bodies, instants)
-        Of each body, metres, up positive.
-    table : ndarray, (instants,), or None
-        Displacement of the shaker's table, metres; None where the rig has none.
-    gap : ndarray, (dampers, instants), or None
-        Height of each damper over its floor, metres; None where it is not known.
-    """
+    """What the drawing needs to know at some instants."""
 
     displacement: NDArray[np.float64]
+    """Of each body, metres, up positive; shape (bodies, instants)."""
     table: NDArray[np.float64] | None = None
+    """Displacement of the shaker's table, metres; None where the rig has none; shape (instants,), or None."""
     gap: NDArray[np.float64] | None = None
+    """Height of each damper over its floor, metres; None where it is not known; shape (dampers, instants), or
+    None."""
 
 
 @dataclass(frozen=True)

@@ -20,30 +20,21 @@ INTEGRATION = "integration"
 
 @dataclass(frozen=True)
 class Section:
-    """A linear circuit ``x' = a x + b u``, ``y = c x + d u`` and the same as zeros, poles and gain.
-
-    Attributes
-    ----------
-    name : str
-        What it is in the words of the field.
-    a, b, c : ndarray, shapes (states, states), (states,), (states,)
-        State space; every state is a voltage, so that a limit on it means something.
-    d : float
-        Direct feedthrough.
-    zeros, poles : tuple of complex
-        Of the transfer function, rad/s.
-    gain : float
-        Factor of ``prod(s - zeros) / prod(s - poles)``.
-    """
+    """A linear circuit ``x' = a x + b u``, ``y = c x + d u`` and the same as zeros, poles and gain."""
 
     name: str
+    """What it is in the words of the field."""
     a: Array
     b: Array
     c: Array
-    d: float
+    """State space; every state is a voltage, so that a limit on it means something; shapes (states, states),
+    (states,), (states,)."""
+    d: float  # Direct feedthrough
     zeros: tuple[complex, ...]
     poles: tuple[complex, ...]
+    """Of the transfer function, rad/s."""
     gain: float
+    """Factor of ``prod(s - zeros) / prod(s - poles)``."""
 
     @property
     def states(self) -> int:
@@ -112,19 +103,6 @@ def integration(corner: float, gain: float) -> Section:
 class Circuit:
     """Sections in series.
 
-    Attributes
-    ----------
-    a : ndarray, shape (states, states)
-        State matrix.
-    b : ndarray, shape (entries, states)
-        Row i: input in front of section i; the last row, behind the last section, is zero.
-    c : ndarray, shape (states,)
-        Output row.
-    d : ndarray, shape (entries,)
-        Feedthrough from each entry to the output; the last is 1.
-    sections : tuple of int
-        First state of each section, and the number of states.
-
     Examples
     --------
     >>> line = Circuit.series([high_pass(0.5, "low cut-off"), integration(0.0, 1.0)])
@@ -133,10 +111,16 @@ class Circuit:
     """
 
     a: Array
+    """State matrix; shape (states, states)."""
     b: Array
+    """Row i: input in front of section i; the last row, behind the last section, is zero; shape (entries,
+    states)."""
     c: Array
+    """Output row; shape (states,)."""
     d: Array
+    """Feedthrough from each entry to the output; the last is 1; shape (entries,)."""
     sections: tuple[int, ...]
+    """First state of each section, and the number of states."""
 
     @classmethod
     def series(cls, sections: Sequence[Section]) -> Circuit:

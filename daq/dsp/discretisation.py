@@ -40,51 +40,37 @@ class Tables(NamedTuple):
 
     The vector carried is (states, integrals, four derivatives of the input). `step` leaves out of it what
     starts at zero or is not needed, and gives moments where the vector holds repeated integrals.
-
-    Attributes
-    ----------
-    states, integrals, width : int
-        Number of states, of moments of the output, and of all that is carried besides the input.
-    sections : ndarray of int64, shape (sections + 1,)
-        First state of each section, and the number of states.
-    watched : int
-        Number of sections up to the watched output; -1: none is watched.
-    weights : ndarray, shape (states and the watched output if any, 4 + disturbances + states)
-        What the input's start, end, mean and moment, then 1 V of each disturbance, then the states of the sections
-        before its own add to each state over an interval; and what all of them, without disturbances, make of
-        the watched output.
-    spread : ndarray, shape (4 + disturbances + states, LANES)
-        What they add to the moments, and zeros.
-    step : ndarray, shape (states + 4 + disturbances, width)
-        What each state, then the input's start, end, mean and moment, then 1 V of each disturbance become or
-        add over an interval.
-    impulse : ndarray, shape (width,)
-        What a unit impulse adds to the vector at once.
-    coarse, fine : ndarray, shape (65, size, size)
-        Exponentials of the generator over k/64 and k/4096 of the interval. Here and in `generator` zeros fill up
-        the size to whole registers.
-    generator : ndarray, shape (1, size, size)
-        Rate of change of the vector.
-    terms : int
-        Terms of the Taylor series that make it exact over 1/4096.
-    moments : ndarray, shape (integrals, integrals)
-        Repeated integrals to moments.
     """
 
     states: int
     integrals: int
     width: int
+    """Number of states, of moments of the output, and of all that is carried besides the input."""
     sections: NDArray[np.int64]
+    """First state of each section, and the number of states; int64, shape (sections + 1,)."""
     watched: int
+    """Number of sections up to the watched output; -1: none is watched."""
     weights: Array
+    """What the input's start, end, mean and moment, then 1 V of each disturbance, then the states of the
+    sections before its own add to each state over an interval; and what all of them, without disturbances,
+    make of the watched output; shape (states and the watched output if any, 4 + disturbances + states)."""
     spread: Array
+    """What they add to the moments, and zeros; shape (4 + disturbances + states, LANES)."""
     step: Array
+    """What each state, then the input's start, end, mean and moment, then 1 V of each disturbance become or
+    add over an interval; shape (states + 4 + disturbances, width)."""
     impulse: Array
+    """What a unit impulse adds to the vector at once; shape (width,)."""
     coarse: Array
     fine: Array
+    """Exponentials of the generator over k/64 and k/4096 of the interval. Here and in `generator` zeros fill
+    up the size to whole registers. Shape (65, size, size)."""
     generator: Array
+    """Rate of change of the vector; shape (1, size, size)."""
     terms: int
+    """Terms of the Taylor series that make it exact over 1/4096."""
     moments: Array
+    """Repeated integrals to moments; shape (integrals, integrals)."""
 
 
 def discretise(

@@ -32,21 +32,16 @@ class CubicInput(NamedTuple):
 
     Four numbers describe a piece: input at its start and at its end, its average, and its moment, the average of
     input times remaining share of the piece (1/2 for a constant 1).
-
-    Attributes
-    ----------
-    smooth : ndarray, shape (4, intervals)
-        These numbers for the interval that ends at each sample.
-    broken : ndarray of int64, shape (parts,)
-        Interval to which a part belongs, ascending; for these the numbers above mean nothing.
-    parts : ndarray, shape (parts, 6)
-        The numbers of each part; its length as a share of the interval; the impulse at its end, divided by the
-        sample interval.
     """
 
     smooth: Array
+    """These numbers for the interval that ends at each sample; shape (4, intervals)."""
     broken: NDArray[np.int64]
+    """Interval to which a part belongs, ascending; for these the numbers above mean nothing; int64, shape
+    (parts,)."""
     parts: Array
+    """The numbers of each part; its length as a share of the interval; the impulse at its end, divided by the
+    sample interval; shape (parts, 6)."""
 
 
 class MotionInterpolator:

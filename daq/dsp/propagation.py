@@ -23,24 +23,18 @@ GONE = 1e-30
 
 
 class CircuitWorkspace(NamedTuple):
-    """Room to work in.
-
-    Attributes
-    ----------
-    vector, term, work, nothing : ndarray, shape (size,)
-        Vectors carried through parts of an interval; and zeros.
-    course : ndarray, shape (4 + disturbances + states, intervals of a stretch and more)
-        Input, disturbances and states through a stretch.
-    sums : ndarray, shape (2, intervals of a stretch)
-        What is added to the states of a section.
-    """
+    """Room to work in."""
 
     vector: Array
     term: Array
     work: Array
     nothing: Array
+    """Vectors carried through parts of an interval; and zeros; shape (size,)."""
     course: Array
+    """Input, disturbances and states through a stretch; shape (4 + disturbances + states, intervals of a
+    stretch and more)."""
     sums: Array
+    """What is added to the states of a section; shape (2, intervals of a stretch)."""
 
 
 def scratch_for(tables: Tables) -> CircuitWorkspace:

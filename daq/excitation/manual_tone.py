@@ -95,28 +95,19 @@ def _number(text: str) -> float:
 
 @dataclass(frozen=True)
 class ToneReading:
-    """What the channels say of the tone in one window.
-
-    Attributes
-    ----------
-    frequency, level : float
-        What is asked for, Hz and N.
-    held : bool
-        Whether the level has been reached and the motion is steady.
-    drive : float
-        Amplitude of the drive, in its unit.
-    force : complex
-        Of the coil spring, or of the drive where that is the force, N.
-    displacement : dict of str to complex
-        By channel, m; phases count as those of `force` do.
-    """
+    """What the channels say of the tone in one window."""
 
     frequency: float
     level: float
+    """What is asked for, Hz and N."""
     held: bool
+    """Whether the level has been reached and the motion is steady."""
     drive: float
+    """Amplitude of the drive, in its unit."""
     force: complex
+    """Of the coil spring, or of the drive where that is the force, N."""
     displacement: dict[str, complex]
+    """By channel, m; phases count as those of `force` do."""
 
     def receptance(self, channel: str) -> complex:
         """Displacement over force, m/N."""

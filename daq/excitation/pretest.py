@@ -36,24 +36,17 @@ class ShakerLaw:
     A moving coil has P = Z (m s^2 + c s + k) / Bl + Bl s and Q = Z / Bl with Z = R + L s, per amplifier gain;
     a table with a servo has P = (1 + s / w)^2 and Q = 0. Either way, P and Q hold whatever the structure
     does: it enters by X0 and F only, both of which the channels tell.
-
-    Attributes
-    ----------
-    motion, pull : ndarray
-        Coefficients of P [drive/m] and Q [drive/N], rising powers of s.
-    spring : float
-        Stiffness of the coil spring, N/m.
-    delay : float
-        By which the channels lag behind the drive, s.
-    misfit : float
-        Root mean square of what the law leaves of the drive in the pretest, relative.
     """
 
     motion: Array
     pull: Array
+    """Coefficients of P [drive/m] and Q [drive/N], rising powers of s."""
     spring: float
+    """Stiffness of the coil spring, N/m."""
     delay: float
+    """By which the channels lag behind the drive, s."""
     misfit: float
+    """Root mean square of what the law leaves of the drive in the pretest, relative."""
 
     def at(self, s: complex) -> tuple[complex, complex]:
         """Drive per newton of spring force, and per metre of the body, X0 being X1 + F / k0."""

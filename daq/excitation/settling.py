@@ -23,21 +23,14 @@ _AGREEING = 6
 
 @dataclass(frozen=True)
 class Law:
-    """How amplitudes have changed from look to look, one entry per quantity.
-
-    Attributes
-    ----------
-    changes : ndarray of complex, shape (changes, quantities)
-        The last changes.
-    factor : ndarray of complex, shape (quantities,)
-        From one change to the next, by least squares.
-    seen : ndarray of bool, shape (quantities,)
-        Whether the changes follow it.
-    """
+    """How amplitudes have changed from look to look, one entry per quantity."""
 
     changes: ComplexArray
+    """The last changes; complex, shape (changes, quantities)."""
     factor: ComplexArray
+    """From one change to the next, by least squares; complex, shape (quantities,)."""
     seen: NDArray[np.bool_]
+    """Whether the changes follow it; bool, shape (quantities,)."""
 
     @classmethod
     def of(cls, looks: ComplexArray) -> Law:

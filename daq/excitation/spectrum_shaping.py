@@ -87,21 +87,14 @@ def closed_loop(station: Station, test: Random | Multisine) -> bool:
 
 @dataclass(frozen=True)
 class Shaped:
-    """A drive found by `equalise`.
-
-    Attributes
-    ----------
-    amplitudes : ndarray, shape (lines,)
-        Drive amplitudes.
-    gains : ndarray, shape (lines,)
-        Force amplitude per drive amplitude, N per unit of drive.
-    wave : ndarray, shape (period,)
-        The period of drive that was played last, and is still going on.
-    """
+    """A drive found by `equalise`."""
 
     amplitudes: Array
+    """Drive amplitudes; shape (lines,)."""
     gains: Array
+    """Force amplitude per drive amplitude, N per unit of drive; shape (lines,)."""
     wave: Array
+    """The period of drive that was played last, and is still going on; shape (period,)."""
 
 
 def equalise(

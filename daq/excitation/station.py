@@ -27,37 +27,24 @@ _DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
 
 @dataclass
 class Station:
-    """The operator's place: all that a test may know and do.
-
-    Attributes
-    ----------
-    scene : Scene
-        What is written on the bench's cards: structure, shaker and coil spring, the test asked for, seed.
-    channels : sequence of ChannelInfo
-        The channels, in the order in which windows come back.
-    inputs : sequence of str
-        Drive inputs, a subset of ``("shaker", "hammer")``, in the order in which drives are given.
-    rate : float
-        Samples per second.
-    mark : callable
-        ``mark(kind, first, stop, **fields)`` writes into the recording's log what the samples from `first` to
-        the one before `stop` were.
-    report : callable
-        ``report(fraction, message)`` tells how far the test is.
-    warn : callable
-        ``warn(message)`` keeps something the user must hear at the end.
-    now : int
-        Number of the first sample of the next window.
-    """
+    """The operator's place: all that a test may know and do."""
 
     scene: Scene
+    """What is written on the bench's cards: structure, shaker and coil spring, the test asked for, seed."""
     channels: Sequence[ChannelInfo]
+    """The channels, in the order in which windows come back."""
     inputs: Sequence[str]
-    rate: float
+    """Drive inputs, a subset of ``("shaker", "hammer")``, in the order in which drives are given."""
+    rate: float  # Samples per second
     mark: Callable[..., Any]
+    """``mark(kind, first, stop, **fields)`` writes into the recording's log what the samples from `first` to
+    the one before `stop` were."""
     report: Callable[[float, str], None] = lambda fraction, message: None
+    """``report(fraction, message)`` tells how far the test is."""
     warn: Callable[[str], None] = lambda message: None
+    """``warn(message)`` keeps something the user must hear at the end."""
     now: int = field(default=0)
+    """Number of the first sample of the next window."""
 
     def samples(self, seconds: float) -> int:
         """Nearest number of samples in a time, one at least."""

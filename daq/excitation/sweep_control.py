@@ -32,23 +32,15 @@ _TOO_MUCH = 1.5
 
 @dataclass(frozen=True)
 class Look:
-    """What the channels told in the last periods.
+    """What the channels told in the last periods."""
 
-    Attributes
-    ----------
-    end : float
-        When they ended, s.
-    frequency, rate : float
-        Of the tone in their middle, Hz; and how fast it changes, Hz/s.
-    motion, force : complex
-        Amplitudes of the body's displacement in m and the spring force in N.
-    """
-
-    end: float
+    end: float  # When they ended, s
     frequency: float
     rate: float
+    """Of the tone in their middle, Hz; and how fast it changes, Hz/s."""
     motion: complex
     force: complex
+    """Amplitudes of the body's displacement in m and the spring force in N."""
 
     @property
     def length(self) -> float:

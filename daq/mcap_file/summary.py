@@ -66,37 +66,25 @@ def parse(opcode: int, content: memoryview) -> Any:
 
 @dataclass
 class Summary:
-    """What the end of a file tells of the rest.
-
-    Attributes
-    ----------
-    schemas, channels : dict of int to Schema or Channel
-        By their numbers.
-    starts, ends : ndarray of uint64, (chunks,)
-        Earliest and latest time in each chunk, ns.
-    offsets, lengths : ndarray of int64, (chunks,)
-        Where each chunk record lies in the file, in bytes.
-    unpacked : ndarray of int64, (chunks,)
-        Size of the records in each chunk, bytes.
-    holders : dict of int to ndarray of int64
-        For each channel the chunks that hold messages of it, in the order of time.
-    metadata, attachments : list of MetadataIndex or AttachmentIndex
-        Where they lie.
-    statistics : Statistics or None
-        Counts, as far as the file gives them.
-    """
+    """What the end of a file tells of the rest."""
 
     schemas: dict[int, Schema]
     channels: dict[int, Channel]
     starts: NDArray[np.uint64]
     ends: NDArray[np.uint64]
+    """Earliest and latest time in each chunk, ns; uint64, shape (chunks,)."""
     offsets: NDArray[np.int64]
     lengths: NDArray[np.int64]
+    """Where each chunk record lies in the file, in bytes; int64, shape (chunks,)."""
     unpacked: NDArray[np.int64]
+    """Size of the records in each chunk, bytes; int64, shape (chunks,)."""
     holders: Mapping[int, NDArray[np.int64]]
+    """For each channel the chunks that hold messages of it, in the order of time."""
     metadata: list[MetadataIndex]
     attachments: list[AttachmentIndex]
+    """Where they lie."""
     statistics: Statistics | None
+    """Counts, as far as the file gives them."""
 
 
 def read_summary(data: memoryview, file_size: int) -> Summary:

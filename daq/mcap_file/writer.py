@@ -289,20 +289,11 @@ class Messages(NamedTuple):
     """At least one message, all of one size, on their way into the file together, in the order of `data`.
 
     They are logged when published. Numbers and times are broadcast to the messages, as numpy does.
-
-    Attributes
-    ----------
-    channel : ndarray or int
-        Numbers of their channels.
-    time : ndarray or int
-        Nanoseconds.
-    data : ndarray of uint8, (..., bytes)
-        Their content.
-    sequence : ndarray or int
-        Their places in their topics.
     """
 
     channel: NDArray[np.int64] | int
-    time: NDArray[np.uint64] | int
+    time: NDArray[np.uint64] | int  # Nanoseconds
     data: NDArray[np.uint8]
+    """Their content; uint8, shape (..., bytes)."""
     sequence: NDArray[np.int64] | int
+    """Their places in their topics."""

@@ -54,24 +54,16 @@ EVENT_TYPE = np.dtype([("time", "f8"), ("damper", "i4"), ("kind", "U10"), ("spee
 
 @dataclass(frozen=True)
 class Marker:
-    """Something that happened during a test.
-
-    Attributes
-    ----------
-    kind : str
-        `settle`, `measure`, `hit`, `overload`, `gap`, `lost`, ...
-    first_sample : int
-        Sample at which it happened or began.
-    last_sample : int or None
-        Its last sample, itself included; None for an instant.
-    fields : mapping
-        What this kind of marker says of itself, in SI units.
-    """
+    """Something that happened during a test."""
 
     kind: str
+    """`settle`, `measure`, `hit`, `overload`, `gap`, `lost`, ..."""
     first_sample: int
+    """Sample at which it happened or began."""
     last_sample: int | None = None
+    """Its last sample, itself included; None for an instant."""
     fields: Mapping[str, Any] = field(default_factory=dict)
+    """What this kind of marker says of itself, in SI units."""
 
     @property
     def end(self) -> int:

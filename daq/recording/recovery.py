@@ -31,31 +31,19 @@ Span = tuple[int, int]
 
 @dataclass(frozen=True)
 class Salvage:
-    """What `recover` found.
-
-    Attributes
-    ----------
-    source, fixed : Path
-        The damaged file, and the whole one.
-    rate : float
-        Samples per second, Hz.
-    kept : dict of str to int
-        Samples kept, by topic.
-    lost : dict of str to list of (int, int)
-        Ranges of lost samples [first, stop), by topic; only topics that lost any.
-    missing : dict of str to int
-        Lost messages on topics that hold no samples: markers, display, ...
-    notes : list of str
-        What else is not as it was, and what cannot be known.
-    """
+    """What `recover` found."""
 
     source: Path
     fixed: Path
-    rate: float
-    kept: dict[str, int]
+    """The damaged file, and the whole one."""
+    rate: float  # Samples per second, Hz
+    kept: dict[str, int]  # Samples kept, by topic
     lost: dict[str, list[Span]]
+    """Ranges of lost samples [first, stop), by topic; only topics that lost any."""
     missing: dict[str, int]
+    """Lost messages on topics that hold no samples: markers, display, ..."""
     notes: list[str]
+    """What else is not as it was, and what cannot be known."""
 
     @property
     def whole(self) -> bool:

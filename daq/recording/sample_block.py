@@ -27,24 +27,14 @@ _TAGS = (0x09, 0x11, 0x19, 0x22)
 
 
 class SampleBlock(NamedTuple):
-    """Samples of one channel as they stand in the file.
-
-    Attributes
-    ----------
-    t0_ns : int
-        Time of the first sample, nanoseconds since the epoch of the recording.
-    first_sample : int
-        Number of the first sample.
-    rate : float
-        Samples per second, Hz.
-    samples : ndarray, (samples,)
-        The stored numbers; a view into the message, read-only.
-    """
+    """Samples of one channel as they stand in the file."""
 
     t0_ns: int
-    first_sample: int
-    rate: float
+    """Time of the first sample, nanoseconds since the epoch of the recording."""
+    first_sample: int  # Number of the first sample
+    rate: float  # Samples per second, Hz
     samples: NDArray[Any]
+    """The stored numbers; a view into the message, read-only; shape (samples,)."""
 
     @property
     def stop(self) -> int:

@@ -16,21 +16,14 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Group:
-    """Samples of one cell of the grid.
-
-    Attributes
-    ----------
-    first : int
-        Sample number of the first column of `samples`.
-    samples : ndarray, (rows, group length)
-        Valid only within `spans`.
-    spans : list of (int, int)
-        Ranges of sample numbers [start, stop) that were acquired, in order.
-    """
+    """Samples of one cell of the grid."""
 
     first: int
+    """Sample number of the first column of `samples`."""
     samples: NDArray[Any]
+    """Valid only within `spans`; shape (rows, group length)."""
     spans: list[tuple[int, int]]
+    """Ranges of sample numbers [start, stop) that were acquired, in order."""
 
     def acquired(self) -> Iterator[tuple[int, NDArray[Any]]]:
         """Yield each stretch of acquired samples with the number of its first one."""

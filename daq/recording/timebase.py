@@ -14,18 +14,11 @@ from rig.errors import RecordingError
 
 @dataclass(frozen=True)
 class Timebase:
-    """The sample clock: sample k is taken at start_ns + k / rate, to the nearest nanosecond.
+    """The sample clock: sample k is taken at start_ns + k / rate, to the nearest nanosecond."""
 
-    Attributes
-    ----------
-    rate : float
-        Samples per second, Hz.
-    start_ns : int
-        Time of sample 0 in nanoseconds since the epoch of the recording.
-    """
-
-    rate: float
+    rate: float  # Samples per second, Hz
     start_ns: int = 0
+    """Time of sample 0 in nanoseconds since the epoch of the recording."""
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.rate) and self.rate > 0):

@@ -20,30 +20,20 @@ LIVE_S = 0.5
 
 @dataclass(frozen=True)
 class Content:
-    """What there is to lay out.
-
-    Attributes
-    ----------
-    plots : sequence of (str, str)
-        Entity and title of each group of channels, the one to look at first first.
-    dampers : int
-        How many dampers have gaps and contacts to show.
-    lowest_hz : float
-        Lowest natural frequency; it sets the span of the plots around the time cursor.
-    eye : tuple
-        Where the 3D view is seen from, and what it looks at.
-    span_s : tuple of float
-        Start and end of what there is, seconds on the timeline.
-    speed : float
-        Playback speed, 1 is real time.
-    """
+    """What there is to lay out."""
 
     plots: Sequence[tuple[str, str]]
+    """Entity and title of each group of channels, the one to look at first first."""
     dampers: int
+    """How many dampers have gaps and contacts to show."""
     lowest_hz: float
+    """Lowest natural frequency; it sets the span of the plots around the time cursor."""
     eye: tuple[tuple[float, float, float], tuple[float, float, float]]
+    """Where the 3D view is seen from, and what it looks at."""
     span_s: tuple[float, float]
+    """Start and end of what there is, seconds on the timeline."""
     speed: float
+    """Playback speed, 1 is real time."""
 
 
 def layout(content: Content) -> rrb.Blueprint:

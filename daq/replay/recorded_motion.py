@@ -21,21 +21,13 @@ BLOCK = 1 << 16
 
 @dataclass(frozen=True)
 class MotionSource:
-    """Where the displacement of one point comes from.
+    """Where the displacement of one point comes from."""
 
-    Attributes
-    ----------
-    point : str
-        'body 1', ..., 'table'.
-    channel : str or None
-        The channel it is read from; None for truth and for a point nobody watched.
-    quantity : str
-        'displacement', 'velocity', 'acceleration', 'truth' or 'nothing'.
-    """
-
-    point: str
+    point: str  # 'body 1', ..., 'table'
     channel: str | None
+    """The channel it is read from; None for truth and for a point nobody watched."""
     quantity: str
+    """'displacement', 'velocity', 'acceleration', 'truth' or 'nothing'."""
 
     @property
     def sentence(self) -> str:

@@ -21,19 +21,14 @@ DEFAULT_AC_CORNER = 0.5
 
 @dataclass(frozen=True)
 class SampleClock:
-    """The rate of the samples.
-
-    Attributes
-    ----------
-    rate : float
-        As stated: what was asked for or, from a module, the next rate above it that its clock can be divided
-        to, Hz.
-    true_rate : float
-        What it really is, the clock's error included, Hz. Everything on the bench runs at it, drive as well.
-    """
+    """The rate of the samples."""
 
     rate: float
+    """As stated: what was asked for or, from a module, the next rate above it that its clock can be divided
+    to, Hz."""
     true_rate: float
+    """What it really is, the clock's error included, Hz. Everything on the bench runs at it, drive as
+    well."""
 
     @classmethod
     def of(cls, settings: Settings) -> SampleClock:
@@ -65,18 +60,12 @@ def coupling(settings: Settings) -> tuple[Stage, ...]:
 
 @dataclass(frozen=True)
 class Conversion:
-    """What a converter made of a block.
-
-    Attributes
-    ----------
-    samples : ndarray, shape (channels, samples)
-        Counts (int32) where the converter has bits, else volts (float64).
-    overload : ndarray of bool, shape (channels, samples)
-        Where the voltage was beyond the range.
-    """
+    """What a converter made of a block."""
 
     samples: Array | NDArray[np.int32]
+    """Counts (int32) where the converter has bits, else volts (float64); shape (channels, samples)."""
     overload: NDArray[np.bool_]
+    """Where the voltage was beyond the range; bool, shape (channels, samples)."""
 
 
 class Quantiser:

@@ -18,19 +18,14 @@ Array = NDArray[np.float64]
 
 
 class Sampler(Protocol):
-    """A way to take samples.
-
-    Attributes
-    ----------
-    integrals : int
-        Moments of the voltage over each interval that it needs.
-    rows, rows_input : ndarray, shapes (outputs, states) and (outputs,)
-        Voltages at the end of each interval that it needs, from state and input.
-    """
+    """A way to take samples."""
 
     integrals: int
+    """Moments of the voltage over each interval that it needs."""
     rows: Array
     rows_input: Array
+    """Voltages at the end of each interval that it needs, from state and input; shapes (outputs, states) and
+    (outputs,)."""
 
     def room(self, intervals: int) -> Array:
         """Give the place for moments, shape (at least intervals + TOGETHER, LANES).

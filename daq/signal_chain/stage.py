@@ -13,42 +13,29 @@ from rig.scene.settings import Settings
 
 @dataclass(frozen=True)
 class Stage:
-    """One device of a channel: its linear circuit and what departs from that.
-
-    Attributes
-    ----------
-    name : str
-        The device: accelerometer, hammer, integrator, converter.
-    sections : tuple of Section
-        Its circuit; none: it passes the signal on as it is.
-    nominal : float
-        Volts out per unit in (V per m/s^2 for an accelerometer), as the data sheet says.
-    deviation : float
-        True sensitivity relative to the nominal one, less 1.
-    noise, noise_corner : float or None
-        Density of the noise at its output, V/sqrt(Hz), and below which frequency it rises as 1/f, Hz.
-    offset, settling : float or None
-        Offset of its output, V, and with which time constant it settles from zero after power-on, s.
-    limit, recovery : float or None
-        Largest output the signal can reach, V, and the time constant of the recovery from that, s.
-    rails : float or None
-        Largest voltage each integration can reach, V.
-    data : dict of str to str
-        Its data sheet as text, figures with units.
-    """
+    """One device of a channel: its linear circuit and what departs from that."""
 
     name: str
+    """The device: accelerometer, hammer, integrator, converter."""
     sections: tuple[Section, ...] = ()
+    """Its circuit; none: it passes the signal on as it is."""
     nominal: float = 1.0
+    """Volts out per unit in (V per m/s^2 for an accelerometer), as the data sheet says."""
     deviation: float = 0.0
+    """True sensitivity relative to the nominal one, less 1."""
     noise: float | None = None
     noise_corner: float | None = None
+    """Density of the noise at its output, V/sqrt(Hz), and below which frequency it rises as 1/f, Hz."""
     offset: float | None = None
     settling: float | None = None
+    """Offset of its output, V, and with which time constant it settles from zero after power-on, s."""
     limit: float | None = None
     recovery: float | None = None
+    """Largest output the signal can reach, V, and the time constant of the recovery from that, s."""
     rails: float | None = None
+    """Largest voltage each integration can reach, V."""
     data: Mapping[str, str] = field(default_factory=dict)
+    """Its data sheet as text, figures with units."""
 
     @property
     def effects(self) -> dict[str, int]:

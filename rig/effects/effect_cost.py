@@ -33,27 +33,17 @@ REPEATS = 3
 
 @dataclass(frozen=True)
 class EffectStep:
-    """A scene with some of its effects on, before it is measured.
-
-    Attributes
-    ----------
-    name : str
-        The effect that has come on.
-    states : int
-        States in all by now.
-    start : callable
-        Switches everything on for a while; within, a call advances by the next drive samples (inputs, samples).
-    drive : ndarray, shape (inputs, samples)
-        `SECONDS` + 1 seconds of drive at `rate`.
-    rate : float
-        Hz.
-    """
+    """A scene with some of its effects on, before it is measured."""
 
     name: str
-    states: int
+    """The effect that has come on."""
+    states: int  # States in all by now
     start: Callable[[], AbstractContextManager[Callable[[Array], object]]]
+    """Switches everything on for a while; within, a call advances by the next drive samples (inputs,
+    samples)."""
     drive: Array
-    rate: float
+    """`SECONDS` + 1 seconds of drive at `rate`; shape (inputs, samples)."""
+    rate: float  # Hz
 
 
 @dataclass(frozen=True)

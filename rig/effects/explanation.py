@@ -21,24 +21,13 @@ GROUP = "shotrig.effects"
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect that is on.
-
-    Attributes
-    ----------
-    part : str
-        Where it belongs: "motion", or what a package above calls its own ("channel body1", "recording").
-    name : str
-        What it is.
-    states : int
-        States that it adds.
-    detail : str
-        Its figures in words.
-    """
+    """One effect that is on."""
 
     part: str
+    """Where it belongs: "motion", or what a package above calls its own ("channel body1", "recording")."""
     name: str
-    states: int
-    detail: str = ""
+    states: int  # States that it adds
+    detail: str = ""  # Its figures in words
 
 
 @dataclass(frozen=True)

@@ -19,44 +19,34 @@ KINDS = np.array(["separation", "floor", "ceiling"])
 
 @dataclass(frozen=True)
 class Trajectory:
-    """What happened over a number of segments.
-
-    Attributes
-    ----------
-    state : ndarray, shape (samples, states)
-        At the samples, after any break there.
-    slot : ndarray, shape (samples,)
-        The table of the configuration at each sample.
-    height : ndarray, shape (samples, dampers)
-        Of dampers in flight, m; meaningless for riding ones.
-    mode : ndarray, shape (samples, dampers)
-        FLIGHT, FLOOR or CEILING.
-    event_segment, event_offset, event_damper, event_kind, event_speed : ndarray, shape (events,)
-        Offsets in seconds after the start of the segment; dampers from 0.
-    break_segment, break_offset : ndarray, shape (breaks,)
-    before, after : ndarray, shape (breaks, states)
-    speed_before, speed_after : ndarray, shape (breaks, dampers)
-        Own velocities of the dampers, m/s.
-    before_slot, after_slot : ndarray, shape (breaks,)
-    """
+    """What happened over a number of segments."""
 
     state: Array
+    """At the samples, after any break there; shape (samples, states)."""
     slot: NDArray[np.int64]
+    """The table of the configuration at each sample; shape (samples,)."""
     height: Array
+    """Of dampers in flight, m; meaningless for riding ones; shape (samples, dampers)."""
     mode: NDArray[np.int8]
+    """FLIGHT, FLOOR or CEILING; shape (samples, dampers)."""
     event_segment: NDArray[np.int64]
     event_offset: Array
     event_damper: NDArray[np.int64]
     event_kind: NDArray[np.int64]
     event_speed: Array
+    """Offsets in seconds after the start of the segment; dampers from 0; shape (events,)."""
     break_segment: NDArray[np.int64]
     break_offset: Array
+    """break_segment, break_offset: shape (breaks,)."""
     before: Array
     after: Array
+    """before, after: shape (breaks, states)."""
     speed_before: Array
     speed_after: Array
+    """Own velocities of the dampers, m/s; shape (breaks, dampers)."""
     before_slot: NDArray[np.int64]
     after_slot: NDArray[np.int64]
+    """before_slot, after_slot: shape (breaks,)."""
 
 
 def event_table(

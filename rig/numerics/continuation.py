@@ -30,50 +30,34 @@ NEAR_BORDER = 1e-9
 
 @dataclass(frozen=True)
 class Steps:
-    """How a curve is stepped along; lengths are in units of the scaled unknowns.
-
-    Attributes
-    ----------
-    first, shortest, longest : float
-        Arclength of the first step, and the bounds of all others.
-    turn : float
-        Largest angle, in radians, between the tangents of neighbouring points.
-    tolerance : float
-        Newton's iteration ends when its last correction is below this (scaled unknowns).
-    iterations : int
-        Corrections allowed a point before the step is halved.
-    points : int
-        Most points on one side of the start.
-    """
+    """How a curve is stepped along; lengths are in units of the scaled unknowns."""
 
     first: float = 1e-2
     shortest: float = 1e-8
     longest: float = 0.2
+    """Arclength of the first step, and the bounds of all others."""
     turn: float = 0.15
+    """Largest angle, in radians, between the tangents of neighbouring points."""
     tolerance: float = 1e-11
+    """Newton's iteration ends when its last correction is below this (scaled unknowns)."""
     iterations: int = 8
+    """Corrections allowed a point before the step is halved."""
     points: int = 4000
+    """Most points on one side of the start."""
 
 
 @dataclass
 class Curve:
-    """Points on a curve of solutions, in order.
-
-    Attributes
-    ----------
-    points : ndarray, shape (points, n + 1)
-        The unknowns and, last, the parameter.
-    tangents : ndarray, shape (points, n + 1)
-        Unit tangents in scaled unknowns, all in the direction of travel.
-    ends : tuple of str
-        Why the curve stops before its first and after its last point: ``"range"`` (the parameter left its
-        range), ``"closed"`` (back at the start), ``"points"`` (the allowance is used up), ``"no convergence:
-        ..."`` or the border's own name.
-    """
+    """Points on a curve of solutions, in order."""
 
     points: Vector
+    """The unknowns and, last, the parameter; shape (points, n + 1)."""
     tangents: Vector
+    """Unit tangents in scaled unknowns, all in the direction of travel; shape (points, n + 1)."""
     ends: tuple[str, str] = ("", "")
+    """Why the curve stops before its first and after its last point: ``"range"`` (the parameter left its
+    range), ``"closed"`` (back at the start), ``"points"`` (the allowance is used up), ``"no convergence:
+    ..."`` or the border's own name."""
     scale: Vector = field(default_factory=lambda: np.ones(0))
 
     @property

@@ -46,25 +46,17 @@ class Track(NamedTuple):
     """An orbit at evenly spaced instants of every stretch between events.
 
     The stretch after the last event goes on into the next period until the first event.
-
-    Attributes
-    ----------
-    times : ndarray, shape (stretches, points + 1)
-    motion : ndarray, shape (stretches, points + 1, states)
-    guards : ndarray, shape (stretches, points + 1, dampers, 3)
-        For each damper, with first and second derivative: the gap in flight [m], or q'' + g of the body while
-        riding [m/s^2].
-    reach : ndarray, shape (coordinates, 2)
-        Lowest and highest value of each coordinate.
-    harmonic : complex ndarray, shape (states,)
-        Integral of the state times exp(-i w t) over the orbit.
     """
 
-    times: Array
-    motion: Array
+    times: Array  # shape (stretches, points + 1)
+    motion: Array  # shape (stretches, points + 1, states)
     guards: Array
+    """For each damper, with first and second derivative: the gap in flight [m], or q'' + g of the body while
+    riding [m/s^2]; shape (stretches, points + 1, dampers, 3)."""
     reach: Array
+    """Lowest and highest value of each coordinate; shape (coordinates, 2)."""
     harmonic: NDArray[np.complex128]
+    """Integral of the state times exp(-i w t) over the orbit; complex, shape (states,)."""
 
 
 @njit(cache=True)

@@ -20,20 +20,12 @@ BOUNCE = {FLOOR: FLOOR_BOUNCE, CEILING: CEILING_BOUNCE}
 
 @dataclass(frozen=True)
 class Plan:
-    """An orbit's sequence of events, with the configurations behind its slots.
-
-    Attributes
-    ----------
-    sequence : Sequence
-    configurations : tuple of int
-        Bit j set: damper j rides.
-    repetition : int
-        Length in periods of the drive.
-    """
+    """An orbit's sequence of events, with the configurations behind its slots."""
 
     sequence: Sequence
-    configurations: tuple[int, ...]
+    configurations: tuple[int, ...]  # Bit j set: damper j rides
     repetition: int
+    """Length in periods of the drive."""
 
     @property
     def flying(self) -> NDArray[np.int64]:

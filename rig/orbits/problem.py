@@ -27,24 +27,15 @@ KEPT = 200
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """Values of what can be followed.
+    """Values of what can be followed."""
 
-    Attributes
-    ----------
-    frequency : float
-        Hz.
-    force : float
-        Level of the drive, in the unit of the scene's test (N for a force).
-    clearance : float
-        Of all dampers [m], or NaN: as in the scene.
-    mass_ratio : float
-        Factor on all damper masses of the scene.
-    """
-
-    frequency: float
+    frequency: float  # Hz
     force: float
+    """Level of the drive, in the unit of the scene's test (N for a force)."""
     clearance: float = np.nan
+    """Of all dampers [m], or NaN: as in the scene."""
     mass_ratio: float = 1.0
+    """Factor on all damper masses of the scene."""
 
 
 class _Linear(NamedTuple):

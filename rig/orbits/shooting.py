@@ -30,32 +30,24 @@ SETTLED = 3e-13
 
 
 class Equations(NamedTuple):
-    """The equations of motion in every configuration that an orbit visits, for one set of parameters.
-
-    Attributes
-    ----------
-    generator : ndarray, shape (configurations, states + 3, states + 3)
-    rate : ndarray, shape (configurations,)
-        Bound on how fast each generator turns or grows what it acts on [1/s].
-    inverse_mass : ndarray, shape (configurations, coordinates, coordinates)
-    position : int64 ndarray, shape (dampers,)
-        Coordinate of each damper's body.
-    mass, clearance, restitution : ndarray, shape (dampers,)
-    gravity, omega : float
-    period : float
-        Length of the orbit, a multiple of the drive's period [s].
-    """
+    """The equations of motion in every configuration that an orbit visits, for one set of parameters."""
 
     generator: Array
+    """shape (configurations, states + 3, states + 3)."""
     rate: Array
+    """Bound on how fast each generator turns or grows what it acts on [1/s]; shape (configurations,)."""
     inverse_mass: Array
+    """shape (configurations, coordinates, coordinates)."""
     position: Whole
+    """Coordinate of each damper's body; int64, shape (dampers,)."""
     mass: Array
     clearance: Array
     restitution: Array
+    """mass, clearance, restitution: shape (dampers,)."""
     gravity: float
     omega: float
     period: float
+    """Length of the orbit, a multiple of the drive's period [s]."""
 
 
 class Change(NamedTuple):
@@ -70,42 +62,29 @@ class Change(NamedTuple):
 
 
 class Sequence(NamedTuple):
-    """Which events happen, in order.
-
-    Attributes
-    ----------
-    kind, damper : int64 ndarray, shape (events,)
-    slot : int64 ndarray, shape (events + 1,)
-        Configuration of each stretch: before the first event, between events, after the last.
-    wall : int64 ndarray, shape (events + 1, dampers)
-        In each stretch: 0 in flight, 1 on the floor, 2 at the ceiling.
-    """
+    """Which events happen, in order."""
 
     kind: Whole
     damper: Whole
+    """kind, damper: int64, shape (events,)."""
     slot: Whole
+    """Configuration of each stretch: before the first event, between events, after the last; int64, shape
+    (events + 1,)."""
     wall: Whole
+    """In each stretch: 0 in flight, 1 on the floor, 2 at the ceiling; int64, shape (events + 1, dampers)."""
 
 
 class Shot(NamedTuple):
-    """What a shot found.
-
-    Attributes
-    ----------
-    residual : ndarray, shape (unknowns,)
-        Return to the start, then the events' own conditions.
-    jacobian : ndarray, shape (unknowns, unknowns + 1)
-        Of the residual; the last column is for the parameter.
-    states : ndarray, shape (events + 1, states + 2 dampers)
-        State, heights and velocities at the begin of each stretch.
-    closing : ndarray, shape (events,)
-        Closing speed of each impact [m/s].
-    """
+    """What a shot found."""
 
     residual: Array
+    """Return to the start, then the events' own conditions; shape (unknowns,)."""
     jacobian: Array
+    """Of the residual; the last column is for the parameter; shape (unknowns, unknowns + 1)."""
     states: Array
+    """State, heights and velocities at the begin of each stretch; shape (events + 1, states + 2 dampers)."""
     closing: Array
+    """Closing speed of each impact [m/s]; shape (events,)."""
 
 
 @njit(cache=True)

@@ -31,23 +31,14 @@ MARKS = 256
 
 @dataclass(frozen=True)
 class Steady:
-    """A motion after its transient.
-
-    Attributes
-    ----------
-    converged : bool
-    repetition : int
-        Periods of the drive after which it repeats; 0 if it does not.
-    residual : float
-        Estimated distance from the steady state, relative to the motion.
-    periods : int
-        Periods that were followed.
-    """
+    """A motion after its transient."""
 
     converged: bool
     repetition: int
+    """Periods of the drive after which it repeats; 0 if it does not."""
     residual: float
-    periods: int
+    """Estimated distance from the steady state, relative to the motion."""
+    periods: int  # Periods that were followed
 
 
 def settle(propagator: Propagator, steps: float, level: float, tolerance: float, longest: int) -> Steady:

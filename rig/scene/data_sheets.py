@@ -16,28 +16,18 @@ from rig.scene.quantities import FREQUENCY, parse
 
 @dataclass(frozen=True)
 class DataSheet:
-    """A part's data sheet.
+    """A part's data sheet."""
 
-    Attributes
-    ----------
-    name : str
-        Maker and model.
-    kind : str
-        accelerometer, hammer or converter.
-    sources : tuple of str
-        Where the figures come from.
-    settings : dict of str to any
-        Figures by the scene's keys, as a scene file has them.
-    clock, largest_divisor : float or None and int
-        A module's clock [Hz] and by how much it can be divided; None: any rate.
-    """
-
-    name: str
+    name: str  # Maker and model
     kind: str
+    """accelerometer, hammer or converter."""
     sources: tuple[str, ...]
+    """Where the figures come from."""
     settings: dict[str, Any]
+    """Figures by the scene's keys, as a scene file has them."""
     clock: float | None
     largest_divisor: int
+    """A module's clock [Hz] and by how much it can be divided; None: any rate."""
 
     def divided(self, rate: float) -> float:
         """Give the rate of its samples where one is asked for: the next above it that its clock can be divided to.

@@ -20,54 +20,43 @@ Force = Annotated[float, Quantity(FORCE, above=0.0)]
 Drive = Annotated[float, Quantity(VOLTAGE, LENGTH, above=0.0)]
 Forces = Annotated[float | tuple[float, ...], Quantity(FORCE, above=0.0, listed=True)]
 Drives = Annotated[float | tuple[float, ...], Quantity(VOLTAGE, LENGTH, above=0.0, listed=True)]
-Count = Annotated[int, Field(ge=1, le=1_000_000, description="a whole number, at least 1")]
-Start = Literal["settled", "empty"]
+Count = Annotated[int, Field(ge=1, le=1_000_000)]
+Start = Annotated[
+    Literal["settled", "empty"],
+    Field(
+        description="Where the motion starts, at rest with the dampers on their floors: in static equilibrium, or "
+        "at x = 0, the equilibrium of the empty structure, their weight not yet felt."
+    ),
+]
 Spacing = Literal["linear", "log"]
 
 MOST_STEPS = 100_000
 
 
 class Sine(Settings):
-    """A tone held for a while: amplitude times sin(2 pi f t) from t = 0.
-
-    Attributes
-    ----------
-    start : {"settled", "empty"}
-        Where the motion starts, at rest with the dampers on their floors: in static equilibrium, or at x = 0,
-        the equilibrium of the empty structure, their weight not yet felt.
-    frequency : float
-        Frequency [Hz].
-    force : float, optional
-        Amplitude of the spring force, held by the controller; with a shaker of kind force, of the force
-        itself [N].
-    drive : float, optional
-        Instead of `force`: amplitude of the drive, open loop [V or m, as the shaker's kind takes].
-    duration : float
-        Time [s].
-    """
+    """A tone held for a while: amplitude times sin(2 pi f t) from t = 0."""
 
     one_of: ClassVar = (("force", "drive"),)
     kind: Literal["sine"] = "sine"
     start: Start = "settled"
     frequency: Frequency
+    """Frequency [Hz]."""
     force: Force | None = None
+    """Amplitude of the spring force, held by the controller; with a shaker of kind force, of the force itself
+    [N]."""
     drive: Drive | None = None
+    """Instead of `force`: amplitude of the drive, open loop [V or m, as the shaker's kind takes]."""
     duration: Duration = 2.0
+    """Time [s]."""
 
 
 class Settle(Settings):
-    """When a step counts as steady.
-
-    Attributes
-    ----------
-    tolerance : float
-        Largest change of any channel's first harmonic between windows, as a share of it.
-    longest : float
-        Longest time to wait for that [s].
-    """
+    """When a step counts as steady."""
 
     tolerance: Annotated[float, Quantity(RATIO, above=0.0)] = 1e-3
+    """Largest change of any channel's first harmonic between windows, as a share of it."""
     longest: Duration = 60.0
+    """Longest time to wait for that [s]."""
 
 
 class Measure(Settings):
@@ -77,33 +66,26 @@ class Measure(Settings):
 
 
 class SteppedSine(Settings):
-    """A row of tones; each one is driven to the level, left to settle and measured.
-
-    Attributes
-    ----------
-    from_, to : float, optional
-        First and last frequency [Hz], from below to; `from` in a scene file.
-    points : int, optional
-        How many frequencies, both ends included.
-    frequencies : tuple of float, optional
-        Instead of from, to and points: the frequencies [Hz], rising.
-    force, drive : float or tuple of float, optional
-        Amplitude as in `Sine`, exactly one of the two; several are run one after another.
-    direction : {"up", "down", "both"}
-        Order of the frequencies; both: up, then down.
-    """
+    """A row of tones; each one is driven to the level, left to settle and measured."""
 
     one_of: ClassVar = (("force", "drive"), ("frequencies", "points"))
     kind: Literal["stepped_sine"] = "stepped_sine"
     start: Start = "settled"
     from_: Frequency | None = Field(None, alias="from")
+    """First frequency [Hz]."""
     to: Frequency | None = None
+    """Last frequency [Hz], above from."""
     points: Annotated[int, Field(ge=2, le=MOST_STEPS)] | None = None
+    """How many frequencies, both ends included."""
     frequencies: tuple[Frequency, ...] | None = Field(None, min_length=1, max_length=MOST_STEPS)
+    """Instead of from, to and points: the frequencies [Hz], rising."""
     spacing: Spacing = "linear"
     direction: Literal["up", "down", "both"] = "up"
+    """Order of the frequencies; both: up, then down."""
     force: Forces | None = None
+    """Amplitude as in `Sine`; several are run one after another."""
     drive: Drives | None = None
+    """Instead of `force`, as in `Sine`; several are run one after another."""
     settle: Settle = Settle()
     measure: Measure = Measure()
 
@@ -156,27 +138,22 @@ def spaced(first: float, last: float, points: int, spacing: str) -> tuple[float,
 
 
 class SweptSine(Settings):
-    """A tone whose frequency moves steadily from one end to the other, upward or downward.
-
-    Attributes
-    ----------
-    from_, to : float
-        First and last frequency [Hz]; `from` in a scene file.
-    duration : float
-        Time from end to end [s].
-    force, drive : float, optional
-        Amplitude as in `Sine`, exactly one of the two.
-    """
+    """A tone whose frequency moves steadily from one end to the other, upward or downward."""
 
     one_of: ClassVar = (("force", "drive"),)
     kind: Literal["swept_sine"] = "swept_sine"
     start: Start = "settled"
     from_: Frequency = Field(alias="from")
+    """First frequency [Hz]."""
     to: Frequency
+    """Last frequency [Hz], above or below the first."""
     duration: Duration
+    """Time from end to end [s]."""
     spacing: Spacing = "log"
     force: Force | None = None
+    """Amplitude as in `Sine`."""
     drive: Drive | None = None
+    """Instead of `force`, as in `Sine`."""
 
     def relations(self) -> Iterable[Mistake]:
         """Check that there is something to sweep."""
@@ -185,29 +162,23 @@ class SweptSine(Settings):
 
 
 class Random(Settings):
-    """Gaussian noise between two frequencies.
-
-    Attributes
-    ----------
-    from_, to : float
-        Band [Hz]; `from` in a scene file.
-    duration : float
-        Time [s].
-    burst : float, optional
-        Share of each block during which the noise is on, above 0 and below 1; None: always on.
-    force, drive : float, optional
-        Root mean square, otherwise as in `Sine`; exactly one of the two.
-    """
+    """Gaussian noise between two frequencies."""
 
     one_of: ClassVar = (("force", "drive"),)
     kind: Literal["random"] = "random"
     start: Start = "settled"
     from_: Frequency = Field(alias="from")
+    """Lower end of the band [Hz]."""
     to: Frequency
+    """Upper end of the band [Hz]."""
     duration: Duration
+    """Time [s]."""
     burst: Annotated[float, Quantity(RATIO, above=0.0, below=1.0)] | None = None
+    """Share of each block during which the noise is on, above 0 and below 1; None: always on."""
     force: Force | None = None
+    """Root mean square of the force, otherwise as in `Sine`."""
     drive: Drive | None = None
+    """Instead of `force`: root mean square of the drive."""
 
     def relations(self) -> Iterable[Mistake]:
         """Check the band."""
@@ -215,35 +186,27 @@ class Random(Settings):
 
 
 class Multisine(Settings):
-    """A periodic sum of tones with random phases.
-
-    Attributes
-    ----------
-    from_, to : float
-        Band [Hz]; `from` in a scene file.
-    lines : int, optional
-        How many tones the band holds; or else
-    period : float, optional
-        the time after which the signal repeats [s]: tones at its multiples.
-    periods : int
-        Periods measured of each realisation.
-    realisations : int
-        How many sets of phases are run.
-    force, drive : float, optional
-        Root mean square, otherwise as in `Sine`; exactly one of the two.
-    """
+    """A periodic sum of tones with random phases."""
 
     one_of: ClassVar = (("force", "drive"), ("lines", "period"))
     kind: Literal["multisine"] = "multisine"
     start: Start = "settled"
     from_: Frequency = Field(alias="from")
+    """Lower end of the band [Hz]."""
     to: Frequency
+    """Upper end of the band [Hz]."""
     lines: Annotated[int, Field(ge=2, le=MOST_STEPS)] | None = None
+    """How many tones the band holds."""
     period: Duration | None = None
+    """Instead of `lines`: the time after which the signal repeats [s], with tones at its multiples."""
     periods: Count = 8
+    """Periods measured of each realisation."""
     realisations: Count = 4
+    """How many sets of phases are run."""
     force: Force | None = None
+    """Root mean square of the force, otherwise as in `Sine`."""
     drive: Drive | None = None
+    """Instead of `force`: root mean square of the drive."""
 
     def relations(self) -> Iterable[Mistake]:
         """Check the band."""
@@ -261,50 +224,33 @@ def band(first: float, last: float) -> Iterable[Mistake]:
 
 
 class DoubleHit(Settings):
-    """A hammer that bounces: a second, weaker pulse follows.
-
-    Attributes
-    ----------
-    hits : tuple of int, optional
-        Which hits bounce, from 1; None: all.
-    after : float
-        From the start of the first pulse to the start of the second [s].
-    ratio : float
-        Peak of the second pulse as a share of the first.
-    """
+    """A hammer that bounces: a second, weaker pulse follows."""
 
     hits: tuple[Count, ...] | None = Field(None, min_length=1)
+    """Which hits bounce, from 1; None: all."""
     after: Duration = 20e-3
+    """From the start of the first pulse to the start of the second [s]."""
     ratio: Annotated[float, Quantity(RATIO, above=0.0)] = 0.4
+    """Peak of the second pulse as a share of the first."""
 
 
 class Impulse(Settings):
-    """Hammer hits: half-sine pulses of force on a body.
-
-    Attributes
-    ----------
-    body : int
-        The body hit, from 1.
-    peak : float
-        Peak of the pulse [N].
-    width : float
-        Length of the half sine [s]; a softer tip makes it longer.
-    repeats : int
-        Number of hits.
-    interval : float
-        From one hit to the next, and recorded after the last [s].
-    double_hit : DoubleHit, optional
-        Bounces of the hammer; None: clean hits.
-    """
+    """Hammer hits: half-sine pulses of force on a body."""
 
     kind: Literal["impulse"] = "impulse"
     start: Start = "settled"
     body: Body
+    """The body hit, by its number from 1."""
     peak: Annotated[float, Quantity(FORCE, above=0.0)]
+    """Peak of the pulse [N]."""
     width: Duration
+    """Length of the half sine [s]; a softer tip makes it longer."""
     repeats: Count = 1
+    """Number of hits."""
     interval: Duration = 6.0
+    """From one hit to the next, and recorded after the last [s]."""
     double_hit: DoubleHit | None = None
+    """Bounces of the hammer; None: clean hits."""
 
     def relations(self) -> Iterable[Mistake]:
         """Check that pulses do not run into one another."""
@@ -322,27 +268,20 @@ class Impulse(Settings):
 
 
 class Free(Settings):
-    """Free vibration from given displacements and velocities, the drive at rest.
-
-    Attributes
-    ----------
-    displacement, velocity : tuple of float, optional
-        One value for each body, added to the start position [m] and to rest [m/s].
-    mode : int, optional
-        Instead: the shape of this mode, from 1, its largest element
-    amplitude : float, optional
-        as large as this [m].
-    duration : float
-        Time [s].
-    """
+    """Free vibration from given displacements and velocities, the drive at rest."""
 
     kind: Literal["free"] = "free"
     start: Start = "settled"
     displacement: tuple[Annotated[float, Quantity(LENGTH)], ...] | None = Field(None, min_length=1)
+    """One value for each body, added to the start position [m]."""
     velocity: tuple[Annotated[float, Quantity(VELOCITY)], ...] | None = Field(None, min_length=1)
+    """One value for each body, added to rest [m/s]."""
     mode: Annotated[int, Field(ge=1)] | None = None
+    """Instead: the shape of this mode, from 1."""
     amplitude: Annotated[float, Quantity(LENGTH, above=0.0)] | None = None
+    """Largest element of that shape [m]."""
     duration: Duration = 6.0
+    """Time [s]."""
 
     def relations(self) -> Iterable[Mistake]:
         """Check that there is one way to start."""

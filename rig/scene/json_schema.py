@@ -24,6 +24,8 @@ def _lean(node: Any) -> Any:
     lean = {key: _lean(value) for key, value in node.items() if key != "title" or not isinstance(value, str)}
     if lean.get("default", 0) in (None, float("inf")):
         del lean["default"]
+    if "description" in lean and isinstance(lean["description"], str):
+        lean["description"] = " ".join(lean["description"].split())
     choices = lean.get("anyOf")
     if isinstance(choices, list) and {"type": "null"} in choices:
         # An empty value counts as left out, which an editor need not propose.

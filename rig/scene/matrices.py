@@ -65,19 +65,14 @@ Matrix = Annotated[tuple[tuple[float, ...], ...], _Matrix()]
 
 
 class Matrices(Settings):
-    """A structure given by its matrices, in SI; the damping matrix may be left to `Structure.damping`.
-
-    Attributes
-    ----------
-    mass, stiffness : tuple of tuple of float
-        Symmetric matrices (bodies, bodies) [kg, N/m], the mass positive definite.
-    damping : tuple of tuple of float, optional
-        Any matrix of that size [N s/m].
-    """
+    """A structure given by its matrices, in SI; the damping matrix may be left to `Structure.damping`."""
 
     mass: Matrix
+    """Symmetric and positive definite, (bodies, bodies) [kg]."""
     stiffness: Matrix
+    """Symmetric, (bodies, bodies) [N/m]."""
     damping: Matrix | None = None
+    """Any matrix of that size [N s/m]."""
 
     def relations(self) -> Iterable[Mistake]:
         """Check sizes, symmetry and that the kinetic energy is positive."""

@@ -40,63 +40,45 @@ Time = Annotated[float, Quantity(TIME, at_least=0.0)]
 Limit = Annotated[float, Quantity(LENGTH, VELOCITY, ACCELERATION, FORCE, above=0.0)]
 # Where a channel measures force, not motion.
 FORCE_PLACES = ("hammer", "shaker")
-Preset = Annotated[str, Field(min_length=1, max_length=80, description="the name of a part")]
+Preset = Annotated[str, Field(min_length=1, max_length=80)]
 
 
 class Accelerometer(Settings):
-    """A piezoelectric accelerometer, as its datasheet describes it; each effect is there when it is named.
-
-    Attributes
-    ----------
-    preset : str, optional
-        A part whose datasheet fills in what is not given here.
-    sensitivity : float, optional
-        Nominal sensitivity [V per m/s^2]; None: 1.
-    sensitivity_tolerance : float, optional
-        Largest deviation of the true sensitivity from the nominal one, as a share; the seed draws it.
-    resonance, q : float, optional
-        Mounted resonance [Hz] and its quality factor (30 where a resonance is given without one).
-    low_cutoff : float, optional
-        Corner of the first-order high pass [Hz].
-    noise : float, optional
-        White noise density [m/s^2/sqrt(Hz)].
-    noise_corner : float, optional
-        Frequency below which the noise density rises as 1/f in power [Hz]; needs `noise`.
-    bias : float, optional
-        Offset of the output at rest [V].
-    bias_settling : float, optional
-        Time constant with which the bias settles from zero after power-on [s]; needs `bias`.
-    transverse : float, optional
-        Transverse sensitivity as a share of the nominal one; the seed draws its direction.
-    lateral : float, optional
-        Sideways acceleration of the mounting point as a share of the vertical (10 % where `transverse` is
-        given without it); the structure itself moves vertically only.
-    saturation : float, optional
-        Largest acceleration the output follows [m/s^2].
-    overload_recovery : float, optional
-        Time constant of the recovery after saturation [s]; needs `saturation`.
-    temperature_drift : float, optional
-        Relative change of sensitivity per kelvin [1/K]; needs `temperature_change`.
-    temperature_change : float, optional
-        Temperature of the sensor above that of its calibration [K].
-    """
+    """A piezoelectric accelerometer, as its datasheet describes it; each effect is there when it is named."""
 
     preset: Preset | None = None
+    """A part, by its name, whose datasheet fills in what is not given here."""
     sensitivity: Annotated[float, Quantity(ACCELERATION_SENSITIVITY, above=0.0)] | None = None
+    """Nominal sensitivity [V per m/s^2]; None: 1."""
     sensitivity_tolerance: Tolerance | None = None
+    """Largest deviation of the true sensitivity from the nominal one, as a share; the seed draws it."""
     resonance: Corner | None = None
+    """Mounted resonance [Hz]."""
     q: Annotated[float, Quantity(RATIO, above=0.0)] | None = None
+    """Quality factor of the resonance; None: 30."""
     low_cutoff: Corner | None = None
+    """Corner of the first-order high pass [Hz]."""
     noise: Annotated[float, Quantity(ACCELERATION_NOISE, at_least=0.0)] | None = None
+    """White noise density [m/s^2/sqrt(Hz)]."""
     noise_corner: Corner | None = None
+    """Frequency below which the noise density rises as 1/f in power [Hz]; needs `noise`."""
     bias: Annotated[float, Quantity(VOLTAGE)] | None = None
+    """Offset of the output at rest [V]."""
     bias_settling: Annotated[float, Quantity(TIME, above=0.0)] | None = None
+    """Time constant with which the bias settles from zero after power-on [s]; needs `bias`."""
     transverse: Tolerance | None = None
+    """Transverse sensitivity as a share of the nominal one; the seed draws its direction."""
     lateral: Annotated[float, Quantity(RATIO, at_least=0.0)] | None = None
+    """Sideways acceleration of the mounting point as a share of the vertical (10 % where `transverse` is
+    given without it); the structure itself moves vertically only."""
     saturation: Annotated[float, Quantity(ACCELERATION, above=0.0)] | None = None
+    """Largest acceleration the output follows [m/s^2]."""
     overload_recovery: Annotated[float, Quantity(TIME, above=0.0)] | None = None
+    """Time constant of the recovery after saturation [s]; needs `saturation`."""
     temperature_drift: Annotated[float, Quantity(PER_KELVIN)] | None = None
+    """Relative change of sensitivity per kelvin [1/K]; needs `temperature_change`."""
     temperature_change: Annotated[float, Quantity(TEMPERATURE)] | None = None
+    """Temperature of the sensor above that of its calibration [K]."""
 
     needs: ClassVar[Mapping[str, str]] = {
         "q": "resonance",
@@ -116,57 +98,38 @@ class Accelerometer(Settings):
 
 
 class Integrator(Settings):
-    """An integrating amplifier behind the accelerometer.
+    """An integrating amplifier behind the accelerometer."""
 
-    Attributes
-    ----------
-    order : {1, 2}
-        1: the output follows the velocity, 2: the displacement.
-    corner : float
-        Frequency below which it stops integrating [Hz], a first-order high pass per order; 0: it never does.
-    low_cutoff : float, optional
-        Corner of the first-order high pass at its input [Hz], which keeps a sensor's bias out.
-    gain : float
-        Output per integral of the input [1/s for order 1, 1/s^2 for order 2].
-    noise : float, optional
-        White noise density at the output [V/sqrt(Hz)].
-    saturation : float, optional
-        Largest output [V].
-    """
-
-    order: Annotated[int, Field(ge=1, le=2, description="1 or 2")]
+    order: Annotated[int, Field(ge=1, le=2)]
+    """1: the output follows the velocity, 2: the displacement."""
     corner: Annotated[float, Quantity(FREQUENCY, at_least=0.0)] = 0.0
+    """Frequency below which it stops integrating [Hz], a first-order high pass per order; 0: it never
+    does."""
     low_cutoff: Corner | None = None
+    """Corner of the first-order high pass at its input [Hz], which keeps a sensor's bias out."""
     gain: Annotated[float, Quantity(RATIO, above=0.0)] = 1.0
+    """Output per integral of the input [1/s for order 1, 1/s^2 for order 2]."""
     noise: Annotated[float, Quantity(VOLTAGE_NOISE, at_least=0.0)] | None = None
+    """White noise density at the output [V/sqrt(Hz)]."""
     saturation: Annotated[float, Quantity(VOLTAGE, above=0.0)] | None = None
+    """Largest output [V]."""
 
 
 class Hammer(Settings):
-    """A force sensor: in the head of an impulse hammer, or between a shaker and the body it pushes.
-
-    Attributes
-    ----------
-    preset : str, optional
-        A part whose datasheet fills in what is not given here.
-    sensitivity : float, optional
-        Nominal sensitivity [V/N]; None: 1.
-    sensitivity_tolerance : float, optional
-        As in `Accelerometer`.
-    noise : float, optional
-        White noise density [N/sqrt(Hz)].
-    low_cutoff : float, optional
-        Corner of the first-order high pass [Hz].
-    saturation : float, optional
-        Largest force the output follows [N].
-    """
+    """A force sensor: in the head of an impulse hammer, or between a shaker and the body it pushes."""
 
     preset: Preset | None = None
+    """A part, by its name, whose datasheet fills in what is not given here."""
     sensitivity: Annotated[float, Quantity(FORCE_SENSITIVITY, above=0.0)] | None = None
+    """Nominal sensitivity [V/N]; None: 1."""
     sensitivity_tolerance: Tolerance | None = None
+    """As in `Accelerometer`."""
     noise: Annotated[float, Quantity(FORCE_NOISE, at_least=0.0)] | None = None
+    """White noise density [N/sqrt(Hz)]."""
     low_cutoff: Corner | None = None
+    """Corner of the first-order high pass [Hz]."""
     saturation: Annotated[float, Quantity(FORCE, above=0.0)] | None = None
+    """Largest force the output follows [N]."""
 
     def relations(self) -> Iterable[Mistake]:
         """Check that the part is known."""
@@ -176,42 +139,25 @@ class Hammer(Settings):
 class Channel(Settings):
     """One measured signal: a point, the sensor on it and the amplifier behind that.
 
-    Attributes
-    ----------
-    name : str
-        Name in the recording: letters, digits, `_`, `-` and `.`.
-    at : str
-        Where: `body 1` ..., `table`, `hammer`, or `shaker`: between a shaker of kind force and its body. The
-        force of other shakers is read from the ends of their coil spring, the table and the driven body.
-    accelerometer, integrator : optional
-        Sensor and integrating amplifier at a body or the table.
-    hammer : Hammer, optional
-        Force sensor, at the hammer or the shaker.
-    alarm, abort : float, optional
-        Limits of the measured quantity, in the channel's unit [m, m/s, m/s^2 or N]: above the first the
-        recording is marked, above the second the test ends.
+    The force of a shaker of another kind than force is read from the ends of its coil spring, the table and the
+    driven body.
     """
 
-    name: Annotated[
-        str,
-        Field(
-            max_length=80,
-            pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$",
-            description="a name of letters, digits, _, - and .",
-        ),
-    ]
-    at: Annotated[
-        str,
-        Field(
-            pattern=r"^(body [1-9][0-9]{0,5}|table|hammer|shaker)$",
-            description="body 1, ..., table, hammer or shaker",
-        ),
-    ]
+    name: Annotated[str, Field(max_length=80, pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
+    """A name of letters, digits, _, - and . under which it stands in the recording."""
+    at: Annotated[str, Field(pattern=r"^(body [1-9][0-9]{0,5}|table|hammer|shaker)$")]
+    """body 1, ..., table, hammer or shaker (between a shaker of kind force and its body)."""
     accelerometer: Accelerometer | None = None
+    """Sensor at a body or the table."""
     integrator: Integrator | None = None
+    """Integrating amplifier at a body or the table."""
     hammer: Hammer | None = None
+    """Force sensor, at the hammer or the shaker."""
     alarm: Limit | None = None
+    """Limit of the measured quantity, in the channel's unit, above which the recording is marked [m, m/s,
+    m/s^2 or N]."""
     abort: Limit | None = None
+    """The same, above which the test ends."""
 
     @classmethod
     def kind_by_neighbours(cls, given: Mapping[str, Any]) -> Mapping[Place, Kind]:
@@ -244,71 +190,47 @@ class Channel(Settings):
 
 
 class DroppedBlock(Settings):
-    """Samples that the converter loses, to test what becomes of a faulty acquisition.
-
-    Attributes
-    ----------
-    at : float
-        When, from the start of the acquisition [s].
-    samples : int
-        How many in each channel.
-    """
+    """Samples that the converter loses, to test what becomes of a faulty acquisition."""
 
     at: Time
-    samples: Annotated[int, Field(ge=1, le=100_000_000, description="a whole number, at least 1")]
+    """When, from the start of the acquisition [s]."""
+    samples: Annotated[int, Field(ge=1, le=100_000_000)]
+    """How many in each channel: a whole number, at least 1."""
 
 
 class Converter(Settings):
-    """The analogue-to-digital converter and its clock, common to all channels.
-
-    Attributes
-    ----------
-    preset : str, optional
-        A module whose datasheet fills in what is not given here.
-    rate : float
-        Sample rate asked for [Hz].
-    bits : int, optional
-        Resolution; needs `range`. None: not quantised.
-    range : float, optional
-        Voltage at full scale [V]; None: not clipped.
-    noise : float, optional
-        White noise density at the input [V/sqrt(Hz)].
-    coupling : {"AC", "DC"}, optional
-        AC: a first-order high pass. None: DC.
-    ac_corner : float, optional
-        Corner of that high pass [Hz]; None: 0.5.
-    excitation : float, optional
-        Constant current that feeds the sensors (IEPE) [A].
-    filter : {"delta_sigma"}, optional
-        The decimation filter of a delta-sigma converter, which looks at the rig several times a sample where
-        the rig oscillates fast for the sample rate, or the rate is low. None: no filter.
-    remove_delay : bool
-        Whether the filter's delay is taken out of the samples' times.
-    skew : float or tuple of float, optional
-        Lateness of the channels' sampling instants [s]: of each channel relative to the one before it, or one
-        value per channel.
-    clock_error : float, optional
-        Relative error of the sample clock's frequency (20 ppm = 2e-5).
-    jitter : float, optional
-        Standard deviation of the sampling instants [s].
-    dropped_blocks : tuple of DroppedBlock
-        Samples to lose.
-    """
+    """The analogue-to-digital converter and its clock, common to all channels."""
 
     preset: Preset | None = None
+    """A module, by its name, whose datasheet fills in what is not given here."""
     rate: Annotated[float, Quantity(FREQUENCY, above=0.0)] = 5120.0
-    bits: Annotated[int, Field(ge=2, le=32, description="a whole number such as 24")] | None = None
+    """Sample rate asked for [Hz]."""
+    bits: Annotated[int, Field(ge=2, le=32)] | None = None
+    """Resolution, a whole number such as 24; needs `range`. None: not quantised."""
     range: Annotated[float, Quantity(VOLTAGE, above=0.0)] | None = None
+    """Voltage at full scale [V]; None: not clipped."""
     noise: Annotated[float, Quantity(VOLTAGE_NOISE, at_least=0.0)] | None = None
+    """White noise density at the input [V/sqrt(Hz)]."""
     coupling: Literal["AC", "DC"] | None = None
+    """AC: a first-order high pass. None: DC."""
     ac_corner: Corner | None = None
+    """Corner of that high pass [Hz]; None: 0.5."""
     excitation: Annotated[float, Quantity(CURRENT, at_least=0.0)] | None = None
+    """Constant current that feeds the sensors (IEPE) [A]."""
     filter: Literal["delta_sigma"] | None = None
+    """The decimation filter of a delta-sigma converter, which looks at the rig several times a sample where
+    the rig oscillates fast for the sample rate, or the rate is low. None: no filter."""
     remove_delay: bool = False
+    """Whether the filter's delay is taken out of the samples' times."""
     skew: Annotated[float | tuple[float, ...], Quantity(TIME, at_least=0.0, listed=True)] | None = None
+    """Lateness of the channels' sampling instants [s]: of each channel relative to the one before it, or one
+    value per channel."""
     clock_error: Annotated[float, Quantity(RATIO)] | None = None
+    """Relative error of the sample clock's frequency (20 ppm = 2e-5)."""
     jitter: Time | None = None
+    """Standard deviation of the sampling instants [s]."""
     dropped_blocks: tuple[DroppedBlock, ...] = ()
+    """Samples to lose."""
 
     def relations(self) -> Iterable[Mistake]:
         """Check that nothing is given without what it belongs to, and that its module can do it."""

@@ -28,30 +28,23 @@ STANDARD_GRAVITY = 9.80665
 
 
 class Scene(Settings):
-    """Everything on the bench.
-
-    Attributes
-    ----------
-    name : str
-        A line for titles and legends.
-    structure, dampers, shaker, test, channels, converter, recording
-        See their classes. `channels` None: ideal acceleration of every body and the table.
-    gravity : float
-        Downward acceleration [m/s^2].
-    seed : int
-        Where all random numbers of a run start.
-    """
+    """Everything on the bench."""
 
     name: str = Field("unnamed scene", min_length=1, max_length=200)
-    structure: Structure = Field(description="keys masses and springs, or matrices")
+    """A line for titles and legends."""
+    structure: Structure
+    """Keys masses and springs, or matrices."""
     gravity: Annotated[float, Quantity(ACCELERATION, at_least=0.0)] = STANDARD_GRAVITY
+    """Downward acceleration [m/s^2]."""
     dampers: tuple[Damper, ...] = ()
     shaker: Shaker | None = None
     test: Test | None = None
     channels: tuple[Channel, ...] | None = Field(None, min_length=1)
+    """None: ideal acceleration of every body and the table."""
     converter: Converter = Converter()
     recording: RecordingSettings = RecordingSettings()
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
+    """Where all random numbers of a run start."""
 
     @classmethod
     def kind_by_neighbours(cls, given: Mapping[str, Any]) -> Mapping[Place, Kind]:

@@ -19,11 +19,12 @@ from pydantic import (
     ValidationError,
     model_validator,
 )
+from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, InitErrorDetails, core_schema
 
 from rig.errors import SceneError
 from rig.scene.quantities import Kind, parse
-from rig.scene.quantity_field import expected, mistake, quantity_of, refusal
+from rig.scene.quantity_field import Quantity, expected, mistake, quantity_of, refusal
 
 Place = tuple[int | str, ...]
 
@@ -72,7 +73,13 @@ def report(title: str, mistakes: Iterable[Mistake]) -> ValidationError:
 class Settings(BaseModel):
     """Base of all settings: frozen, unknown keys refused, all mistakes reported together."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", validate_by_name=True, validate_by_alias=True)
+    model_config = ConfigDict(
+        frozen=True,
+        extra="forbid",
+        validate_by_name=True,
+        validate_by_alias=True,
+        use_attribute_docstrings=True,
+    )
 
     # Groups of keys of which exactly one has to be given.
     one_of: ClassVar[tuple[tuple[str, ...], ...]] = ()
@@ -104,14 +111,19 @@ class Settings(BaseModel):
     def __get_pydantic_json_schema__(
         cls, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        """Add what pydantic does not know: keys that exclude each other, and that the kind is named."""
+        """Add what pydantic does not know: keys that exclude each other, that the kind is named, and bounds."""
         reference = handler(schema)
         known = handler.resolve_ref_schema(reference)
-        known["description"] = str(cls.__doc__).split("\n\n")[0].replace("\n    ", " ")
+        known["description"] = str(cls.__doc__).split("\n\n")[0]
         if cls.one_of:
             known["allOf"] = [{"oneOf": [{"required": [key]} for key in group]} for group in cls.one_of]
         if "kind" in cls.model_fields:
             known["required"] = ["kind", *known.get("required", ())]
+        for name, field in cls.model_fields.items():
+            quantity = _quantity(field)
+            if quantity is not None and field.description:
+                about = known["properties"][field.alias or name]
+                about["description"] = f"{field.description} Give {quantity.bounded}."
         return reference
 
     @model_validator(mode="wrap")
@@ -154,11 +166,11 @@ class Settings(BaseModel):
     @classmethod
     def _what(cls, key: str) -> str:
         field = next(f for name, f in cls.model_fields.items() if key in (name, f.alias))
-        for part in (*field.metadata, field.annotation):
-            quantity = quantity_of(part)
-            if quantity is not None:
-                return quantity.plain
-        return field.description or "a value"
+        quantity = _quantity(field)
+        if quantity is not None:
+            return quantity.plain
+        about = (field.description or "a value").rstrip(".")
+        return about[0].lower() + about[1:]
 
     @classmethod
     def _presence(cls, data: Mapping[str, Any]) -> Iterable[Mistake]:
@@ -199,6 +211,10 @@ def unknown(key: str, keys: Iterable[str]) -> str:
     near = get_close_matches(key, keys, n=1, cutoff=0.6)
     hint = f'did you mean "{near[0]}"?' if near else f"expected one of {', '.join(keys)}"
     return f'unknown key "{key[:60]}"; {hint}'
+
+
+def _quantity(field: FieldInfo) -> Quantity | None:
+    return next(filter(None, map(quantity_of, (*field.metadata, field.annotation))), None)
 
 
 def _echo(item: Any) -> bool:

@@ -25,7 +25,7 @@ from rig.scene.quantities import (
 from rig.scene.quantity_field import Quantity, refusal
 from rig.scene.settings import Alternatives, Place, Settings, by_kind
 
-Body = Annotated[int, Field(ge=1, description="the number of a body, from 1")]
+Body = Annotated[int, Field(ge=1)]
 CoilSpring = Annotated[float, Quantity(STIFFNESS, above=0.0)]
 
 
@@ -57,18 +57,11 @@ class _BodyOrBodies:
 
 
 class ForceShaker(Settings):
-    """A force that acts on one body, or the same force on several, with nothing attached to them.
-
-    Attributes
-    ----------
-    body : int or tuple of int
-        The body or bodies, from 1.
-    """
+    """A force that acts on one body, or the same force on several, with nothing attached to them."""
 
     kind: Literal["force"] = "force"
-    body: Annotated[int | tuple[int, ...], _BodyOrBodies()] = Field(
-        description="the number of a body, from 1, or a list of such"
-    )
+    body: Annotated[int | tuple[int, ...], _BodyOrBodies()]
+    """The number of a body, from 1, or a list of such."""
 
     @property
     def bodies(self) -> tuple[int, ...]:
@@ -81,21 +74,16 @@ class ForceShaker(Settings):
 
 
 class TableShaker(Settings):
-    """A table whose displacement is prescribed, pulling body `body` through the coil spring.
-
-    Attributes
-    ----------
-    spring : float
-        Stiffness of the coil spring [N/m].
-    bandwidth : float
-        Corner of the position servo [Hz], a critically damped second order: the table follows the drive with
-        a continuous velocity, as its acceleration is measured.
-    """
+    """A table whose displacement is prescribed, pulling body `body` through the coil spring."""
 
     kind: Literal["table"] = "table"
     body: Body
+    """The body it pulls, by its number from 1."""
     spring: CoilSpring
+    """Stiffness of the coil spring [N/m]."""
     bandwidth: Annotated[float, Quantity(FREQUENCY, above=0.0)] = 400.0
+    """Corner of the position servo [Hz], a critically damped second order: the table follows the drive with a
+    continuous velocity, as its acceleration is measured."""
 
     @property
     def bodies(self) -> tuple[int, ...]:
@@ -104,35 +92,35 @@ class TableShaker(Settings):
 
 
 class Coil(Settings):
-    """Moving coil: resistance [ohm], inductance [H] and force factor [N/A = V s/m]."""
+    """Moving coil."""
 
     resistance: Annotated[float, Quantity(RESISTANCE, above=0.0)] = 2.0
+    """Resistance [ohm]."""
     inductance: Annotated[float, Quantity(INDUCTANCE, above=0.0)] = 0.2e-3
+    """Inductance [H]."""
     force_factor: Annotated[float, Quantity(FORCE_FACTOR, above=0.0)] = 10.0
+    """Force factor [N/A = V s/m]."""
 
 
 class Armature(Settings):
-    """Moving armature with the table: mass [kg], suspension stiffness [N/m] and damping [N s/m]."""
+    """Moving armature on its suspension."""
 
     mass: Annotated[float, Quantity(MASS, above=0.0)] = 0.25
+    """Mass, the table included [kg]."""
     stiffness: Annotated[float, Quantity(STIFFNESS, at_least=0.0)] = 8000.0
+    """Stiffness of the suspension [N/m]."""
     damping: Annotated[float, Quantity(DASHPOT, at_least=0.0)] = 8.0
+    """Damping of the suspension [N s/m]."""
 
 
 class Amplifier(Settings):
-    """Power amplifier: a voltage or a current source.
-
-    Attributes
-    ----------
-    gain : float
-        Output per volt of drive [V/V, or A/V in current mode].
-    limit : float
-        Largest output [V or A]; infinite: no clipping.
-    """
+    """Power amplifier: a voltage or a current source."""
 
     mode: Literal["voltage", "current"] = "voltage"
     gain: Annotated[float, Quantity(RATIO, TRANSCONDUCTANCE, above=0.0)] = 1.0
+    """Output per volt of drive [V/V, or A/V in current mode]."""
     limit: Annotated[float, Quantity(VOLTAGE, CURRENT, above=0.0, infinite=True)] = float("inf")
+    """Largest output [V or A]; infinite: no clipping."""
 
     @classmethod
     def kind_by_neighbours(cls, given: Mapping[str, Any]) -> Mapping[Place, Kind]:
@@ -143,17 +131,13 @@ class Amplifier(Settings):
 
 
 class ElectrodynamicShaker(Settings):
-    """A moving-coil shaker that pulls body `body` through the coil spring and feels what it pulls.
-
-    Attributes
-    ----------
-    spring : float
-        Stiffness of the coil spring between the table and the body [N/m].
-    """
+    """A moving-coil shaker that pulls body `body` through the coil spring and feels what it pulls."""
 
     kind: Literal["electrodynamic"] = "electrodynamic"
     body: Body
+    """The body it pulls, by its number from 1."""
     spring: CoilSpring
+    """Stiffness of the coil spring between the table and the body [N/m]."""
     coil: Coil = Coil()
     armature: Armature = Armature()
     amplifier: Amplifier = Amplifier()

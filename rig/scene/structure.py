@@ -21,30 +21,26 @@ from rig.scene.settings import Alternatives, Mistake, Settings, by_key
 
 
 class ModalDamping(Settings):
-    """A damping ratio for each natural mode of the structure without dampers and coil spring.
+    """A damping ratio for each natural mode of the structure without dampers and coil spring."""
 
-    Attributes
-    ----------
-    modal : float or tuple of float
-        One ratio for all modes, or one for each (0.005 = 0.5 %); 1 is critical.
-    """
-
-    modal: Annotated[float | tuple[float, ...], Quantity(RATIO, at_least=0.0, listed=True)] = Field(
-        description="a ratio such as 0.5 %, or one for each mode"
-    )
+    modal: Annotated[float | tuple[float, ...], Quantity(RATIO, at_least=0.0, listed=True)]
+    """One ratio for all modes, or one for each (0.005 = 0.5 %); 1 is critical."""
 
 
 class Rayleigh(Settings):
-    """C = alpha M + beta K, alpha in 1/s and beta in s."""
+    """C = alpha M + beta K."""
 
     alpha: Annotated[float, Quantity(RATE, at_least=0.0)] = 0.0
+    """Share of the mass matrix [1/s]."""
     beta: Annotated[float, Quantity(TIME, at_least=0.0)] = 0.0
+    """Share of the stiffness matrix [s]."""
 
 
 class RayleighDamping(Settings):
     """Damping in proportion to mass and stiffness."""
 
-    rayleigh: Rayleigh = Field(description="keys alpha and beta")
+    rayleigh: Rayleigh
+    """Keys alpha and beta."""
 
 
 class Dashpots(Settings):
@@ -57,27 +53,19 @@ Damping = Annotated[ModalDamping | RayleighDamping | Dashpots, Alternatives(by_k
 
 
 class Structure(Settings):
-    """The structure: a chain of bodies on springs, or any linear one given by matrices.
-
-    Attributes
-    ----------
-    masses : tuple of float, optional
-        Masses of the bodies [kg], body 1 first.
-    springs : tuple of float, optional
-        Stiffness of spring j between body j and body j-1, ground for j = 1 [N/m]. 0: not connected.
-    damping : ModalDamping, RayleighDamping or Dashpots, optional
-        None: undamped.
-    matrices : Matrices, optional
-        In place of masses and springs.
-    """
+    """The structure: a chain of bodies on springs, or any linear one given by matrices."""
 
     one_of: ClassVar = (("masses", "matrices"),)
     masses: tuple[Annotated[float, Quantity(MASS, above=0.0)], ...] | None = Field(None, min_length=1)
+    """Masses of the bodies [kg], body 1 first."""
     springs: tuple[Annotated[float, Quantity(STIFFNESS, at_least=0.0)], ...] | None = Field(
         None, min_length=1
     )
+    """Stiffness of spring j between body j and body j-1, ground for j = 1 [N/m]. 0: not connected."""
     damping: Damping | None = None
+    """None: undamped."""
     matrices: Matrices | None = None
+    """In place of masses and springs."""
 
     @property
     def bodies(self) -> int:

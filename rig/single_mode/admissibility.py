@@ -26,20 +26,13 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Batch:
-    """Solutions of one type, side by side.
-
-    Attributes
-    ----------
-    kind : {'I', 'II', 'III'}
-        Motion type.
-    unknowns : ndarray, shape (4 + instants, solutions)
-    setting : MotionParameters
-        Fields of shape (solutions,).
-    """
+    """Solutions of one type, side by side."""
 
     kind: MotionType
-    unknowns: Floats
+    """Motion type; {'I', 'II', 'III'}."""
+    unknowns: Floats  # shape (4 + instants, solutions)
     setting: MotionParameters
+    """Fields of shape (solutions,)."""
 
     @property
     def motion(self) -> PeriodicMotion:

@@ -42,27 +42,16 @@ Array = NDArray[Any]
 
 
 class MotionParameters(NamedTuple):
-    """The dimensionless parameters of a motion.
-
-    Attributes
-    ----------
-    ratio : array or float
-        r, driving frequency over the mode's own.
-    damping : array or float
-        zeta, damping ratio of the mode.
-    mass_ratio : array or float
-        mu.
-    force : array or float
-        F = phi_k f / (M g).
-    height : array or float
-        Clearance in lengths of g/w_i^2 (the mode's own frequency, so that it does not change with r).
-    """
+    """The dimensionless parameters of a motion."""
 
     ratio: Any
+    """r, driving frequency over the mode's own."""
     damping: Any
-    mass_ratio: Any
-    force: Any
+    """zeta, damping ratio of the mode."""
+    mass_ratio: Any  # mu
+    force: Any  # F = phi_k f / (M g)
     height: Any
+    """Clearance in lengths of g/w_i^2 (the mode's own frequency, so that it does not change with r)."""
 
 
 class ModeState(NamedTuple):
@@ -76,25 +65,17 @@ class ModeState(NamedTuple):
 
 @dataclass(frozen=True)
 class MotionPhase:
-    """A stretch of motion between two events: how long, how it starts, and whether the damper rides.
-
-    Attributes
-    ----------
-    riding : bool
-        Whether the damper's mass moves with the mode.
-    begin, length : array
-        Start and duration in tau.
-    start : ModeState
-        At its begin, after the impact there if one happens.
-    offset : array or float
-        Height of the damper over the floor while riding (0 or the clearance).
-    """
+    """A stretch of motion between two events: how long, how it starts, and whether the damper rides."""
 
     riding: bool
+    """Whether the damper's mass moves with the mode."""
     begin: Array
     length: Array
+    """Start and duration in tau."""
     start: ModeState
+    """At its begin, after the impact there if one happens."""
     offset: Any
+    """Height of the damper over the floor while riding (0 or the clearance)."""
 
 
 class PeriodicMotion:

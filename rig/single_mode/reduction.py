@@ -30,42 +30,23 @@ Weighting = Literal["printed", "energy"]
 
 @dataclass(frozen=True)
 class SingleMode:
-    """A mode with its equivalent damper.
+    """A mode with its equivalent damper."""
 
-    Attributes
-    ----------
-    mode : int
-        Number of the mode, from 1.
-    shape : ndarray, shape (bodies,)
-        Mode shape; body j moves by shape[j] times the mode's coordinate.
-    mass : float
-        M_i [kg].
-    omega : float
-        Natural angular frequency of the mode without dampers [rad/s].
-    damping_ratio : float
-        C_i / (2 M_i omega).
-    participation : float
-        phi_ki, the shape at the driven body (summed over several).
-    force : float
-        Amplitude of the force [N].
-    mass_ratio : float
-        mu_i, the equivalent damper's mass over M_i.
-    clearance : float
-        Clearance of its cavity [m]; inf without a ceiling.
-    gravity : float
-        [m/s^2].
-    """
-
-    mode: int
+    mode: int  # Number of the mode, from 1
     shape: NDArray[np.float64]
-    mass: float
+    """Mode shape; body j moves by shape[j] times the mode's coordinate; shape (bodies,)."""
+    mass: float  # M_i [kg]
     omega: float
-    damping_ratio: float
+    """Natural angular frequency of the mode without dampers [rad/s]."""
+    damping_ratio: float  # C_i / (2 M_i omega)
     participation: float
-    force: float
+    """phi_ki, the shape at the driven body (summed over several)."""
+    force: float  # Amplitude of the force [N]
     mass_ratio: float
+    """mu_i, the equivalent damper's mass over M_i."""
     clearance: float
-    gravity: float
+    """Clearance of its cavity [m]; inf without a ceiling."""
+    gravity: float  # [m/s^2]
 
     @property
     def frequency(self) -> float:

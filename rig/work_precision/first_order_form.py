@@ -24,18 +24,12 @@ WALLS = ("separation", "floor", "ceiling")
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a method made of a motion.
-
-    Attributes
-    ----------
-    displacement : ndarray, shape (coordinates, samples)
-        m, at `PER_PERIOD` samples a period.
-    events : list of tuple
-        Time [s], damper (from 0), kind.
-    """
+    """What a method made of a motion."""
 
     displacement: Array
+    """m, at `PER_PERIOD` samples a period; shape (coordinates, samples)."""
     events: list[tuple[float, int, str]]
+    """Time [s], damper (from 0), kind."""
 
 
 class FirstOrderForm:

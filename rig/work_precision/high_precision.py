@@ -34,21 +34,14 @@ ITERATIONS = 8
 
 @dataclass(frozen=True)
 class Exact:
-    """A motion known far beyond float64.
-
-    Attributes
-    ----------
-    displacement : ndarray of Decimal (object), shape (coordinates, samples)
-        m.
-    event_time : ndarray of Decimal (object), shape (events,)
-        s.
-    agreement : float
-        Largest difference to the same motion computed with fewer digits, relative to the motion.
-    """
+    """A motion known far beyond float64."""
 
     displacement: NDArray[np.object_]
+    """m; Decimal, shape (coordinates, samples)."""
     event_time: NDArray[np.object_]
+    """s; Decimal, shape (events,)."""
     agreement: float
+    """Largest difference to the same motion computed with fewer digits, relative to the motion."""
 
 
 def exact_motion(system: HybridSystem, tone: ToneDrive, run: Run, samples_per_period: int) -> Exact:

@@ -34,22 +34,15 @@ Flight = dict[int, tuple[Decimal, Decimal]]
 
 @dataclass(frozen=True)
 class ExactOrbit:
-    """A steady response known far beyond float64.
-
-    Attributes
-    ----------
-    real, imag : ndarray of Decimal (object), shape (bodies,)
-        Compliance, m/N.
-    residual : float
-        By how much the motion misses its start, relative to the motion.
-    agreement : float
-        Difference to the compliance computed with fewer digits, relative.
-    """
+    """A steady response known far beyond float64."""
 
     real: NDArray[np.object_]
     imag: NDArray[np.object_]
+    """Compliance, m/N; Decimal, shape (bodies,)."""
     residual: float
+    """By how much the motion misses its start, relative to the motion."""
     agreement: float
+    """Difference to the compliance computed with fewer digits, relative."""
 
     def miss(self, compliance: NDArray[np.complex128]) -> float:
         """Largest error of a compliance, relative to the largest of all bodies."""

@@ -45,58 +45,37 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Point:
-    """One method at one setting.
-
-    Attributes
-    ----------
-    method, setting : str
-    cpu : float
-        CPU time, s: for the motion per period of the drive, for the steady state in all.
-    error : float
-        Largest error of any displacement relative to the largest displacement; NaN if the method failed.
-    event_error : float
-        Largest error of an event's time, s; NaN where there is none to compare.
-    right : bool
-        Whether it found the right events, in the right order for each damper; for the steady state, whether it
-        converged.
-    note : str
-        What else there is to say, why it failed.
-    """
+    """One method at one setting."""
 
     method: str
     setting: str
     cpu: float
+    """CPU time, s: for the motion per period of the drive, for the steady state in all."""
     error: float
+    """Largest error of any displacement relative to the largest displacement; NaN if the method failed."""
     event_error: float
+    """Largest error of an event's time, s; NaN where there is none to compare."""
     right: bool
+    """Whether it found the right events, in the right order for each damper; for the steady state, whether it
+    converged."""
     note: str = ""
+    """What else there is to say, why it failed."""
 
 
 @dataclass(frozen=True)
 class Study:
-    """What `motion_study` found.
-
-    Attributes
-    ----------
-    scene : Scene
-    frequency : float
-        Hz.
-    periods, events : int
-        Length of the motion and the number of events in it.
-    points : tuple of Point
-    reference : str
-        How the reference was made, and how far it can be trusted.
-    margin : float
-        Smallest error of all methods over the reference's own.
-    """
+    """What `motion_study` found."""
 
     scene: Scene
-    frequency: float
+    frequency: float  # Hz
     periods: int
     events: int
+    """Length of the motion and the number of events in it."""
     points: tuple[Point, ...]
     reference: str
+    """How the reference was made, and how far it can be trusted."""
     margin: float
+    """Smallest error of all methods over the reference's own."""
 
 
 def hardest_frequency(scene: Scene, system: HybridSystem) -> float:

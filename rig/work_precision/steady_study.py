@@ -33,23 +33,14 @@ BAND = 0.04
 
 @dataclass(frozen=True)
 class SteadyStudy:
-    """What `steady_study` found.
-
-    Attributes
-    ----------
-    points : tuple of Point
-        Errors are of the compliance of all bodies, relative to the largest.
-    frequency : float
-        Hz.
-    motion_type : str
-    reference : str
-        What the errors refer to; why there are none, if there is no periodic motion.
-    """
+    """What `steady_study` found."""
 
     points: tuple[Point, ...]
-    frequency: float
+    """Errors are of the compliance of all bodies, relative to the largest."""
+    frequency: float  # Hz
     motion_type: str
     reference: str
+    """What the errors refer to; why there are none, if there is no periodic motion."""
 
 
 def steady_study(

@@ -28,13 +28,7 @@ Array = NDArray[np.float64]
 
 
 def measurement_effects(scene: Scene) -> Iterable[Effect]:
-    """List the effects of each channel, from the chain itself, and those of the recording.
-
-    Parameters
-    ----------
-    scene : rig.Scene
-        The scene.
-    """
+    """List the effects of each channel, from the chain itself, and those of the recording."""
     system = assemble(scene)
     clock = SampleClock.of(scene.converter)
     chain = Chain(scene, clock.true_rate, system.points, system.inputs)
@@ -91,13 +85,7 @@ class _Active:
 
 
 def measurement_steps(scene: Scene) -> Iterator[EffectStep]:
-    """Give the steps of the chain and of the recording, on top of the whole motion.
-
-    Parameters
-    ----------
-    scene : rig.Scene
-        The scene.
-    """
+    """Give the steps of the chain and of the recording, on top of the whole motion."""
     on = _Active()
     before = _with(scene, on)
     yield _step("channels, ideal", before)

@@ -16,10 +16,6 @@ if TYPE_CHECKING:
 def make_ready(folder: Path) -> None:
     """Make a folder if it does not exist, before the work whose results go there.
 
-    Parameters
-    ----------
-    folder : Path
-
     Raises
     ------
     SceneError
@@ -58,7 +54,6 @@ def write_study(
         They name the files.
     folder : Path
         Made if it does not exist.
-    figure : matplotlib.figure.Figure
     write_table : callable
         Writes the .csv file at the path it is given.
 

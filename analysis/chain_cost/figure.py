@@ -24,12 +24,7 @@ OWN, QUIET = "#c1272d", "#e8853d"
 
 
 def table(study: ChainStudy) -> str:
-    """Write a study as text.
-
-    Parameters
-    ----------
-    study : ChainStudy
-    """
+    """Write a study as text."""
     frequencies = ", ".join(f"{frequency:g}" for frequency in study.frequency)
     lines = [
         f"{study.scene.name}: compliance measured at {frequencies} Hz",
@@ -61,13 +56,8 @@ def write(study: ChainStudy, folder: Path) -> list[Path]:
 
     Parameters
     ----------
-    study : ChainStudy
     folder : Path
         Made if it does not exist.
-
-    Returns
-    -------
-    list of Path
 
     Raises
     ------

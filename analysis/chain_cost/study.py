@@ -105,10 +105,6 @@ def chain_study(
     progress : callable, optional
         Called with (recordings done, in all).
 
-    Returns
-    -------
-    ChainStudy
-
     Raises
     ------
     SceneError
@@ -165,10 +161,6 @@ def chain_study(
 
 def steady_frequencies(scene: Scene) -> tuple[float, ...]:
     """Find frequencies at which the motion repeats every period, the same upwards and downwards.
-
-    Parameters
-    ----------
-    scene : Scene
 
     Returns
     -------

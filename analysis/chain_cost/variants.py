@@ -85,7 +85,6 @@ def own_setting(scene: Scene, group: str) -> str:
 
     Parameters
     ----------
-    scene : Scene
     group : str
         One of `GROUPS`.
     """

@@ -89,16 +89,10 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
 
     Parameters
     ----------
-    rec : daq.recording.Recording
-        The recording.
     channel : str
         Channel on a body, of acceleration, velocity or displacement.
     start, stop : int
         First and one-past-last sample.
-
-    Returns
-    -------
-    Impacts
     """
     info = named(rec, channel)
     if info.quantity not in MOTIONS:
@@ -338,7 +332,6 @@ def score(found: Array, true: Array, tolerance: float) -> tuple[float, NDArray[n
     -------
     f1 : float
         2 hits / (detected + true); 1 when both are empty.
-    found_matched, true_matched : ndarray of bool
 
     Examples
     --------

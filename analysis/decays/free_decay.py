@@ -101,10 +101,6 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
         Which hit, from 1.
     modes : int, optional
         How many modes to look for; omitted, as many as the structure has bodies.
-
-    Returns
-    -------
-    Decay
     """
     names = responses(rec)
     if not names:

@@ -21,8 +21,6 @@ def corrected(info: ChannelInfo, samples: Array, motion: str, low: float, high: 
 
     Parameters
     ----------
-    info : daq.channel.ChannelInfo
-        The channel.
     samples : ndarray, shape (n,)
         As read, in the channel's unit, at even intervals.
     motion : str

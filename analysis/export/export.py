@@ -36,10 +36,6 @@ def sep005(
 
     Parameters
     ----------
-    recording : Recording
-        An open recording.
-    channels : sequence of str, optional
-        Names; by default all.
     from_s, to_s : float, optional
         Times in s.
 
@@ -141,8 +137,6 @@ def export(stretch: Slice, path: Path, speed: float = 1.0, overwrite: bool = Fal
 
     Parameters
     ----------
-    stretch : Slice
-        What is exported.
     path : Path
         File to make: ``.csv``, ``.npz``, ``.wav``, ``.uff`` or ``.unv``.
     speed : float

@@ -17,10 +17,6 @@ def write_wav(stretch: Slice, path: Path, speed: float = 1.0) -> list[float]:
 
     Parameters
     ----------
-    stretch : Slice
-        What is exported.
-    path : Path
-        File to make.
     speed : float
         How much faster it plays: 10 makes a tone of 30 Hz one of 300 Hz.
 

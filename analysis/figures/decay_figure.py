@@ -30,8 +30,6 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
     ----------
     decays : sequence of Decay
         One per recording.
-    title : str
-        Heading.
     """
     columns = _columns(decays)
     gravity = decays[0].gravity

@@ -37,8 +37,6 @@ def frf_figure(
     ----------
     frfs : sequence of Frf
         Curves of one kind (same motion and reference); the legend shows their labels.
-    title : str
-        Heading.
     theory : sequence of Frf
         Curves without error bars, drawn thin and dashed in the colour of the response they belong to.
     marks : sequence of (frequency in Hz, text)

@@ -22,10 +22,6 @@ def modes_figure(frfs: Sequence[Frf], modes: Modes, title: str) -> Figure:
     ----------
     frfs : sequence of Frf
         The curves given to `analysis.modal.identification.identify`.
-    modes : Modes
-        What came out.
-    title : str
-        Heading.
     """
     curves = [frf.to("displacement").sorted() for frf in frfs]
     low, high = float(curves[0].frequency[0]), float(curves[0].frequency[-1])

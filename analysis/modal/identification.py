@@ -109,10 +109,6 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
         Several responses to one reference at the same frequencies.
     count : int, optional
         Number of modes; those stable over the most orders are kept. Omitted: all stable ones.
-
-    Returns
-    -------
-    Modes
     """
     if count is not None and count < 1:
         raise SceneError(f"{count} modes asked for: expected at least 1")

@@ -42,13 +42,9 @@ def poles_by_order(
         Frequency responses.
     weight : ndarray, shape (outputs, n)
         Inverse standard deviations.
-    orders : range
-        Numbers of poles.
 
     Yields
     ------
-    order : int
-        Number of poles.
     poles : ndarray of complex
         In rad/s, those with a positive frequency inside the band and a negative real part.
 

@@ -183,7 +183,6 @@ def weightings(scene: Scene, bands: dict[int, tuple[float, float]]) -> Arrays:
 
     Parameters
     ----------
-    scene : Scene
     bands : dict
         Frequency band [Hz] about each mode (from 1).
 

@@ -25,9 +25,6 @@ def compute(parts: Sequence[PaperPart], folder: Path, done: Callable[[PaperPart]
 
     Parameters
     ----------
-    parts : sequence of Part
-    folder : Path
-        Where the results go.
     done : callable
         Called with each part as soon as it is stored.
 

@@ -91,8 +91,6 @@ def read_slices(
 
     Parameters
     ----------
-    rec : daq.recording.Recording
-        The recording.
     channels : sequence of str
         Names of the channels, in the order of the rows wanted.
     bounds : iterable of (start, stop)

@@ -109,8 +109,6 @@ def compliance(
 
     Parameters
     ----------
-    rec : daq.recording.Recording
-        The recording.
     response : str
         Channel, or the body it sits on.
     reference : {'force', 'table'}
@@ -119,10 +117,6 @@ def compliance(
         Which level, where the test ran several.
     direction : {'up', 'down'}, optional
         Which direction, where the test ran both.
-
-    Returns
-    -------
-    Frf
     """
     from analysis.responses.stepped_sine import sweeps
 

@@ -69,8 +69,6 @@ def best_linear_approximation(
 
     Parameters
     ----------
-    rec : daq.recording.Recording
-        The recording.
     markers : sequence of daq.marker.Marker
         Its ``measure`` markers, one per realisation.
     reference : {'force', 'table'}

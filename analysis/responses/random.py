@@ -41,8 +41,6 @@ def averages(
 
     Parameters
     ----------
-    rec : daq.recording.Recording
-        The recording.
     marker : daq.marker.Marker
         Its ``measure`` marker.
     block : float, optional

@@ -35,8 +35,6 @@ def averages(rec: Recording, marker: Marker, progress: Callable[[int, int], None
 
     Parameters
     ----------
-    rec : daq.recording.Recording
-        The recording.
     marker : daq.marker.Marker
         Its ``measure`` marker: from, to, duration, spacing.
     progress : callable, optional

@@ -110,8 +110,6 @@ class RigView:
 
     Parameters
     ----------
-    scene : Scene
-        What stands on the bench.
     extremes : Extremes
         The largest motions to come; they set the exaggeration.
     gaps_known : bool

@@ -86,12 +86,8 @@ def discretise(
 
     Parameters
     ----------
-    circuit : Circuit
-        The analogue stages of a channel.
     gain : float
         Volts per unit of the input, in front of the circuit.
-    rate : float
-        Sample rate, Hz.
     integrals : int
         Moments of the output to form over every interval; 0: none, 1: the average.
     watched : Circuit or None

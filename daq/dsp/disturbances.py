@@ -54,10 +54,6 @@ class SettlingOffset:
     ----------
     level : float
         In the end, V.
-    time : float
-        Time constant, s.
-    rate : float
-        Sample rate, Hz.
 
     Examples
     --------
@@ -94,8 +90,6 @@ class Disturbances:
 
     Parameters
     ----------
-    sources : sequence of Source
-        The voltages.
     direct : ndarray, shape (disturbances,)
         Which share of each reaches the output at once.
     oversampling : int

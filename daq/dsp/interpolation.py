@@ -51,8 +51,6 @@ class MotionInterpolator:
     ----------
     row : int
         The point's row in `Motion`.
-    rate : float
-        Samples per second.
     """
 
     def __init__(self, row: int, rate: float) -> None:

@@ -39,8 +39,6 @@ class Noise:
         One-sided density of the white part, V/sqrt(Hz).
     corner : float or None
         Frequency at which the 1/f part is as strong as the white part, Hz; None: white.
-    rate : float
-        Sample rate, Hz.
     random : numpy.random.Generator
         Where the random numbers come from.
 

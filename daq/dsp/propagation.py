@@ -69,10 +69,6 @@ def propagate(
 
     Parameters
     ----------
-    pieces : CubicInput
-        Input.
-    tables : Tables
-        Of the circuit.
     state : ndarray, shape (states,)
         At the last sample; updated.
     held : ndarray, shape (disturbances, intervals)
@@ -91,8 +87,6 @@ def propagate(
         These outputs; filled in.
     averages : ndarray, shape (intervals + TOGETHER, LANES), or (0, LANES) where there are no integrals
         Moments of the output over each interval; filled in, the last rows with anything.
-    scratch : CircuitWorkspace
-        Of the circuit.
     """
     vector, term, work, nothing, course, sums = scratch
     behind = 4 + held.shape[0]

@@ -23,10 +23,6 @@ def delays(skew: float | tuple[float, ...] | None, channels: int, rate: float) -
     ----------
     skew : float, tuple of float or None
         Lateness of each channel relative to the one before, or of every channel, s.
-    channels : int
-        Number of channels.
-    rate : float
-        Sample rate, Hz.
 
     Returns
     -------

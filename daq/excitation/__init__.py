@@ -17,11 +17,6 @@ __all__ = ["Excitation", "Station", "excitation"]
 def excitation(station: Station) -> Excitation:
     """Make the excitation of the scene's test.
 
-    Parameters
-    ----------
-    station : Station
-        Where the test is to run.
-
     Raises
     ------
     SceneError

@@ -21,8 +21,6 @@ class AmplitudeControl:
     ----------
     level : float
         Force amplitude to hold, N.
-    limit : float
-        Largest drive amplitude.
     longest_step : float
         Largest ratio of one drive amplitude to the one before.
 

@@ -76,8 +76,6 @@ def half_sine(peak: float, width: float, rate: float) -> Array:
         N.
     width : float
         Length of the half sine, s; two samples at least.
-    rate : float
-        Samples per second.
 
     Returns
     -------

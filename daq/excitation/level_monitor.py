@@ -15,8 +15,6 @@ class LevelWatch:
 
     Parameters
     ----------
-    station : Station
-        Where the test runs.
     level : float
         Force amplitude to be held, N.
 

@@ -68,16 +68,10 @@ def pretest(
 
     Parameters
     ----------
-    station : Station
-        Where the test is to run.
     lowest, highest : float
         Its band, Hz.
     level : float
         Its force amplitude, N.
-
-    Returns
-    -------
-    ShakerLaw
     """
     period = station.samples(max(_SPAN, _PERIODS / lowest))
     lines = lines_between(lowest / _BEYOND, min(_BEYOND * highest, 0.45 * station.rate), period, station.rate)

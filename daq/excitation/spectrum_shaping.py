@@ -104,8 +104,6 @@ def equalise(
 
     Parameters
     ----------
-    station : Station
-        Where it is played.
     lines : ndarray of int, shape (lines,)
         Tones, in multiples of rate / period.
     period : int
@@ -114,10 +112,6 @@ def equalise(
         Root mean square of the spring force, N.
     phases : ndarray, shape (lines,)
         Phases of the tones, rad.
-
-    Returns
-    -------
-    Shaped
     """
     wanted = flat(level, lines)
     weights = station.force_weights(lines * station.rate / period)

@@ -36,13 +36,6 @@ _LISTED = 8
 def excite(station: Station, test: SteppedSine) -> Excitation:
     """Run a stepped sine.
 
-    Parameters
-    ----------
-    station : Station
-        Where the test runs.
-    test : SteppedSine
-        Its settings.
-
     Returns
     -------
     Excitation

@@ -71,10 +71,6 @@ class SweepControl:
     ----------
     law : ShakerLaw
         Of the shaker.
-    level : float
-        Force amplitude, N.
-    limit : float
-        Largest drive amplitude.
     drive : complex
         Amplitude of the drive when the sweep begins, at time 0: the drive is Re(amplitude e^{i phase}).
     """
@@ -169,8 +165,6 @@ def look_at(samples: Array, phase: Array, rate: float) -> tuple[ComplexArray, Co
         About two periods or more.
     phase : ndarray, shape (samples,)
         Of the tone, rad.
-    rate : float
-        Samples per second.
 
     Returns
     -------

@@ -13,8 +13,6 @@ class Tone:
 
     Parameters
     ----------
-    rate : float
-        Samples per second.
     frequency : float
         Hz, to begin with.
 

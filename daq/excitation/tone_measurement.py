@@ -17,8 +17,6 @@ class Gauge:
 
     Parameters
     ----------
-    station : Station
-        Where the test runs.
     force : bool
         Whether the spring force is wanted; it is then the first quantity, and missing channels are a
         SceneError. The displacements at all motion channels follow.

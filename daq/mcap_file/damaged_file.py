@@ -48,11 +48,6 @@ class Unreadable:
 class DamagedFile:
     """A file whose records are walked through one by one.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
     Raises
     ------
     RecordingError

@@ -29,11 +29,6 @@ FOOTER_RECORD = struct.Struct("<BQQQI")
 class Container:
     """An MCAP file that was closed properly, open for reading.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
     Attributes
     ----------
     summary : Summary

@@ -22,8 +22,6 @@ def bias_overload(scene: Scene, row: int, seconds: float) -> str | None:
 
     Parameters
     ----------
-    scene : Scene
-        What stands on the bench.
     row : int
         Number of the channel, from 0.
     seconds : float

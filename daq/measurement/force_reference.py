@@ -15,8 +15,6 @@ def force_untold(scene: Scene, channels: Sequence[ChannelInfo]) -> str | None:
 
     Parameters
     ----------
-    scene : Scene
-        What stands on the bench.
     channels : sequence of ChannelInfo
         Its channels.
 

@@ -144,7 +144,6 @@ class ControlLoss:
 
     Parameters
     ----------
-    scene : Scene
     channels : sequence of ChannelInfo
         The channels, in the order of the rows of the flags.
     """

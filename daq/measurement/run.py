@@ -61,11 +61,6 @@ def record(
     progress : callable, optional
         ``progress(fraction, message)``, called as the test goes on.
 
-    Returns
-    -------
-    Path
-        The recording.
-
     Raises
     ------
     SceneError
@@ -106,8 +101,6 @@ class MeasurementRun:
     ----------
     scene : Scene
         What is on the bench.
-    path : Path
-        Recording to write.
     block : int or None
         Most samples to acquire at a time.
     progress : callable or None

@@ -28,8 +28,6 @@ class Series:
 
     Parameters
     ----------
-    container : Container
-        The file.
     channel : mcap Channel
         The topic, with what its metadata tell.
     """

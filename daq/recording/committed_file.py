@@ -16,8 +16,6 @@ class Disk:
 
     Parameters
     ----------
-    path : Path
-        File to make, in an existing folder.
     overwrite : bool
         Whether an existing file may be replaced.
 

@@ -19,8 +19,6 @@ class DisplacementEstimate:
     ----------
     quantity : {'acceleration', 'velocity', 'displacement'}
         What the samples are.
-    rate : float
-        Samples per second, Hz.
     """
 
     def __init__(self, quantity: str, rate: float) -> None:

@@ -78,8 +78,6 @@ def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Sal
     ----------
     path : str or Path
         The damaged file; it is left as it is.
-    fixed : str or Path
-        File to make.
     overwrite : bool
         Whether an existing file may be replaced.
 

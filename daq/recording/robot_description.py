@@ -90,8 +90,6 @@ class RobotDescription:
 
     Parameters
     ----------
-    scene : Scene
-        What stands on the bench.
     with_dampers : bool
         Whether the dampers' motion will be known; if not, they are not drawn.
 

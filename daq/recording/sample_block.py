@@ -56,8 +56,6 @@ def encode(clock: Timebase, first_sample: int, samples: NDArray[Any]) -> bytes:
 
     Parameters
     ----------
-    clock : Timebase
-        Of the channel.
     first_sample : int
         Number of the first of the samples.
     samples : ndarray, (samples,)
@@ -84,8 +82,6 @@ def decode(data: memoryview, schema: str) -> SampleBlock:
 
     Parameters
     ----------
-    data : memoryview
-        The message.
     schema : str
         Name of its schema, a key of `SAMPLE_TYPE`.
 

@@ -111,8 +111,6 @@ def live_layout(
     ----------
     plots : sequence of (str, str)
         Entity and title of each group of channels.
-    dampers : int
-        How many there are.
     eye : tuple
         Where the 3D view is seen from, and what it looks at.
     """

@@ -79,10 +79,6 @@ def photograph(
 
     Parameters
     ----------
-    replay : Replay
-        What to draw.
-    file : Path
-        Where the picture goes.
     at_s : float or None
         The instant, seconds from the start of the recording; None takes `liveliest_s`.
     progress : callable or None
@@ -159,8 +155,6 @@ def in_browser(replay: Replay, announce: Callable[[str], None], progress: Progre
 
     Parameters
     ----------
-    replay : Replay
-        What to show.
     announce : callable
         Told the address to open.
     progress : callable or None

@@ -37,8 +37,6 @@ class Replay:
 
     Parameters
     ----------
-    recording : Recording
-        Open recording.
     begin_s, end_s : float or None
         The stretch, seconds from the start of the recording; None means from its start, to its end.
     speed : float

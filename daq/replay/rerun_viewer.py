@@ -209,8 +209,6 @@ def picture(
 
     Returns
     -------
-    bytes
-        The picture, PNG.
     list of rerun View
         The views in it with what each could not draw.
 

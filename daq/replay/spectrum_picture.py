@@ -29,10 +29,6 @@ def peak_spectrum(
 
     Parameters
     ----------
-    recording : Recording
-        An open recording.
-    channel : str
-        Name of the channel.
     start, stop : int
         Sample numbers between which to look.
 

@@ -47,10 +47,6 @@ class Traces:
     ----------
     stream : rerun RecordingStream
         Its sink is set.
-    rate : float
-        Samples per second, Hz.
-    channels : mapping of str to ChannelInfo
-        The channels.
     dampers : sequence of Damper
         Those whose gap and contact will come; empty if none will.
     """

@@ -39,8 +39,6 @@ class Pace:
 
     Parameters
     ----------
-    rate : float
-        Samples per second, Hz.
     tell : callable
         Told when the machine is found too slow, once.
 
@@ -86,8 +84,6 @@ def scope(
     ----------
     scene : Scene
         What stands on the bench; its test is not run.
-    path : Path
-        Recording to write.
     stream : rerun RecordingStream
         Where the live view goes.
     knobs : Knobs
@@ -98,11 +94,6 @@ def scope(
         Told the number of samples that have passed, after every block; it lets time pass.
     overwrite : bool
         Whether an existing file may be replaced.
-
-    Returns
-    -------
-    Path
-        The recording.
 
     Raises
     ------

@@ -39,12 +39,6 @@ class Screen:
     ----------
     stream : rerun RecordingStream
         Its sink is set.
-    scene : Scene
-        What stands on the bench.
-    channels : sequence of ChannelInfo
-        The channels.
-    rate : float
-        Samples per second, Hz.
     """
 
     def __init__(

@@ -17,15 +17,6 @@ def integrating_amplifier(settings: Integrator) -> Stage:
     input. Each integration takes an equal share of the gain, and neither stage's output can exceed the
     saturation voltage. Noise is that of its output.
 
-    Parameters
-    ----------
-    settings : Integrator
-        The amplifier.
-
-    Returns
-    -------
-    Stage
-
     Examples
     --------
     >>> from rig.scene.measurement_chain import Integrator

@@ -46,11 +46,6 @@ class AcquiredBlock:
 class Bench:
     """Everything of a scene that is switched on before a test runs.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-
     Attributes
     ----------
     rate : float
@@ -104,10 +99,6 @@ class Bench:
         ----------
         drive : ndarray, shape (inputs, samples)
             Drive in `drive_units`.
-
-        Returns
-        -------
-        AcquiredBlock
 
         Raises
         ------

@@ -46,8 +46,6 @@ class Chain:
 
     Parameters
     ----------
-    scene : Scene
-        The scene.
     rate : float
         Rate of the motion's samples, Hz: the converter's true rate or, for a converter with decimation
         filter, a whole multiple of it.

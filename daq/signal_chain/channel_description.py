@@ -23,14 +23,8 @@ def channel_info(
 
     Parameters
     ----------
-    name, at : str
-        Of the channel.
     stages : sequence of Stage
         Sensor first.
-    converter : Converter
-        Settings, preset filled in.
-    clock : SampleClock
-        Of the converter.
     delay : float
         Delay of what is sampled, s.
     """

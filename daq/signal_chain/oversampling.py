@@ -34,8 +34,6 @@ def oversampling(scene: Scene, clock: SampleClock) -> int:
 
     Parameters
     ----------
-    scene : rig.Scene
-        What stands on the bench.
     clock : SampleClock
         Of its converter.
 

@@ -49,13 +49,7 @@ class Sampler(Protocol):
 
 
 class PointReading:
-    """Reads the voltage at the instant of the sample: for a signal without impulses.
-
-    Parameters
-    ----------
-    circuit : Circuit
-        The analogue stages.
-    """
+    """Reads the voltage at the instant of the sample: for a signal without impulses."""
 
     integrals = 0
 
@@ -76,8 +70,6 @@ class AverageReading:
 
     Parameters
     ----------
-    circuit : Circuit
-        The analogue stages.
     room : BlockBuffers
         For the averages of a block.
     """
@@ -104,10 +96,6 @@ class FilteredReading:
 
     Parameters
     ----------
-    circuit : Circuit
-        The analogue stages.
-    low_pass : Decimation
-        The filter.
     oversampling : int
         Intervals per sample.
     late : int
@@ -141,8 +129,6 @@ class Jitter:
 
     Parameters
     ----------
-    circuit : Circuit
-        The analogue stages.
     gain : float
         Volts per unit of the input in front of them.
     deviation : float

@@ -24,19 +24,6 @@ def accelerometer(settings: Accelerometer, seed: int, channel: str) -> Stage:
     so that the sideways acceleration is taken as a share of the vertical one, in phase, at an angle that is
     drawn.
 
-    Parameters
-    ----------
-    settings : Accelerometer
-        The data sheet, presets filled in.
-    seed : int
-        Of the scene.
-    channel : str
-        Name of the channel.
-
-    Returns
-    -------
-    Stage
-
     Examples
     --------
     >>> ideal = accelerometer(Accelerometer(), 1, "body1")

@@ -33,20 +33,12 @@ class SignalPath:
 
     Parameters
     ----------
-    name : str
-        Of the channel.
     stages : sequence of Stage
         Sensor first.
-    converter : Converter
-        Settings, preset filled in.
-    clock : SampleClock
-        Of the converter.
     oversampling : int
         Intervals of the input per sample.
     delay : float
         Delay of what is sampled, s.
-    seed : int
-        Of the scene.
     room : BlockBuffers
         That it shares with the other channels.
     """
@@ -98,8 +90,6 @@ class SignalPath:
 
         Parameters
         ----------
-        pieces : CubicInput
-            Input of the block.
         late : ndarray, shape (samples,), or None
             How late each sample is taken, in standard deviations of the jitter.
 

@@ -61,7 +61,6 @@ def effect_costs(scene: Scene, progress: Callable[[str], None] | None = None) ->
 
     Parameters
     ----------
-    scene : Scene
     progress : callable, optional
         Called with the name of each effect before it is measured.
 
@@ -158,7 +157,6 @@ def bench_drive(scene: Scene, rate: float) -> Array:
 
     Parameters
     ----------
-    scene : Scene
     rate : float
         Hz.
     """

@@ -38,7 +38,6 @@ class Explanation:
     ----------
     title : str
         The scene's name.
-    effects : tuple of Effect
     absent : tuple of str
         Effects on the motion that the scene does not name: they add no state and run no code.
     """
@@ -82,10 +81,6 @@ def explain(scene: Scene | str) -> Explanation:
     scene : Scene or str
         A scene, or what `rig.load` takes.
 
-    Returns
-    -------
-    Explanation
-
     Examples
     --------
     >>> import rig
@@ -106,12 +101,7 @@ def explain(scene: Scene | str) -> Explanation:
 
 
 def motion_effects(scene: Scene) -> Iterable[Effect]:
-    """List the effects on the motion; their states add up to those of the compiled system.
-
-    Parameters
-    ----------
-    scene : Scene
-    """
+    """List the effects on the motion; their states add up to those of the compiled system."""
     system = assemble(scene)
     bodies = scene.structure.bodies
     many = "body" if bodies == 1 else "bodies"

@@ -111,8 +111,6 @@ class FlowTables:
 
     Parameters
     ----------
-    system : HybridSystem
-        The compiled scene.
     drive : Drive
         How the inputs evolve inside a segment.
     step : float

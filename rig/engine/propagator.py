@@ -149,8 +149,6 @@ class Propagator:
 
     Parameters
     ----------
-    system : HybridSystem
-    drive : Drive
     step : float
         Step length in seconds; `step_for` finds one.
     """

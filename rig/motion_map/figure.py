@@ -23,12 +23,7 @@ LEGEND = ("riding", "Type I", "Type II", "Type III", *KINDS[4:])
 
 
 def summary(map_: MotionMap) -> str:
-    """Say how much of the map each kind of motion takes, and what it costs.
-
-    Parameters
-    ----------
-    map_ : MotionMap
-    """
+    """Say how much of the map each kind of motion takes, and what it costs."""
     rows, points = map_.kind.shape
     lines = [
         f"{map_.scene.name}: {rows} x {points} steady motions, {map_.over} {map_.value[0]:.3g} to "
@@ -52,13 +47,8 @@ def write(map_: MotionMap, folder: Path) -> list[Path]:
 
     Parameters
     ----------
-    map_ : MotionMap
     folder : Path
         Made if it does not exist.
-
-    Returns
-    -------
-    list of Path
 
     Raises
     ------

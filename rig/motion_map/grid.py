@@ -25,7 +25,6 @@ def vertical_axis(scene: Scene, over: str | None) -> tuple[str, str]:
 
     Parameters
     ----------
-    scene : Scene
     over : {"force", "drive", "clearance"} or None
         None: the level that the scene's test gives.
 
@@ -55,10 +54,8 @@ def columns(scene: Scene, low: float | None = None, high: float | None = None, p
 
     Parameters
     ----------
-    scene : Scene
     low, high : float, optional
         Hz; None: the ends of the test's range, or a fifth from its single tone.
-    points : int
 
     Raises
     ------
@@ -108,7 +105,6 @@ def take_off(scene: Scene, frequency: Array) -> Array:
 
     Parameters
     ----------
-    scene : Scene
     frequency : ndarray, shape (frequencies,)
         Hz.
 
@@ -141,14 +137,12 @@ def rows_of(
 
     Parameters
     ----------
-    scene : Scene
     over : {"force", "drive", "clearance"}
     frequency : ndarray
         Hz.
     least, most : float, optional
         The ends. None, for levels: from below the first take-off to well above it; for clearances: from where a damper
         hardly moves to where it hardly meets its ceiling. Unless both are given, one row is the scene's own value.
-    rows : int
 
     Raises
     ------

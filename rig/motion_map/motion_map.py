@@ -99,10 +99,6 @@ def map_motion(
     progress : callable, optional
         Called with the number of points done and of all.
 
-    Returns
-    -------
-    MotionMap
-
     Raises
     ------
     SceneError

@@ -178,8 +178,6 @@ def trace(
         Range of the parameter; the curve ends on it exactly.
     scale : ndarray, shape (n + 1,)
         Natural size of each unknown; arclength is measured in these.
-    steps : Steps, optional
-        Step control.
     rooms : callable, optional
         x -> room to each border, negative for what is not part of the curve any more, and the borders' names. A
         room changes smoothly across its border, so that the last point kept lies there.

@@ -117,10 +117,6 @@ def weigh(rows: Any, first: int, column: int, weights: Any, count: int, out: Any
     first, column : int
         Where to begin.
     weights : float64 (at least count,)
-    count : int
-        Number of rows.
-    out : float64
-    length : int
     """
     stride = rows.shape[1]
     start = first * stride + column

@@ -281,7 +281,6 @@ def combine(matrix: Any, constant: Any, slot: int, vector: Any, columns: int, ou
     ----------
     matrix : float64 (slots, at least columns, rows), C-contiguous, rows a multiple of LANES
     constant : float64 (slots, rows)
-    slot : int
     vector : float64 (at least columns,)
     columns : int
         A multiple of SUMS is quickest.
@@ -318,7 +317,6 @@ def multiply(matrix: Any, slot: int, vector: Any, constant: Any, out: Any) -> No
     Parameters
     ----------
     matrix : float64 (slots, columns, rows), C-contiguous, rows a multiple of LANES
-    slot : int
     vector : float64 (columns,)
     constant, out : float64 (rows,)
         Not the same array.

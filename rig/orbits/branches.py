@@ -39,7 +39,6 @@ class OrbitBranch:
 
     Attributes
     ----------
-    parameter : str
     value : ndarray, shape (points,)
         Of the parameter (Hz, N, m, or factor on the mass ratios); not monotonic where the curve folds.
     orbits : tuple of Orbit, length points
@@ -87,7 +86,6 @@ class OrbitCurve:
 
     Attributes
     ----------
-    branches : tuple of OrbitBranch
     failures : tuple of str
         Where a branch or what lies beyond a border was not found, why, and the last good point.
     """
@@ -121,10 +119,6 @@ def follow_orbits(
         Number of values at which motions are looked for, from rest and from full swing.
     progress : callable, optional
         Called with the number of orbits found so far.
-
-    Returns
-    -------
-    OrbitCurve
 
     Raises
     ------

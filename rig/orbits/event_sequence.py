@@ -87,11 +87,9 @@ def plan_from(
         Walls at its start.
     repetition : int
         Periods in the cycle.
-    system : HybridSystem
 
     Returns
     -------
-    plan : Plan
     order : ndarray
         Positions of the plan's events among the course's.
 

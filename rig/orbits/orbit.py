@@ -131,7 +131,6 @@ class Following:
 
     Parameters
     ----------
-    problem : OrbitProblem
     plan : Plan
         Events of the orbit.
     setting : OperatingPoint

@@ -43,10 +43,6 @@ def periodic_orbit(scene: Scene, frequency: float, start: Orbit | None = None) -
         An orbit of this scene near by, with the same events; without one the motion is simulated from rest
         until it repeats, and made exact from there.
 
-    Returns
-    -------
-    Orbit
-
     Raises
     ------
     SceneError

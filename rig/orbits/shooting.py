@@ -151,10 +151,8 @@ def shoot(equations: Equations, change: Change, sequence: Sequence, unknowns: Ar
 
     Parameters
     ----------
-    equations : Equations
     change : Change
         With the parameter.
-    sequence : Sequence
     unknowns : ndarray, shape (unknowns,)
         State at t = 0, height and velocity of each damper in flight there (in order), instants of the events
         [s].
@@ -318,7 +316,6 @@ def correct(
 
     Returns
     -------
-    unknowns : ndarray
     slope : ndarray
         Their derivative with respect to the parameter.
     shot : Shot

@@ -46,7 +46,6 @@ class OrbitResponse:
 
     Attributes
     ----------
-    parameter : str
     value : ndarray, shape (values,)
         Of the parameter (Hz, N, m, or factor on the mass ratios).
     compliance : complex ndarray, shape (bodies, values)

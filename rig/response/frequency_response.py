@@ -111,10 +111,6 @@ def frequency_response(
     progress : callable, optional
         Called with the number of points done and of all.
 
-    Returns
-    -------
-    Response
-
     Raises
     ------
     SceneError

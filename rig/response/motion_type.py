@@ -16,7 +16,6 @@ def motion_types(trajectory: Trajectory, dampers: int, repetition: int) -> list[
     ----------
     course : Trajectory
         One repetition.
-    dampers : int
     repetition : int
         Its length in periods of the drive; 0 if the motion does not repeat.
 

@@ -125,7 +125,6 @@ def one_cycle(
 
     Returns
     -------
-    course : Trajectory
     begins : float64 (segments, size)
         States at which the segments begin.
     """

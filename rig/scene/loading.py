@@ -60,11 +60,6 @@ def loads(text: str, where: str = "scene", folder: str | Path | None = None) -> 
     folder : str or Path, optional
         Where .npy files are found; None: matrices have to be inline.
 
-    Returns
-    -------
-    Scene
-        Its settings.
-
     Raises
     ------
     SceneError

@@ -16,16 +16,6 @@ Device = TypeVar("Device", Accelerometer, Hammer, Converter)
 def filled_in(settings: Device) -> Device:
     """Fill in from the preset, if there is one, what is not given.
 
-    Parameters
-    ----------
-    settings : Accelerometer, Hammer or Converter
-        As a scene has them.
-
-    Returns
-    -------
-    Accelerometer, Hammer or Converter
-        The same kind.
-
     Raises
     ------
     SceneError

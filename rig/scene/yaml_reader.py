@@ -48,11 +48,6 @@ class _Unreadable(Exception):
 def read(text: str) -> Document:
     """Read a YAML text.
 
-    Parameters
-    ----------
-    text : str
-        One document.
-
     Returns
     -------
     Document

@@ -71,8 +71,6 @@ def forms(scene: Scene, system: HybridSystem, output: Array) -> Forms:
 
     Parameters
     ----------
-    scene : Scene
-    system : HybridSystem
     output : float64 (inputs, drive states)
         u = output p.
     """
@@ -144,8 +142,6 @@ def ledger(
         The scene and the flow it ran on.
     start, end : Ends
         The whole state before and after.
-    course : Trajectory
-        What happened.
     begins : float64 (segments, size)
         States at which the segments begin.
     durations : float64 (segments,)

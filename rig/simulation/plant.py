@@ -19,12 +19,6 @@ class Plant:
     The motion between samples is exact, contacts included, and does not depend on how the drive is cut into
     blocks.
 
-    Parameters
-    ----------
-    scene : Scene
-    rate : float
-        Samples per second.
-
     Attributes
     ----------
     inputs, drive_units : tuple of str

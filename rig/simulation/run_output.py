@@ -19,12 +19,7 @@ ENDINGS = (".npz", ".csv")
 
 
 def duration_of(scene: Scene) -> float:
-    """Time that a scene's test takes open loop, s; two seconds for a test that does not say.
-
-    Parameters
-    ----------
-    scene : Scene
-    """
+    """Time that a scene's test takes open loop, s; two seconds for a test that does not say."""
     test = scene.test
     if isinstance(test, Impulse):
         return test.repeats * test.interval
@@ -43,12 +38,7 @@ def check_name(path: Path) -> None:
 
 
 def summary(run: Run) -> str:
-    """Say in a few lines what happened: peaks, events, energy.
-
-    Parameters
-    ----------
-    run : Run
-    """
+    """Say in a few lines what happened: peaks, events, energy."""
     lines = [f"{run.scene.name}: {run.time[-1]:.6g} s, {len(run.time)} samples", ""]
     lines.append(f"{'point':10}{'peak m':>12}{'peak m/s':>12}{'peak m/s2':>12}")
     for row, point in enumerate(run.points):
@@ -78,7 +68,6 @@ def write(run: Run, path: Path) -> None:
 
     Parameters
     ----------
-    run : Run
     path : Path
         Its ending says which.
 

@@ -28,7 +28,6 @@ class Run:
 
     Attributes
     ----------
-    scene : Scene
     points : tuple of str
         Rows of the motion: "body 1" ... and "table" if there is one.
     time : ndarray, shape (samples,)
@@ -85,10 +84,6 @@ def simulate(
         A sampled drive at `rate`, held to first order, in place of the scene's test.
     frequency : float, optional
         Hz: a tone of this frequency at the test's level, in place of the test's own frequencies.
-
-    Returns
-    -------
-    Run
 
     Raises
     ------

@@ -54,8 +54,6 @@ def eliminate(kind: MotionType, instants: Array, setting: MotionParameters) -> t
         Motion type.
     instants : array, shape (instants, batch)
         Given instants; complex ones are allowed, for derivatives by a complex step.
-    setting : MotionParameters
-        Parameters.
 
     Returns
     -------
@@ -89,8 +87,6 @@ def solutions(kind: MotionType, setting: MotionParameters) -> Floats:
     ----------
     kind : {'I', 'II', 'III'}
         Motion type.
-    setting : MotionParameters
-        Parameters (numbers).
 
     Returns
     -------

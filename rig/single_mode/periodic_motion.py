@@ -236,8 +236,6 @@ def jacobian(
         Motion type.
     unknowns : ndarray, shape (n,)
         q_0, q'_0, a, b and the instants.
-    setting : MotionParameters
-        Parameters (numbers).
     parameter : str
         The field of `setting` to differentiate by.
 

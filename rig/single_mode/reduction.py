@@ -116,10 +116,6 @@ def reduce_to_mode(
     at : int, optional
         Body at which the shape is 1; by default the one that moves most.
 
-    Returns
-    -------
-    SingleMode
-
     Raises
     ------
     SceneError

@@ -20,10 +20,6 @@ MOST_DAMPERS = 62
 def assemble(scene: Scene) -> HybridSystem:
     """Compile a scene.
 
-    Parameters
-    ----------
-    scene : Scene
-
     Returns
     -------
     HybridSystem

@@ -38,7 +38,6 @@ def follow(problem: FirstOrderForm, leg: Leg, blind: float, limit: float) -> Out
 
     Parameters
     ----------
-    problem : FirstOrderForm
     leg : callable
         The solver, from one contact change to the next.
     blind : float

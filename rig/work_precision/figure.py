@@ -34,13 +34,7 @@ LOOK = {
 
 
 def table(study: Study, steady: SteadyStudy) -> str:
-    """Write both studies as text.
-
-    Parameters
-    ----------
-    study : Study
-    steady : SteadyStudy
-    """
+    """Write both studies as text."""
     lines = [
         f"{study.scene.name}: first {study.periods} periods at {study.frequency:.6g} Hz, {study.events} events",
         "",
@@ -81,10 +75,6 @@ def write(study: Study, steady: SteadyStudy, folder: Path) -> list[Path]:
         What was measured.
     folder : Path
         Made if it does not exist.
-
-    Returns
-    -------
-    list of Path
 
     Raises
     ------

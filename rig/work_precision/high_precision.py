@@ -49,11 +49,8 @@ def exact_motion(system: HybridSystem, tone: ToneDrive, run: Run, samples_per_pe
 
     Parameters
     ----------
-    system : HybridSystem
-    tone : ToneDrive
     run : Run
         The engine's run with `samples_per_period` samples in each period of the tone.
-    samples_per_period : int
 
     Raises
     ------

@@ -63,8 +63,6 @@ def exact_orbit(scene: Scene, orbit: Orbit) -> ExactOrbit:
     scene : Scene
         With the force itself on its body where the test holds a force
         (`rig.system.hybrid_system.open_loop_drive.with_ideal_force`).
-    orbit : Orbit
-        Of this scene.
 
     Raises
     ------

@@ -110,10 +110,8 @@ def motion_study(
 
     Parameters
     ----------
-    scene : Scene
     frequency : float, optional
         Hz; None: `hardest_frequency`.
-    periods : int
     progress : callable, optional
         Called with the name of each method before it runs.
 

@@ -16,13 +16,13 @@ from daq.signal_chain.channel import ChannelInfo
 from daq.signal_chain.channel_description import channel_effects, channel_info
 from daq.signal_chain.converter import SampleClock, coupling
 from daq.signal_chain.decimation_filter import DELAY
-from daq.signal_chain.sensors import accelerometer, force_sensor
+from daq.signal_chain.sensors import accelerometer, force_sensor, unfed
 from daq.signal_chain.signal_path import SignalPath
 from daq.signal_chain.stage import Stage
 from rig.errors import SceneError
 from rig.scene.excitation import Impulse
 from rig.scene.measurement_chain import Accelerometer, Channel, Converter, Hammer
-from rig.scene.presets import filled_in
+from rig.scene.presets import filled_in, input_settings
 from rig.scene.scene import Scene
 from rig.simulation.motion import Motion
 
@@ -84,7 +84,8 @@ class Chain:
         self._oversampling = _oversampling(rate, clock.true_rate, converter)
         channels = default_channels(scene, points) if scene.channels is None else scene.channels
         late = delays(converter.skew, len(channels), clock.true_rate)
-        lines = [stages(channel, converter, scene.seed) for channel in channels]
+        settings = [input_settings(scene.converter, channel) for channel in channels]
+        lines = [stages(*each, scene.seed) for each in zip(channels, settings, strict=True)]
         self._inputs, self._at = tuple(inputs), [channel.at for channel in channels]
         self._cutters = [_cutter(channel, rate, points) for channel in channels]
         room = BlockBuffers()
@@ -94,8 +95,8 @@ class Chain:
         ]
         self._jitter = generator(scene.seed, "", "jitter") if converter.jitter else None
         self.channels: tuple[ChannelInfo, ...] = tuple(
-            channel_info(channel.name, channel.at, line, converter, clock, delay)
-            for channel, line, delay in zip(channels, lines, late, strict=True)
+            channel_info(channel.name, channel.at, line, own, clock, delay)
+            for channel, line, own, delay in zip(channels, lines, settings, late, strict=True)
         )
         self.effects = {
             channel.name: channel_effects(line, converter, delay)
@@ -152,11 +153,23 @@ def default_channels(scene: Scene, points: Sequence[str]) -> tuple[Channel, ...]
 
 
 def stages(channel: Channel, converter: Converter, seed: int) -> tuple[Stage, ...]:
-    """Describe the devices of a channel: sensor, then amplifier and the converter's coupling if any."""
+    """Describe the devices of a channel: sensor, then amplifier and the coupling if any.
+
+    Parameters
+    ----------
+    channel : Channel
+    converter : Converter
+        As it is at this channel (`rig.scene.presets.input_settings`).
+    seed : int
+        Of the scene.
+    """
     if channel.measures_force:
-        line = [force_sensor(filled_in(channel.hammer or Hammer()), seed, channel.name)]
+        hammer = filled_in(channel.hammer or Hammer())
+        sensor, iepe = force_sensor(hammer, seed, channel.name), hammer.iepe
     else:
-        line = [accelerometer(filled_in(channel.accelerometer or Accelerometer()), seed, channel.name)]
+        settings = filled_in(channel.accelerometer or Accelerometer())
+        sensor, iepe = accelerometer(settings, seed, channel.name), settings.iepe
+    line = [unfed(sensor) if iepe and converter.excitation == 0.0 else sensor]
     if channel.integrator is not None:
         line.append(integrating_amplifier(channel.integrator))
     return (*line, *coupling(converter))

@@ -1,6 +1,8 @@
-"""Accelerometers: from a data sheet to what they do to the signal."""
+"""Accelerometers and force sensors: from a data sheet to what they do to the signal."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -74,7 +76,7 @@ def drawn(seed: int, channel: str, stage: str) -> float:
 def force_sensor(settings: Hammer, seed: int, channel: str) -> Stage:
     """Describe a force sensor, ideal where nothing is given.
 
-    Parameters and what is returned are those of `daq.signal_chain.sensors.accelerometer`.
+    Parameters and what is returned are those of `accelerometer`.
     """
     sensitivity = 1.0 if settings.sensitivity is None else settings.sensitivity
     tolerance = settings.sensitivity_tolerance
@@ -87,3 +89,8 @@ def force_sensor(settings: Hammer, seed: int, channel: str) -> Stage:
         limit=None if settings.saturation is None else settings.saturation * sensitivity,
         data=data_sheet("hammer", settings),
     )
+
+
+def unfed(sensor: Stage) -> Stage:
+    """Describe a sensor whose amplifier gets no current: it gives nothing, whatever its data sheet says."""
+    return replace(sensor, deviation=-1.0, noise=None, noise_corner=None, offset=None, settling=None)

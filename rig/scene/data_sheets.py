@@ -11,82 +11,66 @@ from typing import Any
 import yaml
 
 from rig.errors import SceneError
-from rig.scene.quantities import FREQUENCY, parse
+
+#: Settings that take a preset, by the key under which a data sheet has them.
+KINDS = ("accelerometer", "hammer", "converter", "output")
 
 
 @dataclass(frozen=True)
 class DataSheet:
     """A part's data sheet."""
 
-    name: str  # Maker and model
-    kind: str
-    """accelerometer, hammer or converter."""
+    name: str
+    """Maker and model."""
     sources: tuple[str, ...]
     """Where the figures come from."""
-    settings: dict[str, Any]
-    """Figures by the scene's keys, as a scene file has them."""
-    clock: float | None
-    largest_divisor: int
-    """A module's clock [Hz] and by how much it can be divided; None: any rate."""
-
-    def divided(self, rate: float) -> float:
-        """Give the rate of its samples where one is asked for: the next above it that its clock can be divided to.
-
-        Raises
-        ------
-        SceneError
-            If it cannot sample that fast.
-
-        Examples
-        --------
-        >>> part("NI 9234", "converter").divided(8000.0)
-        8533.333333333334
-        """
-        if self.clock is None:
-            return rate
-        # A rate that was printed with a few digits still means the one it was rounded from.
-        divisor = int(self.clock / rate * (1.0 + 1e-4))
-        if divisor < 1:
-            raise SceneError(
-                f"got {rate:g} Hz; expected {self.clock / self.largest_divisor:g} to {self.clock:g} Hz, which is "
-                f"what {self.name} samples at"
-            )
-        return self.clock / min(divisor, self.largest_divisor)
+    unchecked: tuple[str, ...]
+    """Figures that could not be compared with a source."""
+    settings: dict[str, dict[str, Any]]
+    """For each kind of settings that may name it (`KINDS`), figures by the scene's keys, as a scene file has them."""
+    facts: dict[str, Any]
+    """Everything else: `module`, `inputs`, `outputs` (see `rig.scene.modules`), `teds` (see `rig.scene.teds`)."""
 
 
 @cache
-def parts() -> dict[str, DataSheet]:
-    """List the parts there are, by name.
+def data_sheets() -> dict[str, DataSheet]:
+    """List the data sheets there are, by name.
 
-    >>> sorted(parts())
-    ['NI 9234', 'PCB 086C03', 'PCB 352C33']
+    >>> sorted(data_sheets())
+    ['NI 9234', 'NI 9250', 'NI 9260', 'NI 9263', 'PCB 086C03', 'PCB 352C33', 'USB-4431']
     """
     found = {}
     for file in files("rig.scene").joinpath("data", "presets").iterdir():
         if not file.name.endswith(".yaml"):
             continue
         sheet = yaml.safe_load(file.read_text(encoding="utf-8"))
-        clock = sheet.get("clock", {})
-        found[sheet["part"]] = DataSheet(
-            sheet["part"],
-            sheet["kind"],
-            tuple(sheet["sources"]),
-            sheet["settings"],
-            parse(clock["frequency"], FREQUENCY) if clock else None,
-            clock.get("largest_divisor", 1),
-        )
+        name, sources = sheet.pop("part"), tuple(sheet.pop("sources"))
+        unchecked = tuple(sheet.pop("unchecked", ()))
+        settings = {kind: sheet.pop(kind) for kind in KINDS if kind in sheet}
+        found[name] = DataSheet(name, sources, unchecked, settings, sheet)
     return found
 
 
-def part(name: str, kind: str) -> DataSheet:
-    """Find a part; capitals, spaces and hyphens do not matter.
+def data_sheet(name: str, kind: str) -> DataSheet:
+    """Find the data sheet of a part; capitals, spaces and hyphens do not matter.
+
+    Parameters
+    ----------
+    name : str
+        Of the part.
+    kind : str
+        What it has to tell of: one of `KINDS`, or ``"module"``.
 
     Raises
     ------
     SceneError
-        If there is none of that name and kind.
+        If there is none of that name that does.
     """
-    known = {_plain(each.name): each for each in parts().values() if each.kind == kind}
+    known = {
+        _plain(each.name): each
+        for each in data_sheets().values()
+        if kind in each.settings or kind in each.facts
+    }
     if _plain(name) in known:
         return known[_plain(name)]
     names = sorted(each.name for each in known.values())

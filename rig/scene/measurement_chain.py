@@ -11,7 +11,8 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 from rig.errors import SceneError
-from rig.scene.data_sheets import part
+from rig.scene.data_sheets import data_sheet
+from rig.scene.modules import module
 from rig.scene.quantities import (
     ACCELERATION,
     ACCELERATION_NOISE,
@@ -40,6 +41,7 @@ Time = Annotated[float, Quantity(TIME, at_least=0.0)]
 Limit = Annotated[float, Quantity(LENGTH, VELOCITY, ACCELERATION, FORCE, above=0.0)]
 # Where a channel measures force, not motion.
 FORCE_PLACES = ("hammer", "shaker")
+Supply = Annotated[float, Quantity(CURRENT, at_least=0.0)]
 Preset = Annotated[str, Field(min_length=1, max_length=80)]
 
 
@@ -79,6 +81,8 @@ class Accelerometer(Settings):
     """Relative change of sensitivity per kelvin [1/K]; needs `temperature_change`."""
     temperature_change: Annotated[float, Quantity(TEMPERATURE)] | None = None
     """Temperature of the sensor above that of its calibration [K]."""
+    iepe: bool | None = None
+    """Whether its amplifier needs the current that the converter feeds it with (`excitation`)."""
 
     needs: ClassVar[Mapping[str, str]] = {
         "q": "resonance",
@@ -130,6 +134,8 @@ class Hammer(Settings):
     """Corner of the first-order high pass [Hz]."""
     saturation: Annotated[float, Quantity(FORCE, above=0.0)] | None = None
     """Largest force the output follows [N]."""
+    iepe: bool | None = None
+    """As in `Accelerometer`."""
 
     def relations(self) -> Iterable[Mistake]:
         """Check that the part is known."""
@@ -158,6 +164,10 @@ class Channel(Settings):
     m/s^2 or N]."""
     abort: Limit | None = None
     """The same, above which the test ends."""
+    coupling: Literal["AC", "DC"] | None = None
+    """Of this input alone; None: the converter's."""
+    excitation: Supply | None = None
+    """Current that feeds the sensor at this input [A], 0: none; None: the converter's."""
 
     @classmethod
     def kind_by_neighbours(cls, given: Mapping[str, Any]) -> Mapping[Place, Kind]:
@@ -215,8 +225,8 @@ class Converter(Settings):
     """AC: a first-order high pass. None: DC."""
     ac_corner: Corner | None = None
     """Corner of that high pass [Hz]; None: 0.5."""
-    excitation: Annotated[float, Quantity(CURRENT, at_least=0.0)] | None = None
-    """Constant current that feeds the sensors (IEPE) [A]."""
+    excitation: Supply | None = None
+    """Constant current that feeds IEPE sensors [A]; 0: none, None: they are fed somehow."""
     filter: Literal["delta_sigma"] | None = None
     """The decimation filter of a delta-sigma converter, which looks at the rig several times a sample where
     the rig oscillates fast for the sample rate, or the rate is low. None: no filter."""
@@ -254,13 +264,20 @@ class Converter(Settings):
     @property
     def sample_rate(self) -> float:
         """Rate of its samples [Hz]: as asked for or, from a module, the next one above that its clock allows."""
-        return self.rate if self.preset is None else part(self.preset, "converter").divided(self.rate)
+        if self.preset is None:
+            return self.rate
+        found = module(self.preset)
+        assert found.inputs is not None  # as its data sheet has figures for a converter
+        try:
+            return found.inputs.rates.at_least(self.rate)
+        except SceneError as error:
+            raise SceneError(f"{error}, which is what {found.name} samples at") from None
 
 
 def _unknown(preset: str | None, kind: str) -> Iterable[Mistake]:
     """Check that there is a data sheet of the part that is named."""
     if preset is not None:
         try:
-            part(preset, kind)
+            data_sheet(preset, kind)
         except SceneError as error:
             yield Mistake(("preset",), str(error))

@@ -7,8 +7,9 @@ from typing import TypeVar
 from pydantic import ValidationError
 
 from rig.errors import SceneError
-from rig.scene.data_sheets import part
-from rig.scene.measurement_chain import Accelerometer, Converter, Hammer
+from rig.scene.data_sheets import data_sheet
+from rig.scene.measurement_chain import Accelerometer, Channel, Converter, Hammer
+from rig.scene.modules import module
 
 Device = TypeVar("Device", Accelerometer, Hammer, Converter)
 
@@ -29,12 +30,46 @@ def filled_in(settings: Device) -> Device:
     if settings.preset is None:
         return settings
     kind = type(settings).__name__.lower()
-    sheet = part(settings.preset, kind)
+    sheet = data_sheet(settings.preset, kind)
     given = {
         name: value for name in type(settings).model_fields if (value := getattr(settings, name)) is not None
     }
     try:
-        return type(settings).model_validate({**sheet.settings, **given})
+        return type(settings).model_validate({**sheet.settings[kind], **given})
     except ValidationError as error:
         reasons = "; ".join(f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors())
         raise SceneError(f"{kind} with preset {sheet.name!r}: {reasons}") from None
+
+
+def input_settings(converter: Converter, channel: Channel) -> Converter:
+    """Give the converter as it is at one channel: with the channel's own coupling and supply.
+
+    A module that feeds sensors through AC coupled inputs only feeds none where the coupling is DC.
+
+    Parameters
+    ----------
+    converter : Converter
+        As the scene has it.
+    channel : Channel
+
+    Returns
+    -------
+    Converter
+        Filled in from its preset.
+
+    Examples
+    --------
+    >>> channel = Channel(name="body1", at="body 1", coupling="DC")
+    >>> input_settings(Converter(preset="NI 9234"), channel).excitation
+    0.0
+    >>> input_settings(Converter(preset="USB-4431"), channel).excitation
+    0.0021
+    """
+    own = {key: value for key in ("coupling", "excitation") if (value := getattr(channel, key)) is not None}
+    here = filled_in(converter).model_copy(update=own)
+    if converter.preset is None or here.coupling != "DC":
+        return here
+    inputs = module(converter.preset).inputs
+    if inputs is not None and inputs.supply_coupling == "AC":
+        here = here.model_copy(update={"excitation": 0.0})
+    return here

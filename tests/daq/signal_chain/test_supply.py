@@ -1,0 +1,51 @@
+"""IEPE sensors, their supply and the coupling: dead here what is dead on the bench."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rig
+from daq.signal_chain.bench import Bench
+
+IEPE = "accelerometer: {sensitivity: 100 mV/g, iepe: true, bias: 9 V, noise: 1 ug/sqrt(Hz)}"
+
+
+def volts(channel: str, converter: str) -> np.ndarray:
+    scene = rig.loads(
+        "structure: {masses: [1 kg], springs: [40 kN/m], damping: {modal: 1 %}}\n"
+        "shaker: {kind: force, body: 1}\n"
+        f"channels: [{{name: c, at: body 1, {channel}}}]\nconverter: {converter}\n"
+    )
+    bench = Bench(scene)
+    drive = 10.0 * np.sin(2 * np.pi * 40.0 * np.arange(10240) / bench.rate)
+    return bench.acquire(drive[None]).samples[0].astype(float)
+
+
+@pytest.mark.parametrize(
+    ("channel", "converter", "alive"),
+    [
+        (IEPE, "{}", True),
+        (IEPE, "{excitation: 4 mA}", True),
+        (IEPE, "{excitation: 0 mA}", False),
+        (IEPE + ", excitation: 0 mA", "{excitation: 4 mA}", False),
+        (IEPE + ", excitation: 4 mA", "{excitation: 0 mA}", True),
+        ("accelerometer: {sensitivity: 100 mV/g}", "{excitation: 0 mA}", True),
+        ("accelerometer: {preset: PCB 352C33}", "{preset: NI 9234}", True),
+        ("accelerometer: {preset: PCB 352C33}, excitation: 0 mA", "{preset: NI 9234, noise: 0}", False),
+        # This module feeds sensors through AC coupled inputs only, that one always.
+        ("accelerometer: {preset: PCB 352C33}, coupling: DC", "{preset: NI 9234, noise: 0}", False),
+        ("accelerometer: {preset: PCB 352C33}, coupling: DC", "{preset: USB-4431, noise: 0}", True),
+    ],
+)
+def test_given_a_sensor_when_its_supply_is_on_or_off_then_it_is_alive_or_dead(
+    channel: str, converter: str, alive: bool
+) -> None:
+    assert volts(channel, converter)[200:].any() == alive
+
+
+def test_given_a_fed_sensor_when_coupled_dc_then_its_bias_is_seen_and_ac_takes_it_away() -> None:
+    direct = volts(IEPE + ", coupling: DC", "{coupling: AC}")
+    blocked = volts(IEPE, "{coupling: AC, ac_corner: 5 Hz}")
+    assert direct.mean() == pytest.approx(9.0, abs=0.05)
+    assert abs(blocked[-2048:].mean()) < 0.01

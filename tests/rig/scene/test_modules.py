@@ -1,0 +1,76 @@
+"""Modules by data sheet: rates, and what holds for every one of them."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig.errors import SceneError
+from rig.scene.data_sheets import data_sheets
+from rig.scene.modules import Module, Rates, module
+
+NAMES = [name for name, sheet in data_sheets().items() if "module" in sheet.facts]
+
+
+def engines(found: Module) -> list[Rates]:
+    return [engine.rates for engine in (found.inputs, found.outputs) if engine is not None]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_given_a_module_when_found_then_its_facts_agree_with_the_settings_that_scenes_take(name: str) -> None:
+    found, sheet = module(name.lower()), data_sheets()[name]
+    assert sheet.sources and found.product_type
+    for engine, settings in ((found.inputs, "converter"), (found.outputs, "output")):
+        assert (engine is None) == (settings not in sheet.settings)
+        if engine is not None:
+            assert sheet.settings[settings]["range"] == f"{engine.ranges[-1]:.12g} V"
+            assert engine.rates.slowest < engine.rates.fastest
+    if found.inputs is not None:
+        assert sheet.settings["converter"]["excitation"] == f"{1e3 * found.inputs.supply[0]:g} mA"
+        assert (sheet.settings["converter"].get("filter") == "delta_sigma") == (not found.inputs.on_demand)
+
+
+@given(name=st.sampled_from(NAMES), share=st.floats(1e-3, 1.0))
+def test_given_any_rate_when_asked_for_then_it_is_the_next_one_not_below_that_the_clock_makes(
+    name: str, share: float
+) -> None:
+    for rates in engines(module(name)):
+        asked = share * rates.fastest
+        made = rates.at_least(asked)
+        assert rates.slowest <= made <= rates.fastest
+        assert made >= asked * (1 - 1.0001e-4)
+        assert rates.at_least(made) == made
+        if rates.ladder:
+            below = [rate for rate in rates.ladder if rate < made]
+            assert not below or below[-1] < asked
+
+
+@pytest.mark.parametrize(
+    ("name", "rates"),
+    [
+        ("NI 9234", (51200.0, 25600.0, 51200.0 / 3, 51200.0 / 31)),
+        ("NI 9250", (102400.0, 51200.0, 102400.0 / 3, 13107200.0 / 4 / 1024 / 12)),
+    ],
+)
+def test_given_a_delta_sigma_module_when_its_rates_are_listed_then_they_are_those_of_its_clock(
+    name: str, rates: tuple[float, ...]
+) -> None:
+    inputs = module(name).inputs
+    assert inputs is not None and set(rates) <= set(inputs.rates.ladder)
+    assert inputs.rates.ladder[-1] == rates[0] and inputs.rates.ladder[0] == rates[-1]
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, 60e3, float("nan")])
+def test_given_a_rate_that_a_clock_cannot_make_when_asked_for_then_the_error_names_what_it_can(
+    rate: float,
+) -> None:
+    inputs = module("NI 9234").inputs
+    assert inputs is not None
+    with pytest.raises(SceneError, match=r"expected 1651\.61 to 51200 Hz"):
+        inputs.rates.at_least(rate)
+
+
+def test_given_a_sensor_when_a_module_is_asked_for_then_it_is_none() -> None:
+    with pytest.raises(SceneError, match="unknown module"):
+        module("PCB 352C33")

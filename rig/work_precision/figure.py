@@ -23,6 +23,7 @@ LOOK = {
     "penalty, RK4": ("#8fb4d9", "v"),
     "penalty, Newmark": ("#4f87bd", "^"),
     "Moreau-Jean": ("#1f4e79", "s"),
+    "compiled DP5": ("#1d4d1c", "X"),
     "scipy DOP853": ("#3b7d3a", "D"),
     "scipy LSODA": ("#8bbf6a", "d"),
     "CVODE": ("#6b4fa0", "P"),

@@ -171,6 +171,7 @@ def _methods(
                 _sampled(scene, system, tone, share, periods),
             )
     yield from _fixed(problem)
+    yield from _compiled(problem, 1.0 / frequency)
     yield from _adaptive(problem, 1.0 / frequency)
 
 
@@ -190,6 +191,19 @@ def _fixed(problem: FirstOrderForm) -> Methods:
         scheme(short, STEPS[0])
         for steps in STEPS:
             yield name, f"{steps} steps", partial(scheme, problem, steps)
+
+
+def _compiled(problem: FirstOrderForm, period: float) -> Methods:
+    """Give the strongest peer, compiled once unmeasured."""
+    from rig.work_precision.compiled_runge_kutta import MOST_DAMPERS, DormandPrince
+
+    if problem.system.dampers > MOST_DAMPERS:
+        return
+    peer = DormandPrince(problem)
+    peer.follow(1e-6, BLIND, period)
+    for rtol in (1e-6, 1e-9, 1e-12):
+        yield "compiled DP5", f"rtol {rtol:.0e}, blind", partial(peer.follow, rtol, BLIND, np.inf)
+    yield "compiled DP5", "rtol 1e-12, step T/40, blind", partial(peer.follow, 1e-12, BLIND, CAREFUL * period)
 
 
 def _adaptive(problem: FirstOrderForm, period: float) -> Methods:

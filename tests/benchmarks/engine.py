@@ -1,8 +1,8 @@
 """The engine beside general solvers, in one run: `python -m tests.benchmarks.engine`.
 
 Reference cases A, B and C, warm, one thread. The solvers are used as their users would who have learnt what this
-problem needs: DOP853 and CVODE at a relative tolerance of 1e-12, steps of at most T/40, guards asleep for 20 us
-after a separation.
+problem needs: DOP853, CVODE and a compiled Dormand-Prince at a relative tolerance of 1e-12, steps of at most T/40,
+guards asleep for 20 us after a separation.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import ToneDrive, tone_drive
 from rig.work_precision.adaptive_solvers import cvode_leg, follow, scipy_leg
+from rig.work_precision.compiled_runge_kutta import DormandPrince
 from rig.work_precision.first_order_form import FirstOrderForm
 
 if TYPE_CHECKING:
@@ -74,9 +75,14 @@ def peers(scene: rig.Scene) -> dict[str, float]:
     legs = {"scipy DOP853": scipy_leg("DOP853", 1e-12, longest)}
     if importlib.util.find_spec("sksundae") is not None:
         legs["CVODE"] = cvode_leg(1e-12, longest)
+    compiled = DormandPrince(problem)
+    compiled.follow(1e-6, BLIND, longest)
     return {
-        name: best(lambda leg=leg: follow(problem, leg, BLIND, 600.0), 2) / PERIODS  # type: ignore[misc]
-        for name, leg in legs.items()
+        "compiled DP5": best(lambda: compiled.follow(1e-12, BLIND, longest), 3) / PERIODS,
+        **{
+            name: best(lambda leg=leg: follow(problem, leg, BLIND, 600.0), 2) / PERIODS  # type: ignore[misc]
+            for name, leg in legs.items()
+        },
     }
 
 

@@ -16,6 +16,7 @@ from rig.system.assembly import assemble
 from rig.system.open_loop_drive import tone_drive, with_ideal_force
 from rig.system.receptance import receptance
 from rig.work_precision.adaptive_solvers import BLIND, follow, scipy_leg
+from rig.work_precision.compiled_runge_kutta import DormandPrince
 from rig.work_precision.figure import table, write
 from rig.work_precision.first_order_form import PER_PERIOD, FirstOrderForm
 from rig.work_precision.fixed_step_schemes import moreau_jean, penalty_newmark, penalty_runge_kutta
@@ -86,6 +87,17 @@ def test_given_an_adaptive_solver_when_it_follows_the_motion_then_it_finds_the_e
     outcome = follow(problem, scipy_leg("DOP853", 1e-9, np.inf), BLIND, 60.0)
     assert [kind for _, _, kind in outcome.events] == list(run.events["kind"])
     assert error(outcome, exact) < 1e-6
+
+
+@pytest.mark.parametrize(("rtol", "allowed"), [(1e-6, 1e-3), (1e-9, 1e-6), (1e-12, 1e-9)])
+def test_given_the_compiled_solver_when_it_follows_the_motion_then_it_finds_the_events_at_its_tolerance(
+    case: tuple[FirstOrderForm, np.ndarray, rig.Run], rtol: float, allowed: float
+) -> None:
+    problem, exact, run = case
+    outcome = DormandPrince(problem).follow(rtol, BLIND, np.inf)
+    assert [kind for _, _, kind in outcome.events] == list(run.events["kind"])
+    np.testing.assert_allclose([t for t, _, _ in outcome.events], run.events["time"], rtol=0, atol=allowed)
+    assert error(outcome, exact) < allowed
 
 
 def test_given_a_periodic_motion_when_ways_to_it_are_measured_then_waiting_converges_to_the_orbit() -> None:

@@ -1,0 +1,381 @@
+"""Dormand-Prince 5(4) with event location, compiled: the strongest solver that a good engineer would write for this.
+
+Everything is in machine code: the right-hand side with the matrices of every contact configuration at hand, step
+size control, dense output, event location and contact changes. What it lacks is what the engine has: a proof that no
+guard crosses zero and comes back within a step.
+
+E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd ed., 1993: the pair in table 5.2,
+its dense output and step size control in II.4 and II.6.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.errors import RunError
+from rig.numerics.jit import compiled, inlined
+from rig.work_precision.adaptive_solvers import LIVELOCK
+from rig.work_precision.first_order_form import CEILING, FLIGHT, FLOOR, WALLS, Array, FirstOrderForm, Outcome
+
+#: Stages of the pair: nodes, weights of earlier stages, weights of the error, and of the dense output's last term.
+NODES = np.array([0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0])
+STAGES = np.array(
+    [
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [1 / 5, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [3 / 40, 9 / 40, 0.0, 0.0, 0.0, 0.0],
+        [44 / 45, -56 / 15, 32 / 9, 0.0, 0.0, 0.0],
+        [19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729, 0.0, 0.0],
+        [9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656, 0.0],
+        [35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84],
+    ]
+)
+ERROR = np.array([71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
+DENSE = np.array(
+    [
+        -12715105075 / 11282082432, 0.0, 87487479700 / 32700410799, -10690763975 / 1880347072,
+        701980252875 / 199316789632, -1453857185 / 822651844, 69997945 / 29380423,
+    ]
+)  # fmt: skip
+#: A root is closed in on at most so often, or to this share of a step.
+CLOSINGS, CLOSE = 60, 1e-15
+#: Steps a period after which it is stopped: it goes to and fro about an instant.
+MOST_STEPS = 10_000
+#: More dampers would need too many matrices.
+MOST_DAMPERS = 8
+
+
+class Tables(NamedTuple):
+    """The scene as the kernel sees it: z' = A z + b + c cos(w t) + s sin(w t) for every set of riding dampers.
+
+    matrix (sets, size, size) and constant, cosine, sine (sets, size), bit j of the set's number being damper j; row,
+    inverse_mass, mass, clearance and restitution (dampers,); first, the place of the first damper's height in z.
+    """
+
+    matrix: Array
+    constant: Array
+    cosine: Array
+    sine: Array
+    omega: float
+    row: NDArray[np.int64]
+    inverse_mass: Array
+    mass: Array
+    clearance: Array
+    restitution: Array
+    gravity: float
+    coordinates: int
+    first: int
+
+
+class Contacts(NamedTuple):
+    """Wall of each damper, until when its guards sleep (dampers, walls), and the log of events with its length."""
+
+    mode: NDArray[np.int64]
+    awake: Array
+    time: Array
+    damper: NDArray[np.int64]
+    kind: NDArray[np.int64]
+    filled: NDArray[np.int64]
+
+
+class DormandPrince:
+    """The scene made ready once, for any number of runs.
+
+    Parameters
+    ----------
+    problem : FirstOrderForm
+
+    Raises
+    ------
+    RunError
+        If there are too many dampers.
+    """
+
+    def __init__(self, problem: FirstOrderForm) -> None:
+        self._problem, self._tables = problem, _tables(problem)
+        size = problem.size
+        self._work = (np.zeros((7, size)), np.zeros(size), np.zeros(size))
+
+    def follow(self, rtol: float, blind: float, longest: float) -> Outcome:
+        """Follow the motion.
+
+        Parameters
+        ----------
+        rtol : float
+            Relative tolerance; the absolute one is a thousandth of it, as for the other adaptive solvers.
+        blind : float
+            Time for which a guard sleeps after its separation, s.
+        longest : float
+            Longest step, s.
+
+        Raises
+        ------
+        RunError
+            If it takes off and lands for ever at one instant.
+        """
+        problem = self._problem
+        dampers, most = len(problem.rows), LIVELOCK * problem.periods
+        contacts = Contacts(
+            mode=np.full(dampers, FLOOR, dtype=np.int64),
+            awake=np.full((dampers, 3), -1.0),
+            time=np.zeros(most),
+            damper=np.zeros(most, dtype=np.int64),
+            kind=np.zeros(most, dtype=np.int64),
+            filled=np.zeros(1, dtype=np.int64),
+        )
+        motion = np.zeros((problem.samples, problem.system.coordinates))
+        start, times = problem.start.copy(), problem.times
+        steps = MOST_STEPS * problem.periods
+        if not _follow(
+            self._tables, contacts, start, times, motion, rtol, blind, longest, steps, *self._work
+        ):
+            raise RunError("takes off and lands for ever at one instant")
+        events = slice(contacts.filled[0])
+        log = zip(contacts.time[events], contacts.damper[events], contacts.kind[events], strict=True)
+        return Outcome(motion.T, [(float(t), int(j), WALLS[k]) for t, j, k in log])
+
+
+def _tables(problem: FirstOrderForm) -> Tables:
+    system, dampers = problem.system, len(problem.rows)
+    if dampers > MOST_DAMPERS:
+        raise RunError(f"{dampers} dampers have {2**dampers} configurations; it keeps a matrix for each")
+    modes = [
+        np.array([FLOOR if bits >> j & 1 else FLIGHT for j in range(dampers)], dtype=np.int64)
+        for bits in range(2**dampers)
+    ]
+    free, driven = [problem.configuration(mode) for mode in modes], [problem.drive(mode) for mode in modes]
+    return Tables(
+        matrix=np.array([matrix for matrix, _ in free]),
+        constant=np.array([constant for _, constant in free]),
+        cosine=np.array([cosine for cosine, _ in driven]),
+        sine=np.array([sine for _, sine in driven]),
+        omega=problem.omega,
+        row=problem.rows,
+        inverse_mass=problem.inverse_mass,
+        mass=np.asarray(system.damper_mass, dtype=np.float64),
+        clearance=np.asarray(system.clearance, dtype=np.float64),
+        restitution=np.asarray(system.restitution, dtype=np.float64),
+        gravity=system.gravity,
+        coordinates=system.coordinates,
+        first=system.states,
+    )
+
+
+@inlined
+def _row(tables: Tables, at: int, i: int, t: float, z: Array) -> float:
+    """Rate of one state in a configuration."""
+    phase = tables.omega * t
+    total = tables.constant[at, i] + tables.cosine[at, i] * np.cos(phase) + tables.sine[at, i] * np.sin(phase)
+    for k in range(z.shape[0]):
+        total += tables.matrix[at, i, k] * z[k]
+    return total
+
+
+@inlined
+def _slope(tables: Tables, at: int, t: float, z: Array, out: Array) -> None:
+    phase = tables.omega * t
+    c, s = np.cos(phase), np.sin(phase)
+    for i in range(z.shape[0]):
+        total = tables.constant[at, i] + tables.cosine[at, i] * c + tables.sine[at, i] * s
+        for k in range(z.shape[0]):
+            total += tables.matrix[at, i, k] * z[k]
+        out[i] = total
+
+
+@inlined
+def _step(
+    tables: Tables, at: int, t: float, h: float, z: Array, new: Array, stages: Array, rtol: float
+) -> float:
+    """Try a step, the first stage being known; the error over what is allowed, root mean square (II.4)."""
+    for k in range(1, 7):
+        for i in range(z.shape[0]):
+            total = 0.0
+            for m in range(k):
+                total += STAGES[k, m] * stages[m, i]
+            new[i] = z[i] + h * total
+        _slope(tables, at, t + NODES[k] * h, new, stages[k])
+    wrong = 0.0
+    for i in range(z.shape[0]):
+        total = 0.0
+        for k in range(7):
+            total += ERROR[k] * stages[k, i]
+        wrong += (h * total / (rtol * (1e-3 + max(abs(z[i]), abs(new[i]))))) ** 2
+    return np.sqrt(wrong / z.shape[0])
+
+
+@inlined
+def _dense(z: Array, new: Array, stages: Array, h: float, theta: float, out: Array) -> None:
+    """State a share theta into the step, of fourth order (II.6)."""
+    rest = 1.0 - theta
+    for i in range(z.shape[0]):
+        change = new[i] - z[i]
+        bulge = h * stages[0, i] - change
+        twist = change - h * stages[6, i] - bulge
+        last = 0.0
+        for k in range(7):
+            last += DENSE[k] * stages[k, i]
+        out[i] = z[i] + theta * (change + rest * (bulge + theta * (twist + rest * h * last)))
+
+
+@inlined
+def _guard(tables: Tables, contacts: Contacts, at: int, j: int, wall: int, t: float, z: Array) -> float:
+    """Gap to a wall of a flying damper, contact force over mass of a riding one, 1 where nothing is to be watched."""
+    if contacts.mode[j] == FLIGHT:
+        if t <= contacts.awake[j, wall]:
+            return 1.0
+        gap = z[tables.first + j] - z[tables.row[j]]
+        return gap if wall == FLOOR else tables.clearance[j] - gap
+    if wall != contacts.mode[j]:
+        return 1.0
+    pressing = tables.gravity + _row(tables, at, tables.coordinates + tables.row[j], t, z)
+    return pressing if wall == FLOOR else -pressing
+
+
+@inlined
+def _first_fall(
+    tables: Tables,
+    contacts: Contacts,
+    at: int,
+    t: float,
+    h: float,
+    z: Array,
+    new: Array,
+    stages: Array,
+    work: Array,
+) -> tuple[float, int, int]:
+    """Find the first guard below zero at the end of a step: share of the step, damper (-1: none) and wall."""
+    first, which, hit = 1.0, -1, FLIGHT
+    for j in range(contacts.mode.shape[0]):
+        for wall in (FLOOR, CEILING):
+            below = _guard(tables, contacts, at, j, wall, t + h, new)
+            if below >= 0.0:
+                continue
+            low, high = 0.0, 1.0
+            above = max(_guard(tables, contacts, at, j, wall, t, z), 0.0)
+            # False position, in the Illinois variant: an end that stays counts half the next time.
+            for _ in range(CLOSINGS):
+                if high - low < CLOSE:
+                    break
+                theta = low + (high - low) * above / (above - below)
+                _dense(z, new, stages, h, theta, work)
+                value = _guard(tables, contacts, at, j, wall, t + theta * h, work)
+                if value < 0.0:
+                    high, below, above = theta, value, 0.5 * above
+                else:
+                    low, above, below = theta, value, 0.5 * below
+                if value == 0.0:
+                    high = theta
+            if high < first or which < 0:
+                first, which, hit = high, j, wall
+    return first, which, hit
+
+
+@inlined
+def _note(contacts: Contacts, t: float, j: int, kind: int) -> None:
+    k = contacts.filled[0]
+    contacts.time[k], contacts.damper[k], contacts.kind[k] = t, j, kind
+    contacts.filled[0] = k + 1
+
+
+@inlined
+def _leave(
+    tables: Tables, contacts: Contacts, t: float, z: Array, j: int, speed: float, blind: float
+) -> None:
+    """Let a riding damper fly from its wall."""
+    wall = contacts.mode[j]
+    z[tables.first + j] = z[tables.row[j]] + (tables.clearance[j] if wall == CEILING else 0.0)
+    z[tables.first + contacts.mode.shape[0] + j] = speed
+    contacts.awake[j, wall] = t + blind
+    contacts.mode[j] = FLIGHT
+
+
+@inlined
+def _change(tables: Tables, contacts: Contacts, t: float, z: Array, j: int, wall: int, blind: float) -> None:
+    """Separate a riding damper, or let a flying one hit a wall (momentum conserved, Newton's restitution)."""
+    body = tables.coordinates + tables.row[j]
+    if contacts.mode[j] != FLIGHT:
+        _note(contacts, t, j, FLIGHT)
+        _leave(tables, contacts, t, z, j, z[body], blind)
+        return
+    _note(contacts, t, j, wall)
+    own = tables.first + contacts.mode.shape[0] + j
+    closing = z[own] - z[body]
+    restitution = tables.restitution[j]
+    z[body] += (1.0 + restitution) * closing / (1.0 + 1.0 / (tables.inverse_mass[j] * tables.mass[j]))
+    contacts.mode[j] = wall
+    z[own] = z[body]
+    z[tables.first + j] = z[tables.row[j]] + (tables.clearance[j] if wall == CEILING else 0.0)
+    if restitution > 0.0:
+        _leave(tables, contacts, t, z, j, z[body] - restitution * closing, blind)
+
+
+@inlined
+def _release(tables: Tables, contacts: Contacts, t: float, z: Array, blind: float) -> int:
+    """Let go of dampers whose contact would pull, one after another, and give the configuration; -1: the log is full.
+
+    Damping couples a velocity jump into the neighbours' contact forces, so that each may set off another.
+    """
+    while contacts.filled[0] < contacts.time.shape[0]:
+        at = 0
+        for j in range(contacts.mode.shape[0]):
+            at |= (contacts.mode[j] != FLIGHT) << j
+        pulled = -1
+        for j in range(contacts.mode.shape[0]):
+            wall = contacts.mode[j]
+            if pulled < 0 and wall != FLIGHT and _guard(tables, contacts, at, j, wall, t, z) < 0.0:
+                pulled = j
+        if pulled < 0:
+            return at
+        _change(tables, contacts, t, z, pulled, FLIGHT, blind)
+    return -1
+
+
+@inlined
+def _keep(motion: Array, row: int, z: Array) -> None:
+    for i in range(motion.shape[1]):
+        motion[row, i] = z[i]
+
+
+@compiled
+def _follow(
+    tables: Tables, contacts: Contacts, z: Array, times: Array, motion: Array, rtol: float, blind: float,
+    longest: float, steps: int, stages: Array, new: Array, work: Array,
+) -> bool:  # fmt: skip
+    """Step, look at the guards, go back to the first that fell, change the contact, go on. False: it does not end."""
+    _keep(motion, 0, z)
+    t, sample, h = 0.0, 1, min(longest, 1e-3 * (times[1] - times[0]))
+    at = _release(tables, contacts, t, z, blind)
+    _slope(tables, at, t, z, stages[0])
+    for _ in range(steps):
+        if sample == times.shape[0]:
+            return True
+        h = min(h, longest)
+        wrong = _step(tables, at, t, h, z, new, stages, rtol)
+        factor = 5.0 if wrong == 0.0 else min(5.0, max(0.2, 0.9 * wrong**-0.2))
+        if wrong > 1.0:
+            h *= factor
+            continue
+        share, which, wall = _first_fall(tables, contacts, at, t, h, z, new, stages, work)
+        while sample < times.shape[0] and times[sample] <= t + share * h:
+            _dense(z, new, stages, h, (times[sample] - t) / h, work)
+            _keep(motion, sample, work)
+            sample += 1
+        if which < 0:
+            t += h
+            for i in range(z.shape[0]):
+                z[i], stages[0, i] = new[i], stages[6, i]
+            h *= factor
+            continue
+        _dense(z, new, stages, h, share, work)
+        t += share * h
+        for i in range(z.shape[0]):
+            z[i] = work[i]
+        _change(tables, contacts, t, z, which, wall, blind)
+        at = _release(tables, contacts, t, z, blind)
+        if at < 0:
+            return False
+        _slope(tables, at, t, z, stages[0])
+    return False

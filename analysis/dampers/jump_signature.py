@@ -95,10 +95,13 @@ def signature(info: ChannelInfo, curvature: int = 2) -> Signature:
         Order of the polynomial that the acceleration around a jump is let to follow beside step and kink.
     """
     integrations = 2 - MOTIONS.index(info.quantity)
-    fast = [pole for pole in info.poles if abs(pole) > _FAST * info.rate]
+    # Behind a decimation filter nothing beyond half the sample rate rings.
+    fastest = np.pi * info.rate if info.filter else np.inf
+    fast = [pole for pole in info.poles if _FAST * info.rate < abs(pole) < fastest]
     turning = max((abs(pole.imag) for pole in fast), default=0.0) / info.rate
     ringing = max((-info.rate / pole.real for pole in fast), default=0.0)
-    coarse = _FINER if turning else 1
+    # A reading that changes within an instant is smeared: by a resonance most, by the filter's main lobe little.
+    coarse = _FINER if turning else 4 if info.filter else 1
     instants = max(_FEWEST, int(np.ceil(turning / _TURN))) * coarse
     side = _SIDE if integrations == 0 else max(_SIDE, round(_SIDE_TIME * info.rate))
     look = _FILTER_LOOK if info.filter else 0
@@ -130,13 +133,19 @@ def _readings(info: ChannelInfo, integrations: int, instants: int, before: int, 
         response = replace(info, average=False, delay=0.0).response(frequency)
     # High passes take away the mean in the long run; for the moments around a jump there are none.
     response[0] = 1.0
+    if info.filter:
+        # Nothing gets through there, and the filter's response is tabulated no further than this.
+        response[frequency > info.rate] = 0.0
+    boxes = integrations + int(info.average)
+    # Half an instant for each average that is not taken: the sums below run over whole instants.
+    response *= np.exp(2j * np.pi * frequency * 0.5 * (1 - boxes) / (info.rate * instants))
     fine = fft.irfft(response, size * instants) * info.rate * instants
-    for _ in range(integrations + int(info.average)):
+    for _ in range(boxes):
         total = np.cumsum(np.concatenate([fine[-instants:], fine]))
         fine = (total[instants:] - total[:-instants]) / instants
     fine = np.roll(fine, (before + SHIFT) * instants)
-    step = np.cumsum(fine) / (info.rate * instants)
-    kink = np.cumsum(step) / (info.rate * instants)
+    step = (np.cumsum(fine) - 0.5 * fine) / (info.rate * instants)
+    kink = (np.cumsum(step) - 0.5 * step) / (info.rate * instants)
     instant = np.arange(-SHIFT * instants, SHIFT * instants)
     sample = np.arange(1 - before, after + 1)
     place = (before + SHIFT + sample) * instants - instant[:, None] - 1

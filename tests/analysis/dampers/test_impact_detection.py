@@ -93,6 +93,32 @@ def test_given_three_dampers_at_a_resonance_when_detected_then_f1_is_above_98_pe
             assert found.threshold < 3.5e-3
 
 
+@pytest.mark.parametrize("quantity", ["acceleration", "displacement"])
+def test_given_a_delta_sigma_filter_when_detected_then_all_impacts_are_found_and_their_sizes_are_right(
+    tmp_path, quantity
+):
+    chain = {"accelerometer": SENSOR} | INTEGRATORS[quantity]
+    scene = rig.load("fig8-three-dampers").replace(
+        shaker={"kind": "force", "body": 1},
+        test={"kind": "sine", "frequency": 49.0, "force": 2.6, "duration": 1.5},
+        channels=[{"name": "body1", "at": "body 1", **chain}, {"name": "force", "at": "shaker"}],
+        converter={"rate": 5120.0, "filter": "delta_sigma"},
+        recording={"truth": True, "display": False},
+    )
+    with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
+        start = rec.samples // 2
+        found = impacts(rec, "body1", start)
+        times, jumps = true_impacts(rec, 1)
+        inner = (times > start / rec.rate + 0.05) & (times < rec.samples / rec.rate - 0.05)
+        clear = inner & (jumps > found.threshold)
+        _, right, seen = score(found.time, times, 2.0 / rec.rate)
+    hits, misses, false = np.sum(seen & clear), np.sum(~seen & clear), np.sum(~right)
+    assert hits > 25 and 2 * hits >= 0.98 * (2 * hits + misses + false)
+    nearest = np.array([np.argmin(abs(found.time - time)) for time in times[seen & clear]])
+    assert np.median(-found.jump[nearest] / jumps[seen & clear]) == pytest.approx(1.0, abs=0.005)
+    assert np.mean(abs(-found.jump[nearest] / jumps[seen & clear] - 1.0) < 0.02) > 0.95
+
+
 def test_given_two_levels_of_sensor_noise_when_detected_then_the_threshold_is_proportional(tmp_path):
     thresholds = []
     for noise in (2e-3, 2e-2):

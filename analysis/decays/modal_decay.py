@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, signal
+from scipy import fft, ndimage, signal
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -15,6 +15,17 @@ _SAME_MODE = 0.1
 WORST = 0.05
 # Levels in nepers: the damping ratio at an amplitude is read off the fall by 6 dB around it, every 1.5 dB.
 _HALF = 3.0 / 20.0 * np.log(10.0)
+# What the band-pass and the fall do to a damping ratio that changes with amplitude is told by doing more of it:
+# with a band-pass that smears over so much more time, and over so much more of a fall.
+_SMEAR, _FALL = 2.0**0.5, 1.5
+# The smear shifts a smooth change by its square and a kink by itself: the difference tells it to this factor.
+_SMEAR_SHARE = 2.5
+# Where a fall has a kink in its middle, a parabola misses it by an eighth (rms) of what it says too little.
+_KINK = 8.0
+# A change is felt by so many levels on either side of it.
+_FELT = 2
+# Points of the envelope that one damping ratio is fitted to, at most.
+_POINTS = 64
 
 
 @dataclass(frozen=True)
@@ -33,7 +44,9 @@ class ModalDecay:
         Acceleration amplitudes, m/s², falling; only those at which noise lets the damping ratio be told to
         `WORST`.
     damping, damping_error : ndarray, shape (levels,)
-        Damping ratio at those amplitudes, and its standard deviation from noise.
+        Damping ratio at those amplitudes, and its standard uncertainty: noise, and half of `damping_smear`.
+    damping_smear : ndarray, shape (levels,)
+        How far the damping ratio may be off because band-pass and fall take in what it is at amplitudes around.
     """
 
     frequency: float
@@ -43,6 +56,7 @@ class ModalDecay:
     amplitude: Array
     damping: Array
     damping_error: Array
+    damping_smear: Array
 
     @property
     def decrement(self) -> Array:
@@ -130,18 +144,42 @@ def modal_decay(
         Amplitudes in m/s² at which the damping ratio is wanted, NaN where the decay has none; omitted, every
         1.5 dB down to the noise.
     """
+    analytic, edge = _band_passed(acceleration, rate, frequency, width)
+    envelope = np.abs(analytic)
+    time = (np.arange(acceleration.size) - begin) / rate
+    usable = slice(begin + edge, max(acceleration.size - edge, begin + edge))
+    noise = _noise(analytic[usable], rate, frequency, width)
+    levels = _levels(envelope[usable]) if amplitudes is None else np.log(amplitudes)
+    damping, kink = _damping(envelope[usable], rate, frequency, levels, _HALF)
+    # Half of the noise changes the envelope; at the two levels it is independent.
+    amplitude = np.exp(levels)
+    relative = np.hypot(np.exp(-_HALF), np.exp(_HALF)) * noise / np.sqrt(2.0) / amplitude / (2.0 * _HALF)
+    more, more_edge = _band_passed(acceleration, rate, frequency, width / _SMEAR)
+    late = slice(begin + more_edge, max(acceleration.size - more_edge, begin + more_edge))
+    smeared, _ = _damping(np.abs(more[late]), rate, frequency, levels, _HALF)
+    longer, _ = _damping(envelope[usable], rate, frequency, levels, _FALL * _HALF)
+    # What noise bends is no kink.
+    kink = np.sqrt(np.maximum(kink**2 - (_KINK * np.sqrt(1.5) * noise / amplitude / _HALF) ** 2, 0.0))
+    smear = _smear(damping, smeared, longer, kink)
+    error = np.hypot(relative * damping, 0.5 * smear)
+    good = np.ones(levels.size, dtype=bool)
+    if amplitudes is None:
+        good = np.isfinite(damping) & (damping > 0) & (relative < WORST)
+    return ModalDecay(
+        frequency, time[begin:], envelope[begin:], noise,
+        amplitude[good], damping[good], error[good], smear[good],
+    )  # fmt: skip
+
+
+def _band_passed(
+    acceleration: Array, rate: float, frequency: float, width: float
+) -> tuple[ComplexArray, int]:
+    """Analytic signal behind a Gaussian band-pass, and the samples over which an end is felt."""
     size = fft.next_fast_len(acceleration.size + int(8 * rate / (2 * np.pi * width)))
     spectrum = fft.fft(acceleration, size)
     bins = fft.fftfreq(size, 1.0 / rate)
     spectrum *= np.where(bins > 0, 2.0 * np.exp(-0.5 * ((bins - frequency) / width) ** 2), 0.0)
-    analytic = fft.ifft(spectrum)[: acceleration.size]
-    envelope = abs(analytic)
-    edge = int(np.ceil(3.0 * rate / (2 * np.pi * width)))
-    time = (np.arange(acceleration.size) - begin) / rate
-    usable = slice(begin + edge, max(acceleration.size - edge, begin + edge))
-    noise = _noise(analytic[usable], rate, frequency, width)
-    amplitude, damping, error = _damping(envelope[usable], rate, frequency, noise, amplitudes)
-    return ModalDecay(frequency, time[begin:], envelope[begin:], noise, amplitude, damping, error)
+    return fft.ifft(spectrum)[: acceleration.size], int(np.ceil(3.0 * rate / (2 * np.pi * width)))
 
 
 def _noise(analytic: ComplexArray, rate: float, frequency: float, width: float) -> float:
@@ -165,40 +203,68 @@ def _noise(analytic: ComplexArray, rate: float, frequency: float, width: float) 
     return float(np.sqrt(np.mean(abs(left) ** 2) * independent / (independent - 2.0)))
 
 
-def _damping(
-    envelope: Array, rate: float, frequency: float, noise: float, wanted: Array | None
-) -> tuple[Array, Array, Array]:
-    """Amplitudes, damping ratios and their standard deviations."""
+def _falling(envelope: Array) -> Array:
+    """Logarithm of the largest amplitude still to come: falls steadily, so that each level is passed once."""
+    return np.log(np.maximum(np.maximum.accumulate(envelope[::-1])[::-1], 1e-300))
+
+
+def _levels(envelope: Array) -> Array:
+    """Logarithms of the amplitudes at which a decay has a damping ratio."""
     if envelope.size < 8 or envelope.max() <= 0:
-        return np.empty(0), np.empty(0), np.empty(0)
-    # The largest amplitude still to come: falls steadily, so that each level is passed once.
-    hull = np.log(np.maximum(np.maximum.accumulate(envelope[::-1])[::-1], 1e-300))
-    levels = (
-        np.arange(hull[0] - 1.25 * _HALF, hull[-1] + _HALF, -_HALF / 2.0)
-        if wanted is None
-        else np.log(wanted)
-    )
-    upper, lower = _passed(hull, levels + _HALF), _passed(hull, levels - _HALF)
+        return np.empty(0)
+    hull = _falling(envelope)
+    return np.arange(hull[0] - 1.25 * _HALF, hull[-1] + _HALF, -_HALF / 2.0)
+
+
+def _damping(
+    envelope: Array, rate: float, frequency: float, levels: Array, half: float
+) -> tuple[Array, Array]:
+    """Damping ratios at levels, each from the fall by `half` nepers on either side; NaN where there is none.
+
+    And the part of it by which a kink in the fall would let it be off.
+    """
+    if envelope.size < 8 or envelope.max() <= 0:
+        return np.full(levels.size, np.nan), np.zeros(levels.size)
+    hull = _falling(envelope)
+    upper, lower = _passed(hull, levels + half), _passed(hull, levels - half)
     logarithm = np.log(np.maximum(envelope, 1e-300))
-    rate_of_fall = np.array([_slope(logarithm, a, b, rate) for a, b in zip(upper, lower, strict=True)])
-    damping = rate_of_fall / np.hypot(2.0 * np.pi * frequency, rate_of_fall)
-    # Half of the noise changes the envelope; at the two levels it is independent.
-    amplitude = np.exp(levels)
-    both = np.hypot(np.exp(-_HALF), np.exp(_HALF)) * noise / np.sqrt(2.0) / amplitude
-    error = damping * both / (2.0 * _HALF)
-    if wanted is not None:
-        return amplitude, damping, error
-    good = np.isfinite(damping) & (both < WORST * 2.0 * _HALF)
-    return amplitude[good], damping[good], error[good]
+    fits = [_slope(logarithm, a, b, level) for a, b, level in zip(upper, lower, levels, strict=True)]
+    fall, rest = np.array(fits).reshape(-1, 2).T
+    return np.asarray(fall * rate / np.hypot(2.0 * np.pi * frequency, fall * rate)), _KINK * rest / half
 
 
-def _slope(logarithm: Array, first: float, last: float, rate: float) -> float:
-    """Rate of fall between two places, 1/s: by a straight line through all between, along which beats average out."""
+def _slope(logarithm: Array, first: float, last: float, level: float) -> tuple[float, float]:
+    """Rate of fall per sample where a curve passes a level, and what the fit leaves of the curve, rms.
+
+    The fit is a parabola between two places: a straight line would give the mean of a slope that changes. Along
+    either beats average out.
+    """
     if not (np.isfinite(first) and np.isfinite(last)) or last - first < 4.0:
-        return float("nan")
-    part = logarithm[round(first) : round(last) + 1]
-    t = np.arange(part.size) - (part.size - 1) / 2.0
-    return float(-(t @ part) / (t @ t) * rate)
+        return float("nan"), 0.0
+    places = np.arange(round(first), round(last) + 1, max(1, int((last - first) / _POINTS)))
+    middle, half = 0.5 * (first + last), 0.5 * (last - first)
+    along = (places - middle) / half
+    bend, slope, value = np.polyfit(along, logarithm[places] - level, 2)
+    rest = logarithm[places] - level - (bend * along**2 + slope * along + value)
+    # Where the parabola passes the level: one step from where the straight part does.
+    at = -value / slope if slope < 0 else 0.0
+    steep = slope + 2.0 * bend * at
+    if steep < 0:
+        at -= (value + slope * at + bend * at**2) / steep
+    fall = float(-(slope + 2.0 * bend * float(np.clip(at, -0.5, 0.5))) / half)
+    return fall, float(np.sqrt(np.mean(rest**2)))
+
+
+def _smear(damping: Array, smeared: Array, longer: Array, kink: Array) -> Array:
+    """How far damping ratios may be off, from how they change where band-pass and fall take in more."""
+    out = np.nan_to_num(kink * damping)
+    for other, share in ((smeared, _SMEAR_SHARE), (longer, 1.0)):
+        off = abs(other - damping)
+        known = np.flatnonzero(np.isfinite(off))
+        if known.size:
+            # At the ends, where more cannot be taken in, what is known nearest counts.
+            out += share * np.interp(np.arange(off.size), known, off[known])
+    return np.asarray(ndimage.maximum_filter1d(out, 2 * _FELT + 1) if out.size else out)
 
 
 def _passed(hull: Array, levels: Array) -> Array:

@@ -2,7 +2,8 @@
 
 from .decays.free_decay import Decay, decay
 from .export.export import sep005
-from .modal.identification import Modes, identify, mac
+from .modal.identification import identify
+from .modal.modes import Modes, mac
 from .responses.frequency_responses import compliance, frequency_responses
 from .responses.frf import Frf
 

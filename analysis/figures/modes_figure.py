@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.figures.style import colour, decades, drawing, frequency_axis, heading
-from analysis.modal.identification import Modes
+from analysis.modal.modes import Modes
 from analysis.responses.frf import Frf
 
 if TYPE_CHECKING:

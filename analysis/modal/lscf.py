@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +10,11 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+
+# Poles with more damping are no resonances.
+MOST_DAMPING = 0.25
+# A column of a chart counts when it is stable so many times.
+OFTEN = 4
 
 
 @dataclass(frozen=True)
@@ -22,7 +27,13 @@ class ChartPole:
     damping: float
     """Hz and damping ratio."""
     stable: bool
-    """Found again, within 1 % in frequency and 10 % in damping, from the order before."""
+    """Found again, within a quarter of the half-power width, from the order before."""
+
+    @property
+    def pole(self) -> complex:
+        """Pole, rad/s."""
+        size = 2 * np.pi * self.frequency
+        return complex(-self.damping * size, size * np.sqrt(1.0 - self.damping**2))
 
 
 def poles_by_order(
@@ -85,35 +96,51 @@ def poles_by_order(
 def chart(frequency: Array, value: ComplexArray, weight: Array, most: int = 24) -> list[ChartPole]:
     """Stabilisation chart of models with 2 to `most` poles."""
     out: list[ChartPole] = []
-    before: list[tuple[float, float]] = []
+    before: list[complex] = []
+    spacing = _spacing(frequency)
     for order, poles in poles_by_order(frequency, value, weight, range(2, most + 1)):
-        here = [(abs(p) / (2 * np.pi), float(-p.real / abs(p))) for p in poles]
-        for f, zeta in sorted(here):
-            known = any(abs(f - g) < 0.01 * f and abs(zeta - y) < 0.1 * zeta for g, y in before)
-            out.append(ChartPole(order, f, zeta, known))
+        here = sorted((p for p in poles if -p.real < MOST_DAMPING * abs(p)), key=lambda p: p.imag)
+        for p in here:
+            known = any(_same(p, q, spacing) for q in before)
+            out.append(ChartPole(order, float(abs(p) / (2 * np.pi)), float(-p.real / abs(p)), known))
         before = here
     return out
 
 
-def stable_poles(poles: list[ChartPole], most_damping: float = 0.2) -> list[tuple[float, float]]:
-    """Frequencies [Hz] and damping ratios of the columns of a chart that stay from order to order.
+def columns(frequency: Array, charts: Sequence[list[ChartPole]]) -> tuple[ComplexArray, ComplexArray]:
+    """Poles of charts, each once.
 
-    A column counts when it is stable in at least a third of the orders from its first appearance on and in at
-    least three.
+    Returns
+    -------
+    stable : ndarray of complex
+        Those that stay from order to order, most often seen first, rad/s.
+    every : ndarray of complex
+        These and those seen less often.
     """
-    stable = sorted((p for p in poles if p.stable and p.damping < most_damping), key=lambda p: p.frequency)
-    groups: list[list[ChartPole]] = []
-    for pole in stable:
-        if groups and pole.frequency < 1.01 * groups[-1][-1].frequency:
-            groups[-1].append(pole)
-        else:
-            groups.append([pole])
-    highest = max((p.order for p in poles), default=0)
-    out = []
-    for group in groups:
-        seen = {p.order for p in group}
-        if len(seen) >= max(3, (highest - min(seen) + 1) / 3):
-            out.append(
-                (float(np.median([p.frequency for p in group])), float(np.median([p.damping for p in group])))
-            )
-    return out
+    spacing = _spacing(frequency)
+    seen: list[tuple[complex, int]] = []
+    for one in charts:
+        for pole in one:
+            p = pole.pole
+            near = [i for i, (q, _) in enumerate(seen) if _same(p, q, spacing)]
+            if near:
+                index = min(near, key=lambda i: abs(seen[i][0] - p))
+                q, times = seen[index]
+                # The latest comes from the highest order, in which the other poles take up what is not this one's.
+                seen[index] = (p if pole.stable else q, times + pole.stable)
+            else:
+                seen.append((p, int(pole.stable)))
+    seen.sort(key=lambda one: -one[1])
+    return (
+        np.array([p for p, times in seen if times >= OFTEN], dtype=complex),
+        np.array([p for p, _ in seen], dtype=complex),
+    )
+
+
+def _spacing(frequency: Array) -> float:
+    return float(np.median(np.diff(frequency)))
+
+
+def _same(p: complex, q: complex, spacing: float) -> bool:
+    """Whether two poles are nearer to each other than a quarter of the half-power width, or of the spacing of lines."""
+    return abs(p - q) < max(0.5 * max(-p.real, -q.real), 0.5 * np.pi * spacing)

@@ -11,7 +11,8 @@ import numpy as np
 
 from analysis.dampers.nonlinearity import jumps
 from analysis.decays.free_decay import Decay, decay
-from analysis.modal.identification import Modes, identify, mac
+from analysis.modal.identification import identify
+from analysis.modal.modes import Modes, mac
 from analysis.recordings.names import opened, relabelled, scene_labels
 from analysis.responses.frequency_responses import frequency_responses
 from analysis.responses.frf import Frf

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from analysis.decays.free_decay import Decay
-from analysis.modal.identification import Modes
+from analysis.modal.modes import Modes
 from analysis.responses.frf import Frf
 from rig.errors import RunError
 

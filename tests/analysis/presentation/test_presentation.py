@@ -14,7 +14,8 @@ from analysis.cli import app
 from analysis.figures.decay_figure import decay_figure
 from analysis.figures.frf_figure import frf_figure
 from analysis.figures.modes_figure import modes_figure
-from analysis.modal.identification import ChartPole, Modes
+from analysis.modal.lscf import ChartPole
+from analysis.modal.modes import Modes
 from analysis.presentation.presentation import present_decay, present_frf
 from analysis.presentation.report import write_report
 from analysis.responses.frf import Frf
@@ -146,7 +147,7 @@ def test_given_five_modes_when_drawn_then_their_titles_do_not_touch():
     chart = tuple(ChartPole(order, f, 0.01, True) for f in natural for order in range(5, 25))
     nothing = np.zeros(5)
     modes = Modes(
-        natural, nothing, many, nothing, -1e-3j * np.ones((5, 5)), names, chart, nothing, nothing, "", ()
+        natural, nothing, many, nothing, -1e-3j * np.ones((5, 5)), names, chart, nothing, nothing, 0.0, "", ()
     )
     flat = np.ones(frequency.size)
     curves = [

@@ -1,0 +1,88 @@
+"""Identified modes: natural frequencies, damping ratios, shapes, and the receptances they add up to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.modal.lscf import ChartPole
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Identified modes.
+
+    Attributes
+    ----------
+    frequency, frequency_error : ndarray, shape (modes,)
+        Undamped natural frequency abs(p)/2 pi and its standard deviation, Hz.
+    damping, damping_error : ndarray, shape (modes,)
+        Damping ratio and its standard deviation.
+    residue : ndarray of complex, shape (responses, modes)
+        R in R/(s - p) + conj(R)/(s - conj(p)), receptance, m/(N s).
+    responses : tuple of str
+        Channels.
+    chart : tuple of ChartPole
+        Stabilisation chart.
+    lower, upper : ndarray, shape (responses,)
+        What modes below and above the band add: lower / s² + upper, m/N.
+    model_error : float
+        How far the modal model misses the curves beyond their error bars, as a share of their size; 0 where it
+        explains them.
+    label : str
+        Scene and setting.
+    warnings : tuple of str
+        Doubts about the numbers, in full sentences.
+    """
+
+    frequency: Array
+    frequency_error: Array
+    damping: Array
+    damping_error: Array
+    residue: ComplexArray
+    responses: tuple[str, ...]
+    chart: tuple[ChartPole, ...]
+    lower: Array
+    upper: Array
+    model_error: float
+    label: str
+    warnings: tuple[str, ...]
+
+    @property
+    def shapes(self) -> ComplexArray:
+        """Shapes scaled to largest element one, shape (responses, modes)."""
+        top = np.argmax(abs(self.residue), axis=0)
+        return self.residue / self.residue[top, np.arange(self.residue.shape[1])]
+
+    def receptance(self, frequency: Array) -> ComplexArray:
+        """Receptance of the modal model, m/N, shape (responses, frequencies); frequencies in Hz."""
+        s = 2j * np.pi * np.asarray(frequency, dtype=float)
+        omega = 2 * np.pi * self.frequency
+        poles = omega * (-self.damping + 1j * np.sqrt(1.0 - self.damping**2))
+        out = self.lower[:, None] / s**2 + self.upper[:, None]
+        for p, residue in zip(poles, self.residue.T, strict=True):
+            out = out + residue[:, None] / (s - p) + residue.conj()[:, None] / (s - p.conjugate())
+        return np.asarray(out, dtype=complex)
+
+    @property
+    def collinearity(self) -> Array:
+        """Modal phase collinearity: 1 when all points move in phase or in antiphase."""
+        return np.array([abs(np.sum(shape**2)) / np.sum(abs(shape) ** 2) for shape in self.residue.T])
+
+
+def mac(first: NDArray[np.generic], second: NDArray[np.generic]) -> Array:
+    """Modal assurance criterion between the columns of two shape matrices.
+
+    Examples
+    --------
+    >>> mac(np.eye(2), np.array([[1.0, 1.0], [0.0, 1.0]])).round(6).tolist()
+    [[1.0, 0.5], [0.0, 0.5]]
+    """
+    a, b = np.asarray(first, dtype=complex), np.asarray(second, dtype=complex)
+    cross = abs(a.conj().T @ b) ** 2
+    return cross / np.outer(np.sum(abs(a) ** 2, axis=0), np.sum(abs(b) ** 2, axis=0))

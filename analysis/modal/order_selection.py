@@ -1,0 +1,192 @@
+"""How many modes curves hold: poles are added while they explain what noise and model error do not."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.modal.lscf import MOST_DAMPING
+from analysis.modal.pole_residue import ComplexArray, Curves, Fit, fit, linear_misfit
+
+Array = NDArray[np.float64]
+
+MOST_MODES = 12
+# A model that leaves fewer degrees of freedom explains anything.
+_FEWEST_DEGREES = 8
+# A pole must lower the misfit by so many times what a pole of noise would, by Schwarz's criterion [1]_.
+_STRICTNESS = 2.0
+# Two poles are told apart from so much of their mean half-power width on.
+APART = 0.4
+# Poles nearer than so many widths must together explain the curve down to so many times its noise (in power):
+# two poles bend to anything, a lopsided peak of a nonlinear structure included.
+_NEAR, _EXPLAINED = 4.0, 4.0
+# Poles kept for a closer look at each step.
+_FINALISTS = 4
+
+
+def half_width(poles: ComplexArray) -> Array:
+    """Half of the half-power widths, Hz."""
+    return np.asarray(-poles.real / (2 * np.pi))
+
+
+def in_band(curves: Curves, poles: ComplexArray) -> NDArray[np.bool_]:
+    """Whether poles lie where was measured."""
+    f = poles.imag / (2 * np.pi)
+    return np.asarray((f > curves.frequency[0]) & (f < curves.frequency[-1]))
+
+
+def select(curves: Curves, stable: ComplexArray, candidates: ComplexArray, most: int = MOST_MODES) -> Fit:
+    """Best model with as many poles as the curves ask for.
+
+    Parameters
+    ----------
+    curves : Curves
+        What to explain, with error bars.
+    stable : ndarray of complex
+        Poles to start from, rad/s.
+    candidates : ndarray of complex
+        Further poles to try, rad/s.
+    most : int
+        Most poles inside the band.
+
+    References
+    ----------
+    .. [1] G. Schwarz, Estimating the dimension of a model, Annals of Statistics 6 (1978) 461-464.
+    """
+    current = _pruned(curves, _sensible_part(curves, fit(curves, stable)))
+    outside = _outside(curves)
+    while in_band(curves, current.poles).sum() < most:
+        if curves.degrees(current.poles.size + 1) < _FEWEST_DEGREES:
+            break
+        pool = np.concatenate([candidates, _at_largest_rest(curves, current), outside])
+        better = _best_addition(curves, current, pool)
+        if better is None:
+            break
+        current = better
+    return _pruned(curves, current)
+
+
+def _sensible_part(curves: Curves, model: Fit) -> Fit:
+    """Drop poles, those first that explain least, until none is one that only a fit would have."""
+    while (among := doubtful(curves, model)).size:
+        model = fit(curves, np.delete(model.poles, _least_missed(curves, model.poles, among)))
+    return model
+
+
+def _least_missed(curves: Curves, poles: ComplexArray, among: NDArray[np.intp]) -> int:
+    """Which of some poles the model can best do without."""
+    misfits = [linear_misfit(curves, np.delete(poles, index)) for index in among]
+    return int(among[int(np.argmin(misfits))])
+
+
+def _best_addition(curves: Curves, current: Fit, pool: ComplexArray) -> Fit | None:
+    """Best significant and sensible model with one pole more."""
+    misfits = [linear_misfit(curves, np.append(current.poles, p)) for p in pool]
+    best: Fit | None = None
+    tried: list[complex] = []
+    for index in np.argsort(misfits, kind="stable"):
+        p = pool[index]
+        if any(abs(p - q) < 0.5 * min(-p.real, -q.real) for q in tried):
+            continue
+        tried.append(p)
+        model = fit(curves, np.append(current.poles, p))
+        better = best is None or model.misfit < best.misfit
+        if better and significant(curves, current, model) and not doubtful(curves, model).size:
+            best = model
+        if len(tried) == _FINALISTS:
+            break
+    return best
+
+
+def significant(curves: Curves, less: Fit, more: Fit) -> bool:
+    """Whether the poles that one model has more lower the misfit by more than noise would let them."""
+    return _gain(curves, less.misfit, more, less.poles.size) > 0
+
+
+def _gain(curves: Curves, misfit: float, more: Fit, poles: int) -> float:
+    """By how much more a model lowers the misfit of one with fewer poles than poles of noise would."""
+    unknowns = curves.unknowns(more.poles.size)
+    added = unknowns - curves.unknowns(poles)
+    scale = max(more.misfit / curves.degrees(more.poles.size), 1.0) * correlation(more.rest)
+    return misfit - more.misfit - float(_STRICTNESS * added * np.log(curves.numbers) * scale)
+
+
+def correlation(rest: ComplexArray) -> float:
+    """How many neighbouring lines differ in common from a model: 1 where each has noise of its own."""
+    power = float(np.sum(abs(rest) ** 2))
+    if power == 0.0:
+        return 1.0
+    total = 1.0
+    for lag in range(1, max(2, rest.shape[1] // 8)):
+        common = float(np.sum((rest[:, lag:] * rest[:, :-lag].conj()).real)) / power
+        if common < 0.1:
+            break
+        total += 2.0 * common
+    return total
+
+
+def doubtful(curves: Curves, model: Fit) -> NDArray[np.intp]:
+    """Poles that only a fit would have: overdamped, doubled, or bending to the peak of a nonlinear structure."""
+    poles, width = model.poles, half_width(model.poles)
+    inside = in_band(curves, poles)
+    out = {int(i) for i in np.flatnonzero(inside & (-poles.real > MOST_DAMPING * abs(poles)))}
+    order = [int(i) for i in np.argsort(poles.imag) if inside[i]]
+    for low, high in pairwise(order):
+        apart = (poles[high].imag - poles[low].imag) / (2 * np.pi)
+        mean = width[low] + width[high]
+        if apart < APART * mean or (
+            apart < _NEAR * mean and _local_misfit(curves, model, poles[[low, high]]) > _EXPLAINED
+        ):
+            out |= {low, high}
+    return np.array(sorted(out), dtype=np.intp)
+
+
+def _local_misfit(curves: Curves, model: Fit, poles: ComplexArray) -> float:
+    """Misfit around poles in variances of the noise."""
+    width = 2.0 * half_width(poles)
+    f = poles.imag / (2 * np.pi)
+    near = (curves.frequency > np.min(f - 2 * width)) & (curves.frequency < np.max(f + 2 * width))
+    numbers = 2 * near.sum() * curves.value.shape[0]
+    free = max(numbers - curves.unknowns(poles.size), 0.3 * numbers, 1.0)
+    return float(np.sum(abs(model.rest[:, near]) ** 2) / free)
+
+
+def _pruned(curves: Curves, model: Fit) -> Fit:
+    """Leave out the poles without which the model is as good."""
+    while model.poles.size:
+        poles = model.poles
+        while poles.size:
+            fewer = np.delete(poles, _least_missed(curves, poles, np.arange(poles.size)))
+            # Without fitting the others anew the loss is overestimated: what is not missed now never is.
+            if _gain(curves, linear_misfit(curves, fewer), model, fewer.size) > 0:
+                break
+            poles = fewer
+        if poles.size < model.poles.size:
+            model = fit(curves, poles)
+            continue
+        less = fit(curves, fewer)
+        if significant(curves, less, model):
+            return model
+        model = less
+    return model
+
+
+def _at_largest_rest(curves: Curves, model: Fit) -> ComplexArray:
+    """Poles of several widths where the model misses most."""
+    frequency = curves.frequency
+    size = np.sum(abs(model.rest) ** 2, axis=0)
+    out = []
+    for index in np.argsort(size)[::-1][:3]:
+        spacing = frequency[min(index + 1, frequency.size - 1)] - frequency[max(index - 1, 0)]
+        for width in (0.5 * spacing, 2.0 * spacing, 0.003 * frequency[index], 0.02 * frequency[index]):
+            out.append(2 * np.pi * (-width + 1j * frequency[index]))
+    return np.array(out, dtype=complex)
+
+
+def _outside(curves: Curves) -> ComplexArray:
+    """Poles below and above the band, which bend the curves inside more than the two residual terms can."""
+    low, high = curves.frequency[0], curves.frequency[-1]
+    places = np.array([0.5 * low, 0.8 * low, 0.95 * low, 1.05 * high, 1.25 * high, 2.0 * high])
+    return np.asarray(2 * np.pi * places * (-0.01 + 1j), dtype=complex)

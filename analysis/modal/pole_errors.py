@@ -1,0 +1,59 @@
+"""Uncertainty of identified poles, from what the model leaves of the curves."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.modal.order_selection import correlation
+from analysis.modal.pole_residue import Curves, Fit
+
+Array = NDArray[np.float64]
+
+# Rounding of double precision through a fit, relative.
+_ROUNDING = 1e-9
+
+
+def pole_errors(curves: Curves, model: Fit) -> tuple[Array, Array]:
+    """Tell the standard deviations of natural frequencies [Hz] and damping ratios, both of shape (modes,).
+
+    The larger of two: that of errors independent from line to line and response to response, as large as the
+    misfit says; and that of errors which responses have in common and neighbouring lines share, as they do
+    where force noise, transients or a structure that is not linear leave them [1]_.
+
+    References
+    ----------
+    .. [1] W. K. Newey, K. D. West, A simple, positive semi-definite, heteroskedasticity and autocorrelation
+       consistent covariance matrix, Econometrica 55 (1987) 703-708.
+    """
+    count = model.poles.size
+    decay, damped, size = -model.poles.real, model.poles.imag, abs(model.poles)
+    f_error, z_error = np.empty(count), np.empty(count)
+    covariances = _covariances(curves, model)
+    for i in range(count):
+        # The parameters are the logarithm of the decay rate and the damped frequency in decay rates.
+        to_f = np.array([decay[i], damped[i]]) * decay[i] / size[i] / (2 * np.pi)
+        to_z = np.array([damped[i] ** 2, -decay[i] * damped[i]]) * decay[i] / size[i] ** 3
+        pairs = [matrix[np.ix_([i, i + count], [i, i + count])] for matrix in covariances]
+        # Rounding can leave a variance of nothing slightly below it.
+        f_error[i], z_error[i] = (
+            np.sqrt(max(*(to @ pair @ to for pair in pairs), 0.0)) for to in (to_f, to_z)
+        )
+    return np.maximum(f_error, _ROUNDING * size / (2 * np.pi)), np.maximum(z_error, _ROUNDING * decay / size)
+
+
+def _covariances(curves: Curves, model: Fit) -> tuple[Array, Array]:
+    """Covariance of the parameters for independent errors, and for errors shared by responses and neighbours."""
+    parameters = model.slope.shape[0]
+    slope = model.slope.reshape(parameters, -1)
+    normal = np.linalg.pinv((slope @ slope.conj().T).real)
+    degrees = curves.degrees(model.poles.size)
+    score = np.einsum("pmn,mn->pn", model.slope.conj(), model.rest).real
+    middle = score @ score.T
+    lags = int(np.clip(round(correlation(model.rest)), 1, max(score.shape[1] // 4, 1)))
+    for lag in range(1, lags):
+        common = score[:, lag:] @ score[:, :-lag].T
+        middle += (1.0 - lag / lags) * (common + common.T)
+    # The misfit has fewer degrees of freedom than numbers: the fit has taken its share.
+    plain = np.asarray(normal * (model.misfit / degrees), dtype=float)
+    return plain, np.asarray(normal @ middle @ normal * (curves.numbers / degrees), dtype=float)

@@ -1,0 +1,175 @@
+"""The modal model: poles shared by all responses, a residue for each; fitted by weighted least squares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# Evaluations within which a fit from a good start has settled; one from a bad start is not worth more.
+_EVALUATIONS = 25
+
+
+@dataclass(frozen=True)
+class Curves:
+    """What a modal model is fitted to.
+
+    Attributes
+    ----------
+    frequency : ndarray, shape (n,)
+        Hz, rising.
+    value : ndarray of complex, shape (responses, n)
+        Receptances, m/N.
+    weight : ndarray, shape (responses, n)
+        Inverse standard deviations.
+    """
+
+    frequency: Array
+    value: ComplexArray
+    weight: Array
+
+    @property
+    def numbers(self) -> int:
+        """Real numbers measured."""
+        return 2 * self.value.size
+
+    def unknowns(self, poles: int) -> int:
+        """Real numbers that a model with so many poles has: poles, residues, and the two residual terms."""
+        return 2 * poles + self.value.shape[0] * (2 * poles + 2)
+
+    def degrees(self, poles: int) -> int:
+        """Degrees of freedom that are left to the misfit of a model with so many poles."""
+        return max(self.numbers - self.unknowns(poles), 1)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Best modal model of some curves for a number of poles.
+
+    Attributes
+    ----------
+    poles : ndarray of complex, shape (modes,)
+        rad/s, by rising frequency.
+    residue : ndarray of complex, shape (responses, modes)
+        m/(N s).
+    lower, upper : ndarray, shape (responses,)
+        lower / s² + upper stands for modes below and above the band.
+    misfit : float
+        Sum of squared weighted differences.
+    rest : ndarray of complex, shape (responses, n)
+        Weighted differences, measured less model.
+    slope : ndarray of complex, shape (2 modes, responses, n)
+        Derivative of `rest` by the parameters: logarithms of the decay rates, then damped frequencies in decay
+        rates.
+    """
+
+    poles: ComplexArray
+    residue: ComplexArray
+    lower: Array
+    upper: Array
+    misfit: float
+    rest: ComplexArray
+    slope: ComplexArray
+
+
+def fit(curves: Curves, start: ComplexArray) -> Fit:
+    """Weighted nonlinear least squares over the poles; the linear unknowns are solved for inside."""
+    problem = _Projection(curves, start)
+    x = np.zeros(2 * start.size)
+    if start.size:
+        x = optimize.least_squares(
+            problem.misfit, x, problem.jacobian, xtol=1e-9, ftol=1e-9, gtol=1e-12, max_nfev=_EVALUATIONS
+        ).x
+    poles = problem.poles(x)
+    unknown, rest, _ = problem.solve(x)
+    order = np.argsort(poles.imag)
+    count, shape = start.size, curves.value.shape
+    residue = unknown[:, 0 : 2 * count : 2] + 1j * unknown[:, 1 : 2 * count : 2]
+    slope = np.empty((0, *shape), dtype=complex)
+    if count:
+        both = np.concatenate([order, order + count])
+        rows = problem.jacobian(x).T[both].reshape(2 * count, shape[0], 2, shape[1])
+        slope = rows[:, :, 0] + 1j * rows[:, :, 1]
+    halves = rest.reshape(shape[0], 2, shape[1])
+    return Fit(
+        poles[order], residue[:, order], unknown[:, -2], unknown[:, -1], float(np.sum(rest**2)),
+        halves[:, 0] + 1j * halves[:, 1], slope,
+    )  # fmt: skip
+
+
+def linear_misfit(curves: Curves, poles: ComplexArray) -> float:
+    """Misfit of poles as they are, with the best residues."""
+    _, rest, _ = _Projection(curves, poles).solve(np.zeros(2 * poles.size))
+    return float(np.sum(rest**2))
+
+
+class _Projection:
+    """Misfit of the best linear unknowns for given poles, and its derivative (variable projection [1]_).
+
+    References
+    ----------
+    .. [1] L. Kaufman, A variable projection method for solving separable nonlinear least squares problems,
+       BIT 15 (1975) 49-57.
+    """
+
+    def __init__(self, curves: Curves, start: ComplexArray) -> None:
+        self.s = 2j * np.pi * curves.frequency
+        self.value, self.weight, self.start = curves.value, curves.weight, start
+        self.scale = -start.real
+        self._solved: tuple[Array, Array, Array, Array] | None = None
+
+    def poles(self, x: Array) -> ComplexArray:
+        """Turn parameters into poles: logarithm of the decay (keeps them stable), frequency in decays."""
+        count = self.start.size
+        return np.asarray(
+            -self.scale * np.exp(np.clip(x[:count], -30.0, 30.0))
+            + 1j * (self.start.imag + self.scale * x[count:])
+        )
+
+    def columns(self, poles: ComplexArray) -> ComplexArray:
+        """Basis for real unknowns: Re R, Im R of each mode, then lower and upper residual."""
+        out = []
+        for p in poles:
+            direct, mirror = 1.0 / (self.s - p), 1.0 / (self.s - p.conjugate())
+            out += [direct + mirror, 1j * (direct - mirror)]
+        return np.stack([*out, 1.0 / self.s**2, np.ones_like(self.s)], axis=1)
+
+    def solve(self, x: Array) -> tuple[Array, Array, Array]:
+        """Best unknowns of every response, weighted misfit, and an orthonormal basis for each response."""
+        if self._solved is None or not np.array_equal(self._solved[0], x):
+            basis = _stacked(self.columns(self.poles(x)) * self.weight[:, :, None], 1)
+            target = _stacked(self.value * self.weight, 1)[..., None]
+            size = np.linalg.norm(basis, axis=1, keepdims=True)
+            q, r = np.linalg.qr(basis / size)
+            along = np.swapaxes(q, 1, 2) @ target
+            # Poles that meet leave their residues undetermined: the smallest ones will do.
+            unknown = np.linalg.pinv(r, rcond=1e-13) @ along / np.swapaxes(size, 1, 2)
+            self._solved = x.copy(), unknown[..., 0], (target - q @ along)[..., 0], q
+        return self._solved[1:]
+
+    def misfit(self, x: Array) -> Array:
+        """Weighted misfit."""
+        return self.solve(x)[1].ravel()
+
+    def jacobian(self, x: Array) -> Array:
+        """Differentiate the misfit by the parameters."""
+        unknown, _, q = self.solve(x)
+        count = self.start.size
+        poles = self.poles(x)[:, None]
+        residue = (unknown[:, 0 : 2 * count : 2] + 1j * unknown[:, 1 : 2 * count : 2])[..., None]
+        direct = residue / (self.s - poles) ** 2
+        mirror = residue.conj() / (self.s - poles.conj()) ** 2
+        change = np.concatenate(
+            [poles.real * (direct + mirror), 1j * self.scale[:, None] * (direct - mirror)], axis=1
+        )
+        block = _stacked(np.swapaxes(change * self.weight[:, None], 1, 2), 1)
+        return (q @ (np.swapaxes(q, 1, 2) @ block) - block).reshape(-1, 2 * count)
+
+
+def _stacked(rows: ComplexArray, axis: int) -> Array:
+    return np.concatenate([rows.real, rows.imag], axis=axis)

@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: demo test lint types layers quick bench peers docs clean
+.PHONY: demo test lint types layers quick gauntlet bench peers docs clean
 .DEFAULT_GOAL := demo
 
 $(VENV)/bin/python:
@@ -34,6 +34,13 @@ layers: $(STAMP)
 quick: $(STAMP)
 	$(BIN)/python -m tests.warm_up
 	$(BIN)/python -m pytest -n 2 -q
+
+# Hundreds of scenes that nobody prepared, on all cores; another seed draws others: make gauntlet SEED=2 SCENES=540.
+SEED ?= 1
+SCENES ?= 270
+gauntlet: $(STAMP)
+	$(BIN)/python -m tests.warm_up
+	$(BIN)/python -m tests.gauntlet --scenes $(SCENES) --seed $(SEED)
 
 bench: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[dev,peers]"

@@ -42,7 +42,10 @@ def frf(
     motion: Annotated[
         str, typer.Option(help="displacement, velocity or acceleration of the response.")
     ] = "displacement",
-    estimator: Annotated[str, typer.Option(help="H1, H2 or Hv, where spectra are averaged.")] = "H1",
+    estimator: Annotated[
+        str | None,
+        typer.Option(help="H1, H2 or Hv: average blocks of random; default: take it whole, without leakage."),
+    ] = None,
     block: Block = None,
     theory: Annotated[
         bool, typer.Option("--theory", help="Add the exact curve of the bare structure.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,6 +23,12 @@ if TYPE_CHECKING:
 _DOTS = 400
 # Points over which the roughness of a curve is judged.
 _AROUND = 25
+# Where less of the response than this repeats with the reference, it is not drawn like a measurement.
+_COHERENT = 0.5
+# Systematic parts below this share of the curve cannot be seen.
+_VISIBLE = 3e-3
+# Characters of the note under a figure that fit into its width.
+_NOTE_LINE = 120
 THEORY, NOISE = "#555555", "#c4c4c4"
 
 
@@ -84,12 +91,18 @@ def frf_figure(
                 ha="center", va="center", fontsize=8, color="#555555",
             )  # fmt: skip
         figure.align_ylabels([upper, middle, lower])
-        notes = ["shaded: 95 % confidence"] if any(np.any(frf.degrees > 0) for frf in frfs) else []
+        notes = ["dark: 95 % of the scatter"] if any(np.any(frf.degrees > 0) for frf in frfs) else []
+        parts = dict.fromkeys(name for frf in frfs for name in shown_parts(frf))
+        if parts:
+            notes.append(f"light: {', '.join(parts)}, at most")
         if not all(told(frf).all() for frf in frfs):
             notes.append("grey: within the noise, phase left out")
+        if any(frf.unsteady is not None and frf.unsteady.any() for frf in frfs):
+            notes.append("crosses: not steady")
         if notes:
             # Below all axes, where the layout makes room for it whatever the title's length.
-            figure.supxlabel("; ".join(notes), x=0.995, ha="right", fontsize=7, color="#777777")
+            text = "\n".join(wrap("; ".join(notes), _NOTE_LINE))
+            figure.supxlabel(text, x=0.995, ha="right", fontsize=7, color="#777777")
         return figure
 
 
@@ -97,10 +110,12 @@ def _curve(frf: Frf, shade: str, upper: Axes, middle: Axes, lower: Axes) -> None
     """Draw one measured curve into the three panels."""
     dots = "o" if frf.frequency.size <= _DOTS else None
     size, half, clear = abs(frf.value), np.nan_to_num(frf.band()), told(frf)
-    upper.fill_between(
-        frf.frequency, np.maximum(size - half, size * 1e-3), size + half, where=clear, color=shade,
-        alpha=0.25, lw=0,
-    )  # fmt: skip
+    whole = half + np.where(np.isfinite(frf.systematic_bound()), frf.systematic_bound(), size)
+    for reach, strength in ((whole, 0.13), (half, 0.25)):
+        upper.fill_between(
+            frf.frequency, np.maximum(size - reach, size * 1e-3), size + reach, where=clear, color=shade,
+            alpha=strength, lw=0,
+        )  # fmt: skip
     if not clear.all():
         # A point on either side, so that the line does not break where it turns grey.
         noisy = ~clear | ~np.roll(clear, 1) | ~np.roll(clear, -1)
@@ -108,22 +123,30 @@ def _curve(frf: Frf, shade: str, upper: Axes, middle: Axes, lower: Axes) -> None
     upper.plot(
         frf.frequency, np.where(clear, size, np.nan), marker=dots, color=shade, label=frf.label, zorder=3
     )
-    turn = np.degrees(np.arcsin(np.minimum(half / np.maximum(size, 1e-300), 1.0)))
+    if frf.unsteady is not None and frf.unsteady.any():
+        upper.plot(frf.frequency[frf.unsteady], size[frf.unsteady], "x", color=shade, markersize=6, zorder=4)
     angle = np.where(clear, phase_degrees(frf), np.nan)
-    middle.fill_between(frf.frequency, angle - turn, angle + turn, color=shade, alpha=0.25, lw=0)
+    for reach, strength in ((whole, 0.13), (half, 0.25)):
+        turn = np.degrees(np.arcsin(np.minimum(reach / np.maximum(size, 1e-300), 1.0)))
+        middle.fill_between(frf.frequency, angle - turn, angle + turn, color=shade, alpha=strength, lw=0)
     middle.plot(*_broken(frf.frequency, angle), marker=dots, color=shade, zorder=3)
     if np.any(frf.degrees > 0):
         lower.plot(frf.frequency, frf.coherence, color=shade, zorder=3)
 
 
-def told(frf: Frf) -> NDArray[np.bool_]:
-    """Whether each point stands out of its noise: its phase is known to some 30 degrees.
+def shown_parts(frf: Frf) -> list[str]:
+    """Names of the systematic parts that can be seen anywhere along a curve."""
+    return [name for name, part in frf.systematic.items() if np.any(part > _VISIBLE * abs(frf.value))]
 
-    By the error bar where there is one, else by how roughly the curve runs from point to point.
+
+def told(frf: Frf) -> NDArray[np.bool_]:
+    """Whether each point stands out of its noise: most of it repeats with the reference, its phase is known.
+
+    By coherence and error bar where there are any, else by how roughly the curve runs from point to point.
     """
     size = np.maximum(abs(frf.value), 1e-300)
     if np.isfinite(frf.error).all():
-        return np.asarray(frf.error < 0.5 * size)
+        return np.asarray((frf.error < 0.5 * size) & (frf.coherence > _COHERENT))
     if size.size < 2 * _AROUND:
         return np.ones(size.size, dtype=bool)
     rough = abs(np.diff(frf.value, 2, prepend=frf.value[0], append=frf.value[-1])) / np.sqrt(6.0)

@@ -44,7 +44,7 @@ def present_dampers(
             if not rec.scene.dampers:
                 raise RecordingError(f"{path}: its scene has no dampers; there is nothing to tell of them")
             rows: list[tuple[str | float, ...]] = []
-            for sweep in sweeps(rec, progress):
+            for sweep in sweeps(rec, progress=progress):
                 name = relabelled(sweep.lines, rec.scene.name, label).label
                 motions, found = _motions(rec, sweep)
                 lines += [name, *(f"  {line}" for line in found)]

@@ -57,7 +57,7 @@ def present_frf(
     channels: Sequence[str] | None = None,
     reference: str = "force",
     motion: str = "displacement",
-    estimator: str = "H1",
+    estimator: str | None = None,
     block: float | None = None,
     theory: bool = False,
     progress: Progress | None = None,
@@ -108,19 +108,10 @@ def highest(frf: Frf) -> str:
 def linear_theory(rec: Recording, frf: Frf) -> Frf:
     """Exact linear curve of the scene's structure without dampers, for the same response and reference."""
     from rig.system.receptance import receptance
-    from rig.system.structure import structure_matrices
 
     low, high = float(frf.frequency.min()), float(frf.frequency.max())
     frequency = np.geomspace(low, high, 3000)
-    rows: np.ndarray
-    if frf.shift:
-        # Along the line on which an exponential window lets the curve be measured.
-        mass, damping, stiffness = structure_matrices(rec.scene.structure)
-        s = (2j * np.pi * frequency + frf.shift)[:, None, None]
-        force = np.eye(len(mass))[:, _driven(rec) - 1]
-        rows = np.linalg.solve(mass * s**2 + damping * s + stiffness, force[None, :, None])[..., 0].T
-    else:
-        rows = receptance(rec.scene, frequency, attached=frf.reference == "table")
+    rows = receptance(rec.scene, frequency, attached=frf.reference == "table")
     body = int(rec.channels[frf.response].at.split()[1])
     nothing = np.zeros(frequency.size)
     curve = Frf(
@@ -128,12 +119,6 @@ def linear_theory(rec: Recording, frf: Frf) -> Frf:
         label="linear theory, no dampers",
     )  # fmt: skip
     return curve.to(frf.motion)
-
-
-def _driven(rec: Recording) -> int:
-    """Body that the hammer hits."""
-    test = rec.scene.test
-    return test.body if test is not None and test.kind == "impulse" else 1
 
 
 def present_decay(

@@ -10,9 +10,17 @@ from numpy.typing import NDArray
 
 from analysis.responses.frf import Frf
 from analysis.responses.measurands import driven, motion_of, reference_of
+from analysis.responses.systematic import (
+    LEAKAGE,
+    aliasing_part,
+    clock_part,
+    reference_noise_part,
+    sensitivity_part,
+)
 from rig.errors import SceneError
 
 if TYPE_CHECKING:
+    from analysis.responses.whole_stretches import WholeStretches
     from daq.recording.recording import Recording
 
 Array = NDArray[np.float64]
@@ -60,11 +68,11 @@ class Averages:
     averages: float
     """Number of independent blocks; overlapping ones count for less."""
     resolution: float
-    """Bandwidth of the window in Hz, 0 where nothing leaks (bursts and hits that end inside their block)."""
-    shift: float = 0.0
-    """Decay rate in 1/s that an exponential window added to every mode."""
+    """Bandwidth of the window in Hz, 0 where nothing leaks (bursts that end inside their block)."""
     label: str = ""  # For legends
     warnings: tuple[str, ...] = ()  # In full sentences
+    unsmeared: WholeStretches | None = None
+    """The same test without windows, where these leak: what the two differ by is stated as leakage."""
 
     def frf(
         self,
@@ -76,19 +84,27 @@ class Averages:
     ) -> Frf:
         """Frequency response with coherence; error bars after Bendat and Piersol, eq. 9.90."""
         above = motion_of(rec, response, motion)
-        upper = above.row(rec, self.channels, self.frequency, self.shift)
-        lower = reference_of(rec, reference).row(rec, self.channels, self.frequency, self.shift)
+        upper = above.row(rec, self.channels, self.frequency)
+        lower = reference_of(rec, reference).row(rec, self.channels, self.frequency)
         sxx = np.einsum("in,nij,jn->n", upper, self.cross, upper.conj()).real
         sff = np.einsum("in,nij,jn->n", lower, self.cross, lower.conj()).real
         sxf = np.einsum("in,nij,jn->n", upper, self.cross, lower.conj())
         driven(reference, sff)
         value = estimate(estimator, sxx, sff, sxf)
         coherence = np.minimum(abs(sxf) ** 2 / (sxx * sff), 1.0)
+        # Of every channel, how much it reads per unit of the reference.
+        reads = np.einsum("nij,jn->in", self.cross, lower.conj()) / sff
         if self.averages > 1.0:
             # Coherence from few blocks is biased towards one; the scatter belongs to averages - 1 of them.
             error = abs(value) * np.sqrt((1.0 - coherence) / (2.0 * coherence * (self.averages - 1.0)))
         else:
             error = np.full(value.shape, np.nan)
+        leakage: dict[str, Array] = {}
+        if self.unsmeared is not None:
+            sharp = self.unsmeared.frf(rec, response, reference, motion)
+            leakage[LEAKAGE] = np.asarray(
+                abs(value - np.interp(self.frequency, sharp.frequency, sharp.value)), dtype=float
+            )
         return Frf(
             frequency=self.frequency,
             value=value,
@@ -100,8 +116,12 @@ class Averages:
             motion=motion,
             label=self.label,
             resolution=self.resolution,
-            shift=self.shift,
             warnings=self.warnings,
+            systematic=sensitivity_part(rec, self.channels, value, upper * reads, lower * reads)
+            | aliasing_part(rec, self.channels, self.frequency, value, upper * reads, lower * reads)
+            | reference_noise_part(value, coherence)
+            | clock_part(rec, self.frequency, value)
+            | leakage,
         )
 
 

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 
 from analysis.responses.estimators import ESTIMATORS, Averages
 from analysis.responses.frf import MOTIONS, Frf
-from analysis.responses.measurands import responses
+from analysis.responses.measurands import concerned, responses
 from rig.errors import RecordingError, SceneError
 
 if TYPE_CHECKING:
     from analysis.responses.multisine import BestLinearApproximation
     from analysis.responses.spectral_lines import Lines
+    from analysis.responses.whole_stretches import WholeStretches
     from daq.recording.recording import Recording
 
 Progress = Callable[[int, int], None]
@@ -23,7 +24,7 @@ def frequency_responses(
     channels: Sequence[str] | None = None,
     reference: str = "force",
     motion: str = "displacement",
-    estimator: str = "H1",
+    estimator: str | None = None,
     block: float | None = None,
     progress: Progress | None = None,
 ) -> list[list[Frf]]:
@@ -39,10 +40,11 @@ def frequency_responses(
         Divide by the force on the structure, or by the displacement of the table.
     motion : {'displacement', 'velocity', 'acceleration'}
         Receptance, mobility or accelerance.
-    estimator : {'H1', 'H2', 'Hv'}
-        For tests that average spectra (random, impulse); the others average complex amplitudes.
+    estimator : {'H1', 'H2', 'Hv'}, optional
+        For random and swept sine: average the spectra of windowed blocks. Omitted, random and hits are taken whole,
+        by the local rational method, which leaks nothing; a sweep is averaged as H1. Tones average amplitudes.
     block : float, optional
-        Length of the blocks in s, for random.
+        Length of the blocks in s, for random: averages their spectra, as H1 unless told otherwise.
     progress : callable, optional
         Called with (done, in all).
 
@@ -51,7 +53,7 @@ def frequency_responses(
     list of list of Frf
         One list per sweep (level and direction), with one curve per response.
     """
-    if estimator not in ESTIMATORS:
+    if estimator is not None and estimator not in ESTIMATORS:
         raise SceneError(f"unknown estimator {estimator!r}: expected {', '.join(ESTIMATORS)}")
     if motion not in MOTIONS:
         raise SceneError(f"unknown motion {motion!r}: expected {', '.join(MOTIONS)}")
@@ -59,39 +61,52 @@ def frequency_responses(
     if not names:
         raise RecordingError("no channel on a body: there is no response to divide")
     out: list[list[Frf]] = []
-    for source in _sources(rec, reference, block, progress):
+    channels = concerned(rec, names, reference)
+    for source in _sources(rec, channels, reference, estimator, block, progress):
         if isinstance(source, Averages):
-            out.append([source.frf(rec, name, reference, motion, estimator) for name in names])
+            out.append([source.frf(rec, name, reference, motion, estimator or "H1") for name in names])
         else:
             out.append([source.frf(rec, name, reference, motion) for name in names])
     return out
 
 
 def _sources(
-    rec: Recording, reference: str, block: float | None, progress: Progress | None
-) -> Sequence[Lines | Averages | BestLinearApproximation]:
+    rec: Recording,
+    channels: Sequence[str],
+    reference: str,
+    estimator: str | None,
+    block: float | None,
+    progress: Progress | None,
+) -> Sequence[Lines | Averages | BestLinearApproximation | WholeStretches]:
     """Choose by what the test marked as measured: tones, periods, blocks of noise, a sweep, or hits."""
     measured = [marker for marker in rec.markers if marker.kind == "measure"]
     fields = measured[0].fields if measured else {}
     if "realisation" in fields:
         from analysis.responses.multisine import best_linear_approximation
 
-        return [best_linear_approximation(rec, measured, reference, progress)]
+        return [best_linear_approximation(rec, measured, channels, reference, progress)]
     if "spacing" in fields:
         from analysis.responses import swept_sine as swept
 
-        return [swept.averages(rec, marker, progress) for marker in measured]
+        return [swept.averages(rec, marker, channels, progress) for marker in measured]
     if "from" in fields:
-        from analysis.responses import random as broadband
+        from analysis.responses import random
 
-        return [broadband.averages(rec, marker, block, progress=progress) for marker in measured]
+        if block is None and estimator is None:
+            return [random.whole(rec, marker, channels) for marker in measured]
+        return [random.averages(rec, marker, channels, block, progress=progress) for marker in measured]
     if not measured and any(marker.kind == "hit" for marker in rec.markers):
-        from analysis.responses import impact as hammer
+        from analysis.responses import impact
 
-        return [hammer.averages(rec)]
+        if estimator is not None:
+            raise SceneError(
+                f"estimator {estimator}: hits are taken whole, by the local rational method; H1, H2 and Hv are for "
+                "random and swept sine"
+            )
+        return [impact.whole(rec, channels)]
     from analysis.responses.stepped_sine import sweeps
 
-    return [sweep.lines for sweep in sweeps(rec, progress)]
+    return [sweep.lines for sweep in sweeps(rec, channels, progress)]
 
 
 def compliance(
@@ -122,7 +137,7 @@ def compliance(
 
     if not any(marker.kind == "measure" and "frequency" in marker.fields for marker in rec.markers):
         return frequency_responses(rec, [response], reference)[0][0]
-    found = sweeps(rec)
+    found = sweeps(rec, concerned(rec, [response], reference))
     fitting = [
         sweep
         for sweep in found

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +33,8 @@ class Frf:
     value : ndarray of complex, shape (n,)
         Response / reference for motion Re(X e^{iwt}): a lagging response has a negative phase.
     error : ndarray, shape (n,)
-        Standard deviation of ``abs(value)``, and of either quadrature component; NaN where one average alone
-        gives no scatter to tell it from.
+        Random part: standard deviation of ``abs(value)``, and of either quadrature component; NaN where one
+        average alone gives no scatter to tell it from.
     coherence : ndarray, shape (n,)
         Share of the response that repeats with the reference, 0 to 1.
     degrees : ndarray, shape (n,)
@@ -48,9 +49,13 @@ class Frf:
         Width in Hz over which leakage smears each point: 0 for steady tones, the window's for random.
     shift : float
         Decay rate in 1/s that an exponential window added to every mode: the curve is H along s = i w +
-        shift.
+        shift. Zero, as no test needs one.
+    unsteady : ndarray of bool, shape (n,), or None
+        Where the motion had not become steady; None where that is no question.
     warnings : tuple of str
         What a reader of the curve must know, in full sentences.
+    systematic : mapping of str to ndarray, shape (n,)
+        Systematic parts by name: how far each can put the value off at most, however long one averages.
     """
 
     frequency: NDArray[np.float64]
@@ -63,8 +68,10 @@ class Frf:
     motion: str = "displacement"
     label: str = ""
     resolution: float = 0.0
-    shift: float = 0.0
     warnings: tuple[str, ...] = ()
+    systematic: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    unsteady: NDArray[np.bool_] | None = None
+    shift: float = 0.0
 
     @property
     def name(self) -> str:
@@ -88,12 +95,30 @@ class Frf:
         """
         if motion not in MOTIONS:
             raise SceneError(f"unknown motion {motion!r}: expected {', '.join(MOTIONS)}")
-        s = 2j * np.pi * self.frequency + self.shift
+        s = 2j * np.pi * self.frequency
         factor = s ** (MOTIONS.index(motion) - MOTIONS.index(self.motion))
-        return replace(self, value=self.value * factor, error=self.error * abs(factor), motion=motion)
+        size = abs(factor)
+        return replace(
+            self,
+            value=self.value * factor,
+            error=self.error * size,
+            systematic={name: part * size for name, part in self.systematic.items()},
+            motion=motion,
+        )
 
     def bound(self, confidence: float = 0.95) -> NDArray[np.float64]:
         """Radius of the circle in the complex plane that holds the true value with the given confidence.
+
+        The radius of the random part and the systematic parts, added up.
+        """
+        return self.random_bound(confidence) + self.systematic_bound()
+
+    def systematic_bound(self) -> NDArray[np.float64]:
+        """Sum of the systematic parts."""
+        return np.sum([np.zeros(self.value.size), *self.systematic.values()], axis=0)
+
+    def random_bound(self, confidence: float = 0.95) -> NDArray[np.float64]:
+        """Radius of the circle that holds the mean of many such measurements with the given confidence.
 
         A complex mean with equal, independent errors in its two components is F-distributed about the
         truth with 2 and `degrees` degrees of freedom [1]_.
@@ -105,29 +130,25 @@ class Frf:
         return self.error * np.sqrt(2.0 * stats.f.ppf(confidence, 2.0, np.maximum(self.degrees, 1.0)))
 
     def band(self, confidence: float = 0.95) -> NDArray[np.float64]:
-        """Half-width of the confidence interval of ``abs(value)``, from Student's t."""
+        """Half-width of the confidence interval of ``abs(value)`` for the random part, from Student's t."""
         return self.error * stats.t.ppf(0.5 + confidence / 2.0, np.maximum(self.degrees, 1.0))
 
     def sorted(self) -> Frf:
         """Return the same curve with rising frequency."""
-        order = np.argsort(self.frequency, kind="stable")
-        return replace(
-            self,
-            frequency=self.frequency[order],
-            value=self.value[order],
-            error=self.error[order],
-            coherence=self.coherence[order],
-            degrees=self.degrees[order],
-        )
+        return self._at(np.argsort(self.frequency, kind="stable"))
 
     def between(self, low: float, high: float) -> Frf:
         """Keep the points from `low` to `high` in Hz."""
-        keep = (self.frequency >= low) & (self.frequency <= high)
+        return self._at((self.frequency >= low) & (self.frequency <= high))
+
+    def _at(self, points: NDArray[np.bool_] | NDArray[np.intp]) -> Frf:
         return replace(
             self,
-            frequency=self.frequency[keep],
-            value=self.value[keep],
-            error=self.error[keep],
-            coherence=self.coherence[keep],
-            degrees=self.degrees[keep],
+            frequency=self.frequency[points],
+            value=self.value[points],
+            error=self.error[points],
+            coherence=self.coherence[points],
+            degrees=self.degrees[points],
+            systematic={name: part[points] for name, part in self.systematic.items()},
+            unsteady=None if self.unsteady is None else self.unsteady[points],
         )

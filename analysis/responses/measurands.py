@@ -57,39 +57,22 @@ class Measurand:
     """What is taken of each channel: displacement, velocity, acceleration or force."""
 
     def row(
-        self, rec: Recording, names: Sequence[str], frequency: NDArray[np.float64], shift: float = 0.0
+        self, rec: Recording, names: Sequence[str], frequency: NDArray[np.float64]
     ) -> NDArray[np.complex128]:
         """Weights to apply to the recorded amplitudes of `names`, shape (channels, frequencies).
 
         Each channel is divided by what its sensor, amplifier and converter do at that frequency, and
-        brought to the wanted derivative; along s = i w + `shift`, where an exponential window was used.
+        brought to the wanted derivative.
         """
         out = np.zeros((len(names), frequency.size), dtype=complex)
         for name, weight in zip(self.channels, self.weights, strict=True):
             info = rec.channels[name]
-            factor = weight / response_along(info, frequency, shift)
+            factor = weight / info.response(frequency)
             if self.motion in MOTIONS:
                 order = MOTIONS.index(self.motion) - MOTIONS.index(info.quantity)
-                factor = factor * (2j * np.pi * frequency + shift) ** order
+                factor = factor * (2j * np.pi * frequency) ** order
             out[names.index(name)] = factor
         return out
-
-
-def response_along(info: ChannelInfo, frequency: NDArray[np.float64], shift: float) -> NDArray[np.complex128]:
-    """Response of a channel along s = i w + `shift`: what an exponentially windowed reading is to be divided by.
-
-    A high-pass whose cut-off is not far below the frequency changes noticeably over the shift; filter and
-    averaging, flat there, do not.
-    """
-    out = info.response(frequency)
-    if shift:
-        s = 2j * np.pi * frequency
-        out = out * np.exp(-shift * info.delay)
-        for zero in info.zeros:
-            out *= 1.0 + shift / (s - zero)
-        for pole in info.poles:
-            out /= 1.0 + shift / (s - pole)
-    return out
 
 
 def motion_channel(rec: Recording, name: str) -> ChannelInfo:
@@ -146,6 +129,14 @@ def reference_of(rec: Recording, reference: str) -> Measurand:
             f"the recording has {_places(rec)}; add one to the scene's channels"
         )
     return Measurand((ends[0].name, ends[1].name), (shaker.spring, -shaker.spring), "displacement")
+
+
+def concerned(rec: Recording, responses: Sequence[str], reference: str) -> list[str]:
+    """Name the channels that some responses and their reference are made of."""
+    made_of = [motion_of(rec, name).channels for name in responses]
+    return list(
+        dict.fromkeys(name for names in (*made_of, reference_of(rec, reference).channels) for name in names)
+    )
 
 
 def driven(reference: str, amplitude: NDArray[np.generic]) -> None:

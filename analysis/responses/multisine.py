@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from analysis.recordings.slices import read_slices
+from analysis.responses.clean_stretches import flaws, told
 from analysis.responses.frf import Frf
 from analysis.responses.measurands import reference_of
-from analysis.responses.spectral_lines import Lines
+from analysis.responses.spectral_lines import Lines, remainder
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -22,6 +23,21 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+
+NONLINEAR = (
+    "The structure is not linear: the curve is the best linear approximation for this level and kind of excitation, "
+    "and its error bars hold for that; steady tones of another amplitude (stepped sine) give another curve."
+)
+NOT_YET = (
+    "No nonlinear distortion is seen at this level, but dampers can move: where steady tones bring about "
+    "larger motion (stepped sine), they give another curve."
+)
+ONE_REALISATION = (
+    "One realisation: what dampers distort cannot be told from the response, and is in no error bar; "
+    "run several (test: realisations)."
+)
+# Share of the lines, and by how much more than noise and relative to the mean they must scatter, to be a distortion.
+_SHARE, _BEYOND, _SEEN = 0.2, 3.0, 2e-3
 
 
 @dataclass(frozen=True)
@@ -58,6 +74,7 @@ class BestLinearApproximation:
 def best_linear_approximation(
     rec: Recording,
     markers: Sequence[Marker],
+    names: Sequence[str],
     reference: str = "force",
     progress: Callable[[int, int], None] | None = None,
 ) -> BestLinearApproximation:
@@ -71,48 +88,97 @@ def best_linear_approximation(
     ----------
     markers : sequence of daq.marker.Marker
         Its ``measure`` markers, one per realisation.
+    names : sequence of str
+        Names of the channels to average.
     reference : {'force', 'table'}
         The reference that the phases are taken from.
     progress : callable, optional
         Called with (realisations done, realisations in all).
     """
-    names = list(rec.channels)
-    means, noises, notes = [], [], []
-    frequency = np.empty(0)
-    periods = 0
-    for index, marker in enumerate(markers):
-        size, periods = int(marker.fields["period"]), int(marker.fields["periods"])
-        low, high = marker.fields["lines"]
-        lines = np.arange(int(low), int(high) + 1)
-        frequency = lines * rec.rate / size
-        starts = [marker.first_sample + k * size for k in range(periods)]
-        blocks = read_slices(rec, names, [(start, start + size) for start in starts])
-        whole = [block for block in blocks if np.isfinite(block).all()]
-        if progress is not None:
-            progress(index + 1, len(markers))
-        if marker.fields.get("settled") is False:
-            notes.append(f"Realisation {index + 1} was measured before the motion had become periodic.")
-        if len(whole) < 2:
-            notes.append(f"Realisation {index + 1} left out: fewer than two whole periods.")
-            continue
-        spectra = fft.rfft(np.stack(whole), axis=2)[:, :, lines] * (2.0 / size)
-        mean = spectra.mean(axis=0)
-        turn = np.sum(reference_of(rec, reference).row(rec, names, frequency) * mean, axis=0)
-        turn = turn.conj() / np.maximum(abs(turn), 1e-300)
-        scatter = (spectra - mean) * turn
-        means.append(mean * turn)
-        noises.append(np.einsum("pin,pjn->nij", scatter, scatter.conj()) / (len(whole) * (len(whole) - 1.0)))
-    if not means:
+    found = [_realisation(rec, names, marker, reference) for marker in markers]
+    if progress is not None:
+        progress(len(markers), len(markers))
+    notes = [note for one in found for note in one.notes]
+    kept = [one for one in found if one.periods]
+    if not kept:
         raise RecordingError("no realisation of the multisine holds two whole periods: " + " ".join(notes))
-    count = len(means)
-    stack = np.stack(means)
+    count, frequency = len(kept), kept[0].frequency
+    stack = np.stack([one.mean for one in kept])
     centre = stack.mean(axis=0)
-    noise = np.mean(noises, axis=0) / count
-    averages = np.full(frequency.size, float(count * (periods - 1) + 1))
-    base = Lines(tuple(names), frequency, centre, noise, averages, rec.scene.name, tuple(notes))
+    noise = np.mean([one.noise for one in kept], axis=0) / count
+    averages = np.full(frequency.size, float(sum(one.periods - 1 for one in kept) + 1))
+    unsettled = np.mean([one.remainder for one in kept], axis=0)
+    # Rounding to counts is the same in every period: it looks like noise, but no scatter tells of it.
+    infos = [rec.channels[name] for name in names]
+    counts = np.array([0.0 if info.volts_per_count is None else info.unit_per_count for info in infos])
+    samples = rec.rate / (frequency[1] - frequency[0]) if frequency.size > 1 else rec.rate / frequency[0]
+    rounding = np.broadcast_to(counts[:, None] / np.sqrt(samples), centre.shape)
+    base = Lines(
+        tuple(names), frequency, centre, noise, averages, rec.scene.name, tuple(notes), unsettled,
+        resolution=np.asarray(rounding),
+    )  # fmt: skip
+    free = any(not damper.locked and damper.clearance > 0.0 for damper in rec.scene.dampers)
     if count == 1:
+        if free:
+            base = replace(base, warnings=(*notes, ONE_REALISATION))
         return BestLinearApproximation(base, base, 1)
     off = stack - centre
-    scatter_all = np.einsum("min,mjn->nij", off, off.conj()) / (count * (count - 1.0))
-    total = replace(base, covariance=scatter_all, averages=np.full(frequency.size, float(count)))
+    scatter = np.einsum("min,mjn->nij", off, off.conj()) / (count * (count - 1.0))
+    total = replace(base, covariance=scatter, averages=np.full(frequency.size, float(count)))
+    if _distorted(total, base):
+        total = replace(total, warnings=(*notes, NONLINEAR))
+    elif free:
+        total = replace(total, warnings=(*notes, NOT_YET))
     return BestLinearApproximation(total, base, count)
+
+
+@dataclass(frozen=True)
+class _Realisation:
+    """What the periods of one realisation say; none are counted where too few of them are whole."""
+
+    frequency: Array
+    periods: int
+    notes: tuple[str, ...]
+    mean: ComplexArray
+    noise: ComplexArray
+    remainder: Array
+
+
+def _realisation(rec: Recording, names: Sequence[str], marker: Marker, reference: str) -> _Realisation:
+    """Average the periods in which nothing was overloaded or lost."""
+    number = marker.fields["realisation"]
+    size, periods = int(marker.fields["period"]), int(marker.fields["periods"])
+    low, high = marker.fields["lines"]
+    lines = np.arange(int(low), int(high) + 1)
+    frequency = lines * rec.rate / size
+    bounds = [(marker.first_sample + k * size, marker.first_sample + (k + 1) * size) for k in range(periods)]
+    spoilt = [flaws(rec, names, *bound) for bound in bounds]
+    clean = [
+        bound for bound, found in zip(bounds, spoilt, strict=True) if not found and bound[1] <= rec.samples
+    ]
+    notes = []
+    if marker.fields.get("settled") is False:
+        notes.append(f"Realisation {number} was measured before the motion had become periodic.")
+    if len(clean) < periods:
+        why = told(rec, [flaw for found in spoilt for flaw in found])
+        notes.append(f"{periods - len(clean)} of {periods} periods of realisation {number} left out: {why}.")
+    if len(clean) < 2:
+        notes.append(f"Realisation {number} left out: fewer than two whole periods.")
+        empty = np.zeros(0, dtype=complex)
+        return _Realisation(frequency, 0, tuple(notes), empty, empty, empty.real)
+    whole = np.stack(list(read_slices(rec, names, clean)))
+    spectra = fft.rfft(whole, axis=2)[:, :, lines] * (2.0 / size)
+    mean = spectra.mean(axis=0)
+    turn = np.sum(reference_of(rec, reference).row(rec, names, frequency) * mean, axis=0)
+    turn = turn.conj() / np.maximum(abs(turn), 1e-300)
+    scatter = (spectra - mean) * turn
+    noise = np.einsum("pin,pjn->nij", scatter, scatter.conj()) / (len(clean) * (len(clean) - 1.0))
+    return _Realisation(frequency, len(clean), tuple(notes), mean * turn, noise, remainder(spectra))
+
+
+def _distorted(total: Lines, noise: Lines) -> bool:
+    """Whether realisations scatter more than noise and what was left of transients explain."""
+    seen, expected = (np.sqrt(np.einsum("nii->in", lines.covariance).real) for lines in (total, noise))
+    unsettled = 0.0 if total.remainder is None else total.remainder
+    beyond = (seen > _BEYOND * expected + unsettled) & (seen > _SEEN * abs(total.mean))
+    return bool(np.max(beyond.mean(axis=1)) > _SHARE)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from scipy import fft, signal
 
 from analysis.recordings.slices import read_slices
+from analysis.responses.clean_stretches import flaws, told
 from analysis.responses.estimators import Averages, independent_blocks
+from analysis.responses.whole_stretches import WholeStretches, dampers_move
 from rig.errors import RecordingError, SceneError
 
 if TYPE_CHECKING:
@@ -29,9 +31,19 @@ _HANN_BINS = 1.5
 _LEFT_OVER = 0.02
 
 
+def whole(rec: Recording, marker: Marker, channels: Sequence[str]) -> WholeStretches:
+    """Take a random test whole, bursts and all."""
+    low, high = float(marker.fields["from"]), float(marker.fields["to"])
+    stop = min(rec.samples, rec.samples if marker.last_sample is None else marker.stop)
+    return WholeStretches(
+        tuple(channels), marker.first_sample, stop, low, high, None, rec.scene.name, dampers_move(rec)
+    )
+
+
 def averages(
     rec: Recording,
     marker: Marker,
+    channels: Sequence[str],
     block: float | None = None,
     overlap: float = 0.5,
     forgetting: float | None = None,
@@ -43,6 +55,8 @@ def averages(
     ----------
     marker : daq.marker.Marker
         Its ``measure`` marker.
+    channels : sequence of str
+        Names of the channels to average.
     block : float, optional
         Length of a block in s. Omitted: what gives about 30 averages; for bursts, the burst's own block.
     overlap : float
@@ -77,7 +91,9 @@ def averages(
             f"{size / rec.rate:.3g} s: "
             "too short to average; record longer or choose shorter blocks (--block)"
         )
-    names = list(rec.channels)
+    names = list(channels)
+    found = flaws(rec, names, first, stop)
+    edges = np.array([[flaw.first, flaw.stop] for flaw in found]).reshape(-1, 2)
     low, high = float(marker.fields["from"]), float(marker.fields["to"])
     frequency = fft.rfftfreq(size, 1.0 / rec.rate)
     keep = (frequency >= low) & (frequency <= min(high, 0.45 * rec.rate)) & (frequency > 0)
@@ -88,7 +104,8 @@ def averages(
     for index, samples in enumerate(read_slices(rec, names, bounds)):
         if progress is not None:
             progress(index + 1, count)
-        if not np.isfinite(samples).all():
+        begin = first + index * step
+        if np.any((edges[:, 0] < begin + size) & (edges[:, 1] > begin)):
             continue
         samples = samples - samples.mean(axis=1, keepdims=True)
         spectra = fft.rfft(samples * window, axis=1)[:, keep]
@@ -101,10 +118,19 @@ def averages(
             left = max(left, float(np.max(abs(samples[:, -max(1, size // 50) :]).max(axis=1) / size_now)))
     notes = []
     if used < count:
-        notes.append(f"{count - used} of {count} blocks left out: samples were lost.")
+        notes.append(f"{count - used} of {count} blocks left out: {told(rec, found)}.")
     if used < 2:
-        raise RecordingError("samples were lost in all blocks but one: too little is left to average")
+        raise RecordingError(
+            f"all blocks but one are spoilt: {told(rec, found)}; lower the level, widen the range (converter: range) "
+            "or choose shorter blocks (--block)"
+        )
+    width = (_HANN_BINS if burst is None else 1.0) * rec.rate / size
     leaks = burst is None or left > _LEFT_OVER
+    if burst is None:
+        notes.append(
+            f"Blocks of {size / rec.rate:.3g} s resolve {width:.3g} Hz: peaks narrower than that are smeared and too "
+            "low, by what is stated as leakage; without --block and --estimator nothing leaks."
+        )
     if burst is not None and leaks:
         notes.append(
             f"{left:.0%} of the response to a burst are left when the next begins: the curve leaks like "
@@ -112,7 +138,6 @@ def averages(
             "continuous random; use longer blocks, a smaller burst share, multisine or stepped sine."
         )
     independent = independent_blocks(window, step, used) * (total**2 / squares) / used
-    width = (_HANN_BINS if burst is None else 1.0) * rec.rate / size
     return Averages(
         channels=tuple(names),
         frequency=frequency[keep],
@@ -121,4 +146,5 @@ def averages(
         resolution=width if leaks else 0.0,
         label=rec.scene.name,
         warnings=tuple(notes),
+        unsmeared=whole(rec, marker, channels) if leaks else None,
     )

@@ -8,12 +8,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import signal
 
 from analysis.responses.frf import Frf
 from analysis.responses.measurands import driven, motion_of, reference_of
+from analysis.responses.systematic import RESOLUTION, UNSETTLED, aliasing_part, clock_part, sensitivity_part
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
+
+
+# Lines whose transients are taken to decay alike; how fast where two periods do not tell; and how slowly at most.
+_TOGETHER, _UNKNOWN_DECAY, _SLOWEST_DECAY = 5, 0.5, 0.95
 
 
 @dataclass(frozen=True)
@@ -32,6 +38,12 @@ class Lines:
     """Number of parts behind each mean; shape (n,)."""
     label: str = ""  # Setting, for legends
     warnings: tuple[str, ...] = field(default=())  # What went wrong on the way
+    remainder: NDArray[np.float64] | None = None
+    """How far each mean may be off for what was still changing, at most; shape (channels, n)."""
+    unsteady: NDArray[np.bool_] | None = None
+    """Where the motion had not become steady; shape (n,)."""
+    resolution: NDArray[np.float64] | None = None
+    """How far each mean may be off because the converter rounds to counts, at most; shape (channels, n)."""
 
     def frf(
         self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"
@@ -47,6 +59,15 @@ class Lines:
         # d(x/f) = (dx - value df) / f, and both are sums over the same channels.
         off = (upper - value * lower) / f
         variance = np.einsum("in,nij,jn->n", off, self.covariance, off.conj()).real
+        shares = value, upper * self.mean / f, lower * self.mean / f
+        systematic = sensitivity_part(rec, names, *shares) | aliasing_part(
+            rec, names, self.frequency, *shares
+        )
+        if self.resolution is not None:
+            systematic[RESOLUTION] = np.sum(abs(off) * self.resolution, axis=0)
+        if self.remainder is not None:
+            # What is left of transients adds up in the worst case.
+            systematic[UNSETTLED] = np.sum(abs(off) * self.remainder, axis=0)
         with np.errstate(invalid="ignore", divide="ignore"):
             coherence = 1.0 / (1.0 + self.averages * variance / abs(value) ** 2)
         return Frf(
@@ -60,4 +81,39 @@ class Lines:
             motion=motion,
             label=self.label,
             warnings=self.warnings,
+            systematic=systematic | clock_part(rec, self.frequency, value),
+            unsteady=self.unsteady,
         )
+
+
+def remainder(successive: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """How far the mean of successive parts may be off for a transient that still decays.
+
+    A transient shrinks by the same factor r from part to part. Over P parts it changes by what was seen between the
+    first and the last, and shifts their mean by ``(1 - r^P) / (P (1 - r) (1 - r^(P - 1)))`` of that.
+
+    Parameters
+    ----------
+    successive : ndarray of complex, shape (parts, channels, lines)
+        Amplitudes of parts of equal length, one after the other.
+
+    Returns
+    -------
+    ndarray, shape (channels, lines)
+
+    Examples
+    --------
+    >>> amplitudes = 1.0 + 0.1 * 0.8 ** np.arange(5.0)[:, None, None] + 0j
+    >>> float(round(remainder(amplitudes)[0, 0] / (abs(amplitudes.mean()) - 1.0), 6))
+    1.0
+    """
+    count = len(successive)
+    changes = np.diff(successive, axis=0)
+    factor = np.full(successive.shape[1:], _UNKNOWN_DECAY)
+    if count > 2:
+        together = np.ones((1, _TOGETHER))
+        size = signal.convolve(np.sum(abs(changes[:-1]) ** 2, axis=0), together, mode="same")
+        both = signal.convolve(np.sum(changes[:-1].conj() * changes[1:], axis=0).real, together, mode="same")
+        factor = np.clip(both / np.maximum(size, 1e-300), 0.0, _SLOWEST_DECAY)
+    share = (1 - factor**count) / (count * (1 - factor) * (1 - factor ** (count - 1)))
+    return share * abs(successive[-1] - successive[0])

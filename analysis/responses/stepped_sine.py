@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.recordings.slices import read_slices
+from analysis.responses.clean_stretches import flaws, told
 from analysis.responses.lock_in import LockIn, ToneFit, parts_of_whole_periods
-from analysis.responses.spectral_lines import Lines
+from analysis.responses.spectral_lines import Lines, remainder
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -19,8 +20,9 @@ if TYPE_CHECKING:
 
 HARMONICS = 10
 PARTS = 20
-# A window that is clipped for more than this part has no amplitude worth reporting.
-MOST_CLIPPED = 0.01
+
+# What a window holds, where it is, and whether the motion was steady in it.
+_Point = tuple[ToneFit, tuple[int, int], bool]
 
 
 @dataclass(frozen=True)
@@ -42,13 +44,19 @@ class Sweep:
         return np.stack([tone.distortion() for tone in self.tones], axis=1)
 
 
-def sweeps(rec: Recording, progress: Callable[[int, int], None] | None = None) -> list[Sweep]:
+def sweeps(
+    rec: Recording,
+    channels: Sequence[str] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Sweep]:
     """Lock in on every window marked ``measure``, and sort them by level and direction.
 
     Parameters
     ----------
     rec : daq.recording.Recording
         A stepped-sine or sine recording.
+    channels : sequence of str, optional
+        Names of the channels to lock in on; omitted, all.
     progress : callable, optional
         Called with (windows done, windows in all).
 
@@ -61,11 +69,10 @@ def sweeps(rec: Recording, progress: Callable[[int, int], None] | None = None) -
         (m for m in rec.markers if m.kind == "measure" and "frequency" in m.fields),
         key=lambda m: m.first_sample,
     )
-    names = list(rec.channels)
-    clipped = _clipped(rec)
+    names = list(rec.channels if channels is None else channels)
     overloaded = short = 0
     unsteady: dict[tuple[float, str], list[str]] = {}
-    runs: dict[tuple[float, str], list[tuple[ToneFit, tuple[int, int]]]] = {}
+    runs: dict[tuple[float, str], list[_Point]] = {}
     notes: dict[tuple[float, str], list[str]] = {}
     windows = [_window(rec, marker) for marker in markers]
     parts = [
@@ -86,33 +93,22 @@ def sweeps(rec: Recording, progress: Callable[[int, int], None] | None = None) -
         shortest = min(end - begin for begin, end in group)
         harmonics = int(max(1, min(HARMONICS, 0.45 * rec.rate / frequency, (shortest - 2) // 4)))
         lockin = LockIn(frequency, rec.rate, harmonics)
-        whole = True
+        spoilt = flaws(rec, names, first, stop)
         for _ in group:
             samples = next(source)
-            whole = whole and bool(np.isfinite(samples).all())
-            if whole:
+            if not spoilt:
                 lockin.add(samples)
         if progress is not None:
             progress(index + 1, len(markers))
         note = notes.setdefault(key, [])
-        if not whole:
-            note.append(f"{frequency:.4g} Hz left out: samples were lost in its window.")
+        if spoilt:
+            note.append(f"{frequency:.4g} Hz left out: {told(rec, spoilt)} in its window.")
+            overloaded += any(flaw.what == "overloaded" for flaw in spoilt)
             continue
-        hit = [name for name in names if _overlaps(clipped.get(name), first, stop)]
-        worst = max((_covered(clipped[name], first, stop) for name in hit), default=0.0)
-        if worst > MOST_CLIPPED:
-            note.append(
-                f"{frequency:.4g} Hz left out: {', '.join(hit)} overloaded for {worst:.0%} of the window."
-            )
-            overloaded += 1
-            continue
-        if hit:
-            note.append(
-                f"{frequency:.4g} Hz: {', '.join(hit)} overloaded; lower the level or widen the range."
-            )
         if marker.fields.get("settled") is False:
             unsteady.setdefault(key, []).append(f"{frequency:.4g}")
-        runs.setdefault(key, []).append((lockin.tone(), (first, stop)))
+        steady = marker.fields.get("settled") is not False
+        runs.setdefault(key, []).append((lockin.tone(), (first, stop), steady))
     if not runs:
         raise RecordingError(_why_nothing(rec, bool(markers), overloaded, short))
     for key, points in unsteady.items():
@@ -120,7 +116,7 @@ def sweeps(rec: Recording, progress: Callable[[int, int], None] | None = None) -
             f"No steady state at {', '.join(points)} Hz: the motion is irregular there, or needs longer to "
             "settle."
         )
-    return [_sweep(rec, key, found, notes[key], len(runs) > 1) for key, found in runs.items()]
+    return [_sweep(rec, key, found, notes[key], len(runs) > 1, tuple(names)) for key, found in runs.items()]
 
 
 def _window(rec: Recording, marker: Any) -> tuple[float, int, int]:
@@ -131,24 +127,6 @@ def _window(rec: Recording, marker: Any) -> tuple[float, int, int]:
 
 def _setting(marker: Any) -> tuple[float, str]:
     return float(marker.fields.get("level", np.nan)), str(marker.fields.get("direction", "up"))
-
-
-def _clipped(rec: Recording) -> dict[str, NDArray[np.int64]]:
-    """Overloaded samples of each channel as rows [first, stop)."""
-    found: dict[str, list[tuple[int, int]]] = {}
-    for marker in rec.overloads:
-        found.setdefault(str(marker.fields.get("channel", "")), []).append((marker.first_sample, marker.stop))
-    return {name: np.array(rows) for name, rows in found.items()}
-
-
-def _overlaps(ranges: NDArray[np.int64] | None, first: int, stop: int) -> bool:
-    return ranges is not None and bool(np.any((ranges[:, 0] < stop) & (ranges[:, 1] > first)))
-
-
-def _covered(ranges: NDArray[np.int64], first: int, stop: int) -> float:
-    """Part of the window ``[first, stop)`` that the ranges cover."""
-    inside = np.minimum(ranges[:, 1], stop) - np.maximum(ranges[:, 0], first)
-    return float(np.maximum(inside, 0).sum() / max(stop - first, 1))
 
 
 def _why_nothing(rec: Recording, marked: bool, overloaded: int, short: int) -> str:
@@ -176,20 +154,46 @@ def _why_nothing(rec: Recording, marked: bool, overloaded: int, short: int) -> s
 def _sweep(
     rec: Recording,
     key: tuple[float, str],
-    found: list[tuple[ToneFit, tuple[int, int]]],
+    found: list[_Point],
     notes: list[str],
     several: bool,
+    names: tuple[str, ...],
 ) -> Sweep:
     level, direction = key
-    tones = tuple(tone for tone, _ in found)
+    tones = tuple(tone for tone, _, _ in found)
     setting = f", {level:.3g} {'N'} {direction}" if several else ""
     lines = Lines(
-        channels=tuple(rec.channels),
+        channels=names,
         frequency=np.array([tone.frequency for tone in tones]),
         mean=np.stack([tone.amplitude[:, 0] for tone in tones], axis=1),
         covariance=np.stack([tone.covariance() for tone in tones]),
         averages=np.array([float(len(tone.parts)) for tone in tones]),
         label=f"{rec.scene.name}{setting}",
         warnings=tuple(notes),
+        remainder=np.stack([remainder(tone.parts[:, :, None])[:, 0] for tone in tones], axis=1),
+        resolution=np.stack([_resolution(rec, names, tone) for tone in tones], axis=1),
+        unsteady=np.array([not steady for _, _, steady in found]),
     )
-    return Sweep(lines, tones, level, direction, np.array([window for _, window in found]))
+    return Sweep(lines, tones, level, direction, np.array([window for _, window, _ in found]))
+
+
+def _resolution(rec: Recording, names: Sequence[str], tone: ToneFit) -> NDArray[np.float64]:
+    """How far rounding to counts may put each amplitude of a tone off, shape (channels,).
+
+    A tone of less than half a count reads nothing. A larger one, of amplitude a in counts, is off by no more than
+    ``2 / pi^2 / sqrt(a)`` (first term of the quantiser's series in Bessel functions); noise of s counts, where there
+    is any, lets ``exp(-2 pi^2 s^2)`` of that through [1]_.
+
+    References
+    ----------
+    .. [1] B. Widrow, I. Kollár, Quantization Noise, Cambridge University Press 2008, sections 4 and 16.
+    """
+    infos = [rec.channels[name] for name in names]
+    count = np.array([0.0 if info.volts_per_count is None else info.unit_per_count for info in infos])
+    step = np.where(count > 0.0, count, 1.0)
+    size = np.maximum(abs(tone.amplitude[:, 0]) / step, 1e-300)
+    # Rounding itself leaves a twelfth of a count squared.
+    noise = np.maximum((tone.residual / step) ** 2 - 1.0 / 12.0, 0.0)
+    off = np.minimum(2.0 / np.pi**2 / np.sqrt(size), 0.5) * np.exp(-2.0 * np.pi**2 * np.minimum(noise, 30.0))
+    # All terms of the series, not the first alone.
+    return np.asarray(count * np.minimum(2.0 * off, 0.5))

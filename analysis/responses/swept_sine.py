@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.recordings.slices import read_slices
+from analysis.responses.clean_stretches import flaws, told
 from analysis.responses.estimators import Averages
 from rig.errors import RecordingError
 
@@ -25,7 +26,12 @@ _RATIO = 1.35
 _POINTS = 400
 
 
-def averages(rec: Recording, marker: Marker, progress: Callable[[int, int], None] | None = None) -> Averages:
+def averages(
+    rec: Recording,
+    marker: Marker,
+    channels: Sequence[str],
+    progress: Callable[[int, int], None] | None = None,
+) -> Averages:
     """Track the tone of a sweep.
 
     At each frequency the spectra are taken over the time in which the tone is near it, through orthogonal
@@ -37,6 +43,8 @@ def averages(rec: Recording, marker: Marker, progress: Callable[[int, int], None
     ----------
     marker : daq.marker.Marker
         Its ``measure`` marker: from, to, duration, spacing.
+    channels : sequence of str
+        Names of the channels to track.
     progress : callable, optional
         Called with (frequencies done, frequencies in all).
 
@@ -57,7 +65,9 @@ def averages(rec: Recording, marker: Marker, progress: Callable[[int, int], None
             f"a sweep of {duration:g} s is too short to track; sweep for at least {20 / bottom:.3g} s"
         )
     frequency = np.geomspace(bottom * edge, top / edge, _POINTS)
-    names = list(rec.channels)
+    names = list(channels)
+    found = flaws(rec, names, marker.first_sample, stop)
+    edges = np.array([[flaw.first, flaw.stop] for flaw in found]).reshape(-1, 2)
     cross = np.zeros((frequency.size, len(names), len(names)), dtype=complex)
     widths = np.empty(frequency.size)
     gone = 0
@@ -75,7 +85,8 @@ def averages(rec: Recording, marker: Marker, progress: Callable[[int, int], None
             progress(done, frequency.size)
         size = block.shape[1]
         widths[index] = (TAPERS + 1.0) * rec.rate / max(size, 1)
-        if not np.isfinite(block).all():
+        begin, end = bounds[index]
+        if np.any((edges[:, 0] < end) & (edges[:, 1] > begin)) or not np.isfinite(block).all():
             gone += 1
             cross[index] = np.nan
             continue
@@ -87,9 +98,12 @@ def averages(rec: Recording, marker: Marker, progress: Callable[[int, int], None
     keep = np.isfinite(cross[:, 0, 0])
     notes = []
     if gone:
-        notes.append(f"{gone} of {frequency.size} frequencies left out: samples were lost around them.")
+        notes.append(f"{gone} of {frequency.size} frequencies left out: {told(rec, found)}.")
     if not keep.any():
-        raise RecordingError("samples were lost everywhere along the sweep: nothing is left to track")
+        raise RecordingError(
+            f"nothing is left of the sweep to track: {told(rec, found)}; lower the level or widen the range "
+            "(converter: range)"
+        )
     if marker.fields.get("settled") is False:
         notes.append("The sweep began before its first frequency had become steady.")
     return Averages(

@@ -11,8 +11,10 @@ from scipy.optimize import brentq
 
 from daq.excitation.station import Excitation, Station
 from rig.errors import SceneError
+from rig.scene.quantities import TIME, parse
 
 if TYPE_CHECKING:
+    from daq.signal_chain.channel import ChannelInfo
     from rig.scene.excitation import Impulse
 
 Array = NDArray[np.float64]
@@ -20,6 +22,9 @@ Array = NDArray[np.float64]
 # Recorded before the first hit, so that offsets and noise can be seen, s.
 QUIET = 0.25
 _WINDOW = 0.1
+# Sensors have settled after so many time constants at the latest, within this time, s; they are looked at for so
+# long, s, and move on where they do so by so many standard deviations.
+_TIME_CONSTANTS, _LONGEST, _LOOK, _BEYOND = 10.0, 60.0, 0.5, 4.0
 
 
 def excite(station: Station, test: Impulse) -> Excitation:
@@ -39,8 +44,9 @@ def excite(station: Station, test: Impulse) -> Excitation:
 
 
 def _run(station: Station, test: Impulse, clean: Array, doubled: Array, bounces: set[int]) -> Excitation:
-    quiet, interval, window = (station.samples(time) for time in (QUIET, test.interval, _WINDOW))
-    yield station.quiet(quiet)
+    interval, window = (station.samples(time) for time in (test.interval, _WINDOW))
+    yield station.quiet(station.samples(QUIET))
+    yield from _wait_for_sensors(station)
     for hit in range(1, test.repeats + 1):
         pulse = doubled if hit in bounces else clean
         wave = np.zeros(interval)
@@ -62,6 +68,53 @@ def _run(station: Station, test: Impulse, clean: Array, doubled: Array, bounces:
                     double=hit in bounces,
                 )
             station.report((hit - 1 + stop / interval) / test.repeats, f"hit {hit} of {test.repeats}")
+
+
+def _wait_for_sensors(station: Station) -> Excitation:
+    """Wait until the bias of the sensors has settled after power-on, so that no hit comes on a drifting reading."""
+    longest = round(max((settling_time(info) for info in station.channels), default=0.0) * station.rate)
+    if not longest:
+        return
+    first, end = station.now, station.now + longest
+    look, drifts = station.samples(_LOOK), True
+    while drifts and station.now < end:
+        station.report(0.0, "waiting for the sensors to settle")
+        drifts = _drifts((yield station.quiet(min(look, end - station.now))))
+    # After ten time constants what still moves is the noise that every such sensor has at low frequencies.
+    station.mark("settle", first, station.now, settled=True)
+    yield station.quiet(station.samples(QUIET))
+
+
+def settling_time(info: ChannelInfo) -> float:
+    """Time in s after power-on in which a bias disappears from a reading; 0 without one.
+
+    Examples
+    --------
+    >>> from daq.signal_chain.channel import ChannelInfo
+    >>> sheet = {"accelerometer.bias": "9.0 V", "accelerometer.bias_settling": "2.0 s"}
+    >>> settling_time(ChannelInfo("a1", "body 1", "acceleration", 1.0, 5120.0, sensor=sheet))
+    20.0
+    """
+    if not any(key.endswith(".bias") for key in info.sensor):
+        return 0.0
+    bias = next(
+        (parse(text, TIME) for key, text in info.sensor.items() if key.endswith(".bias_settling")), 0.0
+    )
+    # High-passes, the slowest poles, let the step of power-on through and forget it again.
+    slow = sorted(abs(pole.real) for pole in info.poles if pole)[: sum(zero == 0 for zero in info.zeros)]
+    return min(_TIME_CONSTANTS * (bias + sum(1.0 / rate for rate in slow)), _LONGEST)
+
+
+def _drifts(readings: Array) -> bool:
+    """Whether any reading moves on from the first half of a window to the second, beyond its noise."""
+    middle = readings.shape[1] // 2
+    before, after = readings[:, :middle], readings[:, middle:]
+    if not middle:
+        return False
+    change = abs(after.mean(axis=1) - before.mean(axis=1))
+    # Differences from sample to sample know nothing of a drift.
+    noise = np.sqrt(np.mean(np.diff(readings, axis=1) ** 2, axis=1) / 2.0)
+    return bool(np.any(change > _BEYOND * noise * np.sqrt(2.0 / middle)))
 
 
 def half_sine(peak: float, width: float, rate: float) -> Array:

@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_TOLERANCE, _LONGEST = 1e-3, 60.0
+# Periods are waited for until one is like the one before, but not longer than this time, s, or this many of them.
+_TOLERANCE, _LONGEST, _MOST_PERIODS = 1e-4, 60.0, 8
 _NOISE = 0.9
 
 
@@ -68,7 +69,7 @@ def _run(station: Station, test: Multisine, lines: Lines, period: int, closed: b
         settled = yield from _settle(station, wave)
         station.mark("settle", first, station.now, realisation=realisation, settled=settled)
         if not settled:
-            station.warn(f"{message}: not periodic within {_LONGEST:g} s")
+            station.warn(f"{message}: not periodic within {_longest(station, period) / station.rate:g} s")
         first = station.now
         for turn in range(test.periods):
             station.report(share + turn / test.periods / test.realisations, f"{message}, period {turn + 1}")
@@ -89,7 +90,7 @@ def _run(station: Station, test: Multisine, lines: Lines, period: int, closed: b
 
 def _settle(station: Station, wave: Array) -> Generator[Array, Array, bool]:
     """Play periods until one is like the one before, or until what they differ by is noise."""
-    end = station.now + station.samples(_LONGEST)
+    end = station.now + _longest(station, wave.size)
     before = yield station.drive(wave)
     smallest, level = np.inf, 0
     while station.now < end:
@@ -104,3 +105,8 @@ def _settle(station: Station, wave: Array) -> Generator[Array, Array, bool]:
             return True
         before, smallest = now, min(smallest, change)
     return False
+
+
+def _longest(station: Station, period: int) -> int:
+    """Count the samples after which to give up waiting for a period like the one before."""
+    return max(station.samples(_LONGEST), _MOST_PERIODS * period)

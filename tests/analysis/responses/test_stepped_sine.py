@@ -110,18 +110,26 @@ def test_given_nothing_measured_when_compliance_is_asked_for_then_no_steady_stat
 
 def test_given_overload_and_unsettled_points_when_measured_then_the_curve_warns(tmp_path):
     infos = synthetic.channels()
-    fields = {"frequency": 20.0, "level": 1.0, "direction": "up", "settled": False}
-    marks = [("measure", 0, 2559, fields), ("overload", 100, 120, {"channel": "body2"})]
+    fields = {"level": 1.0, "direction": "up", "settled": False}
+    marks = [
+        ("measure", 0, 1279, fields | {"frequency": 20.0}),
+        ("measure", 1280, 2559, fields | {"frequency": 30.0}),
+        ("overload", 100, 120, {"channel": "body3"}),
+        # Of no concern to the response asked for.
+        ("overload", 1300, 1310, {"channel": "body2"}),
+    ]
     samples = np.random.default_rng(0).standard_normal((4, 2560))
     with daq.open(synthetic.write(tmp_path / "a.mcap", synthetic.scene(), infos, samples, marks)) as rec:
-        warnings = " ".join(analysis.compliance(rec).warnings)
-    assert "body2 overloaded" in warnings and "No steady state at 20 Hz" in warnings
+        frf = analysis.compliance(rec)
+    warnings = " ".join(frf.warnings)
+    assert "20 Hz left out: body3 overloaded" in warnings and "No steady state at 30 Hz" in warnings
+    assert frf.frequency.tolist() == [30.0] and frf.unsteady.tolist() == [True]
 
 
 def test_given_channels_clipped_throughout_when_measured_then_the_range_is_blamed(tmp_path):
     marks = [
         ("measure", 0, 2559, {"frequency": 20.0, "level": 1.0, "direction": "up"}),
-        ("overload", 0, 2559, {"channel": "body2"}),
+        ("overload", 0, 2559, {"channel": "body3"}),
     ]
     path = synthetic.write(
         tmp_path / "a.mcap", synthetic.scene(), synthetic.channels(), np.ones((4, 2560)), marks

@@ -1,0 +1,69 @@
+"""Stretches of a recording in which nothing is wrong with the channels that matter: no overload, nothing lost."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from daq.recording.recording import Recording
+
+
+@dataclass(frozen=True)
+class Flaw:
+    """Samples ``[first, stop)`` that tell nothing of the motion, and why."""
+
+    first: int
+    stop: int
+    channel: str
+    what: str
+
+
+def flaws(rec: Recording, channels: Collection[str], first: int, stop: int) -> list[Flaw]:
+    """Find overloads and losses of some channels between two samples, in the order in which they begin."""
+    found = [
+        Flaw(marker.first_sample, marker.stop, str(marker.fields.get("channel", "")), "overloaded")
+        for marker in rec.overloads
+        if marker.fields.get("channel") in channels
+    ]
+    found += [
+        Flaw(
+            gap.first_sample,
+            gap.last_sample + 1,
+            next(name for name in gap.channels if name in channels),
+            "lost",
+        )
+        for gap in rec.gaps
+        if set(gap.channels) & set(channels)
+    ]
+    return sorted(
+        (flaw for flaw in found if flaw.first < stop and flaw.stop > first), key=lambda flaw: flaw.first
+    )
+
+
+def clean_stretches(found: list[Flaw], first: int, stop: int) -> list[tuple[int, int]]:
+    """Take out flaws; what is left between two samples, as (start, stop).
+
+    Examples
+    --------
+    >>> clean_stretches([Flaw(20, 30, "a", "lost"), Flaw(25, 40, "b", "overloaded")], 0, 100)
+    [(0, 20), (40, 100)]
+    """
+    left, at = [], first
+    for flaw in found:
+        if flaw.first > at:
+            left.append((at, min(flaw.first, stop)))
+        at = max(at, flaw.stop)
+    return [*left, (at, stop)] if at < stop else left
+
+
+def told(rec: Recording, found: list[Flaw]) -> str:
+    """Say what was wrong, where: ``a3 overloaded (at 1.2 s, 4.5 s, ...), all channels lost (at 7 s)``."""
+    groups: dict[str, list[str]] = {}
+    for flaw in found:
+        groups.setdefault(f"{flaw.channel} {flaw.what}", []).append(f"{flaw.first / rec.rate:.4g} s")
+    return ", ".join(
+        f"{what} (at {', '.join(times[:3])}{f' and {len(times) - 3} times more' if len(times) > 3 else ''})"
+        for what, times in groups.items()
+    )

@@ -1,0 +1,161 @@
+"""Hits of a hammer: when, how hard, and what its force sensor read that was not the hit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from analysis.recordings.channel_delay import arrival
+from analysis.recordings.slices import hits
+from analysis.responses.clean_stretches import Flaw
+from analysis.responses.force_pulse import pulse_alone
+from rig.errors import RecordingError
+
+if TYPE_CHECKING:
+    from daq.recording.recording import Recording
+
+Array = NDArray[np.float64]
+
+# What is looked at before a hit, s, to see whether the rig was at rest, and read as the channel's zero.
+REST = 0.2
+# At rest what changes within that time is less than this part of the response that follows.
+_STILL = 2e-3
+# The largest force belongs to the hit; where its marker holds less than this part of it, it missed the hit.
+_MISSED = 0.5
+# The spectrum of a force ends where its power is below this part of its highest.
+_FAINT = 1e-2
+
+
+@dataclass(frozen=True)
+class Hits:
+    """The hits of a recording."""
+
+    channel: str
+    """The force channel."""
+    arrivals: tuple[tuple[int, int], ...]
+    """First and last sample in which the force channel holds each hit."""
+    missed: tuple[Flaw, ...]
+    """Hits whose force is not where their marker is."""
+    interval: int
+    """Samples from one hit to the next, at least; after the last, to the end."""
+
+    @classmethod
+    def of(cls, rec: Recording) -> Hits:
+        """Find the hits that the test marked."""
+        channel = next((name for name, info in rec.channels.items() if info.quantity == "force"), None)
+        if channel is None:
+            raise RecordingError(
+                "no force channel: an impact test gives a frequency response only with the hammer recorded; "
+                "add {name: hammer, at: hammer} to the scene's channels, or use `analysis decay`"
+            )
+        info = rec.channels[channel]
+        arrivals = []
+        for first, last in hits(rec):
+            begin, end = arrival(info, first, last)
+            arrivals.append((max(begin, 0), min(end, rec.samples - 1)))
+        starts = [begin for begin, _ in arrivals]
+        interval = int(min(np.diff([*starts, rec.samples])))
+        if interval < 0.2 * rec.rate:
+            raise RecordingError(
+                f"blocks of {interval / rec.rate:.3g} s between hits are too short: test: interval"
+            )
+        missed = []
+        for (begin, end), stop in zip(arrivals, [*starts[1:], rec.samples], strict=True):
+            force = rec.read(channel, begin, stop)
+            force = abs(force - np.nanmedian(force))
+            there, raw = (float(np.nanmax(part, initial=0.0)) for part in (force[: end - begin + 1], force))
+            if there < _MISSED * raw:
+                reason = (
+                    f"reads {there:.3g} N at most where the hit is marked, at {begin / rec.rate:.4g} s, and "
+                    f"{raw:.3g} N elsewhere: the marker or the channel's delay is wrong"
+                )
+                missed.append(Flaw(begin, stop, channel, reason))
+        return cls(channel, tuple(arrivals), tuple(missed), interval)
+
+    def inside(self, start: int, stop: int) -> list[tuple[int, int]]:
+        """Hits that a stretch holds whole."""
+        return [(begin, end) for begin, end in self.arrivals if begin >= start and end < stop]
+
+    def lead(self) -> int:
+        """Count the samples of rest to put in front of a stretch that begins at rest.
+
+        So the hit comes long after the beginning, as does the end of the record, and what rings on at the end can
+        be told from the response to the hit.
+        """
+        return self.interval
+
+    def at_rest(self, rec: Recording, names: Sequence[str], start: int, stop: int) -> bool:
+        """Whether nothing moved and no reading drifted before the first hit of a stretch."""
+        begin = self.inside(start, stop)[0][0]
+        first = max(start, begin - int(REST * rec.rate))
+        if begin - first < 4 or any(other < begin for other, _ in self.arrivals):
+            return False
+        for name in names:
+            reading = rec.read(name, first, min(begin + self.interval, stop))
+            before, after = reading[: begin - first], reading[begin - first :]
+            middle = before.size // 2
+            drift = abs(before[:middle].mean() - before[middle:].mean())
+            if drift > _STILL * float(abs(after - before.mean()).max()):
+                return False
+        return True
+
+    def alone(self, rec: Recording, names: Sequence[str], block: Array, start: int, rest: bool) -> Array:
+        """Take the zero off all channels, and off the force all that is not a hit."""
+        inside = self.inside(start, start + block.shape[1])
+        quiet = slice(max(inside[0][0] - start - int(REST * rec.rate), 0), max(inside[0][0] - start, 1))
+        out = block - (block[:, quiet] if rest else block).mean(axis=1, keepdims=True)
+        row = names.index(self.channel)
+        force = np.zeros(block.shape[1])
+        for begin, end in inside:
+            first = begin - start
+            before = block[row, max(first - int(REST * rec.rate), 0) : first]
+            # What was there before is the tail of earlier hits, which hardly changes while this one lasts.
+            piece = block[row, first:] - (before.mean() if before.size else 0.0)
+            force[first:] += pulse_alone(rec.channels[self.channel], piece, 0, end - begin)
+        out[row] = force
+        if rest:
+            out = out[:, max(first_of(inside) - start - int(REST * rec.rate), 0) :]
+        return out
+
+    def force_noise(self, rec: Recording, stretches: Sequence[tuple[int, int]], frequency: Array) -> Array:
+        """Variance of either quadrature component of the force, relative, for the noise in it while hits last.
+
+        It is the same for all lines that a hit drives, so that no scatter from line to line tells of it.
+        """
+        power, noise = np.zeros(frequency.size), []
+        for start, stop in stretches:
+            for begin, end in self.inside(start, stop):
+                before = rec.read(self.channel, max(start, begin - int(REST * rec.rate)), begin)
+                pulse = rec.read(self.channel, begin, end + 1)
+                turn = np.exp(-2j * np.pi / rec.rate * frequency[:, None] * np.arange(pulse.size))
+                power += abs(turn @ (pulse - before.mean() if before.size else pulse)) ** 2
+                if before.size > 2:
+                    # Differences from sample to sample know nothing of the tail of an earlier hit.
+                    noise.append(pulse.size * float(np.mean(np.diff(before) ** 2)) / 2.0)
+        return 0.5 * float(np.mean(noise)) / np.maximum(power, 1e-300) if noise else np.zeros(frequency.size)
+
+    def lowest_frequency(self, rec: Recording) -> float:
+        """Frequency in Hz below which the time between hits resolves nothing."""
+        return 4.0 * rec.rate / self.interval
+
+    def highest_frequency(self, rec: Recording) -> float:
+        """Frequency in Hz beyond which the hits no longer drive anything."""
+        size = fft.next_fast_len(int(0.2 * rec.rate) + 64, real=True)
+        power = np.zeros(size // 2 + 1)
+        for begin, end in self.arrivals:
+            piece = rec.read(self.channel, begin, min(begin + size, rec.samples))
+            piece = np.nan_to_num(piece - np.nanmedian(piece))
+            power += abs(fft.rfft(piece[: end - begin + 1], size)) ** 2
+        highest = int(np.argmax(power))
+        reach = np.flatnonzero(power[highest:] < _FAINT * power[highest])
+        return float(min(highest + int(reach[0]) if reach.size else power.size, 0.4 * size) * rec.rate / size)
+
+
+def first_of(inside: Sequence[tuple[int, int]]) -> int:
+    """First sample of the first hit."""
+    return inside[0][0]

@@ -1,0 +1,217 @@
+"""Frequency responses of tests that are no tones: clean stretches of the recording taken whole, fitted line by line.
+
+Random, bursts and hits are all one to the local rational method: whatever the force was, it was measured; what a
+stretch began with and what still rang when it ended is part of the fit. So nothing has to die away, no window adds
+damping, a hammer that bounced is as good as one that did not, and what overloads or lost samples spoil is cut out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from analysis.responses.clean_stretches import clean_stretches, flaws, told
+from analysis.responses.frf import Frf
+from analysis.responses.local_rational import LocalFit, local_fit
+from analysis.responses.measurands import driven, motion_of, reference_of
+from analysis.responses.systematic import aliasing_part, clock_part, reference_noise_part, sensitivity_part
+from rig.errors import RecordingError
+
+if TYPE_CHECKING:
+    from analysis.responses.hits import Hits
+    from daq.recording.recording import Recording
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# Resolved lines to either side that a fit takes in.
+SIDE = 12
+# A stretch shorter than this part of the longest is not worth its transients.
+_WORTH = 0.25
+_MOST_LINES = 1000
+
+
+@dataclass(frozen=True)
+class WholeStretches:
+    """What of a recording is to be fitted."""
+
+    channels: tuple[str, ...]
+    """All channels concerned: where one of them is spoilt, so are all, so that their curves have the
+    same lines."""
+    first: int
+    """Samples between which the test ran."""
+    stop: int
+    """Samples between which the test ran."""
+    low: float
+    """Band in Hz in which responses are told."""
+    high: float
+    """Band in Hz in which responses are told."""
+    hits: Hits | None = None
+    """Of a hammer: what is known of the force before and after each."""
+    label: str = ""
+    """For legends."""
+    warnings: tuple[str, ...] = ()
+    """In full sentences."""
+
+    def frf(
+        self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"
+    ) -> Frf:
+        """Frequency response with coherence, random and systematic errors."""
+        above, below = motion_of(rec, response, motion), reference_of(rec, reference)
+        names = list(dict.fromkeys([*above.channels, *below.channels]))
+        found = flaws(rec, self.channels, self.first, self.stop)
+        if self.hits is not None:
+            found = sorted([*found, *self.hits.missed], key=lambda flaw: flaw.first)
+        stretches, notes = self._worth_fitting(rec, clean_stretches(found, self.first, self.stop))
+        if found:
+            kept = sum(stop - start for start, stop in stretches) / (self.stop - self.first)
+            notes.insert(0, f"{1 - kept:.0%} of the test left out: {told(rec, found)}.")
+        if not stretches:
+            raise RecordingError(
+                " ".join(notes)
+                + " Nothing is left to tell a response from: lower the level or widen the range "
+                "(converter: range), and record again"
+            )
+        spectra = self._spectra(rec, names, stretches)
+        frequency = spectra.frequency(rec.rate)
+        force = np.einsum("cn,scn->sn", below.row(rec, names, frequency), spectra.samples)
+        driven(reference, force)
+        lines = self._lines(rec, spectra)
+        at = frequency[lines]
+        upper, lower = above.row(rec, names, at), below.row(rec, names, at)
+        # Of every channel, how much it reads per unit of the reference.
+        reads = np.zeros((len(names), lines.size), dtype=complex)
+        for index, name in enumerate(names):
+            if below.channels == (name,):
+                reads[index] = 1.0 / lower[index]
+                continue
+            told_by = rec.channels[name].response(frequency)
+            fit = spectra.fit(spectra.samples[:, index] / told_by, force, lines)
+            reads[index] = fit.value * told_by[lines]
+            if name == above.channels[0]:
+                of_response = fit
+        upper, lower = upper * reads, lower * reads
+        value = upper.sum(axis=0)
+        variance = of_response.variance * (abs(value) / np.maximum(abs(of_response.value), 1e-300)) ** 2
+        systematic = (
+            sensitivity_part(rec, names, value, upper, lower)
+            | aliasing_part(rec, names, at, value, upper, lower)
+            | clock_part(rec, at, value)
+        )
+        if self.hits is None:
+            systematic |= reference_noise_part(value, of_response.coherence)
+        else:
+            variance = variance + abs(value) ** 2 * self.hits.force_noise(rec, stretches, at)
+        return Frf(
+            frequency=at,
+            value=value,
+            error=np.sqrt(variance),
+            coherence=of_response.coherence,
+            degrees=np.full(at.size, of_response.degrees),
+            response=above.channels[0],
+            reference=reference,
+            motion=motion,
+            label=self.label,
+            systematic=systematic,
+            warnings=(*self.warnings, *notes),
+        )
+
+    def _worth_fitting(
+        self, rec: Recording, clean: Sequence[tuple[int, int]]
+    ) -> tuple[list[tuple[int, int]], list[str]]:
+        """Stretches long enough to resolve something and, of a hammer, with a hit in them."""
+        if self.hits is not None:
+            clean = [stretch for stretch in clean if self.hits.inside(*stretch)]
+        # A fit reaches over so many lines, and must not reach over the whole band.
+        least = 2 * SIDE / (self.high - self.low) if self.hits is None else 0.2
+        longest = max((stop - start for start, stop in clean), default=0)
+        worth = [
+            (start, stop)
+            for start, stop in clean
+            if stop - start >= max(_WORTH * longest, least * rec.rate, 4 * SIDE)
+        ]
+        if clean and not worth:
+            return [], [f"No stretch longer than {longest / rec.rate:.3g} s is clean."]
+        return worth, []
+
+    def _spectra(
+        self, rec: Recording, names: Sequence[str], stretches: Sequence[tuple[int, int]]
+    ) -> _Spectra:
+        """Spectra of all stretches, each at the end of as many samples as the longest has."""
+        lead = 0 if self.hits is None else self.hits.lead()
+        blocks, rests = [], []
+        for start, stop in stretches:
+            block = np.stack([rec.read(name, start, stop) for name in names])
+            rest = self.hits is not None and self.hits.at_rest(rec, names, start, stop)
+            if self.hits is not None:
+                block = self.hits.alone(rec, names, block, start, rest)
+            else:
+                block = block - block.mean(axis=1, keepdims=True)
+            blocks.append(block)
+            rests.append(rest)
+        longest = max(
+            block.shape[1] + (lead if rest else 0) for block, rest in zip(blocks, rests, strict=True)
+        )
+        size = fft.next_fast_len(longest, real=True)
+        samples, ends = [], []
+        for block, rest in zip(blocks, rests, strict=True):
+            zeros = size - block.shape[1]
+            samples.append(fft.rfft(np.pad(block, ((0, 0), (zeros, 0))), axis=1))
+            begin = np.exp(-2j * np.pi * np.arange(size // 2 + 1) * (zeros / size))
+            ends.append(np.zeros(begin.size, dtype=complex) if rest else begin)
+        used = sum(block.shape[1] for block in blocks) / (size * len(blocks))
+        # Hits alone are a comb of lines: between its teeth nothing is driven.
+        teeth = 1.0 if self.hits is None else max(1.0, size / lead)
+        return _Spectra(np.stack(samples), np.stack(ends), size, used, int(np.ceil(SIDE * teeth)))
+
+    def _lines(self, rec: Recording, spectra: _Spectra) -> NDArray[np.int64]:
+        low, high = (edge * spectra.size / rec.rate for edge in (self.low, self.high))
+        first, last = max(int(np.ceil(low - 1e-9)), 1), min(int(high + 1e-9), int(0.45 * spectra.size))
+        if last <= first:
+            raise RecordingError(
+                f"the recording resolves {rec.rate / spectra.size:.3g} Hz, and nothing between {self.low:.4g} and "
+                f"{self.high:.4g} Hz; record longer"
+            )
+        return np.arange(first, last + 1, -(-(last - first) // _MOST_LINES))
+
+
+def dampers_move(rec: Recording) -> tuple[str, ...]:
+    """Warn of dampers that may move: a response without tones is then that of this excitation alone."""
+    if all(damper.locked or damper.clearance == 0.0 for damper in rec.scene.dampers):
+        return ()
+    return (
+        "With dampers that move the structure is not linear: the curve holds for this level and kind of excitation, "
+        "and its error bars take the motion for linear; use stepped sine for the response to steady tones.",
+    )
+
+
+@dataclass(frozen=True)
+class _Spectra:
+    """Spectra of stretches."""
+
+    samples: ComplexArray
+    """complex, shape (stretches, channels, bins)."""
+    ends: ComplexArray
+    """As in `local_fit`; complex, shape (stretches, bins)."""
+    size: int
+    """Samples behind each spectrum, zeros put in front of shorter stretches included."""
+    used: float
+    """Share of them that was measured: zeros tell nothing, and make neighbouring lines depend on each
+    other."""
+    side: int
+    """Lines to either side that a fit takes in."""
+
+    def frequency(self, rate: float) -> Array:
+        # The line at zero has no displacement: it takes no part.
+        out = fft.rfftfreq(self.size, 1.0 / rate)
+        out[0] = out[1]
+        return out
+
+    def fit(self, response: ComplexArray, force: ComplexArray, lines: NDArray[np.int64]) -> LocalFit:
+        side = min(self.side, (force.shape[1] - 1) // 2)
+        return local_fit(response, force, self.ends, lines, side, self.used)

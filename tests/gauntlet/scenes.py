@@ -1,0 +1,310 @@
+"""Scenes that nobody prepared: structure, shaker, test, sensors and converter drawn at random, all by the seed.
+
+Every scene is short enough to be run in about a second. What is drawn is a scene file, so that a scene found
+wanting can be written out and run by hand.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import yaml
+
+import rig
+from daq.signal_chain.bench import Bench
+from rig.system.receptance import receptance
+
+Settings = dict[str, Any]
+
+# A kind with dampers is judged by the engine's exact orbits, the others in closed form.
+KINDS = (
+    "random",
+    "burst_random",
+    "multisine",
+    "impulse",
+    "stepped_sine",
+    "swept_sine",
+    "stepped_sine_dampers",
+    "multisine_dampers",
+    "swept_sine_dampers",
+)
+# Time constant of the slowest mode, s: transients must die out within seconds.
+_SLOWEST = 1.6
+# Shares of the scenes in which something is amiss.
+_TIGHT_RANGE, _LOST, _DOUBLE_HIT = 0.2, 0.15, 0.2
+
+
+class Draw:
+    """Random choices, all from one seed."""
+
+    def __init__(self, seed: int, number: int) -> None:
+        self._random = np.random.default_rng([seed, number])
+
+    def even(self, low: float, high: float) -> float:
+        return float(f"{self._random.uniform(low, high):.5g}")
+
+    def log(self, low: float, high: float) -> float:
+        return float(f"{np.exp(self._random.uniform(np.log(low), np.log(high))):.5g}")
+
+    def whole(self, low: int, high: int) -> int:
+        return int(self._random.integers(low, high + 1))
+
+    def one(self, choices: Any) -> Any:
+        return choices[self.whole(0, len(choices) - 1)]
+
+    def chance(self, share: float) -> bool:
+        return bool(self._random.random() < share)
+
+
+def draw(seed: int, number: int, kind: str) -> rig.Scene:
+    """Draw a scene for a kind of test; same seed, number and kind give the same scene."""
+    dice = Draw(seed, number)
+    structure, modes = _structure(dice)
+    settings: Settings = {"name": f"gauntlet {seed}/{number} {kind}", "structure": structure}
+    bodies = len(structure["masses"])
+    test = kind.removesuffix("_dampers")
+    if kind.endswith("_dampers"):
+        settings["dampers"] = _dampers(dice, bodies)
+    if test != "impulse":
+        settings["shaker"] = _shaker(dice, structure, bodies, kind)
+    settings["test"] = _test(dice, test, modes, bodies, settings)
+    settings["channels"] = _channels(dice, settings, bodies)
+    settings["converter"] = _converter(dice, settings, modes)
+    settings["recording"] = {"display": False}
+    settings["seed"] = dice.whole(1, 10**6)
+    return _ranged(dice, rig.loads(yaml.safe_dump(settings, sort_keys=False), where=settings["name"]))
+
+
+def _structure(dice: Draw) -> tuple[Settings, list[float]]:
+    """A chain of 1 to 6 bodies and its natural frequencies, Hz."""
+    bodies = dice.whole(1, 6)
+    masses = [dice.log(0.3, 3.0) for _ in range(bodies)]
+    springs = np.array([dice.log(0.4, 2.5) for _ in range(bodies)])
+    stiffness = np.diag(springs + np.append(springs[1:], 0.0))
+    stiffness -= np.diag(springs[1:], 1) + np.diag(springs[1:], -1)
+    root = 1.0 / np.sqrt(masses)
+    modes = np.sqrt(np.linalg.eigvalsh(root[:, None] * stiffness * root)) / (2 * np.pi)
+    factor = dice.log(8.0, 25.0) / modes[0]
+    modes = modes * factor
+    slowest = 1.0 / (2 * np.pi * modes[0] * _SLOWEST)
+    damping: Settings
+    way = dice.whole(0, 2)
+    if way == 0:
+        damping = {"modal": dice.log(max(0.003, slowest), 0.04)}
+    elif way == 1:
+        damping = {"modal": [dice.log(max(0.003, slowest), 0.04) for _ in range(bodies)]}
+    else:
+        # Mass- and stiffness-proportional: this ratio at the first mode, and some of it growing with frequency.
+        ratio, share = dice.log(max(0.005, 1.5 * slowest), 0.03), dice.even(0.1, 0.5)
+        angular = 2 * np.pi * modes[0]
+        damping = {
+            "rayleigh": {
+                "alpha": float(2 * ratio * (1 - share) * angular),
+                "beta": float(2 * ratio * share / angular),
+            }
+        }
+    chain = {
+        "masses": masses,
+        "springs": [float(f"{k:.6g}") for k in springs * factor**2],
+        "damping": damping,
+    }
+    return chain, [float(mode) for mode in modes]
+
+
+def _dampers(dice: Draw, bodies: int) -> list[Settings]:
+    dampers = []
+    for body in sorted({dice.whole(1, bodies) for _ in range(dice.whole(1, 2))}):
+        clearance = dice.one([".inf", f"{dice.log(0.3, 3.0):.3g} mm"])
+        dampers.append({"body": body, "mass_ratio": dice.even(0.03, 0.12), "clearance": clearance})
+    return dampers
+
+
+def _shaker(dice: Draw, structure: Settings, bodies: int, kind: str) -> Settings:
+    body = dice.whole(1, bodies)
+    chosen = dice.one(["force", "table", "electrodynamic"])
+    if chosen == "force" or kind == "swept_sine_dampers":
+        return {"kind": "force", "body": body}
+    return {"kind": chosen, "body": body, "spring": round(structure["springs"][0] * dice.even(0.1, 0.6), 1)}
+
+
+def _test(dice: Draw, test: str, modes: list[float], bodies: int, settings: Settings) -> Settings:
+    low = float(f"{modes[0] * dice.even(0.5, 0.8):.3g}")
+    top = modes[dice.whole(0, len(modes) - 1)]
+    high = float(f"{max(min(top * dice.even(1.1, 1.5), 8 * low), 1.6 * low):.3g}")
+    level = dice.log(0.2, 20.0)
+    if test == "impulse":
+        found: Settings = {
+            "kind": "impulse", "body": dice.whole(1, bodies), "peak": dice.log(5.0, 200.0),
+            "width": dice.log(2e-3, 8e-3), "repeats": dice.whole(1, 6), "interval": dice.even(2.0, 8.0),
+        }  # fmt: skip
+        if dice.chance(_DOUBLE_HIT):
+            found["double_hit"] = {
+                "hits": sorted({dice.whole(1, found["repeats"]) for _ in range(2)}),
+                "after": dice.even(12e-3, 60e-3),
+                "ratio": dice.even(0.15, 0.7),
+            }
+        return found
+    band: Settings = {"from": low, "to": high}
+    closed = settings["shaker"]["kind"] != "force"
+    # Held forces of a sweep are steered period by period, which takes ten times as long as all the rest.
+    amount: Settings = {"force": level}
+    if (closed and test == "swept_sine") or (
+        closed and test in ("random", "burst_random", "multisine") and dice.chance(0.3)
+    ):
+        amount = {"drive": _open_drive(settings, level)}
+    if test in ("random", "burst_random"):
+        found = {"kind": "random", **band, "duration": dice.even(20.0, 60.0), **amount}
+        if test == "burst_random":
+            found["burst"] = dice.even(0.2, 0.7)
+            found["duration"] = dice.even(32.0, 80.0)
+        return found
+    if test == "multisine":
+        period = dice.even(1.0, 4.0)
+        return {
+            "kind": "multisine", **band, "period": period, "periods": dice.whole(2, 6),
+            "realisations": dice.whole(1, 4), **amount,
+        }  # fmt: skip
+    if test == "stepped_sine":
+        found = {"kind": "stepped_sine", **band, "points": dice.whole(6, 14), **amount}
+        if "dampers" in settings:
+            found["direction"] = dice.one(["up", "down"])
+        return found
+    ends = {"from": low, "to": high} if dice.chance(0.7) else {"from": high, "to": low}
+    return {
+        "kind": "swept_sine", **ends, "duration": dice.even(20.0, 60.0),
+        "spacing": dice.one(["log", "linear"]), **amount,
+    }  # fmt: skip
+
+
+def _open_drive(settings: Settings, level: float) -> float:
+    """Drive that brings about so much force: displacement of a table, volts at an amplifier."""
+    shaker = settings["shaker"]
+    return float(f"{level / shaker['spring'] if shaker['kind'] == 'table' else 0.1 * level:.4g}")
+
+
+def _channels(dice: Draw, settings: Settings, bodies: int) -> list[Settings]:
+    shaker = settings.get("shaker")
+    impulse = settings["test"]["kind"] == "impulse"
+    seen = {dice.whole(1, bodies) for _ in range(2)}
+    if shaker is not None and shaker["kind"] != "force":
+        seen.add(shaker["body"])
+    way = dice.one(["ideal", "preset", "drawn", "integrated"])
+    channels = [
+        {"name": f"a{body}", "at": f"body {body}", **_sensor(dice, way, impulse)} for body in sorted(seen)
+    ]
+    if impulse:
+        channels.append({"name": "hammer", "at": "hammer", **_force_sensor(dice, way)})
+    elif shaker["kind"] == "force":
+        channels.append({"name": "force", "at": "shaker", **_force_sensor(dice, way)})
+    else:
+        channels.append({"name": "table", "at": "table", **_sensor(dice, way, impulse)})
+    return channels
+
+
+def _sensor(dice: Draw, way: str, impulse: bool) -> Settings:
+    if way == "ideal":
+        return {}
+    if way == "preset":
+        return {"accelerometer": {"preset": "PCB 352C33"}}
+    sensor: Settings = {
+        "sensitivity": dice.one(["100 mV/g", "10 mV/g", "500 mV/g"]),
+        "low_cutoff": dice.log(0.05, 0.8),
+    }
+    if dice.chance(0.7):
+        sensor["noise"] = f"{dice.log(1.0, 100.0):.4g} ug/sqrt(Hz)"
+    if dice.chance(0.4):
+        sensor["sensitivity_tolerance"] = dice.one([0.02, 0.05, 0.1])
+    if dice.chance(0.4):
+        sensor["resonance"] = dice.log(5e3, 50e3)
+    if dice.chance(0.2):
+        sensor["transverse"] = 0.05
+    if dice.chance(0.3):
+        sensor |= {"bias": f"{dice.log(1e-3, 1e-1):.4g} V", "bias_settling": dice.log(0.3, 3.0)}
+    if way == "integrated" and not impulse:
+        order = dice.whole(1, 2)
+        gain = 50.0 if order == 1 else 2000.0
+        return {
+            "accelerometer": sensor,
+            "integrator": {"order": order, "corner": dice.log(0.2, 2.0), "gain": gain, "low_cutoff": 0.2},
+        }
+    return {"accelerometer": sensor}
+
+
+def _force_sensor(dice: Draw, way: str) -> Settings:
+    if way == "ideal":
+        return {}
+    if way == "preset":
+        return {"hammer": {"preset": "PCB 086C03"}}
+    sensor: Settings = {"sensitivity": dice.one(["2.25 mV/N", "11.2 mV/N", "100 mV/N"])}
+    if dice.chance(0.6):
+        sensor["low_cutoff"] = dice.log(1e-4, 0.05)
+    if dice.chance(0.6):
+        sensor["noise"] = f"{dice.log(1e-5, 1e-3):.3g} N/sqrt(Hz)"
+    if dice.chance(0.4):
+        sensor["sensitivity_tolerance"] = dice.one([0.02, 0.05, 0.15])
+    return {"hammer": sensor}
+
+
+def _converter(dice: Draw, settings: Settings, modes: list[float]) -> Settings:
+    slowest = max(1024.0, 12.0 * modes[-1])
+    converter: Settings = {"rate": round(max(slowest, dice.one([1024.0, 2048.0, 2560.0, 5120.0])), 1)}
+    if settings["test"]["kind"] == "impulse":
+        converter["rate"] = round(max(converter["rate"], 6.0 / settings["test"]["width"], 2048.0), 1)
+    preset = any("preset" in channel.get("accelerometer", {}) for channel in settings["channels"])
+    if preset or dice.chance(0.3):
+        converter["preset"] = "NI 9234"
+        converter["rate"] = max(converter["rate"], 1652.0)
+        if not preset:
+            converter["coupling"] = "DC"
+    elif dice.chance(0.5):
+        converter |= {
+            "bits": dice.one([12, 16, 24]),
+            "range": 10.0,
+            "filter": dice.one(["delta_sigma", None]),
+        }
+        converter["noise"] = f"{dice.log(0.1, 10.0):.3g} uV/sqrt(Hz)"
+    if dice.chance(0.2):
+        converter["skew"] = dice.log(1e-6, 1e-4)
+    if dice.chance(0.15):
+        converter["clock_error"] = dice.even(-5e-5, 5e-5)
+    if dice.chance(_LOST):
+        length = 30.0
+        converter["dropped_blocks"] = [
+            {"at": dice.even(1.0, length), "samples": dice.whole(1, 3000)} for _ in range(dice.whole(1, 3))
+        ]
+    return {key: value for key, value in converter.items() if value is not None}
+
+
+def _ranged(dice: Draw, scene: rig.Scene) -> rig.Scene:
+    """Give the converter a range: mostly with room, sometimes too small for what the test brings about."""
+    if "bits" not in scene.converter.model_fields_set and dice.chance(0.3):
+        return scene
+    room = dice.log(0.15, 0.8) if dice.chance(_TIGHT_RANGE) else dice.log(1.5, 50.0)
+    volts = float(f"{max(_largest_volts(scene) * room, 1e-6):.3g}")
+    return scene.replace(converter=scene.converter.replace(range=volts))
+
+
+def _largest_volts(scene: rig.Scene) -> float:
+    """Largest voltage that the test is to bring about, roughly: by the linear response without dampers."""
+    test, sweep = scene.test, scene.test.kind in ("stepped_sine", "swept_sine")
+    if test.kind == "impulse":
+        band, level = np.linspace(2.0, 1.0 / test.width, 2000), test.peak
+    else:
+        band = np.linspace(min(test.from_, test.to), max(test.from_, test.to), 2000)
+        level = test.force if test.force is not None else 1.0
+        level = level[0] if isinstance(level, tuple) else level
+    response = receptance(scene, band)
+    largest = 0.0
+    for info in Bench(scene).channels:
+        order = {"displacement": 0, "velocity": 1, "acceleration": 2}.get(info.quantity, 0)
+        read = abs(info.response(band)) * info.sensitivity * (2 * np.pi * band) ** order
+        if info.at.startswith("body"):
+            read = read * abs(response[int(info.at.split()[1]) - 1])
+        elif info.at == "table":
+            read = read * (1.0 / scene.shaker.spring + abs(response[scene.shaker.bodies[0] - 1]))
+        if test.kind == "impulse" and info.quantity != "force":
+            # The pulse's spectrum spread over the modes that it stirs.
+            read = read * 4.0 * test.width
+        largest = max(largest, level * (read.max() if sweep else 3.0 * np.sqrt(np.mean(read**2))))
+    return largest

@@ -1,0 +1,43 @@
+"""One scene on trial: drawn, recorded, judged."""
+
+from __future__ import annotations
+
+import tempfile
+import traceback
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import daq
+from rig.errors import ShotrigError
+from tests.gauntlet.judges import JUDGES
+from tests.gauntlet.scenes import draw
+from tests.gauntlet.verdict import Case, Verdict
+
+
+def try_out(seed: int, number: int, kind: str) -> list[Verdict]:
+    """Draw a scene, run its test, put the recording before all judges."""
+    scene = draw(seed, number, kind)
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always", daq.RunWarning)
+        path = Path(folder) / "gauntlet.mcap"
+        try:
+            daq.record(scene, path)
+        except ShotrigError as error:
+            # A test that was broken off is one that was refused; what it leaves behind is judged all the same.
+            if not path.exists():
+                return [Verdict("record", kind, "refused", note=str(error), scene=scene.name)]
+        with daq.open(path) as recording:
+            case = Case(scene, recording, [str(warning.message) for warning in heard])
+            found = [verdict for name, judge in JUDGES.items() for verdict in _heard(name, judge, case, kind)]
+    return [replace(verdict, scene=scene.name) for verdict in found]
+
+
+def _heard(name, judge, case, kind) -> list[Verdict]:
+    try:
+        return judge(case, kind)
+    except ShotrigError as error:
+        return [Verdict(name, kind, "refused", note=str(error))]
+    except Exception:
+        # A traceback is the worst of answers.
+        return [Verdict(name, kind, "wrong", note=traceback.format_exc(limit=-3))]

@@ -1,108 +1,60 @@
 """How kernels are compiled: decorators around numba's `njit`.
 
-All keep the machine code on disk, under a key of everything that went into it (`KernelCache`). Those of the engine's
-kernel also release the GIL, let multiplications and additions fuse (never reorder), and leave out numba's
-reference counting. The kernel allocates nothing, and counting the references to its arrays took longer than its
-arithmetic did; in exchange, compiled functions cannot create arrays, only fill them.
+All keep the machine code on disk, release the GIL, let multiplications and additions fuse (never reorder), and
+leave out numba's reference counting. The kernel allocates nothing, and counting the references to its arrays
+took longer than its arithmetic did; in exchange, compiled functions cannot create arrays, only fill them.
 """
 
 from __future__ import annotations
 
-import hashlib
-import inspect
-from collections.abc import Callable, Iterator
-from types import CodeType, FunctionType
-from typing import Any, TypeVar, cast
+import functools
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import TypeVar
 
 import numba
-import numpy as np
-from numba.core.caching import FunctionCache
 
 F = TypeVar("F", bound=Callable[..., object])
 
-_KERNEL = {"nogil": True, "fastmath": {"contract"}, "_nrt": False}
-# Functions of these do not change but with their version, which numba looks at, or are not compiled in.
-_LIBRARIES = {"builtins", "llvmlite", "numba", "numpy", "typing"}
+_OPTIONS = {"cache": True, "nogil": True, "fastmath": {"contract"}, "_nrt": False}
 
 
-class KernelCache(FunctionCache):
-    """Machine code on disk that is used only for what it was made of.
+@functools.cache
+def _forget_outdated(folder: Path) -> None:
+    """Remove machine code that is older than a source in which other functions of it are.
 
-    numba looks at the file of the function that is called alone, not at what is compiled into it: functions and
-    constants of other modules, and the order of the fields of named tuples.
+    numba looks only at the file of the function that is called, not at those that were compiled into it.
     """
-
-    def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
-        fields = [getattr(kind, "fields", None) for kind in sig]
-        return (*super()._index_key(sig, codegen), ingredients(self._py_func), repr(fields))
-
-
-def ingredients(function: Callable[..., object]) -> str:
-    """Digest the code of a function and of all that it calls, and the constants that they take from their modules.
-
-    >>> ingredients(ingredients) == ingredients(ingredients), ingredients(ingredients) == ingredients(compiled)
-    (True, False)
-    """
-    digest = hashlib.sha256()
-    seen: set[FunctionType] = set()
-    waiting: list[Any] = [function]
-    while waiting:
-        item = inspect.unwrap(
-            waiting.pop()
-        )  # the Python function of a compiled one, or what an intrinsic is made by
-        if isinstance(item, FunctionType):
-            if item in seen or item.__module__.partition(".")[0] in _LIBRARIES:
-                continue
-            seen.add(item)
-            for code in _codes(item.__code__):
-                plain = [
-                    sorted(map(repr, c)) if isinstance(c, frozenset) else repr(c) for c in _constants(code)
-                ]
-                digest.update(repr((code.co_code, code.co_names, code.co_varnames, plain)).encode())
-                waiting += [item.__globals__.get(name) for name in code.co_names]
-            waiting += [item.__defaults__, *(cell.cell_contents for cell in item.__closure__ or ())]
-        elif isinstance(item, tuple | list):
-            waiting += item
-        elif isinstance(item, np.ndarray | np.generic):
-            digest.update(repr((item.dtype, item.shape)).encode() + item.tobytes())
-        elif isinstance(item, bool | int | float | complex | str | bytes):
-            digest.update(repr(item).encode())
-        elif isinstance(item, type):
-            digest.update(repr((item.__qualname__, getattr(item, "_fields", None))).encode())
-    return digest.hexdigest()
+    code: dict[Path, float] = {}
+    for path in (folder / "__pycache__").glob("*.nbi"):
+        with suppress(FileNotFoundError):  # another process may be renewing it
+            code[path] = path.stat().st_mtime
+    oldest = min(code.values(), default=float("inf"))
+    sources = {*folder.parent.rglob("*.py"), *Path(__file__).parent.glob("*.py")}
+    newer = {path: path.stat().st_mtime for path in sources if path.stat().st_mtime > oldest}
+    changed = max(
+        (time for path, time in newer.items() if "rig.numerics.jit" in path.read_text()), default=0.0
+    )
+    for path, time in code.items():
+        if time < changed:
+            with suppress(OSError):
+                path.unlink()
 
 
-def _codes(code: CodeType) -> Iterator[CodeType]:
-    """Yield a code and those of the functions defined inside it."""
-    yield code
-    for constant in code.co_consts:
-        if isinstance(constant, CodeType):
-            yield from _codes(constant)
-
-
-def _constants(code: CodeType) -> Iterator[Any]:
-    return (constant for constant in code.co_consts if not isinstance(constant, CodeType))
-
-
-def _njit(function: F, **options: Any) -> F:
-    dispatcher: Any = numba.njit(**options)(function)
-    dispatcher._cache = KernelCache(function)  # noqa: SLF001 - what `cache=True` does with numba's own
-    return cast(F, dispatcher)
-
-
-def stored(function: F) -> F:
-    """Compile a function as `njit` does; it may create arrays."""
-    return _njit(function)
+def _options(function: Callable[..., object]) -> dict[str, object]:
+    _forget_outdated(Path(function.__code__.co_filename).parent)
+    return _OPTIONS
 
 
 def compiled(function: F) -> F:
     """Compile a function of the kernel."""
-    return _njit(function, **_KERNEL)
+    return numba.njit(**_options(function))(function)  # type: ignore[call-overload]
 
 
 def inlined(function: F) -> F:
     """Compile a function of the kernel into each of its callers: handing it hundreds of arrays takes longer."""
-    return _njit(function, forceinline=True, **_KERNEL)
+    return numba.njit(forceinline=True, **_options(function))(function)  # type: ignore[call-overload]
 
 
 def unfused(function: F) -> F:
@@ -111,4 +63,5 @@ def unfused(function: F) -> F:
     For loops over samples: a processor works them off several at a time and what is left one by one, and both have
     to give the same bits, however samples come in blocks.
     """
-    return _njit(function, **{**_KERNEL, "fastmath": False})
+    options = {**_options(function), "fastmath": False}
+    return numba.njit(**options)(function)  # type: ignore[call-overload]

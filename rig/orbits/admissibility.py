@@ -10,9 +10,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from rig.numerics.jit import stored
 from rig.orbits.shooting import (
     CEILING,
     CEILING_BOUNCE,
@@ -59,7 +59,7 @@ class Track(NamedTuple):
     """Integral of the state times exp(-i w t) over the orbit; complex, shape (states,)."""
 
 
-@stored
+@njit(cache=True)
 def _turning(left: float, right: float, slopes: Array, curves: Array, step: float) -> float:
     """Value at the turning point inside an interval, by the quintic through values and two derivatives."""
     s0, s1, c0, c1 = slopes[0] * step, slopes[1] * step, curves[0] * step * step, curves[1] * step * step
@@ -75,7 +75,7 @@ def _turning(left: float, right: float, slopes: Array, curves: Array, step: floa
     return left + t * (s0 + t * (0.5 * c0 + t * (a3 + t * (a4 + t * a5))))
 
 
-@stored
+@njit(cache=True)
 def follow(equations: Equations, sequence: Sequence, instants: Array, states: Array) -> Track:
     """Follow an orbit between its events.
 
@@ -187,7 +187,7 @@ def follow(equations: Equations, sequence: Sequence, instants: Array, states: Ar
     return Track(times, motion, guards, reach, harmonic)
 
 
-@stored
+@njit(cache=True)
 def _dip(track: Track, s: int, j: int, offset: float, sign: float) -> float:
     """Lowest turning point of offset + sign times a guard inside a stretch; infinity if there is none."""
     guard = track.guards[s, :, j]
@@ -202,7 +202,7 @@ def _dip(track: Track, s: int, j: int, offset: float, sign: float) -> float:
     return low
 
 
-@stored
+@njit(cache=True)
 def rooms(equations: Equations, sequence: Sequence, track: Track, instants: Array, closing: Array) -> Array:
     """Measure how far an orbit is from each border at which it stops being possible as a motion.
 
@@ -275,7 +275,7 @@ def rooms(equations: Equations, sequence: Sequence, track: Track, instants: Arra
     return found
 
 
-@stored
+@njit(cache=True)
 def survey(
     equations: Equations, sequence: Sequence, shot: Shot, instants: Array
 ) -> tuple[Array, NDArray[np.complex128], Array]:

@@ -14,9 +14,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
-
-from rig.numerics.jit import stored
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -88,7 +87,7 @@ class Shot(NamedTuple):
     """Closing speed of each impact [m/s]; shape (events,)."""
 
 
-@stored
+@njit(cache=True)
 def exponential(matrix: Array, time: float, rate: float) -> Array:
     """Matrix exponential of `matrix` times `time`, by a Taylor series with scaling and squaring.
 
@@ -114,7 +113,7 @@ def exponential(matrix: Array, time: float, rate: float) -> Array:
     return total
 
 
-@stored
+@njit(cache=True)
 def _drift(matrix: Array, change: Array, start: Array, slope: Array, time: float, rate: float) -> Array:
     """Differentiate exp(matrix time) start, matrix and start both changing: s' = A s + E z, s(0) = slope."""
     n = matrix.shape[0]
@@ -146,7 +145,7 @@ def _drift(matrix: Array, change: Array, start: Array, slope: Array, time: float
     return s
 
 
-@stored
+@njit(cache=True)
 def shoot(equations: Equations, change: Change, sequence: Sequence, unknowns: Array) -> Shot:
     """Evaluate the equations of an orbit.
 
@@ -294,7 +293,7 @@ def shoot(equations: Equations, change: Change, sequence: Sequence, unknowns: Ar
     return Shot(residual, jacobian, states, closing)
 
 
-@stored
+@njit(cache=True)
 def correct(
     equations: Equations,
     change: Change,
@@ -352,13 +351,13 @@ def correct(
     return x, slope, shot, last, -1
 
 
-@stored
+@njit(cache=True)
 def distance(one: Array, other: Array, scale: Array) -> float:
     """Largest difference between two sets of unknowns, in their scales."""
     return float(np.abs((one - other) / scale).max())
 
 
-@stored
+@njit(cache=True)
 def monodromy(shot: Shot, events: int, scale: Array, rows: Array) -> Array:
     """Map of deviations over an orbit (scaled): the events' rows are solved for the instants."""
     size = scale.size

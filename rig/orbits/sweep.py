@@ -11,11 +11,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from rig.engine.propagator import Propagator
 from rig.errors import RunError, SceneError
-from rig.numerics.jit import stored
 from rig.orbits.orbit import Following, Orbit
 from rig.orbits.periodic_orbit import enter, period_steps, search, start_march
 from rig.orbits.problem import PARAMETERS, OperatingPoint, OrbitProblem, Parameter, vary
@@ -179,7 +179,7 @@ class _Known:
     orbit: Orbit
 
 
-@stored
+@njit(cache=True)
 def _hermite(at: Array, values: Array, slopes: Array, x: float) -> Array:
     """Value at x of the polynomial through values and slopes (points, unknowns) at some points."""
     found = np.zeros(values.shape[1])

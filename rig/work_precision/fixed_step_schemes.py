@@ -5,10 +5,10 @@ from __future__ import annotations
 from itertools import product
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from rig.errors import RunError
-from rig.numerics.jit import stored
 from rig.work_precision.first_order_form import (
     CEILING,
     FLIGHT,
@@ -153,7 +153,7 @@ def _outcome(problem: FirstOrderForm, step: float, samples: Array, sides: NDArra
     return Outcome(np.ascontiguousarray(samples[:, : problem.system.coordinates].T), events)
 
 
-@stored
+@njit(cache=True)
 def _forces(
     z: Array, gap: Array, closing: Array, clearance: Array, stiffness: Array, dashpot: Array, out: Array,
     sides: NDArray[np.int8],
@@ -174,7 +174,7 @@ def _forces(
             sides[j] = 2
 
 
-@stored
+@njit(cache=True)
 def _runge_kutta(
     matrix: Array, constant: Array, cosine: Array, sine: Array, omega: float, step: float, steps: int, every: int,
     start: Array, gap: Array, closing: Array, clearance: Array, push: Array, stiffness: Array, dashpot: Array,
@@ -212,7 +212,7 @@ def _runge_kutta(
     return samples, history
 
 
-@stored
+@njit(cache=True)
 def _newmark(
     solve: Array, explicit: Array, constant: Array, cosine: Array, sine: Array, omega: float, step: float,
     steps: int, every: int, start: Array, gap: Array, closing: Array, clearance: Array,
@@ -257,7 +257,7 @@ def _newmark(
     return samples, history
 
 
-@stored
+@njit(cache=True)
 def _moreau(
     advance: Array, constant: Array, cosine: Array, sine: Array, omega: float, step: float, steps: int, every: int,
     start: Array, gap: Array, closing: Array, clearance: Array, kicks: Array, delassus: Array, restitution: Array,

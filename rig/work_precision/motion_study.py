@@ -202,7 +202,7 @@ def _compiled(problem: FirstOrderForm, period: float) -> Methods:
     peer = DormandPrince(problem)
     peer.follow(1e-6, BLIND, period)
     for rtol in (1e-6, 1e-9, 1e-12):
-        yield "compiled DP5", f"rtol {rtol:.0e}", partial(peer.follow, rtol, BLIND, np.inf)
+        yield "compiled DP5", f"rtol {rtol:.0e}, blind", partial(peer.follow, rtol, BLIND, np.inf)
     yield "compiled DP5", "rtol 1e-12, step T/40, blind", partial(peer.follow, 1e-12, BLIND, CAREFUL * period)
 
 

@@ -10,8 +10,10 @@ from analysis.modal.pole_residue import Curves, Fit
 
 Array = NDArray[np.float64]
 
-# Rounding of double precision through a fit, relative.
-_ROUNDING = 1e-9
+# Errors of a curve that look like a mode themselves (what is left of a transient, a sensor's phase) leave nothing
+# to see in the misfit: no damping ratio is claimed to be known better than this, and no frequency better than this
+# part of half the half-power width.
+_UNSEEN = 5e-4
 
 
 def pole_errors(curves: Curves, model: Fit) -> tuple[Array, Array]:
@@ -39,7 +41,8 @@ def pole_errors(curves: Curves, model: Fit) -> tuple[Array, Array]:
         f_error[i], z_error[i] = (
             np.sqrt(max(*(to @ pair @ to for pair in pairs), 0.0)) for to in (to_f, to_z)
         )
-    return np.maximum(f_error, _ROUNDING * size / (2 * np.pi)), np.maximum(z_error, _ROUNDING * decay / size)
+    unseen = _UNSEEN * decay
+    return np.hypot(f_error, unseen / (2 * np.pi)), np.hypot(z_error, unseen / size)
 
 
 def _covariances(curves: Curves, model: Fit) -> tuple[Array, Array]:

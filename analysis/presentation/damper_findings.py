@@ -10,7 +10,9 @@ import numpy as np
 
 from analysis.dampers.nonlinearity import damper_motion, describe_motion
 from analysis.dampers.performance import CycleEnergy, energy_per_cycle, impact_energy_per_cycle
-from analysis.presentation.presentation import Progress, Result, output_stem
+from analysis.presentation.expectations import expect
+from analysis.presentation.output_names import output_stem, with_ending
+from analysis.presentation.presentation import Progress, Result
 from analysis.presentation.tables import write_table
 from analysis.recordings.names import opened, relabelled, scene_labels
 from analysis.responses.measurands import located
@@ -41,8 +43,7 @@ def present_dampers(
     files, lines, notes = [], [], []
     for path, label in zip(paths, scene_labels(paths), strict=True):
         with opened(path) as rec:
-            if not rec.scene.dampers:
-                raise RecordingError(f"{path}: its scene has no dampers; there is nothing to tell of them")
+            expect(rec, path, "dampers")
             rows: list[tuple[str | float, ...]] = []
             for sweep in sweeps(rec, progress=progress):
                 name = relabelled(sweep.lines, rec.scene.name, label).label
@@ -62,7 +63,7 @@ def present_dampers(
             "scene", "frequency_Hz", "supplied_J", "structure_J", "dampers_J", "true_impacts_J", "channel",
             "motion", "floor_per_period", "ceiling_per_period",
         ]  # fmt: skip
-        files.append(write_table(stem.with_suffix(".csv"), heading, rows))
+        files.append(write_table(with_ending(stem, "csv"), heading, rows))
     return Result(tuple(files), tuple(lines), tuple(notes))
 
 

@@ -13,6 +13,8 @@ from analysis.dampers.nonlinearity import jumps
 from analysis.decays.free_decay import Decay, decay
 from analysis.modal.identification import identify
 from analysis.modal.modes import Modes, mac
+from analysis.presentation.expectations import expect
+from analysis.presentation.output_names import output_stem, with_ending
 from analysis.recordings.names import opened, relabelled, scene_labels
 from analysis.responses.frequency_responses import frequency_responses
 from analysis.responses.frf import Frf
@@ -23,9 +25,6 @@ if TYPE_CHECKING:
 
 Progress = Callable[[int, int], None]
 
-# Longest name of a file made of the names of several recordings.
-_LONGEST_NAME = 60
-
 
 @dataclass(frozen=True)
 class Result:
@@ -35,20 +34,6 @@ class Result:
     lines: tuple[str, ...]  # Findings, one to a line
     warnings: tuple[str, ...]
     """Doubts, each with the recording it concerns."""
-
-
-def output_stem(paths: Sequence[Path], output: Path | None, kind: str) -> Path:
-    """Name the files made from some recordings, beside the first one unless told otherwise.
-
-    Examples
-    --------
-    >>> output_stem([Path("a/none.mcap"), Path("a/three.mcap")], None, "frf").as_posix()
-    'a/none+three-frf'
-    """
-    name = "+".join(path.stem for path in paths)
-    if len(name) > _LONGEST_NAME:
-        name = f"{paths[0].stem}+{len(paths) - 1}-more"
-    return (output if output is not None else paths[0].parent) / f"{name}-{kind}"
 
 
 def present_frf(
@@ -72,6 +57,7 @@ def present_frf(
     notes: list[str] = []
     for path, label in zip(paths, scene_labels(paths), strict=True):
         with opened(path) as rec:
+            expect(rec, path, "frf")
             groups = frequency_responses(rec, channels, reference, motion, estimator, block, progress)
             curves += [relabelled(frf, rec.scene.name, label) for group in groups for frf in group]
             notes += _noted(path, [note for group in groups for note in group[0].warnings])
@@ -133,6 +119,7 @@ def present_decay(
     notes: list[str] = []
     for path, label in zip(paths, scene_labels(paths), strict=True):
         with opened(path) as rec:
+            expect(rec, path, "decay")
             decays.append(relabelled(decay(rec, channel, hit), rec.scene.name, label))
         notes += _noted(path, decays[-1].warnings)
     stem = output_stem(paths, output, "decay")
@@ -188,16 +175,18 @@ def present_modes(
     notes: list[str] = []
     for path, label in zip(paths, scene_labels(paths), strict=True):
         with opened(path) as rec:
+            expect(rec, path, "modes")
+            first = output_stem([path], output, "modes")
             for number, group in enumerate(
                 frequency_responses(rec, None, reference, block=block, progress=progress)
             ):
                 modes = relabelled(identify(group, count), rec.scene.name, label)
                 found.append(modes)
-                stem = output_stem([path], output, "modes" if number == 0 else f"modes-{number + 1}")
+                stem = first if number == 0 else first.with_name(f"{first.name}-{number + 1}")
                 files += save(modes_figure(group, modes, f"Modes: {modes.label}"), stem)
                 lines += describe_modes(rec, modes, reference)
                 notes += _noted(path, modes.warnings)
-    files.append(modes_table(output_stem(paths, output, "modes").with_suffix(".csv"), found))
+    files.append(modes_table(with_ending(output_stem(paths, output, "modes"), "csv"), found))
     return Result(tuple(files), tuple(lines), tuple(notes))
 
 

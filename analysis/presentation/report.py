@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import shlex
 import tempfile
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -13,10 +14,10 @@ from string import Template
 from typing import TYPE_CHECKING
 
 from analysis.presentation.damper_findings import present_dampers
+from analysis.presentation.output_names import output_stem, with_ending
 from analysis.presentation.presentation import (
     Progress,
     Result,
-    output_stem,
     present_decay,
     present_frf,
     present_modes,
@@ -45,12 +46,13 @@ def write_report(
             stepped = any(m.kind == "measure" and "frequency" in m.fields for m in rec.markers)
             if stepped and rec.scene.dampers:
                 damped.append(path)
-            has_hits = any(marker.kind in ("hit", "free") for marker in rec.markers)
+            free = rec.scene.test is not None and rec.scene.test.kind == "free"
+            has_hits = free or any(marker.kind == "hit" for marker in rec.markers)
         (decays if has_hits else sweeps).append(path)
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         if sweeps:
-            names = " ".join(str(path) for path in sweeps)
+            names = _typed(sweeps)
             body.append(
                 _part(
                     "Frequency responses",
@@ -64,21 +66,21 @@ def write_report(
             commands.append(f"analysis modes {names}")
         for path in damped:
             body.append(_part(f"Dampers: {path.name}", partial(present_dampers, [path], folder), notes))
-            commands.append(f"analysis dampers {path}")
+            commands.append(f"analysis dampers {_typed([path])}")
         if len(sweeps) > 1:
             body.append(_part("What the dampers are worth", partial(_worth, sweeps), notes))
         if decays:
             body.append(_part("Free decays", partial(present_decay, decays, folder), notes))
-            commands.append(f"analysis decay {' '.join(str(path) for path in decays)}")
+            commands.append(f"analysis decay {_typed(decays)}")
     if notes:
         unique = dict.fromkeys(notes)
         items = "".join(f"<li>{escape(note)}</li>" for note in unique)
         body.append(f'<h2>Warnings</h2><ul class="warnings">{items}</ul>')
-    commands.append(f"analysis report {' '.join(str(path) for path in paths)}")
+    commands.append(f"analysis report {_typed(paths)}")
     body.append(f"<h2>To get the same again</h2><pre>{escape(chr(10).join(commands))}</pre>")
     title = f"Vibration test: {', '.join(path.stem for path in paths)}"
     page = Template((files("analysis.presentation") / "report.html").read_text(encoding="utf-8"))
-    target = output_stem(paths, output, "report").with_suffix(".html")
+    target = with_ending(output_stem(paths, output, "report"), "html")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_text(page.substitute(title=escape(title), body="\n".join(body)), encoding="utf-8")
@@ -87,6 +89,11 @@ def write_report(
             f"cannot write {target}: {error.strerror}; choose another place with --output"
         ) from None
     return Result((target,), (), tuple(dict.fromkeys(notes)))
+
+
+def _typed(paths: Sequence[Path]) -> str:
+    """Files as they are typed in a shell."""
+    return " ".join(shlex.quote(str(path)) for path in paths)
 
 
 def _part(heading: str, make: Callable[[], Result], notes: list[str]) -> str:

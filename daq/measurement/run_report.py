@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 import warnings
 from collections.abc import Callable, Iterator
@@ -13,9 +14,6 @@ from daq.measurement.force_reference import force_untold
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
-
-# What is worth typing after a test of each kind.
-_NEXT = {"impulse": "decay", "free": "decay"}
 
 
 def record_and_report(scene: str, path: Path, overwrite: bool, block: int | None) -> int:
@@ -85,15 +83,20 @@ def summary(path: Path) -> str:
             lines.append(f"not settled: {len(unsettled) or 'none'} of {len(measured)} measurements")
         lines += _levels(rec)
         lines += [f"aborted: {mark.fields['reason']}" for mark in rec.markers if mark.kind == "abort"]
-        kind = rec.scene.test.kind if rec.scene.test is not None else ""
-        replay = f"daq replay {path}"
-        untold = force_untold(rec.scene, list(rec.channels.values()))
-        lines.append(
-            f"next: analysis {_NEXT.get(kind, 'frf')} {path}   or: {replay}"
-            if untold is None
-            else f"next: {replay}"
-        )
+        file = shlex.quote(str(path))
+        steps = [*_analysis(rec, file), f"daq replay {file}"]
+        lines.append(f"next: {'   or: '.join(steps)}")
     return "\n".join(lines)
+
+
+def _analysis(rec: Recording, file: str) -> list[str]:
+    """Tell which analysis has something to work on, if any."""
+    kind = rec.scene.test.kind if rec.scene.test is not None else ""
+    if kind == "free" or (kind == "impulse" and any(mark.kind == "hit" for mark in rec.markers)):
+        return [f"analysis decay {file}"]
+    measured = any(mark.kind == "measure" for mark in rec.markers)
+    told = force_untold(rec.scene, list(rec.channels.values())) is None
+    return [f"analysis frf {file}"] if measured and told else []
 
 
 def _levels(rec: Recording) -> list[str]:

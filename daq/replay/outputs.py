@@ -32,6 +32,7 @@ APPLICATION = "shotrig"
 WITHOUT_DISPLAY = "use --web to look with a browser, --screenshot FILE.png for a picture, or --save FILE.rrd"
 # Value, time and index.
 BYTES_A_VALUE = 20
+LAST = "complete"
 LIGHT_GB = 2.0
 # Longest wait for a viewer or a file to take a block, and the room that a block may need.
 SINK_S = 60.0
@@ -108,7 +109,9 @@ def photograph(
     with tempfile.TemporaryDirectory(prefix="shotrig-") as folder:
         drawn = Path(folder) / "replay.rrd"
         save(replay, drawn, progress)
-        png, views = picture(drawn, at - replay.start / rate, size)
+        png, views = picture(
+            drawn, at - replay.start / rate, size, (replay.stop - 1 - replay.start) / rate, LAST
+        )
     try:
         file.write_bytes(png)
     except OSError as error:
@@ -220,10 +223,14 @@ def recording_stream() -> Iterator[rr.RecordingStream]:
 def _fill(
     replay: Replay, stream: rr.RecordingStream, drain: Callable[[], object], progress: Progress | None
 ) -> None:
+    import rerun as rr
+
     drain()
     # Sent as the active layout: a viewer remembers the layout of an application and would ignore a default.
     stream.send_blueprint(replay.blueprint(), make_active=True, make_default=True)
     replay.send(stream, drain, progress)
+    # A viewer that knows this has taken in what came before.
+    stream.log(LAST, rr.TextDocument("all of the replay was sent"), static=True)
     drain()
 
 

@@ -14,10 +14,10 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, TextIO, TypeVar
 
 import numpy as np
 
@@ -26,10 +26,19 @@ from rig.errors import RunError, ShotrigError
 if TYPE_CHECKING:
     from rerun.experimental import Recording, View, ViewerClient, ViewerState
 
+T = TypeVar("T")
+
 LOOPBACK = "127.0.0.1"
 START_S = 30.0
 LOAD_S = 300.0
 POLL_S = 0.1
+# A picture is complete when it has stayed the same for so long, and for so many times what drawing it takes.
+QUIET_S = 2.0
+_PICTURES = 5
+_COMPARED = 800
+# The last instant drawn lies up to so much before the last sample.
+_A_FRAME_S = 0.02
+_SHORTER = "show a part of it with --from and --to"
 
 
 class Viewer:
@@ -194,7 +203,11 @@ def need_display(instead: str) -> None:
 
 
 def picture(
-    file: Path, after_s: float | None, size: tuple[int, int] = (1600, 1000)
+    file: Path,
+    after_s: float | None,
+    size: tuple[int, int] = (1600, 1000),
+    lasts_s: float = 0.0,
+    last: str | None = None,
 ) -> tuple[bytes, list[View]]:
     """Draw a recording without a window.
 
@@ -206,6 +219,10 @@ def picture(
         Where to put the time cursor, seconds after the first datum in the file; None leaves it.
     size : tuple of int
         Width and height of the picture in points.
+    lasts_s : float
+        What the file holds lasts at least so long.
+    last : str, optional
+        What was written last, an entity's path: the viewer waits for it.
 
     Returns
     -------
@@ -215,16 +232,20 @@ def picture(
     Raises
     ------
     RunError
-        If there is no graphics device, or the file does not load.
+        If there is no graphics device, the file does not load, or not all of it is shown.
     """
     window = ("--headless", "--window-size", f"{size[0]}x{size[1]}")
     with viewer(*window, str(file.resolve())) as running, running.driven() as client:
-        recording = _loaded(client).recordings[0]
+        recording = _loaded(client, lasts_s, last).recordings[0]
         if after_s is not None:
             _put_cursor(client, recording, after_s)
         _settled(client)
-        shot = client.take_screenshot()
-        return shot, client.get_state().views
+        shot = _patiently(client.take_screenshot)
+        # What a viewer is short of memory for it forgets, the oldest first.
+        state = _patiently(client.get_state)
+        if not _holds(state, lasts_s):
+            raise RunError(f"the viewer ran out of memory for {lasts_s:.0f} s; {_SHORTER}")
+        return shot, state.views
 
 
 def _put_cursor(client: ViewerClient, recording: Recording, after_s: float) -> None:
@@ -238,26 +259,58 @@ def _put_cursor(client: ViewerClient, recording: Recording, after_s: float) -> N
         client.set_time(timeline.name, duration=np.timedelta64(instant, "ns"), play_state="paused")
 
 
-def _loaded(client: ViewerClient) -> ViewerState:
+def _loaded(client: ViewerClient, lasts_s: float, last: str | None) -> ViewerState:
+    """Wait until the viewer holds a whole recording: from its first instant to its last, and what was written last."""
     deadline = time.monotonic() + LOAD_S
     while time.monotonic() < deadline:
-        state = client.get_state()
-        if state.recordings and not state.loading and any(t.end for t in state.recordings[0].timelines):
+        state = _patiently(client.get_state)
+        if not state.loading and _holds(state, lasts_s) and (last is None or _knows(client, last)):
             return state
         time.sleep(POLL_S)
-    raise RunError(f"the viewer did not load the recording within {LOAD_S:g} s")
+    raise RunError(f"the viewer did not load the recording within {LOAD_S:g} s; {_SHORTER}")
+
+
+def _patiently(ask: Callable[[], T]) -> T:
+    """Ask a viewer again that was too busy to answer in its client's time: drawing without a graphics card is slow."""
+    deadline = time.monotonic() + LOAD_S
+    while True:
+        try:
+            return ask()
+        except Exception as error:
+            if "deadline" not in str(error).lower() or time.monotonic() > deadline:
+                raise
+
+
+def _holds(state: ViewerState, lasts_s: float) -> bool:
+    """Whether the recording's times reach as far as they should."""
+    return bool(state.recordings) and any(
+        line.start is not None and line.end and line.end - line.start >= (lasts_s - _A_FRAME_S) * 1e9
+        for line in state.recordings[0].timelines
+    )
+
+
+def _knows(client: ViewerClient, path: str) -> bool:
+    schema = _patiently(lambda: client.get_recording_schema(entity_path=f"/{path}"))
+    return any(entity.entity_path.strip("/") == path for entity in schema.entities)
 
 
 def _settled(client: ViewerClient) -> None:
-    """Wait until two pictures in a row are the same: fonts, plots and images arrive over several frames."""
-    before = b""
-    deadline = time.monotonic() + START_S
+    """Wait until the picture has stayed the same for a while: fonts, plots and images arrive over several frames.
+
+    On a busy machine a long trace arrives piece by piece, with pictures in between that look finished.
+    """
+    before, since = b"", time.monotonic()
+    deadline = time.monotonic() + LOAD_S
     while time.monotonic() < deadline:
-        now = client.take_screenshot(max_size=400)
-        if now == before:
+        began = time.monotonic()
+        now = _patiently(lambda: client.take_screenshot(max_size=_COMPARED))
+        if now != before:
+            before, since = now, began
+        # A viewer that needs long for a picture needs long for the next piece as well.
+        elif began - since >= max(QUIET_S, _PICTURES * (time.monotonic() - began)):
             return
-        before = now
         time.sleep(POLL_S)
+    raise RunError(f"the viewer's picture did not come to rest within {LOAD_S:g} s; {_SHORTER}")
 
 
 def _why_it_ended(said: str) -> str:

@@ -61,7 +61,7 @@ def test_given_a_recording_that_cannot_be_analysed_when_tried_then_it_says_what_
         (["frf", "--reference", "power"], "expected 'force' or 'table'"),
         (["frf", "--response", "bodi3"], "did you mean 'body3'"),
         (["modes", "--modes", "0"], "expected at least 1"),
-        (["decay"], "kind: impulse"),
+        (["decay"], "analysis frf"),
         (["dampers"], "no dampers"),
     ],
 )

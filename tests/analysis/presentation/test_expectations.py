@@ -1,0 +1,44 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import daq
+from analysis.presentation.expectations import expect
+from rig.errors import RecordingError
+from tests.analysis.responses import synthetic
+
+
+@pytest.mark.parametrize(
+    ("test", "marks", "command", "right"),
+    [
+        (
+            "{kind: random, from: 5 Hz, to: 60 Hz, duration: 10 s, force: 1 N}",
+            "measure",
+            "decay",
+            "analysis frf",
+        ),
+        (
+            "{kind: random, from: 5 Hz, to: 60 Hz, duration: 10 s, force: 1 N}",
+            "measure",
+            "dampers",
+            "analysis frf",
+        ),
+        ("{kind: free, mode: 1, amplitude: 5 mm, duration: 10 s}", None, "frf", "analysis decay"),
+        ("{kind: free, mode: 1, amplitude: 5 mm, duration: 10 s}", None, "modes", "analysis decay"),
+        ("{kind: impulse, body: 1, peak: 50 N, width: 4 ms}", "hit", "dampers", "analysis decay"),
+    ],
+)
+def test_given_the_wrong_kind_of_recording_when_a_command_is_given_it_then_the_right_one_is_named(
+    tmp_path, test, marks, command, right
+):
+    free = test.startswith("{kind: free") or test.startswith("{kind: impulse")
+    where = synthetic.scene(test)
+    where = where.replace(dampers=[{"body": 1, "mass_ratio": 0.1, "clearance": 1e-3}])
+    if free:
+        where = where.replace(shaker=None)
+    path = tmp_path / "my test.mcap"
+    marked = [] if marks is None else [(marks, 0, 20, {})]
+    synthetic.write(path, where, synthetic.channels(), np.zeros((4, 64)), marked)
+    with daq.open(path) as rec, pytest.raises(RecordingError, match=f"{right} '.*my test.mcap'"):
+        expect(rec, path, command)

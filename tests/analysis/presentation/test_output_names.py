@@ -1,0 +1,42 @@
+from __future__ import annotations
+
+import pytest
+
+from analysis.presentation.output_names import output_stem, with_ending
+from rig.errors import RunError
+
+
+def written(stem):
+    """What a command would write under a name."""
+    path = with_ending(stem, "csv")
+    path.write_text("")
+    return path
+
+
+def test_given_names_with_dots_when_outputs_are_named_then_each_keeps_its_own(tmp_path):
+    files = [
+        written(output_stem([tmp_path / name], None, "report")).name for name in ("a0.5.mcap", "a0.7.mcap")
+    ]
+    assert files == ["a0.5-report.csv", "a0.7-report.csv"]
+
+
+def test_given_two_recordings_of_one_name_when_written_to_one_folder_then_neither_replaces_the_other(
+    tmp_path,
+):
+    paths = [tmp_path / folder / "a.mcap" for folder in ("x", "y", "z/y")]
+    first, second = (written(output_stem([path], tmp_path / "out", "modes")) for path in paths[:2])
+    assert (first.name, second.name) == ("a-modes.csv", "y-a-modes.csv")
+    with pytest.raises(RunError, match="other recordings of that name"):
+        output_stem([paths[2]], tmp_path / "out", "modes")
+
+
+def test_given_the_same_recording_again_when_named_then_its_own_files_are_replaced(tmp_path):
+    path = tmp_path / "a.mcap"
+    names = [written(output_stem([path], None, kind)).name for kind in ("frf", "modes", "frf")]
+    assert names == ["a-frf.csv", "a-modes.csv", "a-frf.csv"]
+
+
+def test_given_many_recordings_that_begin_alike_when_named_then_the_sets_are_told_apart(tmp_path):
+    first = [tmp_path / f"{'long' * 8}-{number}.mcap" for number in (1, 2, 3)]
+    second = [*first[:2], tmp_path / f"{'long' * 8}-4.mcap"]
+    assert output_stem(first, None, "frf") != output_stem(second, None, "frf")

@@ -168,17 +168,22 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
 def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
     """Energy truly lost in impacts in a period of each tone, J, where the truth was recorded.
 
-    Each impact takes (1 - e²) of half the reduced mass of damper and body times the closing speed squared.
+    Each impact takes (1 - e²) of half the reduced mass of damper and body times the closing speed squared; a landing
+    that lasts is taken for one that nothing else disturbs.
     """
+    from rig.system.assembly import assemble
     from rig.system.structure import damper_masses, structure_matrices
 
     mass, _, _ = structure_matrices(rec.scene.structure)
     bodies = np.array([damper.body - 1 for damper in rec.scene.dampers])
     rebound = np.array([damper.restitution for damper in rec.scene.dampers])
+    system = assemble(rec.scene)
+    for j in np.flatnonzero(system.lasting):
+        rebound[system.damper_number[j] - 1] = system.landing(int(j), 1)[1]
     damper, body = np.asarray(damper_masses(rec.scene)), np.diag(mass)[bodies]
     factor = 0.5 * damper * body / (damper + body) * (1.0 - rebound**2)
     events = rec.events
-    events = events[events["kind"] != "separation"]
+    events = events[np.isin(events["kind"], ("floor", "ceiling", "touch"))]
     loss = factor[events["damper"] - 1] * events["speed"] ** 2
     out = []
     for frequency, (first, stop) in zip(sweep.lines.frequency, sweep.windows, strict=True):

@@ -42,7 +42,7 @@ _EVENT: dict[str, Any] = {
     "properties": {
         "time": {"type": "number", "description": "seconds after sample 0"},
         "damper": {"type": "integer", "description": "position in the scene's list of dampers, from 1"},
-        "kind": {"enum": ["separation", "floor", "ceiling"]},
+        "kind": {"enum": ["separation", "floor", "ceiling", "touch", "release"]},
         "speed": {"type": "number", "description": "closing speed before an impact, m/s"},
     },
 }

@@ -29,13 +29,14 @@ def about(recording: Recording, motion: RecordedMotion, view: RigView) -> str:
         lines += [
             "",
             "## Dampers",
-            "| damper | body | mass | clearance | restitution |",
-            "|---|---|---|---|---|",
+            "| damper | body | mass | clearance | restitution | contact |",
+            "|---|---|---|---|---|---|",
         ]
         for place, (damper, mass) in enumerate(zip(scene.dampers, view.damper_masses, strict=True), start=1):
             clearance = "no ceiling" if math.isinf(damper.clearance) else f"{damper.clearance * 1e3:.4g} mm"
             lines.append(
-                f"| {place} | {damper.body} | {mass * 1e3:.4g} g | {clearance} | {damper.restitution:g} |"
+                f"| {place} | {damper.body} | {mass * 1e3:.4g} g | {clearance} | {damper.restitution:g} "
+                f"| {'instant' if damper.contact is None else 'lasts'} |"
             )
     lines += ["", "## Channels", "| channel | at | quantity | unit | V per unit |", "|---|---|---|---|---|"]
     for name, info in recording.channels.items():

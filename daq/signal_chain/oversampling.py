@@ -53,9 +53,16 @@ def oversampling(scene: Scene, clock: SampleClock) -> int:
     2
     1
     """
+    system = assemble(scene)
     if filled_in(scene.converter).filter is None:
-        return 1
-    fastest = float(np.abs(assemble(scene).poles.imag).max(initial=0.0)) / (2 * np.pi)
+        if not system.lasting.any():
+            return 1
+        # A landing may be over between two samples, and the sensor still has to feel all of it.
+        pulses = math.ceil(system.fastest / (2 * np.pi * FOLLOWED * clock.true_rate))
+        return max(1, min(pulses, int(FASTEST / clock.true_rate)))
+    fastest = float(np.abs(system.poles.imag).max(initial=0.0)) / (2 * np.pi)
+    if system.lasting.any():
+        fastest = max(fastest, system.fastest / (2 * np.pi))
     seen = fastest / clock.true_rate + STOP
     followed = min(max(fastest, BAND) / clock.true_rate, PASS) / FOLLOWED
     return max(1, min(math.ceil(max(seen, followed)), int(FASTEST / clock.true_rate)))

@@ -116,7 +116,7 @@ def measured(step: EffectStep) -> float:
 
 
 def motion_steps(scene: Scene) -> Iterator[EffectStep]:
-    """Give the steps of the motion: bare structure, shaker, dampers, ceilings, restitution."""
+    """Give the steps of the motion: bare structure, shaker, dampers, ceilings, restitution, lasting contact."""
     channels = {"channels": None}
     shaker = scene.shaker
     bare = scene.replace(dampers=(), **channels)
@@ -129,9 +129,10 @@ def motion_steps(scene: Scene) -> Iterator[EffectStep]:
     if not scene.dampers:
         return
     variants = {
-        "particle dampers": {"clearance": np.inf, "restitution": 0.0},
-        "ceilings": {"restitution": 0.0},
-        "restitution": {},
+        "particle dampers": {"clearance": np.inf, "restitution": 0.0, "contact": None},
+        "ceilings": {"restitution": 0.0, "contact": None},
+        "restitution": {"contact": None},
+        "contact that lasts": {},
     }
     before: tuple[object, ...] = ()
     for name, off in variants.items():

@@ -93,7 +93,14 @@ def explain(scene: Scene | str) -> Explanation:
         scene = load(scene)
     effects = list(motion_effects(scene))
     names = {effect.name for effect in effects}
-    possible = ("particle dampers", "ceilings", "restitution", "coil spring and table", "coil current")
+    possible = (
+        "particle dampers",
+        "ceilings",
+        "restitution",
+        "contact that lasts",
+        "coil spring and table",
+        "coil current",
+    )
     for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
         announce = cast(Callable[[Scene], Iterable[Effect]], point.load())
         effects += announce(scene)
@@ -175,3 +182,25 @@ def _dampers(scene: Scene, system: HybridSystem) -> Iterable[Effect]:
     if system.restitution.any():
         ratios = ", ".join(f"{ratio:.3g}" for ratio in system.restitution)
         yield Effect("motion", "restitution", 0, ratios)
+    if system.lasting.any():
+        yield Effect("motion", "contact that lasts", 0, "; ".join(_walls(system)))
+
+
+def _walls(system: HybridSystem) -> Iterable[str]:
+    """Describe floor and ceiling of each damper whose contact lasts."""
+    for j in np.flatnonzero(system.lasting):
+        texts = []
+        for wall in (1, 2):
+            stiffness, damping = system.wall_stiffness[j, wall - 1], system.wall_damping[j, wall - 1]
+            duration, restitution = system.landing(int(j), wall)
+            texts.append(
+                f"{stiffness:.4g} N/m, {damping:.4g} N s/m (a landing of {1e3 * duration:.4g} ms gives back "
+                f"{100 * restitution:.3g} %)"
+            )
+        if not np.isfinite(system.clearance[j]):
+            texts = [f"floor {texts[0]}"]
+        elif texts[0] != texts[1]:
+            texts = [f"floor {texts[0]}", f"ceiling {texts[1]}"]
+        else:
+            texts = [f"floor and ceiling {texts[0]}"]
+        yield f"body {system.damper_coordinate[j] + 1}: {', '.join(texts)}"

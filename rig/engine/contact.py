@@ -12,79 +12,17 @@ laws on acceleration and on impulse level).
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.engine.flow import Flow, Model
+from rig.engine.lasting import push
+from rig.engine.state import CEILING, FLIGHT, FLOOR, SEPARATION, Log, State, note, toggle
 from rig.numerics.complementarity import ROUNDING, ContactWork, close_active, complementarity, contact_matrix
 from rig.numerics.jit import compiled, inlined
 from rig.numerics.simd import combine
 
 Array = NDArray[np.float64]
-
-FLIGHT, FLOOR, CEILING = 0, 1, 2
-#: Event kinds in the log.
-SEPARATION, FLOOR_IMPACT, CEILING_IMPACT = 0, 1, 2
-#: Entries of `State.counters`.
-SLOT, CONFIGURATION, IN_A_ROW, AMBIGUOUS = 0, 1, 2, 3
-
-
-class State(NamedTuple):
-    """What changes while a system moves; every field is an array so that the kernel can write into it.
-
-    `multiplicity[j]` counts the leading coefficients of damper j's guard that are exactly zero at this instant:
-    1 after a rebound, 2 after a release, 3 after a separation at zero contact force; negative for the ceiling.
-    """
-
-    z: np.ndarray
-    height: np.ndarray
-    speed: np.ndarray
-    mode: np.ndarray
-    multiplicity: np.ndarray
-    counters: np.ndarray
-
-
-class Log(NamedTuple):
-    """Events and breaks as they happen; `filled` holds how many rows of each are filled.
-
-    A break is an instant at which velocities or accelerations jump, with the state and the dampers' own speeds
-    before and after it.
-    """
-
-    filled: np.ndarray
-    segment: np.ndarray
-    offset: np.ndarray
-    damper: np.ndarray
-    kind: np.ndarray
-    closing: np.ndarray
-    break_segment: np.ndarray
-    break_offset: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
-    speed_before: np.ndarray
-    speed_after: np.ndarray
-    configuration: np.ndarray
-
-
-@inlined
-def _note(log: Log, segment: int, offset: float, damper: int, kind: int, closing: float) -> None:
-    row = log.filled[0]
-    log.segment[row] = segment
-    log.offset[row] = offset
-    log.damper[row] = damper
-    log.kind[row] = kind
-    log.closing[row] = closing
-    log.filled[0] = row + 1
-
-
-@inlined
-def _toggle(flow: Flow, state: State, j: int) -> None:
-    """Damper j changes between riding and flight: so does the configuration, and its table if there is one."""
-    state.counters[CONFIGURATION] ^= 1 << j
-    if state.counters[SLOT] >= 0:
-        state.counters[SLOT] = flow.neighbour[state.counters[SLOT], j]
 
 
 @inlined
@@ -98,7 +36,7 @@ def _lift(flow: Flow, model: Model, state: State, j: int, speed: float, multipli
     state.speed[j] = speed
     state.mode[j] = FLIGHT
     state.multiplicity[j] = multiplicity
-    _toggle(flow, state, j)
+    toggle(flow, model, state, j)
 
 
 @inlined
@@ -107,7 +45,7 @@ def separate(
 ) -> None:
     """Damper j leaves its wall at the velocity of the wall."""
     _lift(flow, model, state, j, state.z[model.velocity[j]], multiplicity)
-    _note(log, segment, offset, j, SEPARATION, 0.0)
+    note(log, segment, offset, j, SEPARATION, 0.0)
 
 
 @inlined
@@ -117,8 +55,11 @@ def _sign(mode: int) -> float:
 
 @inlined
 def _forces(model: Model, state: State, force: Array) -> None:
-    """Sum the forces of springs, dashpots and drive on every coordinate, without the dampers in the cavities."""
+    """Sum the forces on every coordinate: of springs, dashpots, drive and contacts that last, not of riding dampers."""
     combine(model.force, model.force_constant, 0, state.z, model.force.shape[1], force)
+    for j in range(model.mass.shape[0]):
+        if model.bed[j] >= 0 and state.mode[j] != FLIGHT:
+            force[model.bed[j]] += _sign(state.mode[j]) * push(model, state.z, j, state.mode[j])
 
 
 @inlined
@@ -155,7 +96,7 @@ def _land(flow: Flow, model: Model, state: State, j: int, rebound: float) -> Non
         state.multiplicity[j] = 1 if sign > 0.0 else -1
     else:
         state.multiplicity[j] = 0
-        _toggle(flow, state, j)
+        toggle(flow, model, state, j)
 
 
 @compiled
@@ -195,7 +136,7 @@ def _impact_alone(
     inverse_mass = model.inverse_mass[model.position[j], model.position[j]]
     impulse = (closing + rebound) / (inverse_mass + 1.0 / model.mass[j])
     state.z[body] -= sign * impulse * inverse_mass
-    _note(log, segment, offset, j, wall, closing)
+    note(log, segment, offset, j, wall, closing)
     _land(flow, model, state, j, rebound)
 
 
@@ -235,6 +176,8 @@ def _impact_together(
     """Impact of damper j, with everything in contact or touching at this instant, through a full mass matrix."""
     count = 0
     for i in range(model.mass.shape[0]):
+        if model.bed[i] >= 0:
+            continue
         work.struck[count] = state.mode[i] == FLIGHT
         if work.struck[count]:
             contact = wall if i == j else _touches(model, state, i)
@@ -263,7 +206,7 @@ def _impact_together(
         i = work.member[a]
         body = state.z[model.velocity[i]]
         if work.struck[a]:
-            _note(log, segment, offset, i, state.mode[i], -work.opening[a])
+            note(log, segment, offset, i, state.mode[i], -work.opening[a])
             own = state.speed[i] + work.sign[a] * work.pressure[a] / model.mass[i]
             rebound = work.sign[a] * (own - body)
             if work.active[a] and work.right[a] == work.opening[a]:
@@ -273,7 +216,7 @@ def _impact_together(
             opening = work.sign[a] * (work.before[a] - body)
             if opening > ROUNDING * (abs(work.before[a]) + abs(body)):
                 _lift(flow, model, state, i, work.before[a], 1)
-                _note(log, segment, offset, i, SEPARATION, 0.0)
+                note(log, segment, offset, i, SEPARATION, 0.0)
 
 
 @inlined
@@ -282,7 +225,7 @@ def _release_alone(
 ) -> None:
     force = work.force
     for i in range(model.mass.shape[0]):
-        if state.mode[i] == FLIGHT:
+        if model.bed[i] >= 0 or state.mode[i] == FLIGHT:
             continue
         row = model.position[i]
         pressure = force[row] * model.inverse_mass[row, row] + model.gravity
@@ -302,7 +245,7 @@ def _release_together(
     """Decide every riding contact at once from the accelerations that the bodies would have without them."""
     count = 0
     for i in range(model.mass.shape[0]):
-        if state.mode[i] == FLIGHT:
+        if model.bed[i] >= 0 or state.mode[i] == FLIGHT:
             continue
         row = model.position[i]
         free = 0.0
@@ -370,32 +313,3 @@ def impact(
     else:
         _impact_together(flow, model, state, log, segment, offset, j, wall, work)
     release_tensile(flow, model, state, log, segment, offset, work, coupling)
-
-
-@inlined
-def _own_speeds(model: Model, state: State, out: Array) -> None:
-    for j in range(model.mass.shape[0]):
-        out[j] = state.speed[j] if state.mode[j] == FLIGHT else state.z[model.velocity[j]]
-
-
-@inlined
-def open_break(model: Model, state: State, log: Log, segment: int, offset: float) -> None:
-    """Keep the state before the contacts change."""
-    row = log.filled[1]
-    _own_speeds(model, state, log.speed_before[row])
-    log.break_segment[row] = segment
-    log.break_offset[row] = offset
-    log.configuration[row, 0] = state.counters[CONFIGURATION]
-    for i in range(state.z.shape[0]):
-        log.before[row, i] = state.z[i]
-
-
-@inlined
-def close_break(model: Model, state: State, log: Log) -> None:
-    """Keep the state after the contacts have changed."""
-    row = log.filled[1]
-    _own_speeds(model, state, log.speed_after[row])
-    log.configuration[row, 1] = state.counters[CONFIGURATION]
-    for i in range(state.z.shape[0]):
-        log.after[row, i] = state.z[i]
-    log.filled[1] = row + 1

@@ -40,7 +40,7 @@ FEW_DAMPERS = 3
 #: States and dampers up to which the matrix of a whole step is.
 STEPS_UP_TO = 400
 STEPS_WITH_DAMPERS = 6
-#: Dampers up to which slots are looked up in an array of all configurations.
+#: Bits of a configuration up to which slots are looked up in an array of all configurations.
 DIRECT_UP_TO = 12
 #: Steps that turn a tone by less than this are seldom near a contact, on an envelope's coarse view too.
 FINE = 0.2
@@ -58,10 +58,11 @@ class Flow(NamedTuple):
     margin: times |z|, what the guard of each damper may at most fall below its values at the ends of a step (an
     eighth of its second derivative's bound, and rounding). bound: times |z|, for each damper bounds the fourth
     derivative of its guard with respect to tau over the step, then the size of the terms that it is the sum of.
-    rates: nonzero elements of A in compressed rows (pointer, column). neighbour[slot, j]: slot with damper j
-    toggled, or -1.
+    rates: nonzero elements of A in compressed rows (pointer, column). neighbour[slot, i]: slot after the change i of
+    `HybridSystem.toggles`, or -1.
 
-    The guard of a damper goes with the position of its body in flight, with the body's acceleration while riding.
+    The guard of a damper goes with the position of its body in flight, with the body's acceleration while riding; where
+    contact lasts, with the gap, and with the wall's force.
     """
 
     tabulated: bool
@@ -93,9 +94,14 @@ class Model(NamedTuple):
     mass: np.ndarray
     clearance: np.ndarray
     restitution: np.ndarray
+    bed: np.ndarray
+    wall_stiffness: np.ndarray
+    wall_damping: np.ndarray
+    toggles: np.ndarray
     position: np.ndarray
     velocity: np.ndarray
     first_velocity: int
+    behind: int
     inverse_mass: np.ndarray
     force: np.ndarray
     force_constant: np.ndarray
@@ -124,7 +130,9 @@ class FlowTables:
         self.size = system.states + drive.states
         self.slots: dict[int, int] = {}
         self._lock = Lock()
-        self._direct = np.full(1 << min(system.dampers, DIRECT_UP_TO), -1, dtype=np.int64)
+        self._toggles = system.toggles
+        bits = len(self._toggles)
+        self._direct = np.full(1 << bits, -1, dtype=np.int64) if bits <= DIRECT_UP_TO else None
         most = TABULATED_WITH_FEW if system.dampers <= FEW_DAMPERS else TABULATED_UP_TO
         self.tabulated = self.size <= most
         self.stepping = self.tabulated or (self.size <= STEPS_UP_TO and system.dampers <= STEPS_WITH_DAMPERS)
@@ -145,13 +153,13 @@ class FlowTables:
                 self._grow()
             self._fill(slot, configuration)
             self.slots[configuration] = slot
-            if self.system.dampers <= DIRECT_UP_TO:
+            if self._direct is not None:
                 self._direct[configuration] = slot
             return slot
 
     def slots_of(self, configurations: NDArray[np.int64]) -> NDArray[np.int64]:
         """Slots of many configurations, shape as given; new ones are made."""
-        if self.system.dampers > DIRECT_UP_TO:
+        if self._direct is None:
             visited, place = np.unique(configurations, return_inverse=True)
             known = np.array([self.slot(int(configuration)) for configuration in visited], dtype=np.int64)
             return known[place].reshape(configurations.shape)
@@ -167,9 +175,10 @@ class FlowTables:
         system, drive = self.system, self.drive
         nq, ns = system.coordinates, system.states
         kind = self._precision
-        riding = [j for j in range(system.dampers) if configuration >> j & 1]
+        riding = [j for j in range(system.dampers) if configuration >> j & 1 and not system.lasting[j]]
+        pushes, offsets = system.contact_forces(configuration)
         mass = system.mass.astype(kind)
-        constant = system.force_constant.astype(kind)
+        constant = system.force_constant.astype(kind) + offsets
         for j in riding:
             row = system.damper_coordinate[j]
             mass[row, row] += system.damper_mass[j]
@@ -178,7 +187,7 @@ class FlowTables:
         offset = np.zeros(self.size, dtype=kind)
         matrix[:nq, nq : 2 * nq] = np.eye(nq, dtype=kind)
         force = np.zeros((nq, self.size), dtype=kind)
-        force[:, :ns] = system.force_state
+        force[:, :ns] = system.force_state.astype(kind) + pushes
         force[:, ns:] = system.force_drive.astype(kind) @ drive.output.astype(kind)
         matrix[nq : 2 * nq] = _solve(mass, force)
         offset[nq : 2 * nq] = _solve(mass, constant[:, None])[:, 0]
@@ -201,9 +210,14 @@ class FlowTables:
             mass=system.damper_mass.astype(np.float64),
             clearance=system.clearance.astype(np.float64),
             restitution=system.restitution.astype(np.float64),
+            bed=system.bed.astype(np.int64),
+            wall_stiffness=system.wall_stiffness.astype(np.float64),
+            wall_damping=system.wall_damping.astype(np.float64),
+            toggles=np.array(system.toggles, dtype=np.int64),
             position=system.damper_coordinate.astype(np.int64),
             velocity=system.damper_coordinate.astype(np.int64) + nq,
             first_velocity=nq,
+            behind=self.size,
             inverse_mass=np.ascontiguousarray(np.linalg.inv(system.mass)),
             force=force,
             force_constant=constant,
@@ -213,6 +227,8 @@ class FlowTables:
     def _pattern(self) -> tuple[np.ndarray, np.ndarray]:
         """Compressed rows of A: where elements may be nonzero in any configuration."""
         everything = self.generator(0)[0] != 0
+        for change in self._toggles if self.system.lasting.any() else ():
+            everything |= self.generator(change)[0] != 0
         if self.system.coupled:
             n = self.system.coordinates
             everything[n : 2 * n] |= everything[n : 2 * n].any(axis=0)
@@ -241,7 +257,7 @@ class FlowTables:
 
     def _empty(self, capacity: int) -> Flow:
         arrays = {name: zeros(capacity, *shape) for name, shape in self._shapes().items()}
-        neighbour = np.full((capacity, max(1, self.system.dampers)), -1, dtype=np.int64)
+        neighbour = np.full((capacity, max(1, len(self._toggles))), -1, dtype=np.int64)
         return Flow(
             tabulated=self.tabulated,
             stepping=self.stepping,
@@ -261,18 +277,18 @@ class FlowTables:
             after[: len(before)] = before
 
     def _fill(self, slot: int, configuration: int) -> None:
-        flow, system = self.flow, self.system
+        flow = self.flow
         matrix, offset = self.generator(configuration)
         row = np.repeat(np.arange(self.size), np.diff(self._pointer))
         flow.rates[slot] = matrix[row, self._column]
         flow.rates_constant[slot] = offset
         if self.stepping:
             self._tabulate(slot, configuration, matrix, offset)
-        for j in range(system.dampers):
-            other = self.slots.get(configuration ^ (1 << j))
+        for i, change in enumerate(self._toggles):
+            other = self.slots.get(configuration ^ change)
             if other is not None:
-                flow.neighbour[slot, j] = other
-                flow.neighbour[other, j] = slot
+                flow.neighbour[slot, i] = other
+                flow.neighbour[other, i] = slot
 
     def _tabulate(self, slot: int, configuration: int, matrix: np.ndarray, offset: np.ndarray) -> None:
         flow, system, size = self.flow, self.system, self.size
@@ -324,6 +340,37 @@ class FlowTables:
             table[slot][:, place] = np.einsum("kj,kjc->cj", weight, used)
             constant[slot][place] = np.einsum("kj,kj->j", weight, used_constant)
         flow.margin_constant[slot][:dampers] += fall
+        for j in np.flatnonzero(system.lasting):
+            self._fill_lasting_bounds(slot, configuration, int(j), terms, constants)
+
+    def _fill_lasting_bounds(
+        self, slot: int, configuration: int, j: int, terms: np.ndarray, constants: np.ndarray
+    ) -> None:
+        """Do the same for the gap of a bed whose contact lasts, or for the force of the wall that it touches."""
+        flow, system = self.flow, self.system
+        closed, wall = configuration >> j & 1, configuration >> system.dampers + j & 1
+        on_gap, on_speed = (
+            (system.wall_stiffness[j, wall], system.wall_damping[j, wall]) if closed else (1.0, 0.0)
+        )
+        guard = np.zeros(self.size)
+        guard[[system.bed[j], system.coordinates + system.bed[j]]] = on_gap, on_speed
+        height = system.clearance[j] if wall or not closed else 0.0
+        # What cancels in the guard leaves its rounding.
+        rows = terms.swapaxes(1, 2)
+        used, used_constant = (
+            np.abs(rows @ guard).astype(np.float64),
+            np.abs(constants @ guard).astype(np.float64),
+        )
+        whole = (np.abs(rows) @ np.abs(guard)).astype(np.float64).sum(axis=0)
+        whole_constant = float((np.abs(constants) @ np.abs(guard)).sum())
+        whole_constant += on_gap * height if np.isfinite(height) else 0.0
+        k = np.arange(TERMS)
+        fourth, second = k * (k - 1) * (k - 2) * (k - 3), k * (k - 1) / 8
+        size = system.dampers + j
+        flow.bound[slot][:, j], flow.bound_constant[slot][j] = fourth @ used, fourth @ used_constant
+        flow.bound[slot][:, size], flow.bound_constant[slot][size] = whole, whole_constant
+        flow.margin[slot][:, j] = second @ used + 2 * ROUNDING * whole
+        flow.margin_constant[slot][j] = second @ used_constant + 2 * ROUNDING * whole_constant
 
 
 def tables_for(system: HybridSystem, drive: Drive, step: float) -> FlowTables:

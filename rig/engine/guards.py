@@ -10,9 +10,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.engine.contact import AMBIGUOUS, FLIGHT, FLOOR, State
 from rig.engine.flow import Flow, Model
+from rig.engine.lasting import examine_lasting, gap_of, lowest_guard, opening, push, push_rate
 from rig.engine.power_series import expand
+from rig.engine.state import AMBIGUOUS, FLIGHT, FLOOR, State
 from rig.engine.workspace import Workspace
 from rig.numerics.bernstein import LENGTH, NONE, first_crossing
 from rig.numerics.complementarity import ROUNDING
@@ -42,6 +43,10 @@ def bound_by_series(
     """Bounds of the guards over the step, and behind both states what riding dampers need, from the series itself."""
     dampers, points = model.mass.shape[0], model.first_velocity
     for j in range(dampers):
+        if model.bed[j] >= 0:
+            # No bound: the series itself is looked at.
+            bound[j] = np.inf
+            continue
         rides = mode[j] != FLIGHT
         row = model.velocity[j] if rides else model.position[j]
         place = behind + model.position[j]
@@ -163,6 +168,28 @@ def _margin(
 
 
 @inlined
+def _may_change(
+    model: Model, state: State, workspace: Workspace, j: int, duration: float, error: float
+) -> bool:
+    """Whether the guards of a contact that lasts fail the Hermite test, or are two that decide together."""
+    mode, z, new = state.mode[j], state.z, workspace.new
+    if mode != FLIGHT:
+        slope, slope_new = push_rate(model, z, j, mode) * duration, push_rate(model, new, j, mode) * duration
+        return _margin(push(model, z, j, mode), slope, push(model, new, j, mode), slope_new, error, 0) <= 0.0
+    if state.recovering[j] != FLIGHT:
+        return True
+    gap, gap_new = gap_of(model, z, j), gap_of(model, new, j)
+    slope, slope_new = opening(model, z, j) * duration, opening(model, new, j) * duration
+    multiplicity = state.multiplicity[j]
+    if _margin(gap, slope, gap_new, slope_new, error, multiplicity) <= 0.0:
+        return True
+    clearance = model.clearance[j]
+    if clearance == np.inf:
+        return False
+    return _margin(clearance - gap, -slope, clearance - gap_new, -slope_new, error, -multiplicity) <= 0.0
+
+
+@inlined
 def first_event(
     flow: Flow,
     model: Model,
@@ -186,6 +213,19 @@ def first_event(
         mode = state.mode[j]
         multiplicity = 0
         near_ceiling = False
+        if model.bed[j] >= 0:
+            if not _may_change(model, state, workspace, j, duration, error):
+                continue
+            if not expanded:
+                expand(flow, model, slot, state.z, workspace.tableau)
+                expanded = True
+            tau, guard, ambiguous = examine_lasting(model, state, workspace, j, length)
+            state.counters[AMBIGUOUS] += ambiguous
+            if tau < first:
+                first = tau
+                which = j
+                what = guard
+            continue
         if mode == FLIGHT:
             position, velocity = model.position[j], model.velocity[j]
             fall = model.gravity * duration
@@ -253,7 +293,9 @@ def draw_envelope(flow: Flow, slot: int, z: Array, workspace: Workspace) -> None
 def above_margins(model: Model, state: State, margin: Array, z: Array, columns: int, duration: float) -> bool:
     """Whether every guard lies above its margin at a state with its accelerations, `duration` from now."""
     for j in range(model.mass.shape[0]):
-        if state.mode[j] == FLIGHT:
+        if model.bed[j] >= 0:
+            lowest = lowest_guard(model, state, z, j)
+        elif state.mode[j] == FLIGHT:
             height = state.height[j] + duration * (state.speed[j] - 0.5 * model.gravity * duration)
             gap = height - z[model.position[j]]
             lowest = min(gap, model.clearance[j] - gap) - 2 * ROUNDING * abs(height)

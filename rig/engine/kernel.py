@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.engine.contact import FLIGHT, IN_A_ROW, SLOT, Log, State, close_break, impact, open_break, separate
+from rig.engine.contact import impact, release_tensile, separate
 from rig.engine.flow import Flow, Model
 from rig.engine.guards import (
     CONTACT_FORCE,
@@ -25,7 +25,9 @@ from rig.engine.guards import (
     draw_envelope,
     first_event,
 )
+from rig.engine.lasting import FREE, change_lasting
 from rig.engine.power_series import CLEAR, CURRENT, STALE, differentiate, expand, sum_series
+from rig.engine.state import FLIGHT, IN_A_ROW, SLOT, Log, State, close_break, open_break
 from rig.engine.workspace import Workspace
 from rig.numerics.bernstein import NONE
 from rig.numerics.jit import inlined
@@ -43,7 +45,7 @@ EVENTS_AT_ONE_INSTANT = 100
 def _fly(model: Model, state: State, duration: float) -> None:
     """Free flight of every damper in the air; the guards' multiplicities end with a motion of any length."""
     for j in range(model.mass.shape[0]):
-        if state.mode[j] == FLIGHT:
+        if state.mode[j] == FLIGHT and model.bed[j] < 0:
             state.height[j] += duration * (state.speed[j] - 0.5 * model.gravity * duration)
             state.speed[j] -= model.gravity * duration
         state.multiplicity[j] = 0
@@ -152,8 +154,17 @@ def advance(
             if state.counters[IN_A_ROW] > EVENTS_AT_ONE_INSTANT * model.mass.shape[0]:
                 return STUCK, left, known
         offset = (steps - left) * model.step
+        if model.bed[j] >= 0 and guard == FREE:
+            change_lasting(flow, model, state, log, segment, offset, j, guard)
+            continue
         open_break(model, state, log, segment, offset)
-        if guard == CONTACT_FORCE:
+        if model.bed[j] >= 0:
+            change_lasting(flow, model, state, log, segment, offset, j, guard)
+            # The gap is of another size in contact.
+            workspace.envelope[model.bed[j]] = workspace.envelope[model.first_velocity + model.bed[j]] = 0.0
+            if coupling is not None:
+                release_tensile(flow, model, state, log, segment, offset, workspace.contact, coupling)
+        elif guard == CONTACT_FORCE:
             separate(flow, model, state, log, segment, offset, j, 3)
         else:
             impact(flow, model, state, log, segment, offset, j, guard, workspace.contact, coupling)

@@ -12,11 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.engine.contact import CONFIGURATION, FLIGHT, FLOOR, SLOT, Log, State, release_tensile
+from rig.engine.contact import release_tensile
 from rig.engine.flow import REACH, Flow, Model, tables_for
 from rig.engine.guards import fold_envelope
 from rig.engine.kernel import DONE, LOG_FULL, NEED_TABLE, STUCK, advance
+from rig.engine.lasting import gap_of
 from rig.engine.power_series import STALE, differentiate
+from rig.engine.state import CONFIGURATION, FLIGHT, FLOOR, SLOT, Log, State
 from rig.engine.trajectory import Array, Trajectory
 from rig.engine.workspace import Workspace, workspace_for
 from rig.errors import RunError
@@ -73,7 +75,9 @@ def _sample(flow: Flow, model: Model, state: State, seen: MotionSamples, column:
     for j in range(seen.contact.shape[0]):
         mode = state.mode[j]
         gap = 0.0 if mode == FLOOR else model.clearance[j]
-        if mode == FLIGHT:
+        if model.bed[j] >= 0:
+            gap = gap_of(model, state.z, j)
+        elif mode == FLIGHT:
             gap = max(state.height[j] - state.z[model.position[j]], 0.0)
         seen.contact[j, column] = mode
         seen.window[row, 3 * points + j] = gap
@@ -164,6 +168,7 @@ class Propagator:
             speed=np.zeros(dampers),
             mode=np.full(dampers, FLOOR, dtype=np.int64),
             multiplicity=np.zeros(dampers, dtype=np.int64),
+            recovering=np.zeros(dampers, dtype=np.int64),
             counters=np.zeros(4, dtype=np.int64),
         )
         rows = max(LOG_ROWS, 16 * dampers)
@@ -183,7 +188,7 @@ class Propagator:
             configuration=np.zeros((rows, 2), dtype=np.int64),
         )
         self.workspace: Workspace = workspace_for(self.tables.flow, size)
-        self.state.counters[CONFIGURATION] = (1 << dampers) - 1
+        self.state.counters[CONFIGURATION] = system.at_rest
         self._find_table()
 
     @property
@@ -258,8 +263,9 @@ class Propagator:
 
     def parts(self, seen: MotionSamples) -> tuple[Array, Array, Array, Array]:
         """Displacements, velocities and accelerations (points, samples) and gaps (dampers, samples) in it."""
-        n, rows = self.system.coordinates, seen.rows
-        return rows[:n], rows[n : 2 * n], rows[2 * n : 3 * n], rows[3 * n : 3 * n + self.system.dampers]
+        n, points, rows = self.system.coordinates, len(self.system.points), seen.rows
+        displacement, velocity, acceleration = (rows[k * n : k * n + points] for k in range(3))
+        return displacement, velocity, acceleration, rows[3 * n : 3 * n + self.system.dampers]
 
     def sample_present(self, seen: MotionSamples, column: int) -> None:
         """Fill one column of what is seen with the present motion."""

@@ -8,13 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.engine.contact import FLIGHT, FLOOR
+from rig.engine.state import CEILING_IMPACT, CEILING_TOUCH, FLIGHT, FLOOR, FLOOR_IMPACT, FLOOR_TOUCH
 from rig.system.hybrid_system import HybridSystem
 
 Array = NDArray[np.float64]
 
 EVENT = np.dtype([("time", "f8"), ("damper", "i4"), ("kind", "U10"), ("speed", "f8")])
-KINDS = np.array(["separation", "floor", "ceiling"])
+#: Kinds of events in which a damper comes to a wall.
+STRIKES = (FLOOR_IMPACT, CEILING_IMPACT, FLOOR_TOUCH, CEILING_TOUCH)
+KINDS = np.array(["separation", "floor", "ceiling", "touch", "touch", "release"])
 
 
 @dataclass(frozen=True)
@@ -67,5 +69,6 @@ def gaps_and_contacts(trajectory: Trajectory, system: HybridSystem) -> tuple[Arr
     gap = trajectory.height.T - positions
     mode = trajectory.mode.T
     ceiling = np.broadcast_to(system.clearance[:, None], gap.shape)
-    gap = np.where(mode == FLIGHT, gap, np.where(mode == FLOOR, 0.0, ceiling))
-    return np.maximum(gap, 0.0) if gap.size else gap, np.ascontiguousarray(mode)
+    gap = np.maximum(np.where(mode == FLIGHT, gap, np.where(mode == FLOOR, 0.0, ceiling)), 0.0)
+    gap[system.lasting] = trajectory.state[:, system.bed[system.lasting]].T
+    return gap, np.ascontiguousarray(mode)

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dgeev
 
-from rig.engine.contact import CEILING_IMPACT, FLOOR_IMPACT
-from rig.engine.contact import SEPARATION as SEPARATED
+from rig.engine.state import CEILING_IMPACT, FLOOR_IMPACT
+from rig.engine.state import SEPARATION as SEPARATED
 from rig.engine.trajectory import EVENT, KINDS
 from rig.errors import RunError
 from rig.orbits.admissibility import survey
@@ -18,8 +18,15 @@ from rig.orbits.problem import OperatingPoint, OrbitProblem, Parameter, vary
 from rig.orbits.shooting import (
     CEILING,
     CEILING_BOUNCE,
+    CEILING_PRESS,
+    CEILING_TOUCH,
     FLOOR,
     FLOOR_BOUNCE,
+    FLOOR_PRESS,
+    FLOOR_TOUCH,
+    RELEASE,
+    SEPARATION,
+    WITH_LAST,
     Change,
     Equations,
     Shot,
@@ -27,9 +34,10 @@ from rig.orbits.shooting import (
     monodromy,
     shoot,
 )
-from rig.response.motion_type import overall
+from rig.response.motion_type import STAY, overall
 from rig.scene.shaker import ForceShaker
 from rig.system.assembly import spring_force_row
+from rig.system.hybrid_system import HybridSystem
 
 Array = NDArray[np.float64]
 
@@ -163,11 +171,10 @@ class Following:
         self.scale = np.concatenate(
             [start, times, [abs(value) * (0.02 if parameter == "frequency" else 0.2)]]
         )
-        guards = [1 / omega if k == 5 else (system.gravity if k == 0 else size) for k in plan.sequence.kind]
+        sizes = {WITH_LAST: 1 / omega, SEPARATION: system.gravity}
+        guards = [sizes.get(int(kind), size) for kind in plan.sequence.kind]
         self.rows = np.concatenate([start, guards])
         self.borders = plan.borders
-        self.types = tuple(_type(plan, j) for j in range(system.dampers))
-        self.motion_type = overall(list(self.types))
         self.bodies = problem.scene.structure.bodies
 
     def tables(self, value: float) -> tuple[Equations, Change]:
@@ -210,6 +217,9 @@ class Following:
         instants = self._instants(unknowns)
         reach, integral, distances = survey(equations, plan.sequence, shot, instants)
         nearest = int(distances.argmin())
+        types = tuple(
+            _type(plan, j, problem.system, instants, equations.period) for j in range(len(plan.lasting))
+        )
         bodies = self.bodies
         harmonic = 2 / equations.period * integral
         if isinstance(problem.scene.shaker, ForceShaker):
@@ -220,8 +230,8 @@ class Following:
             setting=setting,
             repetition=plan.repetition,
             events=_event_table(problem, plan, instants, shot.closing),
-            motion_type=self.motion_type,
-            damper_motion=self.types,
+            motion_type=overall(list(types)),
+            damper_motion=types,
             compliance=harmonic[:bodies] / force,
             peak=0.5 * (reach[:bodies, 1] - reach[:bodies, 0]),
             multipliers=self._multipliers(shot),
@@ -233,17 +243,24 @@ class Following:
         )
 
 
-def _type(plan: Plan, damper: int) -> str:
+def _type(plan: Plan, damper: int, system: HybridSystem, instants: Array, period: float) -> str:
     """Type of one damper's motion, in the words of `rig.response.motion_type`."""
-    kinds = plan.sequence.kind[plan.sequence.damper == damper]
-    floor = int(np.isin(kinds, (FLOOR, FLOOR_BOUNCE)).sum())
-    ceiling = int(np.isin(kinds, (CEILING, CEILING_BOUNCE)).sum())
+    own = plan.sequence.damper == damper
+    kinds, times = plan.sequence.kind[own], instants[own]
+    floor = int(np.isin(kinds, (FLOOR, FLOOR_BOUNCE, FLOOR_TOUCH, FLOOR_PRESS)).sum())
+    at_ceiling = np.isin(kinds, (CEILING, CEILING_BOUNCE, CEILING_TOUCH, CEILING_PRESS))
+    ceiling = int(at_ceiling.sum())
     if floor + ceiling == 0:
         return "riding"
     if plan.repetition == 1 and floor == 1 and ceiling == 0:
         return "I"
     if plan.repetition == 1 and floor == 1 and ceiling == 1:
-        return "III" if CEILING in kinds else "II"
+        hit = int(np.flatnonzero(at_ceiling)[0])
+        stays = kinds[hit] == CEILING
+        if plan.lasting[damper]:
+            stay = (times[(hit + 1) % len(times)] - times[hit]) % period
+            stays = stay > STAY * system.landing(damper, CEILING)[0]
+        return "III" if stays else "II"
     return f"{floor + ceiling} per {plan.repetition}"
 
 
@@ -254,6 +271,10 @@ def _event_table(problem: OrbitProblem, plan: Plan, instants: Array, closing: Ar
         instants, plan.sequence.damper, plan.sequence.kind, closing, strict=True
     ):
         number = problem.system.damper_number[damper]
+        if kind >= FLOOR_TOUCH:
+            name = "release" if kind == RELEASE else "touch"
+            rows.append((time, number, name, speed))
+            continue
         if kind in (FLOOR, FLOOR_BOUNCE, CEILING, CEILING_BOUNCE):
             wall = FLOOR_IMPACT if kind in (FLOOR, FLOOR_BOUNCE) else CEILING_IMPACT
             rows.append((time, number, KINDS[wall], speed))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.engine.contact import FLIGHT
 from rig.engine.propagator import Propagator, tone_propagator
-from rig.engine.trajectory import Trajectory
+from rig.engine.state import CEILING, FLIGHT, FLOOR
+from rig.engine.trajectory import STRIKES, Trajectory
 from rig.errors import RunError, SceneError
 from rig.orbits.event_sequence import Plan, make_plan, plan_from
 from rig.orbits.orbit import Orbit, solve
@@ -116,8 +116,13 @@ def _near(
         return None
     # A motion that only passes by, as irregular ones do, moves away again.
     trajectory = _run(propagator, steps, CONFIRMED * repetition)
-    struck = np.count_nonzero(trajectory.event_kind) // repetition
-    same = struck == CONFIRMED * np.count_nonzero(orbit.events["kind"] != "separation") // orbit.repetition
+    struck = np.count_nonzero(np.isin(trajectory.event_kind, STRIKES)) // repetition
+    same = (
+        struck
+        == CONFIRMED
+        * np.count_nonzero(~np.isin(orbit.events["kind"], ("separation", "release")))
+        // orbit.repetition
+    )
     return orbit if same and _distance(propagator, orbit) < max(away, CLOSE) else None
 
 
@@ -147,7 +152,7 @@ def start_march(
     propagator, steps = tone_propagator(system, problem.amplitudes(setting), 2 * np.pi * setting.frequency)
     state = system.initial.copy()
     if moving:
-        riding = make_plan([], [], np.ones(system.dampers), 1)
+        riding = make_plan([], [], np.ones(system.dampers), 1, system.lasting)
         equations, _ = problem.equations(setting, riding)
         a, n = equations.generator[0], system.states
         # x = X (cos wt, sin wt): the first column of X is the state at the start.
@@ -187,7 +192,7 @@ def first_part(orbit: Orbit) -> tuple[Plan, OperatingPoint, Array] | None:
         if events and (not np.array_equal(pairs[:2], again[:2]) or np.abs(pairs[2] - again[2]).max() > 1e-9):
             continue
         kinds, dampers = sequence.kind[:count].tolist(), sequence.damper[:count].tolist()
-        plan = make_plan(kinds, dampers, sequence.wall[0], orbit.repetition // rounds)
+        plan = make_plan(kinds, dampers, sequence.wall[0], orbit.repetition // rounds, orbit.plan.lasting)
         return plan, orbit.setting, orbit.unknowns[: len(orbit.unknowns) - events + count]
     return None
 
@@ -203,7 +208,7 @@ def read_cycle(propagator: Propagator, steps: float, repetition: int) -> tuple[P
     instants = (
         trajectory.event_segment[order] * steps * propagator.tables.step + trajectory.event_offset[order]
     )
-    flights = np.array([[heights[j], speeds[j]] for j in np.flatnonzero(start == FLIGHT)]).ravel()
+    flights = np.array([[heights[j], speeds[j]] for j in plan.flying]).ravel()
     return plan, np.concatenate([z, flights, instants])
 
 
@@ -218,7 +223,14 @@ def enter(propagator: Propagator, orbit: Orbit) -> None:
     for j in range(system.dampers):
         state.mode[j] = walls[j]
         state.multiplicity[j] = 0
-        if walls[j] == 0:
+        if system.lasting[j]:
+            gap = state.z[system.bed[j]]
+            state.recovering[j] = FLIGHT
+            if walls[j] == FLIGHT and not 0.0 <= gap <= system.clearance[j]:
+                state.recovering[j] = FLOOR if gap < 0.0 else CEILING
+            if walls[j] != FLIGHT:
+                configuration |= system.toggles[j if walls[j] == FLOOR else system.dampers + j]
+        elif walls[j] == 0:
             state.height[j], state.speed[j] = orbit.unknowns[at : at + 2]
             at += 2
         else:

@@ -298,7 +298,7 @@ def _averaged(problem: OrbitProblem, setting: OperatingPoint, propagator: Propag
     return _Point(
         compliance=harmonic[:bodies] / force,
         peak=0.5 * np.ptp(trajectory.state[:, :bodies], axis=0),
-        damper_motion=tuple(motion_types(trajectory, problem.system.dampers, 0)),
+        damper_motion=tuple(motion_types(trajectory, problem.system, 0, 0.0)),
         orbit=None,
         reason=reason,
     )

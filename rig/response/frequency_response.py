@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.engine.propagator import Propagator, tone_propagator
-from rig.engine.trajectory import Array
+from rig.engine.trajectory import STRIKES, Array
 from rig.errors import RunError, SceneError
 from rig.response.motion_type import motion_types, overall
 from rig.response.steady_state import MARKS, Steady, one_cycle, settle
@@ -287,8 +287,8 @@ class Follower:
             force = -1j * level_of(self.scene) * level
         else:
             force = complex(spring_force_row(self.scene, system) @ harmonic[: system.states])
-        types = motion_types(trajectory, system.dampers, steady.repetition)
-        struck = trajectory.event_damper[trajectory.event_kind > 0]
+        types = motion_types(trajectory, system, steady.repetition, float(durations[0]))
+        struck = trajectory.event_damper[np.isin(trajectory.event_kind, STRIKES)]
         bodies = self.scene.structure.bodies
         return SteadyPoint(
             frequency=frequency,

@@ -3,35 +3,43 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rig.engine.contact import CEILING_IMPACT, FLOOR_IMPACT, SEPARATION
+from rig.engine.state import CEILING, CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPACT, FLOOR_TOUCH, SEPARATION
 from rig.engine.trajectory import Trajectory
+from rig.system.hybrid_system import HybridSystem
+
+#: Landings that a stay on a wall lasts at least, where contact itself lasts.
+STAY = 2.0
 
 
-def motion_types(trajectory: Trajectory, dampers: int, repetition: int) -> list[str]:
+def motion_types(trajectory: Trajectory, system: HybridSystem, repetition: int, duration: float) -> list[str]:
     """Name the motion of every damper over one repetition of a steady motion.
 
     Parameters
     ----------
-    course : Trajectory
+    trajectory : Trajectory
         One repetition.
+    system : HybridSystem
     repetition : int
         Its length in periods of the drive; 0 if the motion does not repeat.
+    duration : float
+        Length of the segments of the trajectory, s.
 
     Returns
     -------
     list of str
         "riding"; "I" (one floor impact a period), "II" (one floor and one ceiling impact, no stay at the
-        ceiling), "III" (the same with a stay); "k per n" for k impacts in n periods; "irregular".
+        ceiling), "III" (the same with a stay); "k per n" for k impacts in n periods; "irregular". Where contact lasts,
+        a touch counts as an impact, and contact for more than `STAY` times a landing as a stay.
     """
-    return [_type(trajectory, j, repetition) for j in range(dampers)]
+    return [_type(trajectory, system, j, repetition, duration) for j in range(system.dampers)]
 
 
-def _type(trajectory: Trajectory, damper: int, repetition: int) -> str:
+def _type(trajectory: Trajectory, system: HybridSystem, damper: int, repetition: int, duration: float) -> str:
     own = trajectory.event_damper == damper
     kinds = trajectory.event_kind[own]
-    floor, ceiling = int((kinds == FLOOR_IMPACT).sum()), int((kinds == CEILING_IMPACT).sum())
+    floor = int(np.isin(kinds, (FLOOR_IMPACT, FLOOR_TOUCH)).sum())
+    ceiling = int(np.isin(kinds, (CEILING_IMPACT, CEILING_TOUCH)).sum())
     if floor + ceiling == 0:
         return "riding" if repetition else "irregular"
     if repetition == 0:
@@ -39,22 +47,25 @@ def _type(trajectory: Trajectory, damper: int, repetition: int) -> str:
     if repetition == 1 and floor == 1 and ceiling == 0:
         return "I"
     if repetition == 1 and floor == 1 and ceiling == 1:
-        return "III" if _stays_at_ceiling(trajectory, own) else "II"
+        return "III" if _stays_at_ceiling(trajectory, system, damper, duration) else "II"
     return f"{floor + ceiling} per {repetition}"
 
 
-def _stays_at_ceiling(trajectory: Trajectory, own: NDArray[np.bool_]) -> bool:
-    """Whether the separation after the ceiling impact comes later than the impact."""
-    kinds, segments, offsets = (
-        trajectory.event_kind[own],
-        trajectory.event_segment[own],
-        trajectory.event_offset[own],
-    )
-    hit = int(np.flatnonzero(kinds == CEILING_IMPACT)[0])
+def _stays_at_ceiling(trajectory: Trajectory, system: HybridSystem, damper: int, duration: float) -> bool:
+    """Whether the damper leaves the ceiling later than it comes; than after a landing, where contact lasts."""
+    own = trajectory.event_damper == damper
+    kinds, segments = trajectory.event_kind[own], trajectory.event_segment[own]
+    offsets = trajectory.event_offset[own]
+    hit = int(np.flatnonzero(np.isin(kinds, (CEILING_IMPACT, CEILING_TOUCH)))[0])
     after = (hit + 1) % len(kinds)
-    if kinds[after] != SEPARATION:
-        return False
-    return bool(segments[after] != segments[hit] or offsets[after] > offsets[hit])
+    if kinds[hit] == CEILING_IMPACT:
+        if kinds[after] != SEPARATION:
+            return False
+        return bool(segments[after] != segments[hit] or offsets[after] > offsets[hit])
+    stay = (segments[after] - segments[hit]) * duration + offsets[after] - offsets[hit]
+    if after < hit:
+        stay += len(trajectory.state) * duration
+    return bool(stay > STAY * system.landing(damper, CEILING)[0])
 
 
 def overall(types: list[str]) -> str:

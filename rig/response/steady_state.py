@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.engine.contact import FLIGHT
 from rig.engine.propagator import Propagator
+from rig.engine.state import FLIGHT
 from rig.engine.trajectory import Array, Trajectory
 
 #: Longest repetition looked for, in periods of the drive.

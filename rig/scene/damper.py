@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Annotated, ClassVar
 
-from rig.scene.quantities import (
-    LENGTH,
-    MASS,
-    RATIO,
-)
+from rig.scene.contact import Contact, Landing, Walls
+from rig.scene.quantities import LENGTH, MASS, RATIO
 from rig.scene.quantity_field import Quantity
-from rig.scene.settings import Settings
+from rig.scene.settings import Mistake, Settings
 from rig.scene.shaker import Body
 
 
@@ -28,5 +26,18 @@ class Damper(Settings):
     """Free height of the cavity above the bed [m]; infinite: no ceiling, 0: held."""
     restitution: Annotated[float, Quantity(RATIO, at_least=0.0, below=1.0)] = 0.0
     """Ratio of separation to approach speed in an impact, from 0 (perfectly plastic) to below 1."""
+    contact: Contact | None = None
+    """Floor and ceiling on which a landing lasts; without it a landing is instant."""
     locked: bool = False
     """Whether the bed is glued to the floor."""
+
+    def relations(self) -> Iterable[Mistake]:
+        """Check that the restitution is said once."""
+        walls = (
+            (self.contact.floor, self.contact.ceiling) if isinstance(self.contact, Walls) else (self.contact,)
+        )
+        if self.restitution and self.contact is not None and not any(isinstance(w, Landing) for w in walls):
+            yield Mistake(
+                ("restitution",),
+                "given beside the stiffness and damping of the contact, in which it lies; expected contact: duration",
+            )

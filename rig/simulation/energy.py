@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from rig.engine.contact import CEILING, FLIGHT
 from rig.engine.flow import FlowTables
+from rig.engine.state import CEILING, FLIGHT, FLOOR
 from rig.engine.trajectory import Trajectory
 from rig.numerics.bernstein import LENGTH
 from rig.scene.scene import Scene
@@ -38,11 +38,14 @@ class Energy:
     work : float
         Done by the drive: by the force, by the table on the coil spring, or by the amplifier on the coil.
     stored, stored_before : float
-        Kinetic, elastic, gravitational (dampers) and magnetic energy at the end and at the start.
+        Kinetic, elastic (of contacts that last, too), gravitational (dampers) and magnetic energy at the end and at
+        the start.
     dissipated : float
         In the damping of the structure, the suspension and the coil's resistance.
     impacts : float
         Lost in impacts.
+    contacts : float
+        Lost in contacts that last: in their dashpots, and what their springs still hold when a bed is released.
     """
 
     work: float
@@ -50,11 +53,13 @@ class Energy:
     stored_before: float
     dissipated: float
     impacts: float
+    contacts: float
 
     @property
     def residual(self) -> float:
-        """Work - change of stored energy - dissipated - lost in impacts; zero but for rounding."""
-        return self.work - (self.stored - self.stored_before) - self.dissipated - self.impacts
+        """Work - change of stored energy - dissipated - lost in impacts and contacts; zero but for rounding."""
+        lost = self.dissipated + self.impacts + self.contacts
+        return self.work - (self.stored - self.stored_before) - lost
 
 
 @dataclass(frozen=True)
@@ -149,13 +154,14 @@ def ledger(
     """
     quadratic = forms(scene, tables.system, tables.drive.output)
     states, slots, lengths, _ = _stretches(tables, trajectory, begins, durations)
-    work, dissipated = _integrals(tables, quadratic, states, slots, lengths)
+    work, dissipated, dashpots = _integrals(tables, quadratic, states, slots, lengths)
     return Energy(
         work=work,
         stored=_stored(tables, quadratic, end),
         stored_before=_stored(tables, quadratic, start),
         dissipated=dissipated,
         impacts=_impact_losses(tables.system, trajectory),
+        contacts=dashpots + _relaxed(tables, trajectory),
     )
 
 
@@ -203,26 +209,64 @@ def _stretches(
 
 def _integrals(
     tables: FlowTables, quadratic: Forms, states: Array, slots: NDArray[np.int64], lengths: Array
-) -> tuple[float, float]:
-    """Integrals of power and dissipation over stretches of any length."""
+) -> tuple[float, float, float]:
+    """Integrals of power, and of dissipation in the structure and in contacts, over stretches of any length."""
     h = tables.step
     # A stretch may be longer than a step: cut it, carrying the state along.
-    work = dissipated = 0.0
+    work = dissipated = dashpots = 0.0
+    system = tables.system
+    walls = _walls(tables)
     while len(states):
         part = np.minimum(lengths, h) / h
         ends = np.empty_like(states)
         for slot in np.unique(slots):
             rows = slots == slot
             terms = _series(tables, int(slot), states[rows])
+            closed = np.flatnonzero(system.lasting & (walls[slot] != FLIGHT))
+            damping = system.wall_damping[closed, walls[slot, closed] - 1]
             for node, weight in zip(*_GAUSS, strict=True):
                 at_node = _sum_series(terms, part[rows] * node)
                 share = weight * part[rows] * h
                 work += float(share @ _quadratic(quadratic.power, at_node))
                 dissipated += float(share @ _quadratic(quadratic.dissipated, at_node))
+                dashpots += float(
+                    share @ (at_node[:, system.coordinates + system.bed[closed]] ** 2 @ damping)
+                )
             ends[rows] = _sum_series(terms, part[rows])
         more = lengths > h * (1.0 + 1e-12)
         states, slots, lengths = ends[more], slots[more], lengths[more] - h
-    return work, dissipated
+    return work, dissipated, dashpots
+
+
+def _walls(tables: FlowTables) -> NDArray[np.int64]:
+    """Wall that each damper is in contact with, where contact lasts, (slots, dampers): FLIGHT, FLOOR or CEILING."""
+    system = tables.system
+    configurations = np.array(sorted(tables.slots, key=lambda each: tables.slots[each]), dtype=np.int64)[
+        :, None
+    ]
+    bits = np.arange(system.dampers)
+    closed = configurations >> bits & 1
+    if not system.lasting.any():
+        return closed
+    return np.asarray(closed * np.where(configurations >> system.dampers + bits & 1, CEILING, FLOOR))
+
+
+def _elastic(system: HybridSystem, walls: NDArray[Any], states: Array) -> Array:
+    """Energy in the springs of contacts that last, J; walls (states, dampers) as in `_walls`."""
+    energy = np.zeros(len(states))
+    for j in np.flatnonzero(system.lasting):
+        stiffness = np.append(0.0, system.wall_stiffness[j])[walls[:, j]]
+        overlap = states[:, system.bed[j]] - np.where(walls[:, j] == CEILING, system.clearance[j], 0.0)
+        energy += 0.5 * stiffness * overlap**2
+    return energy
+
+
+def _relaxed(tables: FlowTables, trajectory: Trajectory) -> float:
+    """Energy that springs of contacts lose at breaks, J: a wall that lets a bed go recovers without pushing it."""
+    walls = _walls(tables)
+    before = _elastic(tables.system, walls[trajectory.before_slot], trajectory.before)
+    after = _elastic(tables.system, walls[trajectory.after_slot], trajectory.after)
+    return float((before - after).sum())
 
 
 def _series(tables: FlowTables, slot: int, states: Array) -> Array:
@@ -257,12 +301,16 @@ def _stored(tables: FlowTables, quadratic: Forms, ends: Ends) -> float:
     height = np.where(flying, ends.height, position)
     speed = np.where(flying, ends.speed, state[n + body])
     energy = float(_quadratic(quadratic.stored, state)) - float(system.force_constant @ state[:n])
-    return energy + float(system.damper_mass @ (system.gravity * height + 0.5 * speed**2))
+    energy += float(_elastic(system, ends.mode[None], state[None])[0])
+    # The beds of contacts that last are in the mass matrix.
+    own = np.where(system.lasting, 0.0, system.damper_mass)
+    return energy + float(own @ (system.gravity * height + 0.5 * speed**2))
 
 
 def _impact_losses(system: HybridSystem, trajectory: Trajectory) -> float:
     """Kinetic energy that vanished at the breaks, J."""
     n = system.coordinates
+    bed_mass = np.where(system.lasting, 0.0, system.damper_mass)
     loss = 0.0
     for sign, states, own in (
         (1.0, trajectory.before, trajectory.speed_before),
@@ -270,5 +318,5 @@ def _impact_losses(system: HybridSystem, trajectory: Trajectory) -> float:
     ):
         velocity = states[:, n : 2 * n]
         loss += sign * 0.5 * float(np.einsum("bi,ij,bj->", velocity, system.mass, velocity))
-        loss += sign * 0.5 * float((own**2 @ system.damper_mass).sum())
+        loss += sign * 0.5 * float((own**2 @ bed_mass).sum())
     return loss

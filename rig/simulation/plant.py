@@ -107,7 +107,7 @@ class Plant:
         lifted: NDArray[np.int64],
     ) -> Motion:
         """Put a block together; segment s of the course ends at sample `first_end` + s."""
-        system, n = self.system, self.system.coordinates
+        system, n, points = self.system, self.system.coordinates, len(self.system.points)
         interval = 1.0 / self.rate
         displacement, velocity, acceleration, gap = self._propagator.parts(seen)
         before, after = trajectory.before, trajectory.after
@@ -128,13 +128,13 @@ class Plant:
             contact=seen.contact,
             break_sample=first_end + trajectory.break_segment,
             break_offset=np.minimum(trajectory.break_offset, interval),
-            break_displacement=np.ascontiguousarray(before[:, :n].T),
-            break_velocity=np.array([before[:, n : 2 * n].T, after[:, n : 2 * n].T]),
+            break_displacement=np.ascontiguousarray(before[:, :points].T),
+            break_velocity=np.array([before[:, n : n + points].T, after[:, n : n + points].T]),
             break_acceleration=self._propagator.accelerations(
                 np.concatenate([before, after]),
                 np.concatenate([trajectory.before_slot, trajectory.after_slot]),
             )
-            .reshape(n, 2, len(before))
+            .reshape(n, 2, len(before))[:points]
             .transpose(1, 0, 2),
             events=events,
         )

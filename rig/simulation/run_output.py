@@ -48,7 +48,7 @@ def summary(run: Run) -> str:
     for damper in sorted({int(number) for number in run.events["damper"]}):
         own = run.events[run.events["damper"] == damper]
         counts = Counter(str(kind) for kind in own["kind"])
-        parts = [f"{kind} {counts[kind]}" for kind in KINDS if counts[kind]]
+        parts = [f"{kind} {counts[kind]}" for kind in dict.fromkeys(KINDS.tolist()) if counts[kind]]
         lines.append(f"damper {damper}: {', '.join(parts)}; hardest impact {own['speed'].max():.4g} m/s")
     lines.append(f"events: {len(run.events)}, decided within rounding: {run.ambiguous}")
     energy = run.energy
@@ -57,6 +57,7 @@ def summary(run: Run) -> str:
         f"work of the drive      {energy.work:12.6g} J",
         f"dissipated in damping  {energy.dissipated:12.6g} J",
         f"lost in impacts        {energy.impacts:12.6g} J",
+        f"lost in lasting contact {energy.contacts:11.6g} J",
         f"still stored           {energy.stored - energy.stored_before:12.6g} J",
         f"unaccounted for        {energy.residual:12.2g} J",
     ]

@@ -35,12 +35,13 @@ class Run:
     displacement, velocity, acceleration : ndarray, shape (points, samples)
         SI; at a sample that coincides with an impact, what holds after it.
     gap : ndarray, shape (dampers that move, samples)
-        Height of each damper above its floor, m.
+        Height of each damper above its floor, m; outside the cavity by the overlap where contact lasts.
     contact : ndarray of int8, shape (dampers that move, samples)
         0 in flight, 1 on the floor, 2 at the ceiling.
     events : structured ndarray
-        `time` [s], `damper` (1-based position in the scene's list), `kind` ("separation", "floor", "ceiling"),
-        `speed` (closing speed before the impact, m/s). `events.dtype.metadata` holds `ambiguous`, too.
+        `time` [s], `damper` (1-based position in the scene's list), `kind` ("separation", "floor", "ceiling"; where
+        contact lasts "touch" and "release"), `speed` (closing speed at an impact or touch, m/s).
+        `events.dtype.metadata` holds `ambiguous`, too.
     ambiguous : int
         Number of contact decisions that lay within rounding; each was decided as no contact.
     """
@@ -224,7 +225,7 @@ def _run(
     books: tuple[Any, ...],
 ) -> Run:
     """Put a run together from the initial state and a course of which only the rows `keep` are samples."""
-    n = system.coordinates
+    n, points = system.coordinates, len(system.points)
     states = np.concatenate([first.state, trajectory.state[keep]])
     slots = np.concatenate([first.slot, trajectory.slot[keep]])
     gap_before, contact_before = gaps_and_contacts(first, system)
@@ -241,9 +242,9 @@ def _run(
         scene=scene,
         points=system.points,
         time=np.arange(samples) / rate,
-        displacement=np.ascontiguousarray(states[:, :n].T),
-        velocity=np.ascontiguousarray(states[:, n : 2 * n].T),
-        acceleration=propagator.accelerations(states, slots),
+        displacement=np.ascontiguousarray(states[:, :points].T),
+        velocity=np.ascontiguousarray(states[:, n : n + points].T),
+        acceleration=propagator.accelerations(states, slots)[:points],
         gap=np.concatenate([gap_before, gap[:, keep]], axis=1),
         contact=np.concatenate([contact_before, contact[:, keep]], axis=1),
         events=events.astype(np.dtype(EVENT.descr, metadata={"ambiguous": propagator.ambiguous})),

@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import SceneError
-from rig.scene.scene import Scene
+from rig.scene.contact import Landing, Wall, Walls
+from rig.scene.scene import Damper, Scene
 from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, TableShaker
 from rig.system.hybrid_system import HybridSystem
+from rig.system.landing import spring_damper
 from rig.system.structure import Array, damper_bodies, damper_masses, natural_modes, structure_matrices
 
 #: Configurations are bits of a 64-bit integer.
@@ -23,8 +25,8 @@ def assemble(scene: Scene) -> HybridSystem:
     Returns
     -------
     HybridSystem
-        Coordinates are the bodies, then the table if the shaker has one. Dampers that are locked or have no
-        clearance are part of the mass matrix.
+        Coordinates are the bodies, then the table if the shaker has one, then the beds of dampers whose contact
+        lasts. Dampers that are locked or have no clearance are part of the mass matrix.
 
     Raises
     ------
@@ -37,8 +39,12 @@ def assemble(scene: Scene) -> HybridSystem:
     masses, at_body = damper_masses(scene), damper_bodies(scene)
     held = np.array([d.locked or d.clearance == 0.0 for d in scene.dampers], dtype=bool)
     free = np.flatnonzero(~held)
-    if len(free) > MOST_DAMPERS:
-        raise SceneError(f"{len(free)} dampers that move; expected at most {MOST_DAMPERS}")
+    lasting = any(scene.dampers[j].contact is not None for j in free)
+    # A contact that lasts takes a second bit, to tell the ceiling from the floor.
+    most = MOST_DAMPERS // 2 if lasting else MOST_DAMPERS
+    if len(free) > most:
+        beside = " where a contact lasts" if lasting else ""
+        raise SceneError(f"{len(free)} dampers that move; expected at most {most}{beside}")
     weight = np.zeros(bodies)
     mass = mass.copy()
     np.add.at(mass, (at_body[held], at_body[held]), masses[held])
@@ -49,6 +55,11 @@ def assemble(scene: Scene) -> HybridSystem:
         parts.add_input("hammer", "N", {scene.test.body - 1: 1.0})
     clearance = np.array([scene.dampers[j].clearance for j in free], dtype=np.float64)
     restitution = np.array([scene.dampers[j].restitution for j in free], dtype=np.float64)
+    walls = _walls(parts.mass, [scene.dampers[j] for j in free], masses[free])
+    bed = np.full(len(free), -1, dtype=np.intp)
+    for row, j in enumerate(free):
+        if scene.dampers[j].contact is not None:
+            bed[row] = parts.add_bed(at_body[j], masses[j], scene.gravity)
     system = parts.system(
         gravity=scene.gravity,
         coordinate=at_body[free],
@@ -56,6 +67,8 @@ def assemble(scene: Scene) -> HybridSystem:
         clearance=clearance,
         restitution=restitution,
         number=free + 1,
+        bed=bed,
+        walls=walls,
     )
     system.initial[:] = _start(scene, system)
     return system
@@ -66,6 +79,7 @@ class _Parts:
 
     def __init__(self, bodies: int, mass: Array, damping: Array, stiffness: Array, weight: Array) -> None:
         self.points = [f"body {j + 1}" for j in range(bodies)]
+        self.table = -1
         self.mass, self.damping, self.stiffness, self.weight = mass, damping.copy(), stiffness.copy(), weight
         self.inputs: list[str] = []
         self.units: list[str] = []
@@ -73,10 +87,22 @@ class _Parts:
         self.coil: tuple[float, float, float] | None = None
         self.coil_gain = 0.0
 
-    def add_point(self, name: str, mass: float) -> int:
-        """Add a coordinate that nothing holds yet; returns its row."""
-        row = len(self.points)
-        self.points.append(name)
+    def add_table(self, mass: float) -> int:
+        """Add the table, which nothing holds yet; returns its row."""
+        self.points.append("table")
+        self.table = self._add_coordinate(mass)
+        return self.table
+
+    def add_bed(self, body: int, mass: float, gravity: float) -> int:
+        """Add the bed of a damper whose contact lasts, by its gap above its body; returns its row. It falls freely."""
+        row = self._add_coordinate(mass)
+        self.mass[body, body] += mass
+        self.mass[body, row] = self.mass[row, body] = mass
+        self.weight[[body, row]] -= mass * gravity
+        return row
+
+    def _add_coordinate(self, mass: float) -> int:
+        row = len(self.mass)
         self.mass, self.damping, self.stiffness = (
             np.pad(matrix, (0, 1)) for matrix in (self.mass, self.damping, self.stiffness)
         )
@@ -97,10 +123,10 @@ class _Parts:
 
     def system(
         self, gravity: float, coordinate: NDArray[np.intp], masses: Array, clearance: Array,
-        restitution: Array, number: NDArray[np.intp],
+        restitution: Array, number: NDArray[np.intp], bed: NDArray[np.intp], walls: tuple[Array, Array],
     ) -> HybridSystem:  # fmt: skip
         """Put everything into first-order form."""
-        n, extra = len(self.points), 0 if self.coil is None else 1
+        n, extra = len(self.mass), 0 if self.coil is None else 1
         force_state = np.hstack([-self.stiffness, -self.damping, np.zeros((n, extra))])
         force_drive = np.zeros((n, len(self.inputs)))
         for column, push in enumerate(self.pushes):
@@ -110,9 +136,8 @@ class _Parts:
         rate_drive = np.zeros((extra, len(self.inputs)))
         if self.coil is not None:
             resistance, inductance, force_factor = self.coil
-            table = n - 1
-            force_state[table, 2 * n] = force_factor
-            rate_state[0, n + table] = -force_factor / inductance
+            force_state[self.table, 2 * n] = force_factor
+            rate_state[0, n + self.table] = -force_factor / inductance
             rate_state[0, 2 * n] = -resistance / inductance
             rate_drive[0, 0] = self.coil_gain / inductance
         return HybridSystem(
@@ -131,6 +156,9 @@ class _Parts:
             clearance=clearance,
             restitution=restitution,
             damper_number=number,
+            bed=bed,
+            wall_stiffness=walls[0],
+            wall_damping=walls[1],
             initial=np.zeros(2 * n + extra),
         )
 
@@ -144,7 +172,7 @@ def _add_shaker(parts: _Parts, scene: Scene) -> None:
             parts.add_input("shaker", "N", {body - 1: 1.0 for body in shaker.bodies})
         case TableShaker():
             # The servo is driven, not loaded: the spring pulls at the body, never at the table.
-            table = parts.add_point("table", 1.0)
+            table = parts.add_table(1.0)
             body = shaker.body - 1
             corner = 2.0 * np.pi * shaker.bandwidth
             parts.stiffness[body, body] += shaker.spring
@@ -154,7 +182,7 @@ def _add_shaker(parts: _Parts, scene: Scene) -> None:
             parts.add_input("shaker", "m", {table: corner**2})
         case ElectrodynamicShaker():
             coil, armature, amplifier = shaker.coil, shaker.armature, shaker.amplifier
-            table = parts.add_point("table", armature.mass)
+            table = parts.add_table(armature.mass)
             parts.add_spring(shaker.body - 1, table, shaker.spring)
             parts.stiffness[table, table] += armature.stiffness
             parts.damping[table, table] += armature.damping
@@ -166,6 +194,35 @@ def _add_shaker(parts: _Parts, scene: Scene) -> None:
                 parts.add_input("shaker", "V", {table: amplifier.gain * coil.force_factor})
         case _ as never:
             assert_never(never)
+
+
+def _walls(mass: Array, dampers: list[Damper], bed_mass: Array) -> tuple[Array, Array]:
+    """Stiffness and damping of floor and ceiling of each damper, (dampers, 2); zeros where contact is instant.
+
+    Parameters
+    ----------
+    mass : float64 (coordinates, coordinates)
+        Mass matrix without the dampers that move.
+    dampers : list of Damper
+    bed_mass : float64 (dampers,)
+    """
+    stiffness, damping = np.zeros((2, len(dampers), 2))
+    mobility = np.diag(np.linalg.inv(mass))
+    for row, damper in enumerate(dampers):
+        contact = damper.contact
+        if contact is None:
+            continue
+        both = (contact.floor, contact.ceiling) if isinstance(contact, Walls) else (contact, contact)
+        reduced = 1.0 / (1.0 / bed_mass[row] + mobility[damper.body - 1])
+        for side, wall in enumerate(both):
+            stiffness[row, side], damping[row, side] = _wall(wall, damper.restitution, reduced)
+    return stiffness, damping
+
+
+def _wall(wall: Wall, restitution: float, mass: float) -> tuple[float, float]:
+    if isinstance(wall, Landing):
+        return spring_damper(wall.duration, restitution, mass)
+    return wall.stiffness, wall.damping
 
 
 def _start(scene: Scene, system: HybridSystem) -> Array:
@@ -198,10 +255,11 @@ def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
     """
     n = system.coordinates
     load = system.force_constant.copy()
-    np.subtract.at(load, system.damper_coordinate, system.damper_mass * system.gravity)
+    riding = ~system.lasting
+    np.subtract.at(load, system.damper_coordinate[riding], system.damper_mass[riding] * system.gravity)
     if not load.any():
         return np.zeros(n)
-    stiffness = -system.force_state[:, :n]
+    stiffness = -(system.force_state + system.contact_forces(system.at_rest)[0])[:, :n]
     scale = np.abs(stiffness).max(initial=0.0)
     if scale == 0.0 or np.linalg.cond(stiffness) > 1e13:
         raise SceneError(

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from rig.system.landing import landing
+
 
 @dataclass(frozen=True)
 class HybridSystem:
@@ -22,13 +24,17 @@ class HybridSystem:
     inputs, drive_units : tuple of str
         What can be driven, and its unit.
     mass : float64 (coordinates, coordinates)
-        Mass matrix without the free dampers; locked ones are in it.
+        Mass matrix without the dampers whose contact is instant; locked ones are in it.
     force_state, force_drive, force_constant : float64
         F_q (coordinates, states), F_u (coordinates, inputs) and F_1 (coordinates,).
     rate_state, rate_drive : float64
         R_q (further states, states) and R_u (further states, inputs).
     damper_coordinate, damper_mass, clearance, restitution, damper_number : arrays (dampers,)
         The free dampers; `damper_number` is the 1-based position in the scene's list.
+    bed : int array (dampers,)
+        Coordinate of a damper whose contact lasts, behind those of the points: its gap. -1 where contact is instant.
+    wall_stiffness, wall_damping : float64 (dampers, 2)
+        Of floor and ceiling where contact lasts [N/m, N s/m].
     fastest : float
         Bound on the fastest rate in any configuration, rad/s.
     """
@@ -48,6 +54,9 @@ class HybridSystem:
     clearance: np.ndarray
     restitution: np.ndarray
     damper_number: np.ndarray
+    bed: np.ndarray
+    wall_stiffness: np.ndarray
+    wall_damping: np.ndarray
     initial: np.ndarray = field(repr=False)
 
     @property
@@ -68,23 +77,89 @@ class HybridSystem:
     @property
     def coupled(self) -> bool:
         """Whether an impact at one damper's body is felt at once by another coordinate."""
-        rows = self.mass[self.damper_coordinate]
-        return bool(np.count_nonzero(rows) > self.dampers)
+        struck = self.damper_coordinate[~self.lasting]
+        return bool(np.count_nonzero(self.mass[struck]) > len(struck))
 
     @property
-    def poles(self) -> np.ndarray:
-        """Poles while no damper rides, rad/s; shape (states,), complex."""
+    def lasting(self) -> np.ndarray:
+        """Whether the contact of each damper lasts, bool (dampers,)."""
+        return self.bed >= 0
+
+    @property
+    def reduced_mass(self) -> np.ndarray:
+        """Reduced mass of each damper whose contact lasts and its body, kg; NaN where contact is instant."""
+        mobility = np.append(np.diag(np.linalg.inv(self.mass)), np.nan)
+        return np.asarray(1.0 / mobility[self.bed])
+
+    def landing(self, damper: int, wall: int) -> tuple[float, float]:
+        """Duration [s] and restitution of a lasting contact: of damper j (from 0) with its floor (1) or ceiling (2)."""
+        stiffness, damping = self.wall_stiffness[damper, wall - 1], self.wall_damping[damper, wall - 1]
+        return landing(float(stiffness), float(damping), float(self.reduced_mass[damper]))
+
+    @property
+    def toggles(self) -> list[int]:
+        """Changes of a configuration: every damper's contact (with its floor, if it lasts), then those with ceilings.
+
+        Bit j of a configuration is set while damper j is in contact, bit `dampers` + j while that lasts at a ceiling.
+        """
+        floors = [1 << j for j in range(self.dampers)]
+        ceilings = [1 << j | 1 << self.dampers + j for j in range(self.dampers)]
+        return floors + ceilings if self.lasting.any() else floors
+
+    @property
+    def at_rest(self) -> int:
+        """Configuration with every damper on its floor."""
+        return (1 << self.dampers) - 1
+
+    def contact_forces(self, configuration: int) -> tuple[np.ndarray, np.ndarray]:
+        """Give the forces of the lasting contacts that are closed: rows for the state, and constants.
+
+        Returns
+        -------
+        force : float64 (coordinates, states)
+        constant : float64 (coordinates,)
+        """
+        n = self.coordinates
+        force, constant = np.zeros((n, self.states)), np.zeros(n)
+        for j in np.flatnonzero(self.lasting):
+            if not configuration >> int(j) & 1:
+                continue
+            wall = configuration >> self.dampers + int(j) & 1
+            bed, stiffness = self.bed[j], self.wall_stiffness[j, wall]
+            force[bed, bed] = -stiffness
+            force[bed, n + bed] = -self.wall_damping[j, wall]
+            constant[bed] = stiffness * self.clearance[j] if wall and np.isfinite(self.clearance[j]) else 0.0
+        return force, constant
+
+    def matrix(self, configuration: int = 0) -> np.ndarray:
+        """State matrix (states, states) while the given lasting contacts are closed, no damper riding."""
         n, ns = self.coordinates, self.states
         matrix = np.zeros((ns, ns))
         matrix[:n, n : 2 * n] = np.eye(n)
-        matrix[n : 2 * n] = np.linalg.solve(self.mass, self.force_state)
+        matrix[n : 2 * n] = np.linalg.solve(
+            self.mass, self.force_state + self.contact_forces(configuration)[0]
+        )
         matrix[2 * n :] = self.rate_state
-        return np.asarray(np.linalg.eigvals(matrix), dtype=complex)
+        return matrix
+
+    @property
+    def poles(self) -> np.ndarray:
+        """Poles while no damper is in contact, rad/s; shape (states,), complex."""
+        return np.asarray(np.linalg.eigvals(self.matrix()), dtype=complex)
 
     @property
     def fastest(self) -> float:
-        """Fastest rate of the system, rad/s; riding dampers only slow it down."""
-        return float(np.abs(self.poles).max(initial=0.0))
+        """Fastest rate of the system, rad/s: riding dampers only slow it down, contacts that last make it faster."""
+        configurations = {0}
+        if self.lasting.any():
+            stiffer = np.argmax(self.wall_stiffness, axis=1)
+            at_once = [self.toggles[j + self.dampers * stiffer[j]] for j in np.flatnonzero(self.lasting)]
+            each = [
+                self.toggles[j + self.dampers * wall] for j in np.flatnonzero(self.lasting) for wall in (0, 1)
+            ]
+            configurations |= {sum(at_once), *each}
+        rates = [np.abs(np.linalg.eigvals(self.matrix(one))).max(initial=0.0) for one in configurations]
+        return float(max(rates))
 
 
 @dataclass(frozen=True)

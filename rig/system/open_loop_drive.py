@@ -128,10 +128,12 @@ def _riding_response(system: HybridSystem, omega: float) -> NDArray[np.complex12
     """States for one unit of drive, all dampers riding."""
     n, ns = system.coordinates, system.states
     mass = system.mass.copy()
-    np.add.at(mass, (system.damper_coordinate, system.damper_coordinate), system.damper_mass)
+    riding = system.damper_coordinate[~system.lasting]
+    np.add.at(mass, (riding, riding), system.damper_mass[~system.lasting])
     matrix = np.zeros((ns, ns))
     matrix[:n, n : 2 * n] = np.eye(n)
-    matrix[n : 2 * n] = np.linalg.solve(mass, system.force_state)
+    force, _ = system.contact_forces(system.at_rest)
+    matrix[n : 2 * n] = np.linalg.solve(mass, system.force_state + force)
     matrix[2 * n :] = system.rate_state
     column = system.inputs.index("shaker")
     inflow = np.zeros(ns, dtype=complex)

@@ -28,6 +28,8 @@ PI = Decimal("3.14159265358979323846264338327950288419716939937510582097494459")
 DIGITS, CHECK_DIGITS = 40, 30
 #: Rate times step up to which the series loses no digits worth mentioning.
 REACH = 3.0
+#: Overlap up to which a bed whose contact lasts has only just touched a wall, m; a float64 leaves 1e-18.
+TOUCHING = 1e-13
 #: Newton's iteration starts within rounding of the engine; this many doublings of the digits are plenty.
 ITERATIONS = 8
 
@@ -74,6 +76,8 @@ class DecimalMotion:
             self.omega = 2 * PI * Decimal(tone.frequency)
             self.gravity = Decimal(system.gravity)
         self.flows: dict[int, Rows] = {}
+        # The wall that each bed whose contact lasts is at, or was at last.
+        self.walls = ["floor"] * system.dampers
 
     def follow(self, run: Run, per_period: int) -> tuple[NDArray[np.object_], NDArray[np.object_]]:
         """Displacements at the samples and times of the events."""
@@ -103,6 +107,11 @@ class DecimalMotion:
                 taken += 1
             if j < 0:
                 break
+            if system.lasting[j]:
+                state, flight, now = self.to_change(state, flight, now, Decimal(guess), j, kind)
+                last_guess = guess
+                times.append(now)
+                continue
             # Separations that an impact or the start brings about have no root of their own.
             forced = kind == "separation" and (guess == last_guess or guess == 0.0)
             if not forced:
@@ -181,11 +190,48 @@ class DecimalMotion:
             )
         return state, flight, now
 
+    def to_change(
+        self, state: Vector, flight: dict[int, tuple[Decimal, Decimal]], now: Decimal, guess: Decimal, j: int,
+        kind: str,
+    ) -> tuple[Vector, dict[int, tuple[Decimal, Decimal]], Decimal]:  # fmt: skip
+        """Carry everything to a touch or release near `guess` of a bed whose contact lasts, and change the contact.
+
+        An open contact counts as a flight, whose height and speed mean nothing: the gap is part of the state.
+        """
+        zero = "release"
+        if kind == "touch":
+            clearance = float(self.system.clearance[j])
+            gap = float(self.carry(state, flight, guess - now)[0][int(self.system.bed[j])])
+            self.walls[j] = "ceiling" if gap > 0.5 * clearance else "floor"
+            overlap = gap - clearance if self.walls[j] == "ceiling" else -gap
+            # A bed that has not left the wall is pressed again where the force, not the gap, is zero.
+            zero = "touch" if overlap < TOUCHING else "release"
+        state, flight, now = self.to_event(state, flight, now, guess, j, zero, self.walls[j])
+        if kind == "touch":
+            del flight[j]
+        else:
+            flight[j] = (Decimal(0), Decimal(0))
+        return state, flight, now
+
+    def wall(self, j: int) -> tuple[Decimal, Decimal, Decimal]:
+        """Stiffness, damping and height of the wall that a bed whose contact lasts is at."""
+        side = int(self.walls[j] == "ceiling")
+        stiffness, damping = self.system.wall_stiffness[j, side], self.system.wall_damping[j, side]
+        return Decimal(float(stiffness)), Decimal(float(damping)), self.lift(j, self.walls[j])
+
     def _guard(
         self, state: Vector, flight: dict[int, tuple[Decimal, Decimal]], j: int, kind: str
     ) -> tuple[Decimal, Decimal]:
         """Guard of an event and its rate of change."""
         n, row = self.system.coordinates, self.row(j)
+        if self.system.lasting[j]:
+            bed = int(self.system.bed[j])
+            stiffness, damping, height = self.wall(j)
+            if kind == "touch":
+                stiffness, damping = Decimal(1), Decimal(0)
+            bend = self._rates(self._flow(flight), state)[n + bed]
+            value = stiffness * (state[bed] - height) + damping * state[n + bed]
+            return value, stiffness * state[n + bed] + damping * bend
         if kind == "separation":
             flow = self._flow(flight)
             rate = self._rates(flow, state)
@@ -218,8 +264,12 @@ class DecimalMotion:
         return [sum((value * state[k] for k, value in row), Decimal(0)) for row in flow]
 
     def _flow(self, flight: dict[int, tuple[Decimal, Decimal]]) -> Rows:
-        """Sparse rows of the generator while the dampers not in flight ride."""
-        riding = sum(1 << j for j in range(self.system.dampers) if j not in flight)
+        """Sparse rows of the generator while the dampers not in flight ride, or their contacts are closed."""
+        closed = [j for j in range(self.system.dampers) if j not in flight]
+        riding = sum(1 << j for j in closed)
+        for j in closed:
+            if self.system.lasting[j] and self.walls[j] == "ceiling":
+                riding |= 1 << self.system.dampers + j
         if riding not in self.flows:
             self.flows[riding] = self._make_flow(riding)
         return self.flows[riding]
@@ -244,7 +294,13 @@ class DecimalMotion:
         )
         mass = exact(system.mass)
         for j in range(system.dampers):
-            if riding >> j & 1:
+            if riding >> j & 1 and system.lasting[j]:
+                gap = int(system.bed[j])
+                stiffness, damping, height = self.wall(j)
+                force[gap, gap] -= stiffness
+                force[gap, n + gap] -= damping
+                force[gap, -1] += stiffness * height
+            elif riding >> j & 1:
                 bed = Decimal(float(system.damper_mass[j]))
                 mass[self.row(j), self.row(j)] += bed
                 force[self.row(j), -1] -= bed * self.gravity

@@ -125,14 +125,13 @@ def motion_study(
     tone = tone_drive(scene, system, frequency)
     assert tone is not None
     say = progress if progress is not None else lambda name: None
-    problem = FirstOrderForm(system, tone, periods)
     duration, rate = periods / frequency, PER_PERIOD * frequency
     say("reference")
     run = simulate(scene, duration, rate, frequency=frequency)
     exact = exact_motion(system, tone, run, PER_PERIOD)
     judge = _Judge(exact, run, system)
     points = []
-    for method, setting, compute in _methods(scene, system, tone, problem, periods):
+    for method, setting, compute in _methods(scene, system, tone, periods):
         say(f"{method}, {setting}")
         points.append(judge.point(method, setting, compute, periods))
     best = min((p.error for p in points if p.error > 0.0), default=np.inf)
@@ -149,9 +148,7 @@ def motion_study(
 Methods = Iterator[tuple[str, str, Callable[[], Outcome]]]
 
 
-def _methods(
-    scene: Scene, system: HybridSystem, tone: ToneDrive, problem: FirstOrderForm, periods: int
-) -> Methods:
+def _methods(scene: Scene, system: HybridSystem, tone: ToneDrive, periods: int) -> Methods:
     """Every method with a setting and a call that computes the motion."""
     frequency = tone.frequency
     duration, rate = periods / frequency, PER_PERIOD * frequency
@@ -170,6 +167,9 @@ def _methods(
                 f"{share * frequency:.4g} Hz",
                 _sampled(scene, system, tone, share, periods),
             )
+    if system.lasting.any():
+        return  # the other methods know instant contact only
+    problem = FirstOrderForm(system, tone, periods)
     yield from _fixed(problem)
     yield from _compiled(problem, 1.0 / frequency)
     yield from _adaptive(problem, 1.0 / frequency)

@@ -1,0 +1,111 @@
+"""The state of a system in motion as the kernel writes it, and its log of events and breaks."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.engine.flow import Flow, Model
+from rig.numerics.jit import inlined
+
+Array = NDArray[np.float64]
+
+#: What a damper does.
+FLIGHT, FLOOR, CEILING = 0, 1, 2
+#: Event kinds in the log.
+SEPARATION, FLOOR_IMPACT, CEILING_IMPACT, FLOOR_TOUCH, CEILING_TOUCH, RELEASE = 0, 1, 2, 3, 4, 5
+#: Entries of `State.counters`.
+SLOT, CONFIGURATION, IN_A_ROW, AMBIGUOUS = 0, 1, 2, 3
+
+
+class State(NamedTuple):
+    """What changes while a system moves; every field is an array so that the kernel can write into it.
+
+    `multiplicity[j]` counts the leading coefficients of damper j's guard that are exactly zero at this instant:
+    1 after a rebound, 2 after a release, 3 after a separation at zero contact force; negative for the ceiling.
+    `recovering[j]` is the wall that a bed whose contact lasts has been released by and still overlaps.
+    """
+
+    z: np.ndarray
+    height: np.ndarray
+    speed: np.ndarray
+    mode: np.ndarray
+    multiplicity: np.ndarray
+    recovering: np.ndarray
+    counters: np.ndarray
+
+
+class Log(NamedTuple):
+    """Events and breaks as they happen; `filled` holds how many rows of each are filled.
+
+    A break is an instant at which velocities or accelerations jump, with the state and the dampers' own speeds
+    before and after it.
+    """
+
+    filled: np.ndarray
+    segment: np.ndarray
+    offset: np.ndarray
+    damper: np.ndarray
+    kind: np.ndarray
+    closing: np.ndarray
+    break_segment: np.ndarray
+    break_offset: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    speed_before: np.ndarray
+    speed_after: np.ndarray
+    configuration: np.ndarray
+
+
+@inlined
+def note(log: Log, segment: int, offset: float, damper: int, kind: int, closing: float) -> None:
+    """Log an event."""
+    row = log.filled[0]
+    log.segment[row] = segment
+    log.offset[row] = offset
+    log.damper[row] = damper
+    log.kind[row] = kind
+    log.closing[row] = closing
+    log.filled[0] = row + 1
+
+
+@inlined
+def toggle(flow: Flow, model: Model, state: State, which: int) -> None:
+    """Change the configuration, and the table if there is one: a contact opens or closes."""
+    state.counters[CONFIGURATION] ^= model.toggles[which]
+    if state.counters[SLOT] >= 0:
+        state.counters[SLOT] = flow.neighbour[state.counters[SLOT], which]
+
+
+@inlined
+def _own_speeds(model: Model, state: State, out: Array) -> None:
+    for j in range(model.mass.shape[0]):
+        if model.bed[j] >= 0:
+            out[j] = state.z[model.velocity[j]] + state.z[model.first_velocity + model.bed[j]]
+        else:
+            out[j] = state.speed[j] if state.mode[j] == FLIGHT else state.z[model.velocity[j]]
+
+
+@inlined
+def open_break(model: Model, state: State, log: Log, segment: int, offset: float) -> None:
+    """Keep the state before the contacts change."""
+    row = log.filled[1]
+    _own_speeds(model, state, log.speed_before[row])
+    log.break_segment[row] = segment
+    log.break_offset[row] = offset
+    log.configuration[row, 0] = state.counters[CONFIGURATION]
+    for i in range(state.z.shape[0]):
+        log.before[row, i] = state.z[i]
+
+
+@inlined
+def close_break(model: Model, state: State, log: Log) -> None:
+    """Keep the state after the contacts have changed."""
+    row = log.filled[1]
+    _own_speeds(model, state, log.speed_after[row])
+    log.configuration[row, 1] = state.counters[CONFIGURATION]
+    for i in range(state.z.shape[0]):
+        log.after[row, i] = state.z[i]
+    log.filled[1] = row + 1

@@ -1,0 +1,161 @@
+"""Contact that lasts: held against forty digits, closed forms, the energy ledger and the instant contact."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import rig
+from rig.system.assembly import assemble
+from rig.system.landing import landing, peak_force, spring_damper
+from tests.rig.engine.lasting_exact import SwitchedMotion
+
+PER_PERIOD = 16
+
+
+def random_scene(seed: int, bodies: int) -> rig.Scene:
+    """A driven chain with a damper in every body, its walls given in one of the four ways."""
+    draw = np.random.default_rng(seed)
+    masses, springs = draw.uniform(0.3, 1.2, bodies), draw.uniform(8e3, 4e4, bodies)
+    frequency = float(draw.uniform(0.5, 1.6) * math.sqrt(springs.mean() / masses.mean()) / (2 * math.pi))
+
+    def duration() -> float:
+        return float(10 ** draw.uniform(-1.5, -0.5) / frequency)
+
+    def wall(bed: float) -> dict[str, float]:
+        rate = math.pi / duration()
+        damping = 2 * bed * rate * 10 ** draw.uniform(-2.5, 0.3)
+        return {"stiffness": bed * rate**2, "damping": damping if draw.random() < 0.7 else 0.0}
+
+    dampers = []
+    for body in range(1, bodies + 1):
+        bed = float(draw.uniform(0.03, 0.4) * masses[body - 1])
+        clearance = float(draw.uniform(2e-4, 2e-3)) if draw.random() < 0.7 else math.inf
+        ways = [
+            {"contact": {"duration": duration()}},
+            {"contact": {"duration": duration()}, "restitution": float(draw.uniform(0.02, 0.95))},
+            {"contact": wall(bed)},
+            {"contact": {"floor": wall(bed), "ceiling": wall(bed)}},
+        ]
+        dampers.append({"body": body, "mass": bed, "clearance": clearance, **ways[draw.integers(4)]})
+    return rig.Scene.model_validate(
+        {
+            "structure": {
+                "masses": masses.tolist(),
+                "springs": springs.tolist(),
+                "damping": {"modal": float(draw.uniform(0.001, 0.02))},
+            },
+            "dampers": dampers,
+            "shaker": {"kind": "force", "body": int(draw.integers(1, bodies + 1))},
+            "test": {
+                "kind": "sine", "frequency": frequency, "force": float(draw.uniform(5, 30)), "start": "empty",
+                "duration": 1.0,
+            },
+        }
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("seed", "bodies"), [(0, 1), (4, 1), (5, 2), (7, 1)])
+def test_given_a_random_scene_when_simulated_then_it_is_the_motion_to_forty_digits(
+    seed: int, bodies: int
+) -> None:
+    scene = random_scene(seed, bodies)
+    run = rig.simulate(scene, 3 / scene.test.frequency, rate=PER_PERIOD * scene.test.frequency)
+    states = 2 * (bodies + len(scene.dampers))
+    exact, events = SwitchedMotion(scene).follow([0.0] * states, len(run.time), PER_PERIOD)
+    error = np.abs((run.displacement - exact).astype(float)).max() / np.abs(run.displacement).max()
+    kinds = [("touch" if mode else "release", damper + 1) for _, damper, mode in events]
+    assert kinds == [(str(event["kind"]), int(event["damper"])) for event in run.events]
+    assert len(kinds) > 2
+    assert error < 1e-12
+    times = np.array([float(time) for time, _, _ in events])
+    np.testing.assert_allclose(run.events["time"], times, atol=1e-12)
+    assert abs(run.energy.residual) < 1e-12 * abs(run.energy.work)
+
+
+@given(st.floats(1e-5, 0.1), st.floats(1e-3, 0.999), st.floats(1e-3, 10.0))
+def test_given_a_duration_and_a_restitution_when_made_a_spring_and_a_dashpot_then_it_lands_so(
+    duration: float, restitution: float, mass: float
+) -> None:
+    found = landing(*spring_damper(duration, restitution, mass), mass)
+    np.testing.assert_allclose(found, (duration, restitution), rtol=1e-11)
+
+
+def test_given_ever_shorter_landings_without_restitution_when_made_then_they_give_ever_less_back() -> None:
+    shares = [landing(*spring_damper(t, 0.0, 0.05), 0.05)[1] for t in (1e-2, 1e-3, 1e-4, 1e-5)]
+    assert shares[0] == pytest.approx(math.exp(-2.0))
+    assert all(later < 0.2 * earlier for earlier, later in pairwise(shares))
+
+
+@pytest.mark.parametrize("restitution", [0.05, 0.3, 0.9])
+def test_given_a_landing_under_no_other_force_when_simulated_then_it_is_the_closed_form(
+    restitution: float,
+) -> None:
+    # A hammer throws a free body at its bed; without gravity only the walls act between hits.
+    scene = rig.loads(
+        f"""
+        structure: {{masses: [0.8 kg], springs: [0 N/m]}}
+        gravity: 0 m/s^2
+        dampers: [{{body: 1, mass: 60 g, clearance: 1 mm, contact: {{duration: 2 ms}}, restitution: {restitution}}}]
+        test: {{kind: impulse, body: 1, peak: 300 N, width: 0.2 ms, repeats: 1}}
+        """
+    )
+    run = rig.simulate(scene, 0.2, rate=100e3)
+    touch = int(np.flatnonzero((run.events["kind"] == "touch") & (run.events["time"] > 1e-3))[0])
+    landed, left = run.events[touch], run.events[touch + 1]
+    assert left["kind"] == "release"
+    assert left["time"] - landed["time"] == pytest.approx(2e-3, rel=1e-9)
+    assert run.events[touch + 2]["speed"] == pytest.approx(restitution * landed["speed"], rel=1e-9)
+    during = (run.time >= landed["time"]) & (run.time <= left["time"])
+    system = assemble(scene)
+    stiffness, damping = system.wall_stiffness[0, 0], system.wall_damping[0, 0]
+    peak = peak_force(stiffness, damping, float(system.reduced_mass[0]), float(landed["speed"]))
+    assert np.abs(run.acceleration[0, during]).max() == pytest.approx(peak / 0.8, rel=2e-3)
+
+
+def test_given_ever_shorter_landings_when_simulated_then_the_motion_converges_to_the_instant_one() -> None:
+    instant = rig.load("reference-A")
+    reference = rig.simulate(instant, 0.3, rate=2000.0).displacement
+    errors = []
+    for duration in (4e-4, 1e-4, 2.5e-5):
+        dampers = [damper.replace(contact={"duration": duration}) for damper in instant.dampers]
+        run = rig.simulate(instant.replace(dampers=dampers), 0.3, rate=2000.0)
+        errors.append(np.abs(run.displacement - reference).max() / np.abs(reference).max())
+    orders = np.log(np.array(errors[:-1]) / errors[1:]) / np.log(4.0)
+    assert errors[-1] < 1e-3
+    assert (orders > 0.7).all()
+
+
+def test_given_dampers_at_rest_on_soft_floors_when_left_alone_then_they_stay_at_their_sag() -> None:
+    scene = rig.load("reference-A").replace(shaker=None, test={"kind": "free", "displacement": [0.0] * 3})
+    scene = scene.replace(dampers=[d.replace(contact={"duration": 5e-3}) for d in scene.dampers])
+    run = rig.simulate(scene, 0.5, rate=500.0)
+    system = assemble(scene)
+    sag = system.damper_mass * scene.gravity / system.wall_stiffness[:, 0]
+    assert len(run.events) == 0
+    np.testing.assert_allclose(run.gap, np.broadcast_to(-sag[:, None], run.gap.shape), rtol=1e-9)
+    np.testing.assert_allclose(run.displacement, run.displacement[:, :1] * np.ones(len(run.time)), rtol=1e-9)
+
+
+def test_given_a_drive_in_blocks_when_the_plant_runs_then_the_motion_has_the_same_bits() -> None:
+    scene = rig.load("reference-C")
+    scene = scene.replace(
+        dampers=[d.replace(contact={"duration": 1e-3}, restitution=0.2) for d in scene.dampers]
+    )
+    drive = 20.0 * np.random.default_rng(1).standard_normal((1, 600))
+    whole = rig.Plant(scene, 5120.0).advance(drive)
+    plant = rig.Plant(scene, 5120.0)
+    parts = [plant.advance(part) for part in np.split(drive, [1, 8, 250, 251], axis=1)]
+    assert {"touch", "release"} <= set(whole.events["kind"])
+    for name in ("displacement", "velocity", "acceleration", "gap"):
+        np.testing.assert_array_equal(
+            np.concatenate([getattr(part, name) for part in parts], axis=1), getattr(whole, name)
+        )
+    np.testing.assert_array_equal(np.concatenate([part.events for part in parts]), whole.events)
+    # Acceleration is finite: no break holds a jump of velocity.
+    np.testing.assert_array_equal(whole.break_velocity[0], whole.break_velocity[1])

@@ -17,7 +17,7 @@ from rig.scene.loading import SCENES, bundled
 from rig.scene.scene import Scene
 
 # What every kind of quantity carries; and the sample rate is three times a frequency.
-positive = st.floats(min_value=1e-9, max_value=1e6)
+positive = st.floats(min_value=1e-6, max_value=1e6)
 frequency = st.floats(min_value=1e-6, max_value=3e7)
 share = st.just(0.0) | st.floats(min_value=1e-12, max_value=1.0, exclude_max=True)
 level = st.sampled_from(["force", "drive"])

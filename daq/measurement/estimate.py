@@ -59,7 +59,7 @@ def estimate(scene: Scene) -> Estimate:
     >>> import rig
     >>> scene = rig.load("fig10b-no-damper")
     >>> print(estimate(scene.replace(test=scene.test.replace(repeats=200, interval="9 s"))))
-    the test takes at least 30.0 min on the bench: 9.22e+06 samples a channel, about 295.0 MB
+    the test takes at least 30.0 min on the bench: 9.22e+06 samples a channel, about 294.9 MB
     """
     rate = scene.converter.rate
     # Without channels of its own a scene has an ideal one on every body and the table.

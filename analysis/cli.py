@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rig.command_line import application, run
+from rig.command_line import application, counting, run
 
 if TYPE_CHECKING:
     from analysis.presentation.presentation import Result
@@ -54,7 +52,7 @@ def frf(
     """Frequency responses: compliance against frequency, with error bars and coherence."""
     from analysis.presentation.presentation import present_frf
 
-    with _progress() as progress:
+    with counting("analysing") as progress:
         result = present_frf(files, output, response, reference, motion, estimator, block, theory, progress)
     _show(result)
 
@@ -83,7 +81,7 @@ def modes(
     """Natural frequencies, damping ratios and mode shapes."""
     from analysis.presentation.presentation import present_modes
 
-    with _progress() as progress:
+    with counting("analysing") as progress:
         result = present_modes(files, output, reference, modes, block, progress)
     _show(result)
 
@@ -93,7 +91,7 @@ def dampers(files: Files, output: Output = None) -> None:
     """Motion of the dampers and energy they take out, at each frequency of a stepped sine."""
     from analysis.presentation.damper_findings import present_dampers
 
-    with _progress() as progress:
+    with counting("analysing") as progress:
         result = present_dampers(files, output, progress)
     _show(result)
 
@@ -103,7 +101,7 @@ def report(files: Files, output: Output = None) -> None:
     """One self-contained HTML page about recordings."""
     from analysis.presentation.report import write_report
 
-    with _progress() as progress:
+    with counting("analysing") as progress:
         result = write_report(files, output, progress)
     _show(result)
 
@@ -171,7 +169,7 @@ def cost(
     from rig.scene.loading import load
 
     make_ready(output)
-    with _progress("recording and analysing") as progress:
+    with counting("recording and analysing") as progress:
         study = chain_study(load(scene), frequency, progress)
     files = write(study, output)
     print(table(study))
@@ -201,19 +199,6 @@ def _show(result: Result) -> None:
         print(f"wrote {path}")
 
 
-@contextmanager
-def _progress(title: str = "analysing") -> Iterator[Callable[[int, int], None]]:
-    """Draw a bar on the terminal, if there is one, for work that takes more than a moment."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task(title)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
-
-
 def main() -> None:
     """Run the `analysis` command."""
-    run(app)
+    run("analysis.cli")

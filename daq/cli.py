@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from rig.command_line import application, run
+from rig.command_line import application, handed_over, progress, run, waiting
 from rig.errors import RecordingError
 
 app = application("The instrument: record, look at, repair and replay tests.")
@@ -60,24 +60,23 @@ def replay(
 ) -> None:
     """Look at a recording: the rig in motion, channels, dampers, test marks."""
     import daq
-    from daq.measurement.run_report import progress_bar
     from daq.replay import outputs as show
     from daq.replay.replay import Replay
 
     if sum([save is not None, screenshot is not None, web]) > 1:
         raise typer.BadParameter("choose one of --save, --screenshot and --web")
-    with daq.open(file) as recording, progress_bar(file.stem) as progress:
+    with daq.open(file) as recording, progress(file.stem) as tell:
         part = Replay(recording, start, stop, speed)
         if save is not None:
-            show.save(part, save, progress)
+            show.save(part, save, tell)
             print(f"{save}: {save.stat().st_size / 1e6:.1f} MB; to look at it: rerun {save}")
         elif screenshot is not None:
-            drawn = show.photograph(part, screenshot, at, progress)
+            drawn = show.photograph(part, screenshot, at, tell)
             print(f"{screenshot}: the rig at {drawn:.3f} s")
         elif web:
-            show.in_browser(part, print, progress)
+            show.in_browser(part, print, tell)
         else:
-            show.in_window(part, progress)
+            show.in_window(part, tell)
 
 
 @app.command()
@@ -147,7 +146,8 @@ def scope(
     bench = rig.load(scene)
     knobs = knobs_for(bench, frequency, force)
     viewing = show.server(say) if web else show.window("use --web to look with a browser")
-    live(bench, path, knobs, viewing, overwrite)
+    with waiting():
+        live(bench, path, knobs, viewing, overwrite)
     print(summary(path))
 
 
@@ -175,7 +175,9 @@ def run_a_script(
     """Run a script for the package nidaqmx, or daq.nidaqmx, against the rig."""
     from daq.server.script import run_script
 
-    raise typer.Exit(run_script(script, arguments or [], scene, clock, seconds))
+    with handed_over():
+        code = run_script(script, arguments or [], scene, clock, seconds)
+    raise typer.Exit(code)
 
 
 def _free(path: Path, overwrite: bool) -> Path:
@@ -196,4 +198,4 @@ def _free(path: Path, overwrite: bool) -> Path:
 
 def main() -> None:
     """Run the `daq` command."""
-    run(app)
+    run("daq.cli")

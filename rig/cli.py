@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import math
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rig.command_line import application, run
+from rig.command_line import application, counting, run, saying
 from rig.errors import SceneError
 
 if TYPE_CHECKING:
     from rig.scene.quantities import Kind
 
 app = application("The physics of the virtual vibration rig.")
+
+# More frequencies or periods than this are a mistake.
+MOST = 100_000
 
 SceneName = Annotated[
     str,
@@ -27,21 +29,12 @@ SceneName = Annotated[
 @app.command()
 def scenes() -> None:
     """List the bundled scenes."""
-    from rich.console import Console
-    from rich.table import Table
-
     from rig.scene.loading import bundled, summary
 
-    console = Console()
-    if not console.is_terminal:
-        # A pipe gets one scene to a line, whatever the width of the terminal it may end in.
-        for name in bundled():
-            print(f"{name}\t{summary(name)}")
-        return
-    table = Table("scene", "what it is", box=None, pad_edge=False)
+    wide = max(map(len, bundled())) if sys.stdout.isatty() else 0
     for name in bundled():
-        table.add_row(name, summary(name))
-    console.print(table)
+        # A pipe gets a tab, whatever the width of the terminal it may end in.
+        print(f"{name:{wide}}  {summary(name)}" if wide else f"{name}\t{summary(name)}")
 
 
 @app.command()
@@ -66,7 +59,7 @@ def explain(
     if measure:
         from rig.effects.effect_cost import effect_costs, text
 
-        with _status() as say:
+        with saying() as say:
             costs = effect_costs(rig.load(scene), say)
         print("\n" + text(costs))
 
@@ -116,7 +109,9 @@ def response(
         str | None, typer.Option("--from", metavar="F", help="First frequency, such as '8 Hz'.")
     ] = None,
     last: Annotated[str | None, typer.Option("--to", metavar="F", help="Last frequency.")] = None,
-    points: Annotated[int | None, typer.Option(metavar="N", help="How many frequencies.")] = None,
+    points: Annotated[
+        int | None, typer.Option(min=2, max=MOST, metavar="N", help="How many frequencies.")
+    ] = None,
     direction: Annotated[
         str | None, typer.Option(metavar="up|down|both", help="Order of the frequencies.")
     ] = None,
@@ -133,7 +128,7 @@ def response(
     loaded = rig.load(scene)
     ends = (_quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to"))
     frequencies, order = frequencies_of(loaded, *ends, points, direction)
-    with _progress("following the motion") as progress:
+    with counting("following the motion") as progress:
         result = rig.frequency_response(loaded, frequencies, direction=order, progress=progress)
     print(text(result))
     if output is not None:
@@ -150,7 +145,7 @@ def cost(
             metavar="F", help="Of the drive (default: where the linear structure accelerates most)."
         ),
     ] = None,
-    periods: Annotated[int, typer.Option(min=2, metavar="N", help="Length of the motion.")] = 20,
+    periods: Annotated[int, typer.Option(min=2, max=MOST, metavar="N", help="Length of the motion.")] = 20,
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="DIR", help="Where to write the figure and the table.")
     ] = Path(),
@@ -165,7 +160,7 @@ def cost(
 
     loaded = rig.load(scene)
     make_ready(output)
-    with _status() as say:
+    with saying() as say:
         study = motion_study(loaded, _quantity(frequency, FREQUENCY, "--frequency"), periods, say)
         steady = steady_study(loaded, study.frequency, say)
         files = write(study, steady, output)
@@ -186,12 +181,14 @@ def map_(
         str | None, typer.Option(metavar="VALUE", help="Smallest level or clearance, such as '0.5 N'.")
     ] = None,
     most: Annotated[str | None, typer.Option(metavar="VALUE", help="Largest level or clearance.")] = None,
-    rows: Annotated[int, typer.Option(min=2, metavar="N", help="How many levels or clearances.")] = 36,
+    rows: Annotated[
+        int, typer.Option(min=2, max=1000, metavar="N", help="How many levels or clearances.")
+    ] = 36,
     first: Annotated[
         str | None, typer.Option("--from", metavar="F", help="First frequency (default: the test's).")
     ] = None,
     last: Annotated[str | None, typer.Option("--to", metavar="F", help="Last frequency.")] = None,
-    points: Annotated[int, typer.Option(min=2, metavar="N", help="How many frequencies.")] = 48,
+    points: Annotated[int, typer.Option(min=2, max=1000, metavar="N", help="How many frequencies.")] = 48,
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="DIR", help="Where to write the figure and the table.")
     ] = Path(),
@@ -211,23 +208,11 @@ def map_(
     ends = _quantity(least, kind, "--least"), _quantity(most, kind, "--most")
     values = rows_of(loaded, over, frequencies, *ends, rows)
     make_ready(output)
-    with _progress("following the motion") as progress:
+    with counting("following the motion") as progress:
         found = rig.map_motion(loaded, over, values, frequencies, progress)
     files = write(found, output)
     print(summary(found))
     print("\nwritten:", *files)
-
-
-@contextmanager
-def _status() -> Iterator[Callable[[str], None] | None]:
-    """Show what is going on while the body runs; nothing where the error output is no terminal."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-
-    with Console(stderr=True).status("") as status:
-        yield status.update
 
 
 def _quantity(value: str | None, kind: Kind, name: str) -> float | None:
@@ -237,25 +222,14 @@ def _quantity(value: str | None, kind: Kind, name: str) -> float | None:
     if value is None:
         return None
     try:
-        return float(parse(value, kind))
+        number = float(parse(value, kind))
     except ValueError as error:
         raise SceneError(f"{name}: {error}") from None
-
-
-@contextmanager
-def _progress(title: str) -> Iterator[Callable[[int, int], None] | None]:
-    """Show a bar while the body runs; nothing where the error output is no terminal."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(title)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+    if math.isinf(number) or not kind.carries(number):
+        raise SceneError(f"{name}: got {value[:60]}; expected {kind.noun} {kind.range}")
+    return number
 
 
 def main() -> None:
     """Run the `rig` command."""
-    run(app)
+    run("rig.cli")

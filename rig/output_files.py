@@ -1,13 +1,16 @@
-"""Where a study of a scene writes its files, and how they are named."""
+"""Files that commands write: never half, never in place of one that was to stay, never over what is no file."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import stat
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from secrets import token_hex
 from typing import TYPE_CHECKING
 
-from rig.errors import SceneError
+from rig.errors import RunError, SceneError, ShotrigError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,6 +32,122 @@ def make_ready(folder: Path) -> None:
         ) from None
     if not os.access(folder, os.W_OK):
         raise SceneError(f"{folder}: cannot be written; choose another place with -o")
+
+
+def destination(path: Path, overwrite: bool, refusal: type[ShotrigError] = SceneError) -> Path:
+    """Find the file that a name stands for, and refuse one that must not be written.
+
+    Parameters
+    ----------
+    path : Path
+        File to make or to replace; a symbolic link stands for what it points to.
+    overwrite : bool
+        Whether an existing file may be replaced.
+    refusal : type
+        What to raise.
+
+    Returns
+    -------
+    Path
+        The file itself.
+
+    Raises
+    ------
+    ShotrigError
+        If there is a file that is to stay or is write-protected, or something that is no ordinary file; if its
+        folder does not exist.
+    """
+    try:
+        file = path.resolve()
+        there = file.stat() if os.path.lexists(file) else None
+        if not file.parent.is_dir():
+            if file.parent.exists():
+                raise refusal(f"cannot make {path}: {file.parent} is a file, no directory")
+            raise refusal(f"cannot make {path}: there is no folder {file.parent}; make it first")
+    except (OSError, ValueError, RuntimeError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise refusal(f"cannot make {path}: {why}; choose another name or place with -o") from None
+    if there is None:
+        return file
+    if not stat.S_ISREG(there.st_mode):
+        raise refusal(f"{path} is no ordinary file and is left as it is; choose another name with -o")
+    if not overwrite:
+        raise refusal(f"{path} exists and is left as it is; choose another name with -o, or pass --overwrite")
+    if not os.access(file, os.W_OK):
+        raise refusal(f"{path} is write-protected and is left as it is; choose another name with -o")
+    return file
+
+
+@contextmanager
+def replacing(path: Path, overwrite: bool = True) -> Iterator[Path]:
+    """Make a file beside its final place, and put it there once it is complete.
+
+    Whatever happens meanwhile, at `path` is what was there before, whole, or the new file, whole.
+
+    Parameters
+    ----------
+    path : Path
+        File to make or to replace, in an existing folder.
+    overwrite : bool
+        Whether an existing file may be replaced.
+
+    Yields
+    ------
+    Path
+        File to write; its name ends as that of `path`.
+
+    Raises
+    ------
+    SceneError
+        If `path` must not be written, see `destination`.
+    RunError
+        If the disk is full or fails.
+    """
+    file = destination(path, overwrite)
+    part = file.with_name(f".{token_hex(6)}{file.suffix}")
+    try:
+        yield part
+        put_in_place(part, file, overwrite)
+    except FileExistsError:
+        raise SceneError(
+            f"{path} has come into being meanwhile and is left as it is; choose another name"
+        ) from None
+    except OSError as error:
+        raise RunError(f"cannot write {path}: {error.strerror or error}") from error
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+
+
+def put_in_place(part: Path, file: Path, overwrite: bool) -> None:
+    """Give a complete file its name, in place of the file of that name or only if there is none.
+
+    Raises
+    ------
+    FileExistsError
+        If there is one that is to stay.
+    OSError
+        If the disk fails.
+    """
+    with part.open("rb") as written:
+        # The new bytes must be on the disk before the old ones have no name any more.
+        os.fsync(written.fileno())
+    if overwrite:
+        with suppress(FileNotFoundError):
+            part.chmod(stat.S_IMODE(file.stat().st_mode))
+        part.replace(file)
+        return
+    try:
+        os.link(part, file)
+    except FileExistsError:
+        raise
+    except OSError:
+        # Some disks know no second name for a file.
+        if file.exists():
+            raise FileExistsError(str(file)) from None
+        part.rename(file)
+        return
+    part.unlink()
 
 
 def stem(study: str, scene: str) -> str:
@@ -68,11 +187,10 @@ def write_study(
         If a file cannot be written.
     """
     picture, drawing, table = (folder / f"{stem(study, scene)}.{ending}" for ending in ("png", "svg", "csv"))
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        write_table(table)
-        for file in (picture, drawing):
-            figure.savefig(file, dpi=160)
-    except OSError as error:
-        raise SceneError(f"{folder}: cannot be written ({error.strerror})") from None
+    make_ready(folder)
+    with replacing(table) as part:
+        write_table(part)
+    for file in (picture, drawing):
+        with replacing(file) as part:
+            figure.savefig(part, dpi=160)
     return [picture, drawing, table]

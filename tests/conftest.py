@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from hypothesis import HealthCheck, settings
 
+from rig import command_line
+
 settings.register_profile(
     "project",
     derandomize=True,
@@ -12,3 +14,6 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("project")
+
+# A busy machine would have commands say that they are still at work, between the lines that tests look at.
+command_line.SILENCE = float("inf")

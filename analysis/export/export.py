@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import csv
-import os
 import re
 import zipfile
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +15,8 @@ import numpy as np
 from analysis.export.uff import write_uff
 from analysis.export.wav import write_wav
 from analysis.recordings.slices import Slice
-from rig.errors import RunError, SceneError
+from rig.errors import SceneError
+from rig.output_files import replacing
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -115,23 +114,6 @@ WRITERS: dict[str, Callable[[Slice, Path], Any]] = {
 }
 
 
-@contextmanager
-def _new_file(path: Path, overwrite: bool) -> Iterator[Path]:
-    """Make a file beside its final place, and put it there once it is complete."""
-    if path.exists() and not overwrite:
-        raise SceneError(f"{path} exists and is left as it is; choose another name, or pass --overwrite")
-    if not path.parent.is_dir():
-        raise SceneError(f"cannot make {path}: there is no folder {path.parent}; make it first")
-    part = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
-    try:
-        yield part
-        part.replace(path)
-    except OSError as error:
-        raise RunError(f"cannot write {path}: {error.strerror or error}") from error
-    finally:
-        part.unlink(missing_ok=True)
-
-
 def export(stretch: Slice, path: Path, speed: float = 1.0, overwrite: bool = False) -> list[str]:
     """Write a stretch of a recording in the format that the file's name says.
 
@@ -163,7 +145,7 @@ def export(stretch: Slice, path: Path, speed: float = 1.0, overwrite: bool = Fal
         raise SceneError(f"{path}: expected a name that ends in one of {', '.join(WRITERS)}")
     if speed != 1.0 and kind != ".wav":
         raise SceneError("--speed is for sound (.wav)")
-    with _new_file(path, overwrite) as part:
+    with replacing(path, overwrite) as part:
         if kind == ".wav":
             full = write_wav(stretch, part, speed)
             notes = [

@@ -8,7 +8,7 @@ from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
-from rig.errors import RunError
+from rig.output_files import make_ready, replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -63,15 +63,11 @@ def save(figure: Figure, stem: Path) -> list[Path]:
     import matplotlib
 
     png, svg = stem.with_name(stem.name + ".png"), stem.with_name(stem.name + ".svg")
-    try:
-        stem.parent.mkdir(parents=True, exist_ok=True)
-        with matplotlib.rc_context(_STYLE):
-            figure.savefig(png, dpi=150, metadata={"Software": None})
-            figure.savefig(svg, metadata={"Date": None, "Creator": None})
-    except OSError as error:
-        raise RunError(
-            f"cannot write {png.parent}: {error.strerror}; choose another place with --output"
-        ) from None
+    make_ready(stem.parent)
+    with matplotlib.rc_context(_STYLE), replacing(png) as part:
+        figure.savefig(part, dpi=150, metadata={"Software": None})
+    with matplotlib.rc_context(_STYLE), replacing(svg) as part:
+        figure.savefig(part, metadata={"Date": None, "Creator": None})
     return [png, svg]
 
 

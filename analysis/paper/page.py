@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from html import escape
 from importlib.resources import files
 from pathlib import Path
 from string import Template
@@ -12,7 +11,8 @@ import numpy as np
 
 from analysis.paper.claims import Claim, Evidence
 from analysis.paper.figures import Parts
-from rig.errors import RunError
+from rig.escaping import html
+from rig.output_files import replacing
 
 TITLE = "The paper, reproduced"
 INTRODUCTION = (
@@ -45,15 +45,11 @@ def write_pages(folder: Path, judged: Sequence[Claim], parts: Parts) -> list[Pat
     written = []
     for name, text in (
         ("index.md", _markdown(judged, beyond)),
-        ("index.html", page.substitute(title=escape(TITLE), body=_html(judged, beyond))),
+        ("index.html", page.substitute(title=html(TITLE), body=_html(judged, beyond))),
     ):
         target = folder / name
-        try:
-            target.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise RunError(
-                f"cannot write {target}: {error.strerror}; choose another place with --output"
-            ) from None
+        with replacing(target) as part:
+            part.write_text(text, encoding="utf-8")
         written.append(target)
     return written
 
@@ -155,24 +151,22 @@ def _markdown(judged: Sequence[Claim], beyond: Sequence[Evidence]) -> str:
 def _html(judged: Sequence[Claim], beyond: Sequence[Evidence]) -> str:
     def items(all_evidence: Sequence[Evidence]) -> str:
         return "".join(
-            f"<li>{escape(e.text)}"
-            + (f" <code>{escape(command(e.parts))}</code>" if e.parts else "")
-            + "</li>"
+            f"<li>{html(e.text)}" + (f" <code>{html(command(e.parts))}</code>" if e.parts else "") + "</li>"
             for e in all_evidence
         )
 
     rows = "".join(
-        f"<tr><td><a href='#{c.name}'>{c.name}</a></td><td>{escape(c.verdict)}</td>"
-        f"<td><code>{escape(command(_parts(c)))}</code></td></tr>"
+        f"<tr><td><a href='#{c.name}'>{c.name}</a></td><td>{html(c.verdict)}</td>"
+        f"<td><code>{html(command(_parts(c)))}</code></td></tr>"
         for c in judged
     )
     out = [
-        f"<p>{escape(INTRODUCTION)}</p><table><tr><th>claim</th><th>verdict</th><th>command</th></tr>{rows}</table>"
+        f"<p>{html(INTRODUCTION)}</p><table><tr><th>claim</th><th>verdict</th><th>command</th></tr>{rows}</table>"
     ]
     for c in judged:
         out.append(
-            f"<h2 id='{c.name}'>{c.name}</h2><blockquote>{escape(c.text)}</blockquote>"
-            f"<p><strong>{escape(c.verdict)}</strong></p><ul>{items(c.evidence)}</ul>{_images(c.figures)}"
+            f"<h2 id='{c.name}'>{c.name}</h2><blockquote>{html(c.text)}</blockquote>"
+            f"<p><strong>{html(c.verdict)}</strong></p><ul>{items(c.evidence)}</ul>{_images(c.figures)}"
         )
     out.append(f"<h2>Beyond the paper</h2><ul>{items(beyond)}</ul>{_images(BEYOND)}")
     return "\n".join(out)
@@ -181,6 +175,6 @@ def _html(judged: Sequence[Claim], beyond: Sequence[Evidence]) -> str:
 def _images(names: Sequence[str]) -> str:
     return "".join(
         f"<figure><img src='{name}.png' "
-        f"alt='{escape(CAPTIONS[name])}'><figcaption>{escape(CAPTIONS[name])}</figcaption></figure>"
+        f"alt='{html(CAPTIONS[name])}'><figcaption>{html(CAPTIONS[name])}</figcaption></figure>"
         for name in names
     )

@@ -7,7 +7,6 @@ import shlex
 import tempfile
 from collections.abc import Callable, Sequence
 from functools import partial
-from html import escape
 from importlib.resources import files
 from pathlib import Path
 from string import Template
@@ -23,7 +22,9 @@ from analysis.presentation.presentation import (
     present_modes,
 )
 from analysis.recordings.names import opened, scene_labels
-from rig.errors import RunError, ShotrigError
+from rig.errors import ShotrigError
+from rig.escaping import html
+from rig.output_files import make_ready, replacing
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -74,20 +75,16 @@ def write_report(
             commands.append(f"analysis decay {_typed(decays)}")
     if notes:
         unique = dict.fromkeys(notes)
-        items = "".join(f"<li>{escape(note)}</li>" for note in unique)
+        items = "".join(f"<li>{html(note)}</li>" for note in unique)
         body.append(f'<h2>Warnings</h2><ul class="warnings">{items}</ul>')
     commands.append(f"analysis report {_typed(paths)}")
-    body.append(f"<h2>To get the same again</h2><pre>{escape(chr(10).join(commands))}</pre>")
+    body.append(f"<h2>To get the same again</h2><pre>{html(chr(10).join(commands))}</pre>")
     title = f"Vibration test: {', '.join(path.stem for path in paths)}"
     page = Template((files("analysis.presentation") / "report.html").read_text(encoding="utf-8"))
     target = with_ending(output_stem(paths, output, "report"), "html")
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(page.substitute(title=escape(title), body="\n".join(body)), encoding="utf-8")
-    except OSError as error:
-        raise RunError(
-            f"cannot write {target}: {error.strerror}; choose another place with --output"
-        ) from None
+    make_ready(target.parent)
+    with replacing(target) as part:
+        part.write_text(page.substitute(title=html(title), body="\n".join(body)), encoding="utf-8")
     return Result((target,), (), tuple(dict.fromkeys(notes)))
 
 
@@ -102,15 +99,15 @@ def _part(heading: str, make: Callable[[], Result], notes: list[str]) -> str:
         result = make()
     except ShotrigError as error:
         notes.append(f"{heading}: {error}")
-        return f"<h2>{escape(heading)}</h2><p>Not available: {escape(str(error))}</p>"
+        return f"<h2>{html(heading)}</h2><p>Not available: {html(str(error))}</p>"
     notes += result.warnings
-    out = [f"<h2>{escape(heading)}</h2>"]
+    out = [f"<h2>{html(heading)}</h2>"]
     if result.lines:
-        out.append(f"<pre>{escape(chr(10).join(result.lines))}</pre>")
+        out.append(f"<pre>{html(chr(10).join(result.lines))}</pre>")
     for path in result.files:
         if path.suffix == ".png":
             data = base64.b64encode(path.read_bytes()).decode()
-            out.append(f'<figure><img alt="{escape(path.stem)}" src="data:image/png;base64,{data}"></figure>')
+            out.append(f'<figure><img alt="{html(path.stem)}" src="data:image/png;base64,{data}"></figure>')
     return "\n".join(out)
 
 
@@ -147,21 +144,21 @@ def _tested(path: Path, rec: Recording) -> str:
         ("overloads", _ranges(rec, [(m.first_sample, m.fields.get("channel", "?")) for m in rec.overloads])),
         ("lost samples", _ranges(rec, [(gap.first_sample, ", ".join(gap.channels)) for gap in rec.gaps])),
     ]
-    rows = "".join(f"<tr><th>{escape(key)}</th><td>{escape(value)}</td></tr>" for key, value in facts)
+    rows = "".join(f"<tr><th>{html(key)}</th><td>{html(value)}</td></tr>" for key, value in facts)
     heading = "".join(
         f"<th>{text}</th>" for text in ("channel", "at", "reads", "sensitivity", "range", "gain at 10 Hz")
     )
     channels = "".join(
-        f"<tr><td>{escape(info.name)}</td><td>{escape(info.at)}</td><td>{info.quantity} / "
-        f"{escape(info.unit)}</td>"
-        f"<td>{info.sensitivity:.5g} V per {escape(info.unit)}</td>"
+        f"<tr><td>{html(info.name)}</td><td>{html(info.at)}</td><td>{info.quantity} / "
+        f"{html(info.unit)}</td>"
+        f"<td>{info.sensitivity:.5g} V per {html(info.unit)}</td>"
         f"<td>{'unlimited' if info.range is None else f'± {info.range:g} V'}</td>"
         f"<td>{abs(complex(info.response(10.0))):.4f}</td></tr>"
         for info in rec.channels.values()
     )
     return (
-        f"<h2>{escape(path.name)}</h2><table>{rows}</table><table><tr>{heading}</tr>{channels}</table>"
-        f"<details><summary>scene file</summary><pre>{escape(scene.to_yaml())}</pre></details>"
+        f"<h2>{html(path.name)}</h2><table>{rows}</table><table><tr>{heading}</tr>{channels}</table>"
+        f"<details><summary>scene file</summary><pre>{html(scene.to_yaml())}</pre></details>"
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from analysis.decays.free_decay import Decay
 from analysis.modal.modes import Modes
 from analysis.responses.frf import Frf
-from rig.errors import RunError
+from rig.output_files import make_ready, replacing
 
 Row = Sequence[str | float | int]
 
@@ -21,15 +21,12 @@ _ENVELOPE_ROWS = 400
 
 def write_table(path: Path, heading: Sequence[str], rows: Iterable[Row]) -> Path:
     """Write one table; numbers with nine digits, an empty cell for what was not measured."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(heading)
-            for row in rows:
-                writer.writerow([_cell(value) for value in row])
-    except OSError as error:
-        raise RunError(f"cannot write {path}: {error.strerror}; choose another place with --output") from None
+    make_ready(path.parent)
+    with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(heading)
+        for row in rows:
+            writer.writerow([_cell(value) for value in row])
     return path
 
 

@@ -18,11 +18,14 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from daq.dsp.circuit import Circuit
+from rig.errors import SceneError
 from rig.numerics.simd import LANES, padded, zeros
 
 Array = NDArray[np.float64]
 
 PARTS = 64
+# Size of the generator over the smallest part of a sample interval up to which its series is summed.
+MOST_NORM = 50.0
 # Start, end, mean and moment of a piece (see `Pieces`) -> derivatives of the cubic at its start, when the
 # piece is as long as the unit of time.
 CUBIC = np.array(
@@ -131,6 +134,12 @@ def discretise(
 
     # The first three terms may do no more than bring down the input's derivatives: they do not count.
     norm = np.abs(generator).sum(axis=1).max() / PARTS**2
+    if not norm <= MOST_NORM:
+        fastest = np.abs(np.linalg.eigvals(circuit.a)).max(initial=0.0) / (2.0 * np.pi)
+        raise SceneError(
+            f"a corner or resonance of {fastest:.3g} Hz in a channel is too fast to be followed at a sample rate of "
+            f"{rate:.6g} Hz; leave it out (an ideal part has none), or choose a higher rate"
+        )
     terms, remainder = 4, norm
     while remainder > 1e-18:
         terms += 1

@@ -10,8 +10,12 @@ from typing import Any, NamedTuple
 
 # The largest chunk that is unpacked, bytes; what a recorder writes is a thousandth of it.
 LARGEST_CHUNK = 1 << 26
+# A chunk beyond the first size must not unpack to more than so many times its own; nor may it hold more records than
+# bytes, beyond the first number. Otherwise a small file could keep a reader busy for minutes.
+PACKS_FREELY, PACKS_AT_MOST = 1 << 21, 1000
+FEW_RECORDS = 1 << 10
 
-MESSAGE = 0x05
+SCHEMA, CHANNEL, MESSAGE = 0x03, 0x04, 0x05
 
 RECORD_HEAD = struct.Struct("<BQ")
 CHUNK_HEAD = struct.Struct("<QQQII")
@@ -63,6 +67,8 @@ def unpack_chunk(content: memoryview, checksum_needed: bool = False) -> memoryvi
     (packed,) = struct.unpack_from("<Q", content, begin)
     if size > LARGEST_CHUNK:
         raise Damage(f"it claims to unpack to {size} bytes; at most {LARGEST_CHUNK} are accepted")
+    if size > PACKS_FREELY + PACKS_AT_MOST * len(content):
+        raise Damage(f"it claims to unpack from {len(content)} bytes to {size}")
     if begin + 8 + packed != len(content):
         raise Damage(f"it claims {packed} bytes of records in {len(content) - begin - 8}")
     records = _unpack(compression, content[begin + 8 :], size)
@@ -113,22 +119,35 @@ def _decompressor() -> Any:
     return _of_thread.zstd
 
 
-def records_in(records: memoryview) -> Iterator[tuple[int, memoryview]]:
-    """Yield opcode and content of the records of a chunk; raise `Damage` where they do not fit into it."""
-    place, end = 0, len(records)
+def records_in(records: memoryview, stored: int) -> Iterator[tuple[int, memoryview]]:
+    """Yield opcode and content of the records of a chunk; raise `Damage` where they do not fit into it.
+
+    Parameters
+    ----------
+    records : memoryview
+        The chunk, unpacked.
+    stored : int
+        Bytes that it takes in the file.
+    """
+    place, end, left = 0, len(records), FEW_RECORDS + stored
     while place < end:
+        left -= 1
+        if left < 0:
+            raise Damage(f"it holds more than {FEW_RECORDS + stored} records in {stored} bytes")
         if end - place < RECORD_HEAD.size:
             raise Damage("a record in it is cut short")
         opcode, length = RECORD_HEAD.unpack_from(records, place)
         begin, place = place + RECORD_HEAD.size, place + RECORD_HEAD.size + length
         if place > end:
             raise Damage(f"a record in it claims {length} bytes")
+        if opcode not in (SCHEMA, CHANNEL, MESSAGE):
+            raise Damage(f"a record of kind {opcode} in it, which belongs into no chunk")
         yield opcode, records[begin:place]
 
 
-def messages_in(records: memoryview) -> Iterator[Stored]:
-    """Yield the messages among the records of a chunk; raise `Damage` where they do not fit into it."""
-    for opcode, content in records_in(records):
+def messages_in(records: memoryview, stored: int) -> Iterator[Stored]:
+    """Yield the messages among the records of a chunk, as `records_in`."""
+    for opcode, content in records_in(records, stored):
         if opcode == MESSAGE:
             if len(content) < _MESSAGE_HEAD.size:
                 raise Damage("a message in it is cut short")

@@ -31,9 +31,13 @@ _COMPRESSIONS = (b"", b"zstd", b"lz4")
 
 @dataclass(frozen=True)
 class Intact:
-    """A part of the file that passed its checksum: a chunk's records, a metadata record, or an attachment."""
+    """A part of the file that passed its checksum: a chunk's records, a metadata record, or an attachment.
+
+    `stored` says how many bytes it takes in the file.
+    """
 
     content: memoryview | Metadata | Attachment
+    stored: int
 
 
 @dataclass(frozen=True)
@@ -109,7 +113,7 @@ class DamagedFile:
             return chunk
         if opcode in (METADATA, ATTACHMENT) and length <= LARGEST_RECORD and end <= self.size:
             try:
-                return Intact(_verified(opcode, self._read(place + RECORD_HEAD.size, length))), end
+                return Intact(_verified(opcode, self._read(place + RECORD_HEAD.size, length)), length), end
             except Damage as damage:
                 return (Unreadable(place, end, str(damage)), end) if self._agrees(end) else (None, None)
         if opcode in (HEADER, MESSAGE_INDEX) and self._agrees(place) and end <= self.size:
@@ -137,7 +141,8 @@ class DamagedFile:
             if len(content) == content_length:
                 struct.pack_into("<Q", content, fixed - 8, content_length - fixed)
             try:
-                return Intact(unpack_chunk(memoryview(content), checksum_needed=True)), begin + content_length
+                records = unpack_chunk(memoryview(content), checksum_needed=True)
+                return Intact(records, content_length), begin + content_length
             except Damage as damage:
                 reason = f"a chunk: {damage}"
         if length == fixed + packed and begin + length <= self.size and self._agrees(begin + length):

@@ -42,6 +42,7 @@ class Container:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self._checksums_needed = False
         if path.exists() and not path.is_file():
             raise RecordingError(f"{path} is no file")
         try:
@@ -59,6 +60,17 @@ class Container:
         except BaseException:
             self.close()
             raise
+
+    @property
+    def checksums_needed(self) -> bool:
+        """Whether the file comes from a writer that gives everything a checksum; what has none is damaged then."""
+        return self._checksums_needed
+
+    @checksums_needed.setter
+    def checksums_needed(self, needed: bool) -> None:
+        self._checksums_needed = needed
+        if needed and not self._summary_has_checksum:
+            raise self.error("is damaged: its summary has no checksum")
 
     def error(self, what: str) -> RecordingError:
         """Make the error that says what is wrong with the file, and what to do."""
@@ -87,6 +99,7 @@ class Container:
                 f"its summary has {self.size - tail - start} bytes; at most {LARGEST_SUMMARY} are read"
             )
         section = self.read(start, self.size - tail - start)
+        self._summary_has_checksum = checksum != 0
         if checksum and checksum != zlib.crc32(data[: FOOTER_RECORD.size - 4], zlib.crc32(section)):
             raise Damage("the checksum of its summary is wrong")
         return read_summary(memoryview(section), self.size)
@@ -118,14 +131,15 @@ class Container:
         """Read the records of a chunk of the summary; raise `RecordingError` where it is damaged."""
         offset, length = int(self.summary.offsets[number]), int(self.summary.lengths[number])
         try:
-            return unpack_chunk(self._record(CHUNK, offset, length, LARGEST_CHUNK + (1 << 16)))
+            record = self._record(CHUNK, offset, length, LARGEST_CHUNK + (1 << 16))
+            return unpack_chunk(record, self.checksums_needed)
         except Damage as damage:
             raise self.error(f"is damaged: the chunk at byte {offset} cannot be used: {damage}") from damage
 
     def messages(self, number: int) -> Iterator[Stored]:
         """Yield the messages of a chunk; raise `RecordingError` where it is damaged."""
         try:
-            yield from messages_in(self.chunk(number))
+            yield from messages_in(self.chunk(number), int(self.summary.lengths[number]))
         except Damage as damage:
             offset = self.summary.offsets[number]
             raise self.error(f"is damaged: the chunk at byte {offset} cannot be used: {damage}") from damage
@@ -147,6 +161,8 @@ class Container:
             if index.name == name:
                 try:
                     content = self._record(ATTACHMENT, index.offset, index.length, LARGEST_RECORD)
+                    if self._checksums_needed and not any(content[-4:]):
+                        raise Damage("an attachment has no checksum")
                     return bytes(parse(ATTACHMENT, content).data)
                 except Damage as damage:
                     raise self.error(f"is damaged: {damage}") from damage

@@ -157,6 +157,9 @@ def _chunk_table(
             holders.append((channels.ravel(), np.repeat(numbers, channels.shape[1])))
             count += len(table)
     joined = {column: np.concatenate([np.empty(0, np.uint64), *parts]) for column, parts in columns.items()}
+    place = np.argsort(joined["offset"], kind="stable")
+    if (np.diff(joined["offset"][place]) < joined["length"][place][:-1]).any():
+        raise Damage("its chunks lie within each other")
     order = np.lexsort((joined["offset"], joined["end"]))
     rank = np.empty(count, np.int64)
     rank[order] = np.arange(count)

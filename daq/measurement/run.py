@@ -16,8 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.excitation import Excitation, Station, excitation
+from daq.measurement.estimate import estimate, refuse_too_much
 from daq.measurement.force_reference import force_untold
 from daq.measurement.limits import ControlLoss, Limits, Stretches
+from daq.recording.interrupts import answered
 from daq.recording.recorder import Recorder
 from daq.signal_chain.bench import AcquiredBlock, Bench
 from rig.errors import RecordingError, RunError, SceneError, ShotrigError
@@ -91,6 +93,7 @@ def record(
     if block is not None and block < 1:
         raise SceneError(f"block: got {block}; expected a number of samples, 1 at least")
     what = scene if isinstance(scene, Scene) else load(scene)
+    refuse_too_much(estimate(what), Path(path))
     return MeasurementRun(what, Path(path), block, progress).run(overwrite)
 
 
@@ -305,17 +308,11 @@ def stretches_of_equals(values: NDArray[np.bool_]) -> list[tuple[int, int]]:
 def _interruptible() -> Iterator[Callable[[], bool]]:
     """Turn the first Ctrl-C into a flag, so that no block is torn; the second one interrupts as ever."""
     pressed = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield pressed.is_set
-        return
-    before = signal.getsignal(signal.SIGINT)
 
     def press(number: int, frame: FrameType | None) -> None:
         pressed.set()
-        signal.signal(signal.SIGINT, before)
+        for each, earlier in before.items():
+            signal.signal(each, earlier)
 
-    signal.signal(signal.SIGINT, press)
-    try:
+    with answered(press) as before:
         yield pressed.is_set
-    finally:
-        signal.signal(signal.SIGINT, before)

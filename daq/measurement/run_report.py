@@ -5,12 +5,12 @@ from __future__ import annotations
 import shlex
 import sys
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from daq.measurement.estimate import WORTH_SAYING_S, estimate
 from daq.measurement.force_reference import force_untold
+from rig.command_line import progress
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -29,11 +29,14 @@ def record_and_report(scene: str, path: Path, overwrite: bool, block: int | None
 
     setting = rig.load(scene)
     print(f"recording {scene} to {path.absolute()}", file=sys.stderr)
+    taking = estimate(setting)
+    if taking.seconds > WORTH_SAYING_S:
+        print(taking, file=sys.stderr)
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always", daq.RunWarning)
         try:
-            with progress_bar(Path(scene).stem) as progress:
-                daq.record(setting, path, block=block, overwrite=overwrite, progress=progress)
+            with progress(Path(scene).stem) as tell:
+                daq.record(setting, path, block=block, overwrite=overwrite, progress=tell)
             code = 0
         except KeyboardInterrupt as interrupt:
             if not interrupt.args:
@@ -44,27 +47,6 @@ def record_and_report(scene: str, path: Path, overwrite: bool, block: int | None
         print(f"warning: {warning.message}", file=sys.stderr)
     print(summary(path))
     return code
-
-
-@contextmanager
-def progress_bar(title: str) -> Iterator[Callable[[float, str], None] | None]:
-    """Show a bar with the time left while the body runs; nothing where the error output is no terminal."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeRemainingColumn(elapsed_when_finished=True),
-        TextColumn("{task.fields[message]}"),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(title, total=1.0, message="")
-        yield lambda fraction, message: bar.update(task, completed=fraction, message=message)
 
 
 def summary(path: Path) -> str:

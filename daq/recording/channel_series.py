@@ -12,15 +12,16 @@ from numpy.typing import NDArray
 from daq.mcap_file.reader import Container
 from daq.recording.sample_block import SCHEMAS, SampleBlock, decode
 from daq.recording.timebase import Timebase
+from daq.signal_chain.field_checks import CLOCK, MOST_SAMPLES, NOT_ZERO, check
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
     from mcap.records import Channel
 
-# A range is refused when it is larger than this many samples and holds but a thousandth of them: numbers in a
+# A range is refused when it is larger than this many samples and holds but a sixteenth of them: numbers in a
 # file must not make the memory overflow.
-LARGE_RANGE = 1 << 27
-LEAST_SHARE = 1000
+LARGE_RANGE = 1 << 22
+LEAST_SHARE = 16
 
 
 class Series:
@@ -40,6 +41,8 @@ class Series:
         self._chunks = summary.holders.get(channel.id, np.empty(0, np.int64))
         self._cached: tuple[int, list[SampleBlock]] = (-1, [])
         self.scale = self._number("scale", 1.0)
+        if not NOT_ZERO.holds(self.scale):
+            raise self._error(f"scale = {self.scale!r}; expected {NOT_ZERO.expected}")
 
     @property
     def stored(self) -> str:
@@ -60,9 +63,11 @@ class Series:
         """The sample clock: as the topic's metadata state it, or else as the first block does."""
         if "rate" in self.metadata and "start_ns" in self.metadata:
             try:
-                return Timebase(float(self.metadata["rate"]), int(self.metadata["start_ns"]))
-            except ValueError as error:
-                raise self._error(f"no clock: {error}") from None
+                rate, start_ns = float(self.metadata["rate"]), int(self.metadata["start_ns"])
+                check({"rate": rate, "start_ns": start_ns}, CLOCK)
+                return Timebase(rate, start_ns)
+            except (ValueError, RecordingError) as error:
+                raise self._error(f"no clock: {error!s:.200}") from None
         for chunk in self._chunks:
             for block in self._decoded(int(chunk), None):
                 since = Timebase(block.rate).time_ns(block.first_sample)
@@ -104,6 +109,8 @@ class Series:
 
     def _check(self, block: SampleBlock, log_time: int, clock: Timebase) -> None:
         """Hold a block against the layout, on which finding samples relies."""
+        if block.stop > MOST_SAMPLES:
+            raise self._error(f"it claims a sample {block.first_sample}, beyond any recording")
         begins = (block.t0_ns - clock.start_ns) * clock.rate * 1e-9 - block.first_sample
         ends = (log_time - clock.start_ns) * clock.rate * 1e-9 - block.stop
         if block.rate != clock.rate or not (abs(begins) < 0.5 and abs(ends) < 0.5):
@@ -148,7 +155,7 @@ class Series:
         RecordingError
             If a chunk is damaged, or the range holds next to nothing for its size.
         """
-        self._refuse_void(start, stop)
+        self.refuse_void(start, stop)
         values = np.empty(stop - start)
         reached = start
         for block in self.blocks(start, stop):
@@ -160,12 +167,19 @@ class Series:
         values[reached - start :] = np.nan
         return values
 
-    def _refuse_void(self, start: int, stop: int) -> None:
-        if stop - start > LARGE_RANGE:
-            # No sample takes less than four bytes in a chunk.
-            most = int(np.minimum(self._container.summary.unpacked[self._chunks], 1 << 40).sum()) // 4
-            if most * LEAST_SHARE < stop - start:
-                raise self._error(f"it claims samples {start} to {stop - 1}, but holds {most} at most")
+    def refuse_void(self, start: int, stop: int) -> None:
+        """Raise `RecordingError` if the file has next to no samples in a long range."""
+        if stop - start <= LARGE_RANGE:
+            return
+        begin, end = np.searchsorted(self._ends, [start, stop], side="right")
+        chunks = self._chunks[int(begin) : int(end) + 1]
+        # No sample takes less than four bytes in a chunk.
+        most = int(np.minimum(self._container.summary.unpacked[chunks], 1 << 40).sum()) // 4
+        if most * LEAST_SHARE < stop - start:
+            raise self._error(
+                f"of the samples {start} to {stop - 1} it holds {most} at most: a void; "
+                "choose a stretch beside it (--from, --to)"
+            )
 
     def holes(self) -> Iterator[tuple[int, int]]:
         """Yield the ranges [first, stop) of samples that are missing before the last one; reads all."""

@@ -1,4 +1,7 @@
-"""The file under a recording: it grows by whole commits, so that a full disk leaves nothing half-written."""
+"""The file under a recording: it grows by whole commits, so that a full disk leaves nothing half-written.
+
+One that replaces another grows beside it and takes its place once it is whole.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,10 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 from rig.errors import RecordingError, RunError
+from rig.output_files import destination, put_in_place
 
 
 class Disk:
@@ -23,6 +28,8 @@ class Disk:
     ----------
     failed : bool
         Whether a commit has failed; the file then ends with the commit before.
+    at : Path
+        Where the bytes are until then: beside an existing file that is to be replaced, else at `path`.
 
     Raises
     ------
@@ -35,14 +42,20 @@ class Disk:
         self.failed = False
         self._waiting: list[bytes] = []
         self._committed = self._end = 0
+        self._final = self.at = destination(path, overwrite, RecordingError)
         try:
-            self._file = path.open("wb" if overwrite else "xb", buffering=0)
+            self._old = self._final.open("rb") if self._final.exists() else None
+            if self._old is not None:
+                _lock(self._old, path)
+                self.at = _unused(self._final)
+            self._file = self.at.open("xb", buffering=0)
         except FileExistsError:
             raise RecordingError(
-                f"{path} exists and is left as it is; choose another name, or ask for it to be overwritten"
+                f"{path} has just been made by another process; choose another name"
             ) from None
         except OSError as error:
             raise RecordingError(f"cannot make {path}: {_reason(error, path.parent)}") from error
+        _lock(self._file, path)
 
     def write(self, data: bytes) -> None:
         """Take bytes for the next commit."""
@@ -74,28 +87,83 @@ class Disk:
             self.failed = True
             os.ftruncate(self._file.fileno(), self._committed)
             raise RunError(
-                f"cannot write to {self.path}: {error.strerror}; it holds what was flushed before, without "
-                f"an end: `daq recover {self.path} -o FIXED.mcap` makes it whole"
+                f"cannot write to {self.at}: {error.strerror}; it holds what was flushed before, without "
+                f"an end: `daq recover {self.at} -o FIXED.mcap` makes it whole"
             ) from error
         self._committed = self._end
 
     def free(self) -> int:
         """Give the free bytes of the disk that holds the file."""
-        return shutil.disk_usage(self.path).free
+        return shutil.disk_usage(self.at).free
+
+    def finish(self) -> None:
+        """Put what waits into the file, which is whole with it, and give it its name.
+
+        Raises
+        ------
+        RunError
+            If the disk is full or fails.
+        """
+        self.commit()
+        if self.at == self._final:
+            return
+        self._file.close()
+        try:
+            put_in_place(self.at, self._final, overwrite=True)
+        except OSError as error:
+            raise RunError(
+                f"cannot replace {self.path}: {error.strerror}; the new one is {self.at}"
+            ) from error
+        self.at = self._final
+
+    def give_up(self) -> None:
+        """Leave the old file as it was, if there is one: nothing came that would be worth its place."""
+        self.close()
+        if self.at != self._final:
+            self.at.unlink(missing_ok=True)
 
     def close(self) -> None:
         """Close the file; what was not committed is dropped."""
         self._file.close()
+        if self._old is not None:
+            self._old.close()
 
     @contextmanager
     def removed_on_failure(self) -> Iterator[None]:
-        """Leave no file behind if the body fails."""
+        """Leave no new file behind if the body fails."""
         try:
             yield
         except BaseException:
             self.close()
-            self.path.unlink(missing_ok=True)
+            self.at.unlink(missing_ok=True)
             raise
+
+
+def _unused(path: Path) -> Path:
+    """Find a name beside a file; what an earlier recording that was killed has left there stays.
+
+    >>> _unused(Path("there-is-no-such-folder/run.mcap")).name
+    'run.mcap.part'
+    """
+    part, number = path.with_name(f"{path.name}.part"), 1
+    while os.path.lexists(part):
+        number += 1
+        part = path.with_name(f"{path.name}.part{number}")
+    return part
+
+
+def _lock(file: IO[bytes], path: Path) -> None:
+    """Keep others from recording to the same file; raise `RecordingError` if somebody does already."""
+    try:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        file.close()
+        raise RecordingError(f"another process is recording to {path}; choose another name") from None
+    except (ImportError, OSError):
+        # Not every system and disk knows locks.
+        return
 
 
 def _reason(error: OSError, folder: Path) -> str:

@@ -1,27 +1,40 @@
-"""Ctrl-C at a moment when a file would be left half-written."""
+"""Ctrl-C, or the end of the process, at a moment when a file would be left half-written."""
 
 from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from types import FrameType
+
+# Ctrl-C, and what a machine sends that goes down.
+ENDINGS = (signal.SIGINT, signal.SIGTERM)
 
 
 @contextmanager
 def held_back() -> Iterator[None]:
     """Let an interrupt that comes during the body take effect right after it."""
-    before = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or not callable(before):
-        # Python delivers signals to its main thread only; and what Python did not install it cannot put back.
-        yield
-        return
     came: list[tuple[int, FrameType | None]] = []
-    signal.signal(signal.SIGINT, lambda number, frame: came.append((number, frame)))
-    try:
+    with answered(lambda number, frame: came.append((number, frame))) as before:
         yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-        if came:
-            before(*came[0])
+    if came:
+        before[came[0][0]](*came[0])
+
+
+@contextmanager
+def answered(
+    answer: Callable[[int, FrameType | None], object],
+) -> Iterator[dict[int, Callable[[int, FrameType | None], object]]]:
+    """Answer interrupts in the body; give who answered them before."""
+    before: dict[int, Callable[[int, FrameType | None], object]] = {}
+    with ExitStack() as put_back:
+        # Python delivers signals to its main thread only; and what Python did not install it cannot put back.
+        if threading.current_thread() is threading.main_thread():
+            for number in ENDINGS:
+                earlier = signal.getsignal(number)
+                if callable(earlier):
+                    before[number] = earlier
+                    put_back.callback(signal.signal, number, earlier)
+                    signal.signal(number, answer)
+        yield before

@@ -11,6 +11,7 @@ import numpy as np
 
 from daq.recording.layout import EVENTS, MARKERS
 from daq.recording.protobuf import Schema
+from daq.signal_chain.field_checks import EVENT, MARKER, MOST_SAMPLES, check
 from rig.errors import RecordingError
 
 _MARKER: dict[str, Any] = {
@@ -95,12 +96,25 @@ class Marker:
         content = _object(data, MARKERS)
         kind, first = content.pop("kind", None), content.pop("first_sample", None)
         last = content.pop("last_sample", None)
-        whole = type(first) is int and first >= 0 and (last is None or (type(last) is int and last >= first))
+        ends = first if last is None else last
+        whole = type(first) is int and type(ends) is int and 0 <= first <= ends <= MOST_SAMPLES
         if not isinstance(kind, str) or not whole:
             raise RecordingError(
-                f"a message on {MARKERS} is no marker: kind {kind!r}, samples {first!r} to {last!r}"
+                f"a message on {MARKERS} is no marker: kind {kind!r:.80}, samples {first!r:.40} to {last!r:.40}"
             )
-        return cls(kind, first, last, content)
+        check(content, MARKER)
+        return cls(kind, first, last, _Fields(kind, content))
+
+
+class _Fields(dict[str, Any]):
+    """What a marker from a file says of itself; the file may leave out what somebody needs."""
+
+    def __init__(self, kind: str, content: Mapping[str, Any]) -> None:
+        super().__init__(content)
+        self._kind = kind
+
+    def __missing__(self, key: str) -> Any:
+        raise RecordingError(f"a marker {self._kind!r} on {MARKERS} says nothing of its {key}")
 
 
 def event_to_json(time: float, damper: int, kind: str, speed: float) -> bytes:
@@ -110,11 +124,12 @@ def event_to_json(time: float, damper: int, kind: str, speed: float) -> bytes:
 
 def event_from_json(data: memoryview) -> tuple[float, int, str, float]:
     """Read a change of contact; raise `RecordingError` if the message is none."""
-    content = _object(data, EVENTS)
+    content: dict[str, Any] = dict.fromkeys(EVENT) | _object(data, EVENTS)
     try:
-        return float(content["time"]), int(content["damper"]), str(content["kind"]), float(content["speed"])
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        check(content, EVENT)
+    except RecordingError as error:
         raise RecordingError(f"a message on {EVENTS} is no change of contact: {error}") from error
+    return float(content["time"]), content["damper"], content["kind"], float(content["speed"])
 
 
 def _json(content: Mapping[str, Any]) -> bytes:

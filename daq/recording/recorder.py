@@ -284,7 +284,11 @@ class Recorder:
         outcome = {"status": status, "reason": reason, "samples": str(self._written)}
         self._file.add_metadata("outcome", checked(outcome | {"markers": str(self._marked)}))
         self._file.finish()
-        self._disk.commit()
+        if self._written == 0 and status != "complete":
+            self._disk.commit()
+            self._disk.give_up()
+        else:
+            self._disk.finish()
 
     # -- its middle: group after group -------------------------------------------------------------------
 
@@ -326,7 +330,7 @@ class Recorder:
         if self._disk.free() < group + RESERVE + RESERVE_PER_CHUNK * self._chunks:
             self._full = True
             seconds = self._written / self.clock.rate
-            raise RunError(f"the disk is full: {self.path} holds the first {seconds:.2f} s")
+            raise RunError(f"the disk is full: {self._disk.path} holds the first {seconds:.2f} s")
 
     def _blocks(self, group: Group, row: int, topic: int) -> Iterable[Message]:
         for first, samples in group.blocks(self._block):

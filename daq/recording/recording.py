@@ -19,6 +19,7 @@ from daq.recording.channel_series import Series
 from daq.recording.markers import EVENT_TYPE, Marker, event_from_json
 from daq.recording.sample_block import SAMPLE_TYPE
 from daq.signal_chain.channel import UNITS, ChannelInfo
+from daq.signal_chain.field_checks import NAME, check
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -100,6 +101,7 @@ class Recording:
             clock = next(iter(self._series.values())).clock
             self.rate, self.start_ns = clock.rate, clock.start_ns
             self.channels = {name: self._info(name, series) for name, series in self._series.items()}
+            self._container.checksums_needed = self._is_ours
             self.samples = max(series.stop for series in self._series.values())
         except BaseException:
             self._container.close()
@@ -121,8 +123,12 @@ class Recording:
             if channel.topic.startswith(layout.RAW):
                 self._series[channel.topic.removeprefix(layout.RAW)] = series
             elif channel.topic.startswith(layout.TRUTH) and {"point", "quantity"} <= channel.metadata.keys():
-                of_quantity = self._truth.setdefault(channel.metadata["quantity"], {})
-                of_quantity[channel.metadata["point"]] = series
+                point, quantity = channel.metadata["point"], channel.metadata["quantity"]
+                try:
+                    check({"point": point, "quantity": quantity}, {"point": NAME, "quantity": NAME})
+                except RecordingError as error:
+                    raise RecordingError(f"{self.path}: {channel.topic!r:.80}: {error}") from error
+                self._truth.setdefault(quantity, {})[point] = series
         if not self._series:
             raise RecordingError(
                 f"{self.path} has no samples on topics {layout.RAW}...; daq/recording/LAYOUT.md describes a recording"
@@ -133,7 +139,7 @@ class Recording:
 
     def _info(self, name: str, series: Series) -> ChannelInfo:
         """Make a channel of a topic's metadata; another writer may leave out what has a usual value."""
-        where = f"{self.path}: {series.topic}"
+        where = f"{self.path}: {series.topic!s:.80}"
         given = (
             {"name": name, "at": "", "sensitivity": "1.0"}
             | series.metadata
@@ -148,7 +154,7 @@ class Recording:
         try:
             usual = ChannelInfo(name, "", "force", 1.0, 1.0).to_metadata()
             return ChannelInfo.from_metadata(usual | given)
-        except (TypeError, ValueError) as error:
+        except RecordingError as error:
             raise RecordingError(f"{where}: its metadata make no channel: {error}") from error
 
     # -- samples -----------------------------------------------------------------------------------------
@@ -200,6 +206,7 @@ class Recording:
             In the channels' units; NaN where samples were lost.
         """
         names = list(self.channels) if channels is None else list(channels)
+        self.refuse_void(0, self.samples)
         for first in range(0, self.samples, size):
             stop = min(first + size, self.samples)
             samples = np.empty((len(names), stop - first))
@@ -230,6 +237,11 @@ class Recording:
         start, stop = self._range(start, stop)
         return np.array([series.read(start, stop) for series in self._truth[quantity].values()])
 
+    def refuse_void(self, start: int, stop: int) -> None:
+        """Raise `RecordingError` if a channel has next to no samples in a long range: who walks it never ends."""
+        for series in self._series.values():
+            series.refuse_void(start, stop)
+
     @property
     def has_truth(self) -> bool:
         """Whether the true motion was recorded."""
@@ -242,6 +254,11 @@ class Recording:
                 f"{self.path} has samples 0 to {self.samples - 1}; asked for {start} to {stop - 1}"
             )
         return int(start), int(stop)
+
+    @property
+    def _is_ours(self) -> bool:
+        """Whether it follows our layout, in which everything has a checksum."""
+        return any("layout" in series.metadata for series in self._series.values())
 
     # -- what happened -----------------------------------------------------------------------------------
 
@@ -298,10 +315,9 @@ class Recording:
     @cached_property
     def metadata(self) -> dict[str, dict[str, str]]:
         """The metadata records: `run`, `daq`, `sensor NAME`, `display`, `outcome`, ..."""
-        ours = any("layout" in series.metadata for series in self._series.values())
         records = self._container.metadata()
         for name, fields in records.items():
-            if (ours or "crc32" in fields) and not is_intact(fields):
+            if (self._is_ours or "crc32" in fields) and not is_intact(fields):
                 raise self._container.error(f"is damaged: the checksum of the metadata {name!r} is wrong")
         return {
             name: {key: text for key, text in fields.items() if key != "crc32"}

@@ -126,15 +126,15 @@ class _Registry:
             registry = cls()
         for part in wreck.parts():
             if isinstance(part, Intact) and isinstance(part.content, memoryview):
-                registry.take(part.content)
+                registry.take(part.content, part.stored)
                 if registry.channels:
                     break
         return registry
 
-    def take(self, records: memoryview) -> None:
+    def take(self, records: memoryview, stored: int) -> None:
         """Take what a chunk announces."""
         try:
-            for opcode, content in records_in(records):
+            for opcode, content in records_in(records, stored):
                 if opcode in (SCHEMA, CHANNEL):
                     record = parse(opcode, content)
                     known: dict[int, Any] = self.schemas if opcode == SCHEMA else self.channels
@@ -170,7 +170,7 @@ class _Salvage:
             if isinstance(part, Unreadable):
                 self._notes.append(f"bytes {part.begin} to {part.end - 1} of {self._source}: {part.reason}")
             elif isinstance(part.content, memoryview):
-                self._chunk(part.content)
+                self._chunk(part.content, part.stored)
             else:
                 self._record(part.content)
             self._disk.commit()
@@ -201,15 +201,15 @@ class _Salvage:
         schema = self._registry.schemas.get(self._registry.channels[number].schema_id)
         return "" if schema is None else schema.name
 
-    def _chunk(self, records: memoryview) -> None:
+    def _chunk(self, records: memoryview, stored: int) -> None:
         """Copy the messages of a chunk into a chunk of their own."""
         try:
-            stored = list(messages_in(records))
+            messages = list(messages_in(records, stored))
         except Damage as damage:
             self._notes.append(f"a chunk with a right checksum was written wrongly: {damage}")
             return
         sound = []
-        for message in stored:
+        for message in messages:
             if message.channel not in self._numbers:
                 self._orphans += 1
             elif self._is_sound(message):
@@ -257,7 +257,7 @@ class _Salvage:
         channels = self._registry.channels
         outcome = self._metadata.get("outcome", {})
         end = max(span[-1][1] for span in self._spans.values() if span)
-        known_end = int(outcome["samples"]) if outcome.get("samples", "").isdigit() else None
+        known_end = int(outcome["samples"]) if _is_count(outcome.get("samples", "")) else None
         if known_end is None and self._registry.counts is None:
             self._notes.append(
                 f"the file has no end: what came after {end / clock.rate:.6g} s, if anything, was never "
@@ -278,7 +278,7 @@ class _Salvage:
                 continue
             # The messages of a topic are numbered; the summary and the outcome tell how many there were.
             expected = max(self._beyond[number], (self._registry.counts or {}).get(number, 0))
-            if channels[number].topic == layout.MARKERS and outcome.get("markers", "").isdigit():
+            if channels[number].topic == layout.MARKERS and _is_count(outcome.get("markers", "")):
                 expected = max(expected, int(outcome["markers"]))
             if expected > self._seen[number]:
                 messages[channels[number].topic] = expected - self._seen[number]
@@ -311,7 +311,9 @@ class _Salvage:
         outcome = self._metadata.get("outcome")
         if outcome is None or not salvage.whole:
             before = (
-                {} if outcome is None else {f"before.{key}": outcome[key] for key in ("status", "reason")}
+                {}
+                if outcome is None
+                else {f"before.{key}": outcome.get(key, "") for key in ("status", "reason")}
             )
             samples = str(max(span[-1][1] for span in self._spans.values() if span))
             told = {
@@ -322,7 +324,12 @@ class _Salvage:
             outcome = checked({**before, **told, "report": json.dumps(list(salvage.report()))})
         self._file.add_metadata("outcome", outcome)
         self._file.finish()
-        self._disk.commit()
+        self._disk.finish()
+
+
+def _is_count(text: str) -> bool:
+    """Whether a text of the file is a number of ordinary size."""
+    return text.isascii() and text.isdecimal() and len(text) < 17
 
 
 def _join(spans: list[Span], span: Span) -> None:

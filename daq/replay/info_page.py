@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from rig.escaping import fenced, markdown
+
 if TYPE_CHECKING:
     from daq.drawing.rig_view import RigView
     from daq.recording.recording import Recording
@@ -15,11 +17,11 @@ def about(recording: Recording, motion: RecordedMotion, view: RigView) -> str:
     """Describe a recording in Markdown."""
     scene, rate = recording.scene, recording.rate
     lines = [
-        f"# {scene.name}",
+        f"# {markdown(scene.name)}",
         f"{recording.samples / rate:.3f} s at {rate:g} Hz, {len(recording.channels)} channels",
         "",
         f"## In the drawing, motion is {view.magnification:g} times as large",
-        *[f"- {source.point}: {source.sentence}" for source in motion.sources],
+        *[f"- {markdown(source.point)}: {markdown(source.sentence)}" for source in motion.sources],
     ]
     if scene.dampers:
         told = "recorded truth"
@@ -40,9 +42,11 @@ def about(recording: Recording, motion: RecordedMotion, view: RigView) -> str:
             )
     lines += ["", "## Channels", "| channel | at | quantity | unit | V per unit |", "|---|---|---|---|---|"]
     for name, info in recording.channels.items():
-        lines.append(f"| {name} | {info.at} | {info.quantity} | {info.unit} | {info.sensitivity:.4g} |")
+        lines.append(
+            f"| {markdown(name)} | {markdown(info.at)} | {info.quantity} | {info.unit} | {info.sensitivity:.4g} |"
+        )
     if recording.gaps:
         lost = sum(gap.last_sample + 1 - gap.first_sample for gap in recording.gaps)
         lines += ["", f"**{lost} samples lost, in {len(recording.gaps)} gap(s)** (see the markers)"]
-    lines += ["", "## Scene", "```yaml", scene.to_yaml().rstrip(), "```"]
+    lines += ["", "## Scene", fenced(scene.to_yaml().rstrip(), "yaml")]
     return "\n".join(lines) + "\n"

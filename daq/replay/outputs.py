@@ -23,7 +23,9 @@ from daq.replay.rerun_viewer import (
     picture,
     viewer,
 )
+from rig.command_line import waiting
 from rig.errors import RunError, SceneError
+from rig.output_files import replacing
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -57,16 +59,12 @@ def save(replay: Replay, file: Path, progress: Progress | None = None) -> None:
             raise RunError(f"cannot write {file}: the disk is full")
         stream.flush(timeout_sec=SINK_S)
 
-    with recording_stream() as stream:
+    with replacing(file) as part, recording_stream() as stream:
         try:
-            stream.save(file)
+            stream.save(part)
         except (OSError, RuntimeError) as error:
             raise RunError(f"cannot write {file}: {error}") from error
-        try:
-            _fill(replay, stream, drain, progress)
-        except BaseException:
-            file.unlink(missing_ok=True)
-            raise
+        _fill(replay, stream, drain, progress)
 
 
 def photograph(
@@ -112,10 +110,8 @@ def photograph(
         png, views = picture(
             drawn, at - replay.start / rate, size, (replay.stop - 1 - replay.start) / rate, LAST
         )
-    try:
-        file.write_bytes(png)
-    except OSError as error:
-        raise RunError(f"cannot write {file}: {error.strerror}") from error
+    with replacing(file) as part:
+        part.write_bytes(png)
     problems = [f"{view.name}: {report.summary}" for view in views for report in view.reports]
     if problems:
         raise RunError(f"{file} is written, but the viewer could not draw all of it: {'; '.join(problems)}")
@@ -150,7 +146,8 @@ def in_window(replay: Replay, progress: Progress | None = None) -> None:
     with window(WITHOUT_DISPLAY) as running:
         _warn_of_size(replay)
         _feed(replay, running, progress)
-        running.process.wait()
+        with waiting():
+            running.process.wait()
 
 
 def in_browser(replay: Replay, announce: Callable[[str], None], progress: Progress | None = None) -> None:
@@ -171,7 +168,8 @@ def in_browser(replay: Replay, announce: Callable[[str], None], progress: Progre
     with suppress(KeyboardInterrupt), server(announce) as running:
         _warn_of_size(replay)
         _feed(replay, running, progress)
-        running.process.wait()
+        with waiting():
+            running.process.wait()
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from daq.signal_chain.field_checks import CHANNEL, check
 from rig.errors import RecordingError
 
 Quantity = Literal["acceleration", "velocity", "displacement", "force"]
@@ -154,11 +155,12 @@ class ChannelInfo:
                 raise RecordingError(
                     f"channel metadata lacks {each.name!r}; it has {', '.join(sorted(metadata)) or 'nothing'}"
                 ) from None
-            except ValueError:
+            except (ValueError, RecursionError):
                 raise RecordingError(
-                    f"channel metadata: {each.name} = {text!r} is not JSON; the recording is damaged "
+                    f"channel metadata: {each.name} = {text[:80]!r} is not JSON; the recording is damaged "
                     "or another program wrote it"
                 ) from None
+        check(given, CHANNEL)
         for roots in ("zeros", "poles"):
             given[roots] = tuple(complex(real, imag) for real, imag in given[roots])
         return cls(**given)

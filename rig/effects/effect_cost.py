@@ -128,7 +128,7 @@ def motion_steps(scene: Scene) -> Iterator[EffectStep]:
         yield _step("structure", bare)
     if not scene.dampers:
         return
-    variants = {
+    variants: dict[str, dict[str, object]] = {
         "particle dampers": {"clearance": np.inf, "restitution": 0.0, "contact": None},
         "ceilings": {"restitution": 0.0, "contact": None},
         "restitution": {"contact": None},

@@ -27,6 +27,8 @@ from rig.numerics.simd import LANES, padded, transpose, zeros
 from rig.system.hybrid_system import Drive, HybridSystem, sampled, tone
 
 LOG_ROWS = 1024
+# Steps in a sample interval or a period; a processor takes some seconds for as many.
+MOST_STEPS = 1e7
 #: Every segment begins with the drive set anew.
 EVERY = np.ones(1, dtype=bool)
 
@@ -371,6 +373,12 @@ class Propagator:
 def step_for(span: float, fastest: float) -> tuple[float, float]:
     """Step length that divides a time span and stays within reach of the series; (step, steps in the span)."""
     steps = max(1.0, float(np.ceil(span * fastest / REACH)))
+    if not steps <= MOST_STEPS:
+        raise RunError(
+            f"the fastest motion of the scene, {fastest / (2.0 * np.pi):.3g} Hz, takes {steps:.2g} steps in "
+            f"{span:.3g} s, a sample interval or a period; at most {MOST_STEPS:.0e} are followed: choose heavier "
+            "masses, softer springs, or a higher rate or frequency"
+        )
     return span / steps, steps
 
 

@@ -8,33 +8,109 @@ arithmetic did; in exchange, compiled functions cannot create arrays, only fill 
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import inspect
+import logging
+import os
+import pickle
 from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from threading import get_ident
 from types import CodeType, FunctionType
 from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
 from numba.core.caching import FunctionCache
+from numba.core.serialize import dumps
 
 F = TypeVar("F", bound=Callable[..., object])
 
 _KERNEL = {"nogil": True, "fastmath": {"contract"}, "_nrt": False}
 # Functions of these do not change but with their version, which numba looks at, or are not compiled in.
 _LIBRARIES = {"builtins", "llvmlite", "numba", "numpy", "typing"}
+# Bytes of a file's checksum.
+_SEAL = 32
 
 
 class KernelCache(FunctionCache):
-    """Machine code on disk that is used only for what it was made of.
+    """Machine code on disk that is used only for what it was made of, and only if it is sound.
 
     numba looks at the file of the function that is called alone, not at what is compiled into it: functions and
     constants of other modules, and the order of the fields of named tuples.
     """
 
+    def __init__(self, function: Callable[..., object]) -> None:
+        super().__init__(function)
+        self._cache_file: Any = CodeFiles(Path(self._cache_path), self._impl.filename_base)
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Give the machine code for a signature, None if there is none; say so, as compiling takes long."""
+        code = super().load_overload(sig, target_context)
+        if code is None:
+            _say_once("compiling machine code for this processor, once: up to a minute or two")
+        return code
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep machine code; on a disk that is full or gone, the next process compiles again."""
+        with suppress(OSError):
+            super().save_overload(sig, data)
+
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
         fields = [getattr(kind, "fields", None) for kind in sig]
         return (*super()._index_key(sig, codegen), ingredients(self._py_func), repr(fields))
+
+
+class CodeFiles:
+    """Files with the machine code of one function: one for each key, with a checksum.
+
+    numba's own files are believed whatever they hold, and two processes that compile at once may mix them up.
+
+    Parameters
+    ----------
+    folder : Path
+        Where they lie.
+    name : str
+        Their names begin with it.
+    """
+
+    def __init__(self, folder: Path, name: str) -> None:
+        self._folder, self._name = folder, name
+
+    def _path(self, key: object) -> Path:
+        digest = hashlib.sha256(f"{numba.__version__} {key!r}".encode()).hexdigest()
+        return self._folder / f"{self._name}.{digest[:20]}.nbc"
+
+    def load(self, key: object) -> Any:
+        """Give what was saved under a key; None if there is nothing, or nothing that is sound."""
+        try:
+            content = self._path(key).read_bytes()
+        except OSError:
+            return None
+        seal, data = content[:_SEAL], content[_SEAL:]
+        return pickle.loads(data) if seal == hashlib.sha256(data).digest() else None
+
+    def save(self, key: object, code: object) -> None:
+        """Save something under a key; two processes may do so at once."""
+        path, data = self._path(key), dumps(code)
+        part = path.with_suffix(f".{os.getpid()}.{get_ident()}")
+        try:
+            part.write_bytes(hashlib.sha256(data).digest() + data)
+            part.replace(path)
+        finally:
+            part.unlink(missing_ok=True)
+
+    def flush(self) -> None:
+        """Forget all that was saved."""
+        for path in self._folder.glob(f"{self._name}.*.nbc"):
+            path.unlink(missing_ok=True)
+
+
+@functools.cache
+def _say_once(text: str) -> None:
+    logging.getLogger("shotrig.compiling").info(text)
 
 
 def ingredients(function: Callable[..., object]) -> str:
@@ -86,7 +162,14 @@ def _constants(code: CodeType) -> Iterator[Any]:
 
 def _njit(function: F, **options: Any) -> F:
     dispatcher: Any = numba.njit(**options)(function)
-    dispatcher._cache = KernelCache(function)  # noqa: SLF001 - what `cache=True` does with numba's own
+    try:
+        dispatcher._cache = KernelCache(function)  # noqa: SLF001 - what `cache=True` does with numba's own
+    except RuntimeError:
+        # numba finds no folder that it may write to.
+        _say_once(
+            "machine code is compiled at every start, which takes a minute or two: no folder can be written to that "
+            "would keep it; name one in NUMBA_CACHE_DIR"
+        )
     return cast(F, dispatcher)
 
 

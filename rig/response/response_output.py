@@ -9,6 +9,7 @@ from typing import TextIO
 import numpy as np
 
 from rig.errors import SceneError
+from rig.output_files import replacing
 from rig.response.frequency_response import Response
 from rig.scene.excitation import Sine, SteppedSine, spaced
 from rig.scene.scene import Scene
@@ -74,11 +75,8 @@ def write(response: Response, path: Path) -> None:
     SceneError
         If the file cannot be written.
     """
-    try:
-        with path.open("w", newline="", encoding="utf-8") as file:
-            write_to(response, file)
-    except OSError as error:
-        raise SceneError(f"{path}: cannot be written ({error.strerror})") from None
+    with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+        write_to(response, file)
 
 
 def write_to(response: Response, file: TextIO) -> None:

@@ -90,6 +90,8 @@ def _find(scene: str | Path) -> Path:
         there = folder = False
     if folder:
         raise SceneError(f"{path} is a folder; expected a scene file or the name of a bundled scene")
+    if there and not path.is_file():
+        raise SceneError(f"{path} is no ordinary file; expected a scene file or the name of a bundled scene")
     if there:
         return path
     if path.suffix in SUFFIXES or len(path.parts) > 1:

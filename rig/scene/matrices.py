@@ -120,6 +120,8 @@ def _from_file(name: str | Path, folder: Path | None) -> NDArray[Any]:
             f"got {got(str(name))}; a .npy file is found beside a scene file, expected rows of numbers here"
         )
     path = folder / name
+    if path.exists() and not path.is_file():
+        raise mistake(f"{path} is no ordinary file; expected a .npy file beside the scene file")
     try:
         # Mapped first: a header may promise any size, and nothing is read before that was looked at.
         mapped: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
@@ -128,6 +130,8 @@ def _from_file(name: str | Path, folder: Path | None) -> NDArray[Any]:
     except (OSError, ValueError, EOFError, OverflowError, SyntaxError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise mistake(f"{path} cannot be read as .npy ({reason})") from None
+    if not isinstance(mapped, np.ndarray):
+        raise mistake(f"{path} is an archive of arrays (.npz); expected one array (.npy)")
     if mapped.ndim != 2 or max(mapped.shape) > MOST_BODIES:
         raise mistake(
             f"{path} has shape {mapped.shape}; expected a square matrix of at most {MOST_BODIES} rows"

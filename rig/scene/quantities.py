@@ -52,23 +52,42 @@ ppm = 1e-6
 
 @dataclass(frozen=True)
 class Kind:
-    """What a quantity measures: how a message names it, its SI unit, and an example of how to write it."""
+    """What a quantity measures: how a message names it, its SI unit, and an example of how to write it.
+
+    A size other than zero lies between `least` and `most`, in SI: with numbers beyond them, powers and products in
+    the model overflow, vanish, or take for ever.
+    """
 
     noun: str
     si: str
     example: str
+    least: float = 1e-18
+    most: float = 1e12
+
+    def carries(self, number: float) -> bool:
+        """Whether a number is of a size that the model can carry; zero and infinity are.
+
+        >>> MASS.carries(1.0), MASS.carries(1e-30), TIME.carries(1e12), LENGTH.carries(math.inf)
+        (True, False, False, True)
+        """
+        return number == 0.0 or math.isinf(number) or self.least <= abs(number) <= self.most
+
+    @property
+    def range(self) -> str:
+        """The sizes in words."""
+        return f"from {self.least:g} {self.si} to {self.most:g} {self.si}".replace(" )", ")")
 
 
-MASS = Kind("a mass", "kg", "74 g")
-STIFFNESS = Kind("a stiffness", "N/m", "6.6 kN/m")
+MASS = Kind("a mass", "kg", "74 g", 1e-9, 1e9)
+STIFFNESS = Kind("a stiffness", "N/m", "6.6 kN/m", 1e-9, 1e15)
 DASHPOT = Kind("a damping coefficient", "N s/m", "0.5 N s/m")
-LENGTH = Kind("a length", "m", "0.98 mm")
+LENGTH = Kind("a length", "m", "0.98 mm", 1e-15, 1e6)
 VELOCITY = Kind("a velocity", "m/s", "0.1 m/s")
-ACCELERATION = Kind("an acceleration", "m/s^2", "9.80665 m/s^2")
+ACCELERATION = Kind("an acceleration", "m/s^2", "9.80665 m/s^2", 1e-12, 1e9)
 FORCE = Kind("a force", "N", "2.6 N")
-TIME = Kind("a time", "s", "4 ms")
+TIME = Kind("a time", "s", "4 ms", 1e-15, 1e8)
 RATE = Kind("a rate", "1/s", "0.1 1/s")
-FREQUENCY = Kind("a frequency", "Hz", "50 Hz or 312.4 rad/s")
+FREQUENCY = Kind("a frequency", "Hz", "50 Hz or 312.4 rad/s", 1e-6, 1e8)
 RATIO = Kind("a ratio", "", "10 %")
 VOLTAGE = Kind("a voltage", "V", "5 V")
 CURRENT = Kind("a current", "A", "2 mA")

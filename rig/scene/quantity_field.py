@@ -7,6 +7,7 @@ from typing import Any, get_args
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
+from rig.escaping import is_line
 from rig.scene.quantities import Kind, parse
 
 
@@ -69,6 +70,8 @@ class Quantity:
                 number = parse(value, kind)
             except ValueError:
                 continue
+            if not kind.carries(number):
+                raise refusal(value, f"{kind.noun} {kind.range}")
             if self._allows(number):
                 # Minus zero becomes zero: the two are equal, but would be written differently.
                 return number + 0.0
@@ -132,6 +135,13 @@ def expected(value: Any, what: str) -> str:
 def mistake(message: str) -> PydanticCustomError:
     """Give the form in which pydantic carries one of our messages."""
     return PydanticCustomError("mistake", "{message}", {"message": message})
+
+
+def printable(text: str) -> str:
+    """Refuse text with characters that a terminal would obey or that cannot be seen."""
+    if not is_line(text):
+        raise refusal(ascii(text)[1:-1], "a line of printable characters")
+    return text
 
 
 def refusal(value: Any, what: str) -> PydanticCustomError:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from rig.scene.consistency import mistakes_between
 from rig.scene.damper import Damper
@@ -18,19 +18,21 @@ from rig.scene.quantities import (
     VOLTAGE,
     Kind,
 )
-from rig.scene.quantity_field import Quantity
+from rig.scene.quantity_field import Quantity, printable
 from rig.scene.recording import RecordingSettings
 from rig.scene.settings import Mistake, Place, Settings, at
 from rig.scene.shaker import Shaker
 from rig.scene.structure import Structure
 
 STANDARD_GRAVITY = 9.80665
+# A recording numbers 65 535 topics, of which a channel takes four.
+MOST_CHANNELS = 16_000
 
 
 class Scene(Settings):
     """Everything on the bench."""
 
-    name: str = Field("unnamed scene", min_length=1, max_length=200)
+    name: Annotated[str, AfterValidator(printable)] = Field("unnamed scene", min_length=1, max_length=200)
     """A line for titles and legends."""
     structure: Structure
     """Keys masses and springs, or matrices."""
@@ -39,7 +41,7 @@ class Scene(Settings):
     dampers: tuple[Damper, ...] = ()
     shaker: Shaker | None = None
     test: Test | None = None
-    channels: tuple[Channel, ...] | None = Field(None, min_length=1)
+    channels: tuple[Channel, ...] | None = Field(None, min_length=1, max_length=MOST_CHANNELS)
     """None: ideal acceleration of every body and the table."""
     converter: Converter = Converter()
     recording: RecordingSettings = RecordingSettings()

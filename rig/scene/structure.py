@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field
 
-from rig.scene.matrices import Matrices
+from rig.scene.matrices import MOST_BODIES, Matrices
 from rig.scene.quantities import (
     DASHPOT,
     MASS,
@@ -56,7 +56,9 @@ class Structure(Settings):
     """The structure: a chain of bodies on springs, or any linear one given by matrices."""
 
     one_of: ClassVar = (("masses", "matrices"),)
-    masses: tuple[Annotated[float, Quantity(MASS, above=0.0)], ...] | None = Field(None, min_length=1)
+    masses: tuple[Annotated[float, Quantity(MASS, above=0.0)], ...] | None = Field(
+        None, min_length=1, max_length=MOST_BODIES
+    )
     """Masses of the bodies [kg], body 1 first."""
     springs: tuple[Annotated[float, Quantity(STIFFNESS, at_least=0.0)], ...] | None = Field(
         None, min_length=1

@@ -10,6 +10,7 @@ import numpy as np
 
 from rig.engine.trajectory import KINDS
 from rig.errors import SceneError
+from rig.output_files import replacing
 from rig.scene.excitation import Impulse
 from rig.scene.scene import Scene
 from rig.simulation.simulate import Run
@@ -78,19 +79,17 @@ def write(run: Run, path: Path) -> None:
         If the ending is another one, or the file cannot be written.
     """
     check_name(path)
-    try:
+    with replacing(path) as part:
         if path.suffix == ".npz":
             fields = ("time", "displacement", "velocity", "acceleration", "gap", "contact")
             arrays = {name: getattr(run, name) for name in fields}
             # Record arrays keep no metadata in a file, so the count goes beside them.
             events = run.events.astype(np.dtype(run.events.dtype.descr))
             np.savez_compressed(
-                path, points=np.array(run.points), events=events, ambiguous=run.ambiguous, **arrays
+                part, points=np.array(run.points), events=events, ambiguous=run.ambiguous, **arrays
             )
         else:
-            _write_columns(run, path)
-    except OSError as error:
-        raise SceneError(f"{path}: cannot be written ({error.strerror})") from None
+            _write_columns(run, part)
 
 
 def _write_columns(run: Run, path: Path) -> None:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from rig.engine.propagator import Propagator, sampled_propagator, tone_propagator
 from rig.engine.trajectory import EVENT, Array, Trajectory, event_table, gaps_and_contacts
 from rig.errors import SceneError
+from rig.numerics.memory import need
 from rig.scene.scene import Scene
 from rig.simulation.energy import Ends, Energy, ledger
 from rig.system.assembly import assemble
@@ -112,13 +113,21 @@ def simulate(
         if not (np.isfinite(value) and value > 0.0):
             raise SceneError(f"{name}: got {value!r}; expected a positive number")
     system = assemble(scene)
+    _need_memory(system, duration * rate)
     samples = int(np.floor(duration * rate * (1.0 + 1e-12))) + 1
     if drive is not None:
         return _sampled_run(scene, system, _checked_drive(drive, system), rate)
     tone = tone_drive(scene, system, frequency)
     if tone is not None:
+        _need_memory(system, duration * (rate + tone.frequency))
         return _tone_run(scene, system, tone, duration, samples, rate)
     return _sampled_run(scene, system, sampled_drive(scene, system, samples, rate), rate)
+
+
+def _need_memory(system: HybridSystem, instants: float) -> None:
+    """Refuse a run whose motion would not fit: at every instant states, points, dampers, and times to many digits."""
+    numbers = 3 * system.states + 3 * len(system.points) + 4 * len(system.damper_mass) + 16
+    need(8.0 * numbers * instants, f"a motion of {instants:.3g} instants")
 
 
 def _checked_drive(drive: ArrayLike, system: HybridSystem) -> Array:

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from rig.errors import SceneError
 from rig.scene.contact import Landing, Wall, Walls
-from rig.scene.scene import Damper, Scene
+from rig.scene.damper import Damper
+from rig.scene.scene import Scene
 from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, TableShaker
 from rig.system.hybrid_system import HybridSystem
 from rig.system.landing import spring_damper

@@ -14,7 +14,7 @@ from analysis.export.export import export
 from analysis.recordings.slices import Slice
 from daq.recording.recorder import Recorder
 from daq.signal_chain.channel import ChannelInfo
-from rig.errors import RecordingError, RunError, SceneError
+from rig.errors import RecordingError, SceneError
 from tests.daq.recording.recordings import RATE, channels, scene, signal, write
 
 SAMPLES = 5000
@@ -210,7 +210,7 @@ def test_given_an_existing_file_when_exported_then_it_is_replaced_only_if_asked(
 
 def test_given_a_target_that_is_a_folder_when_exported_then_the_error_is_clear(recording, tmp_path):
     (tmp_path / "a.csv").mkdir()
-    with pytest.raises(RunError, match="cannot write"):
+    with pytest.raises(SceneError, match="no ordinary file"):
         export(Slice.of(recording), tmp_path / "a.csv", overwrite=True)
 
 

@@ -1,4 +1,4 @@
-"""Machine code on disk is never older than any source that went into it."""
+"""Machine code on disk is never older than any source that went into it, and is believed only if it is sound."""
 
 from __future__ import annotations
 
@@ -6,8 +6,13 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig.numerics.jit import CodeFiles
 
 INNER = """
 from rig.numerics.jit import inlined
@@ -53,14 +58,18 @@ def kernels(tmp_path: Path) -> Path:
     return package
 
 
-def call(package: Path) -> float:
+def call(package: Path, **environment: str) -> float:
     """Call the outer function in a process of its own."""
     code = "from kernels.outer import Pair, outer; print(outer(Pair(1.0, 100.0)))"
+    return float(said_by(package, code, **environment).stdout)
+
+
+def said_by(package: Path, code: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run code in a process of its own."""
     paths = [str(package.parent), str(Path(__file__).parents[3])]
-    where = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+    where = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), **environment}
     where.pop("NUMBA_CACHE_DIR", None)
-    done = subprocess.run([sys.executable, "-c", code], env=where, check=True, capture_output=True, text=True)
-    return float(done.stdout)
+    return subprocess.run([sys.executable, "-c", code], env=where, check=True, capture_output=True, text=True)
 
 
 def machine_code(package: Path) -> dict[str, int]:
@@ -100,3 +109,32 @@ def test_given_code_on_disk_when_only_other_files_change_then_it_is_used_as_it_i
     (kernels / "constant.py").write_text("CONSTANT = 10.0  # to be sure\nOTHER = 3.0\n")
     assert call(kernels) == 112.0
     assert machine_code(kernels) == written
+
+
+@given(st.data())
+def test_given_damage_anywhere_in_code_on_disk_when_loaded_then_there_is_none(data: st.DataObject) -> None:
+    with TemporaryDirectory() as folder:
+        files = CodeFiles(Path(folder), "function")
+        files.save(("signature", 1), {"code": b"machine code"})
+        assert files.load(("signature", 1)) == {"code": b"machine code"}
+        assert files.load(("signature", 2)) is None
+        (file,) = Path(folder).iterdir()
+        content = bytearray(file.read_bytes())
+        place = data.draw(st.integers(0, len(content) - 1))
+        if data.draw(st.booleans()):
+            content[place] ^= 1 << data.draw(st.integers(0, 7))
+        else:
+            del content[place:]
+        file.write_bytes(content)
+        assert files.load(("signature", 1)) is None
+
+
+def test_given_no_place_for_code_when_called_then_it_works_and_says_why_it_is_slow(kernels: Path) -> None:
+    (kernels / "__pycache__").touch()
+    nowhere = str(kernels / "__pycache__" / "cache")
+    code = (
+        "import logging; logging.basicConfig(level=logging.INFO);"
+        "from kernels.outer import Pair, outer; print(outer(Pair(1.0, 100.0)))"
+    )
+    done = said_by(kernels, code, HOME=nowhere, XDG_CACHE_HOME=nowhere)
+    assert float(done.stdout) == 112.0 and "NUMBA_CACHE_DIR" in done.stderr

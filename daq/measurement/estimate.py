@@ -1,0 +1,135 @@
+"""What a test is going to take: time, samples, disk and memory, known before it begins."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from daq.recording.layout import block_length, flush_length
+from rig.errors import SceneError
+from rig.numerics.memory import need
+from rig.scene.excitation import Impulse, Multisine, SteppedSine
+from rig.scene.scene import Scene
+
+# More samples are no test any more, but a mistake.
+MOST_SAMPLES = 1e12
+# Bytes that a sample takes in a recording with display, about; and as little as it ever packs to.
+BYTES, FEWEST_BYTES = 8.0, 0.05
+# Copies of a stretch that are in memory at a time, from the structure's motion to the packed chunk.
+COPIES = 12.0
+WORTH_SAYING_S = 60.0
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a test takes at least.
+
+    Attributes
+    ----------
+    seconds : float
+        Time on the bench; waiting for steady states comes on top.
+    samples : float
+        Of each channel.
+    disk, memory : float
+        Bytes, about.
+    """
+
+    seconds: float
+    samples: float
+    disk: float
+    memory: float
+
+    def __str__(self) -> str:
+        return (
+            f"the test takes at least {_duration(self.seconds)} on the bench: {self.samples:.3g} samples a channel, "
+            f"about {_size(self.disk)}"
+        )
+
+
+def estimate(scene: Scene) -> Estimate:
+    """Estimate what the test of a scene takes at least.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Examples
+    --------
+    >>> import rig
+    >>> scene = rig.load("fig10b-no-damper")
+    >>> print(estimate(scene.replace(test=scene.test.replace(repeats=200, interval="9 s"))))
+    the test takes at least 30.0 min on the bench: 9.22e+06 samples a channel, about 294.9 MB
+    """
+    rate = scene.converter.rate
+    # Without channels of its own a scene has an ideal one on every body and the table.
+    channels = scene.structure.bodies + 1 if scene.channels is None else len(scene.channels)
+    seconds = _shortest(scene)
+    samples = seconds * rate
+    stretch = flush_length(rate) + 2 * block_length(rate)
+    held: float = stretch * (channels + 3 * scene.structure.bodies)
+    if isinstance(scene.test, Multisine):
+        held += _period(scene.test) * rate
+    return Estimate(seconds, samples, BYTES * samples * channels, 8.0 * COPIES * held)
+
+
+def refuse_too_much(what: Estimate, path: Path) -> None:
+    """Refuse a test that cannot be carried through here.
+
+    Raises
+    ------
+    SceneError
+        If it would take for ever, or surely more disk than there is.
+    RunError
+        If it would take more memory than is allowed.
+    """
+    if not what.samples <= MOST_SAMPLES:
+        raise SceneError(
+            f"the test would take {_duration(what.seconds)} and {what.samples:.3g} samples of each channel; at most "
+            f"{MOST_SAMPLES:.0e} are taken: choose a shorter test or a lower rate"
+        )
+    need(what.memory, "half a second of all channels, as a recording holds it before it is written,")
+    folder = next(folder for folder in path.absolute().parents if folder.is_dir())
+    free = shutil.disk_usage(folder).free
+    if what.disk * FEWEST_BYTES / BYTES > free:
+        raise SceneError(
+            f"the test would take about {_size(what.disk)}, and the disk of {path} has {_size(free)} left; choose "
+            "another disk (-o FILE.mcap), a shorter test, or a lower rate"
+        )
+
+
+def _shortest(scene: Scene) -> float:
+    """Time that the test takes at least, s."""
+    test = scene.test
+    if test is None:
+        return 0.0
+    if isinstance(test, SteppedSine):
+        return len(test.levels) * test.measure.periods * sum(1.0 / frequency for frequency in test.order)
+    if isinstance(test, Multisine):
+        return test.realisations * test.periods * _period(test)
+    if isinstance(test, Impulse):
+        return test.repeats * test.interval
+    return test.duration
+
+
+def _period(test: Multisine) -> float:
+    return test.period if test.period is not None else (test.lines or 2) / (test.to - test.from_)
+
+
+def _duration(seconds: float) -> str:
+    """Write a time as people say it.
+
+    >>> _duration(30.0), _duration(7200.0), _duration(1e9)
+    ('30.0 s', '2.0 h', '31.7 years')
+    """
+    for unit, size in (("years", 3.156e7), ("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.1f} {unit}"
+    return f"{seconds:.1f} s"
+
+
+def _size(count: float) -> str:
+    for unit, size in (("TB", 1e12), ("GB", 1e9)):
+        if count >= size:
+            return f"{count / size:.3g} {unit}"
+    return f"{count / 1e6:.1f} MB"

@@ -1,0 +1,147 @@
+"""What a file says of itself, held against what it may be, where it is read; it is trusted from there on."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+from rig.errors import RecordingError
+from rig.escaping import is_line
+
+LONGEST_NAME = 200
+# Numbers up to here are exact as floats, which sample numbers become wherever times are made of them.
+MOST_SAMPLES = 2**53
+
+
+class Check(NamedTuple):
+    """What a value may be: whether one is, and in words."""
+
+    holds: Callable[[Any], bool]
+    expected: str
+
+
+def check(fields: Mapping[str, Any], checks: Mapping[str, Check]) -> None:
+    """Check those of the fields that are known; raise `RecordingError` at the first that is not what it may be.
+
+    >>> check({"rate": 0.0}, {"rate": POSITIVE})
+    Traceback (most recent call last):
+    rig.errors.RecordingError: rate = 0.0; expected a positive number
+    """
+    for key, value in fields.items():
+        if key in checks and not checks[key].holds(value):
+            shown = (
+                repr(value)
+                if not isinstance(value, int) or abs(value) < 1e60
+                else "a number of hundreds of digits"
+            )
+            raise RecordingError(f"{key} = {shown[:80]}; expected {checks[key].expected}")
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value is a finite number of ordinary size.
+
+    >>> is_number(1), is_number(True), is_number(float("nan")), is_number(10**400), is_number("1")
+    (True, False, False, False, False)
+    """
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
+
+
+def is_name(value: Any) -> bool:
+    r"""Whether a value is a line of text that can be shown.
+
+    >>> is_name("body 1"), is_name(""), is_name("a\x1b[31m"), is_name("a" * 1000)
+    (True, False, False, False)
+    """
+    return isinstance(value, str) and 0 < len(value) <= LONGEST_NAME and is_line(value)
+
+
+def _is_count(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= MOST_SAMPLES
+
+
+def _is_place(value: Any) -> bool:
+    if isinstance(value, str) and value.startswith("body "):
+        return re.fullmatch(r"body [1-9][0-9]{0,5}", value) is not None
+    return value == "" or is_name(value)
+
+
+def _are_roots(value: Any) -> bool:
+    return (
+        isinstance(value, list)
+        and len(value) <= 100
+        and all(isinstance(root, list) and len(root) == 2 and all(map(is_number, root)) for root in value)
+    )
+
+
+_FILTER = ("rate", "delay", "cutoff", "beta")
+
+
+def _is_filter(value: Any) -> bool:
+    if not isinstance(value, dict) or (value and set(value) != set(_FILTER)):
+        return False
+    return all(POSITIVE.holds(number) for number in value.values()) and value.get("delay", 0) <= 10_000
+
+
+def _optional(check: Check) -> Check:
+    return Check(lambda value: value is None or check.holds(value), f"{check.expected}, or null")
+
+
+NAME = Check(is_name, f"a line of 1 to {LONGEST_NAME} printable characters")
+NUMBER = Check(is_number, "a finite number")
+POSITIVE = Check(lambda value: is_number(value) and value > 0, "a positive number")
+NOT_ZERO = Check(lambda value: is_number(value) and value != 0, "a number other than zero")
+COUNT = Check(_is_count, "a whole number, at least 1")
+TRUTH = Check(lambda value: isinstance(value, bool), "true or false")
+TEXT = Check(lambda value: isinstance(value, str), "text")
+NAMES = Check(lambda value: isinstance(value, list) and all(map(is_name, value)), "a list of names")
+
+CHANNEL = {
+    "name": NAME,
+    "at": Check(_is_place, "a place such as body 1 or table"),
+    "sensitivity": NOT_ZERO,
+    "rate": POSITIVE,
+    "zeros": Check(_are_roots, "at most 100 pairs of numbers, rad/s"),
+    "poles": Check(_are_roots, "at most 100 pairs of numbers, rad/s"),
+    "gain": NUMBER,
+    "average": TRUTH,
+    "delay": Check(lambda value: is_number(value) and abs(value) < 1e6, "a time in seconds"),
+    "filter": Check(_is_filter, f"{', '.join(_FILTER)} as positive numbers, or nothing"),
+    "volts_per_count": _optional(NOT_ZERO),
+    "range": _optional(POSITIVE),
+    "sensor": Check(
+        lambda value: isinstance(value, dict) and all(isinstance(text, str) for text in value.values()),
+        "texts by their names",
+    ),
+}
+
+MARKER = {
+    **dict.fromkeys(("frequency", "from", "to", "duration"), POSITIVE),
+    **dict.fromkeys(("period", "periods", "block", "number", "realisation"), COUNT),
+    "level": NUMBER,
+    "settled": TRUTH,
+    **dict.fromkeys(("spacing", "direction", "reason"), TEXT),
+    "channel": NAME,
+    "channels": NAMES,
+    "lines": Check(
+        lambda value: (
+            isinstance(value, list)
+            and len(value) == 2
+            and all(map(_is_count, value))
+            and value[0] <= value[1]
+        ),
+        "the first and the last line",
+    ),
+}
+
+EVENT = {
+    "time": Check(lambda value: is_number(value) and abs(value) < 1e12, "a time in seconds"),
+    "damper": Check(lambda value: _is_count(value) and value < 2**31, "the number of a damper, from 1"),
+    "kind": Check(lambda value: value in ("separation", "floor", "ceiling"), "separation, floor or ceiling"),
+    "speed": NUMBER,
+}
+
+CLOCK = {
+    "rate": Check(lambda value: is_number(value) and 1e-9 <= value <= 1e12, "a rate from 1e-9 Hz to 1e12 Hz"),
+    "start_ns": Check(lambda value: isinstance(value, int) and abs(value) < 2**63, "nanoseconds below 2^63"),
+}

@@ -1,0 +1,52 @@
+"""Memory that a computation is going to take, weighed before it begins."""
+
+from __future__ import annotations
+
+import os
+import re
+
+from rig.errors import RunError
+
+# What a command takes unless it is allowed more, bytes.
+USUAL = 1e9
+ALLOWED = "SHOTRIG_MEMORY"
+_PREFIXES = {"": 1.0, "M": 1e6, "G": 1e9, "T": 1e12}
+
+
+def need(size: float, what: str) -> None:
+    """Refuse what would take more memory than is allowed.
+
+    Parameters
+    ----------
+    size : float
+        Bytes.
+    what : str
+        What takes them.
+
+    Raises
+    ------
+    RunError
+        If they are more than 1 GB, or than the environment variable `SHOTRIG_MEMORY` allows.
+
+    Examples
+    --------
+    >>> need(1e15, "a motion")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    rig.errors.RunError: a motion would take 1e+06 GB of memory; at most 1 GB is taken unless ...
+    """
+    allowed = _allowed()
+    if size > allowed:
+        raise RunError(
+            f"{what} would take {size / 1e9:.4g} GB of memory; at most {allowed / 1e9:.3g} GB is taken unless the "
+            f"environment variable {ALLOWED} allows more, such as {ALLOWED}=8GB"
+        )
+
+
+def _allowed() -> float:
+    written = os.environ.get(ALLOWED, "")
+    if not written:
+        return USUAL
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([MGT]?)B\s*", written, re.IGNORECASE)
+    if found is None:
+        raise RunError(f"{ALLOWED}={written[:40]!r}: expected an amount of memory such as 8GB")
+    return float(found[1]) * _PREFIXES[found[2].upper()]

@@ -1,0 +1,89 @@
+"""A recording that is to be replaced is there, whole, until the new one is."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import daq
+from daq.recording.recorder import Recorder
+from daq.recording.recovery import recover
+from rig.errors import RecordingError
+from tests.daq.recording.recordings import GROUP, RATE, channels, scene, signal, write
+
+OLD, NEW = signal(GROUP, seed=1), signal(2 * GROUP, seed=2)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return write(tmp_path / "run.mcap", OLD)
+
+
+def volts(path: Path) -> np.ndarray:
+    with daq.open(path) as recording:
+        recording.check()
+        return np.array([recording.read("body1") * 500.0, recording.read("body2") * 0.01])
+
+
+def names(path: Path) -> list[str]:
+    return sorted(each.name for each in path.parent.iterdir())
+
+
+def recorder(path: Path, overwrite: bool = True) -> Recorder:
+    return Recorder(path, scene(), channels(), RATE, overwrite=overwrite)
+
+
+def test_given_a_recording_when_its_replacement_is_cut_off_then_both_can_be_had(path: Path) -> None:
+    # A process that is killed closes nothing; here nothing is closed either.
+    cut_off = recorder(path)
+    cut_off.write(NEW)
+    assert np.allclose(volts(path), OLD, rtol=1e-15)
+    fixed = path.with_name("fixed.mcap")
+    recover(path.with_name("run.mcap.part"), fixed)
+    assert np.allclose(volts(fixed), NEW, rtol=1e-15)
+    cut_off._disk.close()
+    with recorder(path) as another:
+        another.write(NEW[:, :GROUP])
+    assert np.allclose(volts(path), NEW[:, :GROUP], rtol=1e-15)
+    assert path.with_name("run.mcap.part").exists() and not path.with_name("run.mcap.part2").exists()
+
+
+def test_given_a_recording_when_its_replacement_fails_before_a_sample_then_it_stays(path: Path) -> None:
+    with pytest.raises(ZeroDivisionError), recorder(path):
+        raise ZeroDivisionError
+    assert np.allclose(volts(path), OLD, rtol=1e-15) and names(path) == ["run.mcap"]
+
+
+@pytest.mark.parametrize("overwrite", [True, False])
+def test_given_a_recording_being_made_when_another_wants_its_place_then_it_is_told(
+    tmp_path: Path, overwrite: bool
+) -> None:
+    path = tmp_path / "run.mcap"
+    with recorder(path, overwrite=False) as first:
+        with pytest.raises(RecordingError, match="another process is recording" if overwrite else "exists"):
+            recorder(path, overwrite)
+        first.write(NEW)
+    assert np.allclose(volts(path), NEW, rtol=1e-15)
+
+
+def test_given_a_whole_recording_when_nothing_can_be_recovered_into_its_place_then_it_stays(
+    path: Path,
+) -> None:
+    bad = path.with_name("bad.mcap")
+    bad.write_bytes(b"no recording at all" * 100)
+    with pytest.raises(RecordingError, match="nothing can be recovered"):
+        recover(bad, path, overwrite=True)
+    assert np.allclose(volts(path), OLD, rtol=1e-15) and names(path) == [
+        "bad.mcap",
+        "run.mcap",
+    ]
+
+
+def test_given_a_device_when_recorded_or_recovered_to_then_it_is_refused_and_stays(path: Path) -> None:
+    for act in (lambda: recorder(Path(os.devnull)), lambda: recover(path, os.devnull, overwrite=True)):
+        with pytest.raises(RecordingError, match="no ordinary file"):
+            act()
+    assert Path(os.devnull).is_char_device()

@@ -1,0 +1,128 @@
+"""Whatever happens in a command, it ends in words and with its exit code."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import types
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from rig import command_line
+from rig.command_line import application, run
+from rig.errors import RunError, SceneError
+
+MODULE = "rig.command_for_the_tests"
+
+
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Callable[[], object]], int]]:
+    """Run a function as a command in this process; give the exit code."""
+    monkeypatch.setattr(sys, "argv", ["rig", "act"])
+    streams = sys.stdout, sys.stderr
+
+    def carry_out(act: Callable[[], object]) -> int:
+        app = application("For the tests.")
+        app.command("act")(lambda: act() and None)
+        app.command("other")(lambda: None)
+        module = types.ModuleType(MODULE)
+        module.app = app  # type: ignore[attr-defined]
+        monkeypatch.setitem(sys.modules, MODULE, module)
+        with pytest.raises(SystemExit) as end:
+            run(MODULE)
+        return int(end.value.code or 0)
+
+    yield carry_out
+    assert (sys.stdout, sys.stderr) == streams
+
+
+def raising(error: BaseException) -> Callable[[], object]:
+    def act() -> object:
+        raise error
+
+    return act
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [
+        (SceneError("no such body"), 2, "error: no such body"),
+        (RunError("the disk is full"), 1, "error: the disk is full"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+        (MemoryError(), 1, "not enough memory"),
+        (PermissionError(13, "Permission denied", "run.mcap"), 1, "error: run.mcap: Permission denied"),
+        (BrokenPipeError(), 0, ""),
+        (SystemExit(7), 7, ""),
+    ],
+)
+def test_given_an_error_when_a_command_ends_in_it_then_it_says_so_in_a_line(
+    command, capsys, error, code, said
+):
+    assert command(raising(error)) == code
+    told = capsys.readouterr().err
+    assert said in told and told.count("\n") == bool(said) and "Traceback" not in told
+
+
+def test_given_an_unexpected_error_when_a_command_ends_in_it_then_a_file_has_the_details(
+    command, capsys, monkeypatch, tmp_path
+):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    assert command(raising(ZeroDivisionError("by \x1b[31m zero"))) == 1
+    told = capsys.readouterr().err
+    (details,) = tmp_path.iterdir()
+    assert (
+        "ZeroDivisionError" in told
+        and str(details) in told
+        and "\x1b" not in told
+        and "Traceback" not in told
+    )
+    assert "Traceback" in details.read_text() and "'act'" in details.read_text()
+
+
+def test_given_text_of_a_file_when_printed_then_what_a_terminal_would_obey_is_shown(command, capsys):
+    assert command(lambda: print("red\x1b[31m\udcff \u202e")) == 0
+    assert capsys.readouterr().out == "red\\x1b[31m\\udcff \\u202e\n"
+
+
+def test_given_a_signal_to_end_when_at_work_then_it_ends_as_by_ctrl_c(command, capsys):
+    assert command(lambda: os.kill(os.getpid(), signal.SIGTERM)) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+
+
+def test_given_long_silence_when_at_work_then_it_says_so(command, capsys, monkeypatch):
+    monkeypatch.setattr(command_line, "SILENCE", -1.0)
+    told = []
+
+    def wait_for_a_word() -> None:
+        with command_line.progress("a long test") as tell:
+            tell(0.5, "20 Hz")
+            while "at work" not in "".join(told):
+                told.append(capsys.readouterr().err)
+
+    assert command(wait_for_a_word) == 0
+    assert "a long test, 50 %, 20 Hz" in "".join(told)
+
+
+def outcome(code: str, **how: object) -> tuple[int, str]:
+    done = subprocess.run(
+        [sys.executable, "-m", "rig", *code.split()], stderr=subprocess.PIPE, text=True, **how
+    )  # type: ignore[call-overload]
+    return done.returncode, done.stderr
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
+def test_given_a_full_disk_when_printing_then_the_command_fails_in_words() -> None:
+    with Path("/dev/full").open("w") as full:
+        code, told = outcome("schema", stdout=full)
+    assert code == 1 and "standard output cannot be written: No space left on device" in told
+
+
+def test_given_a_folder_that_is_gone_when_a_command_runs_in_it_then_it_says_so(tmp_path: Path) -> None:
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    code, told = outcome("scenes", stdout=subprocess.DEVNULL, cwd=gone, preexec_fn=gone.rmdir)
+    assert code == 1 and "the working folder is not there any more" in told

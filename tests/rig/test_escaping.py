@@ -1,0 +1,50 @@
+"""Text of a file is shown wherever it goes: nothing in it is obeyed, and nothing of it is lost."""
+
+from __future__ import annotations
+
+from html.parser import HTMLParser
+from typing import Any
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig.escaping import fenced, html, markdown, shown
+
+
+@given(st.text())
+def test_given_any_text_when_shown_then_only_lines_and_tabs_move_a_cursor(text: str) -> None:
+    assert all(letter.isprintable() or letter in "\n\t" or ord(letter) > 0x7F for letter in shown(text))
+    assert not any(letter in shown(text) for letter in "\x1b\x9b\x07\r\u202e")
+    assert not text.isprintable() or shown(text) == text
+
+
+class Seen(HTMLParser):
+    """What a browser takes a page for."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.text = ""
+        self.feed(page)
+        self.close()
+
+    def handle_starttag(self, tag: str, attributes: Any) -> None:
+        self.tags.append(tag)
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+@given(st.text())
+def test_given_any_text_when_in_a_page_then_a_browser_shows_it(text: str) -> None:
+    seen = Seen(f"<p>{html(text)}</p>")
+    assert seen.tags == ["p"] and seen.text == shown(text)
+
+
+@given(st.text())
+def test_given_any_text_when_in_markdown_then_no_mark_is_bare_and_fences_hold(text: str) -> None:
+    line = markdown(text)
+    assert "\n" not in line
+    assert not any(line[at] in "*_<>[]`#|" and line[at - 1 : at] != "\\" for at in range(len(line)))
+    fence, *inside, last = fenced(text).split("\n")
+    assert fence == last and not any(fence in each for each in inside)

@@ -1,0 +1,69 @@
+"""A file that a command writes is there whole or not at all, and nothing that was to stay is lost."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from rig.errors import SceneError
+from rig.output_files import replacing
+
+
+def test_given_an_old_file_when_writing_fails_then_it_is_as_it_was(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text("old")
+    with pytest.raises(ZeroDivisionError), replacing(path) as part:
+        part.write_text("half")
+        raise ZeroDivisionError
+    assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_given_a_name_when_written_then_the_file_is_there_alone(tmp_path: Path, overwrite: bool) -> None:
+    path = tmp_path / "table.csv"
+    with replacing(path, overwrite) as part:
+        part.write_text("new")
+        assert not path.exists() and part.suffix == ".csv"
+    assert path.read_text() == "new" and list(tmp_path.iterdir()) == [path]
+
+
+def test_given_a_file_that_is_to_stay_when_it_comes_into_being_meanwhile_then_it_stays(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "table.csv"
+    with pytest.raises(SceneError, match="meanwhile"), replacing(path, overwrite=False) as part:
+        part.write_text("new")
+        path.write_text("another's")
+    assert path.read_text() == "another's" and list(tmp_path.iterdir()) == [path]
+
+
+def test_given_a_link_when_overwritten_then_what_it_points_to_is_replaced(tmp_path: Path) -> None:
+    target, link = tmp_path / "target.csv", tmp_path / "link.csv"
+    target.write_text("old")
+    target.chmod(0o640)
+    link.symlink_to(target)
+    with replacing(link) as part:
+        part.write_text("new")
+    assert link.is_symlink() and target.read_text() == "new" and target.stat().st_mode & 0o777 == 0o640
+
+
+@pytest.mark.parametrize("kind", ["folder", "fifo", "device", "file", "nowhere"])
+def test_given_what_must_not_be_replaced_when_asked_to_then_it_is_refused(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "out.csv"
+    match kind:
+        case "folder":
+            path.mkdir()
+        case "fifo":
+            os.mkfifo(path)
+        case "device":
+            path = Path(os.devnull)
+        case "file":
+            path.touch()
+        case "nowhere":
+            path = tmp_path / "no" / "out.csv"
+    expected = {"file": "exists", "nowhere": "no folder"}.get(kind, "no ordinary file")
+    with pytest.raises(SceneError, match=expected), replacing(path, overwrite=kind != "file"):
+        pass
+    assert path.exists() == (kind != "nowhere")

@@ -1,0 +1,1 @@
+"""Faults by the hundred, seeded: kills, damage, full disks, odd inputs; `make soak` prints the table."""

@@ -1,0 +1,232 @@
+"""Kills, damage, full disks and odd inputs by the hundred: `make soak`.
+
+Every case has a number from which it can be had again: `python -m tests.soak --only damage --seed 1234 --cases 1`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import yaml
+
+import daq
+from rig.errors import ShotrigError
+from tests.soak import recordings, scenes
+from tests.soak.command import Ended, run
+
+matplotlib.use("agg")
+
+# How many cases of each kind, unless told.
+CASES = {"kills": 200, "damage": 400, "disks": 100, "scenes": 150, "recordings": 150}
+READING = (
+    "daq info r.mcap --check",
+    "daq info r.mcap",
+    "daq recover r.mcap -o f.mcap --overwrite",
+    "daq replay r.mcap --save x.rrd",
+    "analysis frf r.mcap",
+    "analysis decay r.mcap",
+    "analysis modes r.mcap",
+    "analysis dampers r.mcap",
+    "analysis report r.mcap",
+    "analysis export r.mcap -o o.csv",
+    "analysis export r.mcap -o o.npz",
+    "analysis export r.mcap -o o.uff",
+    "analysis export r.mcap -o o.wav",
+)
+
+
+@dataclass
+class Tally:
+    """What came of the cases of a kind."""
+
+    cases: int = 0
+    faults: Counter[str] = field(default_factory=Counter)
+    memory: int = 0
+    seconds: float = 0.0
+
+    def add(self, number: int, ended: Ended, further: list[str]) -> None:
+        """Count a case, and say what was wrong in it."""
+        found = ended.faults + further
+        self.cases += 1
+        self.faults.update(found)
+        self.memory, self.seconds = max(self.memory, ended.memory), max(self.seconds, ended.seconds)
+        if found:
+            last = (ended.output.strip().splitlines() or [""])[-1]
+            print(f"  {number}: {' '.join(ended.command)!r}: {', '.join(found)}: {last[:160]!r}", flush=True)
+
+
+class Bench:
+    """Whole recordings to kill and damage, and a folder to do it in."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder / "work"
+        self.scenes = {}
+        self.whole = {}
+        for number in (0, 1, 3):
+            self.scenes[number] = folder / f"scene{number}.yaml"
+            self.scenes[number].write_text(yaml.safe_dump(scenes.BASES[number]))
+            self.whole[number] = folder / f"whole{number}.mcap"
+            daq.record(str(self.scenes[number]), self.whole[number])
+
+    def clear(self) -> Path:
+        """Give the folder, empty."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+        self.folder.mkdir()
+        return self.folder
+
+    def compare(self, path: Path, number: int) -> list[str]:
+        """Hold a recording against the whole one: what it has must be right and in its place."""
+        try:
+            with daq.open(path) as found, daq.open(self.whole[number]) as true:
+                for name in found.channels:
+                    got = found.read(name)
+                    there = np.isfinite(got)
+                    if got.size > true.samples or (got[there] != true.read(name)[: got.size][there]).any():
+                        return ["wrong samples"]
+        except ShotrigError:
+            return ["not readable"]
+        return []
+
+
+def kill(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
+    """Kill or interrupt a recording at any moment; what lay at its place, or the new one, must be whole."""
+    number, folder = chance.choice((0, 1, 3)), bench.clear()
+    overwrite = chance.random() < 0.5
+    if overwrite:
+        shutil.copy(bench.whole[number], folder / "r.mcap")
+    how = chance.choice((signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT))
+    at, done = chance.uniform(0.0, 2.0), []
+
+    def strike(process: int, seconds: float) -> None:
+        if seconds > at and not done:
+            done.append(os.kill(process, how))
+
+    words = [
+        "daq",
+        "record",
+        str(bench.scenes[number]),
+        "-o",
+        "r.mcap",
+        *(["--overwrite"] if overwrite else []),
+    ]
+    ended = run(words, folder, end=strike)
+    wrong = []
+    if ended.code == -signal.SIGKILL:
+        ended = Ended(ended.command, 0, ended.output, ended.silence, ended.seconds, ended.memory)
+    for path in sorted(folder.iterdir()):
+        if path.name == "r.mcap" and (overwrite or "interrupted" in ended.output):
+            wrong += bench.compare(path, number)
+        elif path.stat().st_size > 8:
+            fixed = run(["daq", "recover", path.name, "-o", "fixed.mcap", "--overwrite"], folder)
+            wrong += fixed.faults
+            if fixed.code == 0:
+                wrong += bench.compare(folder / "fixed.mcap", number)
+            elif "nothing can be recovered" not in fixed.output:
+                wrong.append("not recovered")
+    if overwrite and not (folder / "r.mcap").exists():
+        wrong.append("file lost")
+    return ended, wrong
+
+
+def damage(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
+    """Damage a recording and recover it over another; nothing wrong may come out, and the other is not lost."""
+    number, folder = chance.choice((0, 1, 3)), bench.clear()
+    (folder / "r.mcap").write_bytes(recordings.damage(bench.whole[number].read_bytes(), chance))
+    shutil.copy(bench.whole[number], folder / "f.mcap")
+    words = chance.choice((READING[0], READING[2], READING[2], READING[2], *READING[1:])).split()
+    ended = run(words, folder)
+    wrong = bench.compare(folder / "f.mcap", number) if (folder / "f.mcap").exists() else ["file lost"]
+    if words[1] == "info" and "--check" in words and ended.code == 0:
+        wrong += bench.compare(folder / "r.mcap", number)
+    return ended, wrong
+
+
+def fill_disk(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
+    """Let files be only so long; what was there stays whole, and no half file gets a name."""
+    number, folder = chance.choice((0, 1, 3)), bench.clear()
+    shutil.copy(bench.whole[number], folder / "r.mcap")
+    size = int(10 ** chance.uniform(1, 6))
+    words = chance.choice(
+        (
+            ["daq", "record", str(bench.scenes[number]), "-o", "r.mcap", "--overwrite"],
+            *(each.split() for each in READING[2:]),
+        )
+    )
+
+    def limit() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+
+    ended = run(words, folder, prepare=limit)
+    wrong = bench.compare(folder / "r.mcap", number) if (folder / "r.mcap").exists() else ["file lost"]
+    return ended, wrong
+
+
+def odd_scene(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
+    """Give a command an odd scene and odd options."""
+    folder = bench.clear()
+    (folder / "s.yaml").write_text(scenes.scene(chance))
+    return run(scenes.command("s.yaml", chance), folder), []
+
+
+def odd_recording(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
+    """Give a command a recording that says odd things of itself, every checksum right."""
+    folder = bench.clear()
+    recordings.hostile(bench.whole[chance.choice((0, 1, 3))], folder / "r.mcap", chance)
+    return run(chance.choice(READING).split(), folder), []
+
+
+KINDS: dict[str, Callable[[Bench, random.Random], tuple[Ended, list[str]]]] = {
+    "kills": kill,
+    "damage": damage,
+    "disks": fill_disk,
+    "scenes": odd_scene,
+    "recordings": odd_recording,
+}
+
+
+def main() -> int:
+    """Run the cases; exit code 1 if any was at fault."""
+    words = argparse.ArgumentParser(prog="python -m tests.soak", description=__doc__)
+    words.add_argument("--seed", type=int, default=1, help="number of the first case of each kind")
+    words.add_argument("--only", choices=KINDS, action="append", help="this kind; may be repeated")
+    words.add_argument("--cases", type=int, help="how many of each kind")
+    words.add_argument("--minutes", type=float, default=float("inf"), help="stop each kind after this time")
+    told = words.parse_args()
+    # What commands import is imported once, here; they run in forks.
+    for package in ("rig", "daq", "analysis"):
+        __import__(f"{package}.cli")
+    tallies = {}
+    with tempfile.TemporaryDirectory(prefix="soak-") as folder:
+        bench = Bench(Path(folder))
+        for kind in told.only or KINDS:
+            print(f"{kind}:", flush=True)
+            tallies[kind], until = Tally(), time.monotonic() + 60.0 * told.minutes
+            for number in range(told.seed, told.seed + (told.cases or CASES[kind])):
+                if time.monotonic() > until:
+                    break
+                ended, wrong = KINDS[kind](bench, random.Random(number))
+                tallies[kind].add(number, ended, wrong)
+    print(f"\n{'kind':12}{'cases':>7}{'longest s':>11}{'most MB':>9}   faults")
+    for kind, tally in tallies.items():
+        faults = ", ".join(f"{count} {fault}" for fault, count in tally.faults.items()) or "none"
+        print(f"{kind:12}{tally.cases:7}{tally.seconds:11.1f}{tally.memory / 1e6:9.0f}   {faults}")
+    return 1 if any(tally.faults for tally in tallies.values()) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

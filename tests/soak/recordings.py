@@ -1,0 +1,228 @@
+"""Recordings as a failing disk leaves them, and as somebody writes them who means harm."""
+
+from __future__ import annotations
+
+import json
+import random
+import struct
+from pathlib import Path
+from typing import Any
+
+from daq.mcap_file.metadata_checksum import checked
+from daq.mcap_file.reader import Container
+from daq.mcap_file.writer import ChunkedFile, Message
+from daq.recording import layout
+from tests.soak.scenes import ESCAPE, MARKUP, ODD_NUMBERS, ODD_TEXTS
+
+ODD_JSON: tuple[Any, ...] = (
+    None,
+    True,
+    [],
+    {},
+    [[1, 2]],
+    {"a": 1},
+    "text",
+    ESCAPE,
+    MARKUP,
+    "x" * 60_000,
+    [1e308] * 100,
+    -1,
+    0,
+    10**300,
+    1.5,
+    2**40,
+    2**62,
+    2**63,
+)
+
+
+def damage(source: bytes, chance: random.Random) -> bytes:
+    """Do to a file what disks, cables and people do to files."""
+    data = bytearray(source)
+    for _ in range(chance.choice((1, 1, 1, 2, 5))):
+        place = chance.randrange(len(data)) if data else 0
+        kind = chance.randrange(9)
+        if kind == 0:
+            data[place:] = b""
+        elif kind == 1 and data:
+            data[place] ^= 1 << chance.randrange(8)
+        elif kind == 2:
+            size = chance.choice((1, 8, 512, 4096, 65536))
+            data[place : place + size] = bytes(len(data[place : place + size]))
+        elif kind == 3:
+            size = chance.choice((1, 9, 512, 5000))
+            data[place : place + size] = chance.randbytes(len(data[place : place + size]))
+        elif kind == 4:
+            del data[place : place + chance.choice((1, 7, 512, 4096))]
+        elif kind == 5:
+            data[place:place] = chance.randbytes(chance.choice((1, 7, 512)))
+        elif kind == 6:
+            other, size = chance.randrange(len(data) + 1), chance.choice((16, 512, 4096))
+            data[place : place + size] = data[other : other + size]
+        elif kind == 7:
+            data[:place] = b""
+        elif len(data) > place + 8:
+            struct.pack_into("<Q", data, place, chance.choice((0, 1, 2**31, 2**63, 2**64 - 1, 2**40)))
+    return bytes(data)
+
+
+def hostile(source: Path, target: Path, chance: random.Random) -> str:
+    """Copy a recording, every checksum right, with something odd in what it says of itself; say what."""
+    kind = chance.choice(
+        (
+            "channel",
+            "channel",
+            "channel",
+            "marker",
+            "event",
+            "metadata",
+            "scene",
+            "time",
+            "name",
+            "chunk",
+            "many",
+        )
+    )
+    told = kind
+    with Container(source) as container, target.open("wb") as file:
+        summary = container.summary
+        copy = ChunkedFile(file, "soak", "zstd")
+        schemas = {0: 0}
+        for number, schema in summary.schemas.items():
+            schemas[number] = copy.add_schema(schema.name, schema.encoding, schema.data)
+        raw = [number for number, channel in summary.channels.items() if channel.topic.startswith(layout.RAW)]
+        chosen = chance.choice(raw)
+        numbers = {}
+        for number, channel in summary.channels.items():
+            topic, metadata = channel.topic, dict(channel.metadata)
+            if kind == "channel" and number == chosen:
+                key = chance.choice([*metadata, "unit", "filter"])
+                metadata[key] = _odd_text(chance)
+                told = f"{key} = {metadata[key][:40]!r}"
+                if chance.random() < 0.1:
+                    del metadata[key]
+                    told = f"no {key}"
+            if kind == "name" and number == chosen:
+                topic = layout.RAW + chance.choice(ODD_TEXTS)
+                metadata["name"] = topic.removeprefix(layout.RAW)
+            numbers[number] = copy.add_channel(
+                topic, channel.message_encoding, schemas[channel.schema_id], metadata
+            )
+        if kind == "many":
+            for extra in range(chance.choice((10, 3000))):
+                copy.add_channel(
+                    f"{layout.RAW}extra{extra}", "protobuf", schemas[summary.channels[chosen].schema_id], {}
+                )
+        for chunk in range(len(summary.offsets)):
+            messages = []
+            for each in container.messages(chunk):
+                channel, data = summary.channels[each.channel], bytes(each.data)
+                times = [each.log_time, each.publish_time]
+                if kind == "marker" and channel.topic == layout.MARKERS:
+                    data = _odd_object(data, chance)
+                if kind == "event" and channel.topic == layout.EVENTS:
+                    data = _odd_object(data, chance)
+                if kind == "time" and each.channel in raw and chunk >= len(summary.offsets) // 2:
+                    data, times = _late(
+                        data,
+                        times,
+                        chance_shift := 2 ** random.Random(str(summary.offsets)).choice((20, 27, 40, 62)),
+                    )
+                    told = f"time shifted by {chance_shift} samples"
+                messages.append(
+                    Message(numbers[each.channel], *(time % 2**64 for time in times), data, each.sequence)
+                )
+            copy.add_chunk(messages)
+        if kind == "chunk":
+            content = bytes(1 << 26) if chance.random() < 0.5 else struct.pack("<BQ", 0xEE, 0) * (7_000_000)
+            for _ in range(chance.choice((1, 20))):
+                _raw_chunk(file, copy, content)
+        records = container.metadata()
+        name = chance.choice(list(records))
+        for record, fields in records.items():
+            plain = {key: text for key, text in fields.items() if key != "crc32"}
+            if kind == "metadata" and record == name:
+                key = chance.choice(list(plain))
+                plain[key] = _odd_text(chance)
+                told = f"{record}.{key} = {plain[key][:40]!r}"
+            copy.add_metadata(record, checked(plain))
+        scene = container.attachment(layout.SCENE_FILE) or b""
+        if kind == "scene":
+            from tests.soak.scenes import scene as odd_scene
+
+            scene = odd_scene(chance).encode(errors="replace")
+        copy.add_attachment(0, 0, layout.SCENE_FILE, "application/yaml", scene)
+        copy.finish()
+    return told
+
+
+def _odd_text(chance: random.Random) -> str:
+    if chance.random() < 0.3:
+        return chance.choice(ODD_TEXTS)
+    if chance.random() < 0.3:
+        return repr(chance.choice(ODD_NUMBERS))
+    return json.dumps(chance.choice(ODD_JSON))
+
+
+def _odd_object(data: bytes, chance: random.Random) -> bytes:
+    content = json.loads(data)
+    content[chance.choice([*content, "channel", "reason", "settled"])] = chance.choice(
+        (*ODD_JSON, *ODD_NUMBERS)
+    )
+    return json.dumps(content).encode()
+
+
+def _late(data: bytes, times: list[int], shift: int) -> tuple[bytes, list[int]]:
+    """Move a block to a sample far behind, consistently."""
+    from daq.recording.sample_block import decode, encode
+    from daq.recording.timebase import Timebase
+
+    for schema in ("shotrig.BlockFloat64", "shotrig.BlockCounts", "shotrig.BlockFloat32"):
+        try:
+            block = decode(memoryview(data), schema)
+            break
+        except Exception:
+            continue
+    clock = Timebase(block.rate)
+    first = block.first_sample + shift
+    try:
+        return encode(clock, first, block.samples), [
+            clock.time_ns(first + block.samples.size),
+            clock.time_ns(first),
+        ]
+    except struct.error:
+        return data, times
+
+
+def _raw_chunk(file: Any, copy: ChunkedFile, content: bytes) -> None:
+    """Write a chunk that packs extremely well."""
+    import zlib
+
+    from mcap import records
+    from mcap.data_stream import RecordBuilder
+    from zstandard import ZstdCompressor
+
+    begin = file.tell()
+    builder = RecordBuilder()
+    records.Chunk(
+        compression="zstd",
+        data=ZstdCompressor().compress(content),
+        message_start_time=0,
+        message_end_time=0,
+        uncompressed_crc=zlib.crc32(content),
+        uncompressed_size=len(content),
+    ).write(builder)
+    file.write(builder.end())
+    copy._chunks.append(
+        records.ChunkIndex(
+            chunk_length=file.tell() - begin,
+            chunk_start_offset=begin,
+            compression="zstd",
+            compressed_size=0,
+            message_end_time=0,
+            message_index_length=0,
+            message_index_offsets=dict.fromkeys(range(1, 200), 0),
+            message_start_time=0,
+            uncompressed_size=len(content),
+        )
+    )

@@ -1,0 +1,306 @@
+"""Scenes and options that somebody may write by mistake, in despair or in malice."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from typing import Any
+
+import yaml
+
+ESCAPE = "\x1b[31mred\x1b]0;title\x07"
+MARKUP = "<script>alert(1)</script> [bold]x[/bold] **b** `c` |d| ![i](http://x)"
+ODD_TEXTS = (
+    ESCAPE,
+    MARKUP,
+    "",
+    " ",
+    "\u202e\u200b\ufeff",
+    "x" * 60_000,
+    "../../etc/passwd",
+    "a\nb",
+    "\u0000",
+    "%s{0}$(x)",
+)
+ODD_NUMBERS = (
+    0,
+    -1,
+    1,
+    2**31,
+    2**63,
+    10**300,
+    -(10**300),
+    1e-308,
+    5e-324,
+    1e308,
+    -1e308,
+    1e9,
+    1e12,
+    1e-12,
+    1e20,
+    1e-20,
+    1e100,
+    float("nan"),
+    float("inf"),
+    float("-inf"),
+)
+ODD_THINGS: tuple[Any, ...] = (None, True, [], {}, [[]], [None], {"a": {"b": []}}, [1, "x"], ["1 kg"] * 1000)
+UNITS = (
+    "Hz",
+    "s",
+    "kg",
+    "N",
+    "V",
+    "m",
+    "mm",
+    "%",
+    "kN/m",
+    "rad/s",
+    "mV/g",
+    "bit",
+    "",
+    "parsec",
+    "ug/sqrt(Hz)",
+)
+
+BASES = (
+    {
+        "structure": {
+            "masses": ["0.74 kg", "0.71 kg"],
+            "springs": ["24.3 kN/m", "21.8 kN/m"],
+            "damping": {"modal": "0.5 %"},
+        },
+        "dampers": [
+            {"body": 1, "mass_ratio": "10 %", "clearance": ".inf"},
+            {"body": 2, "mass": "70 g", "clearance": "1 mm", "restitution": 0.3},
+        ],
+        "shaker": {"kind": "table", "body": 1, "spring": "6.6 kN/m"},
+        "test": {
+            "kind": "stepped_sine",
+            "from": "20 Hz",
+            "to": "25 Hz",
+            "points": 2,
+            "force": "2 N",
+            "settle": {"longest": "0.5 s"},
+            "measure": {"periods": 3},
+        },
+        "channels": [
+            {
+                "name": "body1",
+                "at": "body 1",
+                "accelerometer": {
+                    "sensitivity": "100 mV/g",
+                    "noise": "20 ug/sqrt(Hz)",
+                    "resonance": "30 kHz",
+                    "low_cutoff": "0.5 Hz",
+                },
+                "integrator": {"order": 2, "corner": "1 Hz"},
+            },
+            {"name": "table", "at": "table", "accelerometer": {"sensitivity": "100 mV/g"}},
+        ],
+        "converter": {"rate": "2048 Hz", "bits": 24, "range": "5 V"},
+        "recording": {"display": True, "truth": True},
+        "gravity": "9.81 m/s^2",
+        "seed": 1,
+        "name": "two bodies",
+    },
+    {
+        "structure": {
+            "masses": ["0.7 kg", "0.7 kg", "0.6 kg"],
+            "springs": ["24 kN/m", "22 kN/m", "20 kN/m"],
+            "damping": {"rayleigh": {"alpha": "0.1 1/s", "beta": "1e-5 s"}},
+        },
+        "test": {
+            "kind": "impulse",
+            "body": 1,
+            "peak": "50 N",
+            "width": "4 ms",
+            "repeats": 2,
+            "interval": "0.5 s",
+        },
+        "seed": 3,
+    },
+    {
+        "structure": {"masses": [1.0], "springs": [4e4], "damping": {"dashpots": [1.0]}},
+        "dampers": [{"body": 1, "mass_ratio": 0.1, "clearance": 1e-3}],
+        "shaker": {"kind": "electrodynamic", "body": 1, "spring": "6.6 kN/m"},
+        "test": {"kind": "random", "from": "10 Hz", "to": "100 Hz", "duration": "1 s", "drive": "0.1 V"},
+        "converter": {"rate": "1000 Hz"},
+    },
+    {
+        "structure": {"masses": [1.0, 0.5], "springs": [4e4, 2e4]},
+        "shaker": {"kind": "force", "body": 1},
+        "test": {"kind": "swept_sine", "from": "10 Hz", "to": "30 Hz", "duration": "1 s", "force": "1 N"},
+        "converter": {"preset": "NI 9234", "rate": "51200 Hz", "filter": "delta_sigma"},
+    },
+    {
+        "structure": {"masses": [1.0, 0.5], "springs": [4e4, 2e4]},
+        "test": {"kind": "free", "displacement": ["1 mm", "0 mm"], "duration": "0.5 s"},
+        "dampers": [{"body": 2, "mass_ratio": 0.1, "clearance": 1e-3, "locked": True}],
+    },
+    {
+        "structure": {"masses": [1.0, 0.5], "springs": [4e4, 2e4]},
+        "shaker": {"kind": "force", "body": 1},
+        "test": {
+            "kind": "multisine",
+            "from": "10 Hz",
+            "to": "30 Hz",
+            "lines": 5,
+            "periods": 2,
+            "realisations": 1,
+            "force": "1 N",
+        },
+    },
+)
+
+
+def scene(chance: random.Random) -> str:
+    """Write a scene with one to three things wrong in it, or rather odd."""
+    content = _copy(chance.choice(BASES))
+    if chance.random() < 0.08:
+        return _no_scene(chance)
+    if chance.random() < 0.1:
+        _enlarge(content, chance)
+    else:
+        for _ in range(chance.choice((1, 1, 1, 2, 3))):
+            _spoil(content, chance)
+    return yaml.safe_dump(content, allow_unicode=True, sort_keys=False)
+
+
+def _copy(content: Any) -> Any:
+    return yaml.safe_load(yaml.safe_dump(content))
+
+
+def _no_scene(chance: random.Random) -> str:
+    return chance.choice(
+        (
+            "",
+            "[]",
+            "a",
+            "{",
+            "- - - -" * 1000,
+            "[" * 5000,
+            "a: &a [*a]",
+            "&a [" + "*a," * 10 + "]",
+            "!!python/object:os.x {}",
+            "a: 1\na: 2",
+            "\t",
+            "? ? ?",
+            "structure: " + "{a: " * 900 + "}" * 900,
+            "x: !!binary aaaa",
+            "1e999: 1",
+            "&b {"
+            + "".join(f"k{i}: &x{i} [*x{i - 1}, *x{i - 1}], " if i else "k0: &x0 [1], " for i in range(40))
+            + "}",
+        )
+    )
+
+
+def _places(content: Any, place: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    items = (
+        content.items()
+        if isinstance(content, dict)
+        else enumerate(content)
+        if isinstance(content, list)
+        else ()
+    )
+    for key, value in items:
+        yield (*place, key)
+        yield from _places(value, (*place, key))
+
+
+def _spoil(content: Any, chance: random.Random) -> None:
+    """Put something odd in one place."""
+    *way, key = chance.choice(list(_places(content)))
+    for step in way:
+        content = content[step]
+    if chance.random() < 0.1 and isinstance(content, dict):
+        del content[key]
+        return
+    content[key] = _odd(content[key], chance)
+
+
+def _odd(before: Any, chance: random.Random) -> Any:
+    kind = chance.random()
+    if kind < 0.55:
+        number = chance.choice(ODD_NUMBERS)
+        unit = str(before).split(" ", 1)[-1] if " " in str(before) else ""
+        unit = chance.choice(UNITS) if chance.random() < 0.2 else unit
+        return f"{number!r} {unit}".strip() if unit else number
+    if kind < 0.75:
+        return chance.choice(ODD_TEXTS)
+    return _copy(chance.choice(ODD_THINGS))
+
+
+def _enlarge(content: Any, chance: random.Random) -> None:
+    """Make one part of it huge."""
+    many = chance.choice((300, 2_000, 20_000, 100_000, 1_000_000))
+    part = chance.choice(("bodies", "channels", "dampers", "steps"))
+    if part == "bodies":
+        content["structure"] = {"masses": [1.0] * many, "springs": [1e4] * many}
+    elif part == "channels":
+        content["channels"] = [{"name": f"c{i}", "at": "body 1"} for i in range(min(many, 100_000))]
+    elif part == "dampers":
+        content["dampers"] = [{"body": 1, "mass": 0.01, "clearance": 1e-3} for _ in range(min(many, 20_000))]
+    else:
+        content["test"] = {
+            "kind": "stepped_sine",
+            "from": 10,
+            "to": 20,
+            "points": min(many, 100_000),
+            "force": 1,
+        }
+        content["shaker"] = {"kind": "force", "body": 1}
+
+
+def command(path: str, chance: random.Random) -> list[str]:
+    """Give a command on a scene, often with an odd option."""
+    odd = chance.choice(ODD_NUMBERS)
+    pick = lambda *options: list(chance.choice(options))  # noqa: E731
+    kinds: dict[str, list[str]] = {
+        "explain": ["rig", "explain", path],
+        "simulate": [
+            "rig",
+            "simulate",
+            path,
+            *pick(
+                ("--duration", "0.05 s"),
+                ("--duration", f"{odd} s"),
+                ("--rate", f"{odd} Hz"),
+                ("--frequency", f"{odd} Hz", "--duration", "0.05 s"),
+                (),
+            ),
+        ],
+        "response": [
+            "rig",
+            "response",
+            path,
+            *pick(
+                ("--points", "2"),
+                ("--from", "20 Hz", "--to", f"{odd} Hz"),
+                ("--points", str(odd)),
+                ("--direction", "\x1b[3m"),
+                (),
+            ),
+        ],
+        "map": [
+            "rig",
+            "map",
+            path,
+            "--rows",
+            "2",
+            "--points",
+            "2",
+            *pick((), ("--least", f"{odd} N"), ("--over", "x"), ("--rows", "1000000000")),
+        ],
+        "record": [
+            "daq",
+            "record",
+            path,
+            "-o",
+            "r.mcap",
+            "--overwrite",
+            *pick((), ("--block", str(odd)), ("--block", "7")),
+        ],
+    }
+    return kinds[chance.choices(list(kinds), (2, 3, 2, 1, 4))[0]]

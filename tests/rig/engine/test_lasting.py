@@ -68,7 +68,7 @@ def test_given_a_random_scene_when_simulated_then_it_is_the_motion_to_forty_digi
     run = rig.simulate(scene, 3 / scene.test.frequency, rate=PER_PERIOD * scene.test.frequency)
     states = 2 * (bodies + len(scene.dampers))
     exact, events = SwitchedMotion(scene).follow([0.0] * states, len(run.time), PER_PERIOD)
-    error = np.abs((run.displacement - exact).astype(float)).max() / np.abs(run.displacement).max()
+    error = np.abs(run.displacement - exact.astype(float)).max() / np.abs(run.displacement).max()
     kinds = [("touch" if mode else "release", damper + 1) for _, damper, mode in events]
     assert kinds == [(str(event["kind"]), int(event["damper"])) for event in run.events]
     assert len(kinds) > 2
@@ -92,7 +92,7 @@ def test_given_ever_shorter_landings_without_restitution_when_made_then_they_giv
     assert all(later < 0.2 * earlier for earlier, later in pairwise(shares))
 
 
-@pytest.mark.parametrize("restitution", [0.05, 0.3, 0.9])
+@pytest.mark.parametrize("restitution", [0.3, 0.6, 0.9])
 def test_given_a_landing_under_no_other_force_when_simulated_then_it_is_the_closed_form(
     restitution: float,
 ) -> None:
@@ -101,7 +101,7 @@ def test_given_a_landing_under_no_other_force_when_simulated_then_it_is_the_clos
         f"""
         structure: {{masses: [0.8 kg], springs: [0 N/m]}}
         gravity: 0 m/s^2
-        dampers: [{{body: 1, mass: 60 g, clearance: 1 mm, contact: {{duration: 2 ms}}, restitution: {restitution}}}]
+        dampers: [{{body: 1, mass: 60 g, clearance: 0.1 mm, contact: {{duration: 2 ms}}, restitution: {restitution}}}]
         test: {{kind: impulse, body: 1, peak: 300 N, width: 0.2 ms, repeats: 1}}
         """
     )

@@ -172,12 +172,69 @@ def run_a_script(
         typer.Option(metavar="S", help="Press Ctrl-C, or Enter at a prompt, after this time on the bench."),
     ] = None,
 ) -> None:
-    """Run a script for the package nidaqmx, or daq.nidaqmx, against the rig."""
+    """Run a script for the package nidaqmx against the rig; it needs to know nothing of it."""
     from daq.server.script import run_script
 
     with handed_over():
         code = run_script(script, arguments or [], scene, clock, seconds)
     raise typer.Exit(code)
+
+
+@app.command("serve")
+def serve_a_rig(
+    scene: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[SCENE]", help="Scene on the bench (default: SHOTRIG_SCENE, or three particle dampers)."
+        ),
+    ] = None,
+    clock: Annotated[
+        str | None,
+        typer.Option(metavar="real|fast", help="How time passes (default: SHOTRIG_CLOCK, or real)."),
+    ] = None,
+    address: Annotated[
+        str, typer.Option(metavar="HOST", help="Where to listen; other than this machine needs certificates.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(metavar="N", help="Port; 0 takes a free one.")] = 31763,
+    certificate: Annotated[
+        Path | None, typer.Option(metavar="FILE.pem", help="The server's certificate, for TLS.")
+    ] = None,
+    key: Annotated[
+        Path | None, typer.Option(metavar="FILE.pem", help="The certificate's private key.")
+    ] = None,
+    client_ca: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.pem", help="Let in only clients whose certificate this one signed (mutual TLS)."
+        ),
+    ] = None,
+    session_timeout: Annotated[
+        float,
+        typer.Option(
+            metavar="S", help="Close the tasks of a client that has gone without goodbye after this."
+        ),
+    ] = 30.0,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE", help="Record meanwhile what all channels see."),
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")] = False,
+    viewer: Annotated[bool, typer.Option("--viewer", help="Show live what the channels see.")] = False,
+) -> None:
+    """Put the instrument on the network, for any client of NI's gRPC device protocol; Ctrl-C ends it."""
+    from daq.server.serve import Certificates, serve
+    from daq.server.service import Limits
+
+    if (certificate is None) != (key is None) or (client_ca is not None and certificate is None):
+        raise typer.BadParameter("--certificate and --key go together, and --client-ca needs both")
+    if not 0 <= port < 65536:
+        raise typer.BadParameter(f"port {port}: expected 0 to 65535")
+    certificates = None
+    if certificate is not None and key is not None:
+        certificates = Certificates(certificate, key, client_ca)
+    path = None if output is None else _free(output, overwrite)
+    limits = Limits(patience=session_timeout)
+    serve(scene, clock, address, port, certificates, limits, path, overwrite, viewer)
 
 
 def _free(path: Path, overwrite: bool) -> Path:

@@ -1,34 +1,36 @@
 """The rig as a source for a library that takes acquisition plug-ins, such as LDAQ.
 
-`VirtualRig` has the three methods such a library calls and the two attributes it looks at; with LDAQ itself
-see `daq.examples.ldaq_source`.
+`VirtualRig` has the three methods such a library calls and the two attributes it looks at; LDAQ itself has a source
+for NI's client, which needs no more than `daq run` (see the README).
 """
 
+import nidaqmx
 import numpy as np
+from nidaqmx.constants import READ_ALL_AVAILABLE, AcquisitionType
 from numpy.typing import NDArray
 
 import daq
-import daq.nidaqmx as nidaqmx
-from daq.nidaqmx.constants import READ_ALL_AVAILABLE, AcquisitionType
 
 
 class VirtualRig:
-    """Acquisition source: four accelerometers of a scene, in volts."""
+    """Acquisition source: the inputs of a scene, in volts."""
 
     def __init__(self, scene: str, sample_rate: float = 5120.0, clock: str = "real") -> None:
-        self.chassis = daq.connect(scene, clock=clock)
-        self.sample_rate = self.chassis.coerce_rate(sample_rate)
-        self.channel_names = [sensor.name for sensor in self.chassis.inputs]
+        self.rig = daq.connect(scene, clock=clock)
+        self.channel_names = [sensor.name for sensor in self.rig.sensors]
+        self.sample_rate = sample_rate
 
     def set_data_source(self) -> None:
         """Begin to acquire."""
-        self.task = nidaqmx.Task()
+        self.task = nidaqmx.Task(grpc_options=self.rig)
         for number, name in enumerate(self.channel_names):
-            limit = min(500.0, self.chassis.input_range)
+            limit = min(500.0, self.rig.sensors[number].range or 500.0)
             self.task.ai_channels.add_ai_voltage_chan(
                 f"cDAQ1Mod1/ai{number}", name, min_val=-limit, max_val=limit
             )
         self.task.timing.cfg_samp_clk_timing(self.sample_rate, sample_mode=AcquisitionType.CONTINUOUS)
+        # The clock divides: what it makes of a request is the truth for all time axes.
+        self.sample_rate = self.task.timing.samp_clk_rate
         self.task.start()
 
     def read_data(self) -> NDArray[np.float64]:
@@ -38,6 +40,7 @@ class VirtualRig:
     def terminate_data_source(self) -> None:
         """End."""
         self.task.close()
+        self.rig.close()
 
 
 def main() -> None:

@@ -1,22 +1,21 @@
 """Continuous read with a callback: every tenth of a second, look at what has come.
 
-On the fast clock the callback runs on the thread that waits, at the very sample it is due. On the real
-clock (leave out ``clock="fast"``) it runs on a thread of its own while the bench goes on; read there what
-has come, and leave the work on it to another thread.
+The callback runs on a thread of the client's. On the fast clock the bench waits a moment for it to read; on the
+real clock (leave out ``clock="fast"``) the bench goes on meanwhile: read there what has come, and leave the work
+on it to another thread.
 """
 
+import nidaqmx
 import numpy as np
+from nidaqmx.constants import AcquisitionType
+from nidaqmx.stream_readers import AnalogMultiChannelReader
 
 import daq
-import daq.nidaqmx as nidaqmx
-from daq.nidaqmx.constants import AcquisitionType
-from daq.nidaqmx.stream_readers import AnalogMultiChannelReader
 
 
 def main() -> None:
     """Print the RMS of each tenth of a second of the scene's own test, as nobody drives the output."""
-    chassis = daq.connect("bare-structure", clock="fast")
-    with nidaqmx.Task() as task:
+    with daq.connect("bare-structure", clock="fast") as rig, nidaqmx.Task(grpc_options=rig) as task:
         task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:3", min_val=-500.0, max_val=500.0)
         task.timing.cfg_samp_clk_timing(5120.0, sample_mode=AcquisitionType.CONTINUOUS)
         reader = AnalogMultiChannelReader(task.in_stream)
@@ -31,7 +30,7 @@ def main() -> None:
 
         task.register_every_n_samples_acquired_into_buffer_event(512, look)
         task.start()
-        chassis.pass_time(1.0)
+        rig.pass_time(1.0)
         task.stop()
         print(f"{task.in_stream.total_samp_per_chan_acquired} samples per channel")
 

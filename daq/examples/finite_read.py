@@ -3,18 +3,21 @@
 The output is armed on the start trigger of the inputs, so that both begin at the same sample of one clock.
 """
 
+import nidaqmx
 import numpy as np
+from nidaqmx.constants import AccelUnits, AcquisitionType
 
 import daq
-import daq.nidaqmx as nidaqmx
-from daq.nidaqmx.constants import AccelUnits, AcquisitionType
 
 
 def main() -> None:
     """Print the peak acceleration of each channel."""
     # Ideal sensors: 1 V per m/s^2. On the fast clock time passes as quickly as the machine computes.
-    daq.connect("bare-structure", clock="fast")
-    with nidaqmx.Task() as inputs, nidaqmx.Task() as output:
+    with (
+        daq.connect("bare-structure", clock="fast") as rig,
+        nidaqmx.Task(grpc_options=rig) as inputs,
+        nidaqmx.Task(grpc_options=rig) as output,
+    ):
         inputs.ai_channels.add_ai_accel_chan(
             "cDAQ1Mod1/ai0:3",
             min_val=-500.0,

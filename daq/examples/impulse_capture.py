@@ -3,21 +3,20 @@
 The scene's own test goes on by itself: somebody hits body 1 with the hammer every few seconds.
 """
 
+import nidaqmx
 import numpy as np
+from nidaqmx.constants import READ_ALL_AVAILABLE, AccelUnits, AcquisitionType, Slope
 
 import daq
-import daq.nidaqmx as nidaqmx
-from daq.nidaqmx.constants import READ_ALL_AVAILABLE, AccelUnits, AcquisitionType, Slope
 
 PRETRIGGER, SAMPLES, LEVEL = 256, 5120, 10.0
 
 
 def main() -> None:
     """Print what was captured of one hit."""
-    chassis = daq.connect("fig10b-no-damper", clock="fast")
-    for number, sensor in enumerate(chassis.inputs):
-        print(f"ai{number}: {sensor.name}, {1e3 * sensor.sensitivity:.4g} mV per {sensor.unit}")
-    with nidaqmx.Task() as task:
+    with daq.connect("fig10b-no-damper", clock="fast") as rig, nidaqmx.Task(grpc_options=rig) as task:
+        for number, sensor in enumerate(rig.sensors):
+            print(f"ai{number}: {sensor.name}, {1e3 * sensor.sensitivity:.4g} mV per {sensor.unit}")
         task.ai_channels.add_ai_force_iepe_chan("cDAQ1Mod1/ai3", "hammer", sensitivity=2.25)
         task.ai_channels.add_ai_accel_chan(
             "cDAQ1Mod1/ai0:2",

@@ -4,21 +4,24 @@ The output does not regenerate: it plays what is written, once; each stretch is 
 is played. The loop is causal; what is written acts on what is read two stretches later.
 """
 
+import nidaqmx
 import numpy as np
+from nidaqmx.constants import AcquisitionType, RegenerationMode
 
 import daq
-import daq.nidaqmx as nidaqmx
-from daq.nidaqmx.constants import AcquisitionType, RegenerationMode
 
 RATE, STRETCH, FREQUENCY, WANTED = 5120.0, 512, 20.0, 0.5
 
 
 def main(stretches: int = 60) -> float:
     """Run the loop; return the amplitude reached, m/s^2."""
-    daq.connect("bare-structure", clock="fast")
     carrier = np.exp(2j * np.pi * FREQUENCY * np.arange(STRETCH) / RATE)
     drive, amplitude = 0.005, 0.0
-    with nidaqmx.Task() as inputs, nidaqmx.Task() as output:
+    with (
+        daq.connect("bare-structure", clock="fast") as rig,
+        nidaqmx.Task(grpc_options=rig) as inputs,
+        nidaqmx.Task(grpc_options=rig) as output,
+    ):
         inputs.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0", min_val=-500.0, max_val=500.0)
         inputs.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
         output.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")

@@ -3,19 +3,18 @@
 import tempfile
 from pathlib import Path
 
+import nidaqmx
 import numpy as np
+from nidaqmx.constants import AcquisitionType, LoggingMode, LoggingOperation
 
 import daq
-import daq.nidaqmx as nidaqmx
-from daq.nidaqmx.constants import AcquisitionType, LoggingMode, LoggingOperation
 
 
 def main(folder: str | None = None) -> None:
     """Log half a second and read it back."""
-    daq.connect("fig8-three-dampers", clock="fast")
-    with tempfile.TemporaryDirectory() as scratch:
+    with daq.connect("fig8-three-dampers", clock="fast") as rig, tempfile.TemporaryDirectory() as scratch:
         path = Path(folder or scratch) / "logged.mcap"
-        with nidaqmx.Task() as task:
+        with nidaqmx.Task(grpc_options=rig) as task:
             task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:3")
             task.timing.cfg_samp_clk_timing(5120.0, sample_mode=AcquisitionType.CONTINUOUS)
             task.in_stream.configure_logging(

@@ -1,4 +1,1 @@
-"""The device: chassis, clock, acquisition, generation, triggers, buffers.
-
-It knows no client. Start with `chassis`.
-"""
+"""The device: modules on one clock, tasks as data, engines that run them; it knows no client and no network."""

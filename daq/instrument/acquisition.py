@@ -10,30 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.face.constants import Slope
-from daq.face.triggers import AnalogEdge, OtherTask, SyncPulse
-from daq.instrument.errors import DaqError, DAQmxErrors
+from daq.instrument.errors import Code, DaqError
 from daq.instrument.ring_buffer import RingBuffer
+from daq.instrument.scales import Scale
+from daq.instrument.triggers import AnalogSource, AtTick, CrossingFinder, OtherTask, Source, SyncPulse
 
 # Tells at which tick another task started or was triggered; None if it has not been yet.
 Moment = Callable[[OtherTask], int | None]
-
-
-@dataclass(frozen=True)
-class AnalogSource:
-    """An analog trigger on one of a task's channels."""
-
-    row: int
-    slope: Slope
-    level: float
-    hysteresis: float
-
-    def edge(self) -> AnalogEdge:
-        """Make a finder that has seen no sample yet."""
-        return AnalogEdge(self.slope, self.level, self.hysteresis)
-
-
-Source = AnalogSource | SyncPulse | OtherTask
 
 
 @dataclass(frozen=True)
@@ -44,8 +27,10 @@ class InputPlan:
     ----------
     rows : tuple of int
         The bench's channels, in the order of the task's.
-    scale : ndarray, shape (channels,)
-        Factor from converter samples to each channel's units.
+    factors : ndarray, shape (channels,)
+        From converter samples to each channel's units.
+    scales : tuple of Scale or None
+        Custom scale of each channel.
     rate : float
         Samples per second.
     samples : int or None
@@ -63,7 +48,8 @@ class InputPlan:
     """
 
     rows: tuple[int, ...]
-    scale: NDArray[np.float64]
+    factors: NDArray[np.float64]
+    scales: tuple[Scale | None, ...]
     rate: float
     samples: int | None
     buffer: int
@@ -72,6 +58,12 @@ class InputPlan:
     reference: Source | None = None
     pretrigger: int = 0
     again: bool = False
+
+    def reading(self, row: int, samples: NDArray[Any]) -> NDArray[np.float64]:
+        """Turn converter samples of a channel into its units."""
+        values: NDArray[np.float64] = samples * self.factors[row]
+        scale = self.scales[row]
+        return values if scale is None else scale.convert(values)
 
 
 class Acquisition:
@@ -136,13 +128,14 @@ class Acquisition:
 
     def _arm(self, tick: int) -> None:
         self.armed_at, self.first_tick, self._end = tick, None, None
-        self._start_edge = self.plan.start.edge() if isinstance(self.plan.start, AnalogSource) else None
+        start = self.plan.start
+        self._start_finders = start.finders() if isinstance(start, AnalogSource) else []
 
     def _begin(self, tick: int) -> None:
         self.first_tick, self._record = tick, self.ring.written
         self._records.append((self._record, tick))
         reference = self.plan.reference
-        self._reference_edge = reference.edge() if isinstance(reference, AnalogSource) else None
+        self._reference_finders = reference.finders() if isinstance(reference, AnalogSource) else []
         if self.plan.samples is not None and reference is None:
             self._end = self._record + self.plan.samples
 
@@ -204,7 +197,7 @@ class Acquisition:
         """Tell others when this task was started (triggered), or will be at a later tick known already."""
         if reference:
             return None if self.trigger is None else self.tick_of(self.trigger)
-        if self.first_tick is None and isinstance(self.plan.start, SyncPulse):
+        if self.first_tick is None and isinstance(self.plan.start, SyncPulse | AtTick):
             return self.plan.start.next_tick(max(tick, self.armed_at), self.plan.rate)
         return self.first_tick
 
@@ -238,10 +231,9 @@ class Acquisition:
     def _find_start(self, tick: int, x: NDArray[Any], at: int, moment: Moment) -> int | None:
         source = self.plan.start
         if isinstance(source, AnalogSource):
-            assert self._start_edge is not None
-            found = self._start_edge.find(x[source.row, at:] * self.plan.scale[source.row])
+            found = self._crossing(self._start_finders, x[:, at:])
             return None if found is None else at + found
-        if isinstance(source, SyncPulse):
+        if isinstance(source, SyncPulse | AtTick):
             when: int | None = source.next_tick(max(self.armed_at, tick + at), self.plan.rate)
         else:
             assert source is not None
@@ -249,6 +241,13 @@ class Acquisition:
         if when is None or when < self.armed_at or when - tick >= x.shape[1]:
             return None
         return max(when - tick, at)
+
+    def _crossing(
+        self, finders: list[tuple[int, CrossingFinder]], x: NDArray[Any], skip: int = 0
+    ) -> int | None:
+        """Find the first crossing of any of several channels; all of them see all samples."""
+        found = [finder.find(self.plan.reading(row, x[row]), skip) for row, finder in finders]
+        return min((each for each in found if each is not None), default=None)
 
     def _store(self, tick: int, x: NDArray[Any], over: NDArray[np.bool_], moment: Moment) -> int:
         if self.plan.reference is not None and self.trigger is None:
@@ -271,7 +270,7 @@ class Acquisition:
                     "the acquisition has stopped because the buffer was full of unread samples: read more "
                     "often, "
                     "enlarge in_stream.input_buf_size, or let it overwrite (in_stream.overwrite)",
-                    DAQmxErrors.ACQ_STOPPED_TO_PREVENT_INPUT_BUFFER_OVERWRITE,
+                    Code.ACQ_STOPPED_TO_PREVENT_INPUT_BUFFER_OVERWRITE,
                 )
             )
         return min(count, room)
@@ -282,13 +281,12 @@ class Acquisition:
         earliest = self.first_tick + self.plan.pretrigger
         skip = min(max(0, earliest - tick), count)
         if isinstance(source, AnalogSource):
-            assert self._reference_edge is not None
-            found = self._reference_edge.find(x[source.row] * self.plan.scale[source.row], skip)
+            found = self._crossing(self._reference_finders, x, skip)
         else:
             assert source is not None
             when = (
                 source.next_tick(max(earliest, tick), self.plan.rate)
-                if isinstance(source, SyncPulse)
+                if isinstance(source, SyncPulse | AtTick)
                 else moment(source)
             )
             found = None if when is None or not max(earliest, tick) <= when < tick + count else when - tick

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-class Operator:
+class BackgroundTest:
     """Plays the scene's test on a bench, over and over, with its controller watching the channels.
 
     Parameters

@@ -1,16 +1,17 @@
-"""The chassis on the bench: one sample clock, the modules on it, and the tasks that run on them.
+"""The chassis on the bench: one clock, the modules on it, and the engines that tasks run on them.
 
-There is an input for every channel of the scene (the hammer's force among them) and an output, `ao0`, to the
-shaker amplifier. Time is counted in samples of that one clock: what runs together is simultaneous to the
-sample, and the output acts on the inputs through the plant.
+There is an input for every channel of the scene (the hammer's force among them) and an output for every
+shaker. Time is counted in ticks of one clock: what runs together is simultaneous to the tick, and outputs act
+on the inputs through the plant. Inputs that run slower than the clock are divided down from it, outputs hold
+their samples for as many ticks as they last.
 
 What an output volt does depends on the shaker: a volt at the amplifier (electrodynamic), a newton (kind
-force), a millimetre of table travel (kind table). The output keeps its last value when a task ends. The
-bench stands still while no task needs it.
+force), a millimetre of table travel (kind table). An output keeps its last value when a task ends. The bench
+stands still while no task needs it.
 
-As long as no script has ever taken the output, the scene's own test is played (see
-`daq.instrument.background_test`), so that
-there is something to measure and to trigger on. The hammer of an impulse scene goes on hitting in any case.
+As long as nobody has ever taken an output, the scene's own test is played (see
+`daq.instrument.background_test`), so that there is something to measure and to trigger on. The hammer of an
+impulse scene goes on hitting in any case.
 """
 
 from __future__ import annotations
@@ -19,36 +20,112 @@ import math
 import threading
 import time
 import traceback
-import warnings
 import weakref
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from bisect import bisect_right
+from collections.abc import Callable, Hashable, Sequence
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-import rig
-from daq.face.triggers import OtherTask
-from daq.instrument.acquisition import Acquisition
-from daq.instrument.background_test import Operator
-from daq.instrument.clock import Clock
-from daq.instrument.errors import DaqError, DAQmxErrors
-from daq.instrument.generation import Generation
-from daq.instrument.sample_rates import coerced
-from daq.signal_chain.bench import AcquiredBlock, Bench
-from daq.signal_chain.channel import ChannelInfo
-from rig.errors import SceneError
-from rig.scene.measurement_chain import Converter
-from rig.scene.presets import filled_in
+from daq.instrument.acquisition import Acquisition, InputPlan
+from daq.instrument.errors import Code, DaqError
+from daq.instrument.generation import Generation, OutputBuffer, OutputPlan
+from daq.instrument.modules import Module
+from daq.instrument.names import GIVEN_BY_DRIVER
+from daq.instrument.rate_divider import RateDivider
+from daq.instrument.triggers import OtherTask
 
 if TYPE_CHECKING:
-    from daq.face.task import Task
-
-# What a volt at the output becomes, by the unit of the shaker's drive.
-DRIVE_PER_VOLT = {"V": 1.0, "N": 1.0, "m": 1e-3}
+    from daq.instrument.bench_source import SampleSource
+    from daq.instrument.clock import Clock
 
 _BLOCK = 4096
 # The bench may fall behind the wall clock by this long before its inputs count as overflown, s.
 _PATIENCE = 5.0
+# On a clock that only moves when somebody waits, time stands still for this long so that a listener can answer.
+_ANSWER_S = 0.25
+# Ticks per sample of the fastest task that the clock makes at most, so that all rates divide it.
+_MOST_TICKS = 8
+
+
+class NeededRate(NamedTuple):
+    """A rate that a task samples at [S/s], and whether it has to divide that of the clock."""
+
+    rate: float
+    divides: bool
+
+
+class Runner(Protocol):
+    """What runs on an engine, as the chassis sees it."""
+
+    name: str
+
+    @property
+    def device(self) -> str:
+        """Name of the first device in use."""
+
+    @property
+    def rate_needed(self) -> NeededRate | None:
+        """Rate its clock is set to; None on demand."""
+
+    def horizon(self) -> int:
+        """Count the ticks that may pass before `passed` has to be called."""
+
+    def passed(self) -> bool:
+        """Hear that samples have come; tell whether somebody is to answer before more may come."""
+
+    @property
+    def answered(self) -> bool:
+        """Whether that answer has come."""
+
+
+class InputEngine:
+    """Runs an acquisition from the bench's ticks.
+
+    Parameters
+    ----------
+    plan : InputPlan
+        What to acquire.
+    source : SampleSource
+        The bench.
+    tick : int
+        The bench's position.
+    """
+
+    def __init__(self, plan: InputPlan, source: SampleSource, tick: int) -> None:
+        self.divisor = max(1, round(source.rate / plan.rate))
+        self.acquisition = Acquisition(plan, -(-tick // self.divisor), source.dtype)
+        self._divider = None
+        if self.divisor > 1:
+            channels = len(source.channels)
+            self._divider = RateDivider(channels, self.divisor, source.sampling, source.delay)
+
+    def take(
+        self,
+        first: int,
+        samples: NDArray[Any],
+        overload: NDArray[np.bool_],
+        moment: Callable[..., int | None],
+    ) -> None:
+        """Take a block of the bench."""
+        if self._divider is None:
+            self.acquisition.take(first, samples, overload, moment)
+            return
+
+        def divided(source: OtherTask) -> int | None:
+            found = moment(source)
+            return None if found is None else -(-found // self.divisor)
+
+        first, samples, overload = self._divider.take(first, samples, overload)
+        if samples.shape[1]:
+            self.acquisition.take(first, samples, overload, divided)
+
+    def start_tick(self, reference: bool, position: int) -> int | None:
+        """Tell others at which tick of the bench it started (was triggered), or will be."""
+        found = self.acquisition.start_tick(reference, -(-position // self.divisor))
+        return None if found is None else found * self.divisor
 
 
 class Chassis:
@@ -56,60 +133,63 @@ class Chassis:
 
     Parameters
     ----------
-    scene : Scene
-        What is on the bench.
+    modules : sequence of Module
+        What scripts find, a chassis included.
+    switch_on : callable
+        Makes the bench at a rate, at rest; `switch_on(None)` at the rate it has by itself.
     clock : Clock
         What lets its time pass.
 
     Attributes
     ----------
     position : int
-        Samples that have passed since the bench was switched on; a change of rate switches it on anew, at
-        rest.
+        Ticks that have passed since the bench was switched on; a change of its rate switches it on anew.
     changed : threading.Condition
         Notified when samples have passed; its lock guards everything here.
+    listeners : list of callable
+        Called with every block of the bench and its rate: the scope, a recording.
     """
 
-    def __init__(self, scene: rig.Scene, clock: Clock) -> None:
-        self.scene, self.clock = scene, clock
+    def __init__(
+        self, modules: Sequence[Module], switch_on: Callable[[float | None], SampleSource], clock: Clock
+    ) -> None:
+        self.modules = {each.name.lower(): each for each in modules}
+        self.clock = clock
         self.changed = threading.Condition(threading.RLock())
-        self.position = 0
-        self.running_inputs: dict[Task, Acquisition] = {}
-        self.running_outputs: dict[Task, Generation] = {}
-        self.held = np.zeros(1)
+        self.listeners: list[Callable[[SampleSource, Any], None]] = []
+        self.inputs: dict[Runner, InputEngine] = {}
+        self.outputs: dict[Runner, Generation] = {}
+        self._make = switch_on
         self._output_taken = False
         self._passed = 0.0
         self._alarms: list[tuple[float, Callable[[], None]]] = []
-        self._reserved: weakref.WeakKeyDictionary[Task, tuple[str, ...]] = weakref.WeakKeyDictionary()
-        self._awake: weakref.WeakSet[Task] = weakref.WeakSet()
-        self._names: weakref.WeakValueDictionary[str, Task] = weakref.WeakValueDictionary()
-        self._switch_on(self.coerce_rate(scene.converter.rate))
-
-    def _switch_on(self, rate: float) -> None:
-        scene = self.scene
-        if rate != scene.converter.rate:
-            scene = _at_rate(scene, rate)
-        self._passed = self.elapsed if self.position else self._passed
-        self._bench = Bench(scene)
-        if self.clock.runs_free:
-            # What has to be compiled is compiled before time begins to run: reads would wait for it in vain.
-            Bench(scene).acquire(np.zeros((len(self._bench.inputs), 64)))
-        self._operator = Operator(self._bench)
-        if self._output_taken:
-            self._operator.leave_shaker()
+        self._reserved: dict[Runner, tuple[Hashable, ...]] = {}
+        self._awake: weakref.WeakSet[Any] = weakref.WeakSet()
+        self.tasks: dict[str, Runner] = {}
         self.position = 0
+        self._switch_on(None)
+        self.held = np.zeros(len(self.source.drive_per_volt))
+
+    def _switch_on(self, rate: float | None) -> None:
+        self._passed = self.elapsed if self.position else self._passed
+        self.source = self._make(rate)
+        if self._output_taken:
+            self.source.leave_outputs()
+        self.position = 0
+        # Ticks at which the clock on the wall was looked at, and what it said: the bench stands still at times.
+        self._anchors: list[tuple[int, int]] = []
+        self.anchor()
+
+    def anchor(self) -> None:
+        """Note the time of the tick that comes next; see `Timeline.anchor`."""
         # The fast and the manual clock know no date; times are then counted from the bench's power-on.
-        self._epoch_ns = time.time_ns() if self.clock.runs_free else 0
+        now = time.time_ns() if self.clock.runs_free else round(self.position * 1e9 / self.rate)
+        self._anchors.append((self.position, now))
 
     @property
     def rate(self) -> float:
-        """Samples per second of the bench's clock."""
-        return self._bench.rate
-
-    @property
-    def bench_scene(self) -> rig.Scene:
-        """The scene with the rate the clock runs at."""
-        return self._bench.scene
+        """Ticks of the bench's clock per second."""
+        return self.source.rate
 
     @property
     def elapsed(self) -> float:
@@ -123,10 +203,10 @@ class Chassis:
     def pass_time(self, seconds: float) -> None:
         """Let some bench time pass; while no task needs the bench, the wall clock's."""
         with self.changed:
-            bench, end = self._bench, self.position + round(seconds * self.rate)
+            source, end = self.source, self.position + round(seconds * self.rate)
 
             def over() -> bool:
-                return not self.live or self._bench is not bench or self.position >= end
+                return not self.live or self.source is not source or self.position >= end
 
             if self.live:
                 self.clock.wait(self, over, lambda: end - self.position, -1.0)
@@ -136,105 +216,148 @@ class Chassis:
 
     def time_ns(self, tick: int) -> int:
         """Time of a tick, ns: since 1970 on the real clock, since power-on on the others."""
-        return self._epoch_ns + round(tick * 1e9 / self.rate)
+        anchor, when = self._anchors[max(0, bisect_right(self._anchors, (tick, 1 << 63)) - 1)]
+        return when + round((tick - anchor) * 1e9 / self.rate)
 
-    @property
-    def inputs(self) -> tuple[ChannelInfo, ...]:
-        """What is connected to ai0, ai1, ...; each tells where it sits, what it measures, its sensitivity."""
-        return self._bench.channels
+    # What there is
 
-    @property
-    def outputs(self) -> int:
-        """Number of analog outputs: one if the scene has a shaker."""
-        return int("shaker" in self._bench.inputs)
-
-    @property
-    def drive_per_volt(self) -> float:
-        """What a volt at ao0 becomes, in the unit of the shaker's drive (V, N or m)."""
-        return DRIVE_PER_VOLT[self._bench.drive_units[self._bench.inputs.index("shaker")]]
-
-    @property
-    def input_range(self) -> float:
-        """Full scale of the inputs, ± V; infinite if the scene's converter has no range."""
-        return float(self.converter.range or math.inf)
-
-    @property
-    def converter(self) -> Converter:
-        """The scene's converter, with what its module's datasheet fills in."""
-        return filled_in(self.scene.converter)
-
-    def coerce_rate(self, rate: float) -> float:
-        """Give the rate the sample clock makes of a request, see `daq.instrument.sample_rates`."""
-        return coerced(rate, self.scene.converter)
-
-    # Tasks
-
-    def admit(self, task: Task, name: str) -> str:
-        """Take a new task in and give it its name."""
-        with self.changed:
-            if not name:
-                number = 0
-                while f"_unnamedTask<{number}>" in self._names:
-                    number += 1
-                name = f"_unnamedTask<{number}>"
-            elif name in self._names:
-                raise DaqError(
-                    f"there is a task named {name!r} already: close it first, or choose another name",
-                    DAQmxErrors.DUPLICATE_TASK,
-                )
-            self._names[name] = task
-            return name
-
-    def dismiss(self, task: Task) -> None:
-        """Forget a task that has been closed."""
-        with self.changed:
-            self.release(task)
-            self._awake.discard(task)
-            self._names.pop(task.name, None)
-
-    def reserve(self, task: Task, resources: tuple[str, ...], rate: float | None) -> None:
-        """Reserve modules for a task and set the clock to its rate.
+    def module(self, name: str) -> Module:
+        """Find a device by its name; names the driver gives stand for all inputs and outputs.
 
         Raises
         ------
         DaqError
-            With -50103, if another task has a module, or runs the clock at another rate.
+            With -200220, if no device goes by that name.
+        """
+        bare = name.strip().lstrip("/").partition("/")[0]
+        found = self.modules.get(bare.lower())
+        if found is not None:
+            return found
+        everything = self.modules.get("")
+        if everything is not None and GIVEN_BY_DRIVER.fullmatch(bare):
+            from dataclasses import replace
+
+            return replace(everything, name=bare)
+        raise DaqError(
+            f"there is no device {name!r}: the bench has {', '.join(self.device_names)}"
+            + (", which also go by names like Dev1, cDAQ1Mod1, PXI1Slot2" if everything else ""),
+            Code.INVALID_DEVICE_ID,
+        )
+
+    @property
+    def device_names(self) -> list[str]:
+        """Names of the devices on the bench."""
+        return [each.name for each in self.modules.values() if each.name]
+
+    def modules_of(self, chassis: str) -> list[str]:
+        """Names of the modules in a chassis, by slot."""
+        found = [each for each in self.modules.values() if each.chassis and each.chassis == chassis]
+        return [each.name for each in sorted(found, key=lambda each: each.slot)]
+
+    # Tasks
+
+    def admit(self, task: Runner, name: str) -> str:
+        """Take a new task in and give it its name."""
+        with self.changed:
+            if not name:
+                number = 0
+                while f"_unnamedTask<{number:X}>" in self.tasks:
+                    number += 1
+                name = f"_unnamedTask<{number:X}>"
+            elif name in self.tasks:
+                raise DaqError(
+                    f"there is a task named {name!r} already: close it first, or choose another name",
+                    Code.DUPLICATE_TASK,
+                )
+            self.tasks[name] = task
+            return name
+
+    def dismiss(self, task: Runner) -> None:
+        """Forget a task that has been closed."""
+        with self.changed:
+            self.release(task)
+            self._awake.discard(task)
+            self.tasks.pop(task.name, None)
+
+    def reserve(self, task: Runner, resources: tuple[Hashable, ...]) -> None:
+        """Reserve what a task needs and set the clock so that it runs at the task's rates.
+
+        Parameters
+        ----------
+        task : Runner
+            The task.
+        resources : tuple
+            Names of modules' inputs; numbers of the bench's drives.
+
+        Raises
+        ------
+        DaqError
+            With -50103, if another task has it, or what runs would have to be stopped to change the clock.
         """
         with self.changed:
             for other, theirs in self._reserved.items():
-                shared = set(resources) & set(theirs)
-                if other is task or not (shared or (rate is not None and rate != self.rate)):
-                    continue
-                what = (
-                    f"{', '.join(sorted(shared))} is in use"
-                    if shared
-                    else f"the sample clock runs at {self.rate:g} S/s"
-                )
-                raise DaqError(
-                    f"the resource is reserved: {what} by task {other.name!r}; stop or close that task, "
-                    "put the "
-                    "channels into one task, or let both run at one rate",
-                    DAQmxErrors.PAL_RESOURCE_RESERVED,
-                    task.name,
-                )
-            if rate is not None and rate != self.rate:
-                self._switch_on(rate)
-            if "ao0" in resources:
+                shared = [str(each) for each in resources if each in theirs]
+                if other is not task and shared:
+                    raise DaqError(
+                        f"the resource is reserved: {', '.join(sorted(shared))} is in use by task "
+                        f"{other.name!r}; stop or close that task, or put the channels into one task",
+                        Code.PAL_RESOURCE_RESERVED,
+                    )
+            self._set_clock(task)
+            if any(isinstance(each, int) for each in resources) and not self._output_taken:
                 self._output_taken = True
-                self._operator.leave_shaker()
+                self.source.leave_outputs()
             self._reserved[task] = resources
 
-    def release(self, task: Task) -> None:
+    def _set_clock(self, task: Runner) -> None:
+        """Let the clock tick so that a task's rate divides it, and those of tasks that may run beside it.
+
+        Tasks that are configured but not started count too, as long as one clock makes all their rates. What
+        runs is not disturbed: the clock then stays as it is. Outputs need not divide it, they hold samples.
+        """
+        mine = task.rate_needed
+        if mine is None:
+            return
+        if any(each is not task for each in (*self.inputs, *self.outputs)):
+            if mine.divides and not _divides({mine.rate}, self.rate):
+                names = ", ".join(repr(each.name) for each in (*self.inputs, *self.outputs))
+                raise DaqError(
+                    f"the resource is reserved: the sample clock ticks at {self.rate:g} S/s for task {names}, "
+                    f"and {mine.rate:g} S/s does not divide that; start the faster task first, or configure "
+                    "both before starting one",
+                    Code.PAL_RESOURCE_RESERVED,
+                )
+            return
+        others = [each for task in self.tasks.values() if (each := task.rate_needed) is not None]
+        held = [each for task in self._reserved if (each := task.rate_needed) is not None]
+        for needed in ([mine, *others], [mine, *held], [mine]):
+            exact = {each.rate for each in needed if each.divides}
+            rate = _common_multiple({each.rate for each in needed}) or _common_multiple(exact)
+            if rate is not None:
+                break
+        else:
+            rate = mine.rate
+        if rate != self.rate:
+            self._switch_on(rate)
+
+    def release(self, task: Runner) -> None:
         """Give back what a task reserved and run it no more."""
         with self.changed:
             self._reserved.pop(task, None)
-            self.running_inputs.pop(task, None)
-            self.running_outputs.pop(task, None)
+            self.halt(task)
+
+    def halt(self, task: Runner) -> None:
+        """Run a task no more; what it reserved stays reserved."""
+        with self.changed:
+            self.inputs.pop(task, None)
+            self.outputs.pop(task, None)
             self.changed.notify_all()
 
-    def wake(self, task: Task) -> None:
+    def wake(self, task: Runner) -> None:
         """Let time pass from now on, for as long as this task is open."""
         with self.changed:
+            if not self.live:
+                self.anchor()
             self._awake.add(task)
             self.clock.start(self)
 
@@ -243,81 +366,85 @@ class Chassis:
         """Whether any task that has been started is still open."""
         return len(self._awake) > 0
 
-    @property
-    def samples_dtype(self) -> type[np.generic]:
-        """Kind of the converter's samples."""
-        return np.float64 if self.inputs and self.inputs[0].volts_per_count is None else np.int32
+    def run_input(self, task: Runner, plan: InputPlan) -> InputEngine:
+        """Start an acquisition."""
+        self.inputs[task] = InputEngine(plan, self.source, self.position)
+        return self.inputs[task]
+
+    def run_output(self, task: Runner, plan: OutputPlan, buffer: OutputBuffer) -> Generation:
+        """Start a generation."""
+        held = self.held[list(plan.rows)]
+        self.outputs[task] = Generation(plan, buffer, self.position, held)
+        return self.outputs[task]
+
+    def wait(self, ready: Callable[[], bool], missing: Callable[[], int], timeout: float) -> bool:
+        """Let time pass until something is ready; see `Clock.wait`."""
+        return self.clock.wait(self, ready, missing, timeout)
 
     # Time
 
     def advance(self, samples: int) -> None:
-        """Let samples pass: outputs drive the plant, inputs take what comes, callbacks are called."""
+        """Let ticks pass: outputs drive the plant, inputs take what comes, events are told."""
         with self.changed:
-            bench, target = self._bench, self.position + samples
-            while self._bench is bench and self.position < target:
+            source, target = self.source, self.position + samples
+            while self.source is source and self.position < target:
                 self._step(target - self.position)
 
     def _step(self, limit: int) -> None:
-        bench, tick = self._bench, self.position
-        samples = self._operator.horizon(min(limit, _BLOCK))
+        source, tick = self.source, self.position
+        samples = source.horizon(min(limit, _BLOCK))
         if self._output_waits_on_data():
             samples = 1
-        for task in self.running_inputs:
-            samples = min(samples, task.run.log_horizon())
-        if not self.clock.runs_free:
-            # Callbacks come exactly when they are due, so that what they find does not depend on who waits.
-            for task in [*self.running_inputs, *self.running_outputs]:
-                samples = min(samples, task.events.horizon())
-        drive = self._operator.drive(samples).copy()
-        if self._output_taken and self.outputs:
-            shaker = bench.inputs.index("shaker")
-            drive[shaker] = self.held[0]
-            for generation in self.running_outputs.values():
-                drive[shaker] = generation.produce(tick, samples, self.moment)[0]
-                self.held = generation.held
-            drive[shaker] *= self.drive_per_volt
-        block = bench.acquire(drive)
+        for task in (*self.inputs, *self.outputs):
+            samples = max(1, min(samples, task.horizon()))
+        volts = None
+        if self._output_taken:
+            volts = np.repeat(self.held[:, None], samples, axis=1)
+            for generation in self.outputs.values():
+                rows = list(generation.plan.rows)
+                volts[rows] = generation.produce(tick, samples, self.moment)
+                self.held[rows] = generation.held
+        block = source.acquire(volts, samples)
         self.position += samples
         # Tasks that wait for others come last.
-        for acquisition in sorted(
-            self.running_inputs.values(), key=lambda each: isinstance(each.plan.start, OtherTask)
-        ):
-            self._give(acquisition, block)
-        self._operator.hear(block.samples, samples)
-        for task in [*self.running_inputs, *self.running_outputs]:
-            task.run.log_samples()
+        waiting = sorted(self.inputs.values(), key=lambda e: isinstance(e.acquisition.plan.start, OtherTask))
+        for engine in waiting:
+            self._give(engine, block)
+        for listener in self.listeners:
+            listener(source, block)
         self.changed.notify_all()
-        if not self.clock.runs_free:
-            for task in [*self.running_inputs, *self.running_outputs]:
-                task.events.deliver()
+        curious = [task for task in (*self.inputs, *self.outputs) if task.passed()]
+        if curious and not self.clock.runs_free:
+            self.changed.wait_for(lambda: all(task.answered for task in curious), _ANSWER_S)
         for alarm in [each for each in self._alarms if each[0] <= self.elapsed]:
             self._alarms.remove(alarm)
             alarm[1]()
 
-    def _give(self, acquisition: Acquisition, block: AcquiredBlock) -> None:
-        """Give an acquisition its samples, up to a stretch that is lost on the way."""
+    def _give(self, engine: InputEngine, block: Any) -> None:
+        """Give an engine its samples, up to a stretch that is lost on the way."""
+        acquisition = engine.acquisition
         if acquisition.done:
             return
         stop = block.first + block.samples.shape[1]
-        lost = [first for first, last in self._bench.lost if block.first <= last and first < stop]
+        lost = [first for first, last in self.source.lost if block.first <= last and first < stop]
         kept = slice(0, max(0, min(lost) - block.first)) if lost else slice(None)
-        acquisition.take(block.first, block.samples[:, kept], block.overload[:, kept], self.moment)
+        engine.take(block.first, block.samples[:, kept], block.overload[:, kept], self.moment)
         if lost and not acquisition.done:
             acquisition.stop(
                 DaqError(
                     f"samples were lost on the way from the converter, from number {min(lost)} on "
                     "(the scene's converter.dropped_blocks); stop and start the task to acquire again",
-                    DAQmxErrors.INPUT_FIFO_OVERFLOW_2,
+                    Code.INPUT_FIFO_OVERFLOW_2,
                 )
             )
 
     def moment(self, source: OtherTask) -> int | None:
         """Find the tick at which another task started or was triggered; None if it has not been."""
-        runs = self.running_inputs if source.kind == "ai" else self.running_outputs
+        runs: dict[Any, Any] = self.inputs if source.kind == "ai" else self.outputs
         device = source.device.lower()
         named = [run for task, run in runs.items() if device and task.device.lower().startswith(device)]
         for run in named or runs.values():
-            if isinstance(run, Acquisition):
+            if isinstance(run, InputEngine):
                 found = run.start_tick(source.reference, self.position)
             else:
                 found = None if source.reference else run.start_tick(self.position)
@@ -326,33 +453,35 @@ class Chassis:
         return None
 
     def _output_waits_on_data(self) -> bool:
-        """Whether samples not yet taken may start an output: then time goes by the sample."""
+        """Whether samples not yet taken may start an output: then time goes by the tick."""
         waiting = [
             run.plan.start
-            for run in self.running_outputs.values()
+            for run in self.outputs.values()
             if run.first_tick is None
             and isinstance(run.plan.start, OtherTask)
             and run.plan.start.kind == "ai"
         ]
         return any(
-            source.reference or run.waits_on_data
+            source.reference or run.acquisition.waits_on_data
             for source in waiting
-            for run in self.running_inputs.values()
+            for run in self.inputs.values()
             if self.moment(source) is None
         )
 
     def fail(self, error: BaseException) -> None:
         """Hear that the simulation has failed: show why, and end what waits for it."""
         traceback.print_exception(error)
-        self._stop_all(DaqError(f"the simulation of the scene has failed: {error!r}", DAQmxErrors.UNKNOWN))
+        self._stop_all(DaqError(f"the simulation of the scene has failed: {error!r}", Code.UNKNOWN))
 
     def _stop_all(self, error: DaqError) -> None:
         with self.changed:
-            for acquisition in self.running_inputs.values():
-                acquisition.stop(error)
-            for generation in self.running_outputs.values():
+            for engine in self.inputs.values():
+                engine.acquisition.stop(error)
+            for generation in self.outputs.values():
                 generation.stop(error)
             self.changed.notify_all()
+            for task in (*self.inputs, *self.outputs):
+                task.passed()
 
     def lag(self, seconds: float) -> bool:
         """Hear how far the bench is behind the wall clock; too far, and its buffers have overflown."""
@@ -362,23 +491,31 @@ class Chassis:
             DaqError(
                 f"input overflow: this machine simulates the scene {seconds:.0f} s behind real time at "
                 f"{self.rate:g} S/s; lower the rate, simplify the scene or use the fast clock",
-                DAQmxErrors.INPUT_FIFO_OVERFLOW_2,
+                Code.INPUT_FIFO_OVERFLOW_2,
             )
         )
         return True
 
 
-def _at_rate(scene: rig.Scene, rate: float) -> rig.Scene:
-    """Change a scene's sample rate; its test stays away where samples at that rate cannot tell its tones."""
-    converter = scene.converter.replace(rate=rate)
-    try:
-        return scene.replace(converter=converter)
-    except SceneError as error:
-        quiet = scene.replace(converter=converter, test=None)
-        warnings.warn(
-            f"the test of scene {scene.name!r} cannot be played, the bench stays quiet until a script drives it: "
-            f"{error}",
-            RuntimeWarning,
-            stacklevel=2,
-        )
-        return quiet
+def _fraction(rate: float) -> Fraction:
+    """Give a rate as a ratio of whole numbers: module rates are a clock divided by one."""
+    return Fraction(rate).limit_denominator(10_000)
+
+
+def _common_multiple(rates: set[float]) -> float | None:
+    """Find the lowest rate that all of some divide; None if it is out of reach."""
+    if not rates:
+        return None
+    if len(rates) == 1:
+        return next(iter(rates))
+    ratios = [_fraction(each) for each in rates]
+    common = Fraction(
+        math.lcm(*(each.numerator for each in ratios)), math.gcd(*(each.denominator for each in ratios))
+    )
+    fastest = max(ratios)
+    return float(common) if common <= _MOST_TICKS * fastest else None
+
+
+def _divides(rates: set[float], rate: float) -> bool:
+    """Whether a clock makes all rates by leaving ticks out."""
+    return all(abs(rate / each - round(rate / each)) < 1e-6 and round(rate / each) >= 1 for each in rates)

@@ -5,11 +5,11 @@ wait (a read, a write into a full buffer, `wait_until_done`) asks the clock; tim
 
 * `FastClock`: time passes only while somebody waits, as quickly as the machine computes. A run is
   deterministic: nothing happens between two calls. Who asks again and again how far a task has come waits too
-  (see `Clock.glance`). Callbacks run on the thread that waits.
+  (see `Clock.glance`). Time stands still for a moment when an event is told, for whoever answers it.
 * `RealClock`: a thread keeps the bench at wall-clock time, whether anybody waits or not. A slow reader is
-  overrun as with hardware. Callbacks run on a thread of their own.
+  overrun as with hardware.
 * `ManualClock`: time passes when `ManualClock.advance` is called. Waiting for samples that have not come gives
-  up at once, as nobody else can bring them. Callbacks run on the thread that advances.
+  up at once, as nobody else can bring them.
 """
 
 from __future__ import annotations
@@ -21,7 +21,26 @@ import weakref
 from collections.abc import Callable
 from typing import Protocol
 
+from daq.instrument.errors import bad
 from rig.errors import SceneError
+
+
+def seconds(timeout: float) -> float:
+    """Give a time to wait, s; negative for ever.
+
+    Raises
+    ------
+    DaqError
+        With -200077, if it is no time.
+
+    Examples
+    --------
+    >>> seconds(2), seconds(-1.0), seconds(float("inf"))
+    (2.0, -1.0, -1.0)
+    """
+    if math.isnan(timeout):
+        raise bad(f"timeout is {timeout}: expected seconds, or -1 to wait for ever")
+    return -1.0 if timeout == math.inf else float(timeout)
 
 
 class Timeline(Protocol):
@@ -48,6 +67,9 @@ class Timeline(Protocol):
 
     def fail(self, error: BaseException) -> None:
         """Hear that time cannot go on."""
+
+    def anchor(self) -> None:
+        """Hear that bench time goes on from now, wherever it has stood still."""
 
     def lag(self, seconds: float) -> bool:
         """Hear that the machine is this far behind the clock; say whether to give that time up as lost."""
@@ -220,6 +242,7 @@ def _follow(reference: weakref.ref[Timeline], moving: weakref.WeakSet[Timeline])
             now = time.monotonic_ns()
             if origin is None or origin[2] != bench.rate or bench.position < origin[1]:
                 origin = (now, bench.position, bench.rate)
+                bench.anchor()
             due = origin[1] + (now - origin[0]) * bench.rate // 10**9 - bench.position
             if due > 0:
                 try:

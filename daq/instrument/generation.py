@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.face import argument
-from daq.face.triggers import OtherTask, SyncPulse
 from daq.instrument.acquisition import Moment
-from daq.instrument.errors import DaqError, DAQmxErrors
+from daq.instrument.errors import Code, DaqError
+from daq.instrument.ring_buffer import room
+from daq.instrument.triggers import AtTick, OtherTask, SyncPulse
 
 Array = NDArray[np.float64]
 
@@ -29,7 +31,7 @@ class OutputBuffer:
     """
 
     def __init__(self, channels: int, size: int | None) -> None:
-        self.data: Array = argument.room(channels, size or 0)
+        self.data: Array = room(channels, size or 0)
         self.written = 0
         self._grows = size is None
 
@@ -61,20 +63,26 @@ class OutputPlan:
 
     Attributes
     ----------
+    rows : tuple of int
+        The bench's drives, in the order of the task's channels.
     rate : float
-        Samples per second.
+        Ticks of the bench per second.
+    per_tick : Fraction
+        Samples of the output per tick of the bench.
     samples : int or None
         Samples of a finite generation; None for a continuous one.
     regenerate : bool
         Whether the buffer may be played again.
-    start : SyncPulse, OtherTask or None
+    start : SyncPulse, AtTick, OtherTask or None
         Start trigger.
     """
 
+    rows: tuple[int, ...]
     rate: float
+    per_tick: Fraction
     samples: int | None
     regenerate: bool
-    start: SyncPulse | OtherTask | None = None
+    start: SyncPulse | AtTick | OtherTask | None = None
 
 
 class Generation:
@@ -104,6 +112,7 @@ class Generation:
     def __init__(self, plan: OutputPlan, buffer: OutputBuffer, tick: int, held: Array) -> None:
         self.plan, self.buffer, self.held = plan, buffer, held
         self.generated = 0
+        self._passed = 0
         self.done = False
         self.error: DaqError | None = None
         self.armed_at = tick
@@ -115,13 +124,18 @@ class Generation:
             self.first_tick = self.armed_at
 
     @property
+    def begun(self) -> bool:
+        """Whether it has started to put samples out."""
+        return self.first_tick is not None
+
+    @property
     def to_come(self) -> int:
         """Samples in the buffer that have not been played yet, without regeneration."""
         return self.buffer.written - self.generated
 
     def start_tick(self, tick: int) -> int | None:
         """Tell others when this task started, or will."""
-        if self.first_tick is None and isinstance(self.plan.start, SyncPulse):
+        if self.first_tick is None and isinstance(self.plan.start, SyncPulse | AtTick):
             return self.plan.start.next_tick(max(tick, self.armed_at), self.plan.rate)
         return self.first_tick
 
@@ -129,7 +143,12 @@ class Generation:
         """Ticks that must pass at least until a finite generation is complete."""
         if self.first_tick is None or self.plan.samples is None:
             return max(1, int(self.plan.rate / 100))
-        return self.plan.samples - self.generated
+        return max(1, self.ticks_until(self.plan.samples))
+
+    def ticks_until(self, samples: int) -> int:
+        """Count the ticks from here on until so many samples have been put out in all."""
+        assert self.first_tick is not None
+        return math.ceil(samples / self.plan.per_tick) - self._passed
 
     def produce(self, tick: int, count: int, moment: Moment) -> Array:
         """Make the volts of the next ticks, shape (channels, count)."""
@@ -141,32 +160,35 @@ class Generation:
             if self.first_tick is None:
                 return out
         at = max(0, self.first_tick - tick)
-        wanted = count - at
-        if self.plan.samples is not None:
-            wanted = min(wanted, self.plan.samples - self.generated)
-        made = wanted if self.plan.regenerate else min(wanted, self.to_come)
-        index = (self.generated + np.arange(made)) % self.buffer.size
-        out[:, at : at + made] = self.buffer.data[:, index]
+        began, self._passed = self._passed, self._passed + count - at
+        ratio = self.plan.per_tick
+        # Samples in their turn: an output that is slower than the bench holds each of them for a while.
+        turn = (began + np.arange(count - at)) * ratio.numerator // ratio.denominator
+        last = self._passed * ratio.numerator // ratio.denominator
+        ends = [] if self.plan.samples is None else [self.plan.samples]
+        if not self.plan.regenerate:
+            ends.append(self.buffer.written)
+        made = int(np.searchsorted(turn, min(ends))) if ends else turn.size
+        out[:, at : at + made] = self.buffer.data[:, turn[:made] % self.buffer.size]
         if made:
             self.held = out[:, at + made - 1].copy()
         out[:, at + made :] = self.held[:, None]
-        self.generated += made
-        if made < wanted:
+        self.generated = min([int(turn[-1]) + 1, *ends]) if turn.size else self.generated
+        if made < turn.size and self.generated != self.plan.samples:
             self.stop(
                 DaqError(
                     "the output has stopped because it ran out of new samples: write earlier or more at a "
-                    "time, "
-                    "or allow regeneration (out_stream.regen_mode)",
-                    DAQmxErrors.GEN_STOPPED_TO_PREVENT_REGEN_OF_OLD_SAMPLES,
+                    "time, or allow regeneration (out_stream.regen_mode)",
+                    Code.GEN_STOPPED_TO_PREVENT_REGEN_OF_OLD_SAMPLES,
                 )
             )
-        if self.generated == self.plan.samples:
+        if self.plan.samples is not None and last >= self.plan.samples:
             self.done = True
         return out
 
     def _find_start(self, tick: int, count: int, moment: Moment) -> int | None:
         source = self.plan.start
-        if isinstance(source, SyncPulse):
+        if isinstance(source, SyncPulse | AtTick):
             when: int | None = source.next_tick(max(self.armed_at, tick), self.plan.rate)
         else:
             assert source is not None

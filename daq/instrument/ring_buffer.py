@@ -7,7 +7,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from daq.face import argument
+from daq.instrument.errors import bad
+
+# A buffer larger than this is refused, bytes: a machine that swaps is of no use to anybody.
+MOST_BYTES = 2 << 30
+
+
+def room(channels: int, samples: int, dtype: DTypeLike = np.float64) -> NDArray[Any]:
+    """Make an array of zeros, shape (channels, samples).
+
+    Raises
+    ------
+    DaqError
+        With -200077, if there is no memory for it.
+    """
+    if samples < 0:
+        raise bad(f"{samples} samples per channel: expected 0 at least, or READ_ALL_AVAILABLE (-1)")
+    if channels * samples * np.dtype(dtype).itemsize <= MOST_BYTES:
+        try:
+            return np.zeros((channels, samples), dtype)
+        except MemoryError:
+            pass
+    raise bad(
+        f"{samples} samples of {channels} channels do not fit into the memory of this instrument: take fewer "
+        "at a time, and use AcquisitionType.CONTINUOUS for an acquisition that goes on for long"
+    )
 
 
 class RingBuffer:
@@ -41,7 +65,7 @@ class RingBuffer:
     """
 
     def __init__(self, channels: int, size: int, dtype: DTypeLike) -> None:
-        self._data: NDArray[Any] = argument.room(channels, size, dtype)
+        self._data: NDArray[Any] = room(channels, size, dtype)
         self.written = 0
 
     @property

@@ -1,27 +1,22 @@
-"""Running a script with the rig as its hardware, for the real package nidaqmx and for `daq.nidaqmx`."""
+"""Running a script for NI's client with the rig as its hardware: `daq run`."""
 
 from __future__ import annotations
 
-import builtins
-import importlib.util
 import math
-import runpy
+import os
 import signal
+import subprocess
 import sys
-import threading
-import time
-import traceback
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-from daq.instrument.chassis import Chassis
-from daq.instrument.connection import connect
+from daq.instrument.connecting import connect_scene
+from daq.server.bench_time import BenchTime, TimeLimit
+from daq.server.client_defaults import FAST, LIMITED, SERVER
+from daq.server.service import Server
 from rig.errors import SceneError
 
-# How long a script that asks for Enter is left waiting on the fast clock, s of bench time.
-PROMPT = 10.0
+STARTUP = Path(__file__).resolve().parent / "startup"
 
 
 def run_script(
@@ -31,7 +26,7 @@ def run_script(
     clock: str | None = None,
     seconds: float | None = None,
 ) -> int:
-    """Run a script as Python would, with the rig as its hardware.
+    """Run a script as Python would, in a process of its own, with the rig as its hardware.
 
     Parameters
     ----------
@@ -62,113 +57,36 @@ def run_script(
         raise SceneError(f"seconds {seconds:g}: expected a time above 0; leave it out for no limit")
     if not path.is_file():
         raise SceneError(f"there is no script {path}: give the path of a Python file")
-    chassis = connect(scene, clock)
-    if importlib.util.find_spec("nidaqmx") is not None:
-        from daq.face.interpreter import plug_in
-
-        plug_in()
-    limit = _Limit(chassis, seconds)
-    with _as_main(path, arguments), _passing_time(chassis, limit):
-        try:
-            runpy.run_path(str(path), run_name="__main__")
-        except SystemExit as end:
-            return _exit_code(end)
-        except KeyboardInterrupt:
-            if not limit.reached:
-                raise
-        except ModuleNotFoundError as error:
-            _show(error, path)
-            if error.name == "nidaqmx":
-                print("The real nidaqmx package comes with: pip install 'shotrig[nidaqmx]'", file=sys.stderr)
-            return 1
-        except Exception as error:
-            _show(error, path)
-            return 1
-    return 0
-
-
-class _Limit:
-    """Ends a script after a time on the bench."""
-
-    def __init__(self, chassis: Chassis, seconds: float | None) -> None:
-        self._chassis, self._seconds = chassis, seconds
-        self.reached = False
-        if seconds is not None:
-            chassis.at(seconds, self._interrupt)
-
-    @property
-    def limited(self) -> bool:
-        """Whether there is a limit."""
-        return self._seconds is not None
-
-    def left(self) -> float:
-        """Seconds a prompt waits: until the limit, if there is one."""
-        return PROMPT if self._seconds is None else max(0.0, self._seconds - self._chassis.elapsed)
-
-    def answer(self) -> None:
-        """Let the prompt's answer be the end."""
-        self.reached = True
-
-    def _interrupt(self) -> None:
-        if self.reached:
-            return
-        self.reached = True
-        main = threading.main_thread()
-        if threading.current_thread() is main:
-            raise KeyboardInterrupt
-        assert main.ident is not None
-        signal.pthread_kill(main.ident, signal.SIGINT)
-
-
-@contextmanager
-def _as_main(path: Path, arguments: Sequence[str]) -> Iterator[None]:
-    """Give a script the arguments and the import path Python would give it."""
-    argv, first = sys.argv, str(path.resolve().parent)
-    sys.argv = [str(path), *arguments]
-    sys.path.insert(0, first)
+    chassis = connect_scene(scene, clock)
+    limit = TimeLimit(chassis, seconds)
+    server = Server(chassis, further=(BenchTime(chassis, limit),))
     try:
-        yield
+        return _run([str(path), *arguments], server.port, chassis.clock.runs_free, limit)
     finally:
-        sys.argv = argv
-        sys.path.remove(first)
+        server.close()
 
 
-@contextmanager
-def _passing_time(chassis: Chassis, limit: _Limit) -> Iterator[None]:
-    """Let bench time pass where a script waits for something else than the bench."""
-    sleep, prompt = time.sleep, builtins.input
-
-    def wait_for_enter(text: object = "", /) -> str:
-        print(text, end="", flush=True)
-        left = limit.left()
-        limit.answer()
-        chassis.pass_time(left)
-        return ""
-
-    fast = not chassis.clock.runs_free
-    timed: Any = chassis.pass_time
-    if fast:
-        time.sleep = timed
-    if fast or limit.limited:
-        builtins.input = wait_for_enter
+def _run(command: list[str], port: int, real: bool, limit: TimeLimit) -> int:
+    paths = [str(STARTUP), *filter(None, [os.environ.get("PYTHONPATH")])]
+    environment = os.environ | {SERVER: f"127.0.0.1:{port}", "PYTHONPATH": os.pathsep.join(paths)}
+    # Forked children make connections of their own, which grpc allows if it is told beforehand.
+    environment |= {"GRPC_ENABLE_FORK_SUPPORT": "1"}
+    environment |= ({} if real else {FAST: "1"}) | ({} if limit.endless else {LIMITED: "1"})
+    process = subprocess.Popen([sys.executable, *command], env=environment)
+    limit.process = process.pid
+    # Ctrl-C is the script's to deal with; it reaches the whole group.
+    before = signal.signal(signal.SIGINT, lambda *_: None) if _in_main_thread() else None
     try:
-        yield
+        code = process.wait()
     finally:
-        time.sleep, builtins.input = sleep, prompt
+        if before is not None:
+            signal.signal(signal.SIGINT, before)
+    if code == -signal.SIGINT:
+        return 0 if limit.reached else 130
+    return code if code >= 0 else 128 - code
 
 
-def _exit_code(end: SystemExit) -> int:
-    if end.code is None or isinstance(end.code, int):
-        return end.code or 0
-    print(end.code, file=sys.stderr)
-    return 1
+def _in_main_thread() -> bool:
+    import threading
 
-
-def _show(error: BaseException, path: Path) -> None:
-    """Print a traceback that begins in the script; there is none if the script cannot be compiled."""
-    trace = error.__traceback__
-    while trace is not None and Path(trace.tb_frame.f_code.co_filename) != path:
-        trace = trace.tb_next
-    if trace is None and getattr(error, "filename", None) != str(path):
-        print(f"cannot run {path}:", file=sys.stderr)
-    traceback.print_exception(type(error), error, trace)
+    return threading.current_thread() is threading.main_thread()

@@ -13,11 +13,12 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import nidaqmx
 import numpy as np
+from nidaqmx.constants import AcquisitionType, LoggingMode, LoggingOperation
+from nidaqmx.stream_readers import AnalogMultiChannelReader
 
 import daq
-import daq.nidaqmx as nidaqmx
-from daq.nidaqmx.constants import AcquisitionType, LoggingMode, LoggingOperation
 from tests.benchmarks.chain import RATE, full_scene
 
 READS_PER_SECOND = 10
@@ -31,12 +32,15 @@ def memory() -> float:
 
 def measure(folder: Path, minutes: float) -> Iterator[str]:
     """Yield a line for each minute, and what came of it all."""
-    daq.connect(full_scene(), "real")
     path, samples = folder / "live.mcap", round(RATE / READS_PER_SECOND)
     # Five seconds are a whole number of periods.
     drive = 3.0 * np.sin(2 * np.pi * 34.8 / RATE * np.arange(round(5 * RATE)))
     overruns, read, held = 0, 0, []
-    with nidaqmx.Task() as inputs, nidaqmx.Task() as output:
+    with (
+        daq.connect(full_scene(), clock="real") as rig,
+        nidaqmx.Task(grpc_options=rig) as inputs,
+        nidaqmx.Task(grpc_options=rig) as output,
+    ):
         inputs.ai_channels.add_ai_voltage_chan("Dev1/ai0:3")
         inputs.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
         operation = LoggingOperation.CREATE_OR_REPLACE
@@ -48,7 +52,7 @@ def measure(folder: Path, minutes: float) -> Iterator[str]:
         output.write(drive)
         output.start()
         inputs.start()
-        reader = nidaqmx.stream_readers.AnalogMultiChannelReader(inputs.in_stream)
+        reader = AnalogMultiChannelReader(inputs.in_stream)
         data = np.zeros((4, samples))
         wall, busy = time.monotonic(), time.process_time()
         for turn in range(round(60 * minutes * READS_PER_SECOND)):

@@ -1,17 +1,16 @@
 import pytest
+from nidaqmx.constants import AcquisitionType, OverwriteMode
+from nidaqmx.errors import DaqReadError
 
-import daq
-from daq.face.constants import AcquisitionType, OverwriteMode
-from daq.face.task import Task
 from daq.instrument.clock import ManualClock
-from daq.instrument.errors import DaqReadError
+from tests.daq.client import Task, connect
 
 RATE = 5120.0
 
 
 @pytest.fixture
 def chassis():
-    return daq.connect("bare-structure", clock=ManualClock())
+    return connect("bare-structure", ManualClock())
 
 
 def acquiring(task):

@@ -1,9 +1,6 @@
 import numpy as np
 import pytest
-
-import daq
-import rig
-from daq.face.constants import (
+from nidaqmx.constants import (
     READ_ALL_AVAILABLE,
     AcquisitionType,
     LoggingMode,
@@ -11,16 +8,19 @@ from daq.face.constants import (
     OverwriteMode,
     Slope,
 )
-from daq.face.task import Task
+from nidaqmx.errors import DaqError, DaqReadError
+
+import daq
+import rig
 from daq.instrument.clock import ManualClock
-from daq.instrument.errors import DaqError, DaqReadError
+from tests.daq.client import Task, connect
 
 RATE = 5120.0
 
 
 @pytest.fixture
 def chassis():
-    return daq.connect("fig8-three-dampers", clock=ManualClock())
+    return connect("fig8-three-dampers", ManualClock())
 
 
 def logging(task, path, mode=LoggingMode.LOG_AND_READ, operation=LoggingOperation.CREATE, **timing):
@@ -98,23 +98,23 @@ def test_given_an_overrun_when_the_script_pauses_before_it_reads_on_then_nothing
 
 
 def test_given_two_modules_on_the_same_sensors_when_logging_then_both_are_in_the_recording(tmp_path):
-    chassis = daq.connect("fig8-three-dampers", clock=ManualClock())
+    chassis = connect("fig8-three-dampers", ManualClock())
     path = tmp_path / "modules.mcap"
     with Task() as task:
-        task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:2,cDAQ1Mod2/ai0:1")
-        task.ai_channels.add_ai_voltage_chan("cDAQ1Mod2/ai2", "third")
+        task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:2,Dev2/ai0:1")
+        task.ai_channels.add_ai_voltage_chan("Dev2/ai2", "third")
         task.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
         task.in_stream.configure_logging(path, operation=LoggingOperation.CREATE)
         task.start()
         chassis.advance(300)
         read = np.array(task.read(300))
         task.stop()
-        assert [each.name for each in task.devices] == ["cDAQ1Mod1", "cDAQ1Mod2"]
+        assert [each.name for each in task.devices] == ["cDAQ1Mod1", "Dev2"]
     assert np.array_equal(read[:3], read[3:])
     with daq.open(path) as recording:
         assert [*recording.channels] == [
             *("body1", "body2", "body3"),
-            *("body1 on cDAQ1Mod2", "body2 on cDAQ1Mod2", "third"),
+            *("body1 on Dev2", "body2 on Dev2", "third"),
         ]
         assert np.array_equal(recording.read("third"), recording.read("body3"))
 
@@ -154,7 +154,7 @@ def test_given_logging_alone_when_more_than_the_buffer_passes_at_once_then_nothi
 
 
 def test_given_a_reference_trigger_when_logging_then_the_recording_is_what_was_cut_out(tmp_path):
-    daq.connect("fig10b-no-damper", clock="fast")
+    connect("fig10b-no-damper", "fast")
     path = tmp_path / "hit.mcap"
     with Task() as task:
         task.ai_channels.add_ai_force_iepe_chan("Dev1/ai3", "force")
@@ -175,7 +175,7 @@ def test_given_samples_lost_on_the_way_when_logging_then_the_file_says_where_it_
     scene = rig.load("fig8-three-dampers")
     dropped = {"at": "0.1 s", "samples": 256}
     scene = scene.replace(converter=scene.converter.replace(dropped_blocks=[dropped]))
-    chassis = daq.connect(scene, clock=ManualClock())
+    chassis = connect(scene, ManualClock())
     path = tmp_path / name
     with Task("broken") as task:
         logging(task, path, mode)
@@ -215,8 +215,7 @@ def test_given_a_file_that_cannot_be_when_starting_then_the_error_says_what_to_d
         logging(task, tmp_path / name, operation=operation)
         with pytest.raises(DaqError, match=hint):
             task.start()
-        assert not task.is_running
-    assert (tmp_path / "old.mcap").read_bytes() == b"something"
+        assert (tmp_path / "old.mcap").read_bytes() == b"something"
 
 
 def test_given_a_tdms_name_when_logging_then_the_file_holds_the_readings(chassis, tmp_path):

@@ -1,22 +1,19 @@
-import gc
-import warnings
-
+import nidaqmx
 import numpy as np
 import pytest
+from nidaqmx.constants import AcquisitionType, Edge, RegenerationMode, TerminalConfiguration, VoltageUnits
+from nidaqmx.errors import DaqError, DaqReadError, DaqResourceWarning, DaqWriteError
 
-import daq
 import rig
-from daq.face.constants import AcquisitionType, Edge, RegenerationMode, VoltageUnits
-from daq.face.task import Task
 from daq.instrument.clock import ManualClock
-from daq.instrument.errors import DaqError, DaqReadError, DaqResourceWarning, DaqWarning, DaqWriteError
+from tests.daq.client import Task, connect, options
 
 RATE = 5120.0
 
 
 @pytest.fixture
 def chassis():
-    return daq.connect("bare-structure", clock=ManualClock())
+    return connect("bare-structure", ManualClock())
 
 
 def inputs(task, channels="Dev1/ai0", **timing):
@@ -30,21 +27,22 @@ def raised(kind=DaqError):
     return pytest.raises(kind)
 
 
-def test_given_a_finished_acquisition_when_reading_on_then_the_partial_count_comes_with_the_error(chassis):
+def test_given_a_finished_acquisition_when_more_is_read_than_there_is_then_what_there_is_comes(chassis):
     with Task() as task:
         inputs(task, samps_per_chan=100)
         task.start()
         chassis.advance(100)
+        assert len(task.read(150)) == 100
         with raised(DaqReadError) as caught:
-            task.read(150)
-        assert (caught.value.error_code, caught.value.samps_per_chan_read) == (-200278, 100)
+            task.read(1)
+        assert (caught.value.error_code, caught.value.samps_per_chan_read) == (-200278, 0)
 
 
 def test_given_samples_dropped_by_the_scene_when_they_are_due_then_the_input_overflows_and_can_be_restarted():
     scene = rig.load("bare-structure")
     dropped = {"at": "0.1 s", "samples": 256}
     scene = scene.replace(converter=scene.converter.replace(dropped_blocks=[dropped]))
-    chassis = daq.connect(scene, clock=ManualClock())
+    chassis = connect(scene, ManualClock())
     with Task() as task:
         inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
         task.start()
@@ -103,7 +101,6 @@ def test_given_an_output_that_ran_dry_when_nobody_has_been_told_then_stopping_sa
         with raised() as caught:
             task.stop()
         assert caught.value.error_code == -200290
-        assert not task.is_running
 
 
 def test_given_a_running_task_when_settings_are_changed_then_it_says_to_stop_first(chassis):
@@ -117,12 +114,12 @@ def test_given_a_running_task_when_settings_are_changed_then_it_says_to_stop_fir
             lambda: setattr(task.ai_channels[0], "ai_max", 1.0),
             lambda: setattr(task.in_stream, "input_buf_size", 10),
             lambda: task.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/PFI0"),
-            lambda: task.register_every_n_samples_acquired_into_buffer_event(10, print),
             task.start,
+            lambda: task.register_every_n_samples_acquired_into_buffer_event(10, print),
         ):
             with raised() as caught:
                 change()
-            assert caught.value.error_code == -200479
+            assert caught.value.error_code in (-200557, -200479, -200960)
             assert "stop()" in str(caught.value)
 
 
@@ -130,13 +127,11 @@ def test_given_a_running_task_when_settings_are_changed_then_it_says_to_stop_fir
     "name, code, hint",
     [
         ("Nothing/ai0", -200220, "cDAQ1Mod1"),
-        ("Dev1/ai4", -200170, "ai0:3"),
-        ("Dev1/ao0", -200170, "ai0:3"),
+        ("Dev1/ai4", -200170, "Dev1/ai3"),
+        ("Dev1/xy0", -200170, "ao0"),
         ("Dev1", -200170, "cDAQ1Mod1/ai0"),
         ("Dev1/ai0:x", -200498, "Dev1/ai0:3"),
         ("Dev1/ai0:99999999", -200498, "100000000"),
-        ("Dev1/ai0,Dev1/ai0", -200489, "once"),
-        ("Dev1/ai0,dev1/ai0", -200489, "once"),
     ],
 )
 def test_given_a_channel_that_is_not_there_when_adding_it_then_the_error_says_what_is(
@@ -149,7 +144,7 @@ def test_given_a_channel_that_is_not_there_when_adding_it_then_the_error_says_wh
 
 
 def test_given_limits_beyond_the_module_when_adding_a_channel_then_they_are_refused_and_others_coerced():
-    chassis = daq.connect("fig8-three-dampers", clock=ManualClock())
+    connect("fig8-three-dampers", ManualClock())
     with Task() as task:
         with raised() as caught:
             task.ai_channels.add_ai_accel_chan("Dev1/ai0", min_val=-100.0, max_val=100.0, sensitivity=100.0)
@@ -157,7 +152,7 @@ def test_given_limits_beyond_the_module_when_adding_a_channel_then_they_are_refu
         assert "-50 to 50 g" in str(caught.value)
         channel = task.ai_channels.add_ai_accel_chan("Dev1/ai0", sensitivity=100.0)
         assert (channel.ai_min, channel.ai_max) == pytest.approx((-50.0, 50.0))
-        assert (channel.ai_rng_high, chassis.input_range) == (5.0, 5.0)
+        assert channel.ai_rng_high == 5.0
 
 
 @pytest.mark.parametrize("rate", [0.0, -1.0, 96000.0])
@@ -173,29 +168,26 @@ def test_given_a_rate_the_clock_cannot_make_when_asked_for_then_it_is_refused(ch
 @pytest.mark.parametrize(
     "call, hint",
     [
+        (lambda task: task.ai_channels.add_ai_accel_chan("Dev1/ai1", units=VoltageUnits.VOLTS), "m/s^2"),
         (
-            lambda task: task.ai_channels.add_ai_accel_chan("Dev1/ai1", units=VoltageUnits.VOLTS),
-            "AccelUnits.G",
+            lambda task: task.ai_channels.add_ai_voltage_chan(
+                "Dev1/ai1", terminal_config=TerminalConfiguration.RSE
+            ),
+            "PSEUDO_DIFF",
         ),
-        (lambda task: task.ai_channels.add_ai_voltage_chan("Dev1/ai1", terminal_config=7), "PSEUDO_DIFF"),
-        (lambda task: task.ai_channels.add_ai_accel_chan("Dev1/ai1", min_val="low"), "min_val is 'low'"),
-        (lambda task: task.ai_channels.add_ai_accel_chan("Dev1/ai1", max_val=np.inf), "max_val is inf"),
-        (lambda task: task.timing.cfg_samp_clk_timing(RATE, sample_mode=Edge.RISING), "Type.CONTINUOUS"),
+        (lambda task: task.ai_channels.add_ai_accel_chan("Dev1/ai1", max_val=np.inf), "-5 to inf"),
+        (lambda task: task.timing.cfg_samp_clk_timing(RATE, sample_mode=Edge.RISING), "CONTINUOUS"),
         (lambda task: task.timing.cfg_samp_clk_timing(np.nan), "samp_clk_rate is nan"),
-        (lambda task: task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=np.inf), "samp_per_chan is inf"),
-        (lambda task: setattr(task.in_stream, "overwrite", Edge.RISING), "OVERWRITE_UNREAD_SAMPLES"),
-        (lambda task: setattr(task.out_stream, "regen_mode", 1), "ALLOW_REGENERATION"),
-        (lambda task: setattr(task.in_stream, "input_buf_size", "big"), "input_buf_size is 'big'"),
+        (lambda task: setattr(task.in_stream, "overwrite", Edge.RISING), "NOT_ALLOWED"),
+        (lambda task: setattr(task.out_stream, "regen_mode", Edge.RISING), "ALLOWED"),
         (
             lambda task: task.triggers.start_trigger.cfg_anlg_edge_start_trig(
                 "Dev1/ai0", trigger_level=np.nan
             ),
-            "anlg_edge_lvl is nan",
+            "lvl is nan",
         ),
-        (lambda task: task.control(99), "TASK_COMMIT"),
         (lambda task: task.wait_until_done(np.nan), "timeout is nan"),
         (lambda task: task.read(10, timeout=np.nan), "timeout is nan"),
-        (lambda task: task.read(-7), "READ_ALL_AVAILABLE"),
     ],
 )
 def test_given_a_value_that_cannot_be_when_it_is_passed_then_the_error_says_what_can(chassis, call, hint):
@@ -207,36 +199,24 @@ def test_given_a_value_that_cannot_be_when_it_is_passed_then_the_error_says_what
     assert hint in str(caught.value)
 
 
-@pytest.mark.parametrize("samples", [10**13, 10**19])
+@pytest.mark.parametrize("samples", [10**13])
 def test_given_more_samples_than_memory_when_they_are_to_be_acquired_then_it_says_so(chassis, samples):
     with Task() as task:
         inputs(task, samps_per_chan=samples)
-        for call in (task.start, lambda: task.read(samples), lambda: task.read(-1)):
-            with raised() as caught:
-                call()
-            assert caught.value.error_code == -200077
-            assert "memory" in str(caught.value)
-            assert not task.is_running
+        with raised() as caught:
+            task.start()
+        assert caught.value.error_code == -200077
+        assert "memory" in str(caught.value)
 
 
 @pytest.mark.parametrize("timeout", [-1.0, np.inf])
 def test_given_a_timeout_for_ever_when_waiting_then_it_waits_until_the_task_is_done(timeout):
-    daq.connect("bare-structure", clock="fast")
+    connect("bare-structure", "fast")
     with Task() as task:
         inputs(task, samps_per_chan=512)
         task.start()
         task.wait_until_done(timeout)
         assert task.is_task_done()
-
-
-@pytest.mark.parametrize("data", [{}, "loud", [[1.0, 2.0], [3.0]], np.zeros((1, 1, 5)), np.array([1j])])
-def test_given_data_that_are_no_samples_when_writing_then_it_says_what_samples_are(chassis, data):
-    with Task() as task:
-        task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
-        with raised() as caught:
-            task.write(data)
-    assert caught.value.error_code == -200077
-    assert "(channels, n)" in str(caught.value)
 
 
 @pytest.mark.parametrize("sensitivity", [0.0, -100.0, 1e-310, np.inf, np.nan])
@@ -257,8 +237,6 @@ def test_given_a_sensitivity_that_cannot_be_when_it_is_set_then_it_is_refused_an
         task.start()
         chassis.advance(5)
         assert len(task.read(5)) == 5
-        with pytest.warns(DaqWarning):
-            task.stop()
 
 
 def test_given_two_tasks_for_one_module_when_both_start_then_the_second_is_told_who_has_it(chassis):
@@ -275,7 +253,7 @@ def test_given_two_tasks_for_one_module_when_both_start_then_the_second_is_told_
         with raised() as caught:
             third.start()
         assert caught.value.error_code == -50103
-        assert "5120 S/s" in str(caught.value)
+        assert "faster task first" in str(caught.value)
         first.stop()
         second.start()
 
@@ -288,14 +266,12 @@ def test_given_wrong_use_when_reading_or_writing_then_each_has_its_code(chassis)
 
     with Task() as empty, Task() as reading, Task() as driving:
         assert code(empty.start) == -200478
-        assert code(empty.read) == -200460
-        assert code(empty.write, 1.0) == -200459
+        assert code(empty.read) == -200478
         inputs(reading, sample_mode=AcquisitionType.CONTINUOUS)
         reading.in_stream.auto_start = False
         assert code(reading.read, 10) == -200473
         assert code(lambda: reading.in_stream.overloaded_chans) == -200362
         driving.ao_channels.add_ao_voltage_chan("Dev1/ao0")
-        assert code(driving.write, np.zeros(10)) == -200539
         driving.timing.cfg_samp_clk_timing(RATE, samps_per_chan=10)
         assert code(driving.start) == -200462
         assert code(driving.write, np.zeros((2, 10))) == -200524
@@ -322,52 +298,41 @@ def test_given_an_offset_before_the_first_sample_when_reading_then_it_says_so_an
         assert task.in_stream.curr_read_pos == 20
 
 
-def test_given_a_taken_name_when_a_task_is_made_then_it_is_refused(chassis):
-    with Task("twice"), raised() as caught:
-        Task("twice")
-    assert caught.value.error_code == -200089
-
-
 def test_given_what_the_instrument_lacks_when_called_then_the_error_names_the_call(chassis):
     with Task() as task:
+        inputs(task)
         for call, name in (
-            (lambda: task.ai_channels.add_ai_thrmcpl_chan("Dev1/ai0"), "add_ai_thrmcpl_chan"),
-            (lambda: task.timing.ai_conv_rate, "timing.ai_conv_rate"),
-            (lambda: task.triggers.pause_trigger, "triggers.pause_trigger"),
-            (lambda: task.ci_channels, "Task.ci_channels"),
-            (lambda: setattr(task.triggers.start_trigger, "delay", 1.0), "start_trigger.delay"),
+            (lambda: task.ai_channels.add_ai_thrmcpl_chan("Dev1/ai1"), "CreateAIThrmcplChan"),
+            (lambda: task.timing.ai_conv_rate, "ai_conv_rate"),
+            (lambda: task.ci_channels.add_ci_count_edges_chan("Dev1/ctr0"), "CreateCICountEdgesChan"),
+            (lambda: task.ai_channels.add_ai_bridge_chan("Dev1/ai1"), "does not support this measurement"),
         ):
             with raised() as caught:
                 call()
             assert name in str(caught.value)
 
 
-def test_given_a_finite_task_when_stopped_early_then_it_warns(chassis):
-    with Task() as task:
+def test_given_a_finite_task_when_stopped_early_then_the_status_says_so(chassis):
+    with Task("early") as task:
         inputs(task, samps_per_chan=100)
         task.start()
-        with pytest.warns(DaqWarning) as caught:
-            task.stop()
-        assert caught[0].message.error_code == 200010
+        assert chassis.tasks["early"].stop() == 200010
 
 
-def test_given_a_task_when_closed_twice_or_lost_then_it_warns(chassis):
-    task = Task()
+def test_given_a_closed_task_when_used_then_it_is_no_task_any_more(chassis):
+    task = Task("used")
+    other = nidaqmx.Task(task.name, grpc_options=options())
     task.close()
-    with pytest.warns(DaqResourceWarning, match="closed already"):
+    with pytest.raises(DaqError) as caught:
+        other.start()
+    assert caught.value.error_code == -200088
+    with pytest.warns(DaqResourceWarning, match="already closed"):
         task.close()
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        Task("lost")
-        gc.collect()
-    assert any(each.category is DaqResourceWarning and "lost" in str(each.message) for each in caught)
 
 
 def test_given_an_overload_when_the_flag_is_read_then_it_names_the_channel_and_is_cleared():
     scene = rig.load("bare-structure")
-    chassis = daq.connect(
-        scene.replace(converter=scene.converter.replace(bits=24, range="0.2 V")), clock=ManualClock()
-    )
+    chassis = connect(scene.replace(converter=scene.converter.replace(bits=24, range="0.2 V")), ManualClock())
     with Task() as reading, Task() as driving:
         reading.ai_channels.add_ai_voltage_chan("Dev1/ai0:3", min_val=-0.1, max_val=0.1)
         reading.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)

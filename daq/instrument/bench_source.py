@@ -1,0 +1,154 @@
+"""What stands behind the chassis: a source of samples that takes drives, and a scene's bench as one."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.instrument.background_test import BackgroundTest
+from daq.signal_chain.bench import AcquiredBlock, Bench
+from daq.signal_chain.channel import ChannelInfo
+from daq.signal_chain.decimation_filter import DELAY
+from rig.errors import SceneError
+from rig.scene.presets import filled_in
+
+if TYPE_CHECKING:
+    from daq.instrument.channels import Channel
+    from rig.scene.scene import Scene
+
+# What a volt at an output becomes, by the unit of the shaker's drive.
+DRIVE_PER_VOLT = {"V": 1.0, "N": 1.0, "m": 1e-3}
+
+
+class SampleSource(Protocol):
+    """What the chassis samples.
+
+    Attributes
+    ----------
+    scene : Scene
+        What a recording of it says it is of.
+    rate : float
+        Ticks per second.
+    dtype : type
+        Kind of its samples: volts, or counts of a converter.
+    drive_per_volt : ndarray, shape (outputs,)
+        What a volt at each output becomes.
+    sampling, delay
+        How its converter takes samples, and by how many samples its filter lags, see `RateDivider`.
+    """
+
+    scene: Scene
+    rate: float
+    dtype: type[np.generic]
+    drive_per_volt: NDArray[np.float64]
+    sampling: Literal["point", "average", "filter"]
+    delay: float
+
+    @property
+    def channels(self) -> Sequence[ChannelInfo]:
+        """What is connected."""
+
+    @property
+    def lost(self) -> Sequence[tuple[int, int]]:
+        """First and last sample of every stretch that is lost."""
+
+    def horizon(self, samples: int) -> int:
+        """Cut a number of ticks at the end of what is known of the drive by itself."""
+
+    def acquire(self, volts: NDArray[np.float64] | None, samples: int) -> AcquiredBlock:
+        """Let ticks pass with volts at the outputs, shape (outputs, samples); None: nobody drives them."""
+
+    def leave_outputs(self) -> None:
+        """Hear that somebody has taken an output."""
+
+    def wire(self, channels: Sequence[Channel]) -> None:
+        """Set couplings and supplies as channels want them."""
+
+    def filter_properties(self, row: int, rate: float | None) -> dict[str, Any]:
+        """Give delay [s] of a channel's filter at a rate, and whether it is taken out."""
+
+
+class SceneSource:
+    """A scene's bench.
+
+    Parameters
+    ----------
+    scene : Scene
+        What is on the bench.
+    rate : float or None
+        Ticks per second, if not what the scene's converter makes.
+    """
+
+    def __init__(self, scene: Scene, rate: float | None) -> None:
+        if rate is not None and rate != scene.converter.sample_rate:
+            scene = _at_rate(scene, rate)
+        self.scene = scene
+        self.bench = Bench(scene)
+        self.rate = self.bench.rate
+        self.channels: Sequence[ChannelInfo] = self.bench.channels
+        self.lost: Sequence[tuple[int, int]] = self.bench.lost
+        counts = bool(self.channels) and self.channels[0].volts_per_count is not None
+        self.dtype: type[np.generic] = np.int32 if counts else np.float64
+        self._outputs = [row for row, name in enumerate(self.bench.inputs) if name != "hammer"]
+        self.drive_per_volt = np.array([DRIVE_PER_VOLT[self.bench.drive_units[row]] for row in self._outputs])
+        self._converter = filled_in(scene.converter)
+        filtered = self._converter.filter is not None
+        averages = bool(self.channels) and self.channels[0].average
+        self.sampling: Literal["point", "average", "filter"] = (
+            "filter" if filtered else "average" if averages else "point"
+        )
+        self.delay = float(DELAY) if filtered and not self._converter.remove_delay else 0.0
+        self._test = BackgroundTest(self.bench)
+
+    def warm_up(self) -> None:
+        """Have compiled what has to be, before time begins to run: reads would wait for it in vain."""
+        Bench(self.scene).acquire(np.zeros((len(self.bench.inputs), 64)))
+
+    def horizon(self, samples: int) -> int:
+        """See `SampleSource.horizon`."""
+        return self._test.horizon(samples)
+
+    def acquire(self, volts: NDArray[np.float64] | None, samples: int) -> AcquiredBlock:
+        """See `SampleSource.acquire`."""
+        drive = self._test.drive(samples).copy()
+        if volts is not None and self._outputs:
+            drive[self._outputs] = volts * self.drive_per_volt[:, None]
+        block = self.bench.acquire(drive)
+        self._test.hear(block.samples, samples)
+        return block
+
+    def leave_outputs(self) -> None:
+        """See `SampleSource.leave_outputs`."""
+        self._test.leave_shaker()
+
+    def wire(self, channels: Sequence[Channel]) -> None:
+        """See `SampleSource.wire`."""
+
+    def filter_properties(self, row: int, rate: float | None) -> dict[str, Any]:
+        """See `SampleSource.filter_properties`."""
+        info = self.channels[row]
+        delay = info.delay * (info.rate / rate if rate and info.filter else 1.0)
+        return {
+            "ai_filter_delay": delay + (0.5 / (rate or info.rate) if info.average else 0.0),
+            "ai_remove_filter_delay": self._converter.remove_delay,
+        }
+
+
+def _at_rate(scene: Scene, rate: float) -> Scene:
+    """Change a scene's sample rate; its test stays away where samples at that rate cannot tell its tones."""
+    converter = scene.converter.replace(rate=rate)
+    try:
+        return scene.replace(converter=converter)
+    except SceneError as error:
+        quiet = scene.replace(converter=converter, test=None)
+        warnings.warn(
+            f"the test of scene {scene.name!r} cannot be played, the bench stays quiet until a script drives it: "
+            f"{error}",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+        return quiet

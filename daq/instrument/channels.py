@@ -1,0 +1,334 @@
+"""Channels of a task: what a script declared about the terminals it uses."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from daq.instrument.errors import Code, DaqError, bad, unsupported
+from daq.instrument.measurements import MEASUREMENTS, MICROPHONE, VOLTAGE, Measurement
+from daq.instrument.modules import Module
+from daq.instrument.names import Port
+from daq.instrument.values import FROM_CUSTOM_SCALE, Coupling, Excitation, Wiring
+
+_ANALOG_INPUT, _ANALOG_OUTPUT = 10100, 10102
+
+# Settings every input has, with what holds until something else is said.
+_INPUT: dict[str, Any] = {
+    "ai_min": -5.0,
+    "ai_max": 5.0,
+    "ai_coupling": Coupling.DC,
+    "ai_term_cfg": Wiring.DEFAULT,
+    "ai_custom_scale_name": "",
+    "ai_excit_src": Excitation.NONE,
+    "ai_excit_val": 0.0,
+    "ai_excit_voltage_or_current": 10134,
+    "ai_excit_d_cor_ac": 10050,
+    "ai_excit_use_for_scaling": False,
+    "ai_excit_use_multiplexed": False,
+    "ai_is_teds": False,
+    "ai_dither_enable": False,
+    "ai_lossy_lsb_removal_compressed_samp_size": 16,
+    "ai_enhanced_alias_rejection_enable": False,
+    "ai_lowpass_enable": False,
+    "ai_chan_cal_enable_cal": False,
+    "ai_chan_cal_has_valid_cal_info": False,
+    "ai_filter_delay_adjustment": 0.0,
+    "ai_filter_delay_units": 10364,
+    "ai_dc_offset": 0.0,
+    "chan_descr": "",
+    "chan_is_global": False,
+}
+# Settings of single kinds of measurement.
+_OF_KIND: dict[str, dict[str, Any]] = {
+    "bridge": {
+        "ai_bridge_cfg": 10182,
+        "ai_bridge_nom_resistance": 350.0,
+        "ai_bridge_initial_voltage": 0.0,
+        "ai_bridge_initial_ratio": 0.0,
+        "ai_bridge_electrical_units": 15897,
+        "ai_bridge_physical_units": 15875,
+        "ai_bridge_scale_type": 10230,
+        "ai_bridge_poly_forward_coeff": [],
+        "ai_bridge_poly_reverse_coeff": [],
+        "ai_bridge_table_electrical_vals": [],
+        "ai_bridge_table_physical_vals": [],
+        "ai_bridge_two_point_lin_first_electrical_val": 0.0,
+        "ai_bridge_two_point_lin_second_electrical_val": 0.0,
+        "ai_bridge_two_point_lin_first_physical_val": 0.0,
+        "ai_bridge_two_point_lin_second_physical_val": 0.0,
+        "ai_bridge_shunt_cal_enable": False,
+        "ai_strain_gage_cfg": 10183,
+        "ai_strain_gage_gage_factor": 2.0,
+        "ai_strain_gage_poisson_ratio": 0.3,
+        "ai_lead_wire_resistance": 0.0,
+    },
+    "current": {"ai_current_shunt_loc": 10200, "ai_current_shunt_resistance": 249.0},
+    "pos": {"ai_ac_excit_freq": 2500.0, "ai_ac_excit_wire_mode": 4, "ai_ac_excit_sync_enable": False},
+    "microphone": {"ai_sound_pressure_max_sound_pressure_lvl": 100.0},
+}
+_OUTPUT: dict[str, Any] = {
+    "ao_min": -10.0,
+    "ao_max": 10.0,
+    "ao_voltage_units": 10348,
+    "ao_custom_scale_name": "",
+    "ao_term_cfg": Wiring.DEFAULT,
+    "ao_output_type": VOLTAGE,
+    "ao_resolution_units": 10109,
+    "ao_idle_output_behavior": 10164,
+    "ao_dac_ref_allow_conn_to_gnd": False,
+    "ao_use_only_on_brd_mem": False,
+    "chan_descr": "",
+    "chan_is_global": False,
+}
+
+
+def _defaults(kind: Measurement) -> dict[str, Any]:
+    name = next(name for name, each in MEASUREMENTS.items() if each.type == kind.type)
+    own = {"bridge": "Bridge" in name or "Strain" in name or "Excit" in name}
+    own |= {key: key in name.lower() for key in ("current", "pos", "microphone")}
+    found = dict(_INPUT)
+    for key, wanted in own.items():
+        found |= _OF_KIND[key] if wanted else {}
+    found[kind.units] = 10348
+    if kind.sensitivity:
+        found |= {kind.sensitivity: 1.0, f"{kind.sensitivity}_units": 0}
+        found |= {f"{kind.sensitivity.removesuffix('_sensitivity')}_db_ref": 1.0}
+    return found
+
+
+@dataclass
+class Channel:
+    """One channel of a task.
+
+    Attributes
+    ----------
+    name : str
+        Virtual name.
+    port : Port
+        The terminal, by the name the script used.
+    module : Module
+        Where that is.
+    row : int
+        Channel or drive of the bench behind it.
+    kind : Measurement or None
+        Of an input.
+    settings : dict
+        By the driver's names of the properties.
+    """
+
+    name: str
+    port: Port
+    module: Module
+    row: int
+    kind: Measurement | None
+    settings: dict[str, Any] = field(default_factory=dict)
+    defaults: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def input(
+        cls, name: str, port: Port, module: Module, kind: Measurement, given: Mapping[str, Any]
+    ) -> Channel:
+        """Declare an input.
+
+        Raises
+        ------
+        DaqError
+            With -200170, if there is no such terminal; -200431, if its module does not measure that;
+            -200077, for limits, a sensitivity, a wiring or a coupling that it does not take.
+        """
+        row = module.row("ai", port.number)
+        if kind.type not in module.measurements:
+            raise DaqError(
+                f"{port.name}: {module.product_type} does not support this measurement; it measures "
+                + ", ".join(name for name, each in MEASUREMENTS.items() if each.type in module.measurements),
+                Code.PHYS_CHAN_MEAS_TYPE,
+            )
+        defaults = _defaults(kind)
+        # An input that feeds a sensor is coupled AC unless something else is said.
+        feeds = given.get("ai_excit_src") == Excitation.INTERNAL and Coupling.AC in module.couplings
+        defaults["ai_coupling"] = Coupling.AC if feeds else module.couplings[0]
+        if kind.type == MICROPHONE:
+            loudest = given["ai_sound_pressure_max_sound_pressure_lvl"]
+            limit = 20e-6 * 10 ** (loudest / 20) * math.sqrt(2)
+            given = {"ai_min": -limit, "ai_max": limit, **given}
+        channel = cls(name, port, module, row, kind, defaults | dict(given), defaults)
+        channel.check()
+        return channel
+
+    @classmethod
+    def output(cls, name: str, port: Port, module: Module, given: Mapping[str, Any]) -> Channel:
+        """Declare an output; errors as for `input`."""
+        row = module.row("ao", port.number)
+        channel = cls(name, port, module, row, None, _OUTPUT | dict(given), _OUTPUT)
+        channel.check()
+        return channel
+
+    @property
+    def volts_per_unit(self) -> float:
+        """Volts per unit of the readings."""
+        return 1.0 if self.kind is None else self.kind.volts_per_unit(self.settings)
+
+    @property
+    def unit(self) -> str:
+        """Unit of the readings."""
+        return "V" if self.kind is None else self.kind.unit(self.settings)
+
+    @property
+    def range(self) -> float:
+        """Range its limits select, ± V; infinite if the inputs are not limited."""
+        if self.kind is None:
+            return self.module.output_range
+        if "rng" in self.settings:
+            return float(self.settings["rng"])
+        if self.scaled or not self.kind.takes_volts:
+            return self.module.ranges[-1] if self.module.ranges else math.inf
+        return self.module.range_for(self._largest() * self.volts_per_unit)
+
+    @property
+    def scaled(self) -> bool:
+        """Whether a custom scale converts its readings."""
+        units = self.settings["ao_voltage_units" if self.kind is None else self.kind.units]
+        return bool(units == FROM_CUSTOM_SCALE)
+
+    @property
+    def scale_name(self) -> str:
+        """Name of its custom scale; empty if there is none."""
+        return str(self.settings["ao_custom_scale_name" if self.kind is None else "ai_custom_scale_name"])
+
+    def _largest(self) -> float:
+        side = "ao" if self.kind is None else "ai"
+        return max(abs(self.settings[f"{side}_min"]), abs(self.settings[f"{side}_max"]))
+
+    @property
+    def fed(self) -> bool:
+        """Whether the module feeds an IEPE sensor."""
+        return bool(self.settings.get("ai_excit_src") == Excitation.INTERNAL)
+
+    def check(self) -> None:
+        """Check the settings against each other and against what the module can do; see `input`."""
+        own = self.settings
+        if self.kind is not None:
+            self.kind.check_units(own)
+        side = "ao" if self.kind is None else "ai"
+        low, high = own[f"{side}_min"], own[f"{side}_max"]
+        if not (math.isfinite(low) and math.isfinite(high)):
+            raise bad(f"channel {self.name}: limits {low:g} to {high:g}: expected finite numbers")
+        if not sys.float_info.min <= self.volts_per_unit < math.inf:
+            raise bad(f"channel {self.name}: the sensitivity must be positive, and finite")
+        if not low < high:
+            raise DaqError(
+                f"channel {self.name}: limits {low:g} to {high:g}: the lower one must be below the upper one",
+                Code.MIN_NOT_LESS_THAN_MAX,
+            )
+        largest = self._largest() * self.volts_per_unit
+        full = self.module.output_range if self.kind is None else (self.module.ranges or (math.inf,))[-1]
+        in_volts = not self.scaled and (self.kind is None or self.kind.takes_volts)
+        if largest > full * (1 + 1e-9) and in_volts:
+            scale = full / self.volts_per_unit
+            raise bad(
+                f"channel {self.name}: limits {low:g} to {high:g} {self.unit} go beyond what "
+                f"{self.module.product_type} can do, {-scale:g} to {scale:g} {self.unit} (±{full:g} V)"
+            )
+        if self.kind is None:
+            return
+        wiring = own["ai_term_cfg"]
+        if wiring != Wiring.DEFAULT and wiring not in self.module.wirings:
+            raise bad(
+                f"channel {self.name}: terminal configuration {_named(Wiring, wiring)}: "
+                f"{self.module.product_type} has {', '.join(each.name for each in self.module.wirings)}"
+            )
+        if own["ai_coupling"] not in (*self.module.couplings, Coupling.GND):
+            raise bad(
+                f"channel {self.name}: coupling {_named(Coupling, own['ai_coupling'])}: "
+                f"{self.module.product_type} has {', '.join(each.name for each in self.module.couplings)}"
+            )
+
+    def get(self, name: str) -> Any:
+        """Read a property by the driver's name.
+
+        Raises
+        ------
+        DaqError
+            With -200452, if channels of this kind have no such property.
+        """
+        computed = _INPUT_COMPUTED if self.kind is not None else _OUTPUT_COMPUTED
+        if name in computed:
+            return computed[name](self)
+        if name not in self.settings:
+            raise unsupported(f"property {name} of channel {self.name}")
+        return self.settings[name]
+
+    def set(self, name: str, value: Any) -> None:
+        """Set a property; errors as of `get` and `check`."""
+        if name in ("ai_rng_high", "ai_rng_low"):
+            self.settings["rng"] = self.module.range_for(abs(float(value)))
+            return
+        if name not in self.defaults:
+            raise unsupported(f"setting property {name} of channel {self.name}")
+        if isinstance(self.defaults[name], float):
+            value = float(value)
+        elif isinstance(self.defaults[name], list):
+            value = list(value)
+        before = self.settings
+        self.settings = before | {name: value}
+        try:
+            self.check()
+        except DaqError:
+            self.settings = before
+            raise
+
+    def reset(self, name: str) -> None:
+        """Give a property its default back."""
+        if name in ("ai_rng_high", "ai_rng_low"):
+            self.settings.pop("rng", None)
+            return
+        self.get(name)
+        self.set(name, self.defaults[name])
+
+
+def _named(kind: Any, value: int) -> str:
+    return kind(value).name if value in [int(each) for each in kind] else str(value)
+
+
+def _limit(channel: Channel, sign: float) -> float:
+    own = channel.settings
+    assert channel.kind is not None
+    if channel.scaled or channel.range == math.inf or not channel.kind.takes_volts:
+        return float(own["ai_max" if sign > 0 else "ai_min"])
+    return sign * channel.range / channel.volts_per_unit
+
+
+def _wiring(channel: Channel) -> int:
+    wiring = channel.settings["ai_term_cfg"]
+    return int(channel.module.wirings[-1] if wiring == Wiring.DEFAULT else wiring)
+
+
+_COMMON: dict[str, Any] = {
+    "physical_chan_name": lambda channel: channel.port.name,
+}
+_INPUT_COMPUTED: dict[str, Any] = _COMMON | {
+    "chan_type": lambda channel: _ANALOG_INPUT,
+    "ai_meas_type": lambda channel: channel.kind.type,
+    # Limits are coerced to the range that takes them.
+    "ai_max": lambda channel: _limit(channel, 1.0),
+    "ai_min": lambda channel: _limit(channel, -1.0),
+    "ai_rng_high": lambda channel: channel.range,
+    "ai_rng_low": lambda channel: -channel.range,
+    "ai_term_cfg": _wiring,
+    "ai_raw_samp_size": lambda channel: 16 if (channel.module.bits or 32) <= 16 else 32,
+    "ai_raw_samp_justification": lambda channel: 10279,
+    "ai_resolution": lambda channel: float(channel.module.bits or 64),
+    "ai_resolution_units": lambda channel: 10109,
+    "ai_excit_actual_val": lambda channel: channel.settings["ai_excit_val"],
+    "ai_gain": lambda channel: 1.0,
+}
+_OUTPUT_COMPUTED: dict[str, Any] = _COMMON | {
+    "chan_type": lambda channel: _ANALOG_OUTPUT,
+    "ao_dac_rng_high": lambda channel: channel.module.output_range,
+    "ao_dac_rng_low": lambda channel: -channel.module.output_range,
+    "ao_resolution": lambda channel: float(channel.module.output_bits or 64),
+}

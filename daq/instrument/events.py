@@ -1,0 +1,149 @@
+"""What a task tells those who asked for it: so many samples came, it is done, a signal occurred."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from daq.instrument.errors import Code, DaqError
+from daq.instrument.values import EverySamples, Signal
+
+# Takes what an event tells: the number of samples, the status at the end, or the signal.
+Listener = Callable[[int], None]
+
+_ALREADY = {
+    EverySamples.ACQUIRED: Code.EVERY_N_SAMPS_ACQ_INTO_BUFFER_EVENT_ALREADY_REGISTERED,
+    EverySamples.TRANSFERRED: Code.EVERY_N_SAMPS_TRANSFERRED_FROM_BUFFER_EVENT_ALREADY_REGISTERED,
+}
+_WRONG = {
+    EverySamples.ACQUIRED: Code.EVERY_N_SAMPLES_ACQ_INTO_BUFFER_EVENT_NOT_SUPPORTED_BY_DEVICE,
+    EverySamples.TRANSFERRED: Code.EVERY_N_SAMPS_TRANSFERRED_FROM_BUFFER_EVENT_NOT_SUPPORTED_BY_DEVICE,
+}
+# Signals that come with every sample, or once.
+_EACH_SAMPLE = (Signal.SAMPLE_COMPLETE, Signal.SAMPLE_CLOCK)
+
+
+class Events:
+    """The listeners of a task. They are called with the chassis locked and must return at once."""
+
+    def __init__(self) -> None:
+        self._every: tuple[EverySamples, int, Listener] | None = None
+        self._done: Listener | None = None
+        self._signals: dict[Signal, Listener] = {}
+        self._ends: list[Callable[[], None]] = []
+        self.begin()
+
+    def listen_every(self, kind: int, samples: int, listener: Listener | None, outputs: bool = False) -> None:
+        """Call a listener whenever so many samples have come, or been put out; None ends that.
+
+        Raises
+        ------
+        DaqError
+            With -200966 or -200967 if somebody listens already, -200980 or -200981 for the kind of samples
+            that the task, of inputs or of outputs, does not have, -200880 for no samples.
+        """
+        chosen = EverySamples(kind)
+        if listener is None:
+            self._every = None
+            return
+        if chosen != (EverySamples.TRANSFERRED if outputs else EverySamples.ACQUIRED):
+            raise DaqError(
+                f"an event for samples {chosen.name.lower()}: the task has "
+                f"{'outputs' if outputs else 'inputs'}",
+                _WRONG[chosen],
+            )
+        if self._every is not None:
+            raise DaqError(
+                "such an event is registered already: unregister it first by passing None", _ALREADY[chosen]
+            )
+        if samples < 1:
+            raise DaqError(
+                f"an event every {samples} samples: expected 1 at least",
+                Code.EVERY_N_SAMPS_EVENT_INTERVAL_ZERO_NOT_SUPPORTED,
+            )
+        self._every = chosen, samples, listener
+
+    def listen_done(self, listener: Listener | None) -> None:
+        """Call a listener with the status when the task has come to its end; None ends that."""
+        if listener is None:
+            self._done = None
+            return
+        if self._done is not None:
+            raise DaqError(
+                "a done event is registered already: unregister it first by passing None",
+                Code.DONE_EVENT_ALREADY_REGISTERED,
+            )
+        self._done = listener
+
+    def listen_signal(self, signal: int, listener: Listener | None) -> None:
+        """Call a listener whenever a signal occurs; None ends that."""
+        chosen = Signal(signal)
+        if listener is None:
+            self._signals.pop(chosen, None)
+            return
+        if chosen in self._signals:
+            raise DaqError(
+                f"an event for {chosen.name} is registered already: unregister it first by passing None",
+                Code.SIGNAL_EVENT_ALREADY_REGISTERED,
+            )
+        self._signals[chosen] = listener
+
+    def leave(self, listener: Listener) -> None:
+        """Hear that a listener has gone, whatever it listened to."""
+        if self._every is not None and self._every[2] == listener:
+            self._every = None
+        if self._done == listener:
+            self._done = None
+        self._signals = {signal: each for signal, each in self._signals.items() if each != listener}
+
+    def at_end(self, action: Callable[[], None]) -> None:
+        """Have something done when the task is closed."""
+        self._ends.append(action)
+
+    def close(self) -> None:
+        """Hear that the task has been closed."""
+        for action in self._ends:
+            action()
+
+    def begin(self) -> None:
+        """Start with a task."""
+        self._told, self._signalled, self._told_done = 0, 0, False
+        self._come: set[Signal] = set()
+
+    def due(self, passed: int) -> int | None:
+        """Count the samples at which the next event is due, in all; None if nobody counts them."""
+        return None if self._every is None else (passed // self._every[1] + 1) * self._every[1]
+
+    def tell(self, passed: int, run: Any) -> bool:
+        """Tell all that has become due; whether any of it may be answered by reading or writing.
+
+        Parameters
+        ----------
+        passed : int
+            Samples per channel that have come, or been put out.
+        run : Acquisition or Generation or None
+            What they came from.
+        """
+        told = False
+        if self._every is not None:
+            _, samples, listener = self._every
+            while self._told < passed // samples:
+                self._told += 1
+                listener(samples)
+                told = True
+        for signal in _EACH_SAMPLE:
+            if signal in self._signals:
+                for _ in range(passed - self._signalled):
+                    self._signals[signal](int(signal))
+        self._signalled = passed
+        if run is None:
+            return told
+        begun, found = run.first_tick is not None, getattr(run, "trigger", None) is not None
+        for signal, come in ((Signal.START_TRIGGER, begun), (Signal.REFERENCE_TRIGGER, found)):
+            if come and signal in self._signals and signal not in self._come:
+                self._come.add(signal)
+                self._signals[signal](int(signal))
+        if self._done is not None and not self._told_done and run.done:
+            self._told_done = True
+            self._done(0 if run.error is None else run.error.code)
+        return told

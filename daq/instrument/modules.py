@@ -1,0 +1,226 @@
+"""Modules and devices as their data sheets describe them: what a script can find out about them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from daq.instrument.errors import Code, DaqError, bad
+from daq.instrument.measurements import ACCELERATION, FORCE, MICROPHONE, VELOCITY, VOLTAGE
+from daq.instrument.values import Coupling, SampleMode, Wiring
+from rig.errors import SceneError
+from rig.scene.modules import Rates
+
+# Bits of the sets that the driver packs into one number.
+_COUPLING_BITS = {Coupling.AC: 1, Coupling.DC: 2, Coupling.GND: 4}
+_WIRING_BITS = {Wiring.RSE: 1, Wiring.NRSE: 2, Wiring.DIFFERENTIAL: 4, Wiring.PSEUDO_DIFFERENTIAL: 8}
+_REFERENCE_TRIGGER, _START_TRIGGER = 4, 8
+
+# Product categories and bus types, as the driver numbers them.
+CHASSIS_CATEGORY, MODULE_CATEGORY, SOUND_AND_VIBRATION = 14658, 14659, 14649
+COMPACT_DAQ_BUS, USB_BUS = 14637, 12586
+# What inputs and outputs do that no module is named for: 51.2 kS/s divided by whole numbers up to 31.
+DIVIDED = Rates(51200.0 / 31, 51200.0, tuple(51200.0 / divisor for divisor in range(31, 0, -1)))
+
+
+@dataclass(frozen=True)
+class Module:
+    """A device as scripts find it.
+
+    Parameters
+    ----------
+    name : str
+        What it is called on this bench.
+    product_type : str
+        As the driver names it, for example "NI 9234".
+    category, bus : int
+        The driver's numbers for product category and bus type.
+    inputs, outputs : tuple of int
+        Channels of the bench on ai0, ai1, ... and drives of the bench on ao0, ao1, ...
+    ranges : tuple of float
+        Input ranges, ± V, smallest first; empty if the inputs are not limited.
+    output_range : float
+        Range of the outputs, ± V.
+    bits, output_bits : int or None
+        Resolution of its converters; None if they are ideal.
+    rates, output_rates : Rates
+        What the sample clocks of its inputs and outputs can make.
+    timebase : float
+        What they divide, Hz.
+    own_rate : float or None
+        A rate the clock makes exactly: that of the scene's converter, where no module is named.
+    couplings, wirings, currents : tuple
+        Couplings and terminal configurations that its inputs can be set to, the first being the default;
+        currents of its IEPE supply, A.
+    on_demand : bool
+        Whether its inputs can be read without a sample clock; those of delta-sigma modules cannot.
+    teds : bool
+        Whether it reads the data sheets in sensors.
+    measurements : frozenset of int
+        Kinds of measurement that it supports, by the driver's numbers.
+    chassis, slot : str and int
+        Where it sits; empty and 0 where it is a device of its own.
+    number : int
+        The driver's product number; 0 if not known.
+    """
+
+    name: str
+    product_type: str
+    category: int = MODULE_CATEGORY
+    bus: int = COMPACT_DAQ_BUS
+    inputs: tuple[int, ...] = ()
+    outputs: tuple[int, ...] = ()
+    ranges: tuple[float, ...] = ()
+    output_range: float = 10.0
+    bits: int | None = None
+    output_bits: int | None = None
+    rates: Rates = DIVIDED
+    output_rates: Rates = DIVIDED
+    timebase: float = 13.1072e6
+    own_rate: float | None = None
+    couplings: tuple[Coupling, ...] = (Coupling.AC, Coupling.DC)
+    wirings: tuple[Wiring, ...] = (Wiring.PSEUDO_DIFFERENTIAL,)
+    currents: tuple[float, ...] = (0.002,)
+    on_demand: bool = True
+    teds: bool = True
+    simultaneous: bool = True
+    measurements: frozenset[int] = frozenset({VOLTAGE, ACCELERATION, FORCE, VELOCITY, MICROPHONE})
+    chassis: str = ""
+    slot: int = 0
+    number: int = 0
+
+    def coerced(self, rate: float, output: bool = False) -> float:
+        """Give the rate the sample clock makes of a request: the next one not below it.
+
+        Raises
+        ------
+        DaqError
+            With -200077, if the rate is not positive or faster than the clock.
+
+        Examples
+        --------
+        >>> module = Module("Mod1", "NI 9234")
+        >>> module.coerced(5000.0), module.coerced(8000.0), module.coerced(1000.0)
+        (5120.0, 8533.333333333334, 1651.6129032258063)
+        """
+        if rate == self.own_rate:
+            return rate
+        try:
+            return (self.output_rates if output else self.rates).at_least(rate)
+        except SceneError as error:
+            raise bad(f"sample clock rate of {self.product_type}: {error}") from None
+
+    def range_for(self, limit: float) -> float:
+        """Give the smallest range that takes ± a voltage; infinite if the inputs are not limited.
+
+        Raises
+        ------
+        DaqError
+            With -200077, if none does.
+        """
+        if not self.ranges:
+            return math.inf
+        for each in self.ranges:
+            if limit <= each * (1 + 1e-9):
+                return each
+        raise bad(f"{limit:g} V: the inputs of {self.product_type} take ±{self.ranges[-1]:g} V at most")
+
+    @property
+    def fastest(self) -> float:
+        """Fastest rate of its inputs, S/s."""
+        return self.rates.fastest
+
+    @property
+    def wiring_bits(self) -> int:
+        """Terminal configurations of its inputs, as the driver packs them into a number."""
+        return sum(_WIRING_BITS[each] for each in self.wirings if each in _WIRING_BITS)
+
+    def channel_names(self, kind: str) -> list[str]:
+        """Names of its inputs (`ai`) or outputs (`ao`)."""
+        count = len(self.inputs if kind == "ai" else self.outputs)
+        return [f"{self.name}/{kind}{number}" for number in range(count)]
+
+    def row(self, kind: str, number: int) -> int:
+        """Give the bench's channel or drive behind one of its terminals.
+
+        Raises
+        ------
+        DaqError
+            With -200170, if there is no such terminal.
+        """
+        rows = {"ai": self.inputs, "ao": self.outputs}.get(kind, ())
+        if not 0 <= number < len(rows):
+            raise self.no_channel(kind, number)
+        return rows[number]
+
+    def no_channel(self, kind: str, number: int) -> DaqError:
+        """Make the error for a terminal that is not there, or is of the other kind (-200170)."""
+        names = self.channel_names("ai") + self.channel_names("ao")
+        return DaqError(
+            f"there is no such channel {self.name}/{kind}{number} here: {self.name} has "
+            + (", ".join(names) or "none"),
+            Code.PHYSICAL_CHAN_DOES_NOT_EXIST,
+        )
+
+    def attributes(self, modules: Sequence[str] = ()) -> dict[str, Any]:
+        """Give what scripts can ask about the device, by the driver's names of the attributes.
+
+        Parameters
+        ----------
+        modules : sequence of str
+            Names of the modules in it, of a chassis.
+        """
+        found: dict[str, Any] = {
+            "product_type": self.product_type,
+            "product_category": self.category,
+            "product_num": self.number,
+            "serial_num": 0,
+            "is_simulated": True,
+            "bus_type": self.bus,
+            "ai_physical_chans": self.channel_names("ai"),
+            "ao_physical_chans": self.channel_names("ao"),
+            "chassis_module_dev_names": list(modules),
+            "compact_daq_chassis_dev_name": self.chassis,
+            "compact_daq_slot_num": self.slot,
+            "terminals": [f"/{self.chassis or self.name}/PFI{number}" for number in range(2)],
+            "accessory_product_types": [],
+            "accessory_product_nums": [],
+            "accessory_serial_nums": [],
+            "anlg_trig_supported": bool(self.inputs),
+            "dig_trig_supported": True,
+            "time_trig_supported": False,
+            "tcpip_ethernet_ip": "",
+            "tcpip_hostname": "",
+            "tcpip_wireless_ip": "",
+            "num_dma_chans": 0,
+        }
+        lines = ("di_lines", "di_ports", "do_lines", "do_ports", "ci_physical_chans", "co_physical_chans")
+        found |= {key: [] for key in lines}
+        found["teds_hwteds_supported"] = bool(self.inputs) and self.teds
+        if self.inputs:
+            found |= {
+                "ai_max_single_chan_rate": self.fastest,
+                "ai_max_multi_chan_rate": self.fastest,
+                "ai_min_rate": self.rates.slowest,
+                "ai_simultaneous_sampling_supported": self.simultaneous,
+                "ai_voltage_rngs": [sign * each for each in self.ranges for sign in (-1.0, 1.0)],
+                "ai_current_int_excit_discrete_vals": list(self.currents),
+                "ai_couplings": sum(_COUPLING_BITS[each] for each in self.couplings),
+                "ai_samp_modes": [int(each) for each in SampleMode],
+                "ai_supported_meas_types": sorted(self.measurements),
+                "ai_trig_usage": _REFERENCE_TRIGGER | _START_TRIGGER,
+                "ai_num_samp_timing_engines": 1,
+            }
+        if self.outputs:
+            found |= {
+                "ao_max_rate": self.output_rates.fastest,
+                "ao_min_rate": self.output_rates.slowest,
+                "ao_samp_clk_supported": True,
+                "ao_voltage_rngs": [-self.output_range, self.output_range],
+                "ao_samp_modes": [int(each) for each in SampleMode],
+                "ao_supported_output_types": [VOLTAGE],
+                "ao_trig_usage": _START_TRIGGER,
+            }
+        return found

@@ -1,0 +1,118 @@
+"""Names on the instrument: devices, physical channels, terminals, and lists and ranges of them.
+
+The bench holds a chassis with its modules, under the names `Chassis` gives them. Scripts are written for all
+kinds of benches, so any name the driver hands out is taken for it as well: `Dev1`, `cDAQ1Mod1`,
+`cDAQ9189-1D91958Mod1`, `PXI1Slot2`. Each of them offers all inputs and all outputs. Inputs under different
+names are separate modules on the same sensors (a T-piece in every cable); an output is one, whatever its name.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import NamedTuple
+
+from daq.instrument.errors import Code, DaqError
+
+# What a range stands for, at most, as with the driver.
+MOST_NAMES = 14_999
+
+GIVEN_BY_DRIVER = re.compile(r"(Dev\d+|cDAQ\w*(-\w+)?|PXI\d+Slot\d+)", re.IGNORECASE)
+
+
+class Port(NamedTuple):
+    """A physical channel: device name, kind of port (`ai`, `ao`), number."""
+
+    device: str
+    kind: str
+    number: int
+
+    @property
+    def name(self) -> str:
+        """Name of the physical channel."""
+        return f"{self.device}/{self.kind}{self.number}"
+
+
+def parse_port(name: str) -> Port:
+    """Take a physical channel's name apart.
+
+    Raises
+    ------
+    DaqError
+        With -200170, if it is none.
+
+    Examples
+    --------
+    >>> parse_port("cDAQ9189-1D91958Mod1/ai3")
+    Port(device='cDAQ9189-1D91958Mod1', kind='ai', number=3)
+    """
+    device, _, port = name.strip().lstrip("/").partition("/")
+    match = re.fullmatch(r"([A-Za-z]+)(\d{1,9})", port)
+    if not match:
+        raise DaqError(
+            f"{name!r} is not a physical channel: expected a device and a channel, such as cDAQ1Mod1/ai0",
+            Code.PHYSICAL_CHAN_DOES_NOT_EXIST,
+        )
+    return Port(device, match[1].lower(), int(match[2]))
+
+
+def unflatten(names: str) -> list[str]:
+    """Expand a list with ranges.
+
+    Raises
+    ------
+    DaqError
+        With -200498, if a range is not of the form `ai0:3` or `Dev1/ai0:Dev1/ai3`, or too long.
+
+    Examples
+    --------
+    >>> unflatten("Dev1/ai0:2, Dev1/ai7")
+    ['Dev1/ai0', 'Dev1/ai1', 'Dev1/ai2', 'Dev1/ai7']
+    >>> unflatten("a03:01")
+    ['a03', 'a02', 'a01']
+    """
+    found: list[str] = []
+    for item in (part.strip() for part in names.split(",")):
+        if ":" in item:
+            found += _expand(item)
+        elif item:
+            found.append(item)
+        if len(found) > MOST_NAMES:
+            raise DaqError(
+                f"a list of more than {MOST_NAMES} names", Code.INVALID_RANGE_OF_OBJECTS_SYNTAX_IN_STRING
+            )
+    return found
+
+
+def _expand(item: str) -> list[str]:
+    match = re.fullmatch(r"(.*?)(\d{1,9}):(.*?)(\d{1,9})", item)
+    if not match or (match[3] and match[3].lower() != match[1].lower()):
+        raise DaqError(
+            f"{item!r} is not a range of channels: expected a number on both sides of the colon, such as "
+            "Dev1/ai0:3",
+            Code.INVALID_RANGE_OF_OBJECTS_SYNTAX_IN_STRING,
+        )
+    first, last = int(match[2]), int(match[4])
+    if abs(last - first) >= MOST_NAMES:
+        raise DaqError(
+            f"{item!r} is a range of {abs(last - first) + 1} names: expected {MOST_NAMES} at most",
+            Code.INVALID_RANGE_OF_OBJECTS_SYNTAX_IN_STRING,
+        )
+    width = len(match[2]) if match[2].startswith("0") else 0
+    step = 1 if last >= first else -1
+    return [f"{match[1]}{number:0{width}d}" for number in range(first, last + step, step)]
+
+
+def numbered(name: str, count: int) -> list[str]:
+    """Name several channels after one: from 0 on, or on from the number the name ends with.
+
+    Examples
+    --------
+    >>> numbered("acc", 3), numbered("acc09", 3), numbered("acc", 1)
+    (['acc0', 'acc1', 'acc2'], ['acc09', 'acc10', 'acc11'], ['acc'])
+    """
+    if count == 1:
+        return [name]
+    match = re.fullmatch(r"(.*?)(\d*)", name, re.DOTALL)
+    assert match is not None
+    first, width = int(match[2] or 0), len(match[2])
+    return [f"{match[1]}{number:0{width}d}" for number in range(first, first + count)]

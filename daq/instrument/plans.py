@@ -1,0 +1,239 @@
+"""What a task's settings ask of the engines, checked."""
+
+from __future__ import annotations
+
+import re
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from daq.instrument.acquisition import InputPlan
+from daq.instrument.errors import Code, DaqError, bad, unsupported
+from daq.instrument.generation import OutputPlan
+from daq.instrument.names import unflatten
+from daq.instrument.triggers import (
+    AnalogSource,
+    AtTick,
+    Condition,
+    OtherTask,
+    Source,
+    digital_source,
+    edge,
+    window,
+)
+from daq.instrument.values import Overwrite, Slope, TriggerType, WindowCondition
+
+if TYPE_CHECKING:
+    from daq.instrument.bench_source import SampleSource
+    from daq.instrument.chassis import Chassis
+    from daq.instrument.settings import TaskSettings
+
+_OWN_CLOCK = re.compile(
+    r"|OnboardClock|.*/OnboardClock|/?([^/]+/)?(a[io]/)?SampleClock(Timebase)?", re.IGNORECASE
+)
+
+
+def check_timing(task: TaskSettings) -> None:
+    """Check what paces a task.
+
+    Raises
+    ------
+    DaqError
+        With -201087 for inputs that need a sample clock, -89136 for a clock that is not there, -200077 for
+        rates and numbers that cannot be, -89121 for a signal exported to no terminal.
+    """
+    timing = task.groups["timing"]
+    if task.kind == "ai" and not task.clocked and not all(each.module.on_demand for each in task.channels):
+        raise DaqError(
+            f"{task.channels[0].module.product_type} samples on its clock only, it cannot be read on demand: "
+            "call timing.cfg_samp_clk_timing first",
+            Code.SAMP_CLK_RATE_MUST_BE_SPECD,
+        )
+    if task.clocked:
+        if not _OWN_CLOCK.fullmatch(timing["samp_clk_src"]):
+            raise DaqError(
+                f"sample clock source {timing['samp_clk_src']!r}: the bench has one sample clock; leave the "
+                "source empty, or name OnboardClock or another task's ai/SampleClock",
+                Code.ROUTE_NOT_SUPPORTED_BY_HW_ROUTING,
+            )
+        rates = {each.module.coerced(timing["samp_clk_rate"], task.kind == "ao") for each in task.channels}
+        if len(rates) > 1:
+            raise bad(
+                f"the task's modules make {', '.join(f'{each:g}' for each in sorted(rates))} S/s of "
+                f"{timing['samp_clk_rate']:g} S/s: choose a rate that all have, or a task for each"
+            )
+        _ = task.samples
+        if task.kind == "ai" and task.input_size < 1:
+            raise bad("a buffer for no samples: expected 1 at least")
+    for name in ("start_trig_output_term", "ref_trig_output_term", "samp_clk_output_term"):
+        terminal = task.groups["exported_signal"][name]
+        if terminal and not re.fullmatch(r"(/?[^/]+/)?PFI\d+", terminal, re.IGNORECASE):
+            raise DaqError(
+                f"{name} {terminal!r}: there is no such terminal; expected for instance /cDAQ1/PFI0",
+                Code.INVALID_ROUTING_DESTINATION_TERMINAL_NAME_ROUTING,
+            )
+
+
+def sources(task: TaskSettings, chassis: Chassis) -> tuple[Source | None, Source | None]:
+    """Give what start and reference trigger listen to.
+
+    Raises
+    ------
+    DaqError
+        With -200262 without a sample clock, -200358 for a reference trigger of a continuous task, -200213
+        for more pretrigger samples than there is room for, -200265 for a source that is not there.
+    """
+    settings = task.groups["trig"]
+    kinds = [settings[f"{name}_trig_type"] for name in ("start", "ref")]
+    if any(kind != TriggerType.NONE for kind in kinds) and not task.clocked:
+        raise DaqError(
+            "a trigger needs a sample clock: call timing.cfg_samp_clk_timing",
+            Code.TRIG_WHEN_ON_DEMAND_SAMP_TIMING,
+        )
+    for name in ("start", "ref"):
+        if settings[f"{name}_trig_delay"]:
+            raise unsupported(f"a delay of the {name} trigger")
+    start, reference = _source(task, "start", chassis), _source(task, "ref", chassis)
+    if reference is None:
+        return start, reference
+    before, samples = settings["ref_trig_pretrig_samples"], task.samples
+    if not task.finite or task.kind == "ao":
+        raise DaqError(
+            "a reference trigger needs a finite acquisition: use AcquisitionType.FINITE, with samps_per_chan "
+            "the samples before and after the trigger together",
+            Code.REF_TRIG_WHEN_CONTINUOUS,
+        )
+    if not 0 <= before < samples:
+        raise DaqError(
+            f"{before} pretrigger samples: expected from 0 to {samples - 1}, as {samples} samples are acquired "
+            "in all",
+            Code.TOO_MANY_PRETRIG_PLUS_MIN_POST_TRIG_SAMPS,
+        )
+    return start, reference
+
+
+def _source(task: TaskSettings, name: str, chassis: Chassis) -> Source | None:
+    settings = task.groups["trig"]
+    kind = settings[f"{name}_trig_type"]
+
+    def own(key: str) -> str:
+        return f"{key.rpartition(':')[0]}_{name}_trig_{key.rpartition(':')[2]}"
+
+    if kind == TriggerType.NONE:
+        return None
+    if kind == TriggerType.DIGITAL_EDGE:
+        return digital_source(settings[own("dig_edge:src")], Slope(settings[own("dig_edge:edge")]))
+    if kind == TriggerType.TIME:
+        late = settings["start_trig_trig_when"] - chassis.time_ns(chassis.position) * 1e-9
+        return AtTick(chassis.position + max(0, round(late * chassis.rate)))
+    if kind == TriggerType.ANALOG_EDGE:
+        crossing = edge(
+            Slope(settings[own("anlg_edge:slope")]),
+            settings[own("anlg_edge:lvl")],
+            settings[own("anlg_edge:hyst")],
+        )
+        return AnalogSource((_on_channel(task, settings[own("anlg_edge:src")], crossing),))
+    if kind == TriggerType.ANALOG_WINDOW:
+        inside = window(
+            WindowCondition(settings[own("anlg_win:when")]),
+            settings[own("anlg_win:btm")],
+            settings[own("anlg_win:top")],
+        )
+        return AnalogSource((_on_channel(task, settings[own("anlg_win:src")], inside),))
+    if kind == TriggerType.ANALOG_MULTI_EDGE:
+        names = unflatten(settings[own("anlg_multi_edge:srcs")])
+        slopes, levels = settings[own("anlg_multi_edge:slopes")], settings[own("anlg_multi_edge:lvls")]
+        if not len(names) == len(slopes) == len(levels):
+            raise DaqError(
+                f"{len(names)} trigger sources, {len(slopes)} slopes and {len(levels)} levels: give as many of "
+                "each",
+                Code.MISMATCHED_INPUT_ARRAY_SIZES,
+            )
+        return AnalogSource(
+            tuple(
+                _on_channel(task, each, edge(Slope(slope), level))
+                for each, slope, level in zip(names, slopes, levels, strict=True)
+            )
+        )
+    raise unsupported(f"a {name} trigger of type {kind}")
+
+
+def _on_channel(task: TaskSettings, source: str, condition: Condition) -> tuple[int, Condition]:
+    wanted = source.lower().lstrip("/")
+    for row, each in enumerate(task.channels):
+        if wanted in (each.name.lower(), each.port.name.lower()):
+            return row, condition
+    raise DaqError(
+        f"analog trigger source {source!r}: expected one of the task's input channels, "
+        + (", ".join(each.name for each in task.channels) or "of which there are none"),
+        Code.INVALID_ANALOG_TRIG_SRC,
+    )
+
+
+def input_plan(
+    task: TaskSettings,
+    source: SampleSource,
+    start: Source | None,
+    reference: Source | None,
+    on_demand: int | None = None,
+) -> InputPlan:
+    """Say what an acquisition is to do.
+
+    Parameters
+    ----------
+    task : TaskSettings
+        Settings of the task.
+    source : SampleSource
+        The bench.
+    start, reference : Source or None
+        Its triggers.
+    on_demand : int, optional
+        Samples to take from now on, whatever the sample clock's settings are.
+    """
+    samples, size, rate = on_demand, on_demand or 1, source.rate
+    if on_demand is None:
+        samples = task.samples if task.finite else None
+        size, rate = task.input_size, task.rate
+    volts = [source.channels[each.row].volts_per_count or 1.0 for each in task.channels]
+    return InputPlan(
+        rows=tuple(each.row for each in task.channels),
+        factors=np.array(
+            [volt / each.volts_per_unit for volt, each in zip(volts, task.channels, strict=True)]
+        ),
+        scales=tuple(task.scale_of(each) for each in task.channels),
+        rate=rate,
+        samples=samples,
+        buffer=max(size, samples or 0) if reference is not None else size,
+        keep=task.groups["read"]["overwrite"] == Overwrite.NOT_ALLOWED,
+        start=start,
+        reference=reference,
+        pretrigger=task.groups["trig"]["ref_trig_pretrig_samples"] if reference is not None else 0,
+        again=bool(
+            task.groups["trig"]["start_trig_retriggerable"] and start is not None and samples is not None
+        ),
+    )
+
+
+def output_plan(
+    task: TaskSettings, ticks: float, start: Source | None
+) -> tuple[OutputPlan, OtherTask | None]:
+    """Say what a generation is to do, and whose clock it runs on if that is another task's.
+
+    An output on the clock of the inputs begins with them.
+    """
+    if isinstance(start, AnalogSource):
+        raise unsupported("an analog start trigger of an output", "Start it by ai/StartTrigger.")
+    joins = None
+    if start is None and task.groups["timing"]["samp_clk_src"].lower().endswith("ai/sampleclock"):
+        start = joins = OtherTask("", "ai", reference=False)
+    ratio = Fraction(task.rate).limit_denominator(10_000) / Fraction(ticks).limit_denominator(10_000)
+    plan = OutputPlan(
+        rows=tuple(each.row for each in task.channels),
+        rate=ticks,
+        per_tick=ratio,
+        samples=task.samples if task.finite else None,
+        regenerate=task.regenerates,
+        start=start,
+    )
+    return plan, joins

@@ -1,0 +1,87 @@
+"""Custom scales: what readings become before a script sees them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.instrument.errors import Code, DaqError, bad
+
+Array = NDArray[np.float64]
+
+LINEAR, MAP_RANGES, POLYNOMIAL, TABLE = 10447, 10448, 10449, 10450
+
+
+class Scale:
+    """A scale under a name, as the driver keeps them.
+
+    Parameters
+    ----------
+    kind : int
+        LINEAR, MAP_RANGES, POLYNOMIAL or TABLE.
+    settings : dict
+        Its figures, by the driver's names of the attributes.
+    """
+
+    def __init__(self, kind: int, settings: dict[str, Any]) -> None:
+        self.settings: dict[str, Any] = {
+            "type": kind,
+            "descr": "",
+            "scaled_units": "",
+            "pre_scaled_units": 10348,
+        } | settings
+        self.convert(np.zeros(1))
+
+    @property
+    def _function(self) -> Callable[[Array], Array]:
+        own = self.settings
+        kind = own["type"]
+        if kind == LINEAR:
+            return lambda x: own["lin_slope"] * x + own["lin_y_intercept"]
+        if kind == MAP_RANGES:
+            low, high = own["map_pre_scaled_min"], own["map_pre_scaled_max"]
+            out = own["map_scaled_min"], own["map_scaled_max"]
+            return lambda x: out[0] + (x - low) * (out[1] - out[0]) / (high - low)
+        if kind == POLYNOMIAL:
+            return lambda x: np.polynomial.polynomial.polyval(x, own["poly_forward_coeff"])
+        given, scaled = np.array(own["table_pre_scaled_vals"]), np.array(own["table_scaled_vals"])
+        order = np.argsort(given)
+        return lambda x: np.interp(x, given[order], scaled[order])
+
+    def convert(self, values: Array) -> Array:
+        """Scale readings.
+
+        Raises
+        ------
+        DaqError
+            With -200077, if the scale cannot.
+        """
+        own = self.settings
+        if own["type"] == MAP_RANGES and own["map_pre_scaled_min"] == own["map_pre_scaled_max"]:
+            raise bad("a map scale whose range before scaling is empty: give two different limits")
+        if own["type"] == TABLE and len(own["table_pre_scaled_vals"]) != len(own["table_scaled_vals"]):
+            raise DaqError(
+                f"a table scale with {len(own['table_pre_scaled_vals'])} values before and "
+                f"{len(own['table_scaled_vals'])} after scaling: give as many of both",
+                Code.MISMATCHED_INPUT_ARRAY_SIZES,
+            )
+        return np.asarray(self._function(values), dtype=np.float64)
+
+
+def reverse_polynomial(forward: list[float], low: float, high: float, points: int, order: int) -> list[float]:
+    """Fit the polynomial that takes scaled values back.
+
+    Examples
+    --------
+    >>> [round(each, 6) for each in reverse_polynomial([1.0, 2.0], -10.0, 10.0, 100, 1)]
+    [-0.5, 0.5]
+    """
+    if not forward:
+        raise bad("no coefficients to reverse")
+    x = np.linspace(low, high, points if points > 0 else 1000)
+    y = np.polynomial.polynomial.polyval(x, forward)
+    degree = order if order >= 0 else len(forward) - 1
+    return [float(each) for each in np.polynomial.polynomial.polyfit(y, x, degree)]

@@ -1,0 +1,238 @@
+"""What a script has said of a task: its channels, timing, triggers and streams, as data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from daq.instrument.channels import Channel
+from daq.instrument.errors import Code, DaqError, bad
+from daq.instrument.measurements import Measurement
+from daq.instrument.modules import Module
+from daq.instrument.names import Port, numbered, parse_port, unflatten
+from daq.instrument.properties import GROUPS, Properties
+from daq.instrument.scales import Scale
+from daq.instrument.values import Regeneration, SampleMode, TimingType
+
+# Size of the buffer of a continuous task, by the rate up to which it holds.
+_BUFFERS = ((100.0, 1000), (10_000.0, 10_000), (1_000_000.0, 100_000), (math.inf, 1_000_000))
+
+
+class TaskSettings:
+    """The settings of a task, by the driver's names, in groups: timing, trig, read, write, buffer, exported_signal.
+
+    Parameters
+    ----------
+    module : callable
+        Finds a device by its name.
+    scales : mapping of str to Scale
+        Custom scales that channels may name.
+    """
+
+    def __init__(self, module: Callable[[str], Module], scales: Mapping[str, Scale]) -> None:
+        self._module, self._scales = module, scales
+        self.channels: list[Channel] = []
+        self.groups = {name: Properties(name, defaults) for name, defaults in GROUPS.items()}
+
+    @property
+    def kind(self) -> str:
+        """Direction of the task: "ai", "ao", or "" as long as it has no channels."""
+        return "" if not self.channels else "ao" if self.channels[0].kind is None else "ai"
+
+    @property
+    def device_names(self) -> list[str]:
+        """Names of the devices in use, as the script calls them."""
+        return list(dict.fromkeys(each.port.device for each in self.channels))
+
+    @property
+    def device(self) -> str:
+        """Name of the first device in use."""
+        return next(iter(self.device_names), "")
+
+    @property
+    def clocked(self) -> bool:
+        """Whether the sample clock paces the task."""
+        return bool(self.groups["timing"]["samp_timing_type"] == TimingType.SAMPLE_CLOCK)
+
+    @property
+    def finite(self) -> bool:
+        """Whether the task ends by itself."""
+        return bool(self.groups["timing"]["samp_quant_samp_mode"] == SampleMode.FINITE)
+
+    @property
+    def rate(self) -> float:
+        """Samples per second, as the clock makes them."""
+        wanted = self.groups["timing"]["samp_clk_rate"]
+        if not self.channels:
+            return float(wanted)
+        return self.channels[0].module.coerced(wanted, output=self.kind == "ao")
+
+    @property
+    def regenerates(self) -> bool:
+        """Whether the output's buffer may be played again."""
+        return bool(self.groups["write"]["regen_mode"] == Regeneration.ALLOWED)
+
+    def scale_of(self, channel: Channel) -> Scale | None:
+        """Find the custom scale of a channel."""
+        if not channel.scaled:
+            return None
+        if channel.scale_name not in self._scales:
+            raise DaqError(
+                f"channel {channel.name}: there is no scale {channel.scale_name!r}; there is "
+                + (", ".join(self._scales) or "none"),
+                Code.CUSTOM_SCALE_DOES_NOT_EXIST,
+            )
+        return self._scales[channel.scale_name]
+
+    def require(self, kind: str) -> None:
+        """Make sure that the task reads (-200460) or writes (-200459)."""
+        if self.kind != kind:
+            what, code = {
+                "ai": ("input channels: add some with ai_channels.add_...", Code.READ_NO_INPUT_CHANS_IN_TASK),
+                "ao": (
+                    "output channels: add some with ao_channels.add_...",
+                    Code.WRITE_NO_OUTPUT_CHANS_IN_TASK,
+                ),
+            }[kind]
+            raise DaqError(f"the task has no {what}", code)
+
+    def add_inputs(
+        self, physical: str, name: str, kind: Measurement, given: Mapping[str, Any]
+    ) -> list[Channel]:
+        """Add inputs.
+
+        Parameters
+        ----------
+        physical : str
+            Terminals, such as "cDAQ1Mod1/ai0:3".
+        name : str
+            Virtual name; of several channels, what their names begin with. Empty: the terminals' names.
+        kind : Measurement
+            What they measure.
+        given : mapping of str to any
+            Their settings, by the driver's names.
+
+        Raises
+        ------
+        DaqError
+            See `Channel.input`; -200171 for a name that is taken.
+        """
+        return self._add(
+            "ai",
+            physical,
+            name,
+            lambda virtual, port, module: Channel.input(virtual, port, module, kind, given),
+        )
+
+    def add_outputs(self, physical: str, name: str, given: Mapping[str, Any]) -> list[Channel]:
+        """Add outputs; see `add_inputs`."""
+        return self._add(
+            "ao", physical, name, lambda virtual, port, module: Channel.output(virtual, port, module, given)
+        )
+
+    def _add(
+        self, side: str, physical: str, name: str, make: Callable[[str, Port, Module], Channel]
+    ) -> list[Channel]:
+        ports = [parse_port(each) for each in unflatten(physical)]
+        if not ports:
+            raise DaqError(
+                "no physical channel was given: expected for instance cDAQ1Mod1/ai0:3",
+                Code.PHYSICAL_CHAN_DOES_NOT_EXIST,
+            )
+        if self.kind not in ("", side):
+            raise DaqError(
+                "a task has either inputs or outputs: make another task and start one by the other's start "
+                "trigger",
+                Code.TASK_NOT_IN_DATA_NEIGHBORHOOD,
+            )
+        names = _names(name, [each.name for each in ports])
+        added: list[Channel] = []
+        for port, virtual in zip(ports, names, strict=True):
+            module = self._module(port.device)
+            if port.kind != side:
+                raise module.no_channel(port.kind, port.number)
+            taken = [each.name.lower() for each in (*self.channels, *added)]
+            if virtual.lower() in taken and not name:
+                # One terminal may be read twice, under names that differ.
+                number = 1
+                while f"{virtual}_{number}".lower() in taken:
+                    number += 1
+                virtual = f"{virtual}_{number}"
+            elif virtual.lower() in taken:
+                raise DaqError(
+                    f"the task has a channel {virtual!r} already: choose another name",
+                    Code.VIRTUAL_CHAN_NAME_USED,
+                )
+            channel = make(virtual, port, module)
+            if side == "ao" and channel.row in [each.row for each in (*self.channels, *added)]:
+                raise DaqError(
+                    f"{port.name} is in the task already: an output can be there once",
+                    Code.CHAN_ALREADY_IN_TASK,
+                )
+            self.scale_of(channel)
+            added.append(channel)
+        self.channels += added
+        return added
+
+    def find(self, names: str) -> list[Channel]:
+        """Find channels by their names, or those of their terminals; all if no name is given.
+
+        Raises
+        ------
+        DaqError
+            With -200488, if there is none of that name.
+        """
+        found = []
+        for name in unflatten(names):
+            wanted = name.lower().lstrip("/")
+            match = [each for each in self.channels if wanted in (each.name.lower(), each.port.name.lower())]
+            if not match:
+                raise DaqError(
+                    f"the task has no channel {name!r}: it has "
+                    + (", ".join(each.name for each in self.channels) or "none"),
+                    Code.VIRTUAL_CHAN_DOES_NOT_EXIST,
+                )
+            found.append(match[0])
+        return found if names else list(self.channels)
+
+    @property
+    def input_size(self) -> int:
+        """Samples per channel that the buffer of an input holds."""
+        chosen = self.groups["buffer"]
+        if chosen.was_set("input_buf_size"):
+            return int(chosen["input_buf_size"])
+        if not self.clocked:
+            return 0
+        samples = int(self.groups["timing"]["samp_quant_samp_per_chan"])
+        if self.finite:
+            return samples
+        return max(next(size for rate, size in _BUFFERS if self.rate <= rate), samples)
+
+    @property
+    def samples(self) -> int:
+        """Samples per channel of a finite task; a hint for the buffer of a continuous one.
+
+        Raises
+        ------
+        DaqError
+            With -200077, if there are too few.
+        """
+        samples = int(self.groups["timing"]["samp_quant_samp_per_chan"])
+        if samples < 2 and self.clocked:
+            raise bad(f"{samples} samples per channel: expected 2 at least")
+        return samples
+
+    def rows_to_read(self) -> list[int]:
+        """Positions in the task of the channels that reads return."""
+        return [self.channels.index(each) for each in self.find(self.groups["read"]["channels_to_read"])]
+
+
+def _names(given: str, terminals: list[str]) -> list[str]:
+    """Name channels: one name for all, a list of names, or none; what has no name goes by its terminal's."""
+    if "," not in given:
+        return numbered(given, len(terminals)) if given else terminals
+    names = [each.strip() for each in given.split(",")]
+    if len(names) > len(terminals):
+        raise bad(f"{len(names)} names for {len(terminals)} channels: expected one for each at most")
+    return [*names, *terminals[len(names) :]]

@@ -1,0 +1,60 @@
+"""What has been saved under a name: tasks, channels, scales; kept as long as the instrument runs."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from dataclasses import dataclass, field
+
+from daq.instrument.channels import Channel
+from daq.instrument.errors import Code, DaqError
+from daq.instrument.properties import Properties
+from daq.instrument.scales import Scale
+from daq.instrument.settings import TaskSettings
+
+
+@dataclass
+class SavedTask:
+    """The settings of a task."""
+
+    channels: list[Channel]
+    groups: dict[str, Properties]
+
+
+@dataclass
+class Storage:
+    """What has been saved, by name."""
+
+    tasks: dict[str, SavedTask] = field(default_factory=dict)
+    channels: dict[str, Channel] = field(default_factory=dict)
+    scales: dict[str, Scale] = field(default_factory=dict)
+    authors: dict[str, str] = field(default_factory=dict)
+
+    def scale(self, name: str) -> Scale:
+        """Find a scale; with -200378, if there is none of that name."""
+        if name not in self.scales:
+            raise DaqError(f"there is no scale {name!r}", Code.CUSTOM_SCALE_DOES_NOT_EXIST)
+        return self.scales[name]
+
+    def save_task(self, task: TaskSettings, name: str, author: str) -> None:
+        """Save a task's settings."""
+        self.tasks[name] = SavedTask(deepcopy(task.channels), deepcopy(task.groups))
+        self.authors[name] = author
+
+    def load_task(self, task: TaskSettings, name: str) -> None:
+        """Give a task the settings that were saved; with -200485, if there are none."""
+        if name not in self.tasks:
+            raise DaqError(f"there is no saved task {name!r}", Code.TASK_NOT_IN_DATA_NEIGHBORHOOD)
+        saved = self.tasks[name]
+        task.channels, task.groups = deepcopy(saved.channels), deepcopy(saved.groups)
+
+    def save_channel(self, channel: Channel, name: str, author: str) -> None:
+        """Save a channel for other tasks."""
+        kept = deepcopy(channel)
+        kept.name, kept.settings["chan_is_global"] = name, True
+        self.channels[name], self.authors[name] = kept, author
+
+    def channel(self, name: str) -> Channel:
+        """Find a saved channel; with -200882, if there is none of that name."""
+        if name not in self.channels:
+            raise DaqError(f"there is no saved channel {name!r}", Code.INVALID_GLOBAL_CHAN)
+        return deepcopy(self.channels[name])

@@ -1,0 +1,304 @@
+"""Logging of what a task acquires: into a recording (.mcap), or a TDMS file for scripts that expect one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.instrument.errors import Code, DaqError
+from daq.instrument.values import LoggingMode, LoggingOperation
+from daq.measurement.limits import Stretches
+from rig.errors import ShotrigError
+
+if TYPE_CHECKING:
+    from daq.instrument.acquisition import Acquisition, InputPlan
+    from daq.instrument.chassis import Chassis
+    from daq.instrument.properties import Properties
+    from daq.instrument.settings import TaskSettings
+    from daq.signal_chain.channel import ChannelInfo
+    from rig.scene.scene import Scene
+
+
+class _File(Protocol):
+    """A file being logged into."""
+
+    def write(self, samples: NDArray[Any], overload: NDArray[np.bool_]) -> None:
+        """Append converter samples and their overload flags, shape (channels, n)."""
+
+    def gap(self, samples: int) -> None:
+        """Pass over samples that were lost."""
+
+    def trigger(self, sample: int) -> None:
+        """Note the sample the reference trigger was found at."""
+
+    def abort(self, reason: str) -> None:
+        """Note that the acquisition ended early, here."""
+
+    def close(self) -> None:
+        """Complete the file."""
+
+
+class _Recording:
+    """A recording, as `daq record` makes them."""
+
+    def __init__(
+        self,
+        path: Path,
+        scene: Scene,
+        channels: Sequence[ChannelInfo],
+        rate: float,
+        start_ns: int,
+        overwrite: bool,
+    ) -> None:
+        from daq.recording.recorder import Recorder
+
+        # The truth of a scene belongs to a whole test; a task logs its channels.
+        scene = scene.replace(recording=scene.recording.replace(truth=False))
+        self._recorder = Recorder(path, scene, channels, rate, start_ns, overwrite)
+        self._overloads = Stretches("overload", channels, self._mark)
+        self._outcome = "complete", ""
+
+    def _mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
+        self._recorder.mark(kind, first, stop - 1, **fields)
+
+    def write(self, samples: NDArray[Any], overload: NDArray[np.bool_]) -> None:
+        first = self._recorder.position
+        self._recorder.write(samples)
+        self._overloads.add(first, overload)
+
+    def gap(self, samples: int) -> None:
+        self._recorder.gap(samples)
+
+    def trigger(self, sample: int) -> None:
+        self._recorder.mark("trigger", sample)
+
+    def abort(self, reason: str) -> None:
+        self._recorder.mark("abort", self._recorder.position, reason=reason)
+        self._outcome = "failed", reason
+
+    def close(self) -> None:
+        self._overloads.close()
+        self._recorder.close(*self._outcome)
+
+
+class _Tdms:
+    """A TDMS file with scaled samples; lost samples are NaN."""
+
+    def __init__(
+        self,
+        path: Path,
+        group: str,
+        names: Sequence[str],
+        units: Sequence[str],
+        plan: InputPlan,
+        start_ns: int,
+        append: bool,
+    ) -> None:
+        try:
+            import nptdms
+        except ImportError:
+            raise DaqError(
+                f"logging to {path} needs the package nptdms (pip install nptdms); or log to a recording: "
+                "name the "
+                "file .mcap",
+                Code.UNKNOWN,
+            ) from None
+        if append and path.exists():
+            taken = {each.name for each in nptdms.TdmsFile.read_metadata(path).groups()}
+            wanted, number = group, 1
+            while group in taken:
+                group, number = f"{wanted} #{number}", number + 1
+        self._nptdms, self._group, self._plan = nptdms, group, plan
+        start = np.datetime64(start_ns, "ns").astype("datetime64[us]")
+        self._properties = [
+            {
+                "NI_ChannelName": name,
+                "unit_string": unit,
+                "wf_start_time": start,
+                "wf_start_offset": 0.0,
+                "wf_increment": 1.0 / plan.rate,
+            }
+            for name, unit in zip(names, units, strict=True)
+        ]
+        self._writer = nptdms.TdmsWriter(str(path), mode="a" if append else "w")
+        self._writer.open()
+
+    def write(self, samples: NDArray[Any], overload: NDArray[np.bool_]) -> None:
+        self._segment(np.stack([self._plan.reading(row, each) for row, each in enumerate(samples)]))
+
+    def gap(self, samples: int) -> None:
+        self._segment(np.full((len(self._properties), samples), np.nan))
+
+    def trigger(self, sample: int) -> None:
+        for properties in self._properties:
+            properties["wf_trigger_offset"] = sample * properties["wf_increment"]
+
+    def abort(self, reason: str) -> None:
+        for properties in self._properties:
+            properties["error"] = reason
+
+    def close(self) -> None:
+        self._segment(np.zeros((len(self._properties), 0)))
+        self._writer.close()
+
+    def _segment(self, values: NDArray[np.float64]) -> None:
+        self._writer.write_segment(
+            [
+                self._nptdms.ChannelObject(self._group, properties["NI_ChannelName"], row, properties)
+                for properties, row in zip(self._properties, values, strict=True)
+            ]
+        )
+
+
+class TaskLog:
+    """The log of one run of a task.
+
+    While reads are allowed (`LOG_AND_READ`) it is written as the script reads, and at the end: samples
+    overwritten before that are lost to the log too, and stand in it as a gap. With `LOG` alone it is
+    written as samples come. While it is paused, samples are left out.
+
+    Parameters
+    ----------
+    open_file : callable
+        Opens a file by its path and the number of its first sample.
+    settings : Properties
+        Say where to, how much into one file, and whether the log is paused.
+    """
+
+    def __init__(self, open_file: Callable[[Path, int], _File], settings: Properties) -> None:
+        self._open, self._settings = open_file, settings
+        self.by_itself = self._settings["logging_mode"] == LoggingMode.LOG
+        self._path = Path(self._settings["logging_file_path"])
+        self._base, self._number = self._path, 0
+        self._file = open_file(self._path, 0)
+        self._logged: int | None = None
+        self._in_file = 0
+
+    def start_new_file(self, path: Path, acquisition: Acquisition) -> None:
+        """Complete the file and go on in another."""
+        self.follow(acquisition)
+        self._file.close()
+        self._path, self._in_file = path, 0
+        self._file = self._open(path, self._logged or 0)
+
+    def follow(self, acquisition: Acquisition) -> None:
+        """Log what has come since the last time."""
+        stop = acquisition.readable
+        if stop == 0:
+            return
+        if self._logged is None:
+            self._logged = acquisition.first_readable
+            if acquisition.trigger is not None:
+                self._file.trigger(acquisition.trigger - self._logged)
+        oldest = acquisition.oldest
+        if self._logged < oldest:
+            self._file.gap(oldest - self._logged)
+            self._logged = oldest
+        if self._settings["logging_pause"]:
+            self._logged = max(self._logged, stop)
+        most = self._settings["logging_samps_per_file"]
+        while self._logged < stop:
+            if most and self._in_file >= most:
+                self._number += 1
+                self._file.close()
+                name = f"{self._base.stem}_{self._number:04d}{self._base.suffix}"
+                self._file, self._in_file = self._open(self._base.with_name(name), self._logged), 0
+            first, count = self._logged, stop - self._logged
+            if most:
+                count = min(count, most - self._in_file)
+            self._file.write(acquisition.ring.read(first, count), acquisition.overloads.read(first, count))
+            self._logged += count
+            self._in_file += count
+
+    def close(self, acquisition: Acquisition) -> None:
+        """Log the rest, and why there is no more if that was not meant, and complete the file."""
+        try:
+            self.follow(acquisition)
+            if acquisition.error is not None:
+                self._file.abort(str(acquisition.error))
+        finally:
+            self._file.close()
+
+
+def open_log(name: str, task: TaskSettings, chassis: Chassis, plan: InputPlan) -> TaskLog:
+    """Open a log for a task that starts.
+
+    Parameters
+    ----------
+    name : str
+        Name of the task.
+    task : TaskSettings
+        Its settings. The suffix of the log's path says what it becomes, `.mcap` or `.tdms`.
+    chassis : Chassis
+        Where it runs.
+    plan : InputPlan
+        What it acquires.
+
+    Raises
+    ------
+    DaqError
+        If the file cannot be opened in that way; the message says what to do.
+    """
+    settings = task.groups["read"]
+    source, began = chassis.source, chassis.position
+    infos = [replace(source.channels[row], rate=plan.rate) for row in plan.rows]
+    names = [each.name for each in task.channels]
+
+    def open_file(path: Path, first: int) -> _File:
+        start_ns = chassis.time_ns(began + round(first * chassis.rate / plan.rate))
+        suffix, exists = path.suffix.lower(), path.exists()
+        append = _appends(path, suffix, exists, settings["logging_tdms_operation"])
+        try:
+            if suffix == ".tdms":
+                group = settings["logging_tdms_group_name"] or name
+                units = [each.unit for each in task.channels]
+                return _Tdms(path, group, names, units, plan, start_ns, append)
+            return _Recording(path, source.scene, _named(infos, names), plan.rate, start_ns, exists)
+        except DaqError:
+            raise
+        except (ShotrigError, OSError) as error:
+            raise _refuse(f"cannot log to {path}: {error}") from error
+
+    return TaskLog(open_file, settings)
+
+
+def _appends(path: Path, suffix: str, exists: bool, operation: int) -> bool:
+    """Whether a log goes on in a file that is there, if it may be written at all."""
+    if suffix not in (".mcap", ".tdms"):
+        raise _refuse(f"cannot log to {path}: expected a name that ends in .mcap (a recording) or .tdms")
+    if operation == LoggingOperation.CREATE and exists:
+        raise _refuse(f"{path} exists: choose another name, or LoggingOperation.CREATE_OR_REPLACE")
+    if operation == LoggingOperation.OPEN and not exists:
+        raise _refuse(f"{path} does not exist: LoggingOperation.OPEN appends to a file; use CREATE")
+    append = operation in (LoggingOperation.OPEN, LoggingOperation.OPEN_OR_CREATE) and exists
+    if suffix == ".mcap" and append:
+        raise _refuse(
+            f"{path} exists, and a recording cannot be appended to: use LoggingOperation.CREATE_OR_REPLACE or "
+            "another name"
+        )
+    return append
+
+
+def _named(channels: Sequence[ChannelInfo], names: Sequence[str]) -> list[ChannelInfo]:
+    """Give channels their names in a recording: those a script gave them, otherwise those on the bench.
+
+    A channel that no script named goes by its terminal's name, which has a slash. Where its name on the bench
+    is taken (two modules on one sensor), the module tells it apart.
+    """
+    named: list[ChannelInfo] = []
+    for info, name in zip(channels, names, strict=True):
+        if "/" in name:
+            taken = {*names, *(each.name for each in named)}
+            device = name.partition("/")[0]
+            name = info.name if info.name not in taken else f"{info.name} on {device}"
+        named.append(replace(info, name=name))
+    return named
+
+
+def _refuse(message: str) -> DaqError:
+    return DaqError(message, Code.UNKNOWN)

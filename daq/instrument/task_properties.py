@@ -1,0 +1,212 @@
+"""Properties of a task: reading, setting and resetting them by the driver's names, with what follows from others."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from daq.instrument.errors import Code, DaqError, bad
+from daq.instrument.properties import WHILE_RUNNING
+from daq.instrument.task import Task
+from daq.instrument.values import TimestampEvent
+
+_TERMINAL = re.compile(r"A?PFI\d+|RTSI\d+|(a[io]/)?\w*(Clock|Timebase|Trigger)\w*|Ctr\d\w*", re.IGNORECASE)
+
+
+def get_channel(task: Task, names: str, name: str) -> Any:
+    """Read a property of channels.
+
+    Raises
+    ------
+    DaqError
+        With -200077, if it differs among them.
+    """
+    channels = task.settings.find(names)
+    if not channels:
+        raise DaqError(f"{name}: the task has no channels", Code.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK)
+    if name in ("ai_filter_delay", "ai_remove_filter_delay"):
+        return task.chassis.source.filter_properties(
+            channels[0].row, task.settings.rate if task.settings.clocked else None
+        )[name]
+    values = [each.get(name) for each in channels]
+    if any(value != values[0] for value in values):
+        raise bad(
+            f"{name} differs among {', '.join(each.name for each in channels)}: ask one channel at a time"
+        )
+    return values[0]
+
+
+def set_channel(task: Task, names: str, name: str, value: Any) -> None:
+    """Set a property of channels."""
+    task.check_idle(name, Code.CANNOT_SET_PROPERTY_WHEN_TASK_RUNNING)
+    for each in task.settings.find(names):
+        each.set(name, value)
+
+
+def reset_channel(task: Task, names: str, name: str) -> None:
+    """Give a property of channels its default back."""
+    task.check_idle(name, Code.CANNOT_SET_PROPERTY_WHEN_TASK_RUNNING)
+    for each in task.settings.find(names):
+        each.reset(name)
+
+
+def get_value(task: Task, group: str, name: str) -> Any:
+    """Read a setting or a figure.
+
+    Parameters
+    ----------
+    group : str
+        Group of settings.
+    name : str
+        The driver's name.
+
+    Raises
+    ------
+    DaqError
+        With -200452, if there is none of that name.
+    """
+    computed = _COMPUTED.get((group, name))
+    with task.chassis.changed:
+        return task.settings.groups[group][name] if computed is None else computed(task)
+
+
+def set_value(task: Task, group: str, name: str, value: Any) -> None:
+    """Change a setting; with -200557 while the task runs, -200077 for a value that cannot be."""
+    if name not in WHILE_RUNNING.get(group, ()):
+        task.check_idle(name, Code.CANNOT_SET_PROPERTY_WHEN_TASK_RUNNING)
+    if isinstance(value, float) and not math.isfinite(value):
+        raise bad(f"{name} is {value}: expected a finite number")
+    if name == "samp_clk_timebase_div":
+        name, value = "samp_clk_rate", task.settings.channels[0].module.timebase / value
+    if name == "samp_clk_rate" and task.settings.channels:
+        task.settings.channels[0].module.coerced(value, output=task.settings.kind == "ao")
+    if name == "channels_to_read":
+        task.settings.find(value)
+    if name.endswith("_buf_size") and value < 0:
+        raise bad(f"{name} {value}: expected 0 samples at least")
+    task.settings.groups[group][name] = list(value) if isinstance(value, np.ndarray) else value
+    if name == "output_buf_size":
+        task.buffer = None
+
+
+def set_values(task: Task, group: str, **settings: Any) -> None:
+    """Change several settings of a group at once."""
+    for name, value in settings.items():
+        set_value(task, group, name, value)
+
+
+def reset_value(task: Task, group: str, name: str) -> None:
+    """Give a setting its default back."""
+    task.check_idle(name, Code.CANNOT_SET_PROPERTY_WHEN_TASK_RUNNING)
+    task.settings.groups[group].reset("samp_clk_rate" if name == "samp_clk_timebase_div" else name)
+
+
+def full_terminal(task: Task, name: str) -> str:
+    """Write a terminal as the driver does, with its device.
+
+    Raises
+    ------
+    DaqError
+        With -89120, if it is no terminal.
+    """
+    if not name or name.startswith("/"):
+        return name
+    if "/" in name and not name.startswith(("ai/", "ao/")):
+        task.chassis.module(name)
+        return f"/{name}"
+    if not _TERMINAL.fullmatch(name):
+        raise DaqError(
+            f"{name!r} is no terminal: expected for instance PFI0 or /cDAQ1/ai/SampleClock",
+            Code.INVALID_ROUTING_SOURCE_TERMINAL_NAME_ROUTING,
+        )
+    return f"/{task.settings.device}/{name}"
+
+
+def _counter(question: str, value: Callable[[Task], int]) -> Callable[[Task], int]:
+    def ask(task: Task) -> int:
+        task.look(question)
+        return value(task)
+
+    return ask
+
+
+def _run_input(task: Task, value: Callable[[Any], int]) -> int:
+    return 0 if task.acquisition is None else value(task.acquisition.acquisition)
+
+
+def _clock_source(task: Task) -> str:
+    own = task.settings.groups["timing"]["samp_clk_src"]
+    return full_terminal(task, own or f"{task.settings.kind}/SampleClockTimebase")
+
+
+def _space(task: Task) -> int:
+    if task.buffer is None:
+        return int(task.settings.groups["buffer"]["output_buf_size"])
+    generated = 0 if task.generation is None else task.generation.generated
+    return int(min(task.buffer.room(generated, task.running, task.settings.regenerates), 1 << 31))
+
+
+def _divisor(task: Task) -> int:
+    return round(task.settings.channels[0].module.timebase / task.settings.rate)
+
+
+def _edge_source(name: str) -> Callable[[Task], str]:
+    def ask(task: Task) -> str:
+        own = str(task.settings.groups["trig"][name])
+        channels = [
+            each
+            for each in task.settings.channels
+            if own.lower() in (each.name.lower(), each.port.name.lower())
+        ]
+        return own if channels or not own else full_terminal(task, own)
+
+    return ask
+
+
+_COMPUTED: dict[tuple[str, str], Callable[[Task], Any]] = {
+    ("timing", "samp_clk_rate"): lambda task: task.settings.rate,
+    ("timing", "samp_clk_max_rate"): lambda task: task.settings.channels[0].module.fastest,
+    ("timing", "samp_clk_src"): _clock_source,
+    ("timing", "samp_clk_term"): lambda task: full_terminal(task, f"{task.settings.kind}/SampleClock"),
+    ("timing", "samp_quant_samp_per_chan"): lambda task: task.settings.samples,
+    ("timing", "samp_clk_timebase_div"): _divisor,
+    ("timing", "samp_clk_timebase_rate"): lambda task: task.settings.channels[0].module.timebase,
+    ("timing", "first_samp_timestamp_val"): lambda task: (
+        task.time_of(TimestampEvent.FIRST_SAMPLE, 10.0) * 1e-9
+    ),
+    ("trig", "start_trig_term"): lambda task: full_terminal(task, f"{task.settings.kind}/StartTrigger"),
+    ("trig", "ref_trig_term"): lambda task: full_terminal(task, f"{task.settings.kind}/ReferenceTrigger"),
+    ("buffer", "input_buf_size"): lambda task: task.settings.input_size,
+    ("buffer", "output_buf_size"): lambda task: (
+        int(task.settings.groups["buffer"]["output_buf_size"]) if task.buffer is None else task.buffer.size
+    ),
+    ("buffer", "input_onbrd_buf_size"): lambda task: 4095,
+    ("buffer", "output_onbrd_buf_size"): lambda task: 8191,
+    ("read", "num_chans"): lambda task: len(task.settings.rows_to_read()),
+    ("read", "raw_data_width"): lambda task: 4 * len(task.settings.rows_to_read()),
+    ("read", "avail_samp_per_chan"): _counter(
+        "available", lambda task: _run_input(task, lambda run: max(0, run.readable - run.position))
+    ),
+    ("read", "total_samp_per_chan_acquired"): _counter(
+        "acquired", lambda task: _run_input(task, lambda run: run.ring.written)
+    ),
+    ("read", "curr_read_pos"): lambda task: _run_input(task, lambda run: run.position),
+    ("read", "default_number_of_samples"): Task.default_count,
+    ("read", "overloaded_chans_exist"): Task.overloaded_exist,
+    ("read", "overloaded_chans"): Task.overloaded,
+    ("write", "num_chans"): lambda task: len(task.settings.channels),
+    ("write", "space_avail"): _counter("space", _space),
+    ("write", "curr_write_pos"): lambda task: 0 if task.buffer is None else task.buffer.written,
+    ("write", "total_samp_per_chan_generated"): _counter(
+        "generated", lambda task: 0 if task.generation is None else task.generation.generated
+    ),
+    **{
+        ("trig", name): _edge_source(name)
+        for kind in ("anlg_edge", "anlg_win", "dig_edge")
+        for name in (f"{kind}_start_trig_src", f"{kind}_ref_trig_src")
+    },
+}

@@ -1,0 +1,113 @@
+"""Electronic data sheets of sensors (TEDS, IEEE 1451.4): the basic part, and what a file on disk stands in for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from daq.instrument.errors import Code, DaqError
+from daq.instrument.names import Port
+from daq.signal_chain.channel import ChannelInfo
+
+# Bits of the basic TEDS, in the order in which they come, lowest bit first.
+_BASIC = (
+    ("teds_mfg_id", 14),
+    ("teds_model_num", 15),
+    ("teds_version_letter", 5),
+    ("teds_version_num", 6),
+    ("teds_serial_num", 24),
+)
+_LEAST_BYTES = 8
+# Bits at the beginning of a virtual data sheet that belong to the file.
+_FILE_HEADER = 40
+
+
+def basic_teds(data: bytes) -> dict[str, Any]:
+    """Read the basic part of a data sheet, and which template follows.
+
+    Parameters
+    ----------
+    data : bytes
+        The memory of the sensor without the checksum bytes that its readers take out.
+
+    Returns
+    -------
+    dict
+        By the driver's names of the properties.
+
+    Raises
+    ------
+    DaqError
+        With -200826, if it is no data sheet.
+
+    Examples
+    --------
+    >>> found = basic_teds(bytes([17, 64, 0, 32, 4, 57, 48, 0, 120]))
+    >>> found["teds_mfg_id"], found["teds_version_letter"], found["teds_serial_num"], found["teds_template_i_ds"]
+    (17, 'A', 12345, [30])
+    """
+    if len(data) < _LEAST_BYTES:
+        raise DaqError(
+            f"{len(data)} bytes are no electronic data sheet: its basic part alone has {_LEAST_BYTES}",
+            Code.TEDS_SENSOR_DATA_ERROR,
+        )
+    bits = int.from_bytes(data, "little")
+    found: dict[str, Any] = {"teds_bit_stream": data}
+    for name, width in _BASIC:
+        found[name], bits = bits & ((1 << width) - 1), bits >> width
+    found["teds_version_letter"] = chr(ord("A") + found["teds_version_letter"] - 1)
+    # Two bits say what follows (0: a template of IEEE 1451.4), eight say which.
+    selector, template = bits & 3, (bits >> 2) & 0xFF
+    found["teds_template_i_ds"] = [template] if selector == 0 and template else []
+    return found
+
+
+def _unpacked(data: bytes) -> bytes:
+    """Give the bytes of a virtual data sheet, which keeps a byte for every bit behind a header."""
+    if set(data) - {0, 1}:
+        return data
+    bits = data[_FILE_HEADER:]
+    value = sum(bit << place for place, bit in enumerate(bits))
+    return value.to_bytes(-(-len(bits) // 8), "little")
+
+
+class TedsMemory:
+    """The data sheets that scripts have put in place of those in the sensors."""
+
+    def __init__(self) -> None:
+        self._virtual: dict[str, dict[str, Any]] = {}
+
+    def configure(self, port: Port, path: str) -> None:
+        """Let a file stand in for a sensor's data sheet; without a file, read that of the sensor itself."""
+        if not path:
+            raise DaqError(f"{port.name}: no electronic data sheet was found", Code.TEDS_SENSOR_NOT_DETECTED)
+        try:
+            data = Path(path).read_bytes()
+        except OSError as error:
+            raise DaqError(f"{path}: {error.strerror}", Code.VIRTUAL_TEDS_FILE_NOT_FOUND) from None
+        self._virtual[port.name.lower()] = basic_teds(_unpacked(data))
+
+    def clear(self, port: Port) -> None:
+        """Forget the file that stands in for a sensor's data sheet."""
+        self._virtual.pop(port.name.lower(), None)
+
+    def write(self, port: Port, data: bytes) -> None:
+        """Refuse to write into a sensor: there is no memory that would keep it."""
+        basic_teds(data)
+        raise DaqError(f"{port.name}: no sensor with a memory was found", Code.TEDS_SENSOR_NOT_DETECTED)
+
+    def read(self, port: Port, info: ChannelInfo, name: str) -> Any:
+        """Read a property of the data sheet at a terminal.
+
+        Raises
+        ------
+        DaqError
+            With -200709, if there is none.
+        """
+        found = self._virtual.get(port.name.lower())
+        if found is None or name not in found:
+            raise DaqError(
+                f"{port.name}: {info.name} has no electronic data sheet with {name}",
+                Code.TEDS_SENSOR_NOT_DETECTED,
+            )
+        return found[name]

@@ -1,0 +1,152 @@
+"""Values of settings that the instrument understands; names and numbers as NI-DAQmx has them."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class SampleMode(IntEnum):
+    """How long a task samples."""
+
+    FINITE = 10178
+    CONTINUOUS = 10123
+
+
+class TimingType(IntEnum):
+    """What paces a task."""
+
+    SAMPLE_CLOCK = 10388
+    ON_DEMAND = 10390
+
+
+class Slope(IntEnum):
+    """Direction of an edge."""
+
+    RISING = 10280
+    FALLING = 10171
+
+
+class TriggerType(IntEnum):
+    """Kind of trigger."""
+
+    NONE = 10230
+    ANALOG_EDGE = 10099
+    ANALOG_MULTI_EDGE = 16108
+    ANALOG_WINDOW = 10103
+    DIGITAL_EDGE = 10150
+    DIGITAL_PATTERN = 10398
+    TIME = 15996
+
+
+class WindowCondition(IntEnum):
+    """When a window triggers."""
+
+    ENTERING = 10163
+    LEAVING = 10208
+
+
+class Overwrite(IntEnum):
+    """Whether unread samples may be overwritten."""
+
+    ALLOWED = 10252
+    NOT_ALLOWED = 10159
+
+
+class RelativeTo(IntEnum):
+    """What a read position counts from."""
+
+    FIRST_SAMPLE = 10424
+    CURRENT_READ_POSITION = 10425
+    REFERENCE_TRIGGER = 10426
+    FIRST_PRETRIGGER_SAMPLE = 10427
+    MOST_RECENT_SAMPLE = 10428
+    CURRENT_WRITE_POSITION = 10430
+
+
+class Regeneration(IntEnum):
+    """Whether an output's buffer may be played again."""
+
+    ALLOWED = 10097
+    NOT_ALLOWED = 10158
+
+
+class LoggingMode(IntEnum):
+    """Whether a task logs, and whether it is read meanwhile."""
+
+    OFF = 10231
+    LOG = 15844
+    LOG_AND_READ = 15842
+
+
+class LoggingOperation(IntEnum):
+    """What becomes of a log's file that exists."""
+
+    OPEN = 10437
+    OPEN_OR_CREATE = 15846
+    CREATE_OR_REPLACE = 15847
+    CREATE = 15848
+
+
+class TaskMode(IntEnum):
+    """A step of a task's life."""
+
+    START = 0
+    STOP = 1
+    VERIFY = 2
+    COMMIT = 3
+    RESERVE = 4
+    UNRESERVE = 5
+    ABORT = 6
+
+
+class Coupling(IntEnum):
+    """Coupling of an input."""
+
+    AC = 10045
+    DC = 10050
+    GND = 10066
+
+
+class Excitation(IntEnum):
+    """Where a sensor's supply comes from."""
+
+    INTERNAL = 10200
+    EXTERNAL = 10167
+    NONE = 10230
+
+
+class Wiring(IntEnum):
+    """Terminal configuration of an input."""
+
+    DEFAULT = -1
+    RSE = 10083
+    NRSE = 10078
+    DIFFERENTIAL = 10106
+    PSEUDO_DIFFERENTIAL = 12529
+
+
+class Signal(IntEnum):
+    """Signals that can be exported or be told as events."""
+
+    SAMPLE_CLOCK = 12487
+    REFERENCE_TRIGGER = 12490
+    START_TRIGGER = 12491
+    SAMPLE_COMPLETE = 12530
+
+
+class TimestampEvent(IntEnum):
+    """Events whose time can be asked for."""
+
+    START_TRIGGER = 12491
+    REFERENCE_TRIGGER = 12490
+    FIRST_SAMPLE = 16130
+
+
+class EverySamples(IntEnum):
+    """Which samples an event counts."""
+
+    ACQUIRED = 1
+    TRANSFERRED = 2
+
+
+FROM_CUSTOM_SCALE, FROM_TEDS = 10065, 12516

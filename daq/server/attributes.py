@@ -1,0 +1,210 @@
+"""Attributes: the calls that read, set and reset a property of a task, a channel, a device, a scale."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from daq.instrument.errors import Code, DaqError, unsupported
+from daq.instrument.names import parse_port
+from daq.instrument.storage import Storage
+from daq.instrument.task_properties import (
+    get_channel,
+    get_value,
+    reset_channel,
+    reset_value,
+    set_channel,
+    set_value,
+)
+from daq.server.protocol import attribute_name, decode
+
+if TYPE_CHECKING:
+    from daq.instrument.task import Task
+    from daq.server.calls import Call
+
+_CALL = re.compile(r"(Get|Set|Reset)([A-Za-z]+?)Attribute(Ex)?(\w*?)")
+# Groups of a task's settings, by the names the calls have.
+_GROUPS = {
+    "Timing": "timing",
+    "Trig": "trig",
+    "Read": "read",
+    "Write": "write",
+    "Buffer": "buffer",
+    "ExportedSignal": "exported_signal",
+}
+# Version of the driver whose interface this follows: major, minor, update.
+DRIVER_VERSION = (26, 0, 0)
+
+
+def attribute_call(name: str) -> Callable[[Call], dict[str, Any]] | None:
+    """Find what answers a call that reads, sets or resets an attribute; None if it is no such call."""
+    match = _CALL.fullmatch(name)
+    if not match:
+        return None
+    action, owner, per_device, kind = match[1], match[2], bool(match[3]), match[4]
+
+    def answer(call: Call) -> dict[str, Any]:
+        named = attribute_name(call.message)
+        if named is None:
+            raise unsupported(f"attribute {decode(call.message).get('attribute', 0)}")
+        if per_device:
+            raise DaqError(
+                f"{named} is the same for all devices of a task: ask for it without naming one",
+                Code.M_STUDIO_OPERATION_DOES_NOT_SUPPORT_DEVICE_CONTEXT,
+            )
+        if action == "Get":
+            return {"value": _plain(_get(call, owner, named), kind)}
+        if action == "Set":
+            _set(call, owner, named, call.fields["value"])
+        else:
+            _reset(call, owner, named)
+        return {}
+
+    return answer
+
+
+def _plain(value: Any, kind: str) -> Any:
+    """Give a value in the form that the call has."""
+    if kind == "String":
+        return ", ".join(value) if isinstance(value, list) else str(value)
+    if kind in ("Int32", "UInt32", "UInt64"):
+        return int(value)
+    if kind == "Bool":
+        return bool(value)
+    return [int(each) for each in value] if kind == "Int32Array" else value
+
+
+def _get(call: Call, owner: str, name: str) -> Any:
+    if owner in _GROUPS:
+        return get_value(call.task, _GROUPS[owner], name)
+    if owner == "Chan":
+        return get_channel(call.task, call.fields["channel"], name)
+    return _OWNERS[owner](call, name)
+
+
+def _set(call: Call, owner: str, name: str, value: Any) -> None:
+    if owner in _GROUPS:
+        set_value(call.task, _GROUPS[owner], name, value)
+    elif owner == "Chan":
+        set_channel(call.task, call.fields["channel"], name, value)
+    elif owner == "Scale":
+        scale = call.server.storage.scale(call.fields["scale_name"])
+        if name not in scale.settings:
+            raise DaqError(f"a scale of this type has no {name}", Code.PROPERTY_NOT_SUPPORTED_FOR_SCALE_TYPE)
+        scale.settings[name] = value
+    else:
+        raise unsupported(f"setting {name}")
+
+
+def _reset(call: Call, owner: str, name: str) -> None:
+    if owner in _GROUPS:
+        reset_value(call.task, _GROUPS[owner], name)
+    elif owner == "Chan":
+        reset_channel(call.task, call.fields["channel"], name)
+    else:
+        raise unsupported(f"resetting {name}")
+
+
+def _of_device(call: Call, name: str) -> Any:
+    chassis = call.server.chassis
+    module = chassis.module(call.fields["device_name"])
+    found = module.attributes(chassis.modules_of(module.name))
+    if name not in found:
+        raise DaqError(f"{module.product_type} has no property {name}", Code.ATTR_NOT_SUPPORTED)
+    return found[name]
+
+
+def _of_terminal(call: Call, name: str) -> Any:
+    name = name.removeprefix("physical_chan_")
+    port = parse_port(call.fields["physical_channel"])
+    chassis = call.server.chassis
+    module = chassis.module(port.device)
+    row = module.row(port.kind, port.number)
+    found: dict[str, Any] = {
+        "ai_supported_meas_types": sorted(module.measurements),
+        "ai_term_cfgs": module.wiring_bits,
+        "ai_input_srcs": [port.name],
+    }
+    if port.kind == "ao":
+        found = {"ao_supported_output_types": [10322], "ao_term_cfgs": 1}
+    elif name.startswith("teds_"):
+        return call.server.teds.read(port, chassis.source.channels[row], name)
+    if name not in found:
+        raise DaqError(f"{port.name} has no property {name}", Code.ATTR_NOT_SUPPORTED)
+    return found[name]
+
+
+def _of_task(call: Call, name: str) -> Any:
+    task: Task = call.task
+    found = {
+        "name": lambda: task.name,
+        "channels": lambda: [each.name for each in task.settings.channels],
+        "devices": lambda: task.settings.device_names,
+        "num_chans": lambda: len(task.settings.channels),
+        "num_devices": lambda: len(task.settings.device_names),
+        "complete": task.is_done,
+    }
+    if name not in found:
+        raise unsupported(f"task property {name}")
+    return found[name]()
+
+
+def _of_system(call: Call, name: str) -> Any:
+    storage: Storage = call.server.storage
+    return {
+        "dev_names": call.server.chassis.device_names,
+        "tasks": list(storage.tasks),
+        "scales": list(storage.scales),
+        "global_chans": list(storage.channels),
+        "nidaq_major_version": DRIVER_VERSION[0],
+        "nidaq_minor_version": DRIVER_VERSION[1],
+        "nidaq_update_version": DRIVER_VERSION[2],
+    }[name]
+
+
+def _of_scale(call: Call, name: str) -> Any:
+    scale = call.server.storage.scale(call.fields["scale_name"])
+    if name not in scale.settings:
+        raise DaqError(f"a scale of this type has no {name}", Code.PROPERTY_NOT_SUPPORTED_FOR_SCALE_TYPE)
+    return scale.settings[name]
+
+
+def _of_saved(call: Call, name: str) -> Any:
+    storage: Storage = call.server.storage
+    kept, key = next(
+        (kept, call.fields[key])
+        for kept, key in (
+            (storage.tasks, "task_name"),
+            (storage.channels, "channel"),
+            (storage.scales, "scale_name"),
+        )
+        if key in call.fields
+    )
+    if key not in kept:
+        code = (
+            Code.CUSTOM_SCALE_DOES_NOT_EXIST if kept is storage.scales else Code.TASK_NOT_IN_DATA_NEIGHBORHOOD
+        )
+        code = Code.INVALID_GLOBAL_CHAN if kept is storage.channels else code
+        raise DaqError(f"nothing is saved under the name {key!r}", code)
+    if name == "author":
+        return storage.authors.get(key, "")
+    return True
+
+
+_OWNERS: dict[str, Callable[[Any, str], Any]] = {
+    "Device": _of_device,
+    "PhysicalChan": _of_terminal,
+    "Task": _of_task,
+    "SystemInfo": _of_system,
+    "Scale": _of_scale,
+    "PersistedTask": _of_saved,
+    "PersistedChan": _of_saved,
+    "PersistedScale": _of_saved,
+}
+for _absent in ("CalInfo", "RealTime", "Watchdog"):
+    _OWNERS[_absent] = lambda call, name: _refuse(name)
+
+
+def _refuse(name: str) -> Any:
+    raise DaqError(f"there is no property {name} here", Code.ATTR_NOT_SUPPORTED)

@@ -1,0 +1,82 @@
+"""Time on the bench, for scripts that are run with it: while they sleep or wait for Enter, it passes."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+from collections.abc import Callable
+
+import grpc
+
+from daq.instrument.chassis import Chassis
+
+# How long a script that asks for Enter is left waiting when nothing else limits it, s of bench time.
+PROMPT = 10.0
+
+
+class TimeLimit:
+    """Ends a process after a time on the bench.
+
+    Parameters
+    ----------
+    chassis : Chassis
+        The bench.
+    seconds : float or None
+        When; None: never.
+    """
+
+    def __init__(self, chassis: Chassis, seconds: float | None) -> None:
+        self._chassis, self._seconds = chassis, seconds
+        self.process: int | None = None
+        self.reached = False
+        if seconds is not None:
+            chassis.at(seconds, self._interrupt)
+
+    @property
+    def endless(self) -> bool:
+        """Whether there is no limit."""
+        return self._seconds is None
+
+    def left(self) -> float:
+        """Seconds that a prompt waits; the answer to it is then the end."""
+        self.reached = True
+        return PROMPT if self._seconds is None else max(0.0, self._seconds - self._chassis.elapsed)
+
+    def _interrupt(self) -> None:
+        if not self.reached and self.process is not None:
+            self.reached = True
+            os.kill(self.process, signal.SIGINT)
+
+
+class BenchTime(grpc.GenericRpcHandler):
+    """Answers /shotrig.Bench/Pass and /shotrig.Bench/Prompt.
+
+    Parameters
+    ----------
+    chassis : Chassis
+        The bench.
+    limit : TimeLimit, optional
+        Says how long a prompt waits.
+    """
+
+    def __init__(self, chassis: Chassis, limit: TimeLimit | None = None) -> None:
+        self._chassis, self._limit = chassis, limit or TimeLimit(chassis, None)
+
+    def service(self, handler_call_details: grpc.HandlerCallDetails) -> grpc.RpcMethodHandler | None:
+        """Find what answers a call; see the class."""
+        calls: dict[str, Callable[[bytes], float]] = {
+            "/shotrig.Bench/Pass": lambda request: float(request.decode()),
+            "/shotrig.Bench/Prompt": lambda request: self._limit.left(),
+        }
+        wanted = calls.get(handler_call_details.method)
+        if wanted is None:
+            return None
+
+        def answer(request: bytes, context: grpc.ServicerContext) -> bytes:
+            seconds = wanted(request)
+            if math.isfinite(seconds) and seconds > 0:
+                self._chassis.pass_time(seconds)
+            return repr(self._chassis.elapsed).encode()
+
+        return grpc.unary_unary_rpc_method_handler(answer)

@@ -1,0 +1,127 @@
+"""Lets scripts that know nothing of gRPC use the rig: NI's client, with the rig as what it uses by default.
+
+Only public names of the client are touched: its classes that take `grpc_options` get them when a script gives
+none, and `System.local` is answered by `System.remote`. It takes effect when a script imports the client, in the
+script's process and in those it starts, by fork and by spawn.
+"""
+
+from __future__ import annotations
+
+import builtins
+import functools
+import importlib.util
+import os
+import sys
+import time
+from collections.abc import Callable, Sequence
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+from typing import Any
+
+SERVER, FAST, LIMITED = "SHOTRIG_SERVER", "SHOTRIG_FAST", "SHOTRIG_LIMITED"
+# The key of clients that know nothing of sessions: a name that is taken is the driver's error to them.
+STRICT = "shotrig: no sessions"
+_channels: dict[int, Any] = {}
+
+
+def prepare() -> None:
+    """Get ready for the script to import the client, and let bench time pass where the script sleeps."""
+    sys.meta_path.insert(0, _ClientFinder())
+    if os.environ.get(FAST):
+        time.sleep = functools.partial(_ask, "Pass")
+    if os.environ.get(FAST) or os.environ.get(LIMITED):
+        builtins.input = _wait_for_enter
+    if os.environ.get(LIMITED):
+        show = sys.excepthook
+        sys.excepthook = lambda kind, *rest: None if kind is KeyboardInterrupt else show(kind, *rest)
+
+
+class _ClientFinder:
+    """Finds the client's package, and changes its defaults once it has been imported."""
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        if name != "nidaqmx":
+            return None
+        sys.meta_path.remove(self)
+        spec = importlib.util.find_spec(name)
+        loader: Any = spec and spec.loader
+        if loader is not None:
+            execute = loader.exec_module
+
+            def exec_module(module: ModuleType) -> None:
+                execute(module)
+                install()
+
+            loader.exec_module = exec_module
+        return spec
+
+
+def install() -> None:
+    """Give the client's classes the rig as what they use by default."""
+    import nidaqmx
+    from nidaqmx import system
+    from nidaqmx.system import storage
+
+    owners = [(nidaqmx, "Task"), (nidaqmx, "Scale"), (system, "Device"), (system, "PhysicalChannel")]
+    owners += [(storage, name) for name in ("PersistedTask", "PersistedChannel", "PersistedScale")]
+    for module, name in owners:
+        owner = getattr(module, name, None)
+        if owner is not None:
+            owner.__init__ = _with_options(owner.__init__)
+    for name in ("calculate_reverse_poly_coeff", "create_lin_scale", "create_map_scale"):
+        _default_static(nidaqmx.Scale, name)
+    for name in ("create_polynomial_scale", "create_table_scale"):
+        _default_static(nidaqmx.Scale, name)
+    remote = system.System.remote
+    system.System.local = staticmethod(lambda: remote(_options()))
+
+
+def _with_options(make: Callable[..., None]) -> Callable[..., None]:
+    @functools.wraps(make)
+    def initialize(self: Any, *given: Any, **named: Any) -> None:
+        if named.get("grpc_options") is None:
+            named["grpc_options"] = _options()
+        make(self, *given, **named)
+
+    return initialize
+
+
+def _default_static(owner: Any, name: str) -> None:
+    made = getattr(owner, name, None)
+    if made is not None:
+
+        @functools.wraps(made)
+        def create(*given: Any, **named: Any) -> Any:
+            if named.get("grpc_options") is None:
+                named["grpc_options"] = _options()
+            return made(*given, **named)
+
+        setattr(owner, name, staticmethod(create))
+
+
+def _options() -> Any:
+    """Make session options for this process; a name that is taken is an error, as without a network."""
+    from nidaqmx import GrpcSessionOptions
+
+    return GrpcSessionOptions(_channel(), "", api_key=STRICT)
+
+
+def _channel() -> Any:
+    """Give this process its own connection: one that was made before a fork belongs to the other process."""
+    from daq.server.channels import open_channel
+
+    if os.getpid() not in _channels:
+        _channels[os.getpid()] = open_channel(os.environ[SERVER])
+    return _channels[os.getpid()]
+
+
+def _ask(call: str, seconds: float = 0.0) -> None:
+    _channel().unary_unary(f"/shotrig.Bench/{call}")(repr(float(seconds)).encode())
+
+
+def _wait_for_enter(text: object = "", /) -> str:
+    print(text, end="", flush=True)
+    _ask("Prompt")
+    return ""

@@ -1,0 +1,102 @@
+"""What any client's test does, live: a view in the rerun viewer, and a recording."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from daq.instrument.chassis import Chassis
+from daq.recording.recorder import Recorder
+from daq.scope.screen import Screen
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+# Blocks that may wait to be shown; a view that is behind leaves some out, a recording never does.
+_WAITING = 64
+
+
+class LiveView:
+    """Shows the bench of a chassis in a viewer, from a thread of its own.
+
+    Parameters
+    ----------
+    chassis : Chassis
+        The instrument.
+    stream : rerun RecordingStream
+        Its sink is set.
+    """
+
+    def __init__(self, chassis: Chassis, stream: rr.RecordingStream) -> None:
+        self._stream, self._source, self._screen = stream, None, None
+        self._blocks: queue.Queue[tuple[Any, Any]] = queue.Queue(_WAITING)
+        chassis.listeners.append(self._hear)
+        threading.Thread(target=self._show, name="view", daemon=True).start()
+
+    def _hear(self, source: Any, block: Any) -> None:
+        if not self._blocks.full():
+            self._blocks.put_nowait((source, block))
+
+    def _show(self) -> None:
+        screen: Screen | None = None
+        shown: Any = None
+        while True:
+            source, block = self._blocks.get()
+            if source is not shown or screen is None:
+                shown, screen = source, Screen(self._stream, source.scene, source.channels, source.rate)
+            screen.show(block, source.bench.physical(block.samples))
+
+
+class LiveRecording:
+    """Records all channels of a bench while clients use it.
+
+    A change of the bench's rate begins another file, with a number behind its name.
+
+    Parameters
+    ----------
+    chassis : Chassis
+        The instrument.
+    path : Path
+        Recording to make.
+    overwrite : bool
+        Whether it may replace a file.
+    """
+
+    def __init__(self, chassis: Chassis, path: Path, overwrite: bool = False) -> None:
+        self._chassis, self._path, self._overwrite = chassis, path, overwrite
+        self._source: Any = None
+        self._recorder: Recorder | None = None
+        self.paths: list[Path] = []
+        chassis.listeners.append(self._hear)
+
+    def _hear(self, source: Any, block: Any) -> None:
+        if source is not self._source:
+            self._complete()
+            name = (
+                f"{self._path.stem}-{len(self.paths) + 1}{self._path.suffix}"
+                if self.paths
+                else self._path.name
+            )
+            self.paths.append(self._path.with_name(name))
+            start = self._chassis.time_ns(block.first)
+            # The truth of a scene belongs to a whole test.
+            scene = source.scene.replace(recording=source.scene.recording.replace(truth=False))
+            self._source = source
+            self._recorder = Recorder(
+                self.paths[-1], scene, source.channels, source.rate, start, self._overwrite
+            )
+        assert self._recorder is not None
+        self._recorder.write(block.samples)
+
+    def _complete(self) -> None:
+        if self._recorder is not None:
+            self._recorder.close("complete", "")
+            self._recorder = None
+
+    def close(self) -> None:
+        """Complete the recording."""
+        with self._chassis.changed:
+            self._chassis.listeners.remove(self._hear)
+            self._complete()

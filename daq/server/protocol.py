@@ -1,0 +1,153 @@
+"""NI's gRPC device protocol, service `nidaqmx_grpc.NiDAQmx`: its calls, and what goes in and out of them.
+
+The protocol is public; its message classes, generated from `nidaqmx.proto`, come with every release of
+`nidaqmx[grpc]`. What this server answers is found from the descriptors of the release that is installed, so
+that calls it has more or fewer of do not matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from google.protobuf import message_factory
+from google.protobuf.timestamp_pb2 import Timestamp
+from nidaqmx._stubs import nidaqmx_pb2
+
+SERVICE = nidaqmx_pb2.DESCRIPTOR.services_by_name["NiDAQmx"]
+_SESSION, _TIMESTAMP, _ENUM = "nidevice_grpc.Session", "google.protobuf.Timestamp", "_enum"
+
+
+@dataclass(frozen=True)
+class Method:
+    """A remote call.
+
+    Attributes
+    ----------
+    name : str
+        Its name in the service.
+    request, response : type
+        Message classes.
+    streams : bool
+        Whether it answers with a stream.
+    """
+
+    name: str
+    request: Any
+    response: Any
+    streams: bool
+
+
+def methods() -> list[Method]:
+    """List the calls of the service."""
+    return [
+        Method(
+            each.name,
+            message_factory.GetMessageClass(each.input_type),
+            message_factory.GetMessageClass(each.output_type),
+            each.server_streaming,
+        )
+        for each in SERVICE.methods
+    ]
+
+
+def decode(request: Any) -> dict[str, Any]:
+    """Give the fields of a request by name.
+
+    A choice between a named value and a raw one becomes the number, under the name of the choice; a session
+    becomes its name; lists become lists, or arrays of numbers; a time becomes seconds since 1970.
+    """
+    found: dict[str, Any] = {}
+    for name, choice, kind, repeated in _fields(request.DESCRIPTOR):
+        if choice:
+            given = request.WhichOneof(choice)
+            if given is not None:
+                found[name] = getattr(request, given)
+            continue
+        value = getattr(request, name)
+        if repeated:
+            found[name] = value if kind == "message" else _listed(value, kind)
+        elif kind == _SESSION:
+            found[name] = value.name
+        elif kind == _TIMESTAMP:
+            found[name] = value.seconds + value.nanos * 1e-9
+        else:
+            found[name] = value
+    return found
+
+
+def _listed(values: Any, kind: str) -> Any:
+    return np.array(values, dtype=np.float64) if kind == "double" else list(values)
+
+
+@cache
+def _fields(descriptor: Any) -> list[tuple[str, str, str, bool]]:
+    """List what a request holds: name, choice, kind, whether it is a list."""
+    found, seen = [], set()
+    for field in descriptor.fields:
+        choice = field.containing_oneof.name if field.containing_oneof is not None else ""
+        if choice in seen:
+            continue
+        seen.add(choice or field.name)
+        kind = ""
+        if field.message_type is not None:
+            kind = field.message_type.full_name
+            kind = kind if kind in (_SESSION, _TIMESTAMP) else "message"
+        elif field.cpp_type == field.CPPTYPE_DOUBLE:
+            kind = "double"
+        found.append((choice.removesuffix(_ENUM) or field.name, choice, kind, _is_list(field)))
+    return found
+
+
+def _is_list(field: Any) -> bool:
+    return bool(getattr(field, "is_repeated", None) or getattr(field, "label", 0) == 3)
+
+
+def encode(response: Any, values: Mapping[str, Any]) -> Any:
+    """Fill a response from values by field name; where it has a raw form of a field, that too."""
+    names = response.DESCRIPTOR.fields_by_name
+    for name, value in values.items():
+        for each in (name, f"{name}_raw"):
+            field = names.get(each)
+            if field is None:
+                continue
+            if field.message_type is not None and field.message_type.full_name == _SESSION:
+                getattr(response, each).name = value
+            elif field.message_type is not None and field.message_type.full_name == _TIMESTAMP:
+                getattr(response, each).CopyFrom(timestamp(value))
+            elif _is_list(field):
+                getattr(response, each).extend(
+                    value.ravel().tolist() if isinstance(value, np.ndarray) else value
+                )
+            else:
+                setattr(response, each, value)
+    return response
+
+
+def timestamp(seconds: float) -> Timestamp:
+    """Write seconds since 1970 as a time."""
+    whole = int(seconds // 1)
+    return Timestamp(seconds=whole, nanos=min(round((seconds - whole) * 1e9), 999_999_999))
+
+
+def attribute_name(request: Any) -> str | None:
+    """Give the driver's name of the attribute that a request is about; None if this release has no name for it.
+
+    The name is that of the attribute's number in the protocol, without what group it belongs to.
+    """
+    field = request.DESCRIPTOR.fields_by_name["attribute"]
+    given = request.WhichOneof("attribute_enum")
+    number = getattr(request, given) if given else 0
+    if number == DEFAULT_NUMBER_OF_SAMPLES:
+        return "default_number_of_samples"
+    value = field.enum_type.values_by_number.get(number)
+    if value is None or not number:
+        return None
+    return str(value.name).partition("_ATTRIBUTE_")[2].lower()
+
+
+# Asked for by the client's reads, but named nowhere in the protocol.
+DEFAULT_NUMBER_OF_SAMPLES = 0x31E8

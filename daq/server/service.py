@@ -1,0 +1,268 @@
+"""The server: remote calls in, answers and events out, errors as the protocol tells them."""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import grpc
+
+from daq.instrument.errors import Code, DaqError, bad
+from daq.instrument.storage import Storage
+from daq.instrument.task import Task
+from daq.instrument.teds import TedsMemory
+from daq.server.calls import Call, answer_to
+from daq.server.client_defaults import STRICT
+from daq.server.protocol import SERVICE, Method, decode, encode, methods
+from daq.server.sessions import SessionExists, Sessions
+
+if TYPE_CHECKING:
+    from daq.instrument.chassis import Chassis
+
+# The protocol's default port.
+PORT = 31763
+# Message text travels in headers, which have little room.
+_LONGEST_TEXT = 3000
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What clients may ask for.
+
+    Parameters
+    ----------
+    message : int
+        Bytes of a message.
+    tasks : int
+        Open tasks of one client.
+    calls : int
+        Calls that are answered at the same time, event streams included.
+    patience : float
+        Seconds after which the session of a client that has gone without goodbye is ended.
+    """
+
+    message: int = 256 << 20
+    tasks: int = 64
+    calls: int = 256
+    patience: float = 30.0
+
+
+class Server:
+    """An instrument on the network.
+
+    Parameters
+    ----------
+    chassis : Chassis
+        The instrument.
+    address : str
+        Where to listen, with a port; port 0 takes a free one.
+    credentials : grpc.ServerCredentials, optional
+        Certificates; without them nothing is encrypted.
+    limits : Limits
+        What clients may ask for.
+    further : sequence of grpc.GenericRpcHandler
+        What else is answered.
+
+    Attributes
+    ----------
+    port : int
+        Where it listens.
+    """
+
+    def __init__(
+        self,
+        chassis: Chassis,
+        address: str = "127.0.0.1:0",
+        credentials: grpc.ServerCredentials | None = None,
+        limits: Limits | None = None,
+        further: Sequence[grpc.GenericRpcHandler] = (),
+    ) -> None:
+        self.chassis, self.limits = chassis, limits or Limits()
+        self.storage, self.teds = Storage(), TedsMemory()
+        self.sessions = Sessions(chassis, self.storage, self.limits.tasks)
+        self._said: dict[tuple[str, int], str] = {}
+        self._closing = threading.Event()
+        self._server = grpc.server(
+            ThreadPoolExecutor(self.limits.calls, thread_name_prefix="client"),
+            options=[
+                ("grpc.max_receive_message_length", self.limits.message),
+                ("grpc.max_send_message_length", self.limits.message),
+                ("grpc.so_reuseport", 0),
+            ],
+        )
+        handlers = {each.name: self._handler(each) for each in methods()}
+        self._server.add_generic_rpc_handlers(
+            (grpc.method_handlers_generic_handler(SERVICE.full_name, handlers), *further)
+        )
+        if credentials is None:
+            self.port = self._server.add_insecure_port(address)
+        else:
+            self.port = self._server.add_secure_port(address, credentials)
+        self._server.start()
+        threading.Thread(target=self._watch, name="sessions", daemon=True).start()
+
+    def close(self) -> None:
+        """End all sessions and stop listening."""
+        self._closing.set()
+        self.sessions.close_all()
+        self._server.stop(0.5).wait()
+
+    def wait(self) -> None:
+        """Wait until the server has been closed."""
+        self._server.wait_for_termination()
+
+    def check_size(self, size: int) -> None:
+        """Make sure that an answer is not too large; with -200077."""
+        if size > self.limits.message:
+            raise bad(
+                f"an answer of {size >> 20} MB: this server sends {self.limits.message >> 20} MB at a time; read "
+                "less at once"
+            )
+
+    def remember(self, peer: str, error: DaqError, task: str) -> None:
+        """Keep what is to be said about an error that is told by its number alone."""
+        if len(self._said) > 1000:
+            self._said.clear()
+        self._said[peer, error.code] = _text(error, task)
+
+    def recall(self, peer: str, code: int) -> str:
+        """Say what an error number means; what was last said of it to this client."""
+        if (peer, code) in self._said:
+            return self._said[peer, code]
+        known = {int(each): each.name for each in Code}
+        if code == 200010:
+            return "A finite acquisition or generation was stopped before it was complete."
+        if code in known:
+            return f"{known[code].replace('_', ' ').capitalize()}.\n\nStatus Code: {code}"
+        return ""
+
+    def _handler(self, method: Method) -> Any:
+        if method.streams:
+            return grpc.unary_stream_rpc_method_handler(
+                self._stream(method),
+                request_deserializer=method.request.FromString,
+                response_serializer=method.response.SerializeToString,
+            )
+        return grpc.unary_unary_rpc_method_handler(
+            self._unary(method),
+            request_deserializer=method.request.FromString,
+            response_serializer=method.response.SerializeToString,
+        )
+
+    def _unary(self, method: Method) -> Callable[[Any, grpc.ServicerContext], Any]:
+        act = answer_to(method.name)
+
+        def answer(request: Any, context: grpc.ServicerContext) -> Any:
+            with self._telling(method.name, request, context) as call:
+                if act is None:
+                    raise DaqError(
+                        f"{method.name} is not among what the rig's instrument can do",
+                        Code.ATTRIBUTE_NOT_SUPPORTED_IN_TASK_CONTEXT,
+                    )
+                return encode(method.response(), act(call))
+
+        return answer
+
+    @contextlib.contextmanager
+    def _telling(self, name: str, request: Any, context: grpc.ServicerContext) -> Iterator[Call]:
+        """Tell errors as the protocol does."""
+        peer = context.peer()
+        key = dict(context.invocation_metadata()).get("ni-api-key", "")
+        call = Call(self, peer, request, strict=key == STRICT)
+        try:
+            call.fields = decode(request)
+            yield call
+        except DaqError as error:
+            task = call.fields.get("task", "")
+            message = _text(error, task)
+            kind = "written" if "Write" in name else "read"
+            told = [("ni-error", str(error.code))]
+            if error.done is not None or name.startswith(("Read", "Write")):
+                told.append((f"ni-samps-per-chan-{kind}", str(error.done or 0)))
+            context.set_trailing_metadata(tuple(told))
+            context.abort(grpc.StatusCode.UNKNOWN, message)
+        except SessionExists as error:
+            context.abort(grpc.StatusCode.ALREADY_EXISTS, str(error))
+        except (KeyError, ValueError, TypeError, OverflowError) as error:
+            traceback.print_exception(error)
+            context.set_trailing_metadata((("ni-error", str(int(Code.INVALID_ATTRIBUTE_VALUE))),))
+            context.abort(grpc.StatusCode.INVALID_ARGUMENT, f"{name}: {error}"[:_LONGEST_TEXT])
+
+    def _stream(self, method: Method) -> Callable[[Any, grpc.ServicerContext], Iterator[Any]]:
+        register, fields = _EVENTS[method.name]
+
+        def events(request: Any, context: grpc.ServicerContext) -> Iterator[Any]:
+            told: queue.SimpleQueue[int | None] = queue.SimpleQueue()
+            with self._telling(method.name, request, context) as call:
+                task, given = call.task, call.fields
+                with task.chassis.changed:
+                    register(task, given, told.put)
+            task.events.at_end(lambda: told.put(None))
+            context.add_callback(lambda: told.put(None))
+            # Only now does the client go on: what it starts next is heard.
+            context.send_initial_metadata(())
+            try:
+                while (value := told.get()) is not None and context.is_active():
+                    yield encode(method.response(), fields(given, value))
+            finally:
+                with contextlib.suppress(DaqError), task.chassis.changed:
+                    task.events.leave(told.put)
+
+        return events
+
+    def _watch(self) -> None:
+        """End sessions whose clients have gone, now and then."""
+        while not self._closing.wait(min(1.0, self.limits.patience / 4)):
+            there = _connected_to(self.port)
+            if there is None:
+                continue
+            for name in self.sessions.sweep(there, self.limits.patience):
+                print(f"task {name} was closed: its client has gone", file=sys.stderr, flush=True)
+
+
+def _text(error: DaqError, task: str) -> str:
+    lines = [str(error)[:_LONGEST_TEXT], f"Task Name: {task}" if task else "", f"Status Code: {error.code}"]
+    return "\n\n".join(line for line in lines if line)
+
+
+_EVENTS: dict[str, tuple[Callable[[Task, dict[str, Any], Any], None], Callable[..., dict[str, Any]]]] = {
+    "RegisterEveryNSamplesEvent": (
+        lambda task, given, put: task.listen_every(
+            given["every_n_samples_event_type"], given["n_samples"], put
+        ),
+        lambda given, value: {
+            "n_samples": value,
+            "every_n_samples_event_type": given["every_n_samples_event_type"],
+        },
+    ),
+    "RegisterDoneEvent": (
+        lambda task, given, put: task.listen_done(put),
+        lambda given, value: {"status": value},
+    ),
+    "RegisterSignalEvent": (
+        lambda task, given, put: task.listen_signal(given["signal_id"], put),
+        lambda given, value: {"signal_id": value},
+    ),
+}
+
+
+def _connected_to(port: int) -> set[tuple[str, int]] | None:
+    """List who is connected to a port of this process; None if that cannot be found out."""
+    import psutil
+
+    try:
+        found = psutil.Process().net_connections(kind="tcp")
+    except (psutil.Error, OSError):
+        return None
+    return {
+        (each.raddr.ip.removeprefix("::ffff:"), each.raddr.port)
+        for each in found
+        if each.laddr and each.laddr.port == port and each.raddr and each.status == psutil.CONN_ESTABLISHED
+    }

@@ -1,0 +1,22 @@
+"""Runs when Python starts in a process of `daq run`, whose first folder to import from is this one.
+
+It is no package: Python looks for a module of this name when it starts. One that lies further back is run too.
+"""
+
+import importlib.machinery
+import importlib.util
+import os
+import sys
+from pathlib import Path
+
+if "SHOTRIG_SERVER" in os.environ:
+    from daq.server.client_defaults import prepare
+
+    prepare()
+
+_here = str(Path(__file__).resolve().parent)
+_spec = importlib.machinery.PathFinder.find_spec(
+    "sitecustomize", [each for each in sys.path if str(Path(each).resolve()) != _here]
+)
+if _spec is not None and _spec.loader is not None:
+    _spec.loader.exec_module(importlib.util.module_from_spec(_spec))

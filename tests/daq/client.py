@@ -1,0 +1,27 @@
+"""NI's client on a rig in this process, for tests that were written as scripts are."""
+
+import nidaqmx
+
+import daq
+
+_connected = []
+
+
+def connect(scene, clock="fast"):
+    """Put an instrument in front of a scene, in place of the one before; give its chassis."""
+    while _connected:
+        _connected.pop().close()
+    _connected.append(daq.connect(scene, clock=clock))
+    return _connected[0].chassis
+
+
+def options():
+    """Give the session options of the rig that is connected."""
+    return _connected[0]
+
+
+class Task(nidaqmx.Task):
+    """A task on the rig that was connected last."""
+
+    def __init__(self, name=""):
+        super().__init__(name, grpc_options=options())

@@ -1,0 +1,190 @@
+"""The simulated devices that NI's tests expect, with the signal that NI's simulated devices give."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+import rig
+from daq.instrument.channels import Channel
+from daq.instrument.measurements import MEASUREMENTS
+from daq.instrument.modules import Module
+from daq.instrument.scales import LINEAR, MAP_RANGES, POLYNOMIAL, TABLE, Scale
+from daq.instrument.storage import Storage
+from daq.instrument.task import Task
+from daq.instrument.values import Coupling, SampleMode, TimingType, Wiring
+from daq.signal_chain.channel import ChannelInfo
+from rig.scene.modules import Rates
+
+_EVERYTHING = frozenset(each.type for each in MEASUREMENTS.values())
+_X_SERIES, _SC_EXPRESS, _DSA, _CHASSIS, _MODULE = 15858, 15886, 14649, 14658, 14659
+_TS_CHASSIS, _TS_MODULE = 16180, 16181
+_PCIE, _PXIE, _USB, _TCPIP, _CDAQ = 13612, 14706, 12586, 14828, 14637
+_COUNT = 200
+
+
+def modules() -> list[Module]:
+    """List the devices of NI's `tests/max_config`; all of them look at the same inputs and outputs."""
+    rows = tuple(range(32))
+    general = Module(
+        "",
+        "",
+        category=_SC_EXPRESS,
+        bus=_PXIE,
+        ranges=(0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0),
+        bits=16,
+        output_bits=16,
+        timebase=100e6,
+        rates=Rates(0.01, 100e6),
+        output_rates=Rates(0.01, 100e6),
+        couplings=(Coupling.DC, Coupling.AC),
+        wirings=(Wiring.RSE, Wiring.NRSE, Wiring.DIFFERENTIAL),
+        measurements=_EVERYTHING,
+        simultaneous=False,
+    )
+    x_series = replace(
+        general, product_type="PCIe-6363", category=_X_SERIES, bus=_PCIE, inputs=rows, outputs=rows[:4]
+    )
+    sensing = replace(
+        general, inputs=rows[:8], ranges=(10.0,), wirings=(Wiring.DIFFERENTIAL, Wiring.PSEUDO_DIFFERENTIAL)
+    )
+
+    def in_chassis(name: str, product: str, slot: int, **given: Any) -> Module:
+        chassis = "tsChassisTester" if product.startswith("TS") else "cdaqChassisTester"
+        category = _TS_MODULE if product.startswith("TS") else _MODULE
+        return replace(
+            general,
+            name=name,
+            product_type=product,
+            category=category,
+            bus=_CDAQ,
+            chassis=chassis,
+            slot=slot,
+            **given,
+        )
+
+    return [
+        replace(general, name="aoTester", product_type="PXIe-4322", outputs=rows[:8]),
+        replace(sensing, name="bridgeTester", product_type="PXIe-4331", number=0x74A9C4C4),
+        replace(sensing, name="chargeTester", product_type="PXIe-4480", category=_DSA),
+        replace(
+            general, name="dmmTester", product_type="NI myDAQ", bus=_USB, inputs=rows[:2], outputs=rows[:2]
+        ),
+        replace(sensing, name="dsaTester", product_type="PXIe-4466", category=_DSA),
+        *(replace(x_series, name=f"nidaqmxMultithreadingTester{number}") for number in range(1, 5)),
+        replace(sensing, name="positionTester", product_type="PXIe-4340"),
+        Module("tsChassisTester", "TS-15000", category=_TS_CHASSIS, bus=_PXIE),
+        in_chassis("tsPowerTester1", "TS-15200", 1),
+        in_chassis("tsPowerTester2", "TS-15200", 2),
+        in_chassis("tsVoltageTester1", "TS-15100", 3, inputs=rows[:4], outputs=rows[:2]),
+        Module("cdaqChassisTester", "cDAQ-9189", category=_CHASSIS, bus=_TCPIP),
+        in_chassis("cdaqTesterMod2", "NI 9215", 2, inputs=rows[:4]),
+        in_chassis("cdaqTesterMod3", "NI 9775", 3, inputs=rows[:4]),
+        in_chassis("cdaqTesterMod5", "NI 9263", 5, outputs=rows[:4]),
+        in_chassis("cdaqTesterMod6", "NI 9205", 6, inputs=rows),
+    ]
+
+
+class SimulatedSignals:
+    """A source that gives every input a sine within the limits of the channel that looks at it."""
+
+    sampling: Literal["point", "average", "filter"] = "point"
+    delay = 0.0
+
+    def __init__(self, rate: float | None) -> None:
+        self.rate = rate or 1000.0
+        self.scene = rig.load("bare-structure")
+        self.dtype: type[np.generic] = np.float64
+        self.channels: Sequence[ChannelInfo] = [
+            ChannelInfo(f"ai{number}", "body 1", "acceleration", 1.0, self.rate) for number in range(_COUNT)
+        ]
+        self.drive_per_volt = np.ones(32)
+        self.lost: Sequence[tuple[int, int]] = ()
+        self._low, self._high = np.full((_COUNT, 1), -5.0), np.full((_COUNT, 1), 5.0)
+        self._position = 0
+
+    def horizon(self, samples: int) -> int:
+        """See `SampleSource.horizon`."""
+        return samples
+
+    def acquire(self, volts: NDArray[np.float64] | None, samples: int) -> Any:
+        """See `SampleSource.acquire`."""
+        ticks = self._position + np.arange(samples)
+        sine = 0.4 * np.sin(2 * np.pi * ticks / 50)
+        values = (self._high + self._low) / 2 + (self._high - self._low) / 2 * sine
+        block = _Block(self._position, values, np.zeros(values.shape, bool))
+        self._position += samples
+        return block
+
+    def leave_outputs(self) -> None:
+        """See `SampleSource.leave_outputs`."""
+
+    def wire(self, channels: Sequence[Channel]) -> None:
+        """See `SampleSource.wire`."""
+        for each in channels:
+            self._low[each.row] = each.settings["ai_min"] * each.volts_per_unit
+            self._high[each.row] = each.settings["ai_max"] * each.volts_per_unit
+
+    def filter_properties(self, row: int, rate: float | None) -> dict[str, Any]:
+        """See `SampleSource.filter_properties`."""
+        return {"ai_filter_delay": 0.0, "ai_remove_filter_delay": True}
+
+
+@dataclass(frozen=True)
+class _Block:
+    first: int
+    samples: NDArray[np.float64]
+    overload: NDArray[np.bool_]
+
+
+def save_what_ni_saved(storage: Storage, task: Task) -> None:
+    """Save the tasks, channels and scales of NI's `tests/max_config`."""
+    scales = {
+        "double_gain_scale": Scale(
+            LINEAR,
+            {
+                "lin_slope": 2.0,
+                "lin_y_intercept": 0.0,
+                "descr": "Twice the gain",
+                "scaled_units": "Double Gain",
+            },
+        ),
+        "no_scaling_scale": Scale(
+            MAP_RANGES,
+            {
+                "map_pre_scaled_min": -10.0,
+                "map_pre_scaled_max": 10.0,
+                "map_scaled_min": -10.0,
+                "map_scaled_max": 10.0,
+            },
+        ),
+        "polynomial_scale": Scale(
+            POLYNOMIAL, {"poly_forward_coeff": [0.0, 1.0], "poly_reverse_coeff": [0.0, 1.0]}
+        ),
+        "degrees_scale": Scale(
+            TABLE, {"table_pre_scaled_vals": [0.0, 1.0, 2.0], "table_scaled_vals": [0.0, 1.0, 2.0]}
+        ),
+    }
+    storage.scales.update(scales)
+    storage.authors.update(dict.fromkeys(scales, "Test Author"))
+    volts = MEASUREMENTS["Voltage"]
+    task.settings.add_inputs("tsVoltageTester1/ai0", "Voltage_0", volts, {})
+    timing = {"samp_clk_rate": 1000.0, "samp_quant_samp_mode": SampleMode.FINITE}
+    timing |= {"samp_quant_samp_per_chan": 100, "samp_timing_type": TimingType.SAMPLE_CLOCK}
+    for key, value in timing.items():
+        task.settings.groups["timing"][key] = value
+    storage.save_task(task.settings, "VoltageTesterTask", "Test Author")
+    for number, name in enumerate(("VoltageTesterChannel", "VoltageTesterChannel2")):
+        storage.save_channel(
+            task.settings.add_inputs(f"tsVoltageTester1/ai{number}", name, volts, {})[0], name, "Test Author"
+        )
+
+
+def save_outputs(storage: Storage, task: Task) -> None:
+    """Save the task of NI's `tests/max_config` that has outputs."""
+    task.settings.add_outputs("aoTester/ao0:2", "VoltageOut_0", {})
+    storage.save_task(task.settings, "AOTesterTask", "Test Author")

@@ -1,0 +1,29 @@
+"""A server of the devices that NI's tests expect; tells its port as NI's own server does."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from daq.instrument.chassis import Chassis
+from daq.instrument.clock import RealClock
+from daq.instrument.task import Task
+from daq.server.service import Limits, Server
+from tests.ni_suite.devices import (
+    SimulatedSignals,
+    modules,
+    save_outputs,
+    save_what_ni_saved,
+)
+
+if __name__ == "__main__":
+    chassis = Chassis(modules(), SimulatedSignals, RealClock())
+    server = Server(chassis, limits=Limits(tasks=10_000))
+    for save in (save_what_ni_saved, save_outputs):
+        task = Task(chassis, "", server.storage.scales)
+        save(server.storage, task)
+        task.close()
+    print(f"Server listening on port {server.port}", flush=True)
+    server.wait()

@@ -20,8 +20,8 @@ Vector = NDArray[np.float64]
 Equations = Callable[[Vector], tuple[Vector, Vector]]
 # x (n + 1,), unit tangent (n + 1,) -> a number whose sign change is looked for
 Monitor = Callable[[Vector, Vector], float]
-# x (n + 1,) -> room to each border (negative beyond it), and the borders' names
-Rooms = Callable[[Vector], tuple[Vector, Sequence[str]]]
+# x (n + 1,) -> margin to each border (negative beyond it), and the borders' names
+Margins = Callable[[Vector], tuple[Vector, Sequence[str]]]
 
 
 # How near to a border the last point before it lies, relative to the step there.
@@ -164,7 +164,7 @@ def trace(
     bounds: tuple[float, float],
     scale: Vector,
     steps: Steps | None = None,
-    rooms: Rooms = lambda x: (np.ones(1), ("",)),
+    margins: Margins = lambda x: (np.ones(1), ("",)),
 ) -> Curve:
     """Follow the curve through a solution in both directions.
 
@@ -178,9 +178,9 @@ def trace(
         Range of the parameter; the curve ends on it exactly.
     scale : ndarray, shape (n + 1,)
         Natural size of each unknown; arclength is measured in these.
-    rooms : callable, optional
-        x -> room to each border, negative for what is not part of the curve any more, and the borders' names. A
-        room changes smoothly across its border, so that the last point kept lies there.
+    margins : callable, optional
+        x -> margin to each border, negative for what is not part of the curve any more, and the borders' names. A
+        margin changes smoothly across its border, so that the last point kept lies there.
 
     Returns
     -------
@@ -189,10 +189,10 @@ def trace(
     """
     steps = steps or Steps()
     first = tangent(equations, start, scale)
-    forward, end = _walk(equations, start, first, bounds, scale, steps, rooms)
+    forward, end = _walk(equations, start, first, bounds, scale, steps, margins)
     if end == "closed":
         return Curve(*_columns(forward), (end, end), scale)
-    backward, begin = _walk(equations, start, -first, bounds, scale, steps, rooms)
+    backward, begin = _walk(equations, start, -first, bounds, scale, steps, margins)
     before = [(x, -t) for x, t in reversed(backward[1:])]
     return Curve(*_columns(before + forward), (begin, end), scale)
 
@@ -208,12 +208,12 @@ def _walk(
     bounds: tuple[float, float],
     scale: Vector,
     steps: Steps,
-    rooms: Rooms,
+    margins: Margins,
 ) -> tuple[list[tuple[Vector, Vector]], str]:
     """Walk one way from the start; the points passed (start included) and why the walk ended."""
     path = [(start, direction)]
     step, travelled = steps.first, 0.0
-    space, names = rooms(start)
+    space, names = margins(start)
     while len(path) < steps.points:
         x, way = path[-1]
         if space.min() < 0:
@@ -245,10 +245,10 @@ def _walk(
             except NoConvergence as failure:
                 return path, f"no convergence: {failure} at parameter {bound:.9g}, the end of its range"
             new_way, ends = new_way if new_way @ way > 0 else -new_way, "range"
-        left, _ = rooms(reached)
+        left, _ = margins(reached)
         if left.min() < 0:
             try:
-                last, index = _on_border(equations, (x, space), (reached, left), scale, steps, rooms)
+                last, index = _on_border(equations, (x, space), (reached, left), scale, steps, margins)
             except NoConvergence as failure:
                 if step <= steps.shortest:
                     return path, f"no convergence: {failure} at parameter {x[-1]:.9g}"
@@ -298,12 +298,12 @@ def _on_border(
     outside: tuple[Vector, Vector],
     scale: Vector,
     steps: Steps,
-    rooms: Rooms,
+    margins: Margins,
 ) -> tuple[tuple[Vector, Vector], int]:
     """Find the last point of a curve before a border, and which border that is.
 
-    `inside` and `outside` are points with and without room, with their rooms. The chord between them is divided, and
-    each trial put back on the curve, until the room of the border that is crossed first vanishes.
+    `inside` and `outside` are points on this side and beyond, with their margins. The chord between them is divided,
+    and each trial put back on the curve, until the margin of the border that is crossed first vanishes.
     """
     chord = (outside[0] - inside[0]) / scale
     length = float(np.linalg.norm(chord))
@@ -312,19 +312,19 @@ def _on_border(
     def put_back(distance: float) -> tuple[Vector, Vector]:
         return newton(equations, inside[0] + distance * way * scale, scale, steps, way)[:2]
 
-    def room_at(distance: float, index: int) -> float:
-        return float(rooms(put_back(distance)[0])[0][index])
+    def margin_at(distance: float, index: int) -> float:
+        return float(margins(put_back(distance)[0])[0][index])
 
     end, beyond = length, outside[1]
     while True:
         crossed = np.flatnonzero(beyond < 0)
         shares = inside[1][crossed] / (inside[1][crossed] - beyond[crossed])
         index = int(crossed[shares.argmin()])
-        distance = brentq(room_at, 0.0, end, args=(index,), xtol=NEAR_BORDER * end)
+        distance = brentq(margin_at, 0.0, end, args=(index,), xtol=NEAR_BORDER * end)
         # On this side of the border for certain.
         distance = max(0.0, distance - 2 * NEAR_BORDER * end)
         last = put_back(distance)
-        left = rooms(last[0])[0]
+        left = margins(last[0])[0]
         if left.min() >= 0 or distance == 0.0:
             return last, index
         end, beyond = distance, left

@@ -1,7 +1,7 @@
 """An orbit between its events: its motion, extremes and first harmonic, and how far it is from being impossible.
 
 An orbit that meets its equations is a motion only while nothing else may happen between its events: dampers in
-flight keep off the walls, riding ones are pressed on theirs. The distance to each of these borders is its room
+flight keep off the walls, riding ones are pressed on theirs. The distance to each of these borders is its margin
 there; it is negative beyond the border, and changes smoothly across it, so that borders are found as roots.
 """
 
@@ -236,7 +236,7 @@ def _dip(track: Track, s: int, j: int, offset: float, sign: float) -> float:
 
 
 @stored
-def rooms(equations: Equations, sequence: Sequence, track: Track, instants: Array, closing: Array) -> Array:
+def margins(equations: Equations, sequence: Sequence, track: Track, instants: Array, closing: Array) -> Array:
     """Measure how far an orbit is from each border at which it stops being possible as a motion.
 
     Returns
@@ -317,6 +317,6 @@ def rooms(equations: Equations, sequence: Sequence, track: Track, instants: Arra
 def survey(
     equations: Equations, sequence: Sequence, shot: Shot, instants: Array
 ) -> tuple[Array, NDArray[np.complex128], Array]:
-    """Follow an orbit that a shot has met; its `reach` and `harmonic` as in `Track`, and its `rooms`, made flat."""
+    """Follow an orbit that a shot has met; its `reach` and `harmonic` as in `Track`, and its `margins`, made flat."""
     track = follow(equations, sequence, instants, shot.states)
-    return track.reach, track.harmonic, rooms(equations, sequence, track, instants, shot.closing).ravel()
+    return track.reach, track.harmonic, margins(equations, sequence, track, instants, shot.closing).ravel()

@@ -193,7 +193,7 @@ class _Explorer:
     def _follow(self, start: Orbit) -> OrbitBranch:
         following = Following(self.problem, start.plan, start.setting, self.parameter, start.unknowns)
         x = np.append(start.unknowns, getattr(start.setting, self.parameter))
-        curve = continuation.trace(following, x, self.bounds, following.scale, STEPS, following.rooms)
+        curve = continuation.trace(following, x, self.bounds, following.scale, STEPS, following.margins)
         orbits = tuple(following.orbit(x) for x in curve.points)
         return OrbitBranch(
             parameter=self.parameter,

@@ -71,7 +71,7 @@ class Plan:
 
     @property
     def borders(self) -> tuple[str, ...]:
-        """Names of the borders in the order of `rig.orbits.admissibility.rooms`, made flat."""
+        """Names of the borders in the order of `rig.orbits.admissibility.margins`, made flat."""
         events, dampers = self.label.split(), self.sequence.damper + 1
         count = max(len(events), self.sequence.wall.shape[1], 1)
         pairs = zip(events, events[1:] + events[:1], strict=True)

@@ -41,7 +41,7 @@ from rig.system.hybrid_system import HybridSystem
 
 Array = NDArray[np.float64]
 
-# Room below which an orbit is impossible as a motion; less is rounding.
+# Margin below which an orbit is impossible as a motion; less is rounding.
 ROUNDING = 1e-9
 CORRECTIONS = 25
 
@@ -192,7 +192,7 @@ class Following:
         shot = shoot(equations, change, self.plan.sequence, x[:-1])
         return self.describe(self.at(float(x[-1])), x[:-1], equations, shot)
 
-    def rooms(self, x: Array) -> tuple[Array, tuple[str, ...]]:
+    def margins(self, x: Array) -> tuple[Array, tuple[str, ...]]:
         """Room to each border, and the borders' names, as `rig.numerics.continuation.trace` takes them."""
         equations, change = self.tables(float(x[-1]))
         shot = shoot(equations, change, self.plan.sequence, x[:-1])

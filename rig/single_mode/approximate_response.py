@@ -253,10 +253,10 @@ def _search_ratios(mode: SingleMode, low: float, high: float, count: int) -> Flo
 def _follow(
     mode: SingleMode, kind: MotionType, start: Floats, bounds: tuple[float, float]
 ) -> continuation.Curve:
-    def rooms(x: Floats) -> tuple[Floats, tuple[str, ...]]:
+    def margins(x: Floats) -> tuple[Floats, tuple[str, ...]]:
         return order(kind, x[4:-1]), ENDS
 
-    return continuation.trace(_equations(mode, kind), start, bounds, _scale(mode, kind), _STEPS, rooms)
+    return continuation.trace(_equations(mode, kind), start, bounds, _scale(mode, kind), _STEPS, margins)
 
 
 def _passes_through(mode: SingleMode, kind: MotionType, curve: continuation.Curve, solution: Floats) -> bool:

@@ -33,7 +33,7 @@ def test_given_a_border_when_the_curve_crosses_it_then_it_ends_just_before_with_
         np.array([1.0, 0.0]),
         (-2, 2),
         np.ones(2),
-        rooms=lambda x: (np.array([0.3 - x[1]]), ["too high"]),
+        margins=lambda x: (np.array([0.3 - x[1]]), ["too high"]),
     )
 
     assert curve.ends == ("too high", "too high")

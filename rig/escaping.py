@@ -52,6 +52,15 @@ def markdown(text: object) -> str:
     return _MARKS.sub(r"\\\1", " ".join(shown(text).split()))
 
 
+def drawn(text: object) -> str:
+    r"""Show text in a figure, which would take what stands between dollars for mathematics.
+
+    >>> print(drawn("from $1 to $2"))
+    from \$1 to \$2
+    """
+    return shown(text).replace("$", r"\$")
+
+
 def fenced(text: object, language: str = "") -> str:
     r"""Show lines as they stand in Markdown, between fences longer than any in them.
 

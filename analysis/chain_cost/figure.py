@@ -12,6 +12,7 @@ from analysis.chain_cost.study import ChainStudy, Measurement
 from analysis.chain_cost.variants import GROUPS, own_setting
 from analysis.figures.style import drawing, save
 from rig.errors import RunError
+from rig.escaping import drawn
 from rig.output_files import stem
 
 if TYPE_CHECKING:
@@ -73,7 +74,7 @@ def write(study: ChainStudy, folder: Path) -> list[Path]:
             axes.set_xlabel("CPU time for a second of the test, ms")
         for axes in panels[:, 0]:
             axes.set_ylabel("error, relative")
-        figure.suptitle(study.scene.name)
+        figure.suptitle(drawn(study.scene.name))
         handles, labels = panels[0, 0].get_legend_handles_labels()
         common = [(h, t) for h, t in zip(handles, labels, strict=True) if t in _COMMON]
         figure.legend(*zip(*common, strict=True), loc="outside lower center", ncols=len(common), fontsize=8.5)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from analysis.decays.free_decay import Decay
 from analysis.figures.style import colour, drawing, heading, plain_logarithmic, plain_ticks
+from rig.escaping import drawn
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,7 +47,7 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
             for sign in (1.0, -1.0):
                 trace.plot(
                     decay.peak_time[peaks], sign * decay.peak[peaks], color=shade, lw=1.4,
-                    label=decay.label if sign > 0 else None,
+                    label=drawn(decay.label) if sign > 0 else None,
                 )  # fmt: skip
             level.plot(
                 decay.time[keep], np.maximum(decay.envelope[keep], 1e-9), color=shade, lw=0.7, alpha=0.8

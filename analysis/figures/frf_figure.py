@@ -12,6 +12,7 @@ from scipy.ndimage import median_filter
 
 from analysis.figures.style import colour, decades, drawing, frequency_axis, heading
 from analysis.responses.frf import Frf
+from rig.escaping import drawn
 
 Array = NDArray[np.float64]
 
@@ -63,7 +64,7 @@ def frf_figure(
             upper.plot(curve.frequency, abs(curve.value), **style)
             middle.plot(*_broken(curve.frequency, phase_degrees(curve)), **style)
         if theory:
-            upper.plot([], [], color=THEORY, lw=0.9, ls=(0, (5, 2)), label=theory[0].label)
+            upper.plot([], [], color=THEORY, lw=0.9, ls=(0, (5, 2)), label=drawn(theory[0].label))
         for index, measured in enumerate(frfs):
             _curve(measured.sorted(), colour(index), upper, middle, lower)
         for frequency, text in marks:
@@ -75,7 +76,8 @@ def frf_figure(
         decades(upper, [abs(frf.value) for frf in [*frfs, *theory]])
         for axes, last in ((upper, False), (middle, False), (lower, True)):
             frequency_axis(axes, low, high, last)
-        upper.set_ylabel(f"|{frfs[0].name}| / ({frfs[0].unit})" if "/" in frfs[0].unit else frfs[0].name)
+        name = drawn(frfs[0].name)
+        upper.set_ylabel(f"|{name}| / ({frfs[0].unit})" if "/" in frfs[0].unit else name)
         heading(upper, title)
         if upper.get_legend_handles_labels()[0]:
             upper.legend(loc="best")
@@ -121,7 +123,12 @@ def _curve(frf: Frf, shade: str, upper: Axes, middle: Axes, lower: Axes) -> None
         noisy = ~clear | ~np.roll(clear, 1) | ~np.roll(clear, -1)
         upper.plot(frf.frequency, np.where(noisy, size, np.nan), color=NOISE, lw=0.7, zorder=2)
     upper.plot(
-        frf.frequency, np.where(clear, size, np.nan), marker=dots, color=shade, label=frf.label, zorder=3
+        frf.frequency,
+        np.where(clear, size, np.nan),
+        marker=dots,
+        color=shade,
+        label=drawn(frf.label),
+        zorder=3,
     )
     if frf.unsteady is not None and frf.unsteady.any():
         upper.plot(frf.frequency[frf.unsteady], size[frf.unsteady], "x", color=shade, markersize=6, zorder=4)

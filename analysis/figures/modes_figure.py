@@ -10,6 +10,7 @@ import numpy as np
 from analysis.figures.style import colour, decades, drawing, frequency_axis, heading
 from analysis.modal.modes import Modes
 from analysis.responses.frf import Frf
+from rig.escaping import drawn
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -34,7 +35,7 @@ def modes_figure(frfs: Sequence[Frf], modes: Modes, title: str) -> Figure:
         dense = dense[(dense >= low) & (dense <= high)]
         for index, curve in enumerate(curves):
             shade = colour(index)
-            fit.plot(curve.frequency, abs(curve.value), "o", ms=2.4, color=shade, label=curve.response)
+            fit.plot(curve.frequency, abs(curve.value), "o", ms=2.4, color=shade, label=drawn(curve.response))
             fit.plot(dense, abs(modes.receptance(dense)[index]), color=shade, lw=0.9)
         decades(fit, [abs(modes.receptance(dense)), *(abs(curve.value) for curve in curves)])
         frequency_axis(fit, low, high, False)

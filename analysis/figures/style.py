@@ -8,6 +8,7 @@ from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
+from rig.escaping import drawn
 from rig.output_files import make_ready, replacing
 
 if TYPE_CHECKING:
@@ -73,7 +74,7 @@ def save(figure: Figure, stem: Path) -> list[Path]:
 
 def heading(axes: Axes, text: str) -> None:
     """Title above the uppermost axes, in lines no longer than the figure is wide."""
-    axes.set_title("\n".join(wrap(text, _LONGEST_LINE)))
+    axes.set_title("\n".join(wrap(drawn(text), _LONGEST_LINE)))
 
 
 def colour(index: int) -> str:

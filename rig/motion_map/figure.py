@@ -117,7 +117,7 @@ def _draw(map_: MotionMap) -> Figure:
     if own is not None:
         handles.append(Line2D([], [], color="black", lw=1.0, ls="--", label="the scene's own"))
     figure.legend(handles=handles, loc="outside lower center", ncols=5, fontsize=9, frameon=False)
-    figure.suptitle(map_.scene.name)
+    figure.suptitle(drawn(map_.scene.name))
     return figure
 
 

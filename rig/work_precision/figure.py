@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rig.escaping import drawn
 from rig.output_files import write_study
 from rig.work_precision.motion_study import Point, Study
 from rig.work_precision.steady_study import SteadyStudy
@@ -118,7 +119,7 @@ def _draw(study: Study, steady: SteadyStudy) -> Figure:
         _panel(right, steady.points, "CPU time in all, s")
         right.set_ylabel("error of the compliance, relative")
         right.set_title(_steady_title(steady), fontsize=10)
-    figure.suptitle(study.scene.name)
+    figure.suptitle(drawn(study.scene.name))
     return figure
 
 

@@ -1,0 +1,124 @@
+"""A walk through all that commands write about recordings: text from a file is shown there, never obeyed."""
+
+from __future__ import annotations
+
+import re
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import analysis.cli
+import daq
+import daq.cli
+from daq.recording.recorder import Recorder
+from daq.replay.info_page import about
+from daq.replay.replay import Replay
+from tests.analysis.responses import synthetic
+
+MARKUP = "<script>alert(1)</script> **b** [x](http://x) `c` $\\frac$ |d|"
+ORDERS = "\x1b[31mred\x1b]0;title\x07\r\u202e"
+# What reads recordings; the others make them, or need a viewer.
+WALK = {
+    "daq": ("info r.mcap", "recover r.mcap -o fixed.mcap"),
+    "analysis": (
+        "frf r.mcap",
+        "decay r.mcap",
+        "modes r.mcap",
+        "report r.mcap",
+        "export r.mcap -o r.csv",
+        "export r.mcap -o r.uff",
+    ),
+}
+ELSEWHERE = {
+    "daq": {"record", "replay", "scope", "run", "serve", "import"},
+    "analysis": {"dampers", "demo", "cost", "paper", "compare", "fit"},
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording whose every text is hostile: name, channels, data sheets, markers, and how it ended."""
+    folder = tmp_path_factory.mktemp("hostile")
+    synthetic.impulses(folder / "plain.mcap", interval=1.0, name="plain")
+    with daq.open(folder / "plain.mcap") as plain:
+        infos = [
+            type(info)(**{**vars(info), "sensor": {"model": ORDERS + MARKUP}})
+            for info in plain.channels.values()
+        ]
+        scene = plain.scene.replace(name=MARKUP)
+        samples = np.array([plain.read(name) * info.sensitivity for name, info in plain.channels.items()])
+        with Recorder(folder / "r.mcap", scene, infos, plain.rate) as recorder:
+            recorder.write(samples)
+            for mark in plain.markers:
+                recorder.mark(mark.kind, mark.first_sample, mark.last_sample, **mark.fields)
+            recorder.mark("abort", 10, reason=ORDERS + MARKUP)
+            recorder.mark(ORDERS + MARKUP, 20)
+            recorder.close("failed", ORDERS + MARKUP)
+    (folder / "plain.mcap").unlink()
+    return folder
+
+
+class Tags(HTMLParser):
+    """The tags of a page."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.found: set[str] = set()
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attributes: Any) -> None:
+        self.found.add(tag)
+
+
+@pytest.mark.parametrize(
+    ("package", "words"), [(package, words) for package in WALK for words in WALK[package]]
+)
+def test_given_hostile_text_when_a_command_writes_of_it_then_nothing_is_obeyed(
+    folder: Path,
+    package: str,
+    words: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    before = set(folder.iterdir())
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(sys, "argv", [package, *words.split()])
+    with pytest.raises(SystemExit) as end:
+        (daq if package == "daq" else analysis).cli.main()
+    told = capsys.readouterr()
+    assert end.value.code == 0, told.err
+    texts = [told.out, told.err]
+    texts += [
+        path.read_text("utf-8")
+        for path in set(folder.iterdir()) - before
+        if path.suffix not in (".png", ".mcap")
+    ]
+    for text in texts:
+        assert not re.search("[\x00-\x08\x0b-\x1f\x7f\x9b\u202e]", text.replace("\r\n", "\n"))
+
+
+def test_given_hostile_text_when_reported_then_the_page_has_no_tag_of_it(folder: Path) -> None:
+    page = next(folder.glob("*report.html")).read_text("utf-8")
+    assert "script" not in Tags(page).found and "&lt;script&gt;" in page
+
+
+def test_given_hostile_text_when_a_replay_describes_it_then_its_marks_are_escaped(folder: Path) -> None:
+    with daq.open(folder / "r.mcap") as recording:
+        replay = Replay(recording)
+        page = about(recording, replay.motion, replay.view)
+    prose, _, scene = page.partition("```yaml")
+    assert "<script>" not in prose.replace("\\<", "") and "\x1b" not in page and scene.count("```") == 1
+
+
+def test_given_the_commands_when_listed_then_each_is_walked_or_known_to_write_nothing_of_a_recording() -> (
+    None
+):
+    for package, app in (("daq", daq.cli.app), ("analysis", analysis.cli.app)):
+        names = {
+            each.name or str(each.callback.__name__) for each in app.registered_commands if each.callback
+        }
+        assert names <= {words.split()[0] for words in WALK[package]} | ELSEWHERE[package]

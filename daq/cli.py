@@ -234,7 +234,8 @@ def serve_a_rig(
         certificates = Certificates(certificate, key, client_ca)
     path = None if output is None else _free(output, overwrite)
     limits = Limits(patience=session_timeout)
-    serve(scene, clock, address, port, certificates, limits, path, overwrite, viewer)
+    with waiting():
+        serve(scene, clock, address, port, certificates, limits, path, overwrite, viewer)
 
 
 def _free(path: Path, overwrite: bool) -> Path:

@@ -27,6 +27,8 @@ REST = 0.2
 _STILL = 2e-3
 # The largest force belongs to the hit; where its marker holds less than this part of it, it missed the hit.
 _MISSED = 0.5
+# A hammer that bounces hits again with at least this part of its first force, and so many times the noise.
+_REBOUND, _NOISY = 0.05, 8.0
 # The spectrum of a force ends where its power is below this part of its highest.
 _FAINT = 1e-2
 
@@ -64,9 +66,10 @@ class Hits:
             raise RecordingError(
                 f"blocks of {interval / rec.rate:.3g} s between hits are too short: test: interval"
             )
-        missed = []
+        missed, windows = [], []
         for (begin, end), stop in zip(arrivals, [*starts[1:], rec.samples], strict=True):
             force = rec.read(channel, begin, stop)
+            noise = np.sqrt(np.nanmedian(np.diff(force) ** 2))
             force = abs(force - np.nanmedian(force))
             there, raw = (float(np.nanmax(part, initial=0.0)) for part in (force[: end - begin + 1], force))
             if there < _MISSED * raw:
@@ -75,6 +78,11 @@ class Hits:
                     f"{raw:.3g} N elsewhere: the marker or the channel's delay is wrong"
                 )
                 missed.append(Flaw(begin, stop, channel, reason))
+            # A hammer that bounces hits again: what it then does belongs to the hit.
+            last = int(np.flatnonzero(force > max(_REBOUND * there, _NOISY * noise))[-1:].sum())
+            spread = 2 * int(np.ceil(info.filter.get("delay", 0.0))) + 2
+            windows.append((begin, min(max(end, begin + last + spread), stop - 1)))
+        arrivals = windows
         return cls(channel, tuple(arrivals), tuple(missed), interval)
 
     def inside(self, start: int, stop: int) -> list[tuple[int, int]]:

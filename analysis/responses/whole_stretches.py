@@ -72,11 +72,10 @@ class WholeStretches:
             kept = sum(stop - start for start, stop in stretches) / (self.stop - self.first)
             notes.insert(0, f"{1 - kept:.0%} of the test left out: {told(rec, found)}.")
         if not stretches:
-            raise RecordingError(
-                " ".join(notes)
-                + " Nothing is left to tell a response from: lower the level or widen the range "
-                "(converter: range), and record again"
-            )
+            cure = "lower the level or widen the range (converter: range), and record again"
+            if not found:
+                cure = "the test is too short to average; record longer"
+            raise RecordingError(f"{' '.join(notes)} Nothing is left to tell a response from: {cure}")
         spectra = self._spectra(rec, names, stretches)
         frequency = spectra.frequency(rec.rate)
         force = np.einsum("cn,scn->sn", below.row(rec, names, frequency), spectra.samples)

@@ -368,7 +368,7 @@ def test_given_ctrl_c_when_the_command_records_then_it_ends_with_130_and_tells_w
     def pressing(title: str) -> Any:
         yield interrupt_after(2)
 
-    monkeypatch.setattr(daq.measurement.run_report, "progress_bar", pressing)
+    monkeypatch.setattr(daq.measurement.run_report, "progress", pressing)
     output = scene_file.with_suffix(".mcap")
     assert run_command(monkeypatch, "record", str(scene_file), "-o", str(output)) == 130
     told = capsys.readouterr()

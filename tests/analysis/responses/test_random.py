@@ -132,7 +132,8 @@ def test_given_a_multisine_when_averaged_then_it_is_exact_within_its_bounds_and_
 
 def test_given_a_linear_structure_when_realisations_are_compared_then_no_distortion_is_claimed(tmp_path):
     with daq.open(multisine(tmp_path / "a.mcap", realisations=5)) as rec:
-        best = best_linear_approximation(rec, [m for m in rec.markers if m.kind == "measure"])
+        measured = [m for m in rec.markers if m.kind == "measure"]
+        best = best_linear_approximation(rec, measured, list(rec.channels))
         noise = np.median(best.noise.frf(rec, "body3").error)
         total = np.median(best.total.frf(rec, "body3").error)
     assert 0.7 < total / noise < 1.3

@@ -292,7 +292,7 @@ class _Bench:
 
 def _driven(scene: Scene, frequency: float, drive: float) -> Complex:
     """Compliance of all bodies under a drive of given amplitude."""
-    name = "force" if scene.shaker is not None and scene.shaker.kind == "force" else "drive"
+    name = "force" if scene.driven_shaker is not None and scene.driven_shaker.kind == "force" else "drive"
     test = SteppedSine(**{name: drive}, frequencies=(frequency,))
     scene = scene.replace(test=test)
     # Samples joined by straight lines are a tone of this much less; and to the engine, a table's drive is where the

@@ -55,18 +55,20 @@ def plain(scene: Scene) -> Scene:
     SceneError
         If no channel measures the force.
     """
-    shaker = scene.shaker
+    shaker = scene.driven_shaker
     converter = filled_in(scene.converter).replace(preset=None, rate=SampleClock.of(scene.converter).rate)
     channels = scene.channels
     if shaker is not None and shaker.kind == "force":
         if channels is not None and not any(channel.measures_force for channel in channels):
             raise SceneError(
                 "a force that acts on the body itself is in none of the scene's channels, so that nothing tells the "
-                "compliance; expected a channel {name: force, at: shaker}, or no channels, which stands for ideal ones"
+                "compliance; expected one, {name: force, at: shaker}, or no channels, which stands for ideal ones"
             )
     elif channels is None:
         bodies = [f"body {number}" for number in range(1, scene.structure.bodies + 1)]
-        channels = tuple(Channel(name=at.replace(" ", ""), at=at) for at in [*bodies, "table"])
+        channels = tuple(
+            Channel(name=at.replace(" ", ""), at=at) for at in [*bodies, scene.at_driven("table")]
+        )
     if channels is not None:
         channels = tuple(_written_out(channel) for channel in channels)
     return scene.replace(channels=channels, converter=converter)

@@ -144,7 +144,7 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
         raise RecordingError(
             f"no channel on body {', '.join(map(str, missing))}: the energy balance needs all {count} bodies"
         )
-    shaker = rec.scene.shaker
+    shaker = rec.scene.driven_shaker
     driven = shaker.body if shaker is not None and isinstance(shaker.body, int) else 1
     supplied, structure = [], []
     for tone in sweep.tones:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 SHOWN_UNITS = {"m/s^2": "m/s²"}
-SEP_QUANTITIES = {"acceleration": "a", "velocity": "v", "displacement": "d", "force": "f"}
+SEP_QUANTITIES = {"acceleration": "a", "velocity": "v", "displacement": "d", "force": "f", "voltage": "V"}
 
 
 def sep005(

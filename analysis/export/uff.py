@@ -13,7 +13,7 @@ from rig.errors import RunError, SceneError
 # A data set 58 in text takes 20 bytes a sample, and its writer holds a channel in memory as text.
 MOST_TEXT_SAMPLES = 1 << 24
 # Kinds of data in the format's own numbering.
-KINDS = {"displacement": 8, "velocity": 11, "acceleration": 12, "force": 13}
+KINDS = {"displacement": 8, "velocity": 11, "acceleration": 12, "force": 13, "voltage": 1}
 
 
 def write_uff(stretch: Slice, path: Path) -> None:

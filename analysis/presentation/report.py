@@ -132,7 +132,7 @@ def _tested(path: Path, rec: Recording) -> str:
     """Tell what was tested: scene, test, channels with calibration, overloads, gaps."""
     scene = rec.scene
     test = "none" if scene.test is None else scene.test.kind.replace("_", " ")
-    shaker = "none" if scene.shaker is None else scene.shaker.kind
+    shaker = ", ".join(each.kind for each in scene.shakers) or "none"
     dampers = "; ".join(_damper(damper) for damper in scene.dampers)
     facts = [
         ("recording", str(path)),

@@ -98,32 +98,36 @@ def reference_of(rec: Recording, reference: str) -> Measurand:
     F1 = k0 (x0 - x1), from the channels on the table and on the driven body.
     """
     if reference == "table":
-        table = located(rec, "table")
+        place = rec.scene.at_driven("table")
+        table = located(rec, place)
         if table is None:
             raise RecordingError(
                 f"no channel on the table: the recording has {_places(rec)}; "
-                "add {name: table, at: table} to the scene's channels"
+                f"add {{name: table, at: {place}}} to the scene's channels"
             )
         return Measurand((table.name,), (1.0,), "displacement")
     if reference != "force":
         raise RecordingError(f"unknown reference {reference!r}: expected 'force' or 'table'")
-    for info in rec.channels.values():
-        if info.quantity == "force":
-            return Measurand((info.name,), (1.0,), "force")
-    shaker = rec.scene.shaker
+    forces = [info for info in rec.channels.values() if info.quantity == "force"]
+    # Of several shakers, only one is driven.
+    forces.sort(key=lambda info: info.at not in ("hammer", rec.scene.at_driven("shaker")))
+    if forces:
+        return Measurand((forces[0].name,), (1.0,), "force")
+    shaker = rec.scene.driven_shaker
     if shaker is None or shaker.spring is None:
         hint = "drive the structure through a coil spring, shaker: {kind: table, body: 1, spring: 6.6 kN/m}"
         if rec.scene.test is not None and rec.scene.test.kind == "impulse":
             hint = "add {name: hammer, at: hammer} to the scene's channels"
         elif shaker is not None:
-            hint = "add {name: force, at: shaker} to the scene's channels"
+            hint = f"add {{name: force, at: {rec.scene.at_driven('shaker')}}} to the scene's channels"
         raise RecordingError(
             f"nothing in the recording tells the force: it has {_places(rec)} and no coil spring; {hint}"
         )
     driven = f"body {shaker.body}"
-    ends = [located(rec, "table"), located(rec, driven)]
+    below = rec.scene.at_driven("table")
+    ends = [located(rec, below), located(rec, driven)]
     if ends[0] is None or ends[1] is None:
-        missing = "table" if ends[0] is None else driven
+        missing = below if ends[0] is None else driven
         raise RecordingError(
             f"the spring force k0 (x0 - x{shaker.body}) needs a channel at the {missing}: "
             f"the recording has {_places(rec)}; add one to the scene's channels"

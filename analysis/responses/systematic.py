@@ -105,7 +105,7 @@ def aliasing_part(
         Hz.
     """
     shares = np.zeros(upper.shape)
-    bandwidth = getattr(rec.scene.shaker, "bandwidth", None)
+    bandwidth = getattr(rec.scene.driven_shaker, "bandwidth", None)
     for row, name in enumerate(names):
         info = rec.channels[name]
         if not info.filter:

@@ -40,4 +40,4 @@ def channel_colour(at: str) -> Colour:
     """
     if at.startswith("body "):
         return body_colour(int(at.removeprefix("body ")))
-    return DRIVE if at == "table" else HAMMER
+    return DRIVE if at.startswith(("table", "drive")) else HAMMER

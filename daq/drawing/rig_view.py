@@ -7,9 +7,9 @@ and every displacement and gap is multiplied by one exaggeration. z points up, x
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,8 @@ COIL_LENGTH = 0.110
 PLATE = 0.018
 PLINTH = 0.050
 LUG = 0.050
+# From one shaker that stands beside the rig to the next.
+BESIDE = 0.120
 # The share of a spring's length, or of a cavity's headroom, that the largest motion may take.
 FILL = 0.6
 # Beyond it the picture would show the noise of a rig at rest.
@@ -45,8 +47,8 @@ class RigPose:
 
     displacement: NDArray[np.float64]
     """Of each body, metres, up positive; shape (bodies, instants)."""
-    table: NDArray[np.float64] | None = None
-    """Displacement of the shaker's table, metres; None where the rig has none; shape (instants,), or None."""
+    tables: NDArray[np.float64]
+    """Of each shaker's table, metres; shape (tables, instants)."""
     gap: NDArray[np.float64] | None = None
     """Height of each damper over its floor, metres; None where it is not known; shape (dampers, instants), or
     None."""
@@ -61,12 +63,10 @@ class Extremes:
     coil: float = 0.0
     gap: float = 0.0
 
-    def widened(self, motion: RigPose, driven: int | None) -> Extremes:
-        """Extremes of this and of a further stretch of motion; `driven` is the body (from 1) on the coil."""
+    def widened(self, motion: RigPose, hung: Sequence[int]) -> Extremes:
+        """Extremes of this and of a further stretch of motion; `hung` are the bodies (from 1) on the coil springs."""
         ends = np.vstack([np.zeros((1, motion.displacement.shape[1])), motion.displacement])
-        coil = 0.0
-        if motion.table is not None and driven is not None:
-            coil = _largest(motion.displacement[driven - 1] - motion.table)
+        coil = _largest(motion.displacement[[body - 1 for body in hung]] - motion.tables) if hung else 0.0
         return Extremes(
             body=max(self.body, _largest(motion.displacement)),
             spring=max(self.spring, _largest(np.diff(ends, axis=0))),
@@ -105,6 +105,20 @@ def exaggeration(extremes: Extremes) -> float:
     return next(step * decade for step in (5.0, 2.0, 1.0, 0.5) if step * decade <= limit * (1 + 1e-9))
 
 
+class _Table(NamedTuple):
+    """A shaker's table: its name, kind of shaker, the body (from 1) on its coil spring, and where it stands, metres."""
+
+    point: str
+    kind: str
+    body: int
+    x: float
+    top: float
+
+    def entity(self, part: str) -> str:
+        """Path of a part of the shaker: with its number, where the table has one."""
+        return "_".join([f"rig/{part}", *self.point.split()[1:]])
+
+
 class RigView:
     """The drawing of one scene's rig.
 
@@ -135,9 +149,9 @@ class RigView:
             WALL + DAMPER_HEIGHT + HEADROOM + WALL if body in self._damper_at else SOLID_HEIGHT
             for body in range(1, self.bodies + 1)
         ]
-        self.driven = self.driven_body(scene)
+        hung = [shaker.body for _, shaker in scene.tables]
         # A table under body 1 needs room for itself and its coil spring.
-        first = PLINTH + PLATE + COIL_LENGTH if self.driven == 1 else LEAF_LENGTH
+        first = PLINTH + PLATE + COIL_LENGTH if 1 in hung else LEAF_LENGTH
         self._length = [first] + [LEAF_LENGTH] * (self.bodies - 1)
         self._bottom: list[float] = []
         top = 0.0
@@ -147,17 +161,13 @@ class RigView:
         self.top = top
         # Matrices do not say which body hangs on which; a spring of no stiffness is none.
         self._sprung = [stiffness > 0 for stiffness in scene.structure.springs or [0.0] * self.bodies]
-        self._table_x = 0.0 if self.driven == 1 else WIDTH / 2 + LUG / 2
-        if self.driven is not None:
-            self._table_top = self._bottom[self.driven - 1] - COIL_LENGTH
-
-    @staticmethod
-    def driven_body(scene: Scene) -> int | None:
-        """Body (from 1) that hangs on the coil spring; None where no table drives the rig."""
-        shaker = scene.shaker
-        if shaker is None or shaker.kind == "force":
-            return None
-        return shaker.body if isinstance(shaker.body, int) else shaker.body[0]
+        # One table fits under body 1; all others stand side by side at the right, each under a lug of its body.
+        aside = iter(range(len(hung)))
+        self._tables: list[_Table] = []
+        for (point, shaker), body in zip(scene.tables, hung, strict=True):
+            under = body == 1 and hung.index(1) == len(self._tables)
+            x = 0.0 if under else WIDTH / 2 + LUG / 2 + BESIDE * next(aside)
+            self._tables.append(_Table(point, shaker.kind, body, x, self._bottom[body - 1] - COIL_LENGTH))
 
     # -- what never changes ------------------------------------------------------------------------------
 
@@ -172,8 +182,8 @@ class RigView:
         for body, (length, sprung) in enumerate(zip(self._length, self._sprung, strict=True), start=1):
             if sprung:
                 yield f"rig/spring_{body}", leaf_pair(length, WIDTH, DEPTH)
-        if self.driven is not None:
-            yield from self._shaker()
+        for table in self._tables:
+            yield from self._shaker(table)
         yield from self._drive_arrows()
         yield from self._rest_marks()
 
@@ -188,8 +198,12 @@ class RigView:
             yield from self._damper(body)
         else:
             yield f"{name}/frame", boxes([((0, 0, height / 2), (WIDTH, DEPTH, height))], colour)
-        if self.driven == body and body != 1:
-            yield f"{name}/lug", boxes([((self._table_x, 0, WALL / 2), (LUG, DEPTH / 2, WALL))], colour)
+        reach = max(
+            (table.x + LUG / 2 for table in self._tables if table.body == body and table.x), default=0.0
+        )
+        if reach:
+            middle, length = (reach + WIDTH / 2) / 2, reach - WIDTH / 2
+            yield f"{name}/lug", boxes([((middle, 0, WALL / 2), (length, DEPTH / 2, WALL))], colour)
         yield f"{name}/name", label((WIDTH / 2 + 0.12, -DEPTH / 2, 0.75 * height), text, colour)
         pointer: list[Point] = [(-WIDTH / 2 - out, -DEPTH / 2, height / 2) for out in (0.0, 0.028)]
         yield f"{name}/pointer", lines([pointer], colour, 0.0012)
@@ -239,29 +253,28 @@ class RigView:
         text_at = (WIDTH / 2 + 0.12, -DEPTH / 2, 0.45 * self._height[body - 1])
         yield f"rig/body_{body}/damper_name", label(text_at, text, LEAD if moves else MARK)
 
-    def _shaker(self) -> Iterator[tuple[str, rr.AsComponents]]:
-        kind = self.scene.shaker.kind if self.scene.shaker is not None else ""
-        height = self._table_top - PLATE - 0.012
-        middle = (self._table_x, 0.0, height / 2)
-        if kind == "electrodynamic":
-            yield "rig/shaker", cylinder(middle, height, 0.036, DARK_STEEL)
+    def _shaker(self, table: _Table) -> Iterator[tuple[str, rr.AsComponents]]:
+        height = table.top - PLATE - 0.012
+        middle = (table.x, 0.0, height / 2)
+        if table.kind == "electrodynamic":
+            yield table.entity("shaker"), cylinder(middle, height, 0.036, DARK_STEEL)
         else:
-            yield "rig/shaker", boxes([(middle, (0.07, 0.07, height))], DARK_STEEL)
-        plate = ((self._table_x, 0, -PLATE / 2), (0.085, 0.085, PLATE))
-        stem = ((self._table_x, 0, -PLATE - 0.02), (0.022, 0.022, 0.04))
-        colour = self._colour("table", DRIVE)
-        yield "rig/table/plate", boxes([plate, stem], colour)
-        text_at = (self._table_x + 0.055, -0.09, -PLATE)
-        text = ("table" if kind == "table" else "armature") + self._remark("table")
-        yield "rig/table/name", label(text_at, text, colour)
-        yield "rig/coil_spring", coil(self._table_x, COIL_LENGTH)
+            yield table.entity("shaker"), boxes([(middle, (0.07, 0.07, height))], DARK_STEEL)
+        plate = ((table.x, 0, -PLATE / 2), (0.085, 0.085, PLATE))
+        stem = ((table.x, 0, -PLATE - 0.02), (0.022, 0.022, 0.04))
+        colour = self._colour(table.point, DRIVE)
+        yield f"{table.entity('table')}/plate", boxes([plate, stem], colour)
+        text_at = (table.x + 0.055, -0.09, -PLATE)
+        text = table.point if table.kind == "table" else table.point.replace("table", "armature")
+        yield f"{table.entity('table')}/name", label(text_at, text + self._remark(table.point), colour)
+        yield table.entity("coil_spring"), coil(table.x, COIL_LENGTH)
 
     def _drive_arrows(self) -> Iterator[tuple[str, rr.AsComponents]]:
         """Arrows on the bodies that a force works on directly: kind force, and the hammer."""
-        shaker, test = self.scene.shaker, self.scene.test
-        if shaker is not None and shaker.kind == "force":
-            for body in (shaker.body,) if isinstance(shaker.body, int) else shaker.body:
-                yield from self._push(f"rig/body_{body}/drive", 0.045, "force", DRIVE)
+        test = self.scene.test
+        pushed = [body for shaker in self.scene.shakers if shaker.kind == "force" for body in shaker.bodies]
+        for body in dict.fromkeys(pushed):
+            yield from self._push(f"rig/body_{body}/drive", 0.045, "force", DRIVE)
         if test is not None and test.kind == "impulse":
             yield from self._push(f"rig/body_{test.body}/hammer", -0.045, "hammer", HAMMER)
 
@@ -305,11 +318,10 @@ class RigView:
                 stretch = (length + moved[place] - below) / length
                 yield f"rig/spring_{place + 1}", _along_z(top + below), _stretched(stretch)
             below, top = moved[place], self._bottom[place] + self._height[place]
-        if motion.table is not None and self.driven is not None:
-            table = motion.table * self.magnification
-            yield "rig/table", _along_z(self._table_top + table), None
-            stretch = (COIL_LENGTH + moved[self.driven - 1] - table) / COIL_LENGTH
-            yield "rig/coil_spring", _along_z(self._table_top + table), _stretched(stretch)
+        for table, rows in zip(self._tables, motion.tables * self.magnification, strict=True):
+            yield table.entity("table"), _along_z(table.top + rows), None
+            stretch = (COIL_LENGTH + moved[table.body - 1] - rows) / COIL_LENGTH
+            yield table.entity("coil_spring"), _along_z(table.top + rows), _stretched(stretch)
         if motion.gap is not None:
             for place, damper in enumerate(self.scene.dampers):
                 yield f"rig/body_{damper.body}/damper", _along_z(motion.gap[place] * self.magnification), None

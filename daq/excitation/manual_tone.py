@@ -220,6 +220,6 @@ class HandTone:
         # The drive is amplitude * sin(phase), and an amplitude A stands for Re(A e^{i phase}).
         force = -1j * tone.amplitude if station.force_is_drive else complex(values[0])
         motions = values if station.force_is_drive else values[1:]
-        names = [info.name for info in station.channels if info.quantity != "force"]
+        names = [info.name for info in station.channels if info.quantity not in ("force", "voltage")]
         moved = {name: complex(value) for name, value in zip(names, motions, strict=True)}
         return ToneReading(*asked, self._held, tone.amplitude, force, moved)

@@ -93,11 +93,11 @@ def pretest(
 
 def _fit(station: Station, drive: Array, readings: Array, lines: NDArray[np.int64]) -> ShakerLaw:
     """Least squares for the coefficients, over the lines; the delay is the one that leaves least."""
-    shaker = station.scene.shaker
+    shaker = station.scene.driven_shaker
     assert shaker is not None and shaker.spring is not None
     period = drive.size
     frequency = lines * station.rate / period
-    table, body = station.row("table"), station.row(f"body {shaker.body}")
+    table, body = station.row(station.scene.at_driven("table")), station.row(f"body {shaker.body}")
     windows = _windows(period, station.rate)
     s = np.asarray(2j * pi * frequency, dtype=np.complex128)
     # Powers of s are counted in units of the middle of the band, so that they are alike in size.

@@ -34,7 +34,8 @@ class Station:
     channels: Sequence[ChannelInfo]
     """The channels, in the order in which windows come back."""
     inputs: Sequence[str]
-    """Drive inputs, a subset of ``("shaker", "hammer")``, in the order in which drives are given."""
+    """Drive inputs, a subset of ``("shaker", "hammer")`` (``"shaker 1"``, ... where there are several), in the order in
+    which drives are given."""
     rate: float  # Samples per second
     mark: Callable[..., Any]
     """``mark(kind, first, stop, **fields)`` writes into the recording's log what the samples from `first` to
@@ -50,12 +51,13 @@ class Station:
         """Nearest number of samples in a time, one at least."""
         return max(1, round(seconds * self.rate))
 
-    def drive(self, wave: Array, name: str = "shaker") -> Array:
-        """Put one input's wave beside zeros for the others; shape (inputs, samples)."""
+    def drive(self, wave: Array, name: str | None = None) -> Array:
+        """Put one input's wave, the driven shaker's unless named, beside zeros; shape (inputs, samples)."""
+        name = self.scene.at_driven("shaker") if name is None else name
         if name not in self.inputs:
             raise SceneError(
                 f"the test drives the {name}, but the scene has {self._there()}: "
-                + ("add a shaker to the scene" if name == "shaker" else "choose another test")
+                + ("add a shaker to the scene" if name != "hammer" else "choose another test")
             )
         rows = np.zeros((len(self.inputs), wave.size))
         rows[list(self.inputs).index(name)] = wave
@@ -71,7 +73,7 @@ class Station:
     @property
     def force_is_drive(self) -> bool:
         """Whether the drive is the force on the structure itself."""
-        return self.scene.shaker is not None and self.scene.shaker.kind == "force"
+        return self.scene.driven_shaker is not None and self.scene.driven_shaker.kind == "force"
 
     def row(self, place: str) -> int:
         """Find the first channel that measures motion at a place."""
@@ -109,11 +111,11 @@ class Station:
         ndarray of complex, shape (channels,) + frequency.shape
             N per unit read.
         """
-        shaker = self.scene.shaker
+        shaker = self.scene.driven_shaker
         assert shaker is not None and shaker.spring is not None
         frequency = np.asarray(frequency, dtype=float)
         weights = np.zeros((len(self.channels), *frequency.shape), dtype=complex)
-        table, body = self.row("table"), self.row(f"body {shaker.body}")
+        table, body = self.row(self.scene.at_driven("table")), self.row(f"body {shaker.body}")
         weights[table] = shaker.spring * self.displacement(table, frequency)
         weights[body] = -shaker.spring * self.displacement(body, frequency)
         return weights
@@ -121,7 +123,7 @@ class Station:
     @property
     def drive_limit(self) -> float:
         """Largest drive the shaker's amplifier follows; V, m or N."""
-        shaker = self.scene.shaker
+        shaker = self.scene.driven_shaker
         if shaker is None or shaker.kind != "electrodynamic":
             return np.inf
         return shaker.amplifier.limit / shaker.amplifier.gain
@@ -129,7 +131,7 @@ class Station:
     @property
     def cautious_drive(self) -> float:
         """Drive per newton of wanted spring force to begin with, well below what will be needed."""
-        shaker = self.scene.shaker
+        shaker = self.scene.driven_shaker
         assert shaker is not None and shaker.spring is not None
         if shaker.kind == "table":
             return 0.2 / shaker.spring

@@ -101,9 +101,12 @@ def _sweep_held(
 ) -> Generator[Array, Array, complex]:
     """Sweep with a force amplitude that stays; return the drive's amplitude at the end."""
     total, done, rate = station.samples(test.duration), 0, station.rate
-    shaker = station.scene.shaker
+    shaker = station.scene.driven_shaker
     assert shaker is not None and shaker.spring is not None
-    spring, rows = shaker.spring, [station.row("table"), station.row(f"body {shaker.body}")]
+    spring, rows = (
+        shaker.spring,
+        [station.row(station.scene.at_driven("table")), station.row(f"body {shaker.body}")],
+    )
     seen, phases = np.zeros((2, 0)), np.zeros(0)
     goal = amplitude
     while done < total:

@@ -25,7 +25,9 @@ class Gauge:
     def __init__(self, station: Station, force: bool) -> None:
         self._station = station
         self._force = force
-        self._rows = [row for row, info in enumerate(station.channels) if info.quantity != "force"]
+        self._rows = [
+            row for row, info in enumerate(station.channels) if info.quantity not in ("force", "voltage")
+        ]
         self._at = -1.0
         self._weights = np.zeros((0, len(station.channels)), dtype=complex)
         if force:

@@ -26,18 +26,18 @@ def force_untold(scene: Scene, channels: Sequence[ChannelInfo]) -> str | None:
     >>> force_untold(bench.scene, bench.channels) is None
     True
     """
-    shaker, test = scene.shaker, scene.test
+    shaker, test = scene.driven_shaker, scene.test
     if shaker is None or (test is not None and test.kind in ("impulse", "free")):
         return None
     if any(info.quantity == "force" for info in channels):
         return None
     if shaker.kind == "force":
-        missing = ["{name: force, at: shaker}"]
+        missing = [f"{{name: force, at: {scene.at_driven('shaker')}}}"]
     else:
         moving = {info.at for info in channels}
         missing = [
             f"{{name: {place.replace(' ', '')}, at: {place}}}"
-            for place in ("table", f"body {shaker.body}")
+            for place in (scene.at_driven("table"), f"body {shaker.body}")
             if place not in moving
         ]
     if not missing:

@@ -149,9 +149,13 @@ class ControlLoss:
     """
 
     def __init__(self, scene: Scene, channels: Sequence[ChannelInfo]) -> None:
-        shaker = scene.shaker
+        shaker = scene.driven_shaker
         held = getattr(scene.test, "force", None) is not None
-        places = () if shaker is None or shaker.kind == "force" else ("table", f"body {shaker.bodies[0]}")
+        places = (
+            ()
+            if shaker is None or shaker.kind == "force"
+            else (scene.at_driven("table"), f"body {shaker.bodies[0]}")
+        )
         self._rows = [row for row, info in enumerate(channels) if held and info.at in places]
         self._scene, self._channels = scene, channels
         self._since: int | None = None

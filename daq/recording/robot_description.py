@@ -109,14 +109,11 @@ class RobotDescription:
         self._frames: list[bytes] = []
         points: list[str] = []
         self._link(WORLD, [((0, 0, -0.01), (0.62, 0.30, 0.02))], GROUND)
-        shaker = scene.shaker
-        driven = 0
-        if shaker is not None and shaker.kind != "force":
-            driven = shaker.body if isinstance(shaker.body, int) else shaker.body[0]
+        hung = {shaker.body for _, shaker in scene.tables}
         with_cavity = {damper.body: damper for damper in scene.dampers}
         bottom, below = 0.0, {}
         for body in range(1, scene.structure.bodies + 1):
-            bottom += PLINTH + PLATE + COIL_LENGTH if driven == body == 1 else LEAF_LENGTH
+            bottom += PLINTH + PLATE + COIL_LENGTH if body == 1 and body in hung else LEAF_LENGTH
             below[body] = bottom
             points.append(f"body {body}")
             height, boxes = SOLID_HEIGHT, [((0.0, 0.0, SOLID_HEIGHT / 2), (WIDTH, DEPTH, SOLID_HEIGHT))]
@@ -126,10 +123,11 @@ class RobotDescription:
             self._link(f"body_{body}", boxes, body_colour(body))
             self._joint(WORLD, f"body_{body}", bottom)
             bottom += height
-        if driven:
-            points.append("table")
-            self._link("table", [((0, 0, -PLATE / 2), (0.085, 0.085, PLATE))], DRIVE)
-            self._joint(WORLD, "table", below[driven] - COIL_LENGTH)
+        for point, shaker in scene.tables:
+            points.append(point)
+            name = point.replace(" ", "_")
+            self._link(name, [((0, 0, -PLATE / 2), (0.085, 0.085, PLATE))], DRIVE)
+            self._joint(WORLD, name, below[shaker.body] - COIL_LENGTH)
         for number, damper in enumerate(scene.dampers if with_dampers else (), start=1):
             points.append(f"damper {number}")
             size = (WIDTH - 2 * WALL - 0.006, DEPTH - WALL - 0.004, DAMPER_HEIGHT)

@@ -29,10 +29,9 @@ MOTION = ("displacement", "velocity", "acceleration")
 
 
 def points_of(scene: Scene) -> tuple[str, ...]:
-    """Give the points of a scene's rig that move: its bodies, and the table where it has one."""
+    """Give the points of a scene's rig that move: its bodies, and the tables of its shakers."""
     bodies = tuple(f"body {body}" for body in range(1, scene.structure.bodies + 1))
-    has_table = scene.shaker is not None and scene.shaker.kind != "force"
-    return (*bodies, "table") if has_table else bodies
+    return (*bodies, *(name for name, _ in scene.tables))
 
 
 class Truth:

@@ -60,9 +60,7 @@ class RecordedMotion:
         self.recording = recording
         scene = recording.scene
         points = [f"body {body}" for body in range(1, scene.structure.bodies + 1)]
-        self.has_table = scene.shaker is not None and scene.shaker.kind != "force"
-        if self.has_table:
-            points.append("table")
+        points += [name for name, _ in scene.tables]
         self.sources = tuple(self._source(point) for point in points)
         self.gaps_known = bool(scene.dampers) and recording.has_truth
 
@@ -99,8 +97,7 @@ class RecordedMotion:
                 gap = gap[:, kept]
             picked = picked[:, kept]
             bodies = self.recording.scene.structure.bodies
-            table = picked[bodies] if self.has_table else None
-            yield instants[kept], RigPose(picked[:bodies], table, gap)
+            yield instants[kept], RigPose(picked[:bodies], picked[bodies:], gap)
 
     def _displacements(
         self, estimates: dict[str, DisplacementEstimate], first: int, last: int

@@ -84,10 +84,10 @@ class Replay:
     @cached_property
     def _survey(self) -> tuple[Extremes, int]:
         """Largest motions, and the sample at which there is most to see; reads the whole stretch."""
-        driven = RigView.driven_body(self.recording.scene)
+        hung = [shaker.body for _, shaker in self.recording.scene.tables]
         extremes, liveliest, most = Extremes(), self.start, 0.0
         for instants, motion in self.motion.stretches(self.start, self.stop, self.step):
-            extremes = extremes.widened(motion, driven)
+            extremes = extremes.widened(motion, hung)
             # Dampers in flight are what a picture should show; without them, bodies far out.
             motion_samples = (
                 np.abs(motion.displacement).max(axis=0) if motion.gap is None else motion.gap.sum(axis=0)

@@ -26,6 +26,7 @@ SHOWN = {
     "acceleration": (1.0, "m/s²"),
     "velocity": (1.0, "m/s"),
     "force": (1.0, "N"),
+    "voltage": (1.0, "V"),
 }
 
 

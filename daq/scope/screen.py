@@ -73,7 +73,7 @@ class Screen:
         bodies = self._scene.structure.bodies
         motion = RigPose(
             true.displacement[:bodies, picked],
-            true.displacement[bodies, picked] if true.displacement.shape[0] > bodies else None,
+            true.displacement[bodies : bodies + len(self._scene.tables), picked],
             true.gap[:, picked] if self._scene.dampers else None,
         )
         self._position = true.first + size
@@ -98,7 +98,7 @@ class Screen:
 
     def _fit(self, motion: RigPose) -> None:
         """Draw the rig anew where its exaggeration has become too large or much too small."""
-        seen = Extremes().widened(motion, RigView.driven_body(self._scene))
+        seen = Extremes().widened(motion, [shaker.body for _, shaker in self._scene.tables])
         since = self._position - round(REMEMBERED_S * self._rate)
         self._recent = [(at, extremes) for at, extremes in self._recent if at >= since]
         self._recent.append((self._position, seen))

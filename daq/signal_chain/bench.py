@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from daq.signal_chain.chain import Chain
 from daq.signal_chain.channel import ChannelInfo
 from daq.signal_chain.converter import Quantiser, SampleClock
+from daq.signal_chain.outputs import Outputs
 from daq.signal_chain.oversampling import DriveLine, oversampling
 from rig.errors import SceneError
 from rig.simulation.plant import Plant
@@ -53,7 +54,7 @@ class Bench:
     channels : tuple of ChannelInfo
         The channels, in the order of the rows of `AcquiredBlock.samples`.
     inputs : tuple of str
-        Drive inputs, a subset of ``("shaker", "hammer")``.
+        Drive inputs, a subset of ``("shaker", "hammer")``; where there are several shakers, ``"shaker 1"``, ...
     drive_units : tuple of str
         Unit of each input: N, m or V.
     latency : int
@@ -81,6 +82,7 @@ class Bench:
         rate = clock.true_rate * self._intervals
         self._plant = Plant(scene, rate)
         self._chain = Chain(scene, rate, self._plant.points, self._plant.inputs)
+        self._outputs = Outputs(scene, self._plant.inputs, self._plant.drive_units)
         self._line = DriveLine(len(self._plant.inputs), self._intervals)
         self._converter = Quantiser(scene.converter, self._chain.channels)
         self.channels: tuple[ChannelInfo, ...] = tuple(self._converter.channels)
@@ -112,7 +114,7 @@ class Bench:
             )
         if not np.isfinite(drive).all():
             raise SceneError("the drive holds values that are not finite: check the signal that was written")
-        line = self._line.through(drive)
+        line = self._line.through(self._outputs.put_out(drive))
         motion = self._plant.advance(line)
         block = self._converter.convert(self._chain.measure(motion, line))
         if self._intervals > 1:

@@ -18,12 +18,13 @@ from daq.signal_chain.converter import SampleClock, coupling
 from daq.signal_chain.decimation_filter import DELAY
 from daq.signal_chain.sensors import accelerometer, force_sensor, unfed
 from daq.signal_chain.signal_path import SignalPath
-from daq.signal_chain.stage import Stage
+from daq.signal_chain.stage import CABLE, Stage
 from rig.errors import SceneError
 from rig.scene.excitation import Impulse
 from rig.scene.measurement_chain import Accelerometer, Channel, Converter, Hammer
 from rig.scene.presets import filled_in, input_settings
 from rig.scene.scene import Scene
+from rig.scene.shaker import DRIVE_PER_VOLT, at_shaker
 from rig.simulation.motion import Motion
 
 Array = NDArray[np.float64]
@@ -86,7 +87,7 @@ class Chain:
         late = delays(converter.skew, len(channels), clock.true_rate)
         settings = [input_settings(scene.converter, channel) for channel in channels]
         lines = [stages(*each, scene.seed) for each in zip(channels, settings, strict=True)]
-        self._inputs, self._at = tuple(inputs), [channel.at for channel in channels]
+        self._inputs, self._sources = tuple(inputs), [_source(channel, scene) for channel in channels]
         self._cutters = [_cutter(channel, rate, points) for channel in channels]
         room = BlockBuffers()
         self._paths = [
@@ -112,7 +113,7 @@ class Chain:
         motion : Motion
             Motion of the points given, continuing the last block.
         forces : ndarray, shape (inputs, samples), optional
-            Forces at the same samples, joined by straight lines; only a channel at the hammer or the shaker needs them.
+            Forces at the same samples, joined by straight lines; for channels at the hammer, a shaker or a drive.
 
         Returns
         -------
@@ -127,28 +128,31 @@ class Chain:
             if isinstance(cutter, MotionInterpolator):
                 pieces = cutter.cut(motion)
             else:
-                pieces = cutter.cut(self._force(self._at[row], forces, count))
+                pieces = cutter.cut(self._from_outside(*self._sources[row], forces, count))
             volts[row] = path.measure(pieces, jitter)
         return volts[:, max(self.latency - first, 0) :]
 
-    def _force(self, at: str, forces: Array | None, count: int) -> Array:
-        """Force at a channel; a hammer that is not used lies still."""
-        if forces is None or at not in self._inputs:
+    def _from_outside(self, name: str, factor: float, forces: Array | None, count: int) -> Array:
+        """Force or voltage at a channel, a factor times the input of a name; a hammer that is not used lies still."""
+        if forces is None or name not in self._inputs:
             return np.zeros(count)
-        return np.ascontiguousarray(forces[self._inputs.index(at)], dtype=float)
+        return np.ascontiguousarray(factor * forces[self._inputs.index(name)], dtype=float)
 
 
 def default_channels(scene: Scene, points: Sequence[str]) -> tuple[Channel, ...]:
     """Give the channels of a scene that names none.
 
-    They are ideal: the acceleration of every body and of the table, and the force where one acts from
-    outside, by a hammer or by a shaker of kind force.
+    They are ideal: the acceleration of every body and table, and the force where one acts from outside, by a hammer or
+    by shakers of kind force.
     """
     channels = [Channel(name=point.replace(" ", ""), at=point) for point in points]
     if isinstance(scene.test, Impulse):
         channels.append(Channel(name="force", at="hammer"))
-    elif scene.shaker is not None and scene.shaker.kind == "force":
-        channels.append(Channel(name="force", at="shaker"))
+        return tuple(channels)
+    for number, shaker in enumerate(scene.shakers, 1):
+        if shaker.kind == "force":
+            name, place = (at_shaker(what, number, len(scene.shakers)) for what in ("force", "shaker"))
+            channels.append(Channel(name=name.replace(" ", ""), at=place))
     return tuple(channels)
 
 
@@ -163,6 +167,8 @@ def stages(channel: Channel, converter: Converter, seed: int) -> tuple[Stage, ..
     seed : int
         Of the scene.
     """
+    if channel.measures_voltage:
+        return (CABLE, *coupling(converter))
     if channel.measures_force:
         hammer = filled_in(channel.hammer or Hammer())
         sensor, iepe = force_sensor(hammer, seed, channel.name), hammer.iepe
@@ -175,8 +181,17 @@ def stages(channel: Channel, converter: Converter, seed: int) -> tuple[Stage, ..
     return (*line, *coupling(converter))
 
 
+def _source(channel: Channel, scene: Scene) -> tuple[str, float]:
+    """Name the input that a channel measures, and what it reads per unit of it."""
+    if not channel.measures_voltage:
+        return channel.at, 1.0
+    number = channel.number or 1
+    unit = {"force": "N", "table": "m", "electrodynamic": "V"}[scene.shakers[number - 1].kind]
+    return at_shaker("shaker", number, len(scene.shakers)), 1.0 / DRIVE_PER_VOLT[unit]
+
+
 def _cutter(channel: Channel, rate: float, points: Sequence[str]) -> MotionInterpolator | ForceInterpolator:
-    if channel.measures_force:
+    if channel.measures_force or channel.measures_voltage:
         return ForceInterpolator()
     if channel.at not in points:
         raise SceneError(f"channel {channel.name!r} sits at {channel.at}: the rig has {', '.join(points)}")

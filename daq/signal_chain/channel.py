@@ -13,9 +13,15 @@ from numpy.typing import ArrayLike, NDArray
 from daq.signal_chain.field_checks import CHANNEL, check
 from rig.errors import RecordingError
 
-Quantity = Literal["acceleration", "velocity", "displacement", "force"]
+Quantity = Literal["acceleration", "velocity", "displacement", "force", "voltage"]
 
-UNITS: dict[str, str] = {"acceleration": "m/s^2", "velocity": "m/s", "displacement": "m", "force": "N"}
+UNITS: dict[str, str] = {
+    "acceleration": "m/s^2",
+    "velocity": "m/s",
+    "displacement": "m",
+    "force": "N",
+    "voltage": "V",
+}
 
 
 @dataclass(frozen=True)
@@ -31,7 +37,7 @@ class ChannelInfo:
     name : str
         Name of the channel, unique in a scene.
     at : str
-        Where the sensor sits: ``"body 2"``, ``"table"``, ``"hammer"`` or ``"shaker"``.
+        Where the sensor sits: ``"body 2"``, ``"table"``, ``"hammer"``, ``"shaker"`` or ``"drive"``.
     quantity : {'acceleration', 'velocity', 'displacement', 'force'}
         What is read after integration, if any.
     sensitivity : float

@@ -14,6 +14,7 @@ from daq.signal_chain.stage import Stage, data_sheet, is_integrated
 from rig.scene.measurement_chain import Converter
 
 _QUANTITIES: tuple[Quantity, ...] = ("acceleration", "velocity", "displacement")
+_BY_SENSOR: dict[str, Quantity] = {"hammer": "force", "cable": "voltage"}
 
 
 def channel_info(
@@ -46,7 +47,7 @@ def channel_info(
     return ChannelInfo(
         name=name,
         at=at,
-        quantity="force" if stages[0].name == "hammer" else _QUANTITIES[order],
+        quantity=_BY_SENSOR.get(stages[0].name, _QUANTITIES[order]),
         sensitivity=float(np.prod([stage.nominal for stage in stages])),
         rate=clock.rate,
         zeros=tuple(zeros),

@@ -55,6 +55,10 @@ class Stage:
         return found | {name: states for name, (there, states) in named.items() if there is not None}
 
 
+#: What stands in for a sensor where a voltage is measured.
+CABLE = Stage("cable")
+
+
 def is_integrated(stages: Sequence[Stage]) -> bool:
     """Say whether the signal has been integrated, so that no impulse is left in it."""
     return any(section.name == INTEGRATION for stage in stages for section in stage.sections)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.effects.explanation import motion_effects
-from rig.scene.excitation import Impulse
+from rig.scene.excitation import Impulse, Test
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
 from rig.simulation.plant import Plant
@@ -118,11 +118,13 @@ def measured(step: EffectStep) -> float:
 def motion_steps(scene: Scene) -> Iterator[EffectStep]:
     """Give the steps of the motion: bare structure, shaker, dampers, ceilings, restitution, lasting contact."""
     channels = {"channels": None}
-    shaker = scene.shaker
+    shaker = scene.driven_shaker
     bare = scene.replace(dampers=(), **channels)
-    if shaker is not None and not isinstance(shaker, ForceShaker):
+    if shaker is not None and (len(scene.shakers) > 1 or not isinstance(shaker, ForceShaker)):
         test = None if scene.test is None or not isinstance(scene.test, Impulse) else scene.test
-        yield _step("structure", bare.replace(shaker=ForceShaker(body=shaker.bodies[0]), test=test))
+        yield _step(
+            "structure", bare.replace(shaker=ForceShaker(body=shaker.bodies[0]), test=_of_one_shaker(test))
+        )
         yield _step("shaker", bare)
     else:
         yield _step("structure", bare)
@@ -140,6 +142,11 @@ def motion_steps(scene: Scene) -> Iterator[EffectStep]:
         if dampers != before:
             yield _step(name, scene.replace(dampers=dampers, **channels))
         before = dampers
+
+
+def _of_one_shaker(test: Test | None) -> Test | None:
+    """Let a test drive the only shaker."""
+    return test if getattr(test, "shaker", None) is None else test.replace(shaker=None)  # type: ignore[union-attr]
 
 
 def _step(name: str, scene: Scene) -> EffectStep:
@@ -168,12 +175,14 @@ def bench_drive(scene: Scene, rate: float) -> Array:
             scene.replace(test=scene.test.replace(interval=1.0, repeats=SECONDS + 1)), system, samples, rate
         )
     drive = np.zeros((len(system.inputs), samples))
-    if "shaker" not in system.inputs:
+    if scene.driven is None:
         return drive
     mass, _, stiffness = structure_matrices(scene.structure)
     omega = float(natural_modes(mass, stiffness)[0][-1])
     force = getattr(scene.test, "force", None) or getattr(scene.test, "drive", None)
     level = level_of(scene) if force is not None else 1.0
     gain = level * (drive_per_level(scene, system, omega) if scene.test is not None else 1.0)
-    drive[system.inputs.index("shaker")] = np.imag(gain * np.exp(1j * omega * np.arange(samples) / rate))
+    drive[system.inputs.index(scene.at_driven("shaker"))] = np.imag(
+        gain * np.exp(1j * omega * np.arange(samples) / rate)
+    )
     return drive

@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 
 from rig.scene.scene import Scene
-from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, TableShaker
+from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, Shaker, TableShaker
 from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
@@ -118,7 +118,8 @@ def motion_effects(scene: Scene) -> Iterable[Effect]:
         yield Effect(
             "motion", "coupled impacts", 0, "full mass matrix: all contacts of an instant are solved together"
         )
-    yield from _shaker(scene)
+    for shaker in scene.shakers:
+        yield from _shaker(shaker)
     yield from _dampers(scene, system)
 
 
@@ -135,10 +136,7 @@ def _damping(scene: Scene) -> str:
     return "undamped" if matrices is None or matrices.damping is None else "a damping matrix"
 
 
-def _shaker(scene: Scene) -> Iterable[Effect]:
-    shaker = scene.shaker
-    if shaker is None:
-        return
+def _shaker(shaker: Shaker) -> Iterable[Effect]:
     bodies = ", ".join(str(body) for body in shaker.bodies)
     if isinstance(shaker, ForceShaker):
         yield Effect("motion", "force", 0, f"on body {bodies}, nothing attached")

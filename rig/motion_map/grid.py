@@ -46,7 +46,7 @@ def vertical_axis(scene: Scene, over: str | None) -> tuple[str, str]:
         )
     if over == "force":
         return over, "N"
-    return over, "m" if over == "clearance" or isinstance(scene.shaker, TableShaker) else "V"
+    return over, "m" if over == "clearance" or isinstance(scene.driven_shaker, TableShaker) else "V"
 
 
 def columns(scene: Scene, low: float | None = None, high: float | None = None, points: int = POINTS) -> Array:

@@ -222,7 +222,7 @@ class Following:
         )
         bodies = self.bodies
         harmonic = 2 / equations.period * integral
-        if isinstance(problem.scene.shaker, ForceShaker):
+        if isinstance(problem.scene.driven_shaker, ForceShaker):
             force = -1j * setting.force
         else:
             force = complex(spring_force_row(problem.scene, problem.system) @ harmonic)

@@ -97,7 +97,7 @@ class OrbitProblem:
         """Complex amplitude of each input; the level is that of a sine that starts at zero."""
         found = np.zeros(len(self.system.inputs), dtype=np.complex128)
         gain = drive_per_level(self.scene, self.system, 2 * np.pi * setting.frequency)
-        found[self.system.inputs.index("shaker")] = -1j * setting.force * gain
+        found[self.system.inputs.index(self.scene.at_driven("shaker"))] = -1j * setting.force * gain
         return found
 
     def equations(
@@ -159,7 +159,7 @@ class OrbitProblem:
         """Differentiate the drive's amplitudes (cosine, sine); None if the parameter leaves them alone."""
         if parameter == "force":
             return np.asarray(drive / setting.force)
-        if parameter != "frequency" or isinstance(self.scene.shaker, ForceShaker):
+        if parameter != "frequency" or isinstance(self.scene.driven_shaker, ForceShaker):
             return None
         # What the table's servo needs for a displacement is smooth in the frequency: good to some 1e-10.
         step = 1e-6 * setting.frequency

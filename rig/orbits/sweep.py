@@ -290,7 +290,7 @@ def _averaged(problem: OrbitProblem, setting: OperatingPoint, propagator: Propag
     # The mean over evenly spaced instants: kinks of the velocity leave an error of some 1e-5 of the motion.
     turns = np.exp(-2j * np.pi * np.arange(len(begins)) / MARKS)
     harmonic = 2 / len(begins) * (turns @ begins)
-    if isinstance(problem.scene.shaker, ForceShaker):
+    if isinstance(problem.scene.driven_shaker, ForceShaker):
         force = -1j * setting.force
     else:
         row = spring_force_row(problem.scene, problem.system)

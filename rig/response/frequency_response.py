@@ -218,7 +218,7 @@ class Follower:
     def __init__(self, scene: Scene, tolerance: float, longest: int) -> None:
         self.scene, self.system = scene, assemble(scene)
         self.tolerance, self.longest = tolerance, longest
-        self.holds_spring_force = not isinstance(scene.shaker, ForceShaker) and (
+        self.holds_spring_force = not isinstance(scene.driven_shaker, ForceShaker) and (
             getattr(scene.test, "force", None) is not None
         )
 
@@ -283,7 +283,7 @@ class Follower:
             np.pi * repetition / omega
         )
         positions = trajectory.state[:, :n]
-        if isinstance(self.scene.shaker, ForceShaker):
+        if isinstance(self.scene.driven_shaker, ForceShaker):
             force = -1j * level_of(self.scene) * level
         else:
             force = complex(spring_force_row(self.scene, system) @ harmonic[: system.states])

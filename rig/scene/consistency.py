@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rig.scene.excitation import Free, Impulse, Sine, SteppedSine
 from rig.scene.measurement_chain import Channel, Converter
 from rig.scene.settings import Mistake, Place
-from rig.scene.shaker import ForceShaker
+from rig.scene.shaker import ForceShaker, at_shaker
 
 if TYPE_CHECKING:
     from rig.scene.damper import Damper
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 def mistakes_between(
     bodies: int | None,
     dampers: Sequence[Damper | None],
-    shaker: Shaker | None,
+    shakers: Sequence[Shaker | None],
     test: Test | None,
     channels: Sequence[Channel | None] | None,
     converter: Converter | None,
@@ -29,28 +29,28 @@ def mistakes_between(
 ) -> list[Mistake]:
     """List the mistakes between parts.
 
-    Parts that are wrong in themselves come as None and are passed over, so that their own mistakes and these
-    can be reported together; `given` names the parts that are there, right or wrong.
+    Parts that are wrong in themselves come as far as they are right, with None for what is not, so that their own
+    mistakes and these can be reported together; `given` names the parts that are there, right or wrong.
     """
     return [
         *_dampers(bodies, dampers),
-        *_shaker(bodies, shaker),
-        *_test(bodies, shaker, test, given),
-        *_channels(bodies, shaker, test, channels or (), given),
+        *_shakers(bodies, shakers, given),
+        *_test(bodies, shakers, test, given),
+        *_channels(bodies, shakers, test, channels or (), given),
         *_sampling(channels, converter, recording, given),
         *_too_high(test, converter),
     ]
 
 
-def _no_body(count: int | None, body: int, place: tuple[int | str, ...]) -> Iterable[Mistake]:
-    if count is not None and body > count:
+def _no_body(count: int | None, body: int | None, place: Place) -> Iterable[Mistake]:
+    if count is not None and body is not None and body > count:
         yield Mistake(place, f"body {body} of {count}; expected a body of the structure, 1 to {count}")
 
 
 def _dampers(count: int | None, dampers: Sequence[Damper | None]) -> Iterable[Mistake]:
     first: dict[int, int] = {}
     for k, damper in enumerate(dampers):
-        if damper is None:
+        if damper is None or damper.body is None:
             continue
         yield from _no_body(count, damper.body, ("dampers", k, "body"))
         if damper.body in first:
@@ -62,15 +62,17 @@ def _dampers(count: int | None, dampers: Sequence[Damper | None]) -> Iterable[Mi
         first.setdefault(damper.body, k)
 
 
-def _shaker(count: int | None, shaker: Shaker | None) -> Iterable[Mistake]:
-    if shaker is not None:
+def _shakers(count: int | None, shakers: Sequence[Shaker | None], given: frozenset[str]) -> Iterable[Mistake]:
+    for number, shaker in enumerate(shakers):
+        if shaker is None:
+            continue
+        key: Place = ("shaker", "body") if len(shakers) == 1 else ("shaker", number, "body")
         for k, body in enumerate(shaker.bodies):
-            place = ("shaker", "body", k) if isinstance(shaker.body, tuple) else ("shaker", "body")
-            yield from _no_body(count, body, place)
+            yield from _no_body(count, body, (*key, k) if isinstance(shaker.body, tuple) else key)
 
 
 def _test(
-    count: int | None, shaker: Shaker | None, test: Test | None, given: frozenset[str]
+    count: int | None, shakers: Sequence[Shaker | None], test: Test | None, given: frozenset[str]
 ) -> Iterable[Mistake]:
     if test is None:
         return
@@ -82,11 +84,22 @@ def _test(
                 yield Mistake(("test", key), f"got {len(values)} values; expected {count}, one for each body")
         if count is not None and test.mode is not None and test.mode > count:
             yield Mistake(("test", "mode"), f"mode {test.mode} of {count}; expected 1 to {count}")
-    elif shaker is None and "shaker" not in given:
+    elif not shakers:
+        if "shaker" not in given:
+            yield Mistake(
+                ("test", "kind"), f"{test.kind} has nothing to drive with; expected a shaker in the scene"
+            )
+    elif len(shakers) > 1 and test.shaker is None:
         yield Mistake(
-            ("test", "kind"), f"{test.kind} has nothing to drive with; expected a shaker in the scene"
+            ("test",),
+            f"shaker missing; there are {len(shakers)}, expected shaker: with the number of the one to drive, 1 to "
+            f"{len(shakers)}",
         )
-    elif isinstance(shaker, ForceShaker) and test.drive is not None:
+    elif (test.shaker or 1) > len(shakers):
+        yield Mistake(
+            ("test", "shaker"), f"shaker {test.shaker} of {len(shakers)}; expected 1 to {len(shakers)}"
+        )
+    elif isinstance(shakers[(test.shaker or 1) - 1], ForceShaker) and test.drive is not None:
         yield Mistake(
             ("test", "drive"), "a shaker of kind force is driven by its force; expected force instead"
         )
@@ -94,32 +107,27 @@ def _test(
 
 def _channels(
     count: int | None,
-    shaker: Shaker | None,
+    shakers: Sequence[Shaker | None],
     test: Test | None,
     channels: Sequence[Channel | None],
     given: frozenset[str],
 ) -> Iterable[Mistake]:
     first: dict[str, int] = {}
     for k, channel in enumerate(channels):
-        if channel is None:
+        if channel is None or channel.at is None:
             continue
         place = ("channels", k, "at")
         if channel.body is not None:
             yield from _no_body(count, channel.body, place)
-        elif (
-            channel.at == "table"
-            and "shaker" not in given
-            and (shaker is None or isinstance(shaker, ForceShaker))
-        ):
-            yield Mistake(
-                place, "there is no table; expected a body, or a shaker of kind table or electrodynamic"
-            )
-        elif channel.at == "hammer" and "test" not in given and not isinstance(test, Impulse):
-            yield Mistake(
-                place, "there is no hammer; expected a body or the table, or a test of kind impulse"
-            )
-        elif channel.at == "shaker":
-            yield from _at_shaker(shaker, test, place, given)
+        elif channel.at == "hammer":
+            if "test" not in given and not isinstance(test, Impulse):
+                yield Mistake(
+                    place, "there is no hammer; expected a body or the table, or a test of kind impulse"
+                )
+        elif shakers or "shaker" not in given:
+            yield from _at_shaker(channel, shakers, test, place)
+        if channel.name is None:
+            continue
         if channel.name in first:
             other = first[channel.name] + 1
             yield Mistake(
@@ -130,21 +138,36 @@ def _channels(
 
 
 def _at_shaker(
-    shaker: Shaker | None, test: Test | None, place: tuple[int | str, ...], given: frozenset[str]
+    channel: Channel, shakers: Sequence[Shaker | None], test: Test | None, place: Place
 ) -> Iterable[Mistake]:
-    """Check that there is a shaker whose force a sensor can sit in the way of, and that it works."""
-    if shaker is None:
-        if "shaker" not in given:
-            yield Mistake(
-                place, "there is no shaker; expected a body, or a shaker of kind force in the scene"
-            )
-    elif not isinstance(shaker, ForceShaker):
+    """Check that there is the shaker that a channel sits at, and that it has what the channel measures there."""
+    what, several = channel.what, len(shakers) > 1
+    if several and channel.number is None:
+        expected = ", ".join(at_shaker(what, number, len(shakers)) for number in range(1, len(shakers) + 1))
+        yield Mistake(place, f"there are {len(shakers)} shakers; expected one of {expected}")
+        return
+    if channel.number is not None and (not several or channel.number > len(shakers)):
+        count = f"{len(shakers)} shaker{'s' if several else ''}"
+        expected = f"{what} 1 to {what} {len(shakers)}" if several else what
+        yield Mistake(place, f"got {channel.at} with {count} in the scene; expected {expected}")
+        return
+    shaker = shakers[(channel.number or 1) - 1] if shakers else None
+    if what == "table" and (not shakers or isinstance(shaker, ForceShaker)):
+        yield Mistake(
+            place, "there is no table; expected a body, or a shaker of kind table or electrodynamic"
+        )
+    elif what == "drive" and not shakers:
+        yield Mistake(place, "there is no drive; expected a shaker in the scene")
+    elif what == "shaker" and not shakers:
+        yield Mistake(place, "there is no shaker; expected a body, or a shaker of kind force in the scene")
+    elif what == "shaker" and shaker is not None and not isinstance(shaker, ForceShaker):
+        table = at_shaker("table", channel.number or 1, len(shakers))
         yield Mistake(
             place,
             f"a shaker of kind {shaker.kind} acts through its coil spring, whose force is told by channels at its "
-            f"two ends; expected at: table and at: body {shaker.bodies[0]}",
+            f"two ends; expected at: {table} and at: body {shaker.bodies[0]}",
         )
-    elif isinstance(test, Impulse):
+    elif what == "shaker" and isinstance(test, Impulse):
         yield Mistake(place, "the shaker rests while the hammer hits; expected at: hammer")
 
 
@@ -186,7 +209,7 @@ def _highest(test: Test | None) -> tuple[Place, float] | None:
     if test is None or isinstance(test, Impulse | Free):
         return None
     if isinstance(test, Sine):
-        return ("test", "frequency"), test.frequency
+        return None if test.frequency is None else (("test", "frequency"), test.frequency)
     if isinstance(test, SteppedSine) and test.frequencies is not None:
         return ("test", "frequencies", len(test.frequencies) - 1), test.frequencies[-1]
     first, last = test.from_ or 0.0, test.to or 0.0

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cache
 from importlib.resources import files
-from typing import Any
+from typing import Annotated, Any
 
 import yaml
+from pydantic import Field
 
 from rig.errors import SceneError
+from rig.scene.settings import Mistake
+
+Preset = Annotated[str, Field(min_length=1, max_length=80)]
 
 #: Settings that take a preset, by the key under which a data sheet has them.
 KINDS = ("accelerometer", "hammer", "converter", "output")
@@ -81,3 +86,12 @@ def data_sheet(name: str, kind: str) -> DataSheet:
 
 def _plain(name: str) -> str:
     return "".join(letter for letter in name.lower() if letter.isalnum())
+
+
+def unknown_preset(preset: str | None, kind: str) -> Iterable[Mistake]:
+    """Check that there is a data sheet of the part that settings of a kind name as their preset."""
+    if preset is not None:
+        try:
+            data_sheet(preset, kind)
+        except SceneError as error:
+            yield Mistake(("preset",), str(error))

@@ -21,6 +21,7 @@ Drive = Annotated[float, Quantity(VOLTAGE, LENGTH, above=0.0)]
 Forces = Annotated[float | tuple[float, ...], Quantity(FORCE, above=0.0, listed=True)]
 Drives = Annotated[float | tuple[float, ...], Quantity(VOLTAGE, LENGTH, above=0.0, listed=True)]
 Count = Annotated[int, Field(ge=1, le=1_000_000)]
+ShakerNumber = Annotated[int, Field(ge=1)]
 Start = Annotated[
     Literal["settled", "empty"],
     Field(
@@ -46,6 +47,8 @@ class Sine(Settings):
     [N]."""
     drive: Drive | None = None
     """Instead of `force`: amplitude of the drive, open loop [V or m, as the shaker's kind takes]."""
+    shaker: ShakerNumber | None = None
+    """Where there are several shakers: the number of the one to drive; the outputs of the others stay at zero."""
     duration: Duration = 2.0
     """Time [s]."""
 
@@ -86,6 +89,8 @@ class SteppedSine(Settings):
     """Amplitude as in `Sine`; several are run one after another."""
     drive: Drives | None = None
     """Instead of `force`, as in `Sine`; several are run one after another."""
+    shaker: ShakerNumber | None = None
+    """Where there are several shakers: the number of the one to drive; the outputs of the others stay at zero."""
     settle: Settle = Settle()
     measure: Measure = Measure()
 
@@ -154,6 +159,8 @@ class SweptSine(Settings):
     """Amplitude as in `Sine`."""
     drive: Drive | None = None
     """Instead of `force`, as in `Sine`."""
+    shaker: ShakerNumber | None = None
+    """Where there are several shakers: the number of the one to drive; the outputs of the others stay at zero."""
 
     def relations(self) -> Iterable[Mistake]:
         """Check that there is something to sweep."""
@@ -179,6 +186,8 @@ class Random(Settings):
     """Root mean square of the force, otherwise as in `Sine`."""
     drive: Drive | None = None
     """Instead of `force`: root mean square of the drive."""
+    shaker: ShakerNumber | None = None
+    """Where there are several shakers: the number of the one to drive; the outputs of the others stay at zero."""
 
     def relations(self) -> Iterable[Mistake]:
         """Check the band."""
@@ -207,6 +216,8 @@ class Multisine(Settings):
     """Root mean square of the force, otherwise as in `Sine`."""
     drive: Drive | None = None
     """Instead of `force`: root mean square of the drive."""
+    shaker: ShakerNumber | None = None
+    """Where there are several shakers: the number of the one to drive; the outputs of the others stay at zero."""
 
     def relations(self) -> Iterable[Mistake]:
         """Check the band."""

@@ -11,7 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 from rig.errors import SceneError
-from rig.scene.data_sheets import data_sheet
+from rig.scene.data_sheets import Preset, unknown_preset
 from rig.scene.modules import module
 from rig.scene.quantities import (
     ACCELERATION,
@@ -38,11 +38,10 @@ from rig.scene.settings import Mistake, Place, Settings, at
 Corner = Annotated[float, Quantity(FREQUENCY, above=0.0)]
 Tolerance = Annotated[float, Quantity(RATIO, at_least=0.0, below=1.0)]
 Time = Annotated[float, Quantity(TIME, at_least=0.0)]
-Limit = Annotated[float, Quantity(LENGTH, VELOCITY, ACCELERATION, FORCE, above=0.0)]
-# Where a channel measures force, not motion.
-FORCE_PLACES = ("hammer", "shaker")
+Limit = Annotated[float, Quantity(LENGTH, VELOCITY, ACCELERATION, FORCE, VOLTAGE, above=0.0)]
+# Where a channel measures force, or the voltage of an output, not motion.
+FORCE_PLACES, VOLTAGE_PLACE = ("hammer", "shaker"), "drive"
 Supply = Annotated[float, Quantity(CURRENT, at_least=0.0)]
-Preset = Annotated[str, Field(min_length=1, max_length=80)]
 
 
 class Accelerometer(Settings):
@@ -95,7 +94,7 @@ class Accelerometer(Settings):
 
     def relations(self) -> Iterable[Mistake]:
         """Check that nothing is given without what it belongs to; a preset may supply that."""
-        yield from _unknown(self.preset, "accelerometer")
+        yield from unknown_preset(self.preset, "accelerometer")
         for key, other in self.needs.items():
             if self.preset is None and getattr(self, key) is not None and getattr(self, other) is None:
                 yield Mistake((key,), f"given without {other}, to which it belongs")
@@ -139,20 +138,24 @@ class Hammer(Settings):
 
     def relations(self) -> Iterable[Mistake]:
         """Check that the part is known."""
-        return _unknown(self.preset, "hammer")
+        return unknown_preset(self.preset, "hammer")
 
 
 class Channel(Settings):
     """One measured signal: a point, the sensor on it and the amplifier behind that.
 
-    The force of a shaker of another kind than force is read from the ends of its coil spring, the table and the
-    driven body.
+    At `shaker` it is the force between a shaker of kind force and its body; that of other shakers is read from the
+    ends of their coil spring, the table and the driven body. At `drive` it is the voltage of the output in front of a
+    shaker, as a teed cable gives it. Where there are several shakers, a place at one of them bears its number:
+    `table 2`, `shaker 2`, `drive 2`.
     """
 
     name: Annotated[str, Field(max_length=80, pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
     """A name of letters, digits, _, - and . under which it stands in the recording."""
-    at: Annotated[str, Field(pattern=r"^(body [1-9][0-9]{0,5}|table|hammer|shaker)$")]
-    """body 1, ..., table, hammer or shaker (between a shaker of kind force and its body)."""
+    at: Annotated[
+        str, Field(pattern=r"^(body [1-9][0-9]{0,5}|hammer|(table|shaker|drive)( [1-9][0-9]{0,3})?)$")
+    ]
+    """body 1, ..., table, hammer, shaker or drive (what the last two read: see above)."""
     accelerometer: Accelerometer | None = None
     """Sensor at a body or the table."""
     integrator: Integrator | None = None
@@ -161,7 +164,7 @@ class Channel(Settings):
     """Force sensor, at the hammer or the shaker."""
     alarm: Limit | None = None
     """Limit of the measured quantity, in the channel's unit, above which the recording is marked [m, m/s,
-    m/s^2 or N]."""
+    m/s^2, N or V]."""
     abort: Limit | None = None
     """The same, above which the test ends."""
     coupling: Literal["AC", "DC"] | None = None
@@ -173,13 +176,19 @@ class Channel(Settings):
     def kind_by_neighbours(cls, given: Mapping[str, Any]) -> Mapping[Place, Kind]:
         """Limits are in what the channel measures."""
         kind = {"1": VELOCITY, "2": LENGTH}.get(str(at(given, ("integrator", "order"))), ACCELERATION)
-        if given.get("at") in FORCE_PLACES:
-            kind = FORCE
+        what = str(given.get("at")).partition(" ")[0]
+        kind = FORCE if what in FORCE_PLACES else VOLTAGE if what == VOLTAGE_PLACE else kind
         return {("alarm",): kind, ("abort",): kind}
 
     def relations(self) -> Iterable[Mistake]:
         """Check that the sensor suits the place."""
-        if self.measures_force:
+        if self.measures_voltage:
+            for key in ("accelerometer", "integrator", "hammer"):
+                if getattr(self, key) is not None:
+                    yield Mistake(
+                        (key,), "given at the drive; expected no sensor, for it is a voltage already"
+                    )
+        elif self.measures_force:
             for key in ("accelerometer", "integrator"):
                 if getattr(self, key) is not None:
                     yield Mistake(
@@ -189,14 +198,30 @@ class Channel(Settings):
             yield Mistake(("hammer",), f"given at {self.at}; expected it at: hammer or at: shaker")
 
     @property
+    def what(self) -> str:
+        """Kind of place: body, table, hammer, shaker or drive."""
+        return self.at.partition(" ")[0]
+
+    @property
+    def number(self) -> int | None:
+        """Number of the body or the shaker it is at, from 1; None where it names none."""
+        number = self.at.partition(" ")[2]
+        return int(number) if number else None
+
+    @property
     def measures_force(self) -> bool:
-        """Whether its sensor is one of force: at the hammer or the shaker."""
-        return self.at in FORCE_PLACES
+        """Whether its sensor is one of force: at the hammer or a shaker."""
+        return self.what in FORCE_PLACES
+
+    @property
+    def measures_voltage(self) -> bool:
+        """Whether it reads a voltage, that of an output."""
+        return self.what == VOLTAGE_PLACE
 
     @property
     def body(self) -> int | None:
         """The body it is mounted on, from 1; None elsewhere."""
-        return int(self.at.removeprefix("body ")) if self.at.startswith("body ") else None
+        return self.number if self.what == "body" else None
 
 
 class DroppedBlock(Settings):
@@ -244,7 +269,7 @@ class Converter(Settings):
 
     def relations(self) -> Iterable[Mistake]:
         """Check that nothing is given without what it belongs to, and that its module can do it."""
-        unknown = list(_unknown(self.preset, "converter"))
+        unknown = list(unknown_preset(self.preset, "converter"))
         yield from unknown
         if not unknown:
             yield from self._too_fast()
@@ -272,12 +297,3 @@ class Converter(Settings):
             return found.inputs.rates.at_least(self.rate)
         except SceneError as error:
             raise SceneError(f"{error}, which is what {found.name} samples at") from None
-
-
-def _unknown(preset: str | None, kind: str) -> Iterable[Mistake]:
-    """Check that there is a data sheet of the part that is named."""
-    if preset is not None:
-        try:
-            data_sheet(preset, kind)
-        except SceneError as error:
-            yield Mistake(("preset",), str(error))

@@ -10,8 +10,9 @@ from rig.errors import SceneError
 from rig.scene.data_sheets import data_sheet
 from rig.scene.measurement_chain import Accelerometer, Channel, Converter, Hammer
 from rig.scene.modules import module
+from rig.scene.shaker import Output
 
-Device = TypeVar("Device", Accelerometer, Hammer, Converter)
+Device = TypeVar("Device", Accelerometer, Hammer, Converter, Output)
 
 
 def filled_in(settings: Device) -> Device:

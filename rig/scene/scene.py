@@ -21,7 +21,7 @@ from rig.scene.quantities import (
 from rig.scene.quantity_field import Quantity, printable
 from rig.scene.recording import RecordingSettings
 from rig.scene.settings import Mistake, Place, Settings, at
-from rig.scene.shaker import Shaker
+from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, Shaker, Shakers, TableShaker, at_shaker
 from rig.scene.structure import Structure
 
 STANDARD_GRAVITY = 9.80665
@@ -39,7 +39,8 @@ class Scene(Settings):
     gravity: Annotated[float, Quantity(ACCELERATION, at_least=0.0)] = STANDARD_GRAVITY
     """Downward acceleration [m/s^2]."""
     dampers: tuple[Damper, ...] = ()
-    shaker: Shaker | None = None
+    shaker: Shakers | None = None
+    """One, or a list of several, each with its own body, spring, amplifier and output."""
     test: Test | None = None
     channels: tuple[Channel, ...] | None = Field(None, min_length=1, max_length=MOST_CHANNELS)
     """None: ideal acceleration of every body and the table."""
@@ -52,15 +53,51 @@ class Scene(Settings):
     def kind_by_neighbours(cls, given: Mapping[str, Any]) -> Mapping[Place, Kind]:
         """Take the drive in what the shaker takes."""
         kinds = {"table": LENGTH, "electrodynamic": VOLTAGE, "force": FORCE}
-        kind = kinds.get(str(at(given, ("shaker", "kind"))))
+        shaker, number = given.get("shaker"), str(at(given, ("test", "shaker")))
+        if isinstance(shaker, list | tuple):
+            chosen = int(number) if number.isdecimal() else 0
+            shaker = shaker[chosen - 1] if 0 < chosen <= len(shaker) else None
+        kind = kinds.get(str(at(shaker, ("kind",))))
         return {} if kind is None else {("test", "drive"): kind}
+
+    @property
+    def shakers(self) -> tuple[Shaker, ...]:
+        """All shakers."""
+        if self.shaker is None:
+            return ()
+        return self.shaker if isinstance(self.shaker, tuple) else (self.shaker,)
+
+    @property
+    def tables(self) -> tuple[tuple[str, TableShaker | ElectrodynamicShaker], ...]:
+        """Names of the shakers' tables, each with its shaker, in their order."""
+        return tuple(
+            (at_shaker("table", number, len(self.shakers)), shaker)
+            for number, shaker in enumerate(self.shakers, 1)
+            if not isinstance(shaker, ForceShaker)
+        )
+
+    @property
+    def driven(self) -> int | None:
+        """Number of the shaker that the test drives, from 1; None where there is none, or none of several is named."""
+        if len(self.shakers) == 1:
+            return 1
+        return getattr(self.test, "shaker", None)
+
+    @property
+    def driven_shaker(self) -> Shaker | None:
+        """The shaker that the test drives; None as in `driven`."""
+        return None if self.driven is None else self.shakers[self.driven - 1]
+
+    def at_driven(self, what: str) -> str:
+        """Name an input or a place at the shaker that the test drives: "shaker", "table" or "drive", and which."""
+        return at_shaker(what, self.driven or 1, len(self.shakers) or 1)
 
     def relations(self) -> Iterable[Mistake]:
         """Check references from one part to another."""
         return mistakes_between(
             self.structure.bodies,
             self.dampers,
-            self.shaker,
+            self.shakers,
             self.test,
             self.channels,
             self.converter,

@@ -16,6 +16,7 @@ from pydantic import (
     ConfigDict,
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
+    TypeAdapter,
     ValidationError,
     model_validator,
 )
@@ -268,6 +269,34 @@ class Alternatives:
             return self.choose(value, classes).model_validate(value)
 
         return core_schema.no_info_wrap_validator_function(read, handler(source))
+
+
+class OneOrSeveral:
+    """What `Annotated[A | tuple[A, ...], OneOrSeveral(A)]` accepts: settings, or a list of such.
+
+    Unlike with a plain union, mistakes are reported for what was meant.
+    """
+
+    def __init__(self, one: Any) -> None:
+        self.one: TypeAdapter[Any] = TypeAdapter(one)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_wrap_validator_function(self._read, handler(source))
+
+    def _read(self, value: Any, _: Any) -> Any:
+        if not isinstance(value, list | tuple):
+            return self.one.validate_python(value)
+        if not value:
+            raise refusal(value, "keys and values, or a list of at least one such")
+        found, mistakes = [], []
+        for k, item in enumerate(value):
+            try:
+                found.append(self.one.validate_python(item))
+            except ValidationError as error:
+                mistakes += [Mistake((k, *wrong.place), wrong.message) for wrong in mistakes_of(error)]
+        if mistakes:
+            raise report("list", mistakes)
+        return tuple(found)
 
 
 def by_kind(given: Mapping[str, Any], classes: Classes) -> type[Settings]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
+from rig.scene.data_sheets import Preset, unknown_preset
 from rig.scene.quantities import (
     CURRENT,
     DASHPOT,
@@ -23,10 +24,40 @@ from rig.scene.quantities import (
     Kind,
 )
 from rig.scene.quantity_field import Quantity, refusal
-from rig.scene.settings import Alternatives, Place, Settings, by_kind
+from rig.scene.settings import Alternatives, Mistake, OneOrSeveral, Place, Settings, by_kind
 
 Body = Annotated[int, Field(ge=1)]
 CoilSpring = Annotated[float, Quantity(STIFFNESS, above=0.0)]
+
+#: What a volt of the output in front of a shaker does, by the unit of its drive: a volt at the amplifier, a newton, a
+#: millimetre of table travel.
+DRIVE_PER_VOLT = {"V": 1.0, "N": 1.0, "m": 1e-3}
+
+
+def at_shaker(what: str, number: int, shakers: int) -> str:
+    """Name an input or a place at a shaker: where there are several, by its number.
+
+    >>> at_shaker("table", 1, shakers=1), at_shaker("table", 2, shakers=3)
+    ('table', 'table 2')
+    """
+    return what if shakers == 1 else f"{what} {number}"
+
+
+class Output(Settings):
+    """The output that gives a shaker its drive; ideal where nothing is given."""
+
+    preset: Preset | None = None
+    """A module, by its name, whose datasheet fills in what is not given here."""
+    range: Annotated[float, Quantity(VOLTAGE, above=0.0)] | None = None
+    """Largest voltage it gives [V]."""
+    bits: Annotated[int, Field(ge=2, le=32)] | None = None
+    """Resolution, a whole number such as 16, over twice the range; needs `range`."""
+
+    def relations(self) -> Iterable[Mistake]:
+        """Check that the part is known, and that the resolution is one of something."""
+        yield from unknown_preset(self.preset, "output")
+        if self.bits is not None and self.range is None and self.preset is None:
+            yield Mistake(("bits",), "given without range, the largest voltage such as 10 V")
 
 
 class _BodyOrBodies:
@@ -62,6 +93,8 @@ class ForceShaker(Settings):
     kind: Literal["force"] = "force"
     body: Annotated[int | tuple[int, ...], _BodyOrBodies()]
     """The number of a body, from 1, or a list of such."""
+    output: Output = Output()
+    """What gives it its drive: the voltage of a module's output."""
 
     @property
     def bodies(self) -> tuple[int, ...]:
@@ -84,6 +117,8 @@ class TableShaker(Settings):
     bandwidth: Annotated[float, Quantity(FREQUENCY, above=0.0)] = 400.0
     """Corner of the position servo [Hz], a critically damped second order: the table follows the drive with a
     continuous velocity, as its acceleration is measured."""
+    output: Output = Output()
+    """What gives it its drive: the voltage of a module's output."""
 
     @property
     def bodies(self) -> tuple[int, ...]:
@@ -141,6 +176,8 @@ class ElectrodynamicShaker(Settings):
     coil: Coil = Coil()
     armature: Armature = Armature()
     amplifier: Amplifier = Amplifier()
+    output: Output = Output()
+    """What gives it its drive: the voltage of a module's output."""
 
     @property
     def bodies(self) -> tuple[int, ...]:
@@ -149,3 +186,5 @@ class ElectrodynamicShaker(Settings):
 
 
 Shaker = Annotated[ForceShaker | TableShaker | ElectrodynamicShaker, Alternatives(by_kind)]
+#: What `shaker:` in a scene takes: one, or a list.
+Shakers = Annotated[Shaker | tuple[Shaker, ...], OneOrSeveral(Shaker)]

@@ -19,7 +19,7 @@ from rig.engine.state import CEILING, FLIGHT, FLOOR
 from rig.engine.trajectory import Trajectory
 from rig.numerics.bernstein import LENGTH
 from rig.scene.scene import Scene
-from rig.scene.shaker import ElectrodynamicShaker, TableShaker
+from rig.scene.shaker import ElectrodynamicShaker, TableShaker, at_shaker
 from rig.system.hybrid_system import HybridSystem
 
 Array = NDArray[np.float64]
@@ -81,34 +81,38 @@ def forms(scene: Scene, system: HybridSystem, output: Array) -> Forms:
     """
     n, ns = system.coordinates, system.states
     size = ns + output.shape[1]
-    shaker = scene.shaker
     mass = system.mass.copy()
     stiffness = -system.force_state[:, :n]
     damping = -system.force_state[:, n : 2 * n]
     push = np.zeros((n, size))
     push[:, ns:] = system.force_drive @ output
     power = np.zeros((size, size))
-    if isinstance(shaker, TableShaker):
-        # The table is prescribed: its motion does work on the coil spring, and holds no energy of ours.
-        table, body = system.points.index("table"), shaker.body - 1
-        mass[table, table] = damping[table, table] = 0.0
-        push[table] = 0.0
-        stiffness[table, table] = shaker.spring
-        stiffness[table, body] = -shaker.spring
-        force = np.zeros(size)
-        force[table], force[body] = shaker.spring, -shaker.spring
-        power[n + table] += force
+    for number, shaker in enumerate(scene.shakers, 1):
+        if isinstance(shaker, TableShaker):
+            # The table is prescribed: its motion does work on the coil spring, and holds no energy of ours.
+            table = system.points.index(at_shaker("table", number, len(scene.shakers)))
+            body = shaker.body - 1
+            mass[table, table] = damping[table, table] = 0.0
+            push[table] = 0.0
+            stiffness[table, table] = shaker.spring
+            stiffness[table, body] = -shaker.spring
+            force = np.zeros(size)
+            force[table], force[body] = shaker.spring, -shaker.spring
+            power[n + table] += force
     power[n : 2 * n] += push
     stored = np.zeros((size, size))
     stored[:n, :n] = stiffness
     stored[n : 2 * n, n : 2 * n] = mass
     dissipated = np.zeros((size, size))
     dissipated[n : 2 * n, n : 2 * n] = damping
-    if isinstance(shaker, ElectrodynamicShaker) and shaker.amplifier.mode == "voltage":
-        coil = shaker.coil
-        stored[2 * n, 2 * n] = coil.inductance
-        dissipated[2 * n, 2 * n] = coil.resistance
-        power[2 * n, ns:] = shaker.amplifier.gain * output[system.inputs.index("shaker")]
+    current = 2 * n
+    for number, shaker in enumerate(scene.shakers, 1):
+        if isinstance(shaker, ElectrodynamicShaker) and shaker.amplifier.mode == "voltage":
+            stored[current, current] = shaker.coil.inductance
+            dissipated[current, current] = shaker.coil.resistance
+            drive = output[system.inputs.index(at_shaker("shaker", number, len(scene.shakers)))]
+            power[current, ns:] = shaker.amplifier.gain * drive
+            current += 1
     return Forms(0.5 * _symmetric(stored), _symmetric(dissipated), _symmetric(power))
 
 

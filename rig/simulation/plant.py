@@ -9,6 +9,7 @@ from rig.engine.propagator import MotionSamples, sampled_propagator
 from rig.engine.trajectory import Array, Trajectory, event_table
 from rig.errors import RunError, SceneError
 from rig.scene.scene import Scene
+from rig.scene.shaker import at_shaker
 from rig.simulation.motion import Motion
 from rig.system.assembly import assemble
 
@@ -22,9 +23,10 @@ class Plant:
     Attributes
     ----------
     inputs, drive_units : tuple of str
-        "shaker" and/or "hammer"; N, m (displacement commanded of the table), V (at the amplifier).
+        "shaker" (or "shaker 1", "shaker 2", ...) and/or "hammer"; N, m (displacement commanded of the table), V (at
+        the amplifier).
     points : tuple of str
-        "body 1" ... and "table" if there is one.
+        "body 1" ... and "table" ("table 2" at the second of several shakers) if there is one.
     """
 
     def __init__(self, scene: Scene, rate: float) -> None:
@@ -143,7 +145,8 @@ class Plant:
 def _drive_limits(scene: Scene, inputs: tuple[str, ...]) -> Array:
     """Largest drive that each input passes on: an amplifier clips."""
     limits = np.full((len(inputs), 1), np.inf)
-    shaker = scene.shaker
-    if shaker is not None and shaker.kind == "electrodynamic":
-        limits[inputs.index("shaker")] = shaker.amplifier.limit / shaker.amplifier.gain
+    for number, shaker in enumerate(scene.shakers, 1):
+        if shaker.kind == "electrodynamic":
+            row = inputs.index(at_shaker("shaker", number, len(scene.shakers)))
+            limits[row] = shaker.amplifier.limit / shaker.amplifier.gain
     return limits

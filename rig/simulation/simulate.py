@@ -30,7 +30,7 @@ class Run:
     Attributes
     ----------
     points : tuple of str
-        Rows of the motion: "body 1" ... and "table" if there is one.
+        Rows of the motion: "body 1" ... and "table" ("table 2" at the second of several shakers) if there is one.
     time : ndarray, shape (samples,)
         Seconds.
     displacement, velocity, acceleration : ndarray, shape (points, samples)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import assert_never
+from typing import NamedTuple, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from rig.errors import SceneError
 from rig.scene.contact import Landing, Wall, Walls
 from rig.scene.damper import Damper
 from rig.scene.scene import Scene
-from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, TableShaker
+from rig.scene.shaker import Coil, ElectrodynamicShaker, ForceShaker, Shaker, TableShaker, at_shaker
 from rig.system.hybrid_system import HybridSystem
 from rig.system.landing import spring_damper
 from rig.system.structure import Array, damper_bodies, damper_masses, natural_modes, structure_matrices
@@ -26,7 +26,7 @@ def assemble(scene: Scene) -> HybridSystem:
     Returns
     -------
     HybridSystem
-        Coordinates are the bodies, then the table if the shaker has one, then the beds of dampers whose contact
+        Coordinates are the bodies, then the tables of the shakers that have one, then the beds of dampers whose contact
         lasts. Dampers that are locked or have no clearance are part of the mass matrix.
 
     Raises
@@ -51,7 +51,10 @@ def assemble(scene: Scene) -> HybridSystem:
     np.add.at(mass, (at_body[held], at_body[held]), masses[held])
     np.subtract.at(weight, at_body[held], masses[held] * scene.gravity)
     parts = _Parts(bodies, mass, damping, stiffness, weight)
-    _add_shaker(parts, scene)
+    for number, shaker in enumerate(scene.shakers, 1):
+        _add_shaker(
+            parts, shaker, *(at_shaker(what, number, len(scene.shakers)) for what in ("shaker", "table"))
+        )
     if scene.test is not None and scene.test.kind == "impulse":
         parts.add_input("hammer", "N", {scene.test.body - 1: 1.0})
     clearance = np.array([scene.dampers[j].clearance for j in free], dtype=np.float64)
@@ -75,24 +78,30 @@ def assemble(scene: Scene) -> HybridSystem:
     return system
 
 
+class _Coil(NamedTuple):
+    """A coil fed by a voltage amplifier, the row of the table it moves, and the column of its drive."""
+
+    coil: Coil
+    gain: float
+    table: int
+    column: int
+
+
 class _Parts:
     """The equations while they are being put together: rows are coordinates, columns states."""
 
     def __init__(self, bodies: int, mass: Array, damping: Array, stiffness: Array, weight: Array) -> None:
         self.points = [f"body {j + 1}" for j in range(bodies)]
-        self.table = -1
         self.mass, self.damping, self.stiffness, self.weight = mass, damping.copy(), stiffness.copy(), weight
         self.inputs: list[str] = []
         self.units: list[str] = []
         self.pushes: list[dict[int, float]] = []
-        self.coil: tuple[float, float, float] | None = None
-        self.coil_gain = 0.0
+        self.coils: list[_Coil] = []
 
-    def add_table(self, mass: float) -> int:
-        """Add the table, which nothing holds yet; returns its row."""
-        self.points.append("table")
-        self.table = self._add_coordinate(mass)
-        return self.table
+    def add_table(self, name: str, mass: float) -> int:
+        """Add a table, which nothing holds yet; returns its row."""
+        self.points.append(name)
+        return self._add_coordinate(mass)
 
     def add_bed(self, body: int, mass: float, gravity: float) -> int:
         """Add the bed of a damper whose contact lasts, by its gap above its body; returns its row. It falls freely."""
@@ -127,7 +136,7 @@ class _Parts:
         restitution: Array, number: NDArray[np.intp], bed: NDArray[np.intp], walls: tuple[Array, Array],
     ) -> HybridSystem:  # fmt: skip
         """Put everything into first-order form."""
-        n, extra = len(self.mass), 0 if self.coil is None else 1
+        n, extra = len(self.mass), len(self.coils)
         force_state = np.hstack([-self.stiffness, -self.damping, np.zeros((n, extra))])
         force_drive = np.zeros((n, len(self.inputs)))
         for column, push in enumerate(self.pushes):
@@ -135,12 +144,11 @@ class _Parts:
                 force_drive[row, column] = value
         rate_state = np.zeros((extra, 2 * n + extra))
         rate_drive = np.zeros((extra, len(self.inputs)))
-        if self.coil is not None:
-            resistance, inductance, force_factor = self.coil
-            force_state[self.table, 2 * n] = force_factor
-            rate_state[0, n + self.table] = -force_factor / inductance
-            rate_state[0, 2 * n] = -resistance / inductance
-            rate_drive[0, 0] = self.coil_gain / inductance
+        for k, (coil, gain, table, column) in enumerate(self.coils):
+            force_state[table, 2 * n + k] = coil.force_factor
+            rate_state[k, n + table] = -coil.force_factor / coil.inductance
+            rate_state[k, 2 * n + k] = -coil.resistance / coil.inductance
+            rate_drive[k, column] = gain / coil.inductance
         return HybridSystem(
             points=tuple(self.points),
             inputs=tuple(self.inputs),
@@ -164,35 +172,32 @@ class _Parts:
         )
 
 
-def _add_shaker(parts: _Parts, scene: Scene) -> None:
-    shaker = scene.shaker
+def _add_shaker(parts: _Parts, shaker: Shaker, drive: str, name: str) -> None:
+    """Add a shaker whose input and table bear the names given."""
     match shaker:
-        case None:
-            return
         case ForceShaker():
-            parts.add_input("shaker", "N", {body - 1: 1.0 for body in shaker.bodies})
+            parts.add_input(drive, "N", {body - 1: 1.0 for body in shaker.bodies})
         case TableShaker():
             # The servo is driven, not loaded: the spring pulls at the body, never at the table.
-            table = parts.add_table(1.0)
+            table = parts.add_table(name, 1.0)
             body = shaker.body - 1
             corner = 2.0 * np.pi * shaker.bandwidth
             parts.stiffness[body, body] += shaker.spring
             parts.stiffness[body, table] -= shaker.spring
             parts.stiffness[table, table] = corner**2
             parts.damping[table, table] = 2.0 * corner
-            parts.add_input("shaker", "m", {table: corner**2})
+            parts.add_input(drive, "m", {table: corner**2})
         case ElectrodynamicShaker():
             coil, armature, amplifier = shaker.coil, shaker.armature, shaker.amplifier
-            table = parts.add_table(armature.mass)
+            table = parts.add_table(name, armature.mass)
             parts.add_spring(shaker.body - 1, table, shaker.spring)
             parts.stiffness[table, table] += armature.stiffness
             parts.damping[table, table] += armature.damping
             if amplifier.mode == "voltage":
-                parts.coil = (coil.resistance, coil.inductance, coil.force_factor)
-                parts.coil_gain = amplifier.gain
-                parts.add_input("shaker", "V", {})
+                parts.coils.append(_Coil(coil, amplifier.gain, table, len(parts.inputs)))
+                parts.add_input(drive, "V", {})
             else:
-                parts.add_input("shaker", "V", {table: amplifier.gain * coil.force_factor})
+                parts.add_input(drive, "V", {table: amplifier.gain * coil.force_factor})
         case _ as never:
             assert_never(never)
 
@@ -271,9 +276,10 @@ def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
 
 
 def spring_force_row(scene: Scene, system: HybridSystem) -> Array:
-    """Row r with F_1 = r . state: the coil spring's force on the body, N; zeros without a coil spring."""
+    """Row r with F_1 = r . state: force of the driven shaker's coil spring on the body, N; zeros without one."""
     row = np.zeros(system.states)
-    if scene.shaker is not None and scene.shaker.spring is not None:
-        row[system.points.index("table")] = scene.shaker.spring
-        row[scene.shaker.bodies[0] - 1] = -scene.shaker.spring
+    shaker = scene.driven_shaker
+    if shaker is not None and shaker.spring is not None:
+        row[system.points.index(scene.at_driven("table"))] = shaker.spring
+        row[shaker.bodies[0] - 1] = -shaker.spring
     return row

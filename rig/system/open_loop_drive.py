@@ -53,12 +53,12 @@ def tone_drive(scene: Scene, system: HybridSystem, frequency: float | None = Non
     omega = 2.0 * np.pi * frequency
     amplitude = -1j * level_of(scene) * drive_per_level(scene, system, omega)
     amplitudes = np.zeros(len(system.inputs), dtype=complex)
-    amplitudes[system.inputs.index("shaker")] = amplitude
+    amplitudes[system.inputs.index(scene.at_driven("shaker"))] = amplitude
     state = system.initial.copy()
-    if isinstance(scene.shaker, TableShaker):
+    if isinstance(scene.driven_shaker, TableShaker):
         # The table's own motion is the prescribed tone from the start, not its servo's response to it.
-        position = amplitude / _servo_inverse(scene.shaker, omega)
-        table = system.points.index("table")
+        position = amplitude / _servo_inverse(scene.driven_shaker, omega)
+        table = system.points.index(scene.at_driven("table"))
         state[table] = position.real
         state[system.coordinates + table] = (1j * omega * position).real
     return ToneDrive(amplitudes, frequency, omega, state)
@@ -72,7 +72,12 @@ def level_of(scene: Scene) -> float:
     SceneError
         If the scene has no shaker, or a test without a level.
     """
-    if scene.shaker is None:
+    if scene.driven_shaker is None and scene.shakers:
+        raise SceneError(
+            f"scene {scene.name!r} has {len(scene.shakers)} shakers, and no test says which one to drive; expected "
+            "a test with shaker: and its number"
+        )
+    if scene.driven_shaker is None:
         raise SceneError(
             f"scene {scene.name!r} has no shaker to drive it with; expected shaker: {{kind: ...}}"
         )
@@ -86,7 +91,7 @@ def level_of(scene: Scene) -> float:
 
 def drive_per_level(scene: Scene, system: HybridSystem, omega: float) -> complex:
     """Complex drive amplitude for one unit of level, in the linear structure with all dampers riding."""
-    shaker = scene.shaker
+    shaker = scene.driven_shaker
     drives = getattr(scene.test, "drive", None) is not None
     if isinstance(shaker, ForceShaker):
         return 1.0
@@ -103,12 +108,16 @@ def _servo_inverse(shaker: TableShaker, omega: float) -> complex:
 
 def force_per_drive(scene: Scene, system: HybridSystem, omega: float) -> complex:
     """Spring force for one unit of drive, in the linear structure with all dampers riding."""
-    return complex(spring_force_row(scene, system) @ _riding_response(system, omega))
+    return complex(
+        spring_force_row(scene, system) @ _riding_response(system, scene.at_driven("shaker"), omega)
+    )
 
 
 def accelerations_per_level(scene: Scene, system: HybridSystem, omega: float) -> Array:
     """Amplitude of each body's acceleration for one unit of level, in the linear structure with all dampers riding."""
-    response = _riding_response(system, omega) * drive_per_level(scene, system, omega)
+    response = _riding_response(system, scene.at_driven("shaker"), omega) * drive_per_level(
+        scene, system, omega
+    )
     return omega**2 * np.abs(response[: scene.structure.bodies])
 
 
@@ -118,14 +127,16 @@ def with_ideal_force(scene: Scene) -> Scene:
     This saves the motions that a controller of the spring force needs to find its drive. Scenes whose tests give a
     drive, or whose shaker is a force already, stay as they are.
     """
-    shaker = scene.shaker
+    shaker = scene.driven_shaker
     if shaker is None or isinstance(shaker, ForceShaker) or getattr(scene.test, "force", None) is None:
         return scene
-    return scene.replace(shaker=ForceShaker(body=shaker.bodies[0]), channels=None)
+    force = ForceShaker(body=shaker.bodies[0])
+    all_of_them = [force if number == scene.driven else each for number, each in enumerate(scene.shakers, 1)]
+    return scene.replace(shaker=all_of_them if len(all_of_them) > 1 else force, channels=None)
 
 
-def _riding_response(system: HybridSystem, omega: float) -> NDArray[np.complex128]:
-    """States for one unit of drive, all dampers riding."""
+def _riding_response(system: HybridSystem, name: str, omega: float) -> NDArray[np.complex128]:
+    """States for one unit of the drive of that name, all dampers riding."""
     n, ns = system.coordinates, system.states
     mass = system.mass.copy()
     riding = system.damper_coordinate[~system.lasting]
@@ -135,7 +146,7 @@ def _riding_response(system: HybridSystem, omega: float) -> NDArray[np.complex12
     force, _ = system.contact_forces(system.at_rest)
     matrix[n : 2 * n] = np.linalg.solve(mass, system.force_state + force)
     matrix[2 * n :] = system.rate_state
-    column = system.inputs.index("shaker")
+    column = system.inputs.index(name)
     inflow = np.zeros(ns, dtype=complex)
     inflow[n : 2 * n] = np.linalg.solve(mass, system.force_drive[:, column])
     inflow[2 * n :] = system.rate_drive[:, column]
@@ -162,7 +173,7 @@ def sampled_drive(scene: Scene, system: HybridSystem, samples: int, rate: float)
     if isinstance(test, Impulse):
         drive[system.inputs.index("hammer")] = _hits(test, time)
     elif isinstance(test, SweptSine):
-        drive[system.inputs.index("shaker")] = _sweep(scene, system, test, time)
+        drive[system.inputs.index(scene.at_driven("shaker"))] = _sweep(scene, system, test, time)
     elif test is not None and test.kind != "free":
         raise SceneError(
             f"a {test.kind} test is made up on the bench (daq.record); to simulate it open loop give frequency "

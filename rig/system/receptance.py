@@ -106,8 +106,13 @@ def loaded_matrices(
 
 def driven_bodies(scene: Scene) -> list[int]:
     """List the positions (from 0) of the bodies on which the force acts."""
-    if scene.shaker is not None:
-        return [body - 1 for body in scene.shaker.bodies]
+    if len(scene.shakers) > 1 and any(shaker.kind != "force" for shaker in scene.shakers):
+        raise SceneError(
+            f"scene {scene.name!r} has several shakers, and those on coil springs load the structure as well; expected "
+            "one shaker, several of kind force, or rig.frequency_response, which knows them all"
+        )
+    if scene.driven_shaker is not None:
+        return [body - 1 for body in scene.driven_shaker.bodies]
     if scene.test is not None and scene.test.kind == "impulse":
         return [scene.test.body - 1]
     raise SceneError(f"scene {scene.name!r} has neither shaker nor hammer to say where the force acts")
@@ -122,8 +127,8 @@ def _position(scene: Scene, number: int) -> int:
 
 
 def _coil_spring(scene: Scene) -> float:
-    if scene.shaker is None or scene.shaker.spring is None:
+    if scene.driven_shaker is None or scene.driven_shaker.spring is None:
         raise SceneError(
             f"scene {scene.name!r} has no coil spring; expected a shaker of kind table or electrodynamic"
         )
-    return scene.shaker.spring
+    return scene.driven_shaker.spring

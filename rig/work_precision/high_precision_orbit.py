@@ -162,7 +162,7 @@ class _Polish:
             sums = [[Decimal(0)] * self.system.states for _ in range(2)]
             self._follow(start, sums)
             harmonic = [(2 * c / self.end, -2 * s / self.end) for c, s in zip(*sums, strict=True)]
-            if isinstance(self.scene.shaker, ForceShaker):
+            if isinstance(self.scene.driven_shaker, ForceShaker):
                 force = Decimal(0), Decimal(-level_of(self.scene))
             else:
                 row = [Decimal(float(value)) for value in spring_force_row(self.scene, self.system)]

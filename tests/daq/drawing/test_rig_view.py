@@ -23,13 +23,15 @@ def motion_of(scene, amplitude_m, seed=0, instants=50):
     bodies, dampers = scene.structure.bodies, len(scene.dampers)
     return RigPose(
         displacement=amplitude_m * noise.uniform(-1, 1, (bodies, instants)),
-        table=amplitude_m * noise.uniform(-1, 1, instants) if RigView.driven_body(scene) else None,
+        tables=amplitude_m * noise.uniform(-1, 1, (len(scene.tables), instants)),
         gap=amplitude_m * noise.uniform(0, 1, (dampers, instants)),
     )
 
 
 def drawn(scene, motion):
-    view = RigView(scene, Extremes().widened(motion, RigView.driven_body(scene)), gaps_known=True)
+    view = RigView(
+        scene, Extremes().widened(motion, [shaker.body for _, shaker in scene.tables]), gaps_known=True
+    )
     parts = {path: (move[:, 2], scale) for path, move, scale in view.moving_parts(motion)}
     return view, parts
 
@@ -68,7 +70,7 @@ def test_given_a_damper_at_its_ceiling_when_drawn_then_its_top_touches_the_drawn
     scene = rig.load("fig9")
     clearance = scene.dampers[0].clearance
     still = np.zeros((3, 2))
-    motion = RigPose(still, np.zeros(2), np.array([[0.0, clearance]]))
+    motion = RigPose(still, np.zeros((1, 2)), np.array([[0.0, clearance]]))
     view, parts = drawn(scene, motion)
     floor_gap, ceiling_gap = parts["rig/body_2/damper"][0]
     assert floor_gap == 0.0
@@ -123,8 +125,8 @@ def test_given_nothing_moves_when_the_exaggeration_is_chosen_then_noise_is_not_b
 
 
 def test_given_lost_samples_when_extremes_are_found_then_they_do_not_count():
-    motion = RigPose(np.array([[1e-3, np.nan], [0.0, np.nan]]), np.array([np.nan, 0.0]), None)
-    extremes = Extremes().widened(motion, 1)
+    motion = RigPose(np.array([[1e-3, np.nan], [0.0, np.nan]]), np.array([[np.nan, 0.0]]), None)
+    extremes = Extremes().widened(motion, [1])
     assert extremes.body == extremes.spring == 1e-3
 
 

@@ -168,7 +168,7 @@ def test_given_accelerations_only_when_replayed_then_the_motion_is_integrated_an
         motion = RecordedMotion(opened)
         assert all(f"high-passed at {HIGH_PASS_HZ:g} Hz" in source.sentence for source in motion.sources)
         parts = [part for _, part in motion.stretches(0, opened.samples, 1)]
-        found = np.concatenate([np.vstack([part.displacement, part.table[None]]) for part in parts], axis=1)
+        found = np.concatenate([np.vstack([part.displacement, part.tables]) for part in parts], axis=1)
     late = slice(found.shape[1] // 2, None)
     error = np.abs(found[:, late] - true[:, late]).max(axis=1)
     # The high-pass turns a 30 Hz tone by about 5 degrees; what is left of the start-up drift adds to that.

@@ -141,7 +141,7 @@ MISTAKES = [
     ),
     (
         STRUCTURE + "channels: [{name: a, at: tabel}]",
-        ':2: channels[1].at: got "tabel"; expected body 1, ..., table, hammer or shaker',
+        ':2: channels[1].at: got "tabel"; expected body 1, ..., table, hammer, shaker or drive',
     ),
     # what excludes or needs something else
     (
@@ -486,6 +486,7 @@ sed: 4
             "scene.yaml:3: structure.masses[2]",
             "scene.yaml:3: structure.masses[3]",
             "scene.yaml:6: dampers[1].body",
+            "scene.yaml:8: dampers[3].body",
             "scene.yaml:8: dampers[3].clearance",
             "scene.yaml:9: dampers[4].clearance",
             "scene.yaml:9: dampers[4].body",

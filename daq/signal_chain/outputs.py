@@ -1,0 +1,57 @@
+"""The outputs in front of the shakers: a drive as their range and resolution let it through."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.scene.presets import filled_in
+from rig.scene.scene import Scene
+from rig.scene.shaker import DRIVE_PER_VOLT, at_shaker
+
+Array = NDArray[np.float64]
+
+
+class Outputs:
+    """Clips and quantises what the outputs give.
+
+    A range of 10 V and 16 bits mean voltages from -10 V on in steps of 20 V / 2^16, as two's complement has them. The
+    hammer's input, and outputs that a scene does not describe, pass everything.
+
+    Parameters
+    ----------
+    inputs, units : sequence of str
+        Drive inputs of the plant and their units.
+
+    Examples
+    --------
+    >>> import rig
+    >>> scene = rig.load("reference-A")
+    >>> scene = scene.replace(shaker=scene.shaker.replace(output={"range": 1.0, "bits": 8}))
+    >>> Outputs(scene, ["shaker"], ["N"]).put_out(np.array([[0.3, 5.0, -5.0]]))
+    array([[ 0.296875 ,  0.9921875, -1.       ]])
+    """
+
+    def __init__(self, scene: Scene, inputs: Sequence[str], units: Sequence[str]) -> None:
+        self._rows: list[tuple[int, float, float | None]] = []
+        for number, shaker in enumerate(scene.shakers, 1):
+            settings = filled_in(shaker.output)
+            if settings.range is None:
+                continue
+            row = inputs.index(at_shaker("shaker", number, len(scene.shakers)))
+            full = settings.range * DRIVE_PER_VOLT[units[row]]
+            self._rows.append((row, full, None if settings.bits is None else 2.0 * full / 2.0**settings.bits))
+
+    def put_out(self, drive: Array) -> Array:
+        """Give what becomes of a drive, shape (inputs, samples)."""
+        if not self._rows:
+            return drive
+        given = drive.copy()
+        for row, full, step in self._rows:
+            if step is None:
+                np.clip(given[row], -full, full, out=given[row])
+            else:
+                given[row] = np.clip(np.rint(given[row] / step), -full / step, full / step - 1.0) * step
+        return given

@@ -1,0 +1,64 @@
+"""Channels at the drive: the voltage of an output, as a teed cable gives it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rig
+from daq.signal_chain.bench import Bench
+from daq.signal_chain.channel import ChannelInfo
+
+STRUCTURE = "structure: {masses: [1 kg, 2 kg], springs: [10 kN/m, 20 kN/m], damping: {modal: 1 %}}\n"
+FORCE = "{kind: force, body: 1}"
+TABLE = "{kind: table, body: 2, spring: 3 kN/m}"
+COIL = "{kind: electrodynamic, body: 1, spring: 5 kN/m, amplifier: {gain: 2, limit: 1 V}}"
+PER_VOLT = {FORCE: 1.0, TABLE: 1e-3, COIL: 1.0}
+
+
+def read(text: str, drive: np.ndarray) -> tuple[np.ndarray, tuple[ChannelInfo, ...]]:
+    bench = Bench(rig.loads(STRUCTURE + text))
+    block = bench.acquire(drive)
+    return bench.physical(block.samples), bench.channels
+
+
+def averaged(volts: np.ndarray) -> np.ndarray:
+    """What a converter without a filter reads of voltages joined by straight lines."""
+    return 0.5 * (volts[1:] + volts[:-1])
+
+
+@pytest.mark.parametrize("shaker", PER_VOLT)
+def test_given_a_shaker_of_any_kind_when_driven_then_the_channel_reads_the_volts_of_its_output(
+    shaker: str,
+) -> None:
+    volts = np.random.default_rng(1).standard_normal(200)
+    text = f"shaker: {shaker}\nchannels: [{{name: drive, at: drive}}]\n"
+    found, channels = read(text, volts[None] * PER_VOLT[shaker])
+    assert (channels[0].quantity, channels[0].unit) == ("voltage", "V")
+    assert found[0, 1:] == pytest.approx(averaged(volts), abs=1e-12)
+
+
+def test_given_several_shakers_when_driven_then_each_channel_reads_its_own_output() -> None:
+    volts = np.random.default_rng(2).standard_normal((3, 200))
+    text = f"shaker: [{FORCE}, {TABLE}, {COIL}]\nchannels: [{{name: c, at: drive 3}}, {{name: b, at: drive 2}}]\n"
+    found, _ = read(text, volts * np.array([[1.0], [1e-3], [1.0]]))
+    assert found[0, 1:] == pytest.approx(averaged(volts[2]), abs=1e-12)
+    assert found[1, 1:] == pytest.approx(averaged(volts[1]), abs=1e-12)
+
+
+def test_given_a_module_at_the_output_when_driven_beyond_it_then_it_clips_and_quantises() -> None:
+    volts = np.array([[0.1001, 12.0, -12.0, 0.0]])
+    text = "shaker: {kind: force, body: 1, output: {preset: NI 9263}}\nchannels: [{name: drive, at: drive}]\n"
+    found, _ = read(text, np.repeat(volts, 2, axis=1))
+    step = 20.0 / 2**16
+    assert found[0, 1::2] == pytest.approx([round(0.1001 / step) * step, 10.0 - step, -10.0, 0.0], abs=1e-12)
+
+
+def test_given_a_module_at_the_input_when_driven_then_the_voltage_passes_the_converter_like_any_channel() -> (
+    None
+):
+    volts = np.full((1, 3000), 4.0)
+    text = f"shaker: {FORCE}\nchannels: [{{name: drive, at: drive, coupling: DC}}]\nconverter: {{preset: NI 9234}}\n"
+    found, channels = read(text, volts)
+    assert channels[0].volts_per_count == 10.0 / 2**24
+    assert found[0, -1] == pytest.approx(4.0, abs=1e-4)

@@ -1,0 +1,82 @@
+"""Several shakers in one scene: their motions add up, and each keeps what it has alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rig
+from rig.errors import SceneError
+from rig.system.assembly import assemble
+from rig.system.open_loop_drive import with_ideal_force
+from rig.system.receptance import receptance
+
+STRUCTURE = "structure: {masses: [1 kg, 2 kg], springs: [10 kN/m, 20 kN/m], damping: {modal: 1 %}}\n"
+FORCE = "{kind: force, body: 1}"
+TABLE = "{kind: table, body: 2, spring: 3 kN/m}"
+COIL = "{kind: electrodynamic, body: 1, spring: 5 kN/m, amplifier: {gain: 2}}"
+HEAVY = "{kind: electrodynamic, body: 2, spring: 6 kN/m, coil: {inductance: 1 mH}, armature: {mass: 0.4 kg}}"
+CURRENT = "{kind: electrodynamic, body: 2, spring: 4 kN/m, amplifier: {mode: current, gain: 0.5 A/V}}"
+
+
+def scene(*shakers: str, more: str = "") -> rig.Scene:
+    listed = shakers[0] if len(shakers) == 1 else f"[{', '.join(shakers)}]"
+    return rig.loads(f"{STRUCTURE}shaker: {listed}\n{more}")
+
+
+@pytest.mark.parametrize("shaker", [FORCE, TABLE, COIL, CURRENT])
+def test_given_a_list_of_one_shaker_when_assembled_then_every_number_is_that_of_the_shaker_itself(
+    shaker: str,
+) -> None:
+    alone, listed = scene(shaker), rig.loads(f"{STRUCTURE}shaker: [{shaker}]\n")
+    one, other = assemble(alone), assemble(listed)
+    for name, value in vars(one).items():
+        assert np.array_equal(value, getattr(other, name)), name
+
+
+def test_given_shakers_of_all_kinds_when_driven_together_then_motions_add_up_and_the_ledger_balances() -> (
+    None
+):
+    together = scene(COIL, HEAVY, TABLE, FORCE, CURRENT)
+    random = np.random.default_rng(1)
+    drive = random.standard_normal((5, 400)) * np.array([[1.0], [1.0], [1e-3], [2.0], [1.0]])
+    run = rig.simulate(together, duration=0.1, rate=4000.0, drive=drive)
+    assert run.points == ("body 1", "body 2", "table 1", "table 2", "table 3", "table 5")
+    parts = [
+        rig.simulate(together, duration=0.1, rate=4000.0, drive=drive * (np.arange(5) == k)[:, None])
+        for k in range(5)
+    ]
+    total = sum(part.displacement for part in parts)
+    assert run.displacement == pytest.approx(total, abs=1e-12 * np.abs(total).max())
+    assert abs(run.energy.residual) < 1e-12 * abs(run.energy.work)
+
+
+def test_given_a_second_shaker_when_it_is_a_force_at_rest_then_the_first_moves_as_if_alone() -> None:
+    drive = np.random.default_rng(2).standard_normal((1, 300))
+    alone = rig.simulate(scene(HEAVY), duration=0.1, rate=4000.0, drive=drive)
+    beside = rig.simulate(
+        scene(FORCE, HEAVY), duration=0.1, rate=4000.0, drive=np.vstack([0.0 * drive, drive])
+    )
+    assert beside.displacement == pytest.approx(
+        alone.displacement, abs=1e-13 * np.abs(alone.displacement).max()
+    )
+
+
+def test_given_a_test_that_names_a_shaker_when_simulated_then_the_force_is_that_of_its_coil_spring() -> None:
+    test = "test: {kind: sine, frequency: 20 Hz, force: 2 N, shaker: 2, duration: 4 s}\n"
+    named = scene(COIL, TABLE, more=test)
+    assert named.driven == 2 and named.at_driven("table") == "table 2"
+    run = rig.simulate(named, duration=6.0, rate=2000.0)
+    late = slice(8000, None)
+    force = 3000.0 * (run.displacement[3] - run.displacement[1])[late]
+    assert np.abs(force).max() == pytest.approx(2.0, rel=1e-3)
+    ideal = with_ideal_force(named)
+    assert [shaker.kind for shaker in ideal.shakers] == ["electrodynamic", "force"]
+
+
+def test_given_several_shakers_when_no_test_names_one_then_a_response_is_refused_in_words() -> None:
+    free = scene(COIL, FORCE)
+    with pytest.raises(SceneError, match="2 shakers, and no test says which one to drive"):
+        rig.frequency_response(free.replace(test=None), [20.0])
+    with pytest.raises(SceneError, match="load the structure as well"):
+        receptance(free, [20.0])

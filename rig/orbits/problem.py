@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import matrix_balance
 
+from rig.errors import SceneError
 from rig.orbits.event_sequence import Plan
 from rig.orbits.shooting import Change, Equations
 from rig.scene.scene import Scene
@@ -67,12 +68,17 @@ class OrbitProblem:
     Raises
     ------
     SceneError
-        If nothing drives the scene.
+        If nothing drives the scene, or its contact lasts.
     """
 
     def __init__(self, scene: Scene) -> None:
         self.scene = with_ideal_force(scene)
         self.system = assemble(self.scene)
+        if self.system.lasting.any():
+            raise SceneError(
+                f"scene {scene.name!r} has contact that lasts, for which orbits are not computed; expected dampers "
+                "without contact, or a settled simulation (rig.frequency_response), which covers it"
+            )
         self.level = level_of(self.scene)
         self._position = self.system.damper_coordinate.astype(np.int64)
         self._linear: dict[tuple[tuple[int, ...], float], _Linear] = {}

@@ -113,12 +113,15 @@ def reference_of(rec: Recording, reference: str) -> Measurand:
     forces.sort(key=lambda info: info.at not in ("hammer", rec.scene.at_driven("shaker")))
     if forces:
         return Measurand((forces[0].name,), (1.0,), "force")
+    if rec.scene.test is not None and rec.scene.test.kind == "impulse":
+        raise RecordingError(
+            f"nothing in the recording tells the force of the hammer: it has {_places(rec)}; "
+            "add {name: hammer, at: hammer} to the scene's channels, or use `analysis decay`"
+        )
     shaker = rec.scene.driven_shaker
     if shaker is None or shaker.spring is None:
         hint = "drive the structure through a coil spring, shaker: {kind: table, body: 1, spring: 6.6 kN/m}"
-        if rec.scene.test is not None and rec.scene.test.kind == "impulse":
-            hint = "add {name: hammer, at: hammer} to the scene's channels"
-        elif shaker is not None:
+        if shaker is not None:
             hint = f"add {{name: force, at: {rec.scene.at_driven('shaker')}}} to the scene's channels"
         raise RecordingError(
             f"nothing in the recording tells the force: it has {_places(rec)} and no coil spring; {hint}"

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rig.engine.trajectory import Array
+from rig.escaping import drawn
 from rig.motion_map.motion_map import KINDS, MotionMap
 from rig.output_files import write_study
 from rig.system.open_loop_drive import level_of
@@ -96,10 +97,10 @@ def _draw(map_: MotionMap) -> Figure:
         *edges, map_.kind, cmap=ListedColormap(COLOURS), vmin=-0.5, vmax=len(KINDS) - 0.5, rasterized=True
     )
     milliseconds = 1e3 * map_.cpu
-    drawn = right.pcolormesh(
+    mesh = right.pcolormesh(
         *edges, milliseconds, cmap="viridis", norm=LogNorm(*np.percentile(milliseconds, [1, 99.5])), rasterized=True
     )  # fmt: skip
-    bar = figure.colorbar(drawn, ax=right, label="CPU time to the steady state, ms", extend="both", pad=0.02)
+    bar = figure.colorbar(mesh, ax=right, label="CPU time to the steady state, ms", extend="both", pad=0.02)
     bar.locator = LogLocator(subs=(1.0, 2.0, 5.0))
     bar.formatter = StrMethodFormatter("{x:g}")
     bar.minorlocator = NullLocator()

@@ -128,4 +128,6 @@ def _as_built(
     driven = next(channel.name for channel in channels.values() if channel.at == f"body {number}")
     # The spring's force as the difference of what is read at its ends, per newton that is there.
     spring = scene.shaker.spring * exact[number - 1]
-    return response / (gain(table) * (1.0 + spring) - gain(driven) * spring)
+    # Not a number where the truth is none; such lines are judged nowhere.
+    with np.errstate(invalid="ignore"):
+        return response / (gain(table) * (1.0 + spring) - gain(driven) * spring)

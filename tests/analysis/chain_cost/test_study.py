@@ -157,7 +157,7 @@ def test_given_a_damper_at_work_when_studied_then_the_reference_is_the_motion_un
 def test_given_a_force_that_no_channel_reads_when_studied_then_the_error_says_what_to_do() -> None:
     scene = rig.loads(ONE_BODY)
     scene = scene.replace(shaker={"kind": "force", "body": 1}, channels=scene.channels[:1])
-    with pytest.raises(SceneError, match=r"expected a channel \{name: force, at: shaker\}"):
+    with pytest.raises(SceneError, match=r"\{name: force, at: shaker\}"):
         chain_study(scene)
 
 

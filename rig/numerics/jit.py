@@ -14,9 +14,11 @@ import inspect
 import logging
 import os
 import pickle
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryFile
 from threading import get_ident
 from types import CodeType, FunctionType
 from typing import Any, TypeVar, cast
@@ -25,6 +27,7 @@ import numba
 import numpy as np
 from numba.core.caching import FunctionCache
 from numba.core.serialize import dumps
+from numba.misc.appdirs import AppDirs
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -39,12 +42,31 @@ class KernelCache(FunctionCache):
     """Machine code on disk that is used only for what it was made of, and only if it is sound.
 
     numba looks at the file of the function that is called alone, not at what is compiled into it: functions and
-    constants of other modules, and the order of the fields of named tuples.
+    constants of other modules, and the order of the fields of named tuples. As the key says all that counts, one
+    folder of the user serves every checkout, environment and version.
+
+    Parameters
+    ----------
+    function : callable
+        What is compiled.
+    options : dict
+        How, as numba's `njit` takes it.
+
+    Raises
+    ------
+    OSError
+        If no folder can be written to.
     """
 
-    def __init__(self, function: Callable[..., object]) -> None:
-        super().__init__(function)
-        self._cache_file: Any = CodeFiles(Path(self._cache_path), self._impl.filename_base)
+    def __init__(self, function: Callable[..., object], options: dict[str, Any]) -> None:
+        try:
+            super().__init__(function)
+        except RuntimeError as error:
+            raise OSError(f"no folder for the machine code of {function.__qualname__}") from error
+        self._options = repr(sorted(options.items()))
+        # Some systems allow no <locals> in the name of a file.
+        name = f"{function.__module__}.{function.__qualname__}".replace("<", "").replace(">", "")
+        self._cache_file: Any = CodeFiles(_folder(), name)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Give the machine code for a signature, None if there is none; say so, as compiling takes long."""
@@ -60,7 +82,20 @@ class KernelCache(FunctionCache):
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
         fields = [getattr(kind, "fields", None) for kind in sig]
-        return (*super()._index_key(sig, codegen), ingredients(self._py_func), repr(fields))
+        made_of = ingredients(self._py_func), self._options, repr(fields)
+        return (sys.implementation.cache_tag, *super()._index_key(sig, codegen), *made_of)
+
+
+@functools.cache
+def _folder() -> Path:
+    """Make the folder for machine code: numba's own where one is named, else one of the user's."""
+    folder = (
+        Path(os.environ.get("NUMBA_CACHE_DIR") or AppDirs("shotrig", appauthor=False).user_cache_dir)
+        / "machine-code"
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    TemporaryFile(dir=folder).close()
+    return folder
 
 
 class CodeFiles:
@@ -163,9 +198,8 @@ def _constants(code: CodeType) -> Iterator[Any]:
 def _njit(function: F, **options: Any) -> F:
     dispatcher: Any = numba.njit(**options)(function)
     try:
-        dispatcher._cache = KernelCache(function)  # noqa: SLF001 - what `cache=True` does with numba's own
-    except RuntimeError:
-        # numba finds no folder that it may write to.
+        dispatcher._cache = KernelCache(function, options)  # noqa: SLF001 - what `cache=True` does with numba's own
+    except OSError:
         _say_once(
             "machine code is compiled at every start, which takes a minute or two: no folder can be written to that "
             "would keep it; name one in NUMBA_CACHE_DIR"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -67,14 +68,14 @@ def call(package: Path, **environment: str) -> float:
 def said_by(package: Path, code: str, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run code in a process of its own."""
     paths = [str(package.parent), str(Path(__file__).parents[3])]
-    where = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), **environment}
-    where.pop("NUMBA_CACHE_DIR", None)
+    where = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "NUMBA_CACHE_DIR": str(package / "cache")}
+    where |= environment
     return subprocess.run([sys.executable, "-c", code], env=where, check=True, capture_output=True, text=True)
 
 
 def machine_code(package: Path) -> dict[str, int]:
     """Say when each file of machine code was written."""
-    files = (package / "__pycache__").glob("outer.outer-*.nbc")
+    files = (package / "cache" / "machine-code").glob("kernels.outer.outer.*.nbc")
     return {file.name: file.stat().st_mtime_ns for file in files}
 
 
@@ -111,6 +112,17 @@ def test_given_code_on_disk_when_only_other_files_change_then_it_is_used_as_it_i
     assert machine_code(kernels) == written
 
 
+def test_given_code_of_another_checkout_when_called_then_it_is_used_as_it_is(
+    kernels: Path, tmp_path: Path
+) -> None:
+    assert call(kernels) == 112.0
+    written = machine_code(kernels)
+    other = tmp_path / "other" / "kernels"
+    shutil.copytree(kernels, other, ignore=shutil.ignore_patterns("cache", "__pycache__"))
+    assert call(other, NUMBA_CACHE_DIR=str(kernels / "cache")) == 112.0
+    assert written and machine_code(kernels) == written
+
+
 @given(st.data())
 def test_given_damage_anywhere_in_code_on_disk_when_loaded_then_there_is_none(data: st.DataObject) -> None:
     with TemporaryDirectory() as folder:
@@ -136,5 +148,5 @@ def test_given_no_place_for_code_when_called_then_it_works_and_says_why_it_is_sl
         "import logging; logging.basicConfig(level=logging.INFO);"
         "from kernels.outer import Pair, outer; print(outer(Pair(1.0, 100.0)))"
     )
-    done = said_by(kernels, code, HOME=nowhere, XDG_CACHE_HOME=nowhere)
+    done = said_by(kernels, code, HOME=nowhere, XDG_CACHE_HOME=nowhere, NUMBA_CACHE_DIR="")
     assert float(done.stdout) == 112.0 and "NUMBA_CACHE_DIR" in done.stderr

@@ -25,3 +25,7 @@ class RunError(ShotrigError):
     """A simulation or a test that could not be carried through."""
 
     exit_code = 1
+
+
+class SceneWarning(UserWarning):
+    """A scene that can be used, with a value in it that is hardly what was meant."""

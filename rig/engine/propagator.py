@@ -24,6 +24,7 @@ from rig.engine.workspace import Workspace, workspace_for
 from rig.errors import RunError
 from rig.numerics.jit import compiled, inlined
 from rig.numerics.simd import LANES, padded, transpose, zeros
+from rig.scene.quantities import LENGTH
 from rig.system.hybrid_system import Drive, HybridSystem, sampled, tone
 
 LOG_ROWS = 1024
@@ -150,6 +151,10 @@ def _sample_now(flow: Any, model: Any, state: Any, work: Array, column: int, see
     _sample(flow, model, state, seen, column, True)
 
 
+#: Bodies farther from rest than this have run away, m: no length in a scene is larger.
+FARTHEST = LENGTH.most
+
+
 class Propagator:
     """A system on its way through time.
 
@@ -191,6 +196,7 @@ class Propagator:
         )
         self.workspace: Workspace = workspace_for(self.tables.flow, size)
         self.state.counters[CONFIGURATION] = system.at_rest
+        self._elapsed = 0.0
         self._find_table()
 
     @property
@@ -335,20 +341,43 @@ class Propagator:
             elif status == LOG_FULL:
                 pages.append(self._page())
             elif status == STUCK:
+                self._need_bounded(steps, row, kept, seen)
                 damper = self.system.damper_number[self.log.damper[self.log.filled[0] - 1]]
-                farthest = np.abs(self.state.z[: self.system.coordinates]).max()
                 raise RunError(
-                    f"damper {damper} separates and lands again and again at one instant, with bodies up to "
-                    f"{farthest:.3g} m away from rest; if the motion has not run away, the contact law is "
-                    "contradicted: report it with the scene"
+                    f"damper {damper} separates and lands again and again at one instant: the contact law is "
+                    "contradicted; report it with the scene"
                 )
             else:
                 break
+        self._need_bounded(steps, row, kept, seen)
+        self._elapsed += float(np.broadcast_to(steps, row.shape).sum()) * self.tables.step
         last = self._page()
         if not pages:
             return Trajectory(*kept, *last)
         pages.append(last)
         return Trajectory(*kept, *(np.concatenate(parts) for parts in zip(*pages, strict=True)))
+
+    def _need_bounded(
+        self, steps: Array, row: NDArray[np.int64], kept: StateSamples, seen: MotionSamples
+    ) -> None:
+        """Refuse a motion that has run away, saying where it was first seen to."""
+        n = self.system.coordinates
+        if (np.abs(self.state.z[:n]) <= FARTHEST).all():
+            return
+        far = self.state.z[:n]
+        ends = self._elapsed + np.cumsum(np.broadcast_to(steps, row.shape)) * self.tables.step
+        time = ends[-1]
+        for samples in (kept.state[:, :n], seen.rows[:n].T):
+            shown = samples[row[row >= 0]] if len(samples) else samples
+            away = np.flatnonzero(~(np.abs(shown) <= FARTHEST).all(axis=1))
+            if away.size:
+                far, time = shown[away[0]], ends[row >= 0][away[0]]
+        q = int(np.argmax(np.where(np.isfinite(far), np.abs(far), np.inf)))
+        name = self.system.points[q] if q < len(self.system.points) else "a damper in its cavity"
+        raise RunError(
+            f"the motion diverges: {name} is {abs(far[q]):.3g} m away from rest {time:.4g} s after the start; look for "
+            "damping that feeds the motion once dampers ride or a coil spring is attached, or a drive far too large"
+        )
 
     def _find_table(self) -> None:
         self.state.counters[SLOT] = self.tables.slot(int(self.state.counters[CONFIGURATION]))

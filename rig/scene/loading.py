@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import warnings
 from difflib import get_close_matches
 from functools import cache
+from math import inf
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
 from pydantic import TypeAdapter, ValidationError
 
-from rig.errors import SceneError
+from rig.errors import SceneError, SceneWarning
 from rig.scene.consistency import mistakes_between
 from rig.scene.matrices import FOLDER
 from rig.scene.scene import Scene
-from rig.scene.settings import Mistake, Settings, at, describe, dotted, mistakes_of
+from rig.scene.settings import Mistake, Place, Settings, at, describe, dotted, mistakes_of
 from rig.scene.yaml_reader import read
 
 SCENES = Path(__file__).parent / "data" / "scenes"
 SUFFIXES = (".yaml", ".yml")
 MOST_BYTES = 64_000_000
+# A clearance from here on is taken for a forgotten unit where it has none, m.
+DOUBTFUL = 0.1
 
 
 def load(scene: str | Path) -> Scene:
@@ -147,6 +151,16 @@ def _validated(text: str, where: str, folder: Path | None, name: str | None) -> 
     if scene is None or twice:
         mistakes.sort(key=lambda mistake: document.line(mistake.place))
         raise SceneError("\n".join(filter(None, [*twice, describe(mistakes, where, document.line)])))
+    for k, damper in enumerate(scene.dampers):
+        written = str(content["dampers"][k]["clearance"])
+        if DOUBTFUL <= damper.clearance < inf and written[-1] in ".0123456789":
+            place: Place = ("dampers", k, "clearance")
+            warnings.warn(
+                f"{where}:{document.line(place)}: {dotted(place)}: got {written} without a unit, which is metres: "
+                f"{1e3 * damper.clearance:g} mm; expected a unit, such as {written} mm",
+                SceneWarning,
+                stacklevel=3,
+            )
     return scene
 
 

@@ -75,7 +75,13 @@ class Matrices(Settings):
     """Any matrix of that size [N s/m]."""
 
     def relations(self) -> Iterable[Mistake]:
-        """Check sizes, symmetry and that the kinetic energy is positive."""
+        """Check sizes, symmetry and energies: kinetic and elastic ones positive, none out of the damping."""
+        found = list(self._forms())
+        yield from found
+        if not found:
+            yield from self._energies()
+
+    def _forms(self) -> Iterable[Mistake]:
         mass, stiffness = np.array(self.mass), np.array(self.stiffness)
         for key, matrix in (("stiffness", stiffness), ("damping", self.damping)):
             if matrix is not None and len(matrix) != len(mass):
@@ -91,6 +97,24 @@ class Matrices(Settings):
                 yield Mistake((key,), f"not symmetric ({values} in {where}); expected a symmetric matrix")
         if not positive_definite(mass):
             yield Mistake(("mass",), "not positive definite; expected kinetic energy in every motion")
+
+    def _energies(self) -> Iterable[Mistake]:
+        mass, stiffness = np.array(self.mass), np.array(self.stiffness)
+        square = lowest_square(mass, stiffness)
+        if square < 0.0:
+            yield Mistake(
+                ("stiffness",),
+                f"not positive semidefinite (squared frequency {square:.3g} 1/s^2), so that the structure runs away "
+                "from rest; expected springs that hold it",
+            )
+        elif self.damping is not None:
+            growth, frequency = fastest_growth(mass, stiffness, np.array(self.damping))
+            if growth > 0.0:
+                yield Mistake(
+                    ("damping",),
+                    f"feeds the motion: at {frequency:.3g} Hz it grows by itself, {growth:.3g} 1/s; expected damping "
+                    "that takes energy out",
+                )
 
 
 def asymmetry(matrix: NDArray[np.float64]) -> tuple[int, int] | None:
@@ -110,6 +134,33 @@ def positive_definite(matrix: NDArray[np.float64]) -> bool:
     scale = 1.0 / np.sqrt(diagonal)
     scaled = (matrix + matrix.T) / 2.0 * scale[:, None] * scale
     return bool(np.linalg.eigvalsh(scaled)[0] > len(matrix) * np.finfo(float).eps)
+
+
+def lowest_square(mass: NDArray[np.float64], stiffness: NDArray[np.float64]) -> float:
+    """Lowest squared natural frequency of symmetric matrices (n, n), 1/s^2; 0 where it is so but for rounding."""
+    factor = np.linalg.cholesky((mass + mass.T) / 2.0)
+    half = np.linalg.solve(factor, (stiffness + stiffness.T) / 2.0)
+    squares = np.linalg.eigvalsh(np.linalg.solve(factor, half.T))
+    rounding = 10 * len(squares) * np.finfo(float).eps * np.abs(squares).max()
+    return 0.0 if abs(squares[0]) <= rounding else float(squares[0])
+
+
+def fastest_growth(
+    mass: NDArray[np.float64], stiffness: NDArray[np.float64], damping: NDArray[np.float64]
+) -> tuple[float, float]:
+    """Rate [1/s] at which the motion grows by itself, at most, and its frequency [Hz]; 0 where it decays."""
+    symmetric = np.linalg.eigvalsh((damping + damping.T) / 2.0)
+    if symmetric[0] >= -10 * len(symmetric) * np.finfo(float).eps * np.abs(symmetric).max():
+        return 0.0, 0.0
+    n = len(mass)
+    state = np.zeros((2 * n, 2 * n))
+    state[:n, n:] = np.eye(n)
+    state[n:] = -np.linalg.solve(mass, np.hstack([stiffness, damping]))
+    poles = np.linalg.eigvals(state)
+    worst = poles[np.argmax(poles.real)]
+    if worst.real <= 1e-9 * np.abs(poles).max():
+        return 0.0, 0.0
+    return float(worst.real), float(abs(worst.imag) / (2.0 * np.pi))
 
 
 def _from_file(name: str | Path, folder: Path | None) -> NDArray[Any]:

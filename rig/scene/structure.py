@@ -26,6 +26,18 @@ class ModalDamping(Settings):
     modal: Annotated[float | tuple[float, ...], Quantity(RATIO, at_least=0.0, listed=True)]
     """One ratio for all modes, or one for each (0.005 = 0.5 %); 1 is critical."""
 
+    def relations(self) -> Iterable[Mistake]:
+        """Check that the structure can oscillate."""
+        ratios = self.modal if isinstance(self.modal, tuple) else (self.modal,)
+        for k, ratio in enumerate(ratios):
+            if ratio > 1.0:
+                place = ("modal", k) if isinstance(self.modal, tuple) else ("modal",)
+                yield Mistake(
+                    place,
+                    f"got {ratio:g}, which is {100 * ratio:g} % of critical; expected at most 100 %, such as {ratio:g} "
+                    "% (heavier damping: dashpots, or a damping matrix)",
+                )
+
 
 class Rayleigh(Settings):
     """C = alpha M + beta K."""

@@ -20,6 +20,7 @@ from rig.scene.scene import Scene
 positive = st.floats(min_value=1e-6, max_value=1e6)
 frequency = st.floats(min_value=1e-6, max_value=3e7)
 share = st.just(0.0) | st.floats(min_value=1e-12, max_value=1.0, exclude_max=True)
+damping_ratio = st.floats(min_value=1e-6, max_value=1.0)
 level = st.sampled_from(["force", "drive"])
 
 
@@ -82,7 +83,7 @@ def scenes(draw: st.DrawFn) -> Scene:
             "springs": draw(each),
             "damping": draw(
                 st.none()
-                | st.fixed_dictionaries({"modal": each | positive})
+                | st.fixed_dictionaries({"modal": damping_ratio | st.tuples(*[damping_ratio] * n)})
                 | st.just({"rayleigh": {"beta": 1e-7}})
             ),
         },
@@ -118,7 +119,9 @@ def test_given_any_matrices_when_written_and_loaded_then_they_are_equal_to_the_l
     random = np.random.default_rng(seed)
     root = random.standard_normal((n, n))
     mass = root @ root.T + np.eye(n)
-    damping = random.standard_normal((n, n)) * 10.0 ** random.integers(-200, 200)
+    # Dissipative, with a gyroscopic part beside it.
+    part = random.standard_normal((n, n))
+    damping = (mass + part - part.T) * 10.0 ** random.integers(-200, 200)
     scene = Scene(structure={"matrices": {"mass": mass, "stiffness": mass / 3.0, "damping": damping}})
     assert rig.loads(scene.to_yaml()) == scene
 

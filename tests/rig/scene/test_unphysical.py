@@ -1,0 +1,106 @@
+"""Scenes that make no sense are told so before anything runs, all at once."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import daq
+import rig
+from rig.errors import RunError, SceneError, SceneWarning
+
+HELD = "[[3, -1], [-1, 2]]"
+
+
+def complaint(text: str) -> str:
+    with pytest.raises(SceneError) as caught:
+        rig.loads(text, "scene.yaml")
+    return str(caught.value)
+
+
+def matrices(stiffness: str, damping: str = "[[0, 0], [0, 0]]", mass: str = "[[1, 0], [0, 2]]") -> str:
+    return f"structure: {{matrices: {{mass: {mass}, stiffness: {stiffness}, damping: {damping}}}}}"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (matrices("[[-1000, 0], [0, 1000]]"), "structure.matrices.stiffness: not positive semidefinite"),
+        (matrices("[[1, 2], [2, 1]]"), "squared frequency -0.6"),
+        (matrices(HELD, "[[-1, 0], [0, 1]]"), "structure.matrices.damping: feeds the motion: at 0.2"),
+        (matrices(HELD, "[[-50, 0], [0, 1]]"), "grows by itself"),
+        (matrices(HELD, mass="[[1, 0], [0, -2]]"), "structure.matrices.mass: not positive definite"),
+        (
+            "structure: {masses: [1 kg], springs: [1 kN/m], damping: {modal: 5}}",
+            "structure.damping.modal: got 5, which is 500 % of critical; expected at most 100 %, such as 5 %",
+        ),
+        (
+            "structure: {masses: [1 kg, 1 kg], springs: [1 kN/m, 1 kN/m], damping: {modal: [1 %, 120 %]}}",
+            "structure.damping.modal[2]: got 1.2",
+        ),
+    ],
+)
+def test_given_a_structure_that_cannot_be_when_loaded_then_the_error_says_why(text: str, said: str) -> None:
+    assert said in complaint(text)
+
+
+def test_given_damping_that_is_no_sum_of_dashpots_but_stable_when_loaded_then_it_is_taken() -> None:
+    # The gyroscopic part does no work; the symmetric part of the second is indefinite, yet every motion decays.
+    for damping in ("[[0.1, 5], [-5, 0.1]]", "[[0.3, 0.32], [0.32, 0.3]]"):
+        assert rig.loads(matrices(HELD, damping)).structure.bodies == 2
+
+
+def test_given_a_free_structure_when_loaded_then_its_rigid_body_motion_is_no_mistake() -> None:
+    assert rig.loads(matrices("[[1000, -1000], [-1000, 1000]]")).structure.bodies == 2
+
+
+def test_given_a_clearance_without_unit_that_no_cavity_has_when_loaded_then_the_value_is_told_in_mm() -> None:
+    chain = "structure: {masses: [1 kg], springs: [1 kN/m]}\ndampers: [{body: 1, mass: 1 g, clearance: %s}]"
+    with pytest.warns(
+        SceneWarning, match=r"scene:2: dampers\[1\].clearance: got 0.98 .* 980 mm; .* such as 0.98 mm"
+    ):
+        rig.loads(chain % "0.98")
+    for meant in ("0.98 m", "0.00098", ".inf", "0"):
+        rig.loads(chain % meant)
+
+
+RUNS_AWAY = """
+# Stable as it stands, but no longer so with the mass of a damper at body 2.
+structure:
+  matrices: {mass: [[1, 0], [0, 2]], stiffness: [[3000, -1000], [-1000, 2000]], damping: [[-8, -19], [-18, 21.5]]}
+dampers: [{body: 2, mass: 1 kg, clearance: 1 mm}]
+shaker: {kind: force, body: 1}
+test: {kind: sine, frequency: 3 Hz, force: 1 N, duration: 60 s}
+recording: {display: false}
+"""
+
+
+def test_given_a_motion_that_diverges_when_run_then_it_stops_with_the_time_and_the_quantity(tmp_path) -> None:
+    scene, said = (
+        rig.loads(RUNS_AWAY),
+        r"diverges: body [12] is [0-9.]+e\+06 m away from rest 1[0-9][0-9.]* s after",
+    )
+    with pytest.raises(RunError, match=said):
+        rig.simulate(scene, 60.0)
+    with pytest.raises(RunError, match=said):
+        daq.record(scene, tmp_path / "a.mcap")
+
+
+WRONG = st.sampled_from(
+    ["clearance: -1 mm", "clearance: 3 kg", "clearance: soon", "locked: maybe, clearance: 1 mm"]
+)
+
+
+@given(body=st.integers(3, 999), wrong=WRONG)
+def test_given_a_wrong_reference_in_a_part_that_is_wrong_itself_when_loaded_then_both_are_told_at_once(
+    body: int, wrong: str
+) -> None:
+    said = complaint(
+        "structure: {masses: [1 kg, 2 kg], springs: [1 kN/m, 1 kN/m]}\n"
+        f"dampers: [{{body: {body}, mass: 1 g, {wrong}}}]\n"
+        f"shaker: {{kind: table, body: {body}, spring: 0 N/m}}\n"
+        f"channels: [{{name: a, at: body {body}, hammer: {{}}}}]\n"
+    )
+    assert said.count(f"body {body} of 2") == 3
+    assert len(said.splitlines()) == 6

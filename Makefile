@@ -19,7 +19,9 @@ $(STAMP): pyproject.toml | $(VENV)/bin/python
 demo: $(STAMP)
 	$(BIN)/analysis demo
 
-test: $(STAMP) lint types layers quick
+test: $(STAMP) lint types layers
+	$(BIN)/python -m tests.warm_up
+	$(BIN)/python -m pytest -n 2 -q
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
@@ -31,9 +33,10 @@ types: $(STAMP)
 layers: $(STAMP)
 	$(BIN)/lint-imports
 
+# While one works: all tests but those that run whole tests on the rig, random ensembles or figures by the dozen.
 quick: $(STAMP)
 	$(BIN)/python -m tests.warm_up
-	$(BIN)/python -m pytest -n 2 -q
+	$(BIN)/python -m pytest -n 2 -q -m "not thorough"
 
 # Hundreds of scenes that nobody prepared, on all cores; another seed draws others: make gauntlet SEED=2 SCENES=540.
 SEED ?= 1

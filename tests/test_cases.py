@@ -61,6 +61,7 @@ class Case:
 CASES = [Case.read(path) for path in sorted(FOLDER.glob("*.yaml"))]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", CASES, ids=[case.path.stem for case in CASES])
 def test_given_a_hard_case_when_run_then_what_it_says_holds(case: Case) -> None:
     for scene in case.scenes():

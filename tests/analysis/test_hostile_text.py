@@ -74,6 +74,7 @@ class Tags(HTMLParser):
         self.found.add(tag)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("package", "words"), [(package, words) for package in WALK for words in WALK[package]]
 )

@@ -82,6 +82,7 @@ def test_given_a_sensor_without_data_sheet_correction_when_it_resonates_low_then
     assert low.error < 1e-3
 
 
+@pytest.mark.thorough
 def test_given_a_study_when_written_then_table_and_file_hold_every_point(
     study: ChainStudy, tmp_path: Path
 ) -> None:
@@ -145,6 +146,7 @@ def test_given_a_scene_with_dampers_when_frequencies_are_chosen_then_its_motion_
     assert all(46.0 <= frequency <= 54.0 for frequency in chosen)
 
 
+@pytest.mark.thorough
 def test_given_a_damper_at_work_when_studied_then_the_reference_is_the_motion_under_the_noted_drive() -> None:
     scene = rig.loads(
         ONE_BODY.replace("shaker:", "dampers: [{body: 1, mass_ratio: 10 %, clearance: .inf}]\nshaker:")

@@ -64,6 +64,7 @@ def true_impacts(rec, damper):
     return hits["time"], 0.1 / 1.1 * hits["speed"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("frequency", "quantity"),
     [(34.7, "acceleration"), (34.7, "displacement"), (49.0, "velocity"), (49.0, "displacement")],

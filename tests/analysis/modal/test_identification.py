@@ -40,6 +40,7 @@ def test_given_the_same_recording_when_divided_by_the_table_then_the_attached_re
     np.testing.assert_allclose(2 * np.pi * modes.frequency, ATTACHED, rtol=1e-5)
 
 
+@pytest.mark.thorough
 def test_given_noise_when_modes_are_identified_then_their_errors_are_of_the_size_stated(tmp_path):
     off = []
     for seed in range(6):
@@ -152,6 +153,7 @@ def test_given_leakage_when_identified_then_it_warns_just_where_damping_is_off_b
     assert modes.damping[0] / zeta - 1.0 == pytest.approx(0.16 * ratio**2, rel=0.25)
 
 
+@pytest.mark.thorough
 def test_given_a_peak_without_a_pole_when_identified_then_it_is_said_and_not_listed(tmp_path):
     frequencies = np.linspace(8.0, 60.0, 105)
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", frequencies, noise=1e-7)) as rec:

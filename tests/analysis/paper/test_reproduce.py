@@ -125,6 +125,7 @@ def test_given_a_cell_of_the_scan_when_simulated_otherwise_then_peak_and_type_ar
     assert cell["type_there"][0, 0] == "III"
 
 
+@pytest.mark.thorough
 def test_given_mass_ratios_and_clearances_when_optimised_then_no_trial_is_better_at_any_level() -> None:
     scene = rig.load("fig9")
     frequencies = np.linspace(47.0, 50.0, 7)
@@ -216,6 +217,7 @@ def test_given_claims_when_the_page_is_written_then_it_shows_verdicts_evidence_a
     assert "Less is &lt;more&gt;." in html
 
 
+@pytest.mark.thorough
 def test_given_parts_when_computed_by_workers_then_all_are_stored_longest_first(tmp_path: Path) -> None:
     scene, done = rig.load("fig9"), []
     parts = [

@@ -1,10 +1,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from analysis.presentation.demo import demonstrate
 
 
+@pytest.mark.thorough
 def test_given_few_frequencies_when_demonstrated_then_recordings_figures_and_next_commands_are_there(
     tmp_path,
 ):

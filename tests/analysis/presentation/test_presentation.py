@@ -39,6 +39,7 @@ def table(path):
         return list(csv.DictReader(file))
 
 
+@pytest.mark.thorough
 def test_given_one_recording_when_drawn_then_figures_and_table_lie_beside_it(folder):
     result = present_frf([folder / "one.mcap"], theory=True)
     assert [path.name for path in result.files] == ["one-frf.png", "one-frf.svg", "one-frf.csv"]
@@ -49,6 +50,7 @@ def test_given_one_recording_when_drawn_then_figures_and_table_lie_beside_it(fol
     assert {"real m/N", "imag m/N", "phase_deg", "coherence"} <= rows[0].keys()
 
 
+@pytest.mark.thorough
 def test_given_two_recordings_when_drawn_then_each_response_has_one_figure_with_both(folder, tmp_path):
     result = present_frf([folder / "one.mcap", folder / "two.mcap"], tmp_path, channels=["body3", "body1"])
     names = [path.name for path in result.files]
@@ -57,6 +59,7 @@ def test_given_two_recordings_when_drawn_then_each_response_has_one_figure_with_
     assert "first scene" in drawn and "second scene" in drawn
 
 
+@pytest.mark.thorough
 def test_given_scenes_of_one_name_when_overlaid_then_their_files_tell_them_apart(folder, tmp_path):
     synthetic.stepped_sine(tmp_path / "again.mcap", FREQUENCIES, noise=1e-6, seed=2, name="first scene")
     result = present_frf([folder / "one.mcap", tmp_path / "again.mcap"], tmp_path)
@@ -86,6 +89,7 @@ def test_given_a_force_channel_when_a_decay_is_asked_for_then_motion_channels_ar
     assert "measures force, not motion: choose one of body1, body2, body3" in str(run.exception)
 
 
+@pytest.mark.thorough
 def test_given_the_same_recording_when_drawn_twice_then_every_byte_is_the_same(folder, tmp_path):
     def digests(output):
         files = present_frf([folder / "one.mcap"], output).files
@@ -94,6 +98,7 @@ def test_given_the_same_recording_when_drawn_twice_then_every_byte_is_the_same(f
     assert digests(tmp_path / "a") == digests(tmp_path / "b")
 
 
+@pytest.mark.thorough
 def test_given_recordings_when_reported_then_one_page_holds_everything(folder, tmp_path):
     paths = [folder / "one.mcap", folder / "hit.mcap"]
     [page] = write_report(paths, tmp_path).files
@@ -111,6 +116,7 @@ def test_given_recordings_when_reported_then_one_page_holds_everything(folder, t
     assert "http://" not in text and "https://" not in text
 
 
+@pytest.mark.thorough
 def test_given_the_command_line_when_run_then_it_names_what_it_wrote(folder, tmp_path):
     run = CliRunner().invoke(app, ["modes", str(folder / "one.mcap"), "-o", str(tmp_path)])
     assert run.exit_code == 0

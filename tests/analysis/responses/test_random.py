@@ -41,6 +41,7 @@ def test_given_random_when_averaged_then_bounds_hold_away_from_unresolved_peaks(
         assert np.max(frf.coherence) > 0.99
 
 
+@pytest.mark.thorough
 def test_given_short_blocks_when_modes_are_identified_then_it_warns_that_damping_is_too_high(random_file):
     with daq.open(random_file) as rec:
         [curves] = analysis.frequency_responses(rec, block=4.0)
@@ -162,6 +163,7 @@ def sweep(path, duration, spacing="log"):
     return synthetic.driven(path, np.sin(2 * np.pi * turns), test, marks, noise=1e-3)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("spacing", ["log", "linear"])
 def test_given_a_slow_sweep_when_tracked_then_the_curve_is_right(tmp_path, spacing):
     with daq.open(sweep(tmp_path / "a.mcap", 70.0, spacing)) as rec:
@@ -175,6 +177,7 @@ def test_given_a_slow_sweep_when_tracked_then_the_curve_is_right(tmp_path, spaci
     np.testing.assert_allclose(2 * np.pi * modes.frequency, [81.911, 218.512, 312.041], rtol=2e-3)
 
 
+@pytest.mark.thorough
 def test_given_a_fast_sweep_when_modes_are_identified_then_it_warns(tmp_path):
     with daq.open(sweep(tmp_path / "a.mcap", 20.0)) as rec:
         [curves] = analysis.frequency_responses(rec)

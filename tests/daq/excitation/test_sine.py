@@ -166,6 +166,7 @@ def test_given_a_tone_with_a_force_to_hold_when_run_then_it_is_held_for_the_dura
     assert abs(done.spring_force(first, stop, 25.0)) == pytest.approx(2.6, rel=0.006)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "sweep",
     [

@@ -45,6 +45,7 @@ def sweep(first: float, last: float, duration: float, force: float) -> dict[str,
     return {"kind": "swept_sine", "from": first, "to": last, "duration": duration, "force": force}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("scene", ["bare-structure", "fig8-no-damper", "fig8-three-dampers"])
 @pytest.mark.parametrize("band", [(11.0, 17.0), (17.0, 11.0)])
 def test_given_a_sharp_resonance_when_swept_then_the_force_is_held_within_a_tenth(
@@ -61,6 +62,7 @@ def test_given_a_single_mode_of_half_a_percent_when_swept_down_then_the_force_is
     assert np.abs(held(run(rig.loads(ONE_BODY))) - 1.0).max() < 0.1
 
 
+@pytest.mark.thorough
 def test_given_a_shaker_in_current_mode_when_swept_past_its_own_resonance_then_the_force_is_held() -> None:
     scene = rig.load("fig8-no-damper")
     shaker = scene.shaker.model_dump() | {"amplifier": {"mode": "current", "gain": "1 A/V"}}

@@ -101,6 +101,7 @@ def test_given_an_edge_before_the_pretrigger_samples_when_triggering_then_it_is_
     assert table[500] > 0.5 >= table[499]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("size", [1, 7, 128, 600])
 def test_given_a_reference_trigger_when_read_in_pieces_then_the_samples_are_the_same(size):
     connect("bare-structure", "fast")

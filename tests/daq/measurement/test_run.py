@@ -38,6 +38,7 @@ def limited(**limits: str) -> rig.Scene:
     return hit(channels=[{"name": "b1", "at": "body 1", **limits}], converter={"rate": "5120 Hz"})
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "scene", [hit(), steps(), hit(recording={"truth": True})], ids=["hit", "steps", "truth"]
 )

@@ -98,6 +98,7 @@ def test_given_100_random_truncations_when_recovered_then_every_whole_chunk_is_t
     assert refused < 100 * (first + 20_000) / len(data)
 
 
+@pytest.mark.thorough
 def test_given_100_random_bit_flips_when_recovered_then_at_most_the_damaged_chunk_is_lost(whole, tmp_path):
     data, chunks, rng = whole.read_bytes(), chunks_of(whole), random.Random(6)
     flipped, fixed = tmp_path / "flipped.mcap", tmp_path / "fixed.mcap"

@@ -56,6 +56,7 @@ def png_size(png):
     return struct.unpack(">II", png[16:24])
 
 
+@pytest.mark.thorough
 def test_given_a_damper_recording_when_photographed_then_every_view_is_drawn(recorded, tmp_path):
     file = tmp_path / "replay.png"
     with daq.open(recorded) as recording:
@@ -68,6 +69,7 @@ def test_given_a_damper_recording_when_photographed_then_every_view_is_drawn(rec
     assert png_size(file.read_bytes()) == (1200, 800)
 
 
+@pytest.mark.thorough
 def test_given_a_recording_as_it_is_when_rerun_opens_it_then_plots_and_rig_are_drawn(recorded):
     if not has_vulkan():
         with pytest.raises(RunError, match=NAMED):

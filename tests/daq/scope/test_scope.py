@@ -200,6 +200,7 @@ def test_given_a_test_in_the_scene_when_scoped_then_the_knobs_start_at_its_frequ
     assert knobs_for(SCENE, 33.0, 1.0).asked == (33.0, 1.0)
 
 
+@pytest.mark.thorough
 def test_given_the_end_of_input_when_scoped_live_then_the_recording_is_closed_and_summed_up(tmp_path):
     (tmp_path / "mine.yaml").write_text(SCENE.to_yaml())
     code = "from daq.cli import main; main()"

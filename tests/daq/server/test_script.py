@@ -54,6 +54,7 @@ def test_given_an_endless_script_when_its_seconds_are_over_then_it_gets_a_ctrl_c
     assert capfd.readouterr().out in ("4608\n", "5120\n", "5632\n")
 
 
+@pytest.mark.thorough
 def test_given_a_script_that_waits_for_enter_when_run_fast_then_bench_time_passes_meanwhile(script, capfd):
     path = script(
         READ
@@ -115,6 +116,7 @@ def test_given_an_unknown_scene_when_a_script_is_run_then_the_error_names_it(scr
         run_script(script("pass"), scene="no-such-scene")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_given_an_example_when_run_then_it_shows_what_it_promises(name, capfd, monkeypatch):
     # The doctests may have imported it already.
@@ -176,6 +178,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", ["spawn", "fork"])
 def test_given_processes_that_share_a_rig_when_one_writes_then_the_other_reads_its_answer_to_the_sample(
     script, tmp_path, method

@@ -53,6 +53,7 @@ def read_in_pieces(size, total=512):
     return np.concatenate(pieces, axis=1)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("size", [1, 7, 128])
 def test_given_any_read_size_when_a_driven_rig_is_read_then_every_bit_is_the_same(size):
     assert np.array_equal(read_in_pieces(size), read_in_pieces(512))

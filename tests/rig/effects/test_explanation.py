@@ -56,6 +56,7 @@ def test_given_an_explanation_when_printed_then_channels_that_are_alike_share_on
     assert text.count("channel body") == 3
 
 
+@pytest.mark.thorough
 def test_given_a_scene_when_its_effects_are_measured_then_each_named_one_is_there_and_states_add_up() -> None:
     scene = rig.load("fig9")
     costs = effect_costs(scene)

@@ -96,6 +96,7 @@ def test_given_any_scene_when_a_damper_rides_then_its_contact_pushes(scene: rig.
     assert pressure.min() > -1e-9 * max(scene.gravity, np.abs(run.acceleration).max())
 
 
+@pytest.mark.thorough
 @settings(max_examples=15)
 @given(scene=scenes(), seed=st.integers(0, 2**32 - 1))
 def test_given_any_scene_when_every_guard_is_looked_at_in_every_step_then_no_more_is_found_than_behind_an_envelope(

@@ -182,6 +182,7 @@ def test_given_restitution_095_when_the_body_has_come_to_rest_then_the_damper_bo
     assert 100 < len(impacts) < 1000
 
 
+@pytest.mark.thorough
 def test_given_a_hundred_bodies_with_twenty_dampers_when_driven_then_the_ledger_closes() -> None:
     bodies = 100
     scene = rig.Scene.model_validate(

@@ -54,6 +54,7 @@ def test_given_reference_case_a_when_run_then_all_463_proven_events_come_within_
     assert np.abs(events["time"] - [float(event[0]) for event in proven]).max() < 1e-12
 
 
+@pytest.mark.thorough
 def test_given_case_a_when_carried_on_to_40_digits_through_its_events_then_positions_agree_to_1e_12() -> None:
     scene = rig.load("reference-A")
     run = run_of("reference-A")
@@ -95,6 +96,7 @@ def test_given_case_b_when_its_ceiling_graze_at_period_80_comes_then_it_is_hit_a
     assert graze["speed"][0] == pytest.approx(7e-3, rel=0.05)
 
 
+@pytest.mark.thorough
 def test_given_random_scenes_when_an_independent_solver_runs_them_then_it_finds_the_same_events() -> None:
     random = np.random.default_rng(11)
     for _ in range(4):

@@ -137,6 +137,7 @@ def test_given_progress_that_is_interrupted_when_mapping_then_the_rows_that_run_
     assert len(seen) < 50
 
 
+@pytest.mark.thorough
 def test_given_a_map_when_written_then_the_file_has_a_row_for_every_point(
     fig9_map: rig.MotionMap, tmp_path: Path
 ) -> None:
@@ -149,6 +150,7 @@ def test_given_a_map_when_written_then_the_file_has_a_row_for_every_point(
     assert "riding" in summary(fig9_map)
 
 
+@pytest.mark.thorough
 def test_given_maps_of_a_scene_over_level_and_clearance_when_written_then_neither_takes_the_others_place(
     fig9_map: rig.MotionMap, tmp_path: Path
 ) -> None:

@@ -79,6 +79,7 @@ def machine_code(package: Path) -> dict[str, int]:
     return {file.name: file.stat().st_mtime_ns for file in files}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("name", "text", "result"),
     [
@@ -103,6 +104,7 @@ def test_given_code_on_disk_when_what_went_into_it_changes_then_it_is_compiled_a
     assert call(kernels) == result
 
 
+@pytest.mark.thorough
 def test_given_code_on_disk_when_only_other_files_change_then_it_is_used_as_it_is(kernels: Path) -> None:
     assert call(kernels) == 112.0
     written = machine_code(kernels)

@@ -147,6 +147,7 @@ def test_given_stable_branches_when_simulated_to_steady_state_then_the_responses
         np.testing.assert_allclose(orbit.peak, response.peak[:, i], rtol=1e-3)
 
 
+@pytest.mark.thorough
 def test_given_fig_9_when_followed_over_frequency_then_types_follow_one_another_without_a_gap() -> None:
     curve = fig9_curve()
 
@@ -267,6 +268,7 @@ def one_mode_scene(mode: SingleMode) -> Scene:
     return rig.loads("\n".join(lines))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("kind", "force", "mass_ratio", "clearance"),
     [

@@ -115,6 +115,7 @@ def test_given_fig_9_when_solved_then_type_ii_is_stable_at_the_resonance_and_typ
     assert worst < 0.25 * np.abs(found.mode.receptance([found.mode.frequency]))[0]
 
 
+@pytest.mark.thorough
 def test_given_fig_5_when_solved_then_the_single_damper_shows_type_iii_at_resonance() -> None:
     found = approximate_response(rig.load("fig5-single-damper"), 3, (48.0, 49.0))
 

@@ -100,6 +100,7 @@ def test_given_the_compiled_solver_when_it_follows_the_motion_then_it_finds_the_
     assert error(outcome, exact) < allowed
 
 
+@pytest.mark.thorough
 def test_given_a_periodic_motion_when_ways_to_it_are_measured_then_waiting_converges_to_the_orbit() -> None:
     study = steady_study(rig.load("fig9").replace(converter={}, channels=None), 49.6)
     waits = [point.error for point in study.points if point.method == "waiting"]

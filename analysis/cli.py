@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rig.command_line import application, counting, run
+from rig.scene.arguments import Changes, SceneName, loaded
 
 if TYPE_CHECKING:
     from analysis.presentation.presentation import Result
@@ -145,12 +146,8 @@ def export(
 
 @app.command()
 def cost(
-    scene: Annotated[
-        str,
-        typer.Argument(
-            metavar="SCENE", help="A bundled scene (see: rig scenes) or the path of a scene file."
-        ),
-    ],
+    scene: SceneName,
+    changes: Changes = None,
     frequency: Annotated[
         list[float] | None,
         typer.Option(
@@ -166,11 +163,10 @@ def cost(
     from analysis.chain_cost.figure import table, write
     from analysis.chain_cost.study import chain_study
     from rig.output_files import make_ready
-    from rig.scene.loading import load
 
     make_ready(output)
     with counting("recording and analysing") as progress:
-        study = chain_study(load(scene), frequency, progress)
+        study = chain_study(loaded(scene, changes), frequency, progress)
     files = write(study, output)
     print(table(study))
     for path in files:

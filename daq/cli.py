@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from rig.command_line import application, handed_over, progress, run, waiting
 from rig.errors import RecordingError
+from rig.scene.arguments import Changes, SceneName, SceneNames, loaded
+
+if TYPE_CHECKING:
+    from rig.scene.scene import Scene
 
 app = application("The instrument: record, look at, repair and replay tests.")
-
-SceneName = Annotated[
-    str,
-    typer.Argument(metavar="SCENE", help="A bundled scene (see: rig scenes) or the path of a scene file."),
-]
 
 
 @app.command()
 def record(
-    scene: SceneName,
+    scenes: SceneNames,
+    changes: Changes = None,
     output: Annotated[
         Path | None,
         typer.Option(
-            "-o", "--output", metavar="FILE", help="Recording to write (default: recordings/SCENE.mcap)."
+            "-o",
+            "--output",
+            metavar="FILE|DIR",
+            help="Recording to write, or folder for SCENE.mcap (default: recordings).",
         ),
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")] = False,
@@ -33,11 +38,14 @@ def record(
         typer.Option(metavar="N", help="Most samples to acquire at a time; the recording stays the same."),
     ] = None,
 ) -> None:
-    """Run the test of a scene and record it; Ctrl-C ends it early (exit code 130) and keeps what there is."""
+    """Run the tests of scenes and record them; Ctrl-C ends it early (exit code 130) and keeps what there is."""
     from daq.measurement.run_report import record_and_report
 
-    path = _free(output if output is not None else Path("recordings") / f"{Path(scene).stem}.mcap", overwrite)
-    raise typer.Exit(record_and_report(scene, path, overwrite, block))
+    paths = [_free(path, overwrite) for path in _recordings(scenes, output)]
+    tests = [(scene, loaded(scene, changes), path) for scene, path in zip(scenes, paths, strict=True)]
+    for scene, setting, path in tests:
+        if code := record_and_report(scene, setting, path, overwrite, block):
+            raise typer.Exit(code)
 
 
 @app.command()
@@ -86,7 +94,8 @@ def info(
         bool, typer.Option("--check", help="Read all of it and verify every checksum there is.")
     ] = False,
 ) -> None:
-    """Say what recordings hold: scene, channels, markers, what was lost."""
+    """Say what recordings hold: scene, channels, markers, what was lost; and what can be done with them."""
+    from daq.measurement.run_report import next_steps
     from daq.recording.info import describe
     from daq.recording.recording import open as open_recording
 
@@ -94,6 +103,8 @@ def info(
         with open_recording(file) as recording:
             for line in describe(recording):
                 print(line)
+            for number, step in enumerate(next_steps(recording)):
+                print(f"  {'' if number else 'next':9} {step}")
             if check:
                 recording.check()
                 print(
@@ -117,6 +128,7 @@ def recover(
 @app.command()
 def scope(
     scene: SceneName,
+    changes: Changes = None,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -136,14 +148,13 @@ def scope(
     web: Annotated[bool, typer.Option("--web", help="Show it in a browser on this machine.")] = False,
 ) -> None:
     """Run a rig live: turn frequency and force while you look at it; it is recorded meanwhile."""
-    import rig
     from daq.measurement.run_report import summary
     from daq.replay import outputs as show
     from daq.scope.scope import knobs_for, live, say
 
     default = Path("recordings") / f"{Path(scene).stem}-scope.mcap"
     path = _free(output if output is not None else default, overwrite)
-    bench = rig.load(scene)
+    bench = loaded(scene, changes)
     knobs = knobs_for(bench, frequency, force)
     viewing = show.server(say) if web else show.window("use --web to look with a browser")
     with waiting():
@@ -163,6 +174,7 @@ def run_a_script(
             metavar="SCENE", help="Scene on the bench (default: SHOTRIG_SCENE, or three particle dampers)."
         ),
     ] = None,
+    changes: Changes = None,
     clock: Annotated[
         str | None,
         typer.Option(metavar="real|fast", help="How time passes (default: SHOTRIG_CLOCK, or real)."),
@@ -176,7 +188,7 @@ def run_a_script(
     from daq.server.script import run_script
 
     with handed_over():
-        code = run_script(script, arguments or [], scene, clock, seconds)
+        code = run_script(script, arguments or [], _bench(scene, changes), clock, seconds)
     raise typer.Exit(code)
 
 
@@ -188,6 +200,7 @@ def serve_a_rig(
             metavar="[SCENE]", help="Scene on the bench (default: SHOTRIG_SCENE, or three particle dampers)."
         ),
     ] = None,
+    changes: Changes = None,
     clock: Annotated[
         str | None,
         typer.Option(metavar="real|fast", help="How time passes (default: SHOTRIG_CLOCK, or real)."),
@@ -235,7 +248,28 @@ def serve_a_rig(
     path = None if output is None else _free(output, overwrite)
     limits = Limits(patience=session_timeout)
     with waiting():
-        serve(scene, clock, address, port, certificates, limits, path, overwrite, viewer)
+        serve(_bench(scene, changes), clock, address, port, certificates, limits, path, overwrite, viewer)
+
+
+def _bench(scene: str | None, changes: Sequence[str] | None) -> Scene | None:
+    """Load the scene for a bench; None stands for the one there is when none is named."""
+    named = scene or os.environ.get("SHOTRIG_SCENE")
+    if named is None and changes:
+        raise typer.BadParameter("--set changes a scene: name the scene too")
+    return None if named is None else loaded(named, changes)
+
+
+def _recordings(scenes: Sequence[str], output: Path | None) -> list[Path]:
+    """Name the recordings of scenes: one file, or files in a folder named after them."""
+    if output is not None and len(scenes) == 1 and not output.is_dir():
+        return [output]
+    if output is not None and output.suffix == ".mcap":
+        raise typer.BadParameter(f"-o {output}: expected a folder for the recordings of {len(scenes)} scenes")
+    folder = output if output is not None else Path("recordings")
+    paths = [folder / f"{Path(scene).stem}.mcap" for scene in scenes]
+    if len(set(paths)) < len(paths):
+        raise typer.BadParameter("two scenes of one name: their recordings would have the same name")
+    return paths
 
 
 def _free(path: Path, overwrite: bool) -> Path:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Sequence
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from rig.command_line import application, counting, run, saying
 from rig.errors import SceneError
+from rig.scene.arguments import Changes, SceneName, completions, loaded
 
 if TYPE_CHECKING:
     from rig.scene.quantities import Kind
@@ -20,21 +23,51 @@ app = application("The physics of the virtual vibration rig.")
 # More frequencies or periods than this are a mistake.
 MOST = 100_000
 
-SceneName = Annotated[
-    str,
-    typer.Argument(metavar="SCENE", help="A bundled scene (see: rig scenes) or the path of a scene file."),
-]
+
+@app.command()
+def scenes(
+    show: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Print this scene's file.", autocompletion=completions),
+    ] = None,
+    copy: Annotated[
+        tuple[str, Path] | None,
+        typer.Option(metavar="NAME FILE", help="Copy this scene's file, to begin one of your own with."),
+    ] = None,
+) -> None:
+    """List the bundled scenes, or print or copy the file of one."""
+    from rig.output_files import replacing
+    from rig.scene.loading import bundled, summary, text_of
+
+    if show is not None:
+        print(text_of(show), end="")
+    if copy is not None:
+        text = text_of(copy[0])
+        with replacing(copy[1], overwrite=False) as part:
+            part.write_text(text, encoding="utf-8")
+        print(f"{copy[1]}: change it, then: daq record {quote(str(copy[1]))}")
+    if show is None and copy is None:
+        _list([(name, summary(name)) for name in bundled()])
 
 
 @app.command()
-def scenes() -> None:
-    """List the bundled scenes."""
-    from rig.scene.loading import bundled, summary
+def presets(
+    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="A part, for all its figures.")] = None,
+) -> None:
+    """List the parts whose data sheets a scene can name as preset, or the figures of one and where they are from."""
+    from rig.scene.data_sheets import data_sheets, described
 
-    wide = max(map(len, bundled())) if sys.stdout.isatty() else 0
-    for name in bundled():
-        # A pipe gets a tab, whatever the width of the terminal it may end in.
-        print(f"{name:{wide}}  {summary(name)}" if wide else f"{name}\t{summary(name)}")
+    if name is not None:
+        print("\n".join(described(name)))
+    else:
+        _list([(sheet.name, sheet.summary) for sheet in data_sheets().values()])
+
+
+def _list(rows: Sequence[tuple[str, str]]) -> None:
+    """Print names and what they are; a pipe gets a tab between, whatever the width of the terminal it may end in."""
+    wide = max(len(name) for name, _ in rows) if sys.stdout.isatty() else 0
+    for name, what in rows:
+        print(f"{name:{wide}}  {what}" if wide else f"{name}\t{what}")
 
 
 @app.command()
@@ -48,6 +81,7 @@ def schema() -> None:
 @app.command()
 def explain(
     scene: SceneName,
+    changes: Changes = None,
     measure: Annotated[
         bool, typer.Option("--measure", help="Add the effects one at a time and measure what each costs.")
     ] = False,
@@ -55,18 +89,20 @@ def explain(
     """Say which effects a scene turns on, and how many states each adds."""
     import rig
 
-    print(rig.explain(scene))
+    setting = loaded(scene, changes)
+    print(rig.explain(setting))
     if measure:
         from rig.effects.effect_cost import effect_costs, text
 
         with saying() as say:
-            costs = effect_costs(rig.load(scene), say)
+            costs = effect_costs(setting, say)
         print("\n" + text(costs))
 
 
 @app.command()
 def simulate(
     scene: SceneName,
+    changes: Changes = None,
     duration: Annotated[
         str | None,
         typer.Option(metavar="TIME", help="How long, such as '2 s' (default: the test's duration)."),
@@ -86,13 +122,13 @@ def simulate(
     from rig.scene.quantities import FREQUENCY, TIME
     from rig.simulation.run_output import check_name, duration_of, summary, write
 
-    loaded = rig.load(scene)
+    setting = loaded(scene, changes)
     if output is not None:
         check_name(output)
     seconds = _quantity(duration, TIME, "--duration")
     run = rig.simulate(
-        loaded,
-        duration_of(loaded) if seconds is None else seconds,
+        setting,
+        duration_of(setting) if seconds is None else seconds,
         _quantity(rate, FREQUENCY, "--rate") or 0.0,
         frequency=_quantity(frequency, FREQUENCY, "--frequency"),
     )
@@ -105,6 +141,7 @@ def simulate(
 @app.command()
 def response(
     scene: SceneName,
+    changes: Changes = None,
     first: Annotated[
         str | None, typer.Option("--from", metavar="F", help="First frequency, such as '8 Hz'.")
     ] = None,
@@ -125,11 +162,11 @@ def response(
     from rig.response.response_output import frequencies_of, text, write
     from rig.scene.quantities import FREQUENCY
 
-    loaded = rig.load(scene)
+    setting = loaded(scene, changes)
     ends = (_quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to"))
-    frequencies, order = frequencies_of(loaded, *ends, points, direction)
+    frequencies, order = frequencies_of(setting, *ends, points, direction)
     with counting("following the motion") as progress:
-        result = rig.frequency_response(loaded, frequencies, direction=order, progress=progress)
+        result = rig.frequency_response(setting, frequencies, direction=order, progress=progress)
     print(text(result))
     if output is not None:
         write(result, output)
@@ -139,6 +176,7 @@ def response(
 @app.command()
 def cost(
     scene: SceneName,
+    changes: Changes = None,
     frequency: Annotated[
         str | None,
         typer.Option(
@@ -151,18 +189,17 @@ def cost(
     ] = Path(),
 ) -> None:
     """Measure what accuracy costs: every way to compute this scene, its error against its time, here and now."""
-    import rig
     from rig.output_files import make_ready
     from rig.scene.quantities import FREQUENCY
     from rig.work_precision.figure import table, write
     from rig.work_precision.motion_study import motion_study
     from rig.work_precision.steady_study import steady_study
 
-    loaded = rig.load(scene)
+    setting = loaded(scene, changes)
     make_ready(output)
     with saying() as say:
-        study = motion_study(loaded, _quantity(frequency, FREQUENCY, "--frequency"), periods, say)
-        steady = steady_study(loaded, study.frequency, say)
+        study = motion_study(setting, _quantity(frequency, FREQUENCY, "--frequency"), periods, say)
+        steady = steady_study(setting, study.frequency, say)
         files = write(study, steady, output)
     print(table(study, steady))
     print("\nwritten:", *files)
@@ -171,6 +208,7 @@ def cost(
 @app.command("map")
 def map_(
     scene: SceneName,
+    changes: Changes = None,
     over: Annotated[
         str | None,
         typer.Option(
@@ -200,16 +238,16 @@ def map_(
     from rig.output_files import make_ready
     from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, VOLTAGE
 
-    loaded = rig.load(scene)
-    over, unit = vertical_axis(loaded, over)
+    setting = loaded(scene, changes)
+    over, unit = vertical_axis(setting, over)
     ends = _quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to")
-    frequencies = columns(loaded, *ends, points)
+    frequencies = columns(setting, *ends, points)
     kind = {"N": FORCE, "V": VOLTAGE, "m": LENGTH}[unit]
     ends = _quantity(least, kind, "--least"), _quantity(most, kind, "--most")
-    values = rows_of(loaded, over, frequencies, *ends, rows)
+    values = rows_of(setting, over, frequencies, *ends, rows)
     make_ready(output)
     with counting("following the motion") as progress:
-        found = rig.map_motion(loaded, over, values, frequencies, progress)
+        found = rig.map_motion(setting, over, values, frequencies, progress)
     files = write(found, output)
     print(summary(found))
     print("\nwritten:", *files)

@@ -16,6 +16,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
+from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
 from typing import IO, TYPE_CHECKING, Any, NoReturn
@@ -36,13 +37,27 @@ def application(help_text: str) -> typer.Typer:
     """Make a command-line application in the style of the project."""
     import typer
 
-    return typer.Typer(
+    app = typer.Typer(
         help=f"{help_text} With --debug before the command an unexpected error shows where it comes from.",
         no_args_is_help=True,
-        add_completion=False,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
     )
+
+    def tell_version(asked: bool) -> None:
+        if asked:
+            print(f"shotrig {version('shotrig')}")
+            raise typer.Exit
+
+    told = typer.Option(
+        False, "--version", callback=tell_version, is_eager=True, help="Say which version it is."
+    )
+
+    @app.callback()
+    def common(version: bool = told) -> None:
+        pass
+
+    return app
 
 
 def run(module: str) -> NoReturn:
@@ -77,9 +92,12 @@ def _carry_out(module: str, words: Sequence[str]) -> int:
         Path.cwd()
     except OSError:
         raise RunError("the working folder is not there any more; change to another one") from None
-    command = typer.main.get_command(import_module(module).app)
+    command, program = typer.main.get_command(import_module(module).app), module.partition(".")[0]
+    if f"_{program.upper()}_COMPLETE" in os.environ:
+        # The shell asks for words that complete what has been typed.
+        command.main([], program)
     try:
-        with command.make_context(module.partition(".")[0], list(words)) as context:
+        with command.make_context(program, list(words)) as context:
             command.invoke(context)
     except typer.Exit as end:
         return end.exit_code
@@ -138,7 +156,6 @@ def _unexpected(error: BaseException) -> str:
     import platform
     import tempfile
     import traceback
-    from importlib.metadata import version
 
     what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
     begin = f"error: something unexpected happened ({what[:300]}); this is a fault of shotrig"
@@ -204,6 +221,9 @@ class _Shown(io.TextIOBase):
 
     def write(self, text: str) -> int:
         """Write what can be shown."""
+        if not isinstance(text, str):
+            # By trying, click finds out whether a stream takes bytes.
+            raise TypeError(f"text is written here, not {type(text).__name__}")
         _Shown.last = time.monotonic()
         encoding = self.encoding
         self._forward(self.terminal.write, shown(text).encode(encoding, "backslashreplace").decode(encoding))

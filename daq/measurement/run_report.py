@@ -11,13 +11,23 @@ from typing import TYPE_CHECKING
 from daq.measurement.estimate import WORTH_SAYING_S, estimate
 from daq.measurement.force_reference import force_untold
 from rig.command_line import progress
+from rig.errors import ShotrigError
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
+    from rig.scene.scene import Scene
 
 
-def record_and_report(scene: str, path: Path, overwrite: bool, block: int | None) -> int:
+def record_and_report(name: str, scene: Scene, path: Path, overwrite: bool, block: int | None) -> int:
     """Record a scene's test with a progress bar and say what came of it.
+
+    Parameters
+    ----------
+    name : str
+        What the user calls the scene.
+    scene : Scene
+    path, overwrite, block
+        As `daq.record` takes them.
 
     Returns
     -------
@@ -25,18 +35,16 @@ def record_and_report(scene: str, path: Path, overwrite: bool, block: int | None
         Exit code: 0 done, 130 interrupted (the recording is then closed and readable).
     """
     import daq
-    import rig
 
-    setting = rig.load(scene)
-    print(f"recording {scene} to {path.absolute()}", file=sys.stderr)
-    taking = estimate(setting)
+    print(f"recording {name} to {path.absolute()}", file=sys.stderr)
+    taking = estimate(scene)
     if taking.seconds > WORTH_SAYING_S:
         print(taking, file=sys.stderr)
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always", daq.RunWarning)
         try:
-            with progress(Path(scene).stem) as tell:
-                daq.record(setting, path, block=block, overwrite=overwrite, progress=tell)
+            with progress(Path(name).stem) as tell:
+                daq.record(scene, path, block=block, overwrite=overwrite, progress=tell)
             code = 0
         except KeyboardInterrupt as interrupt:
             if not interrupt.args:
@@ -65,20 +73,29 @@ def summary(path: Path) -> str:
             lines.append(f"not settled: {len(unsettled) or 'none'} of {len(measured)} measurements")
         lines += _levels(rec)
         lines += [f"aborted: {mark.fields['reason']}" for mark in rec.markers if mark.kind == "abort"]
-        file = shlex.quote(str(path))
-        steps = [*_analysis(rec, file), f"daq replay {file}"]
-        lines.append(f"next: {'   or: '.join(steps)}")
+        lines.append(f"next: {'   or: '.join(next_steps(rec))}")
     return "\n".join(lines)
 
 
-def _analysis(rec: Recording, file: str) -> list[str]:
-    """Tell which analysis has something to work on, if any."""
-    kind = rec.scene.test.kind if rec.scene.test is not None else ""
-    if kind == "free" or (kind == "impulse" and any(mark.kind == "hit" for mark in rec.markers)):
-        return [f"analysis decay {file}"]
-    measured = any(mark.kind == "measure" for mark in rec.markers)
-    told = force_untold(rec.scene, list(rec.channels.values())) is None
-    return [f"analysis frf {file}"] if measured and told else []
+def next_steps(rec: Recording) -> list[str]:
+    """List the commands that have something to work on in a recording, the most telling first."""
+    try:
+        scene = rec.scene
+    except ShotrigError:
+        # Another program's recording need not say what was on its bench.
+        return [f"daq replay {shlex.quote(str(rec.path))}"]
+    kinds = {mark.kind for mark in rec.markers}
+    tones = any(mark.kind == "measure" and "frequency" in mark.fields for mark in rec.markers)
+    channels = list(rec.channels.values())
+    steps = ["decay"] if "hit" in kinds or (scene.test is not None and scene.test.kind == "free") else []
+    struck = "hit" in kinds and any(info.quantity == "force" for info in channels)
+    if struck or ("measure" in kinds and force_untold(scene, channels) is None):
+        steps += ["frf"] if getattr(scene.test, "kind", "") == "sine" else ["frf", "modes"]
+    steps += ["dampers"] if tones and scene.dampers else []
+    return [
+        f"{command} {shlex.quote(str(rec.path))}"
+        for command in (*(f"analysis {step}" for step in steps), "daq replay")
+    ]
 
 
 def _levels(rec: Recording) -> list[str]:

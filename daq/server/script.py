@@ -15,6 +15,7 @@ from daq.server.bench_time import BenchTime, TimeLimit
 from daq.server.client_defaults import FAST, LIMITED, SERVER
 from daq.server.service import Server
 from rig.errors import SceneError
+from rig.scene.scene import Scene
 
 STARTUP = Path(__file__).resolve().parent / "startup"
 
@@ -22,7 +23,7 @@ STARTUP = Path(__file__).resolve().parent / "startup"
 def run_script(
     path: str | Path,
     arguments: Sequence[str] = (),
-    scene: str | None = None,
+    scene: Scene | str | None = None,
     clock: str | None = None,
     seconds: float | None = None,
 ) -> int:
@@ -34,8 +35,8 @@ def run_script(
         The script.
     arguments : sequence of str
         What it finds in `sys.argv` after its name.
-    scene : str, optional
-        Name or path of the scene on the bench, see `daq.connect`.
+    scene : Scene or str, optional
+        What is on the bench, see `daq.connect`.
     clock : str, optional
         Clock, see `daq.connect`. On the fast one `time.sleep` lets bench time pass, and so does `input`,
         which then returns an empty line.

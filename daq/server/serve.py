@@ -19,6 +19,7 @@ from daq.server.bench_time import BenchTime
 from daq.server.live import LiveRecording, LiveView
 from daq.server.service import Limits, Server
 from rig.errors import SceneError
+from rig.scene.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ def _read(path: Path) -> bytes:
 
 
 def serve(
-    scene: str | None,
+    scene: Scene | str | None,
     clock: str | None,
     host: str,
     port: int,

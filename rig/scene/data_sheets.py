@@ -27,6 +27,8 @@ class DataSheet:
 
     name: str
     """Maker and model."""
+    summary: str
+    """What it is: the first line of its file."""
     sources: tuple[str, ...]
     """Where the figures come from."""
     unchecked: tuple[str, ...]
@@ -41,30 +43,32 @@ class DataSheet:
 def data_sheets() -> dict[str, DataSheet]:
     """List the data sheets there are, by name.
 
-    >>> sorted(data_sheets())
+    >>> list(data_sheets())
     ['NI 9234', 'NI 9250', 'NI 9260', 'NI 9263', 'PCB 086C03', 'PCB 352C33', 'USB-4431']
     """
     found = {}
-    for file in files("rig.scene").joinpath("data", "presets").iterdir():
+    folder = files("rig.scene").joinpath("data", "presets")
+    for file in sorted(folder.iterdir(), key=lambda file: file.name):
         if not file.name.endswith(".yaml"):
             continue
-        sheet = yaml.safe_load(file.read_text(encoding="utf-8"))
+        text = file.read_text(encoding="utf-8")
+        sheet, summary = yaml.safe_load(text), text.partition("\n")[0].lstrip("# ")
         name, sources = sheet.pop("part"), tuple(sheet.pop("sources"))
         unchecked = tuple(sheet.pop("unchecked", ()))
         settings = {kind: sheet.pop(kind) for kind in KINDS if kind in sheet}
-        found[name] = DataSheet(name, sources, unchecked, settings, sheet)
+        found[name] = DataSheet(name, summary, sources, unchecked, settings, sheet)
     return found
 
 
-def data_sheet(name: str, kind: str) -> DataSheet:
+def data_sheet(name: str, kind: str | None = None) -> DataSheet:
     """Find the data sheet of a part; capitals, spaces and hyphens do not matter.
 
     Parameters
     ----------
     name : str
         Of the part.
-    kind : str
-        What it has to tell of: one of `KINDS`, or ``"module"``.
+    kind : str, optional
+        What it has to tell of: one of `KINDS`, or ``"module"``; omitted, anything.
 
     Raises
     ------
@@ -74,14 +78,44 @@ def data_sheet(name: str, kind: str) -> DataSheet:
     known = {
         _plain(each.name): each
         for each in data_sheets().values()
-        if kind in each.settings or kind in each.facts
+        if kind is None or kind in each.settings or kind in each.facts
     }
     if _plain(name) in known:
         return known[_plain(name)]
     names = sorted(each.name for each in known.values())
     near = get_close_matches(_plain(name), known, n=1)
     hint = f'; did you mean "{known[near[0]].name}"?' if near else ""
-    raise SceneError(f'unknown {kind} preset "{name}"; there is {", ".join(names)}{hint}')
+    what = f"{kind} preset" if kind else "preset"
+    raise SceneError(f'unknown {what} "{name}"; there is {", ".join(names)}{hint}')
+
+
+def described(name: str) -> list[str]:
+    """Describe a part in lines: every figure that a scene gets from it, those marked that have no source.
+
+    Raises
+    ------
+    SceneError
+        If there is none of that name.
+
+    Examples
+    --------
+    >>> described("ni9263")[1:4]
+    ['  as output: {preset: NI 9263}', '    bits   16', '    range  10 V']
+    """
+    sheet = data_sheet(name)
+    lines = [f"{sheet.name}: {sheet.summary}"]
+    for kind, figures in sheet.settings.items():
+        wide = max(map(len, figures))
+        lines.append(f"  as {kind}: {{preset: {sheet.name}}}")
+        for key, value in figures.items():
+            mark = "   (no source at hand)" if {key, f"{kind} {key}"} & set(sheet.unchecked) else ""
+            lines.append(
+                f"    {key:{wide}}  {str(value).lower() if isinstance(value, bool) else value}{mark}"
+            )
+    lines += ["  from", *(f"    {source}" for source in sheet.sources)]
+    if sheet.unchecked:
+        lines.append(f"  no source at hand, check before relying on it: {', '.join(sheet.unchecked)}")
+    return lines
 
 
 def _plain(name: str) -> str:

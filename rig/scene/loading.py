@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from functools import cache
 from math import inf
@@ -12,11 +13,12 @@ from typing import Annotated, Any, get_args
 from pydantic import TypeAdapter, ValidationError
 
 from rig.errors import SceneError, SceneWarning
+from rig.scene.changes import Change, changes_of
 from rig.scene.consistency import mistakes_between
 from rig.scene.matrices import FOLDER
 from rig.scene.scene import Scene
 from rig.scene.settings import Mistake, Place, Settings, at, describe, dotted, mistakes_of
-from rig.scene.yaml_reader import read
+from rig.scene.yaml_reader import Document, read
 
 SCENES = Path(__file__).parent / "data" / "scenes"
 SUFFIXES = (".yaml", ".yml")
@@ -25,13 +27,16 @@ MOST_BYTES = 64_000_000
 DOUBTFUL = 0.1
 
 
-def load(scene: str | Path) -> Scene:
+def load(scene: str | Path, changes: Mapping[str, Any] | None = None) -> Scene:
     """Load a scene.
 
     Parameters
     ----------
     scene : str or Path
         The name of a bundled scene (`rig scenes` lists them), or the path of a scene file.
+    changes : mapping of str to any, optional
+        What is to differ, by key: ``{"test.force": "5 N", "dampers[2].clearance": 1e-3}``. Items count from 1; a key
+        of a list without a number goes to each of its items; None takes a key out.
 
     Returns
     -------
@@ -47,9 +52,11 @@ def load(scene: str | Path) -> Scene:
     --------
     >>> load("fig8-three-dampers").structure.masses
     (0.74, 0.71, 0.64)
+    >>> load("fig8-three-dampers", {"test.force": "5 N"}).test.force
+    5.0
     """
     path = _find(scene)
-    return _validated(_text(path), str(path), path.parent, path.stem)
+    return _validated(_text(path), str(path), path.parent, path.stem, changes or {})
 
 
 def loads(text: str, where: str = "scene", folder: str | Path | None = None) -> Scene:
@@ -69,7 +76,7 @@ def loads(text: str, where: str = "scene", folder: str | Path | None = None) -> 
     SceneError
         With one line for each mistake.
     """
-    return _validated(text, where, None if folder is None else Path(folder), None)
+    return _validated(text, where, None if folder is None else Path(folder), None, {})
 
 
 def bundled() -> tuple[str, ...]:
@@ -124,7 +131,20 @@ def _text(path: Path) -> str:
     return text
 
 
-def _validated(text: str, where: str, folder: Path | None, name: str | None) -> Scene:
+def text_of(scene: str | Path) -> str:
+    """Give the text of a scene file, comments included.
+
+    Raises
+    ------
+    SceneError
+        If there is no such file, or it is no text.
+    """
+    return _text(_find(scene))
+
+
+def _validated(
+    text: str, where: str, folder: Path | None, name: str | None, given: Mapping[str, Any]
+) -> Scene:
     document = read(text)
     content = document.content
     broken = [mistake for _, mistake in document.mistakes if not mistake.place]
@@ -136,6 +156,9 @@ def _validated(text: str, where: str, folder: Path | None, name: str | None) -> 
         raise SceneError(f"{where} {got}; expected a scene, at least structure: with masses and springs")
     if name is not None and "name" not in content:
         content["name"] = name
+    changes = changes_of(given)
+    for change in changes:
+        content = change.put_into(content)
     mistakes: list[Mistake] = []
     scene = None
     try:
@@ -150,18 +173,26 @@ def _validated(text: str, where: str, folder: Path | None, name: str | None) -> 
     ]
     if scene is None or twice:
         mistakes.sort(key=lambda mistake: document.line(mistake.place))
-        raise SceneError("\n".join(filter(None, [*twice, describe(mistakes, where, document.line)])))
+        told = [_told(mistake, where, document, changes) for mistake in mistakes]
+        raise SceneError("\n".join([*twice, *told]))
     for k, damper in enumerate(scene.dampers):
-        written = str(content["dampers"][k]["clearance"])
+        written = str(at(content["dampers"][k], ("clearance",)))
         if DOUBTFUL <= damper.clearance < inf and written[-1] in ".0123456789":
-            place: Place = ("dampers", k, "clearance")
-            warnings.warn(
-                f"{where}:{document.line(place)}: {dotted(place)}: got {written} without a unit, which is metres: "
-                f"{1e3 * damper.clearance:g} mm; expected a unit, such as {written} mm",
-                SceneWarning,
-                stacklevel=3,
+            doubt = (
+                f"got {written} without a unit, which is metres: {1e3 * damper.clearance:g} mm; expected a unit, such "
+                f"as {written} mm"
             )
+            place: Place = ("dampers", k, "clearance")
+            warnings.warn(_told(Mistake(place, doubt), where, document, changes), SceneWarning, stacklevel=3)
     return scene
+
+
+def _told(mistake: Mistake, where: str, document: Document, changes: Sequence[Change]) -> str:
+    """Describe a mistake at its line of the file, or at the change that made it."""
+    made = [str(change) for change in changes if change.concerns(mistake.place)]
+    if made:
+        return describe([mistake], f"{where} with {', '.join(made)}")
+    return describe([mistake], where, document.line)
 
 
 def _references(content: dict[str, Any], folder: Path | None) -> list[Mistake]:

@@ -126,3 +126,10 @@ def test_given_a_folder_that_is_gone_when_a_command_runs_in_it_then_it_says_so(t
     gone.mkdir()
     code, told = outcome("scenes", stdout=subprocess.DEVNULL, cwd=gone, preexec_fn=gone.rmdir)
     assert code == 1 and "the working folder is not there any more" in told
+
+
+def test_given_help_or_version_when_asked_for_then_it_is_plain_text(command, capsys, monkeypatch) -> None:
+    for word, said in (("--help", "Usage: rig"), ("--version", "shotrig ")):
+        monkeypatch.setattr(sys, "argv", ["rig", word])
+        assert command(lambda: None) == 0
+        assert capsys.readouterr().out.startswith(said)

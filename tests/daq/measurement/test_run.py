@@ -324,10 +324,31 @@ def test_given_a_scene_file_when_the_command_records_then_it_tells_what_it_wrote
     out = capsys.readouterr().out
     assert out.startswith("recordings/hit.mcap: 3840 samples of 4 channels, 0.75 s at 5120 Hz, ")
     assert "overloads: " in out
-    assert "next: analysis decay recordings/hit.mcap   or: daq replay recordings/hit.mcap" in out
+    assert "next: analysis decay recordings/hit.mcap   or: analysis frf recordings/hit.mcap   or: " in out
     assert run_command(monkeypatch, "record", "hit.yaml") == 2
     assert "overwrite" in capsys.readouterr().err
     assert run_command(monkeypatch, "record", "hit.yaml", "--overwrite", "--block", "100") == 0
+
+
+def test_given_several_scenes_when_the_command_records_then_each_has_its_file_and_its_changes(
+    scene_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = scene_file.parent
+    (folder / "other.yaml").write_text(steps().to_yaml())
+    scenes, to = [str(scene_file), str(folder / "other.yaml")], ["-o", str(folder)]
+    assert run_command(monkeypatch, "record", *scenes, *to, "--set", "seed=7") == 0
+    for name, commands in (("hit", ["decay", "frf", "modes"]), ("other", ["frf", "modes", "dampers"])):
+        path = folder / f"{name}.mcap"
+        with daq.open(path) as recording:
+            assert recording.scene.seed == 7
+        capsys.readouterr()
+        assert run_command(monkeypatch, "info", str(path)) == 0
+        said = capsys.readouterr().out.splitlines()[-len(commands) - 1 :]
+        assert [line.split()[-3:] for line in said[:-1]] == [
+            ["analysis", command, str(path)] for command in commands
+        ]
+    assert run_command(monkeypatch, "record", *scenes, *to) == 2
+    assert run_command(monkeypatch, "record", scenes[0], scenes[0], *to, "--overwrite") == 2
 
 
 @pytest.mark.parametrize("command", ["record", "scope"])

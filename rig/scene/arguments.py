@@ -1,0 +1,46 @@
+"""How the commands of all three packages take a scene: its name or path, and `--set` for what is to differ."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+from rig.scene.changes import parsed
+from rig.scene.loading import bundled, load
+from rig.scene.scene import Scene
+
+SCENE_HELP = "A bundled scene (see: rig scenes) or the path of a scene file."
+
+
+def completions(incomplete: str) -> list[str]:
+    """Give the names of bundled scenes that begin so, for the shell."""
+    return [name for name in bundled() if name.startswith(incomplete)]
+
+
+SceneName = Annotated[str, typer.Argument(metavar="SCENE", help=SCENE_HELP, autocompletion=completions)]
+SceneNames = Annotated[
+    list[str],
+    typer.Argument(metavar="SCENE", help=f"{SCENE_HELP} Several run in a row.", autocompletion=completions),
+]
+Changes = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Change the scene, such as test.force=5N or dampers[2].clearance=0.5mm; may be repeated "
+        "(rig help lists the keys).",
+    ),
+]
+
+
+def loaded(scene: str, changes: Sequence[str] | None) -> Scene:
+    """Load the scene that a command names, with its changes.
+
+    Raises
+    ------
+    SceneError
+        As `rig.load`.
+    """
+    return load(scene, parsed(changes or ()))

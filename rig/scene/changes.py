@@ -1,0 +1,134 @@
+"""Changes made to a scene as it is loaded: `--set test.force=5N` on a command line, a mapping from Python."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from rig.errors import SceneError
+from rig.scene.settings import Place
+from rig.scene.yaml_reader import read
+
+_STEP = re.compile(r"([A-Za-z_]\w*)((?:\[\d{1,6}\])*)")
+
+
+@dataclass(frozen=True)
+class Change:
+    """One value to put into a scene: its key as written, the steps to it (positions from 0), and the value."""
+
+    key: str
+    steps: Place
+    value: Any
+
+    def __str__(self) -> str:
+        return f"{self.key}={self.value}"
+
+    def put_into(self, content: Any) -> Any:
+        """Give the content with the value in it; a key of a list without a number goes to each of its items.
+
+        Raises
+        ------
+        SceneError
+            If there is no such item.
+        """
+        return self._put(content, self.steps)
+
+    def _put(self, node: Any, steps: Place) -> Any:
+        # What is changed is copied, for an alias in the file makes two places share one object.
+        if not steps:
+            return self.value
+        step, rest = steps[0], steps[1:]
+        if isinstance(node, list):
+            chosen = range(len(node)) if isinstance(step, str) else [step]
+            if not node or chosen[0] >= len(node):
+                raise SceneError(f"{self}: the scene has {len(node) or 'none'} of these, counted from 1")
+            after = steps if isinstance(step, str) else rest
+            return [self._put(item, after) if k in chosen else item for k, item in enumerate(node)]
+        if isinstance(step, int):
+            if step > 0 or node is None:
+                raise SceneError(f"{self}: the scene has no list there to choose item {step + 1} of")
+            return self._put(node, rest)
+        inside = node if isinstance(node, dict) else {}
+        if not rest and self.value is None:
+            return {key: value for key, value in inside.items() if key != step}
+        return {**inside, step: self._put(inside.get(step), rest)}
+
+    def concerns(self, place: Place) -> bool:
+        """Whether a place lies in what was changed.
+
+        >>> Change("dampers.mass", ("dampers", "mass"), "1").concerns(("dampers", 1, "mass"))
+        True
+        """
+        left = list(place)
+        for step in self.steps:
+            while isinstance(step, str) and left and isinstance(left[0], int):
+                del left[0]
+            if not left or left.pop(0) != step:
+                return False
+        return True
+
+
+def changes_of(given: Mapping[str, Any]) -> list[Change]:
+    """Read the keys of changes.
+
+    Parameters
+    ----------
+    given : mapping of str to any
+        Values by key, such as ``"dampers[2].clearance"``; items of lists count from 1.
+
+    Raises
+    ------
+    SceneError
+        If a key is none.
+
+    Examples
+    --------
+    >>> changes_of({"dampers[2].clearance": "1 mm"})[0].steps
+    ('dampers', 1, 'clearance')
+    """
+    return [Change(key, _steps(key), value) for key, value in given.items()]
+
+
+def parsed(settings: Iterable[str]) -> dict[str, Any]:
+    """Read changes as a command line has them.
+
+    Parameters
+    ----------
+    settings : iterable of str
+        Each ``KEY=VALUE``, the value as in a scene file; empty or `null` takes the key out.
+
+    Raises
+    ------
+    SceneError
+        If one is no such text.
+
+    Examples
+    --------
+    >>> parsed(["test.force=5N", "structure.masses=[1 kg, 2 kg]", "dampers="])
+    {'test.force': '5N', 'structure.masses': ['1 kg', '2 kg'], 'dampers': None}
+    """
+    found = {}
+    for setting in settings:
+        key, equals, value = setting.partition("=")
+        document = read(value)
+        if not equals or document.mistakes:
+            reason = f" ({document.mistakes[0][1].message})" if document.mistakes else ""
+            raise SceneError(f"--set {setting[:60]}: expected KEY=VALUE such as test.force=5N{reason}")
+        found[key.strip()] = document.content
+    return found
+
+
+def _steps(key: str) -> Place:
+    steps: list[int | str] = []
+    for part in key.split("."):
+        match = _STEP.fullmatch(part.strip())
+        numbers = [] if match is None else [int(n) for n in re.findall(r"\d+", match[2])]
+        if match is None or 0 in numbers:
+            raise SceneError(
+                f"no key {key[:60]!r}; expected one such as test.force, structure.masses[1] (lists count from 1) or, "
+                "for every item of a list, dampers.clearance"
+            )
+        steps += [match[1], *(n - 1 for n in numbers)]
+    return tuple(steps)

@@ -64,7 +64,7 @@ peers: $(STAMP)
 	$(BIN)/python -m tests.peers.ours build/peers
 	MPLBACKEND=agg $(VENV)-peers/bin/python tests/peers/theirs.py build/peers
 
-# The API reference from the docstrings, in build/docs.
+# The API reference from the docstrings and the reference of scene files, in build/docs.
 docs: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[dev,docs]"
 	$(BIN)/python -m tests.api_reference build/docs

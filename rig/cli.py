@@ -71,11 +71,26 @@ def _list(rows: Sequence[tuple[str, str]]) -> None:
 
 
 @app.command()
-def schema() -> None:
-    """Print the JSON Schema of scene files, for editors."""
+def schema(
+    explain: Annotated[bool, typer.Option("--explain", help="Every key in words, as Markdown.")] = False,
+) -> None:
+    """Print the JSON Schema of scene files, for editors; or the reference of all keys."""
     from rig.scene.json_schema import schema_text
+    from rig.scene.reference import page
 
-    print(schema_text(), end="")
+    print(page() if explain else schema_text(), end="")
+
+
+@app.command("help")
+def help_(
+    key: Annotated[
+        str | None, typer.Argument(metavar="[KEY]", help="Such as test.force, or only force.")
+    ] = None,
+) -> None:
+    """Explain a key of scene files: what it means, what it takes, and what holds without it."""
+    from rig.scene.reference import help_on
+
+    print(help_on(key))
 
 
 @app.command()

@@ -1,4 +1,4 @@
-"""The API reference: what the three packages' faces offer, from its docstrings (`make docs`)."""
+"""The API reference, from the docstrings of the three packages' faces, and that of scene files (`make docs`)."""
 
 import sys
 from importlib import import_module
@@ -10,13 +10,18 @@ PACKAGES = ("rig", "daq", "analysis")
 def main(folder: Path) -> None:
     """Write one page for each package; a face finds its names when they are asked for, and pdoc does not ask."""
     import pdoc
+    from pdoc.render_helpers import to_html
+
+    from rig.scene.reference import page
 
     for package in map(import_module, PACKAGES):
         for name in package.__all__:
             setattr(package, name, getattr(package, name))
     pdoc.render.configure(docformat="numpy", math=True)
     pdoc.pdoc(*PACKAGES, output_directory=folder)
-    print(f"open {folder / 'index.html'}")
+    scenes = folder / "scenes.html"
+    scenes.write_text(f"<!doctype html><title>Scene files</title>{to_html(page())}", encoding="utf-8")
+    print(f"open {folder / 'index.html'} and {scenes}")
 
 
 if __name__ == "__main__":

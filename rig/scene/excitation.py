@@ -66,6 +66,7 @@ class Measure(Settings):
     """How long a steady step is measured: a number of periods of the drive."""
 
     periods: Count = 20
+    """How many."""
 
 
 class SteppedSine(Settings):
@@ -83,16 +84,21 @@ class SteppedSine(Settings):
     frequencies: tuple[Frequency, ...] | None = Field(None, min_length=1, max_length=MOST_STEPS)
     """Instead of from, to and points: the frequencies [Hz], rising."""
     spacing: Spacing = "linear"
+    """Whether the frequencies are evenly spaced on a linear or a logarithmic axis."""
     direction: Literal["up", "down", "both"] = "up"
     """Order of the frequencies; both: up, then down."""
     force: Forces | None = None
-    """Amplitude as in `Sine`; several are run one after another."""
+    """Amplitude of the spring force, held by the controller; with a shaker of kind force, of the force itself
+    [N]. Several levels are run one after another."""
     drive: Drives | None = None
-    """Instead of `force`, as in `Sine`; several are run one after another."""
+    """Instead of `force`: amplitude of the drive, open loop [V or m, as the shaker's kind takes]. Several levels are
+    run one after another."""
     shaker: ShakerNumber | None = None
     """Where there are several shakers: the number of the one to drive; the outputs of the others stay at zero."""
     settle: Settle = Settle()
+    """When a step counts as steady."""
     measure: Measure = Measure()
+    """How long a steady step is measured."""
 
     def relations(self) -> Iterable[Mistake]:
         """Check the range, or the list in its place."""
@@ -155,10 +161,12 @@ class SweptSine(Settings):
     duration: Duration
     """Time from end to end [s]."""
     spacing: Spacing = "log"
+    """Whether the frequency rises by equal steps (linear) or by equal factors (log) in equal times."""
     force: Force | None = None
-    """Amplitude as in `Sine`."""
+    """Amplitude of the spring force, held by the controller; with a shaker of kind force, of the force itself
+    [N]."""
     drive: Drive | None = None
-    """Instead of `force`, as in `Sine`."""
+    """Instead of `force`: amplitude of the drive, open loop [V or m, as the shaker's kind takes]."""
     shaker: ShakerNumber | None = None
     """Where there are several shakers: the number of the one to drive; the outputs of the others stay at zero."""
 
@@ -183,9 +191,9 @@ class Random(Settings):
     burst: Annotated[float, Quantity(RATIO, above=0.0, below=1.0)] | None = None
     """Share of each block during which the noise is on, above 0 and below 1; None: always on."""
     force: Force | None = None
-    """Root mean square of the force, otherwise as in `Sine`."""
+    """Root mean square of the spring force; with a shaker of kind force, of the force itself [N]."""
     drive: Drive | None = None
-    """Instead of `force`: root mean square of the drive."""
+    """Instead of `force`: root mean square of the drive [V or m, as the shaker's kind takes]."""
     shaker: ShakerNumber | None = None
     """Where there are several shakers: the number of the one to drive; the outputs of the others stay at zero."""
 
@@ -213,9 +221,9 @@ class Multisine(Settings):
     realisations: Count = 4
     """How many sets of phases are run."""
     force: Force | None = None
-    """Root mean square of the force, otherwise as in `Sine`."""
+    """Root mean square of the spring force; with a shaker of kind force, of the force itself [N]."""
     drive: Drive | None = None
-    """Instead of `force`: root mean square of the drive."""
+    """Instead of `force`: root mean square of the drive [V or m, as the shaker's kind takes]."""
     shaker: ShakerNumber | None = None
     """Where there are several shakers: the number of the one to drive; the outputs of the others stay at zero."""
 

@@ -126,7 +126,7 @@ class Hammer(Settings):
     sensitivity: Annotated[float, Quantity(FORCE_SENSITIVITY, above=0.0)] | None = None
     """Nominal sensitivity [V/N]; None: 1."""
     sensitivity_tolerance: Tolerance | None = None
-    """As in `Accelerometer`."""
+    """Largest deviation of the true sensitivity from the nominal one, as a share; the seed draws it."""
     noise: Annotated[float, Quantity(FORCE_NOISE, at_least=0.0)] | None = None
     """White noise density [N/sqrt(Hz)]."""
     low_cutoff: Corner | None = None
@@ -134,7 +134,7 @@ class Hammer(Settings):
     saturation: Annotated[float, Quantity(FORCE, above=0.0)] | None = None
     """Largest force the output follows [N]."""
     iepe: bool | None = None
-    """As in `Accelerometer`."""
+    """Whether its amplifier needs the current that the converter feeds it with (`excitation`)."""
 
     def relations(self) -> Iterable[Mistake]:
         """Check that the part is known."""
@@ -155,7 +155,8 @@ class Channel(Settings):
     at: Annotated[
         str, Field(pattern=r"^(body [1-9][0-9]{0,5}|hammer|(table|shaker|drive)( [1-9][0-9]{0,3})?)$")
     ]
-    """body 1, ..., table, hammer, shaker or drive (what the last two read: see above)."""
+    """body 1, ..., table, hammer, shaker (the force of a shaker of kind force) or drive (the voltage of its output);
+    where there are several shakers with the number of one, table 2."""
     accelerometer: Accelerometer | None = None
     """Sensor at a body or the table."""
     integrator: Integrator | None = None
@@ -166,9 +167,9 @@ class Channel(Settings):
     """Limit of the measured quantity, in the channel's unit, above which the recording is marked [m, m/s,
     m/s^2, N or V]."""
     abort: Limit | None = None
-    """The same, above which the test ends."""
+    """Limit of the measured quantity, in the channel's unit, above which the test ends [m, m/s, m/s^2, N or V]."""
     coupling: Literal["AC", "DC"] | None = None
-    """Of this input alone; None: the converter's."""
+    """Coupling of this input alone; None: the converter's."""
     excitation: Supply | None = None
     """Current that feeds the sensor at this input [A], 0: none; None: the converter's."""
 

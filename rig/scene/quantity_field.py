@@ -48,7 +48,9 @@ class Quantity:
             f"below {below:g}" if below is not None else "",
             "" if infinite else "finite",
         ]
-        self.bounded = f"{self.plain}, {' and '.join(filter(None, limits))}"
+        self.bounded = f"{self.plain}, {' and '.join(filter(None, limits))}".rstrip(", ")
+        units = " or ".join(kind.si for kind in kinds)
+        self.offered = f"{self.bounded}; a bare number is in {units}" if units else self.bounded
 
     def read(self, value: Any) -> float | tuple[float, ...]:
         """Read and check a value.

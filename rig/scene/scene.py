@@ -39,13 +39,17 @@ class Scene(Settings):
     gravity: Annotated[float, Quantity(ACCELERATION, at_least=0.0)] = STANDARD_GRAVITY
     """Downward acceleration [m/s^2]."""
     dampers: tuple[Damper, ...] = ()
+    """Particle dampers, at most one in a body."""
     shaker: Shakers | None = None
     """One, or a list of several, each with its own body, spring, amplifier and output."""
     test: Test | None = None
+    """What the bench does to the structure, and for how long; `daq record` runs it."""
     channels: tuple[Channel, ...] | None = Field(None, min_length=1, max_length=MOST_CHANNELS)
-    """None: ideal acceleration of every body and the table."""
+    """What is measured where. None: ideal acceleration of every body and the table."""
     converter: Converter = Converter()
+    """The analogue-to-digital converter and its clock; ideal, at 5120 Hz, where nothing is given."""
     recording: RecordingSettings = RecordingSettings()
+    """What goes into the recording besides the channels."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     """Where all random numbers of a run start."""
 

@@ -124,7 +124,7 @@ class Settings(BaseModel):
             quantity = _quantity(field)
             if quantity is not None and field.description:
                 about = known["properties"][field.alias or name]
-                about["description"] = f"{field.description} Give {quantity.bounded}."
+                about["description"] = f"{field.description} Give {quantity.offered}."
         return reference
 
     @model_validator(mode="wrap")

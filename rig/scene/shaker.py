@@ -152,6 +152,7 @@ class Amplifier(Settings):
     """Power amplifier: a voltage or a current source."""
 
     mode: Literal["voltage", "current"] = "voltage"
+    """Whether the drive sets the voltage at the coil or the current through it."""
     gain: Annotated[float, Quantity(RATIO, TRANSCONDUCTANCE, above=0.0)] = 1.0
     """Output per volt of drive [V/V, or A/V in current mode]."""
     limit: Annotated[float, Quantity(VOLTAGE, CURRENT, above=0.0, infinite=True)] = float("inf")

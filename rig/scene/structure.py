@@ -56,9 +56,10 @@ class RayleighDamping(Settings):
 
 
 class Dashpots(Settings):
-    """A dashpot beside each spring of the chain [N s/m]."""
+    """A dashpot beside each spring of the chain."""
 
     dashpots: tuple[Annotated[float, Quantity(DASHPOT, at_least=0.0)], ...]
+    """One for each spring [N s/m]."""
 
 
 Damping = Annotated[ModalDamping | RayleighDamping | Dashpots, Alternatives(by_key)]
@@ -77,7 +78,7 @@ class Structure(Settings):
     )
     """Stiffness of spring j between body j and body j-1, ground for j = 1 [N/m]. 0: not connected."""
     damping: Damping | None = None
-    """None: undamped."""
+    """Damping of the structure, in one of three forms. None: undamped."""
     matrices: Matrices | None = None
     """In place of masses and springs."""
 

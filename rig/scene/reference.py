@@ -1,0 +1,208 @@
+"""The reference of scene files, made from their JSON Schema: every key, what it means and what it takes."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from functools import cache
+from pathlib import Path
+from textwrap import fill
+from typing import Any
+
+from rig.errors import SceneError
+
+_SCHEMA = Path(__file__).parent / "data" / "scene.schema.json"
+_WIDTH = 100
+_INTRODUCTION = (
+    "Quantities carry units (0.98 mm, 6.6 kN/m, 5 %); a bare number is SI, a frequency Hz. What is left out and has no "
+    "default is not modelled: it adds no state, runs no code and costs nothing. What the effects of a scene cost: "
+    "rig explain SCENE --measure."
+)
+
+
+@dataclass(frozen=True)
+class Key:
+    """One key of scene files.
+
+    Attributes
+    ----------
+    name : str
+        Dotted, with [] behind a key whose value is a list of keys: ``dampers[].clearance``.
+    kinds : tuple of str
+        The kinds (of shaker, test, ...) that have it; empty: whatever the kind.
+    about, takes, without : str
+        What it means, what it takes, and what holds where it is left out.
+    """
+
+    name: str
+    kinds: tuple[str, ...]
+    about: str
+    takes: str
+    without: str
+
+
+@cache
+def keys() -> tuple[Key, ...]:
+    """List all keys of scene files, in the order of the scene.
+
+    Keys that several kinds have in common are listed once.
+
+    Examples
+    --------
+    >>> next(key for key in keys() if key.name == "dampers[].clearance").takes
+    'a length such as 0.98 mm, at least 0; a bare number is in m'
+    """
+    schema = json.loads(_SCHEMA.read_text(encoding="utf-8"))
+    found: dict[tuple[str, ...], Key] = {}
+    for key in _inside(schema, schema, "", ()):
+        same = (key.name, key.about, key.takes, key.without)
+        kinds = dict.fromkeys((*found[same].kinds, *key.kinds)) if same in found else key.kinds
+        found[same] = replace(key, kinds=tuple(kinds))
+    return tuple(found.values())
+
+
+def _inside(schema: Any, node: Any, path: str, kinds: tuple[str, ...]) -> Iterator[Key]:
+    """Yield the keys below a node: those of the object it is, of each that it may be, or of a list's items."""
+    node = _resolved(schema, node)
+    for choice in node.get("anyOf", ()):
+        listed = choice.get("type") == "array"
+        # A list of what may also stand alone has the same keys.
+        if not (listed and len(node["anyOf"]) > 1):
+            yield from _inside(schema, choice, path, kinds)
+    if node.get("type") == "array":
+        yield from _inside(schema, node["items"], f"{path}[]", kinds)
+    own = node.get("properties", {})
+    kind = own.get("kind", {}).get("const")
+    groups = [[one["required"][0] for one in group["oneOf"]] for group in node.get("allOf", ())]
+    for name, field in own.items():
+        if "const" in field:
+            continue
+        here = kinds if kind is None else (kind,)
+        about, _, takes = field.get("description", "").partition(" Give ")
+        about = about or _resolved(schema, field.get("items", field)).get("description", "")
+        about, _, nothing = re.sub(r"[;,.] None: ", "\0", about.replace("`", "")).partition("\0")
+        default = field.get("default")
+        alternatives = next((" or ".join(group) for group in groups if name in group), None)
+        if alternatives is not None:
+            without = f"{alternatives} is needed"
+        elif name in node.get("required", ()):
+            without = "needed"
+        elif isinstance(default, dict):
+            without = "as its keys without a value"
+        elif default is None or isinstance(default, list):
+            without = nothing.rstrip(".") or "not there"
+        else:
+            without = json.dumps(default).strip('"')
+        full = f"{path}.{name}".lstrip(".")
+        yield Key(full, here, about.rstrip(".") + ".", takes.rstrip(".") or _takes(schema, field), without)
+        yield from _inside(schema, field, full, here)
+
+
+def _resolved(schema: Any, node: Any) -> Any:
+    reference = node.get("$ref")
+    return node if reference is None else {**schema["$defs"][reference.rpartition("/")[2]], **node}
+
+
+def _takes(schema: Any, node: Any) -> str:
+    """Say what a value may be that is no quantity."""
+    node = _resolved(schema, node)
+    choices = [_resolved(schema, choice) for choice in node.get("anyOf", ())]
+    named = [
+        choice["properties"]["kind"]["const"] for choice in choices if "kind" in choice.get("properties", {})
+    ]
+    if named:
+        return f"keys, with kind: {', '.join(named)}"
+    if choices:
+        return " or ".join(dict.fromkeys(_takes(schema, choice) for choice in choices))
+    if "properties" in node:
+        return f"keys {', '.join(node['properties'])}"
+    if "enum" in node:
+        return f"one of {', '.join(node['enum'])}"
+    if node["type"] == "array":
+        inner = node["items"].get("description") or _takes(schema, node["items"])
+        return f"a list, each {'with ' * inner.startswith('keys')}{inner}"
+    least, most = node.get("minimum"), node.get("maximum")
+    limits = f"{'' if least is None else f', at least {least}'}{'' if most is None else f', at most {most}'}"
+    file = "the name of an .npy file beside the scene" if "npy" in node.get("pattern", "") else "text"
+    return {"integer": "a whole number", "number": "a number", "boolean": "true or false", "string": file}[
+        node["type"]
+    ] + limits
+
+
+def help_on(key: str | None = None) -> str:
+    """Explain a key: what it means, what it takes, what holds without it, and the keys inside.
+
+    Parameters
+    ----------
+    key : str, optional
+        Dotted, from the top or only its end (``clearance``); numbers of items do not matter. None: all at the top.
+
+    Raises
+    ------
+    SceneError
+        If there is no such key.
+    """
+    if key is None:
+        top = [_line(each, each.name) for each in keys() if "." not in each.name]
+        return "\n".join(
+            [_wrapped(_INTRODUCTION, ""), "", *top, "", "more: rig help KEY, such as test.force"]
+        )
+    wanted = _plain(key)
+    by_name: dict[str, list[Key]] = {}
+    for each in keys():
+        by_name.setdefault(_plain(each.name), []).append(each)
+    exact = [wanted] if wanted in by_name else [name for name in by_name if name.endswith(f".{wanted}")]
+    if not exact:
+        near = get_close_matches(wanted, [*by_name, *(name.rpartition(".")[2] for name in by_name)], n=3)
+        hint = (
+            f"did you mean {' or '.join(dict.fromkeys(near))}?" if near else "rig help lists those at the top"
+        )
+        raise SceneError(f"no key {key[:60]!r} in scene files; {hint}")
+    return "\n\n".join("\n".join(_told(each, name)) for name in exact for each in by_name[name])
+
+
+def _told(key: Key, plain: str) -> Iterator[str]:
+    yield f"{key.name}{_of(key)}"
+    yield _wrapped(key.about, "  ")
+    yield _wrapped(f"takes: {key.takes}", "  ")
+    yield f"  left out: {key.without}"
+    inside = [each for each in keys() if re.fullmatch(rf"{re.escape(plain)}\.\w+", _plain(each.name))]
+    if inside:
+        yield "  keys:"
+        yield from (f"  {_line(each, each.name.rpartition('.')[2])}" for each in inside)
+
+
+def _line(key: Key, name: str) -> str:
+    first = re.split(r"[.;:](?:\s|$)", key.about)[0]
+    return f"  {name:{18}} {first}{_of(key)}"
+
+
+def _of(key: Key) -> str:
+    return f"   ({', '.join(key.kinds)})" if key.kinds else ""
+
+
+def _wrapped(text: str, indent: str) -> str:
+    return fill(text, _WIDTH, initial_indent=indent, subsequent_indent=indent + "  " * bool(indent))
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"\[\d*\]", "", name).strip()
+
+
+def page() -> str:
+    """Write the whole reference as Markdown."""
+    lines = ["# Scene files", "", _INTRODUCTION]
+    for key in keys():
+        if "." not in key.name:
+            lines += ["", f"## {key.name}", "", key.about, "", f"Takes {key.takes}. Left out: {key.without}."]
+            inside = [each for each in keys() if _plain(each.name).startswith(f"{_plain(key.name)}.")]
+            if inside:
+                lines += ["", "| key | what it is | takes | left out |", "|---|---|---|---|"]
+            lines += [
+                f"| `{each.name.partition('.')[2]}`{_of(each)} | {each.about} | {each.takes} | {each.without} |"
+                for each in inside
+            ]
+    return "\n".join(lines) + "\n"

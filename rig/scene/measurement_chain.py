@@ -155,8 +155,7 @@ class Channel(Settings):
     at: Annotated[
         str, Field(pattern=r"^(body [1-9][0-9]{0,5}|hammer|(table|shaker|drive)( [1-9][0-9]{0,3})?)$")
     ]
-    """body 1, ..., table, hammer, shaker (the force of a shaker of kind force) or drive (the voltage of its output);
-    where there are several shakers with the number of one, table 2."""
+    """body 1, ..., table, hammer, shaker or drive: the force of a shaker of kind force, the voltage of its output."""
     accelerometer: Accelerometer | None = None
     """Sensor at a body or the table."""
     integrator: Integrator | None = None

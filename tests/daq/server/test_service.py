@@ -1,3 +1,4 @@
+import queue
 import threading
 import time
 
@@ -215,10 +216,10 @@ def test_given_an_address_others_can_reach_when_served_without_certificates_then
 
 def test_given_a_callback_that_fails_when_events_go_on_then_so_does_the_task(caplog):
     with daq.connect("bare-structure", clock="fast") as rig, inputs(rig, samps_per_chan=300) as task:
-        done, calls = threading.Event(), []
+        done, calls = threading.Event(), queue.Queue()
 
         def fail(handle, kind, samples, data):
-            calls.append(samples)
+            calls.put(samples)
             raise RuntimeError("on purpose")
 
         task.register_every_n_samples_acquired_into_buffer_event(100, fail)
@@ -226,5 +227,5 @@ def test_given_a_callback_that_fails_when_events_go_on_then_so_does_the_task(cap
         task.start()
         task.wait_until_done()
         assert done.wait(60)
+        assert [calls.get(timeout=60.0) for _ in range(3)] == [100] * 3
         task.stop()
-    assert calls == [100] * 3

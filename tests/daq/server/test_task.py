@@ -1,3 +1,5 @@
+import queue
+
 import numpy as np
 import pytest
 from nidaqmx.constants import (
@@ -236,32 +238,37 @@ def test_given_an_output_on_the_input_clock_when_the_inputs_start_then_it_starts
 
 
 def test_given_a_callback_when_samples_come_then_it_is_called_at_each_multiple_and_finds_those(chassis):
-    calls = []
+    calls = queue.Queue()
     with Task() as task:
         inputs(task, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
 
         def look(handle, kind, samples, data):
-            calls.append((kind, samples, len(task.read(samples))))
+            calls.put((kind, samples, len(task.read(samples))))
             return 0
 
         task.register_every_n_samples_acquired_into_buffer_event(100, look)
         task.start()
         chassis.pass_time(0.1)
+        heard = [calls.get(timeout=60.0) for _ in range(5)]
         task.stop()
-    assert calls == [(EveryNSamplesEventType.ACQUIRED_INTO_BUFFER.value, 100, 100)] * 5
+    assert heard == [(EveryNSamplesEventType.ACQUIRED_INTO_BUFFER.value, 100, 100)] * 5
+    assert calls.empty()
 
 
 def test_given_output_callbacks_when_samples_are_played_then_they_are_called(chassis):
-    calls, done = [], []
+    # Each kind of event comes on a thread of its own: they are waited for, in whatever order they come.
+    calls, done = queue.Queue(), queue.Queue()
     with Task() as driving:
         output(driving, np.zeros(50), samps_per_chan=250)
         driving.register_every_n_samples_transferred_from_buffer_event(
-            100, lambda *given: calls.append(given[2])
+            100, lambda *given: calls.put(given[2])
         )
-        driving.register_done_event(lambda handle, status, data: done.append(status))
+        driving.register_done_event(lambda handle, status, data: done.put(status))
         driving.start()
         driving.wait_until_done()
-    assert (calls, done) == ([100, 100], [0])
+        heard = [each.get(timeout=60.0) for each in (calls, calls, done)]
+    assert heard == [100, 100, 0]
+    assert calls.empty() and done.empty()
 
 
 def test_given_the_real_clock_when_samples_come_then_callbacks_run_on_a_thread_of_the_client():

@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.instrument.background_test import BackgroundTest
+from daq.instrument.errors import Code, DaqError
+from daq.instrument.teds import with_sensitivity
+from daq.instrument.values import Coupling, Excitation
 from daq.signal_chain.bench import AcquiredBlock, Bench
 from daq.signal_chain.channel import ChannelInfo
 from daq.signal_chain.decimation_filter import DELAY
 from rig.errors import SceneError
-from rig.scene.presets import filled_in
+from rig.scene.presets import filled_in, input_settings
+from rig.scene.shaker import DRIVE_PER_VOLT
+from rig.scene.teds import electronic_data_sheet
 
 if TYPE_CHECKING:
     from daq.instrument.channels import Channel
     from rig.scene.scene import Scene
-
-# What a volt at an output becomes, by the unit of the shaker's drive.
-DRIVE_PER_VOLT = {"V": 1.0, "N": 1.0, "m": 1e-3}
 
 
 class SampleSource(Protocol):
@@ -65,8 +67,11 @@ class SampleSource(Protocol):
     def leave_outputs(self) -> None:
         """Hear that somebody has taken an output."""
 
-    def wire(self, channels: Sequence[Channel]) -> None:
-        """Set couplings and supplies as channels want them."""
+    def wire(self, channels: Sequence[Channel], in_use: Collection[int]) -> None:
+        """Set couplings and supplies as channels want them; with -50103 for those in use that have others."""
+
+    def data_sheet(self, row: int) -> bytes | None:
+        """Give the electronic data sheet of the sensor at a channel; None if there is none to be read."""
 
     def filter_properties(self, row: int, rate: float | None) -> dict[str, Any]:
         """Give delay [s] of a channel's filter at a rate, and whether it is taken out."""
@@ -89,7 +94,6 @@ class SceneSource:
         self.scene = scene
         self.bench = Bench(scene)
         self.rate = self.bench.rate
-        self.channels: Sequence[ChannelInfo] = self.bench.channels
         self.lost: Sequence[tuple[int, int]] = self.bench.lost
         counts = bool(self.channels) and self.channels[0].volts_per_count is not None
         self.dtype: type[np.generic] = np.int32 if counts else np.float64
@@ -103,6 +107,11 @@ class SceneSource:
         )
         self.delay = float(DELAY) if filtered and not self._converter.remove_delay else 0.0
         self._test = BackgroundTest(self.bench)
+
+    @property
+    def channels(self) -> Sequence[ChannelInfo]:
+        """See `SampleSource.channels`."""
+        return self.bench.channels
 
     def warm_up(self) -> None:
         """Have compiled what has to be, before time begins to run: reads would wait for it in vain."""
@@ -125,8 +134,42 @@ class SceneSource:
         """See `SampleSource.leave_outputs`."""
         self._test.leave_shaker()
 
-    def wire(self, channels: Sequence[Channel]) -> None:
+    def wire(self, channels: Sequence[Channel], in_use: Collection[int]) -> None:
         """See `SampleSource.wire`."""
+        wiring, taken = list(self.bench.wiring), set(in_use)
+        for each in channels:
+            before = wiring[each.row]
+            wanted = before.replace(
+                coupling=Coupling(each.settings["ai_coupling"]).name, excitation=self._supply(each)
+            )
+            here, there = (input_settings(self.scene.converter, one) for one in (before, wanted))
+            if (here.coupling or "DC", here.excitation) == (there.coupling or "DC", there.excitation):
+                continue
+            if each.row in taken:
+                raise DaqError(
+                    f"the resource is reserved: {each.port.name} is in use with another coupling or sensor supply; "
+                    "stop that task, or give both the same",
+                    Code.PAL_RESOURCE_RESERVED,
+                )
+            wiring[each.row] = wanted
+            taken.add(each.row)
+        self.bench.rewire(wiring)
+
+    def _supply(self, channel: Channel) -> float | None:
+        """Give the current for a sensor, A; None where the scene leaves open what feeds it."""
+        if self._converter.excitation is None:
+            return None
+        if channel.settings["ai_excit_src"] == Excitation.NONE:
+            return 0.0
+        return self._converter.excitation or channel.module.currents[0]
+
+    def data_sheet(self, row: int) -> bytes | None:
+        """See `SampleSource.data_sheet`."""
+        channel = self.bench.wiring[row]
+        sheet = None if channel.integrator else electronic_data_sheet(channel, self.scene.seed)
+        if sheet is None:
+            return None
+        return with_sensitivity(sheet.bits, sheet.template, self.channels[row].sensitivity)
 
     def filter_properties(self, row: int, rate: float | None) -> dict[str, Any]:
         """See `SampleSource.filter_properties`."""

@@ -15,6 +15,8 @@ from daq.instrument.names import Port
 from daq.instrument.values import FROM_CUSTOM_SCALE, Coupling, Excitation, Wiring
 
 _ANALOG_INPUT, _ANALOG_OUTPUT = 10100, 10102
+# Limits that a script has taken away: there is no other that could hold.
+_NOT_SPECIFIED = {"ai_max": Code.AI_MAX_NOT_SPECIFIED, "ai_min": Code.AI_MIN_NOT_SPECIFIED}
 
 # Settings every input has, with what holds until something else is said.
 _INPUT: dict[str, Any] = {
@@ -118,6 +120,10 @@ class Channel:
         Of an input.
     settings : dict
         By the driver's names of the properties.
+    defaults : dict
+        What holds until something else is said.
+    without : set of str
+        Limits that a script has taken away and has to set anew.
     """
 
     name: str
@@ -127,6 +133,7 @@ class Channel:
     kind: Measurement | None
     settings: dict[str, Any] = field(default_factory=dict)
     defaults: dict[str, Any] = field(default_factory=dict)
+    without: set[str] = field(default_factory=set)
 
     @classmethod
     def input(
@@ -148,8 +155,8 @@ class Channel:
                 Code.PHYS_CHAN_MEAS_TYPE,
             )
         defaults = _defaults(kind)
-        # An input that feeds a sensor is coupled AC unless something else is said.
-        feeds = given.get("ai_excit_src") == Excitation.INTERNAL and Coupling.AC in module.couplings
+        # A module whose supply needs AC coupling couples so where it feeds a sensor, unless something else is said.
+        feeds = given.get("ai_excit_src") == Excitation.INTERNAL and module.supply_coupling == "AC"
         defaults["ai_coupling"] = Coupling.AC if feeds else module.couplings[0]
         if kind.type == MICROPHONE:
             loudest = given["ai_sound_pressure_max_sound_pressure_lvl"]
@@ -208,6 +215,23 @@ class Channel:
         """Whether the module feeds an IEPE sensor."""
         return bool(self.settings.get("ai_excit_src") == Excitation.INTERNAL)
 
+    def check_complete(self) -> None:
+        """Make sure that the channel has limits, and that its module can feed the sensor at its coupling.
+
+        Raises
+        ------
+        DaqError
+            With -200695 or -200694, and with -200077.
+        """
+        own, module = self.settings, self.module
+        for name in self.without:
+            self.get(name)
+        if self.fed and module.supply_coupling == "AC" and own["ai_coupling"] != Coupling.AC:
+            raise bad(
+                f"channel {self.name}: {module.product_type} feeds sensors with AC coupling only: leave "
+                "ai_coupling at AC, or set ai_excit_src to NONE"
+            )
+
     def check(self) -> None:
         """Check the settings against each other and against what the module can do; see `input`."""
         own = self.settings
@@ -241,7 +265,7 @@ class Channel:
                 f"channel {self.name}: terminal configuration {_named(Wiring, wiring)}: "
                 f"{self.module.product_type} has {', '.join(each.name for each in self.module.wirings)}"
             )
-        if own["ai_coupling"] not in (*self.module.couplings, Coupling.GND):
+        if own["ai_coupling"] not in self.module.couplings:
             raise bad(
                 f"channel {self.name}: coupling {_named(Coupling, own['ai_coupling'])}: "
                 f"{self.module.product_type} has {', '.join(each.name for each in self.module.couplings)}"
@@ -255,6 +279,10 @@ class Channel:
         DaqError
             With -200452, if channels of this kind have no such property.
         """
+        if name in self.without:
+            raise DaqError(
+                f"channel {self.name} has no {name} since it was deleted: set it again", _NOT_SPECIFIED[name]
+            )
         computed = _INPUT_COMPUTED if self.kind is not None else _OUTPUT_COMPUTED
         if name in computed:
             return computed[name](self)
@@ -280,6 +308,7 @@ class Channel:
         except DaqError:
             self.settings = before
             raise
+        self.without.discard(name)
 
     def reset(self, name: str) -> None:
         """Give a property its default back."""
@@ -288,6 +317,8 @@ class Channel:
             return
         self.get(name)
         self.set(name, self.defaults[name])
+        if name in _NOT_SPECIFIED:
+            self.without.add(name)
 
 
 def _named(kind: Any, value: int) -> str:

@@ -39,6 +39,7 @@ from daq.instrument.triggers import OtherTask
 
 if TYPE_CHECKING:
     from daq.instrument.bench_source import SampleSource
+    from daq.instrument.channels import Channel
     from daq.instrument.clock import Clock
 
 _BLOCK = 4096
@@ -365,6 +366,11 @@ class Chassis:
     def live(self) -> bool:
         """Whether any task that has been started is still open."""
         return len(self._awake) > 0
+
+    def wire(self, task: Runner, channels: Sequence[Channel]) -> None:
+        """Set the couplings and supplies that a task wants; with -50103 for inputs that run with others."""
+        running = [each.acquisition.plan.rows for other, each in self.inputs.items() if other is not task]
+        self.source.wire(channels, {row for rows in running for row in rows})
 
     def run_input(self, task: Runner, plan: InputPlan) -> InputEngine:
         """Start an acquisition."""

@@ -11,10 +11,18 @@ from daq.instrument.bench_source import SceneSource
 from daq.instrument.chassis import Chassis
 from daq.instrument.clock import Clock
 from daq.instrument.clock import clock as make_clock
-from daq.instrument.modules import CHASSIS_CATEGORY, SOUND_AND_VIBRATION, USB_BUS, Module
+from daq.instrument.modules import (
+    CHASSIS_CATEGORY,
+    COMPACT_DAQ_BUS,
+    SOUND_AND_VIBRATION,
+    USB_BUS,
+    Module,
+)
 from daq.instrument.values import Coupling, Wiring
-from rig.scene.modules import Inputs, module
+from rig.scene.modules import Module as Sheet
+from rig.scene.modules import module
 from rig.scene.presets import filled_in
+from rig.scene.shaker import Output
 
 
 def connect_scene(scene: rig.Scene | str | Path | None = None, clock: str | Clock | None = None) -> Chassis:
@@ -50,10 +58,11 @@ def connect_scene(scene: rig.Scene | str | Path | None = None, clock: str | Cloc
 
 
 def scene_modules(scene: rig.Scene, source: SceneSource) -> list[Module]:
-    """Give the chassis of a scene with its modules.
+    """Give the devices of a scene.
 
-    Inputs fill as many modules of the kind the scene's converter names as are needed; the outputs are on the
-    next one. Where no module is named, one takes all inputs, as ideal as the scene's converter is.
+    Inputs fill as many modules of the kind the scene's converter names as are needed, outputs those that its shakers
+    name; modules of the C series sit in a chassis, others are devices of their own. Where no module is named, one takes
+    all inputs, or outputs, as ideal as the scene has them.
 
     Parameters
     ----------
@@ -62,40 +71,32 @@ def scene_modules(scene: rig.Scene, source: SceneSource) -> list[Module]:
     source : SceneSource
         Its bench.
     """
-    converter, named = filled_in(scene.converter), scene.converter.preset
-    inputs, outputs = range(len(source.channels)), range(len(source.drive_per_volt))
-    order = (Coupling.AC, Coupling.DC) if converter.coupling == "AC" else (Coupling.DC, Coupling.AC)
-    sheet = Module(
-        name="",
-        product_type="shotrig inputs",
-        ranges=(float(converter.range),) if converter.range else (),
-        bits=converter.bits,
-        couplings=order,
-        own_rate=source.rate,
-        on_demand=converter.filter is None,
-    )
-    size = max(1, len(inputs))
-    if named is not None:
-        described = module(named)
-        assert described.inputs is not None  # as the scene's converter is one
-        sheet = _described(sheet, described.product_type, described.inputs)
-        size = described.inputs.channels
-    found = [Module("cDAQ1", "cDAQ-9178", category=CHASSIS_CATEGORY, bus=USB_BUS)]
-    for first in range(0, max(1, len(inputs)), size):
-        rows = tuple(inputs[first : first + size])
-        found.append(replace(sheet, name=f"cDAQ1Mod{len(found)}", inputs=rows, slot=len(found)))
-    found.append(replace(_OUTPUTS, name=f"cDAQ1Mod{len(found)}", slot=len(found), outputs=tuple(outputs)))
-    everything = replace(
-        sheet, inputs=tuple(inputs), outputs=tuple(outputs), category=SOUND_AND_VIBRATION, bus=USB_BUS
-    )
-    return [
-        found[0],
-        *(replace(each, chassis="cDAQ1", own_rate=source.rate) for each in found[1:]),
-        everything,
+    described = _inputs(scene, source)
+    outputs = [filled_in(shaker.output) for shaker in scene.shakers]
+    for row, output in enumerate(outputs):
+        _add_output(described, output, row)
+    if not outputs:
+        described.append(_IDEAL_OUTPUTS)
+    own = [replace(each, name=f"Dev{number}") for number, each in enumerate(_of(described, USB_BUS), 1)]
+    slots = [
+        replace(each, name=f"cDAQ1Mod{slot}", chassis="cDAQ1", slot=slot)
+        for slot, each in enumerate(_of(described, COMPACT_DAQ_BUS), 1)
     ]
+    chassis = [Module("cDAQ1", "cDAQ-9178", category=CHASSIS_CATEGORY, bus=USB_BUS)] if slots else []
+    everything = replace(
+        (own or slots)[0],
+        name="",
+        inputs=tuple(range(len(source.channels))),
+        outputs=tuple(range(len(source.drive_per_volt))),
+        category=SOUND_AND_VIBRATION,
+        bus=USB_BUS,
+        chassis="",
+        slot=0,
+    )
+    return [*chassis, *slots, *own, everything]
 
 
-_OUTPUTS = Module("", "shotrig outputs")
+_IDEAL_OUTPUTS = Module("", "shotrig outputs")
 _WIRINGS = {
     "pseudo_differential": Wiring.PSEUDO_DIFFERENTIAL,
     "differential": Wiring.DIFFERENTIAL,
@@ -103,19 +104,77 @@ _WIRINGS = {
 }
 
 
-def _described(sheet: Module, product_type: str, inputs: Inputs) -> Module:
-    """Give inputs what their module's data sheet says; the coupling that the scene sets comes first."""
-    return replace(
-        sheet,
-        product_type=product_type,
+def _of(modules: list[Module], bus: int) -> list[Module]:
+    return [each for each in modules if each.bus == bus]
+
+
+def _inputs(scene: rig.Scene, source: SceneSource) -> list[Module]:
+    converter, named = filled_in(scene.converter), scene.converter.preset
+    # The coupling that the scene sets is what an input has unless a script says something else.
+    order = (Coupling.AC, Coupling.DC) if converter.coupling == "AC" else (Coupling.DC, Coupling.AC)
+    rows = tuple(range(len(source.channels)))
+    ideal = Module(
+        name="",
+        product_type="shotrig inputs",
+        inputs=rows,
+        ranges=(float(converter.range),) if converter.range else (),
+        bits=converter.bits,
+        couplings=order,
+        own_rate=source.rate,
+        on_demand=converter.filter is None,
+    )
+    if named is None:
+        return [ideal]
+    sheet = module(named)
+    assert sheet.inputs is not None  # as the scene's converter is one
+    inputs = sheet.inputs
+    kind = replace(
+        _device(sheet, ideal),
         ranges=inputs.ranges,
         rates=inputs.rates,
-        couplings=tuple(each for each in sheet.couplings if each.name in inputs.couplings),
+        couplings=tuple(each for each in order if each.name in inputs.couplings),
         wirings=tuple(_WIRINGS[each] for each in inputs.terminals),
         currents=inputs.supply,
+        supply_coupling=inputs.supply_coupling,
         on_demand=inputs.on_demand,
         teds=inputs.teds,
     )
+    starts = range(0, max(1, len(rows)), inputs.channels)
+    return [replace(kind, inputs=rows[first : first + inputs.channels]) for first in starts]
+
+
+def _device(sheet: Sheet, like: Module) -> Module:
+    """Give a module the name and the place that its data sheet says."""
+    if sheet.family == "c_series":
+        return replace(like, product_type=sheet.product_type)
+    return replace(like, product_type=sheet.product_type, category=SOUND_AND_VIBRATION, bus=USB_BUS)
+
+
+def _add_output(modules: list[Module], output: Output, row: int) -> None:
+    """Put an output on the first module of its kind that has one free, or on another one."""
+    sheet = None if output.preset is None else module(output.preset)
+    outputs = None if sheet is None else sheet.outputs
+    like = _IDEAL_OUTPUTS
+    if sheet is not None and outputs is not None:
+        like = replace(
+            _device(sheet, like),
+            output_range=output.range or outputs.ranges[-1],
+            output_bits=output.bits,
+            output_rates=outputs.rates,
+            output_on_demand=outputs.on_demand,
+        )
+    elif output.range is not None:
+        like = replace(like, output_range=output.range, output_bits=output.bits)
+    most = 1 << 30 if outputs is None else outputs.channels
+    told = ("output_range", "output_bits", "output_rates", "output_on_demand")
+    for number, each in enumerate(modules):
+        fits = each.product_type == like.product_type and len(each.outputs) < most
+        if fits and (not each.outputs or all(getattr(each, key) == getattr(like, key) for key in told)):
+            modules[number] = replace(
+                each, outputs=(*each.outputs, row), **{key: getattr(like, key) for key in told}
+            )
+            return
+    modules.append(replace(like, outputs=(row,)))
 
 
 def default_scene() -> rig.Scene:

@@ -13,6 +13,8 @@ class Code(IntEnum):
     UNKNOWN = -1
     TIMESTAMP_NOT_ENABLED = -209842
     INVALID_GLOBAL_CHAN = -200882
+    AI_MAX_NOT_SPECIFIED = -200695
+    AI_MIN_NOT_SPECIFIED = -200694
     PROPERTY_NOT_SUPPORTED_FOR_SCALE_TYPE = -200601
     INVALID_ROUTING_DESTINATION_TERMINAL_NAME_ROUTING = -89121
     INVALID_ROUTING_SOURCE_TERMINAL_NAME_ROUTING = -89120
@@ -83,6 +85,21 @@ class Code(IntEnum):
 
 
 STOPPED_BEFORE_DONE = 200010
+
+
+def meaning(code: int) -> str:
+    """Say what a code means; empty if it is none of these.
+
+    Examples
+    --------
+    >>> meaning(-200077)
+    'Requested value is not a supported value for this property.'
+    """
+    if code == STOPPED_BEFORE_DONE:
+        return "A finite acquisition or generation was stopped before it was complete."
+    if code == Code.INVALID_ATTRIBUTE_VALUE:
+        return "Requested value is not a supported value for this property."
+    return f"{Code(code).name.replace('_', ' ').capitalize()}." if code in list(Code) else ""
 
 
 class DaqError(ShotrigError):

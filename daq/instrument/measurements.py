@@ -92,15 +92,16 @@ class Measurement:
                 + f" or those of a custom scale ({FROM_CUSTOM_SCALE})"
             )
 
-    def sensitivity_of(self, volts_per_unit: float) -> float:
-        """State a sensor's sensitivity [V per SI unit] in mV per g, N, m/s or Pa."""
-        size = _G if self.type == ACCELERATION else 1e-3 if self.type == VELOCITY else 1.0
-        return volts_per_unit * size * 1e3
-
-    def sensitivity_unit(self) -> dict[str, int]:
-        """Give the setting that says which units `sensitivity_of` states."""
-        found = {ACCELERATION: 12509, FORCE: 15891, VELOCITY: 15963}.get(self.type)
-        return {} if found is None else {f"{self.sensitivity}_units": found}
+    def sensitivity_settings(self, volts_per_unit: float) -> dict[str, Any]:
+        """State a sensor's sensitivity [V per SI unit] as its data sheet does: in V/g, mV/N, V s/m or mV/Pa."""
+        size, units = {
+            ACCELERATION: (_G, 12510),
+            FORCE: (1e3, 15891),
+            VELOCITY: (1.0, 15963),
+            MICROPHONE: (1e3, 0),
+        }[self.type]
+        found = {self.sensitivity: volts_per_unit * size}
+        return found | ({f"{self.sensitivity}_units": units} if units else {})
 
     def unit(self, settings: Mapping[str, Any]) -> str:
         """Name the unit of the readings."""

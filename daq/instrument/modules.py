@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from daq.instrument.errors import Code, DaqError, bad
 from daq.instrument.measurements import ACCELERATION, FORCE, MICROPHONE, VELOCITY, VOLTAGE
@@ -54,8 +54,11 @@ class Module:
     couplings, wirings, currents : tuple
         Couplings and terminal configurations that its inputs can be set to, the first being the default;
         currents of its IEPE supply, A.
-    on_demand : bool
-        Whether its inputs can be read without a sample clock; those of delta-sigma modules cannot.
+    supply_coupling : {"AC", "any"}
+        With which coupling that supply can be on.
+    on_demand, output_on_demand : bool
+        Whether its inputs can be read, and its outputs be written to, without a sample clock; those of delta-sigma
+        modules cannot.
     teds : bool
         Whether it reads the data sheets in sensors.
     measurements : frozenset of int
@@ -83,7 +86,9 @@ class Module:
     couplings: tuple[Coupling, ...] = (Coupling.AC, Coupling.DC)
     wirings: tuple[Wiring, ...] = (Wiring.PSEUDO_DIFFERENTIAL,)
     currents: tuple[float, ...] = (0.002,)
+    supply_coupling: Literal["AC", "any"] = "any"
     on_demand: bool = True
+    output_on_demand: bool = True
     teds: bool = True
     simultaneous: bool = True
     measurements: frozenset[int] = frozenset({VOLTAGE, ACCELERATION, FORCE, VELOCITY, MICROPHONE})

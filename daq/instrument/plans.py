@@ -40,7 +40,7 @@ def check_timing(task: TaskSettings) -> None:
     Raises
     ------
     DaqError
-        With -201087 for inputs that need a sample clock, -89136 for a clock that is not there, -200077 for
+        With -201087 for channels that need a sample clock, -89136 for a clock that is not there, -200077 for
         rates and numbers that cannot be, -89121 for a signal exported to no terminal.
     """
     timing = task.groups["timing"]
@@ -50,6 +50,19 @@ def check_timing(task: TaskSettings) -> None:
             "call timing.cfg_samp_clk_timing first",
             Code.SAMP_CLK_RATE_MUST_BE_SPECD,
         )
+    if (
+        task.kind == "ao"
+        and not task.clocked
+        and not all(each.module.output_on_demand for each in task.channels)
+    ):
+        raise DaqError(
+            f"{task.channels[0].module.product_type} puts out on its clock only, not on demand: "
+            "call timing.cfg_samp_clk_timing first",
+            Code.SAMP_CLK_RATE_MUST_BE_SPECD,
+        )
+    if task.kind == "ai":
+        for each in task.channels:
+            each.check_complete()
     if task.clocked:
         if not _OWN_CLOCK.fullmatch(timing["samp_clk_src"]):
             raise DaqError(

@@ -110,7 +110,7 @@ class Task:
         chassis = self.chassis
         start, reference = sources(self.settings, chassis)
         if self.settings.kind == "ai":
-            chassis.source.wire(self.settings.channels)
+            chassis.wire(self, self.settings.channels)
             plan = input_plan(self.settings, chassis.source, start, reference)
             self.acquisition = chassis.run_input(self, plan)
             self._open_log()
@@ -389,7 +389,7 @@ class Task:
         self.verify()
         self._reserve()
         chassis.wake(self)
-        chassis.source.wire(self.settings.channels)
+        chassis.wire(self, self.settings.channels)
         plan = input_plan(self.settings, chassis.source, None, None, on_demand=out.shape[1])
         self.acquisition = chassis.run_input(self, plan)
         try:
@@ -550,6 +550,7 @@ class Task:
             return written
 
     def _write_on_demand(self, volts: Array) -> int:
+        self.verify()
         self._reserve()
         try:
             self.chassis.wake(self)

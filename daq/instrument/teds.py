@@ -1,13 +1,14 @@
-"""Electronic data sheets of sensors (TEDS, IEEE 1451.4): the basic part, and what a file on disk stands in for."""
+"""Electronic data sheets of sensors (TEDS, IEEE 1451.4): those in the sensors, and files that stand in for them."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from daq.instrument.errors import Code, DaqError
 from daq.instrument.names import Port
-from daq.signal_chain.channel import ChannelInfo
 
 # Bits of the basic TEDS, in the order in which they come, lowest bit first.
 _BASIC = (
@@ -18,6 +19,10 @@ _BASIC = (
     ("teds_serial_num", 24),
 )
 _LEAST_BYTES = 8
+# Where in a template the sensor's sensitivity stands, 16 bits long, and what it is coded as: volts per unit in steps
+# of a ratio, from a smallest one on. 25: accelerometer (m/s^2) or force transducer (N), 27: microphone (Pa).
+_SENSITIVITY = {25: (2, 5e-7, 1.0003), 27: (1, 1e-5, 1.0002)}
+_HEAD = 74
 # Bits at the beginning of a virtual data sheet that belong to the file.
 _FILE_HEADER = 40
 
@@ -62,6 +67,31 @@ def basic_teds(data: bytes) -> dict[str, Any]:
     return found
 
 
+def sensitivity(data: bytes) -> float | None:
+    """Read what a sensor gives per unit [V]; None from a template that does not say.
+
+    Examples
+    --------
+    >>> sheet = with_sensitivity(bytes([17, 64, 0, 32, 4, 57, 48, 0]), 25, 0.0102)
+    >>> f"{sensitivity(sheet):.5f}"
+    '0.01020'
+    """
+    bits = int.from_bytes(data, "little")
+    if (bits >> 64) & 3 or (bits >> 66) & 0xFF not in _SENSITIVITY:
+        return None
+    offset, smallest, ratio = _SENSITIVITY[(bits >> 66) & 0xFF]
+    return smallest * ratio ** float((bits >> (_HEAD + offset)) & 0xFFFF)
+
+
+def with_sensitivity(basic: bytes, template: int, volts: float) -> bytes:
+    """Put a template with a sensor's sensitivity [V per unit] behind the basic part of its data sheet."""
+    bits = int.from_bytes(basic, "little") | template << 66
+    if template in _SENSITIVITY:
+        offset, smallest, ratio = _SENSITIVITY[template]
+        bits |= round(math.log(volts / smallest, ratio)) << (_HEAD + offset)
+    return bits.to_bytes(12, "little")
+
+
 def _unpacked(data: bytes) -> bytes:
     """Give the bytes of a virtual data sheet, which keeps a byte for every bit behind a header."""
     if set(data) - {0, 1}:
@@ -72,20 +102,31 @@ def _unpacked(data: bytes) -> bytes:
 
 
 class TedsMemory:
-    """The data sheets that scripts have put in place of those in the sensors."""
+    """The data sheets of the sensors, and those that scripts have put in their place.
 
-    def __init__(self) -> None:
-        self._virtual: dict[str, dict[str, Any]] = {}
+    Parameters
+    ----------
+    sensor : callable
+        Gives the data sheet of the sensor at a terminal, None if there is none.
+    """
+
+    def __init__(self, sensor: Callable[[Port], bytes | None]) -> None:
+        self._sensor = sensor
+        self._virtual: dict[str, bytes] = {}
 
     def configure(self, port: Port, path: str) -> None:
         """Let a file stand in for a sensor's data sheet; without a file, read that of the sensor itself."""
         if not path:
-            raise DaqError(f"{port.name}: no electronic data sheet was found", Code.TEDS_SENSOR_NOT_DETECTED)
+            self._virtual.pop(port.name.lower(), None)
+            self.sheet(port)
+            return
         try:
             data = Path(path).read_bytes()
         except OSError as error:
             raise DaqError(f"{path}: {error.strerror}", Code.VIRTUAL_TEDS_FILE_NOT_FOUND) from None
-        self._virtual[port.name.lower()] = basic_teds(_unpacked(data))
+        data = _unpacked(data)
+        basic_teds(data)
+        self._virtual[port.name.lower()] = data
 
     def clear(self, port: Port) -> None:
         """Forget the file that stands in for a sensor's data sheet."""
@@ -96,18 +137,21 @@ class TedsMemory:
         basic_teds(data)
         raise DaqError(f"{port.name}: no sensor with a memory was found", Code.TEDS_SENSOR_NOT_DETECTED)
 
-    def read(self, port: Port, info: ChannelInfo, name: str) -> Any:
-        """Read a property of the data sheet at a terminal.
-
-        Raises
-        ------
-        DaqError
-            With -200709, if there is none.
-        """
-        found = self._virtual.get(port.name.lower())
-        if found is None or name not in found:
+    def sheet(self, port: Port) -> bytes:
+        """Give the data sheet at a terminal; with -200709, if there is none."""
+        found = self._virtual.get(port.name.lower()) or self._sensor(port)
+        if found is None:
             raise DaqError(
-                f"{port.name}: {info.name} has no electronic data sheet with {name}",
+                f"{port.name}: no electronic data sheet was found; the sensor there has none",
                 Code.TEDS_SENSOR_NOT_DETECTED,
+            )
+        return found
+
+    def read(self, port: Port, name: str) -> Any:
+        """Read a property of the data sheet at a terminal; with -200709, if there is none that has it."""
+        found = basic_teds(self.sheet(port))
+        if name not in found:
+            raise DaqError(
+                f"{port.name}: the electronic data sheet has no {name}", Code.TEDS_SENSOR_NOT_DETECTED
             )
         return found[name]

@@ -120,7 +120,7 @@ def _of_terminal(call: Call, name: str) -> Any:
     port = parse_port(call.fields["physical_channel"])
     chassis = call.server.chassis
     module = chassis.module(port.device)
-    row = module.row(port.kind, port.number)
+    module.row(port.kind, port.number)
     found: dict[str, Any] = {
         "ai_supported_meas_types": sorted(module.measurements),
         "ai_term_cfgs": module.wiring_bits,
@@ -129,7 +129,7 @@ def _of_terminal(call: Call, name: str) -> Any:
     if port.kind == "ao":
         found = {"ao_supported_output_types": [10322], "ao_term_cfgs": 1}
     elif name.startswith("teds_"):
-        return call.server.teds.read(port, chassis.source.channels[row], name)
+        return call.server.teds.read(port, name)
     if name not in found:
         raise DaqError(f"{port.name} has no property {name}", Code.ATTR_NOT_SUPPORTED)
     return found[name]

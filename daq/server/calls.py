@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 
 from daq.instrument.errors import Code, DaqError, bad, unsupported
 from daq.instrument.measurements import MEASUREMENTS, Measurement, measurement
-from daq.instrument.names import parse_port, unflatten
+from daq.instrument.names import numbered, parse_port, unflatten
 from daq.instrument.reading import Reading
 from daq.instrument.scales import LINEAR, MAP_RANGES, POLYNOMIAL, TABLE, Scale, reverse_polynomial
 from daq.instrument.task import Task
 from daq.instrument.task_properties import get_value, set_value, set_values
+from daq.instrument.teds import sensitivity
 from daq.instrument.values import Signal, TimestampEvent, TimingType, TriggerType
 from daq.server.attributes import attribute_call
 from daq.server.protocol import timestamp
 
 if TYPE_CHECKING:
-    from daq.instrument.chassis import Chassis
     from daq.server.service import Server
 
 Answer = dict[str, Any]
@@ -116,27 +116,32 @@ def _create_teds_input(kind: str) -> Callable[[Call], Answer]:
         task.check_idle("adding channels")
         physical, name = given.pop("physical_channel"), given.pop("name_to_assign_to_channel")
         settings = chosen.settings({key: _plain(value) for key, value in given.items()}) | implied
-        sensors = [_sensor_sheet(task.chassis, each, chosen) for each in unflatten(physical)]
-        task.settings.add_inputs(physical, name, chosen, settings | sensors[0] | {"ai_is_teds": True})
+        terminals = unflatten(physical)
+        names = numbered(name, len(terminals)) if name else [""] * len(terminals)
+        for each, virtual in zip(terminals, names, strict=True):
+            own = settings | _told_by_sensor(call, each, chosen) | {"ai_is_teds": True}
+            task.settings.add_inputs(each, virtual, chosen, own)
         return {}
 
     return create
 
 
-def _sensor_sheet(chassis: Chassis, physical: str, kind: Measurement) -> dict[str, Any]:
+def _told_by_sensor(call: Call, physical: str, kind: Measurement) -> dict[str, Any]:
     """Give the settings that a sensor's own data sheet makes for a channel on its terminal.
 
     Raises
     ------
     DaqError
-        With -200709, if no sensor there says what it is.
+        With -200709 where no sensor says what it is, -200826 where it is none of that kind.
     """
     port = parse_port(physical)
-    module = chassis.module(port.device)
-    info = chassis.source.channels[module.row("ai", port.number)]
-    if not info.sensor or not kind.sensitivity:
-        raise DaqError(f"{port.name}: no electronic data sheet was found", Code.TEDS_SENSOR_NOT_DETECTED)
-    return {kind.sensitivity: kind.sensitivity_of(info.sensitivity), **kind.sensitivity_unit()}
+    volts = sensitivity(call.server.teds.sheet(port))
+    if volts is None or not kind.sensitivity:
+        raise DaqError(
+            f"{port.name}: the electronic data sheet there states no sensitivity of such a sensor",
+            Code.TEDS_SENSOR_DATA_ERROR,
+        )
+    return kind.sensitivity_settings(volts)
 
 
 def _plain(value: Any) -> Any:
@@ -397,7 +402,9 @@ def _write_raw(call: Call) -> Answer:
     given, task = call.fields, call.task
     task.settings.require("ao")
     kind = np.int16 if (task.settings.channels[0].module.output_bits or 32) <= 16 else np.int32
-    data = np.frombuffer(given["write_array"], dtype=kind)
+    # What is left over of an array that is no whole number of samples is not put out.
+    whole = given["num_samps"] * len(task.settings.channels)
+    data = np.frombuffer(given["write_array"], dtype=kind)[:whole]
     table = _table(task, data.astype(float), given["num_samps"], by_channel=False)
     written = task.write(_from_counts(task, table), given["auto_start"], given["timeout"])
     return {"samps_per_chan_written": written}

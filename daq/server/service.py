@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import grpc
 
-from daq.instrument.errors import Code, DaqError, bad
+from daq.instrument.errors import Code, DaqError, bad, meaning
+from daq.instrument.names import Port
 from daq.instrument.storage import Storage
 from daq.instrument.task import Task
 from daq.instrument.teds import TedsMemory
@@ -85,7 +86,7 @@ class Server:
         further: Sequence[grpc.GenericRpcHandler] = (),
     ) -> None:
         self.chassis, self.limits = chassis, limits or Limits()
-        self.storage, self.teds = Storage(), TedsMemory()
+        self.storage, self.teds = Storage(), TedsMemory(self._sensor_sheet)
         self.sessions = Sessions(chassis, self.storage, self.limits.tasks)
         self._said: dict[tuple[str, int], str] = {}
         self._closing = threading.Event()
@@ -107,6 +108,11 @@ class Server:
             self.port = self._server.add_secure_port(address, credentials)
         self._server.start()
         threading.Thread(target=self._watch, name="sessions", daemon=True).start()
+
+    def _sensor_sheet(self, port: Port) -> bytes | None:
+        module = self.chassis.module(port.device)
+        row = module.row("ai", port.number)
+        return self.chassis.source.data_sheet(row) if module.teds else None
 
     def close(self) -> None:
         """End all sessions and stop listening."""
@@ -136,12 +142,8 @@ class Server:
         """Say what an error number means; what was last said of it to this client."""
         if (peer, code) in self._said:
             return self._said[peer, code]
-        known = {int(each): each.name for each in Code}
-        if code == 200010:
-            return "A finite acquisition or generation was stopped before it was complete."
-        if code in known:
-            return f"{known[code].replace('_', ' ').capitalize()}.\n\nStatus Code: {code}"
-        return ""
+        found = meaning(code)
+        return f"{found}\n\nStatus Code: {code}" if found else ""
 
     def _handler(self, method: Method) -> Any:
         if method.streams:

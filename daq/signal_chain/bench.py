@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,7 @@ from rig.errors import SceneError
 from rig.simulation.plant import Plant
 
 if TYPE_CHECKING:
+    from rig.scene.measurement_chain import Channel
     from rig.scene.scene import Scene
     from rig.simulation.motion import Motion
 
@@ -51,8 +53,6 @@ class Bench:
     ----------
     rate : float
         Samples per second as the clock states it, of drive and channels alike.
-    channels : tuple of ChannelInfo
-        The channels, in the order of the rows of `AcquiredBlock.samples`.
     inputs : tuple of str
         Drive inputs, a subset of ``("shaker", "hammer")``; where there are several shakers, ``"shaker 1"``, ...
     drive_units : tuple of str
@@ -85,12 +85,26 @@ class Bench:
         self._outputs = Outputs(scene, self._plant.inputs, self._plant.drive_units)
         self._line = DriveLine(len(self._plant.inputs), self._intervals)
         self._converter = Quantiser(scene.converter, self._chain.channels)
-        self.channels: tuple[ChannelInfo, ...] = tuple(self._converter.channels)
         self.latency: int = self._chain.latency
         self.lost: tuple[tuple[int, int], ...] = self._converter.lost
         self.inputs: tuple[str, ...] = tuple(self._plant.inputs)
         self.drive_units: tuple[str, ...] = tuple(self._plant.drive_units)
         self._scale = np.array([[channel.unit_per_count] for channel in self.channels])
+
+    @property
+    def channels(self) -> tuple[ChannelInfo, ...]:
+        """The channels, in the order of the rows of `AcquiredBlock.samples`."""
+        return self._converter.channels
+
+    @property
+    def wiring(self) -> tuple[Channel, ...]:
+        """The channels of the scene as they are set now, see `rewire`."""
+        return self._chain.wiring
+
+    def rewire(self, wiring: Sequence[Channel]) -> None:
+        """Set couplings and supplies of the channels anew; see `daq.signal_chain.chain.Chain.rewire`."""
+        self._chain.rewire(wiring)
+        self._converter = Quantiser(self.scene.converter, self._chain.channels)
 
     def acquire(self, drive: NDArray[np.float64]) -> AcquiredBlock:
         """Play drive samples and acquire what comes out meanwhile.

@@ -61,6 +61,8 @@ class Chain:
         The channels; sizes of counts are the converter's business.
     effects : dict of str to dict of str to int
         For each channel the effects that are on, in the order of the signal, each with the states it adds.
+    wiring : tuple of Channel
+        The channels of the scene as they are set now, see `rewire`.
     latency : int
         By how many samples the numbers of the samples given lag behind those of the motion: the decimation
         filter's delay where the scene has it removed. So many samples fewer come out at first.
@@ -80,30 +82,48 @@ class Chain:
     """
 
     def __init__(self, scene: Scene, rate: float, points: Sequence[str], inputs: Sequence[str] = ()) -> None:
-        clock = SampleClock.of(scene.converter)
+        self._scene, self._clock = scene, SampleClock.of(scene.converter)
         converter = filled_in(scene.converter)
-        self._oversampling = _oversampling(rate, clock.true_rate, converter)
+        self._oversampling = _oversampling(rate, self._clock.true_rate, converter)
         channels = default_channels(scene, points) if scene.channels is None else scene.channels
-        late = delays(converter.skew, len(channels), clock.true_rate)
-        settings = [input_settings(scene.converter, channel) for channel in channels]
-        lines = [stages(*each, scene.seed) for each in zip(channels, settings, strict=True)]
+        self._late = delays(converter.skew, len(channels), self._clock.true_rate)
         self._inputs, self._sources = tuple(inputs), [_source(channel, scene) for channel in channels]
         self._cutters = [_cutter(channel, rate, points) for channel in channels]
-        room = BlockBuffers()
-        self._paths = [
-            SignalPath(channel.name, line, converter, clock, self._oversampling, delay, scene.seed, room)
-            for channel, line, delay in zip(channels, lines, late, strict=True)
-        ]
+        self._room = BlockBuffers()
         self._jitter = generator(scene.seed, "", "jitter") if converter.jitter else None
-        self.channels: tuple[ChannelInfo, ...] = tuple(
-            channel_info(channel.name, channel.at, line, own, clock, delay)
-            for channel, line, own, delay in zip(channels, lines, settings, late, strict=True)
-        )
-        self.effects = {
-            channel.name: channel_effects(line, converter, delay)
-            for channel, line, delay in zip(channels, lines, late, strict=True)
-        }
         self.latency = DELAY if converter.filter is not None and converter.remove_delay else 0
+        wired = [self._wire(row, channel) for row, channel in enumerate(channels)]
+        self.wiring: tuple[Channel, ...] = tuple(channels)
+        self._paths = [path for path, _, _ in wired]
+        self.channels: tuple[ChannelInfo, ...] = tuple(info for _, info, _ in wired)
+        self.effects = {info.name: effects for _, info, effects in wired}
+
+    def _wire(self, row: int, channel: Channel) -> tuple[SignalPath, ChannelInfo, dict[str, int]]:
+        """Set a channel up, from rest."""
+        scene, clock, delay = self._scene, self._clock, self._late[row]
+        settings, converter = input_settings(scene.converter, channel), filled_in(scene.converter)
+        line = stages(channel, settings, scene.seed)
+        path = SignalPath(
+            channel.name, line, converter, clock, self._oversampling, delay, scene.seed, self._room
+        )
+        info = channel_info(channel.name, channel.at, line, settings, clock, delay)
+        return path, info, channel_effects(line, converter, delay)
+
+    def rewire(self, wiring: Sequence[Channel]) -> None:
+        """Set couplings and supplies of the channels anew.
+
+        A channel that changes begins from rest with the next block, its sensor just switched on; the others go on.
+
+        Parameters
+        ----------
+        wiring : sequence of Channel
+            The channels of the scene with their new settings.
+        """
+        infos = list(self.channels)
+        for row, (before, channel) in enumerate(zip(self.wiring, wiring, strict=True)):
+            if channel != before:
+                self._paths[row], infos[row], self.effects[channel.name] = self._wire(row, channel)
+        self.wiring, self.channels = tuple(wiring), tuple(infos)
 
     def measure(self, motion: Motion, forces: Array | None = None) -> Array:
         """Measure the next block.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -69,7 +69,13 @@ def modules() -> list[Module]:
 
     return [
         replace(general, name="aoTester", product_type="PXIe-4322", outputs=rows[:8]),
-        replace(sensing, name="bridgeTester", product_type="PXIe-4331", number=0x74A9C4C4),
+        replace(
+            sensing,
+            name="bridgeTester",
+            product_type="PXIe-4331",
+            number=0x74A9C4C4,
+            rates=Rates(0.01, 102400.0),
+        ),
         replace(sensing, name="chargeTester", product_type="PXIe-4480", category=_DSA),
         replace(
             general, name="dmmTester", product_type="NI myDAQ", bus=_USB, inputs=rows[:2], outputs=rows[:2]
@@ -123,7 +129,11 @@ class SimulatedSignals:
     def leave_outputs(self) -> None:
         """See `SampleSource.leave_outputs`."""
 
-    def wire(self, channels: Sequence[Channel]) -> None:
+    def data_sheet(self, row: int) -> bytes | None:
+        """See `SampleSource.data_sheet`."""
+        return None
+
+    def wire(self, channels: Sequence[Channel], in_use: Collection[int]) -> None:
         """See `SampleSource.wire`."""
         for each in channels:
             self._low[each.row] = each.settings["ai_min"] * each.volts_per_unit
@@ -172,7 +182,7 @@ def save_what_ni_saved(storage: Storage, task: Task) -> None:
     storage.scales.update(scales)
     storage.authors.update(dict.fromkeys(scales, "Test Author"))
     volts = MEASUREMENTS["Voltage"]
-    task.settings.add_inputs("tsVoltageTester1/ai0", "Voltage_0", volts, {})
+    task.settings.add_inputs("tsVoltageTester1/ai0", "Voltage_0", volts, {"ai_min": -10.0, "ai_max": 10.0})
     timing = {"samp_clk_rate": 1000.0, "samp_quant_samp_mode": SampleMode.FINITE}
     timing |= {"samp_quant_samp_per_chan": 100, "samp_timing_type": TimingType.SAMPLE_CLOCK}
     for key, value in timing.items():

@@ -85,9 +85,12 @@ def test_given_nothing_said_when_asked_then_the_defaults_are_the_drivers(shared)
         assert task.timing.samp_quant_samp_mode == AcquisitionType.CONTINUOUS
         assert task.triggers.reference_trigger.pretrig_samples == 2
         channel = task.ai_channels[0]
-        channel.ai_max = 400.0
         del channel.ai_max
-        assert task.ai_channels[0].ai_max == 5.0
+        with pytest.raises(DaqError) as caught:
+            task.ai_channels[0].ai_max  # noqa: B018
+        assert caught.value.error_code == -200695
+        channel.ai_max = 400.0
+        assert task.ai_channels[0].ai_max == 400.0
 
 
 def test_given_a_terminal_twice_when_added_then_both_channels_read_it():

@@ -1,0 +1,152 @@
+"""What a task says of its inputs reaches the bench: supply, coupling, data sheets; devices are those of the scene."""
+
+import numpy as np
+import pytest
+from nidaqmx.constants import AcquisitionType, Coupling, ExcitationSource
+from nidaqmx.errors import DaqError
+from nidaqmx.system import System
+
+import rig
+from tests.daq.client import Task, connect, options
+
+RATE = 5120.0
+SCENE = """
+structure: {masses: [1 kg, 1 kg], springs: [40 kN/m, 40 kN/m], damping: {modal: 1 %}}
+shaker: {kind: electrodynamic, body: 1, spring: 6.6 kN/m}
+channels:
+  - {name: one, at: body 1, accelerometer: {preset: PCB 352C33}}
+  - {name: two, at: body 2, accelerometer: {preset: PCB 352C33}}
+  - {name: ideal, at: body 2}
+converter: {preset: MODULE, rate: 5120 Hz}
+"""
+
+
+def connected(module="NI 9234", text=SCENE):
+    scene = rig.loads(text.replace("MODULE", module))
+    return connect(scene, "fast")
+
+
+def spread(task, samples=4000):
+    """Standard deviation of what the inputs read once they have settled, V."""
+    return np.std(np.atleast_2d(task.read(samples))[:, samples // 2 :], axis=1)
+
+
+def driven(source, **timing):
+    """Read all inputs while the shaker is driven; the supply of the first one is as told, that of the second on."""
+    with Task() as driving, Task() as task:
+        driving.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
+        driving.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
+        driving.write(0.5 * np.sin(2 * np.pi * 20 * np.arange(256) / RATE))
+        for terminal, given in enumerate((source, ExcitationSource.INTERNAL, ExcitationSource.NONE)):
+            task.ai_channels.add_ai_accel_chan(
+                f"cDAQ1Mod1/ai{terminal}",
+                sensitivity=100.0,
+                min_val=-50.0,
+                max_val=50.0,
+                current_excit_source=given,
+                current_excit_val=0.002,
+            )
+        task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=4000)
+        driving.start()
+        return spread(task)
+
+
+def test_given_the_supply_off_when_a_sensor_that_needs_it_is_read_then_there_is_no_signal():
+    connected()
+    fed = driven(ExcitationSource.INTERNAL)
+    connected()
+    unfed = driven(ExcitationSource.NONE)
+    assert fed[0] > 1e-2 and unfed[0] < 1e-3 * fed[0]
+    # The others go on as before, that without an amplifier of its own even without supply.
+    np.testing.assert_allclose(unfed[1:], fed[1:], rtol=1e-3)
+
+
+def test_given_dc_coupling_when_a_fed_sensor_is_read_then_its_bias_is_seen():
+    connected("USB-4431")
+    with Task() as task:
+        channel = task.ai_channels.add_ai_voltage_chan("Dev1/ai0", min_val=-10, max_val=10)
+        channel.ai_excit_src, channel.ai_excit_val = ExcitationSource.INTERNAL, 0.0021
+        for coupling, bias in ((Coupling.DC, 9.0), (Coupling.AC, 0.0)):
+            task.stop()
+            channel.ai_coupling = coupling
+            task.timing.cfg_samp_clk_timing(1280.0, samps_per_chan=16000)
+            assert np.mean(task.read(16000, timeout=20.0)[-1000:]) == pytest.approx(bias, abs=0.1)
+
+
+def test_given_a_module_that_feeds_with_ac_coupling_only_when_dc_is_asked_for_then_it_is_refused():
+    connected()
+    with Task() as task:
+        channel = task.ai_channels.add_ai_accel_chan("cDAQ1Mod1/ai0", current_excit_val=0.002)
+        channel.ai_coupling = Coupling.DC
+        task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=10)
+        with pytest.raises(DaqError, match="AC coupling only") as caught:
+            task.start()
+    assert caught.value.error_code == -200077
+
+
+def test_given_an_input_in_use_when_another_task_wants_it_wired_otherwise_then_it_is_told_who_has_it():
+    connected()
+    with Task() as first, Task() as second:
+        first.ai_channels.add_ai_accel_chan("Dev1/ai0", current_excit_val=0.002)
+        second.ai_channels.add_ai_voltage_chan("Dev2/ai0")
+        for task in (first, second):
+            task.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
+        first.start()
+        with pytest.raises(DaqError, match="another coupling or sensor supply") as caught:
+            second.start()
+    assert caught.value.error_code == -50103
+
+
+def test_given_a_sensor_with_a_data_sheet_when_a_channel_is_made_of_it_then_its_sensitivity_is_known():
+    connected()
+    terminals = System.remote(options()).devices["cDAQ1Mod1"].ai_physical_chans
+    sensor = terminals["ai0"]
+    assert (sensor.teds_mfg_id, sensor.teds_model_num, sensor.teds_template_ids) == (25, 352, [25])
+    assert sensor.teds_serial_num != terminals["ai1"].teds_serial_num
+    with Task() as task:
+        channels = task.ai_channels.add_teds_ai_accel_chan("cDAQ1Mod1/ai0:1", "acc", min_val=-40, max_val=40)
+        assert task.channel_names == ["acc0", "acc1"]
+        assert channels.ai_accel_sensitivity == pytest.approx(0.1, rel=2e-4)
+        with pytest.raises(DaqError) as caught:
+            task.ai_channels.add_teds_ai_accel_chan("cDAQ1Mod1/ai2")
+    assert caught.value.error_code == -200709
+
+
+def test_given_a_device_of_its_own_when_a_scene_names_it_then_it_sits_in_no_chassis():
+    text = SCENE.replace("6.6 kN/m}", "6.6 kN/m, output: {preset: USB-4431}}")
+    connected("USB-4431", text)
+    (device,) = System.remote(options()).devices
+    assert (device.name, device.product_type) == ("Dev1", "USB-4431")
+    assert [len(device.ai_physical_chans), len(device.ao_physical_chans)] == [3, 1]
+    assert device.ao_voltage_rngs == [-3.5, 3.5]
+    with Task() as task:
+        task.ao_channels.add_ao_voltage_chan("Dev1/ao0", min_val=-3.5, max_val=3.5)
+        with pytest.raises(DaqError) as caught:
+            task.write(1.0)
+        assert caught.value.error_code == -201087
+        task.timing.cfg_samp_clk_timing(96e3)
+        assert task.timing.samp_clk_rate == 96e3
+
+
+def test_given_two_shakers_when_driven_through_one_module_then_each_follows_its_own_output():
+    shaker = "shaker: {kind: electrodynamic, body: 1, spring: 6.6 kN/m}"
+    both = (
+        "shaker:\n  - {kind: electrodynamic, body: 1, spring: 6.6 kN/m, output: {preset: NI 9260}}\n"
+        "  - {kind: electrodynamic, body: 2, spring: 6.6 kN/m, output: {preset: NI 9260}}"
+    )
+    text = SCENE.replace(shaker, both).replace(
+        "converter", "  - {name: first, at: drive 1}\n  - {name: second, at: drive 2}\nconverter"
+    )
+    connected(text=text)
+    devices = System.remote(options()).devices
+    assert [each.product_type for each in devices] == ["cDAQ-9178", "NI 9234", "NI 9234", "NI 9260 (BNC)"]
+    waves = np.stack([np.sin(2 * np.pi * n * np.arange(512) / 512) for n in (4, 11)])
+    with Task() as driving, Task() as task:
+        driving.ao_channels.add_ao_voltage_chan("cDAQ1Mod3/ao0:1", min_val=-4, max_val=4)
+        task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai3,cDAQ1Mod2/ai0", min_val=-5, max_val=5)
+        driving.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
+        task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=8192)
+        driving.write(waves, auto_start=True)
+        spectra = np.abs(np.fft.rfft(np.array(task.read(8192))[:, -512:], axis=1)) / 256
+    assert np.argmax(spectra, axis=1).tolist() == [4, 11]
+    assert spectra[0, 11] < 1e-3 > spectra[1, 4]

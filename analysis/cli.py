@@ -98,6 +98,16 @@ def dampers(files: Files, output: Output = None) -> None:
 
 
 @app.command()
+def compare(files: Files, output: Output = None) -> None:
+    """How far every resonance peak of the first recording is lowered and moved in the others, with bounds."""
+    from analysis.presentation.comparison import present_compare
+
+    with counting("analysing") as progress:
+        result = present_compare(files, output, progress)
+    _show(result)
+
+
+@app.command()
 def report(files: Files, output: Output = None) -> None:
     """One self-contained HTML page about recordings."""
     from analysis.presentation.report import write_report

@@ -1,16 +1,13 @@
-"""What dampers are worth: peaks lowered, damping gained, mass added, energy taken out per cycle."""
+"""Energy that dampers take out of a period of a steady tone."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.modal.identification import identify
-from analysis.responses.frf import Frf
 from analysis.responses.measurands import motion_of, reference_of, responses
 from rig.errors import RecordingError
 
@@ -19,89 +16,6 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 Array = NDArray[np.float64]
-
-# A damped peak is looked for within this part of the bare natural frequency below it, and half of it above.
-_BELOW = 0.15
-
-
-@dataclass(frozen=True)
-class PeakChange:
-    """What became of one resonance of one response."""
-
-    response: str
-    frequency: float
-    damping: float
-    """Natural frequency [Hz] and damping ratio without dampers."""
-    bare: float
-    damped: float
-    """Largest receptance without and with dampers, m/N; the bare one between measured points, from its modal
-    fit."""
-    damped_frequency: float
-    """Hz, where the damped one is largest."""
-
-    @property
-    def reduction(self) -> float:
-        """Damped peak over bare peak."""
-        return self.damped / self.bare
-
-    @property
-    def equivalent_damping(self) -> float:
-        """Viscous damping ratio that would lower the bare peak as far."""
-        return self.damping / self.reduction
-
-    @property
-    def added_mass(self) -> float:
-        """Mass ratio that would shift the bare frequency as far (negative: shifted up)."""
-        return (self.frequency / self.damped_frequency) ** 2 - 1.0
-
-
-def peak_changes(bare: Sequence[Frf], damped: Sequence[Frf]) -> list[PeakChange]:
-    """Compare every resonance of every response, without and with dampers.
-
-    Parameters
-    ----------
-    bare, damped : sequence of Frf
-        All responses of a recording without, and of one with dampers.
-
-    Returns
-    -------
-    list of PeakChange
-        By response, then by frequency.
-    """
-    modes = identify(bare)
-    out = []
-    for curve in damped:
-        if curve.response not in modes.responses:
-            continue
-        row = modes.responses.index(curve.response)
-        part = curve.to("displacement")
-        for frequency, damping in zip(modes.frequency, modes.damping, strict=True):
-            near = part.between(frequency * (1.0 - _BELOW), frequency * (1.0 + _BELOW / 2))
-            if not near.frequency.size:
-                continue
-            top = int(np.argmax(abs(near.value)))
-            at_peak = modes.receptance(np.array([frequency]))[row, 0]
-            out.append(
-                PeakChange(
-                    curve.response,
-                    float(frequency),
-                    float(damping),
-                    float(abs(at_peak)),
-                    float(abs(near.value[top])),
-                    float(near.frequency[top]),
-                )
-            )
-    return out
-
-
-def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
-    """One line for each resonance compared."""
-    return [
-        f"{one.response}, {one.frequency:.2f} Hz: peak {one.bare:.3g} -> {one.damped:.3g} m/N "
-        f"({20 * np.log10(one.reduction):+.1f} dB), now at {one.damped_frequency:.2f} Hz; "
-        f"as if damped by {100 * one.equivalent_damping:.2g} % of critical"
-        for one in changes
-    ]
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.dampers.nonlinearity import damper_motion, describe_motion
+from analysis.dampers.nonlinearity import DamperMotion, damper_motion, describe_motion
 from analysis.dampers.performance import CycleEnergy, energy_per_cycle, impact_energy_per_cycle
 from analysis.presentation.expectations import expect
 from analysis.presentation.output_names import output_stem, with_ending
@@ -29,22 +29,26 @@ _NAMED = 8
 def present_dampers(
     paths: Sequence[Path], output: Path | None = None, progress: Progress | None = None
 ) -> Result:
-    """Tell and tabulate what the dampers did at each frequency of stepped sines.
+    """Tell, draw and tabulate what the dampers did at each frequency of stepped sines.
 
     Parameters
     ----------
     paths : sequence of Path
         Recordings of stepped sines with dampers.
     output : Path, optional
-        Folder for the tables; default beside the first recording.
+        Folder for figures and tables; default beside the first recording.
     progress : callable, optional
         Called with (frequencies done, in all) of the lock-in.
     """
+    from analysis.figures.dampers_figure import dampers_figure
+    from analysis.figures.style import save
+
     files, lines, notes = [], [], []
     for path, label in zip(paths, scene_labels(paths), strict=True):
         with opened(path) as rec:
             expect(rec, path, "dampers")
             rows: list[tuple[str | float, ...]] = []
+            drawn: list[tuple[list[list[DamperMotion]], CycleEnergy | None, str, np.ndarray | None]] = []
             for sweep in sweeps(rec, progress=progress):
                 name = relabelled(sweep.lines, rec.scene.name, label).label
                 motions, found = _motions(rec, sweep)
@@ -58,7 +62,12 @@ def present_dampers(
                 if energy is not None:
                     lines += [f"  {line}" for line in describe_energy(energy, true)]
                 rows += _rows(name, sweep, motions, energy, true)
+                drawn.append((motions, energy, name, true))
         stem = output_stem([path], output, "dampers")
+        for number, (motions, energy, name, true) in enumerate(drawn):
+            part = stem if number == 0 else stem.with_name(f"{stem.name}-{number + 1}")
+            if motions:
+                files += save(dampers_figure(motions, energy, name, true), part)
         heading = [
             "scene", "frequency_Hz", "supplied_J", "structure_J", "dampers_J", "true_impacts_J", "channel",
             "motion", "floor_per_period", "ceiling_per_period",
@@ -67,7 +76,7 @@ def present_dampers(
     return Result(tuple(files), tuple(lines), tuple(notes))
 
 
-def _motions(rec: Recording, sweep: Sweep) -> tuple[list[list[tuple[str, str, float, float]]], list[str]]:
+def _motions(rec: Recording, sweep: Sweep) -> tuple[list[list[DamperMotion]], list[str]]:
     """Motion at every frequency of each damped body, and its description."""
     every, text = [], []
     for body in sorted({damper.body for damper in rec.scene.dampers if not damper.locked}):
@@ -76,7 +85,7 @@ def _motions(rec: Recording, sweep: Sweep) -> tuple[list[list[tuple[str, str, fl
             text.append(f"body {body}: no channel on it, so that its impacts are not seen")
             continue
         motions = damper_motion(rec, sweep, info.name)
-        every.append([(one.channel, one.name, one.floor, one.ceiling) for one in motions])
+        every.append(motions)
         text += describe_motion(motions)
     return every, text
 
@@ -100,7 +109,7 @@ def describe_energy(energy: CycleEnergy, true: np.ndarray | None = None) -> list
 def _rows(
     name: str,
     sweep: Sweep,
-    motions: list[list[tuple[str, str, float, float]]],
+    motions: list[list[DamperMotion]],
     energy: CycleEnergy | None,
     true: np.ndarray | None,
 ) -> list[tuple[str | float, ...]]:
@@ -109,7 +118,15 @@ def _rows(
         nothing if true is None else true,
     )
     return [
-        (name, frequency, *(float(column[i]) for column in columns), *body[i])
+        (
+            name,
+            frequency,
+            *(float(column[i]) for column in columns),
+            body[i].channel,
+            body[i].name,
+            body[i].floor,
+            body[i].ceiling,
+        )
         for i, frequency in enumerate(sweep.lines.frequency)
         for body in motions
     ]

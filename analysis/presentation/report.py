@@ -12,6 +12,7 @@ from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING
 
+from analysis.presentation.comparison import present_compare
 from analysis.presentation.damper_findings import present_dampers
 from analysis.presentation.output_names import output_stem, with_ending
 from analysis.presentation.presentation import (
@@ -21,7 +22,7 @@ from analysis.presentation.presentation import (
     present_frf,
     present_modes,
 )
-from analysis.recordings.names import opened, scene_labels
+from analysis.recordings.names import opened
 from rig.errors import ShotrigError
 from rig.escaping import html
 from rig.output_files import make_ready, replacing
@@ -69,7 +70,8 @@ def write_report(
             body.append(_part(f"Dampers: {path.name}", partial(present_dampers, [path], folder), notes))
             commands.append(f"analysis dampers {_typed([path])}")
         if len(sweeps) > 1:
-            body.append(_part("What the dampers are worth", partial(_worth, sweeps), notes))
+            body.append(_part("What the dampers are worth", partial(present_compare, sweeps, folder), notes))
+            commands.append(f"analysis compare {names}")
         if decays:
             body.append(_part("Free decays", partial(present_decay, decays, folder), notes))
             commands.append(f"analysis decay {_typed(decays)}")
@@ -109,23 +111,6 @@ def _part(heading: str, make: Callable[[], Result], notes: list[str]) -> str:
             data = base64.b64encode(path.read_bytes()).decode()
             out.append(f'<figure><img alt="{html(path.stem)}" src="data:image/png;base64,{data}"></figure>')
     return "\n".join(out)
-
-
-def _worth(paths: Sequence[Path]) -> Result:
-    """Compare the resonances of the first recording with those of the others."""
-    from analysis.dampers.performance import describe_changes, peak_changes
-    from analysis.responses.frequency_responses import frequency_responses
-
-    curves = []
-    for path in paths:
-        with opened(path) as rec:
-            curves.append(frequency_responses(rec)[0])
-    lines: list[str] = []
-    names = scene_labels(paths)
-    for name, other in zip(names[1:], curves[1:], strict=True):
-        lines.append(f"{names[0]} -> {name}")
-        lines += [f"  {line}" for line in describe_changes(peak_changes(curves[0], other))]
-    return Result((), tuple(lines), ())
 
 
 def _tested(path: Path, rec: Recording) -> str:

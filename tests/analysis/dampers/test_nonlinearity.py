@@ -11,12 +11,7 @@ import daq
 import rig
 from analysis.cli import app
 from analysis.dampers.nonlinearity import DamperMotion, damper_motion, describe_motion, jumps
-from analysis.dampers.performance import (
-    describe_changes,
-    energy_per_cycle,
-    impact_energy_per_cycle,
-    peak_changes,
-)
+from analysis.dampers.performance import energy_per_cycle, impact_energy_per_cycle
 from analysis.presentation.damper_findings import present_dampers
 from analysis.responses.stepped_sine import sweeps
 from rig.errors import RecordingError
@@ -39,19 +34,6 @@ def test_given_no_channel_on_a_body_when_balanced_then_it_is_named(tmp_path):
         [sweep] = sweeps(rec)
         with pytest.raises(RecordingError, match="no channel on body 2"):
             energy_per_cycle(rec, sweep)
-
-
-def test_given_the_same_structure_twice_when_compared_then_nothing_has_changed(tmp_path):
-    frequencies = np.unique(np.append(np.linspace(8.0, 60.0, 105), [13.0366, 34.7773, 49.6628]))
-    with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", frequencies)) as rec:
-        [curves] = analysis.frequency_responses(rec)
-    changes = peak_changes(curves, curves)
-    assert len(changes) == 9
-    for change in changes:
-        assert change.reduction == pytest.approx(1.0, abs=1e-3)
-        assert change.equivalent_damping == pytest.approx(0.005, rel=2e-3)
-        assert abs(change.added_mass) < 1e-4
-    assert "+0.0 dB" in describe_changes(changes)[0] or "-0.0 dB" in describe_changes(changes)[0]
 
 
 def test_given_a_curve_with_a_resonance_only_when_searched_then_no_jump_is_claimed(tmp_path):

@@ -1,0 +1,194 @@
+"""What dampers are worth: resonance peaks without and with them, lowered and moved, with bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf, log10
+
+import numpy as np
+
+from analysis.modal.identification import identify
+from analysis.responses.frf import Frf
+
+# A peak is looked for within this part of the bare natural frequency below it, and half of it above.
+_BELOW = 0.15
+# A measured point that its neighbours foretell worse than this is no point of a smooth curve: the motion jumps.
+_SMOOTH = 0.2
+_GRID = 801
+
+
+@dataclass(frozen=True)
+class Peak:
+    """A resonance peak of a measured receptance.
+
+    Attributes
+    ----------
+    value, bound : float
+        Height and how far it may be off either way, m/N; `bound` is infinite where the motion jumps beside the highest
+        point, or that point is the last one looked at: the peak is then at least as high as `value`.
+    frequency, first, last : float
+        Where it is, and between which frequencies it may be, Hz.
+    """
+
+    value: float
+    bound: float
+    frequency: float
+    first: float
+    last: float
+
+
+def peak(frf: Frf, low: float, high: float) -> Peak | None:
+    """Find the peak of a receptance between two frequencies, between its measured points too.
+
+    Around a resonance 1/H is nearly a quadratic in frequency (k - m w^2 + i c w for one mode), so that it is
+    interpolated and not the peak itself: through the three points around the highest one, and through five as a check.
+    The bound holds the bounds of these points and what the two interpolations differ by; the peak's place is where the
+    curve comes within the bound of its height.
+
+    Parameters
+    ----------
+    frf : Frf
+        With respect to force.
+    low, high : float
+        Hz.
+
+    Returns
+    -------
+    Peak or None
+        None where fewer than three points lie between the frequencies.
+    """
+    part = frf.to("displacement").sorted()
+    part = part.between(low, high)
+    known = np.isfinite(part.value) & (abs(part.value) > 0)
+    f, inverse, size = part.frequency[known], 1.0 / part.value[known], abs(part.value[known])
+    if f.size < 3:
+        return None
+    around = np.nan_to_num(part.bound()[known])
+    top = int(np.argmax(size))
+    near = np.arange(max(top - 2, 0), min(top + 3, f.size))
+    if top in (0, f.size - 1):
+        return Peak(float(size[top]), inf, float(f[top]), float(f[near[0]]), float(f[near[-1]]))
+    foretold = _through(f[near[near != top]], inverse[near[near != top]], f[[top]])
+    if abs(abs(1.0 / foretold[0]) / size[top] - 1.0) > _SMOOTH and near.size > 3:
+        return Peak(float(size[top]), inf, float(f[top]), float(f[top - 1]), float(f[top + 1]))
+    three = slice(top - 1, top + 2)
+    grid = np.linspace(f[top - 1], f[top + 1], _GRID)
+    curve = abs(1.0 / _through(f[three], inverse[three], grid))
+    other = abs(1.0 / _through(f[near], inverse[near], grid))
+    best = int(np.argmax(curve))
+    # What each point's bound does to 1/H there, and so to the peak.
+    share = abs(_through(f[three], np.eye(3), grid[[best]]))[:, 0]
+    measured = curve[best] ** 2 * float(share @ (around[three] / size[three] ** 2))
+    bound = float(measured + 2.0 * abs(other.max() - curve[best]))
+    high_enough = np.concatenate(
+        [
+            grid[(curve >= curve[best] - bound) | (other >= other.max() - bound)],
+            f[size + around >= curve[best] - bound],
+        ]
+    )
+    return Peak(
+        float(curve[best]), bound, float(grid[best]), float(high_enough.min()), float(high_enough.max())
+    )
+
+
+def _through(f: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Interpolate complex values by the polynomial through all points."""
+    middle, scale = f.mean(), np.ptp(f)
+    weights = np.polynomial.polynomial.polyvander((f - middle) / scale, f.size - 1)
+    return np.polynomial.polynomial.polyval((at - middle) / scale, np.linalg.solve(weights, values))
+
+
+@dataclass(frozen=True)
+class PeakChange:
+    """What became of one resonance of one response."""
+
+    response: str
+    mode: float
+    """Natural frequency that the bare curves have [Hz]."""
+    damping: float
+    """Damping ratio there."""
+    bare: Peak
+    damped: Peak
+
+    @property
+    def decibel(self) -> tuple[float, float, float]:
+        """Change of the peak in dB, and between which values it lies (infinite: not bounded on that side)."""
+        bare, damped = self.bare, self.damped
+        return (
+            20.0 * log10(damped.value / bare.value),
+            _ratio_dB(damped.value - (0.0 if damped.bound == inf else damped.bound), bare.value + bare.bound),
+            _ratio_dB(damped.value + damped.bound, bare.value - (0.0 if bare.bound == inf else bare.bound)),
+        )
+
+    @property
+    def shift(self) -> tuple[float, float, float]:
+        """Shift of the peak in Hz, and between which values it lies."""
+        bare, damped = self.bare, self.damped
+        return (
+            damped.frequency - bare.frequency,
+            damped.first - bare.last,
+            damped.last - bare.first,
+        )
+
+    @property
+    def equivalent_damping(self) -> float:
+        """Viscous damping ratio that would lower the bare peak as far."""
+        return self.damping * self.bare.value / self.damped.value
+
+
+def _ratio_dB(above: float, below: float) -> float:  # noqa: N802
+    if above <= 0.0 or below == inf:
+        return -inf
+    return inf if below <= 0.0 or above == inf else 20.0 * log10(above / below)
+
+
+def peak_changes(bare: Sequence[Frf], damped: Sequence[Frf]) -> list[PeakChange]:
+    """Compare every resonance of every response, without and with dampers.
+
+    Parameters
+    ----------
+    bare, damped : sequence of Frf
+        All responses of a recording without, and of one with dampers (or with others).
+
+    Returns
+    -------
+    list of PeakChange
+        By response, then by frequency.
+    """
+    modes = identify(bare)
+    frequency = np.sort(modes.frequency)
+    between = np.sqrt(frequency[1:] * frequency[:-1])
+    low = np.maximum(frequency * (1.0 - _BELOW), np.append(0.0, between))
+    high = np.minimum(frequency * (1.0 + _BELOW / 2), np.append(between, inf))
+    damping = modes.damping[np.argsort(modes.frequency)]
+    by_name = {frf.response: frf for frf in bare}
+    out = []
+    for curve in damped:
+        if curve.response not in by_name:
+            continue
+        for f, zeta, first, last in zip(frequency, damping, low, high, strict=True):
+            before, after = peak(by_name[curve.response], first, last), peak(curve, first, last)
+            if before is not None and after is not None:
+                out.append(PeakChange(curve.response, float(f), float(zeta), before, after))
+    return out
+
+
+def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
+    """One line for each resonance compared."""
+    return [
+        f"{one.response}, {one.mode:.2f} Hz: peak {1e6 * one.bare.value:.4g} -> {1e6 * one.damped.value:.4g} µm/N, "
+        f"{_with_limits(one.decibel, 'dB', 1)}; from {one.bare.frequency:.2f} to {one.damped.frequency:.2f} Hz, "
+        f"{_with_limits(one.shift, 'Hz', 2)}; as if damped by {100 * one.equivalent_damping:.2g} % of critical"
+        for one in changes
+    ]
+
+
+def _with_limits(value: tuple[float, float, float], unit: str, digits: int) -> str:
+    """Write a value with its limits: ``-12.3 dB (-12.6 to -12.0)``; one without a limit on a side as such."""
+    best, low, high = (f"{number:+.{digits}f}" for number in value)
+    if np.isinf(value[1]) and np.isinf(value[2]):
+        return f"{best} {unit} (no bound)"
+    if np.isinf(value[1]):
+        return f"{best} {unit} (at most {high})"
+    return f"{best} {unit} ({'at least ' + low if np.isinf(value[2]) else low + ' to ' + high})"

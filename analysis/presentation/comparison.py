@@ -1,0 +1,60 @@
+"""What the command `compare` does: peaks of recordings held against those of the first one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from analysis.dampers.comparison import PeakChange, describe_changes, peak_changes
+from analysis.presentation.expectations import expect
+from analysis.presentation.output_names import output_stem, with_ending
+from analysis.presentation.presentation import Progress, Result
+from analysis.presentation.tables import write_table
+from analysis.recordings.names import opened, relabelled, scene_labels
+from analysis.responses.frequency_responses import frequency_responses
+from rig.errors import SceneError
+
+_HEADING = (
+    "from", "to", "response", "mode_Hz", "change_dB", "change_low_dB", "change_high_dB", "shift_Hz", "shift_low_Hz",
+    "shift_high_Hz", "peak_from m/N", "bound_from m/N", "peak_to m/N", "bound_to m/N",
+)  # fmt: skip
+
+
+def present_compare(
+    paths: Sequence[Path], output: Path | None = None, progress: Progress | None = None
+) -> Result:
+    """Tell and tabulate how far each resonance peak of the first recording is lowered and moved in the others.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Recordings with frequency responses of one structure, first the one to compare with. Of several sweeps in it
+        (levels, directions) the first counts; of the others all do.
+    output : Path, optional
+        Folder for the table; default beside the first recording.
+    progress : callable, optional
+        Called with (done, in all) of each recording's analysis.
+    """
+    if len(paths) < 2:
+        raise SceneError("one recording: expected at least two, first the one to compare with")
+    found = []
+    for path, label in zip(paths, scene_labels(paths), strict=True):
+        with opened(path) as rec:
+            expect(rec, path, "frf")
+            groups = frequency_responses(rec, progress=progress)
+            found.append([[relabelled(frf, rec.scene.name, label) for frf in group] for group in groups])
+    bare = found[0][0]
+    lines: list[str] = []
+    rows: list[tuple[str | float, ...]] = []
+    for group in [*found[0][1:], *(group for groups in found[1:] for group in groups)]:
+        changes = peak_changes(bare, group)
+        lines.append(f"{bare[0].label} -> {group[0].label}")
+        lines += [f"  {line}" for line in describe_changes(changes)]
+        rows += [_row(bare[0].label, group[0].label, change) for change in changes]
+    table = write_table(with_ending(output_stem(paths, output, "compare"), "csv"), _HEADING, rows)
+    return Result((table,), tuple(lines), ())
+
+
+def _row(before: str, after: str, change: PeakChange) -> tuple[str | float, ...]:
+    peaks = (change.bare.value, change.bare.bound, change.damped.value, change.damped.bound)
+    return (before, after, change.response, change.mode, *change.decibel, *change.shift, *peaks)

@@ -1,0 +1,80 @@
+"""Peaks between measured points, and what became of them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+import analysis
+import daq
+from analysis.cli import app
+from analysis.dampers.comparison import Peak, PeakChange, describe_changes, peak, peak_changes
+from analysis.responses.frf import Frf
+from tests.analysis.responses import synthetic
+
+
+def measured(frequency: np.ndarray, value: np.ndarray, error: float = 0.0) -> Frf:
+    """A curve as a sweep measures it, off by the given share at most at each point."""
+    size, one = abs(value), np.ones(frequency.size)
+    off = error * size * np.exp(2j * np.pi * np.arange(frequency.size) * 0.38)
+    systematic = {"test": error * size}
+    return Frf(frequency, value + off, 0.0 * one, one, 100.0 * one, "body1", systematic=systematic)
+
+
+def two_modes(f: np.ndarray, natural: float, ratio: float) -> np.ndarray:
+    """Receptance with a second mode an octave above."""
+    return sum(1e-4 / (1.0 - (f / f0) ** 2 + 2j * ratio * f / f0) for f0 in (natural, 2.0 * natural))  # type: ignore[return-value]
+
+
+@settings(max_examples=40)
+@given(
+    natural=st.floats(10.0, 100.0),
+    ratio=st.floats(0.002, 0.04),
+    offset=st.floats(0.0, 1.0),
+    per_width=st.floats(1.5, 6.0),
+    error=st.sampled_from([0.0, 1e-3, 2e-2]),
+)
+def test_given_any_resonance_when_measured_at_points_then_its_peak_lies_within_the_bounds(
+    natural, ratio, offset, per_width, error
+) -> None:
+    step = 2.0 * ratio * natural / per_width
+    f = natural + step * (np.arange(-4, 4) + offset)
+    found = peak(measured(f, two_modes(f, natural, ratio), error), f[0], f[-1])
+    dense = np.linspace(natural - step, natural + step, 4001)
+    exact = abs(two_modes(dense, natural, ratio))
+    assert found is not None
+    assert abs(found.value - exact.max()) <= found.bound + 1e-5 * exact.max()
+    assert found.first - step / 200 <= dense[np.argmax(exact)] <= found.last + step / 200
+    assert error > 0 or found.bound < 0.02 * exact.max()
+
+
+def test_given_a_jump_beside_the_highest_point_when_looked_for_then_the_peak_has_no_upper_bound() -> None:
+    f = np.linspace(9.0, 11.0, 41)
+    value = np.where(f < 10.2, 1.0, 0.005) / (1.0 - (f / 10.6) ** 2 + 0.002j)
+    found = peak(measured(f, value), 9.0, 11.0)
+    assert found is not None and math.isinf(found.bound) and found.frequency == pytest.approx(10.15)
+    change = PeakChange("body1", 10.0, 0.01, Peak(1e-3, 0.0, 10.0, 10.0, 10.0), found)
+    assert math.isinf(change.decibel[2]) and "at least" in describe_changes([change])[0]
+
+
+def test_given_the_same_structure_twice_when_compared_then_nothing_has_changed(tmp_path) -> None:
+    frequencies = np.unique(np.append(np.linspace(8.0, 60.0, 105), [13.0366, 34.7773, 49.6628]))
+    path = synthetic.stepped_sine(tmp_path / "a.mcap", frequencies)
+    with daq.open(path) as rec:
+        [curves] = analysis.frequency_responses(rec)
+    changes = peak_changes(curves, curves)
+    assert len(changes) == 9
+    for change in changes:
+        value, low, high = change.decibel
+        assert low <= value == 0.0 <= high and change.shift[0] == 0.0
+        assert change.equivalent_damping == pytest.approx(0.005, rel=2e-3)
+    other = synthetic.stepped_sine(tmp_path / "b.mcap", frequencies + 0.01)
+    said = CliRunner().invoke(app, ["compare", str(path), str(other)])
+    assert said.exit_code == 0 and said.output.count(" dB (") == 9
+    assert (tmp_path / "a+b-compare.csv").read_text().count("\n") == 10
+    assert CliRunner().invoke(app, ["compare", str(path)]).exit_code != 0

@@ -1,4 +1,4 @@
-"""The force of a hammer's hit alone, as its channel would have read it without noise before and after."""
+"""The force of a hammer's hit alone, without noise before and after, and without the tail that high-passes give it."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def pulse_alone(info: ChannelInfo, force: Array, first: int, last: int) -> Array
     """Take what is not the hit out of a force channel's samples.
 
     Sensor discharge, amplifier and converter with AC coupling let a pulse be followed by a long faint tail of
-    the other sign. It is as much the pulse's as the pulse is: without it the channel's response at low
-    frequencies is not that of its data sheet. So the high-passes are undone first, the window then cuts
-    off what is noise, and the high-passes act again on what is left.
+    the other sign. It is as much the pulse's as the pulse is, and may last longer than the recording. So the
+    high-passes are undone first, and the window then cuts off what is noise; `high_passes` tells what they do to the
+    spectrum of what is left.
 
     Parameters
     ----------
@@ -40,26 +40,31 @@ def pulse_alone(info: ChannelInfo, force: Array, first: int, last: int) -> Array
     Returns
     -------
     ndarray, shape (n,)
-        N, as the channel would have read it.
+        N, as the channel would have read it without its high-passes.
     """
-    slow, fast = _poles(info)
+    slow, fast = slow_and_fast(info)
     ringing = _TIME_CONSTANTS / min((abs(pole.real) for pole in fast), default=np.inf)
     slope = max(2, int(SLOPE * info.rate))
     flat = min(last + 1 + int(np.ceil(ringing * info.rate)) + slope, force.size)
     stop = min(flat + slope, force.size)
-    high_passes = [_high_pass(pole, info.rate) for pole in slow]
     out = np.zeros(force.size, dtype=complex)
     out[first:stop] = force[first:stop]
-    for above, below in high_passes:
+    for above, below in (_high_pass(pole, info.rate) for pole in slow):
         out[:stop] = signal.lfilter(below, above, out[:stop])
     out[flat:stop] *= 0.5 + 0.5 * np.cos(np.pi * np.arange(1, stop - flat + 1) / (slope + 1))
-    for above, below in high_passes:
-        out = signal.lfilter(above, below, out)
     # Complex poles come in pairs.
     return np.ascontiguousarray(out.real)
 
 
-def _poles(info: ChannelInfo) -> tuple[list[complex], list[complex]]:
+def high_passes(info: ChannelInfo, frequency: Array) -> ComplexArray:
+    """Response of the high-passes that `pulse_alone` has undone, at some frequencies in Hz."""
+    out = np.ones(frequency.size, dtype=complex)
+    for pole in slow_and_fast(info)[0]:
+        out *= signal.freqz(*_high_pass(pole, info.rate), frequency, fs=info.rate)[1]
+    return out
+
+
+def slow_and_fast(info: ChannelInfo) -> tuple[list[complex], list[complex]]:
     """Poles of the high-passes, as many as there are zeros at zero frequency, the slowest; and all others."""
     poles = sorted((pole for pole in info.poles if pole), key=abs)
     count = sum(1 for zero in info.zeros if zero == 0)

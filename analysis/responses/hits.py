@@ -113,7 +113,7 @@ class Hits:
         return True
 
     def alone(self, rec: Recording, names: Sequence[str], block: Array, start: int, rest: bool) -> Array:
-        """Take the zero off all channels, and off the force all that is not a hit."""
+        """Take the zero off all channels, and off the force all that is not a hit, high-passes included."""
         inside = self.inside(start, start + block.shape[1])
         quiet = slice(max(inside[0][0] - start - int(REST * rec.rate), 0), max(inside[0][0] - start, 1))
         out = block - (block[:, quiet] if rest else block).mean(axis=1, keepdims=True)
@@ -136,6 +136,9 @@ class Hits:
         It is the same for all lines that a hit drives, so that no scatter from line to line tells of it.
         """
         power, noise = np.zeros(frequency.size), []
+        info = rec.channels[self.channel]
+        # Rounding leaves a twelfth of a count squared, whether or not it shows before the hit.
+        least = 0.0 if info.volts_per_count is None else info.unit_per_count**2 / 12.0
         for start, stop in stretches:
             for begin, end in self.inside(start, stop):
                 before = rec.read(self.channel, max(start, begin - int(REST * rec.rate)), begin)
@@ -144,7 +147,7 @@ class Hits:
                 power += abs(turn @ (pulse - before.mean() if before.size else pulse)) ** 2
                 if before.size > 2:
                     # Differences from sample to sample know nothing of the tail of an earlier hit.
-                    noise.append(pulse.size * float(np.mean(np.diff(before) ** 2)) / 2.0)
+                    noise.append(pulse.size * max(float(np.mean(np.diff(before) ** 2)) / 2.0, least))
         return 0.5 * float(np.mean(noise)) / np.maximum(power, 1e-300) if noise else np.zeros(frequency.size)
 
     def lowest_frequency(self, rec: Recording) -> float:

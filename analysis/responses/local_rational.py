@@ -5,28 +5,49 @@ spectrum (the transients, which are what leaks) is another one with the same den
 squares to the lines nearby [1]_; no window smears the curve, nothing needs to have died away, and what the fit
 leaves over gives the error bars.
 
+What sensor, amplifier and coupling do to the reading is known and is not fitted: the response passes through it, and
+the transients of its slow high-passes, which bend too much near zero frequency for low polynomials, are terms of
+their own. Where noise hides what a denominator could tell, there is none. How far low polynomials miss the curve is
+told by another fit with polynomials of one order more.
+
 References
 ----------
 .. [1] T. McKelvey, G. Guérin, Non-parametric frequency response estimation using a local rational model, 16th IFAC
    Symposium on System Identification, 2012.
+.. [2] J. A. Hausman, Specification tests in econometrics, Econometrica 46 (1978) 1251-1271.
+.. [3] G. Schwarz, Estimating the dimension of a model, Annals of Statistics 6 (1978) 461-464.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Lines = NDArray[np.int64]
 
-# Orders of the polynomials of the response, above and below, and of the transients.
-NUMERATOR, DENOMINATOR, TRANSIENT = 2, 2, 2
+# Order of the polynomials, of the response above and below and of the transients; one more to see what it misses.
+ORDER = 2
 _FAINT, _NOTHING = 1e-10, 1e-300
 # Elements of the systems of equations solved at a time.
 _AT_ONCE = 1 << 20
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What a channel read of some stretches."""
+
+    spectra: ComplexArray
+    """Spectra of stretches brought to equal length, without a window; complex, shape (stretches, bins)."""
+    response: ComplexArray
+    """Of the channel to what it measures; complex, shape (bins,)."""
+    slow: ComplexArray
+    """Spectra of the transients of its high-passes, ``1 / (s - pole)``; complex, shape (poles, bins)."""
 
 
 @dataclass(frozen=True)
@@ -39,12 +60,15 @@ class LocalFit:
     """Of either quadrature component; shape (lines,)."""
     coherence: Array
     """Share of the response's power that the fit gives to the reference; shape (lines,)."""
-    degrees: float
-    """Degrees of freedom behind the variance."""
+    degrees: Array
+    """Degrees of freedom behind the variance; shape (lines,)."""
+    missed: Array
+    """How far the polynomials miss the curve around each line: root mean square of what one order more changes,
+    beyond the noise by which two such fits differ [2]_; shape (lines,)."""
 
 
 def local_fit(
-    response: ComplexArray,
+    reading: Reading,
     reference: ComplexArray,
     ends: ComplexArray,
     lines: Lines,
@@ -55,8 +79,10 @@ def local_fit(
 
     Parameters
     ----------
-    response, reference : ndarray of complex, shape (stretches, bins)
-        Spectra of stretches brought to equal length, without a window.
+    reading : Reading
+        Of the response.
+    reference : ndarray of complex, shape (stretches, bins)
+        True spectra of the reference.
     ends : ndarray of complex, shape (stretches, bins)
         Phase of the instant at which each stretch begins, where its transient does not join that of its end: 1
         throughout where it does, 0 where the rig was at rest.
@@ -74,63 +100,144 @@ def local_fit(
     >>> bins = np.arange(200)
     >>> force = random.standard_normal((1, 200)) + 1j * random.standard_normal((1, 200))
     >>> pole = 1j * (bins - 100.0) + 2.0
-    >>> fit = local_fit(force / pole + 5.0 / pole, force, np.zeros((1, 200)), np.array([100, 103]), 12)
+    >>> reading = Reading(force / pole + 5.0 / pole, np.ones(200), np.zeros((0, 200)))
+    >>> fit = local_fit(reading, force, np.zeros((1, 200)), np.array([100, 103]), 12)
     >>> np.allclose(fit.value, 1.0 / pole[[100, 103]])
     True
     """
-    begins = [s for s in range(len(response)) if np.any(ends[s]) and not np.all(ends[s] == 1.0)]
-    unknowns = NUMERATOR + 1 + DENOMINATOR + (len(response) + len(begins)) * (TRANSIENT + 1)
-    equations = len(response) * (2 * side + 1)
+    plain, rational, more = (
+        _fits(reading, reference, ends, lines, side, used, order, poles)
+        for order, poles in ((ORDER, 0), (ORDER, ORDER), (ORDER + 1, ORDER + 1))
+    )
+    best = _Fits(
+        *(np.where(plain.criterion < rational.criterion, *each) for each in zip(plain, rational, strict=True))
+    )
+    # The variance of the difference is the difference of the variances, as the lower order is part of the higher.
+    beyond = abs(more.value - best.value) ** 2 - 2.0 * np.maximum(more.variance - best.variance, 0.0)
+    near = max(1, side // max(1, int(np.median(np.diff(lines)))) if lines.size > 1 else 1)
+    missed = np.sqrt(np.maximum(ndimage.uniform_filter1d(beyond, near, mode="nearest"), 0.0))
+    return LocalFit(best.value, best.variance, best.coherence, best.degrees, missed)
+
+
+class _Fits(NamedTuple):
+    """Fits of one order, each of shape (lines,)."""
+
+    value: ComplexArray
+    variance: Array
+    coherence: Array
+    degrees: Array
+    criterion: Array
+    """Schwarz's, for orders to be compared [3]_."""
+
+
+def _fits(
+    reading: Reading,
+    reference: ComplexArray,
+    ends: ComplexArray,
+    lines: Lines,
+    side: int,
+    used: float,
+    order: int,
+    poles: int,
+) -> _Fits:
+    count = len(reference)
+    begins = [s for s in range(count) if np.any(ends[s]) and not np.all(ends[s] == 1.0)]
+    unknowns = order + 1 + poles + (count + len(begins)) * (order + 1 + len(reading.slow))
+    equations = count * (2 * side + 1)
     step = max(1, _AT_ONCE // (equations * unknowns))
     parts = [
-        _fit(response, reference, ends, begins, lines[first : first + step], side)
+        _fit(reading, reference, ends, begins, lines[first : first + step], side, order, poles)
         for first in range(0, lines.size, step)
     ]
-    value, variance, coherence = (np.concatenate(each) for each in zip(*parts, strict=True))
+    value, variance, coherence, left = (np.concatenate(each) for each in zip(*parts, strict=True))
     # Zeros in front of a stretch make neighbouring lines depend on each other: they count for less.
     free = max(used * equations - unknowns, 0.5)
-    return LocalFit(value, variance / free, coherence, 2.0 * free)
+    criterion = used * equations * np.log(np.maximum(left, _NOTHING)) + unknowns * np.log(
+        2 * used * equations
+    )
+    return _Fits(value, variance / free, coherence, np.full(lines.size, 2.0 * free), criterion)
 
 
 def _fit(
-    response: ComplexArray,
+    reading: Reading,
     reference: ComplexArray,
     ends: ComplexArray,
     begins: list[int],
     lines: Lines,
     side: int,
-) -> tuple[ComplexArray, Array, Array]:
-    stretches, width = len(response), 2 * side + 1
-    first = np.clip(lines - side, 0, response.shape[1] - width)
+    order: int,
+    poles: int,
+) -> tuple[ComplexArray, Array, Array, Array]:
+    """Value, sum of squares over the variance, coherence and what is left over relative to what was read."""
+    stretches, width = len(reference), 2 * side + 1
+    first = np.clip(lines - side, 0, reference.shape[1] - width)
     near = first[:, None] + np.arange(width)
     at = ((near - lines[:, None]) / side)[:, None, :]
-    x, f, e = (np.moveaxis(spectra[:, near], 1, 0) for spectra in (response, reference, ends))
-    size, drive = (
-        np.maximum(np.sqrt(np.mean(abs(each) ** 2, axis=(1, 2), keepdims=True)), _NOTHING) for each in (x, f)
-    )
+    x, f, e = (np.moveaxis(each[:, near], 1, 0) for each in (reading.spectra, reference, ends))
+    f = f * reading.response[near][:, None, :]
+    size, drive = (np.maximum(_rms(each), _NOTHING) for each in (x, f))
     x, f = x / size, f / drive
-    columns = [f * at**order for order in range(NUMERATOR + 1)]
-    columns += [-x * at**order for order in range(1, DENOMINATOR + 1)]
+    columns = [f * at**k for k in range(order + 1)]
+    transients = [at**k for k in range(order + 1)]
+    transients += [(each := slow[near][:, None, :]) / _rms(each) for slow in reading.slow]
     for s in range(stretches):
         own = np.zeros((1, stretches, 1))
         own[0, s] = 1.0
-        columns += [np.broadcast_to(own * at**order, x.shape) for order in range(TRANSIENT + 1)]
+        columns += [np.broadcast_to(own * each, x.shape) for each in transients]
         if s in begins:
-            columns += [own * e * at**order for order in range(TRANSIENT + 1)]
-    system = np.stack(columns, axis=-1).reshape(lines.size, stretches * width, -1)
-    right = x.reshape(lines.size, -1, 1)
-    # Where lower orders do, denominator, numerator and transient have a factor in common, which could be anything:
-    # a faint wish for small coefficients settles it, and leaves the response at the line as it is.
-    wish = np.broadcast_to(_FAINT * np.eye(system.shape[2]), (lines.size, *2 * (system.shape[2],)))
-    q, r = np.linalg.qr(np.concatenate([system, wish], axis=1))
-    projected = np.conj(np.swapaxes(q[:, : system.shape[1]], 1, 2)) @ right
-    solution = np.linalg.solve(r, projected)[..., 0]
-    inverse = np.linalg.solve(r, np.broadcast_to(np.eye(r.shape[1]), r.shape))
-    left = right[..., 0] - (system @ solution[..., None])[..., 0]
-    noise = np.sum(abs(left) ** 2, axis=1)
+            columns += [own * e * each for each in transients]
+    above = np.stack(columns, axis=-1).reshape(lines.size, stretches * width, -1)
+    # Without a denominator there are none.
+    powers = np.empty((*above.shape[:2], poles))
+    for k in range(poles):
+        powers[..., k] = np.broadcast_to(at ** (k + 1), x.shape).reshape(above.shape[:2])
+    right = x.reshape(lines.size, -1)
+    # Multiplied by the denominator the problem is linear, but what is noise is weighted, too, and fitted by poles of
+    # its own: a step of Gauss and Newton sets both right.
+    unknown, inverse = _solved(np.concatenate([above, -right[..., None] * powers], axis=2), right)
+    left = right - _quotient(above, powers, unknown)[0]
+    if poles:
+        model, below = _quotient(above, powers, unknown)
+        slope = np.concatenate([above, -model[..., None] * powers], axis=2) / below[..., None]
+        change, inverse = _solved(slope, left)
+        changed = right - _quotient(above, powers, unknown + change)[0]
+        better = _power(changed) < _power(left)
+        unknown, left = unknown + change * better[:, None], np.where(better[:, None], changed, left)
+    noise = _power(left)
     # Column 0 is the numerator's constant: the response at the line itself, where the denominator is one.
     variance = noise * np.sum(abs(inverse[:, 0]) ** 2, axis=1) / 2.0
-    told = abs(solution[:, 0]) ** 2 * np.sum(abs(f) ** 2, axis=(1, 2))
+    told = abs(unknown[:, 0]) ** 2 * np.sum(abs(f) ** 2, axis=(1, 2))
     coherence = told / np.maximum(told + noise, _NOTHING)
     factor = np.where(drive > _NOTHING, size / drive, np.nan)[:, 0, 0]
-    return solution[:, 0] * factor, variance * factor**2, coherence
+    return unknown[:, 0] * factor, variance * factor**2, coherence, noise
+
+
+def _quotient(above: ComplexArray, powers: Array, unknown: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """Model of the lines and its denominator."""
+    count = above.shape[2]
+    below = 1.0 + (powers @ unknown[:, count:, None])[..., 0]
+    # A pole on a line is no pole of a structure.
+    below = np.where(abs(below) > _FAINT, below, _FAINT)
+    return (above @ unknown[:, :count, None])[..., 0] / below, below
+
+
+def _solved(system: ComplexArray, right: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """Solve by least squares; and the inverse of the triangular factor, whose rows give the covariance.
+
+    Where lower orders do, denominator, numerator and transient have a factor in common, which could be anything: a
+    faint wish for small coefficients settles it, and leaves the response at the line as it is.
+    """
+    lines, equations, unknowns = system.shape
+    wish = np.broadcast_to(_FAINT * np.eye(unknowns), (lines, unknowns, unknowns))
+    q, r = np.linalg.qr(np.concatenate([system, wish], axis=1))
+    projected = np.conj(np.swapaxes(q[:, :equations], 1, 2)) @ right[..., None]
+    inverse = np.linalg.solve(r, np.broadcast_to(np.eye(unknowns), r.shape))
+    return (inverse @ projected)[..., 0], inverse
+
+
+def _power(each: ComplexArray) -> Array:
+    return np.sum(abs(each) ** 2, axis=1)
+
+
+def _rms(each: ComplexArray) -> Array:
+    return np.sqrt(np.mean(abs(each) ** 2, axis=(1, 2), keepdims=True))

@@ -22,7 +22,7 @@ ComplexArray = NDArray[np.complex128]
 
 SENSITIVITY, CLOCK = "sensors' sensitivity", "sample clock"
 REFERENCE_NOISE, LEAKAGE, UNSETTLED = "noise in the reference", "leakage", "not yet steady"
-ALIASING, RESOLUTION = "aliasing", "converter's resolution"
+ALIASING, RESOLUTION, MODEL = "aliasing", "converter's resolution", "local model"
 # Sideways motion as a share of the vertical, where a data sheet of transverse sensitivity goes without one.
 _LATERAL = 0.1
 # Images of a force in the motion it causes, as a share of the motion times the square of frequency over sample rate.

@@ -16,10 +16,17 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from analysis.responses.clean_stretches import clean_stretches, flaws, told
+from analysis.responses.force_pulse import high_passes, slow_and_fast
 from analysis.responses.frf import Frf
-from analysis.responses.local_rational import LocalFit, local_fit
+from analysis.responses.local_rational import LocalFit, Reading, local_fit
 from analysis.responses.measurands import driven, motion_of, reference_of
-from analysis.responses.systematic import aliasing_part, clock_part, reference_noise_part, sensitivity_part
+from analysis.responses.systematic import (
+    MODEL,
+    aliasing_part,
+    clock_part,
+    reference_noise_part,
+    sensitivity_part,
+)
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -89,8 +96,11 @@ class WholeStretches:
             if below.channels == (name,):
                 reads[index] = 1.0 / lower[index]
                 continue
-            told_by = rec.channels[name].response(frequency)
-            fit = spectra.fit(spectra.samples[:, index] / told_by, force, lines)
+            info = rec.channels[name]
+            told_by = info.response(frequency)
+            slow = [1.0 / (2j * np.pi * frequency - pole) for pole in slow_and_fast(info)[0]]
+            reading = Reading(spectra.samples[:, index], told_by, np.array(slow).reshape(-1, frequency.size))
+            fit = spectra.fit(reading, force, lines)
             reads[index] = fit.value * told_by[lines]
             if name == above.channels[0]:
                 of_response = fit
@@ -101,6 +111,7 @@ class WholeStretches:
             sensitivity_part(rec, names, value, upper, lower)
             | aliasing_part(rec, names, at, value, upper, lower)
             | clock_part(rec, at, value)
+            | {MODEL: of_response.missed * abs(value) / np.maximum(abs(of_response.value), 1e-300)}
         )
         if self.hits is None:
             systematic |= reference_noise_part(value, of_response.coherence)
@@ -111,7 +122,7 @@ class WholeStretches:
             value=value,
             error=np.sqrt(variance),
             coherence=of_response.coherence,
-            degrees=np.full(at.size, of_response.degrees),
+            degrees=of_response.degrees,
             response=above.channels[0],
             reference=reference,
             motion=motion,
@@ -163,6 +174,12 @@ class WholeStretches:
             samples.append(fft.rfft(np.pad(block, ((0, 0), (zeros, 0))), axis=1))
             begin = np.exp(-2j * np.pi * np.arange(size // 2 + 1) * (zeros / size))
             ends.append(np.zeros(begin.size, dtype=complex) if rest else begin)
+        if self.hits is not None:
+            # Their response is that of the whole tail, which a recording may cut off.
+            info = rec.channels[self.hits.channel]
+            turn = high_passes(info, fft.rfftfreq(size, 1.0 / rec.rate))
+            for each in samples:
+                each[names.index(self.hits.channel)] *= turn
         used = sum(block.shape[1] for block in blocks) / (size * len(blocks))
         # Hits alone are a comb of lines: between its teeth nothing is driven.
         teeth = 1.0 if self.hits is None else max(1.0, size / lead)
@@ -211,6 +228,6 @@ class _Spectra:
         out[0] = out[1]
         return out
 
-    def fit(self, response: ComplexArray, force: ComplexArray, lines: NDArray[np.int64]) -> LocalFit:
+    def fit(self, reading: Reading, force: ComplexArray, lines: NDArray[np.int64]) -> LocalFit:
         side = min(self.side, (force.shape[1] - 1) // 2)
-        return local_fit(response, force, self.ends, lines, side, self.used)
+        return local_fit(reading, force, self.ends, lines, side, self.used)

@@ -78,8 +78,7 @@ def test_given_an_overload_when_taken_whole_then_it_is_cut_out_and_said(tmp_path
         [cut] = analysis.frequency_responses(rec)
         cut_share, wrong = coverage(rec, cut)
     assert "a1 overloaded" in " ".join(cut[0].warnings) and not clean[0].warnings
-    # Over one scene; that bounds hold over many is for the gauntlet to judge.
-    assert share > 0.9 and cut_share > 0.85 and wrong < 0.01
+    assert share > 0.9 and cut_share > 0.9 and wrong < 0.01
 
 
 def test_given_sensors_whose_bias_settles_when_hit_then_the_hammer_waits_and_bounds_hold(tmp_path):
@@ -141,11 +140,8 @@ def test_given_high_passes_when_averaged_then_the_receptance_is_exact_far_below_
     }
     with daq.open(hit(tmp_path / "a.mcap", where)) as rec:
         [curves] = analysis.frequency_responses(rec)
-        magnitude, phase = wrong_by(rec, curves, 3.0, 120.0)
-        # The local fit has lines on one side only where the band begins.
-        edge, _ = wrong_by(rec, curves, 2.0, 3.0)
+        magnitude, phase = wrong_by(rec, curves, 1.0, 120.0)
     assert magnitude < 0.001 and phase < 0.1
-    assert edge < 0.03
 
 
 def test_given_a_marker_that_misses_its_hit_when_averaged_then_the_force_outside_it_is_told(tmp_path):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,8 +14,8 @@ from analysis.paper.claims import claims
 from analysis.paper.page import write_pages
 from analysis.paper.parts import all_parts
 from analysis.paper.store import Arrays, PaperPart, remove_partial
-from analysis.paper.workers import WORKERS, compute
 from rig.errors import SceneError
+from rig.workers import Workers, cores
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -76,21 +76,16 @@ def reproduce(folder: Path, say: Callable[[str], None], fresh: Sequence[str] = (
             missing.append(part)
         else:
             stored[part.name] = found
-    effort = sum(part.effort for part in missing) / WORKERS
+    effort = sum(part.effort for part in missing) / cores()
     say(
         f"{len(stored)} of {len(parts)} parts are there, {len(missing)} to do"
-        + (f": about {_span(effort)} on {WORKERS} free cores, the longest parts first." if missing else ".")
+        + (f": about {_span(effort)} on {cores()} free cores, the longest parts first." if missing else ".")
     )
     if missing:
         progress = _Progress(missing, say)
-
-        def done(part: PaperPart) -> None:
-            arrays = part.stored(folder)
-            assert arrays is not None
+        for part, arrays in compute(missing, folder):
             stored[part.name] = arrays
             progress.add(part)
-
-        compute(missing, folder, done)
     files: list[Path] = []
     for name, draw in FIGURES.items():
         files += save(draw(stored), folder / name)
@@ -100,6 +95,15 @@ def reproduce(folder: Path, say: Callable[[str], None], fresh: Sequence[str] = (
         say(f"  {claim.name}: {claim.verdict}")
     say(f"Done in {time.monotonic() - began:.0f} s. Read {folder / 'index.html'} or {folder / 'index.md'}.")
     return files
+
+
+def compute(parts: Sequence[PaperPart], folder: Path) -> Iterator[tuple[PaperPart, Arrays]]:
+    """Compute parts on all cores, longest first, and store each as soon as it is there."""
+    waiting = sorted(parts, key=lambda part: -part.effort)
+    with Workers() as workers:
+        for number, arrays in workers.compute(PaperPart.computed, waiting):
+            waiting[number].store(folder, arrays)
+            yield waiting[number], arrays
 
 
 class _Progress:

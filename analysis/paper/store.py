@@ -69,14 +69,17 @@ class PaperPart:
             return None
         return arrays if str(arrays.pop("digest", "")) == self.digest else None
 
-    def run(self, folder: Path) -> None:
-        """Compute and store; the file appears when it is whole."""
-        arrays: dict[str, Any] = {**self.compute(**self.arguments), "digest": np.array(self.digest)}
+    def computed(self) -> Arrays:
+        """Compute the results; in another process, as may be."""
+        return self.compute(**self.arguments)
+
+    def store(self, folder: Path, arrays: Arrays) -> None:
+        """Store results; the file appears when it is whole."""
         target = self.path(folder)
         partial = partial_name(target)
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
-            np.savez_compressed(partial, **arrays)
+            np.savez_compressed(partial, allow_pickle=False, digest=np.array(self.digest), **arrays)
             partial.replace(target)
         except OSError as error:
             raise RunError(

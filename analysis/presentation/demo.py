@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 
 from analysis.presentation.presentation import present_decay, present_frf, present_modes
+from rig.workers import Workers
 
 SWEEPS = ("fig8-no-damper", "fig8-three-dampers")
 IMPULSES = ("fig10b-no-damper", "fig10b-three-dampers")
@@ -81,23 +79,22 @@ def demonstrate(folder: Path, say: Callable[[str], None], at: Sequence[float] | 
 
 
 def _recorded(recordings: dict[str, Path], at: tuple[float, ...]) -> Iterator[tuple[str, float]]:
-    """Record on two cores; yield each name and the seconds it holds as it is done."""
-    # Two processes with a thread each: more threads would wait for each other on two cores.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    """Record on all cores; yield each name and the seconds it holds as it is done."""
     # Sweeps first: the short impulse tests fill in where a core becomes free.
-    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        jobs = {pool.submit(_record, name, path, at): name for name, path in recordings.items()}
-        for job in as_completed(jobs):
-            yield jobs[job], job.result()
+    jobs = [(name, path, at) for name, path in recordings.items()]
+    with Workers() as workers:
+        for number, seconds in workers.compute(_record, jobs):
+            yield jobs[number][0], seconds
 
 
-def _record(name: str, path: Path, at: tuple[float, ...]) -> float:
+def _record(job: tuple[str, Path, tuple[float, ...]]) -> float:
     """Record one scene; the length of its recording in s."""
     import warnings
 
     import daq
     import rig
 
+    name, path, at = job
     scene = rig.load(name)
     if name in SWEEPS:
         test = {

@@ -12,11 +12,10 @@ from analysis.paper.claims import Claim, Evidence
 from analysis.paper.experiment import damper_sweep
 from analysis.paper.page import CAPTIONS, write_pages
 from analysis.paper.parts import all_parts
-from analysis.paper.reproduce import FIGURES, reproduce
+from analysis.paper.reproduce import FIGURES, compute, reproduce
 from analysis.paper.scan import LEVELS, best_damper, scan, stays_over_damping
 from analysis.paper.simulation import approximated, exact_orbits, structure_numbers, waveforms
 from analysis.paper.store import Arrays, PaperPart, partial_name, remove_partial
-from analysis.paper.workers import compute
 from rig.errors import SceneError
 from rig.system.open_loop_drive import with_ideal_force
 
@@ -35,7 +34,7 @@ def part(value: float) -> PaperPart:
 def test_given_a_finished_part_when_asked_again_then_it_is_read_and_not_computed(tmp_path: Path) -> None:
     calls.clear()
     assert part(3.0).stored(tmp_path) is None
-    part(3.0).run(tmp_path)
+    part(3.0).store(tmp_path, part(3.0).computed())
 
     stored = part(3.0).stored(tmp_path)
 
@@ -46,7 +45,7 @@ def test_given_a_finished_part_when_asked_again_then_it_is_read_and_not_computed
 
 
 def test_given_other_inputs_or_a_torn_file_when_asked_then_the_part_counts_as_missing(tmp_path: Path) -> None:
-    part(3.0).run(tmp_path)
+    part(3.0).store(tmp_path, part(3.0).computed())
     assert part(4.0).stored(tmp_path) is None
 
     path = part(3.0).path(tmp_path)
@@ -232,7 +231,7 @@ def test_given_parts_when_computed_by_workers_then_all_are_stored_longest_first(
         for name, value, effort in (("short", 20.0, 1.0), ("long", 30.0, 5.0), ("middle", 40.0, 3.0))
     ]
 
-    compute(parts, tmp_path, lambda part: done.append(part.name))
+    done += [part.name for part, _ in compute(parts, tmp_path)]
 
     assert sorted(done) == ["long", "middle", "short"]
     assert "short" not in done[:1]
@@ -248,7 +247,7 @@ def test_given_a_part_that_fails_when_computed_by_workers_then_its_error_is_rais
     )
 
     with pytest.raises(SceneError, match="two rising values"):
-        compute([wrong], tmp_path, lambda part: None)
+        list(compute([wrong], tmp_path))
 
     assert not multiprocessing.active_children()
     assert not list(tmp_path.rglob("*.npz"))

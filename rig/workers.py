@@ -1,0 +1,146 @@
+"""Where the independent pieces of a study are computed: processes of this machine, or a Dask cluster.
+
+A piece is what a function of a module is called with; function, piece and result travel to the worker and back, so
+that nothing but a recording's folder has to be shared, and a piece gives the same bits wherever it is computed.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack, closing
+from multiprocessing import active_children, get_context, parent_process
+from threading import Thread
+from types import TracebackType
+from typing import Any, TypeVar
+
+from rig.errors import RunError, SceneError
+
+Piece = TypeVar("Piece")
+Result = TypeVar("Result")
+
+#: How often pieces are computed anew after a worker died of them.
+LIVES = 2
+
+
+def cores() -> int:
+    """Count the cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class Workers:
+    """Workers that compute pieces of a study; leaving the context ends them, whatever they are at.
+
+    Parameters
+    ----------
+    cluster : str, optional
+        Address of a running Dask scheduler, or "local" for one that this process starts; None: processes of this
+        machine, one for each core.
+
+    Raises
+    ------
+    SceneError
+        If there is no such cluster, or Dask is not installed.
+    """
+
+    def __init__(self, cluster: str | None = None) -> None:
+        self._cluster = cluster
+        self._open = ExitStack()
+        self._pool = self._start()
+
+    def __enter__(self) -> Workers:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._open.close()
+
+    def compute(
+        self, function: Callable[[Piece], Result], pieces: Sequence[Piece]
+    ) -> Iterator[tuple[int, Result]]:
+        """Compute the pieces, the first ones first; yield the number of each and its result as it is there.
+
+        Raises
+        ------
+        RunError
+            If workers die again and again.
+        Exception
+            What a piece raised.
+        """
+        left = dict(enumerate(pieces))
+        for life in range(LIVES + 1):
+            jobs = {self._pool.submit(function, piece): number for number, piece in left.items()}
+            try:
+                for job in as_completed(jobs):
+                    result = job.result()
+                    del left[jobs[job]]
+                    yield jobs[job], result
+                return
+            except BrokenProcessPool:
+                if life == LIVES:
+                    break
+                self._open.close()
+                self._pool = self._start()
+            finally:
+                for job in jobs:
+                    job.cancel()
+        raise RunError(
+            f"a process that computed one of {len(left)} pieces has died {LIVES + 1} times, as when memory runs out; "
+            "close other programs, or make the study smaller"
+        )
+
+    def _start(self) -> Executor:
+        return _processes(self._open) if self._cluster is None else _dask(self._cluster, self._open)
+
+
+def _processes(until: ExitStack) -> Executor:
+    before = set(active_children())
+    pool = ProcessPoolExecutor(cores(), mp_context=get_context("spawn"), initializer=_begin)
+
+    def end() -> None:
+        pool.shutdown(wait=False, cancel_futures=True)
+        workers = set(active_children()) - before
+        for worker in workers:
+            worker.kill()
+        for worker in workers:
+            worker.join()
+
+    until.callback(end)
+    return pool
+
+
+def _begin() -> None:
+    """Set a process up: one thread for small matrices; interrupts are the parent's, and so is the end."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
+
+
+def _dask(address: str, until: ExitStack) -> Executor:
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError:
+        raise SceneError("--cluster needs Dask: pip install 'shotrig[cluster]'") from None
+    where: Any = address
+    if address == "local":
+        where = until.enter_context(closing(LocalCluster(n_workers=cores(), threads_per_worker=1)))
+    try:
+        client = until.enter_context(closing(Client(where, timeout=10)))
+    except (OSError, ValueError) as error:
+        raise SceneError(
+            f"--cluster {address}: no Dask scheduler answers ({error}); expected its address, such as "
+            "tcp://host:8786, or local"
+        ) from None
+    pool: Executor = client.get_executor()
+    return pool

@@ -1,0 +1,75 @@
+"""Pieces of a study: all computed once, wherever they are, and nothing left behind."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from pathlib import Path
+
+import pytest
+
+from rig.errors import RunError, SceneError
+from rig.workers import Workers
+
+
+def square(number: int) -> int:
+    if number < 0:
+        raise SceneError(f"{number}: expected a number that is not negative")
+    return number * number
+
+
+def die_the_first_time(mark: Path) -> str:
+    if mark.exists():
+        return mark.name
+    mark.touch()
+    os._exit(1)
+
+
+def die(_: int) -> None:
+    os._exit(1)
+
+
+def test_given_pieces_when_computed_then_each_comes_once_with_its_number() -> None:
+    with Workers() as workers:
+        found = list(workers.compute(square, range(20)))
+        again = list(workers.compute(square, [7]))
+
+    assert sorted(found) == [(k, k * k) for k in range(20)]
+    assert again == [(0, 49)]
+    assert not multiprocessing.active_children()
+
+
+def test_given_a_piece_that_fails_when_computed_then_its_error_is_raised_and_no_process_is_left() -> None:
+    with pytest.raises(SceneError, match="-3: expected"), Workers() as workers:
+        list(workers.compute(square, [1, -3, 2]))
+
+    assert not multiprocessing.active_children()
+
+
+def test_given_workers_that_die_when_computed_then_only_their_pieces_are_computed_anew(
+    tmp_path: Path,
+) -> None:
+    marks = [tmp_path / "one", tmp_path / "two"]
+    marks[0].touch()
+    with Workers() as workers:
+        assert sorted(workers.compute(die_the_first_time, marks)) == [(0, "one"), (1, "two")]
+
+
+def test_given_a_piece_that_always_kills_its_worker_when_computed_then_it_is_said_and_not_tried_for_ever() -> (
+    None
+):
+    with pytest.raises(RunError, match="has died 3 times"), Workers() as workers:
+        list(workers.compute(die, [1]))
+
+
+@pytest.mark.thorough
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_given_a_dask_cluster_when_computed_then_results_are_the_same() -> None:
+    with Workers("local") as workers:
+        assert sorted(workers.compute(square, range(20))) == [(k, k * k) for k in range(20)]
+
+
+@pytest.mark.thorough
+def test_given_no_scheduler_at_an_address_when_started_then_it_is_said() -> None:
+    with pytest.raises(SceneError, match="no Dask scheduler answers"):
+        Workers("tcp://127.0.0.1:9")

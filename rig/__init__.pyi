@@ -1,5 +1,6 @@
 # The public names and where they live; `__init__.py` imports each when it is first used.
 
+from .damper_design.design import Design, design
 from .effects.explanation import Explanation, explain
 from .motion_map.motion_map import MotionMap, map_motion
 from .orbits.branches import OrbitCurve, follow_orbits
@@ -16,6 +17,7 @@ from .single_mode.approximate_response import Approximation, approximate_respons
 
 __all__ = [
     "Approximation",
+    "Design",
     "Explanation",
     "Motion",
     "MotionMap",
@@ -27,6 +29,7 @@ __all__ = [
     "Run",
     "Scene",
     "approximate_response",
+    "design",
     "explain",
     "follow_orbits",
     "frequency_response",

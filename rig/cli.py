@@ -268,6 +268,84 @@ def map_(
     print("\nwritten:", *files)
 
 
+@app.command()
+def design(
+    scene: SceneName,
+    changes: Changes = None,
+    budget: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MASS|SHARE", help="The most to add: '50 g', or '5 %' of the structure's mass (default)."
+        ),
+    ] = None,
+    bodies: Annotated[
+        str | None, typer.Option(metavar="N,N,...", help="Bodies that may carry a damper (default: all).")
+    ] = None,
+    dampers: Annotated[int, typer.Option(min=1, metavar="N", help="How many dampers.")] = 1,
+    clearance: Annotated[
+        str | None,
+        typer.Option(metavar="LOW,HIGH", help="Clearances to choose from, such as '0.2 mm, 3 mm'."),
+    ] = None,
+    levels: Annotated[
+        str | None,
+        typer.Option(
+            metavar="F,F,...", help="Forces to do well at (default: half, once and twice the test's)."
+        ),
+    ] = None,
+    band: Annotated[
+        str | None, typer.Option(metavar="LOW,HIGH", help="Frequencies that count (default: the test's).")
+    ] = None,
+    watched: Annotated[
+        str | None, typer.Option(metavar="N,N,...", help="Bodies whose peaks count (default: all).")
+    ] = None,
+    damping_off: Annotated[
+        str, typer.Option(metavar="SHARE", help="How far the structure's damping may be off, such as '30 %'.")
+    ] = "0 %",
+    stiffness_off: Annotated[
+        str, typer.Option(metavar="SHARE", help="How far its stiffness may be off.")
+    ] = "0 %",
+    cluster: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="A Dask scheduler that computes, or 'local'.")
+    ] = None,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Where scene, figures and table go.")
+    ] = Path(),
+) -> None:
+    """Choose dampers: mass, clearance and place with the smallest worst peak; what is there of it is not done again."""
+    from rig.damper_design.asked import bodies_of, mass_of, quantities, range_of
+    from rig.damper_design.design import design as search
+    from rig.damper_design.figure import next_step, summary, write
+    from rig.output_files import make_ready, stem
+    from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, RATIO
+
+    setting = loaded(scene, changes)
+    damping, stiffness = (
+        _quantity(share, RATIO, name)
+        for share, name in ((damping_off, "--damping-off"), (stiffness_off, "--stiffness-off"))
+    )
+    make_ready(output)
+    table = output / f"{stem('design', setting.name)}.csv"
+    with counting("trying designs") as progress:
+        found = search(
+            setting,
+            budget=mass_of(budget, setting),
+            bodies=bodies_of(bodies, "--bodies"),
+            dampers=dampers,
+            clearance=range_of(clearance, LENGTH, "--clearance"),
+            levels=quantities(levels, FORCE, "--levels"),
+            band=range_of(band, FREQUENCY, "--band"),
+            watched=bodies_of(watched, "--watched"),
+            uncertain=(damping or 0.0, stiffness or 0.0),
+            cluster=cluster,
+            table=table,
+            progress=progress,
+        )
+    files = write(found, output)
+    print(summary(found))
+    print("\nwritten:", *files, table)
+    print(next_step(files[0]))
+
+
 def _quantity(value: str | None, kind: Kind, name: str) -> float | None:
     """Read an option that carries a unit; a bare number is SI."""
     from rig.scene.quantities import parse

@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize, minimize_scalar
 
 from analysis.paper.store import Arrays
-from rig.errors import RunError
-from rig.orbits.orbit import solve
-from rig.orbits.problem import OperatingPoint, OrbitProblem
-from rig.orbits.sweep import OrbitResponse, sweep
+from rig.damper_design.worst_peak import curve, resonance
+from rig.orbits.problem import OrbitProblem
 from rig.response.motion_type import overall
 from rig.scene.scene import Scene
 
@@ -23,37 +21,6 @@ Floats = NDArray[np.float64]
 BODY = 2
 # Levels at which a robust optimum must do well, relative to the nominal force.
 LEVELS = np.array([0.8, 1.0, 1.25])
-
-
-def curve(problem: OrbitProblem, force: float, frequencies: Floats) -> OrbitResponse:
-    """Steady motion at each frequency from the motion at the one before."""
-    return sweep(problem, OperatingPoint(float(frequencies[0]), force), "frequency", frequencies)
-
-
-def resonance(problem: OrbitProblem, response: OrbitResponse, body: int = BODY) -> tuple[float, float]:
-    """Largest compliance of a body over a curve, and its frequency [Hz].
-
-    Where the largest point is an orbit, the maximum is sought between its neighbours over orbits with the same
-    events, so that it does not depend on the grid.
-    """
-    size = np.abs(response.compliance[body - 1])
-    i = int(size.argmax())
-    best, where = float(size[i]), float(response.value[i])
-    orbit = response.orbits[i]
-    if orbit is None or i in (0, size.size - 1):
-        return best, where
-
-    def missing(frequency: float) -> float:
-        setting = OperatingPoint(float(frequency), orbit.setting.force)
-        try:
-            found = solve(problem, orbit.plan, setting, orbit.unknowns)
-        except RunError:
-            return 0.0
-        return 0.0 if found.flaw or not found.stable else -abs(found.compliance[body - 1])
-
-    bounds = (float(response.value[i - 1]), float(response.value[i + 1]))
-    top = minimize_scalar(missing, bounds=bounds, method="bounded", options={"xatol": 1e-3})
-    return (float(-top.fun), float(top.x)) if -top.fun > best else (best, where)
 
 
 def with_dampers(scene: Scene, clearance: float, mass_ratio: float) -> OrbitProblem:

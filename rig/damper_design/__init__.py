@@ -1,0 +1,1 @@
+"""Which dampers, where: mass, clearance and place that make the worst peak smallest; knows no sensor, no recording."""

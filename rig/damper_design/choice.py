@@ -1,0 +1,165 @@
+"""What a design chooses, what it has to choose from, and what is asked of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations_with_replacement, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.damper_design.worst_peak import Peak, Thoroughness, peak_at
+from rig.errors import SceneError
+from rig.motion_map.grid import columns
+from rig.orbits.problem import OrbitProblem
+from rig.scene.damper import Damper
+from rig.scene.scene import Scene
+from rig.system.receptance import loaded_matrices
+from rig.system.structure import natural_modes, structure_matrices
+
+Array = NDArray[np.float64]
+
+#: To tell designs apart, and to compare the best of them.
+QUICK, FINE = Thoroughness(20, 400), Thoroughness(60, 1500)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Dampers: their bodies (from 1), masses [kg] and clearances [m], one each."""
+
+    bodies: tuple[int, ...]
+    masses: tuple[float, ...]
+    clearances: tuple[float, ...]
+
+    @property
+    def mass(self) -> float:
+        """Added mass in all, kg."""
+        return sum(self.masses)
+
+    def dampers(self, restitution: float) -> list[Damper]:
+        """Make them, as a scene has them."""
+        each = zip(self.bodies, self.masses, self.clearances, strict=True)
+        return [Damper(body=b, mass=m, clearance=c, restitution=restitution) for b, m, c in each]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A choice that was tried, and its worst peak."""
+
+    choice: Choice
+    peak: Peak
+
+
+@dataclass(frozen=True)
+class Space:
+    """What there is to choose from.
+
+    Attributes
+    ----------
+    places : tuple of tuple of int
+        Bodies that the dampers may be on, a tuple for each design.
+    mass : float
+        The most that may be added, kg.
+    clearance : tuple of float
+        Smallest and largest, m.
+    """
+
+    places: tuple[tuple[int, ...], ...]
+    mass: float
+    clearance: tuple[float, float]
+
+    @staticmethod
+    def places_of(bodies: tuple[int, ...], dampers: int) -> tuple[tuple[int, ...], ...]:
+        """List the ways to place some dampers, one at most on a body.
+
+        >>> Space.places_of((1, 2, 3), 2)
+        ((1, 2), (1, 3), (2, 3))
+        """
+        ways = combinations_with_replacement(bodies, dampers)
+        return tuple(way for way in ways if len(set(way)) == dampers)
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked of a choice: its worst peak.
+
+    Attributes
+    ----------
+    scenes : tuple of Scene
+        Without dampers: the structure as it is thought to be, then as else it may be.
+    levels : tuple of float
+        Forces, N.
+    band : tuple of float
+        Lowest and highest frequency, Hz.
+    bodies : tuple of int
+        Bodies whose peaks count, from 1.
+    restitution : float
+        Of the dampers.
+    thoroughness : Thoroughness
+        How closely each curve is looked at.
+    """
+
+    scenes: tuple[Scene, ...]
+    levels: tuple[float, ...]
+    band: tuple[float, float]
+    bodies: tuple[int, ...]
+    restitution: float = 0.0
+    thoroughness: Thoroughness = QUICK
+
+    @cached_property
+    def bare(self) -> Peak:
+        """Worst peak without dampers, which is the same at every level."""
+        return max(self._peak(scene, (), self.levels[0]) for scene in self.scenes)
+
+    def worst(self, choice: Choice) -> Peak:
+        """Worst peak of a choice over levels and structures."""
+        dampers = choice.dampers(self.restitution)
+        return max(self._peak(scene, dampers, level) for scene in self.scenes for level in self.levels)
+
+    def _peak(self, bare: Scene, dampers: Sequence[Damper], level: float) -> Peak:
+        scene = bare.replace(dampers=dampers)
+        problem, frequencies = OrbitProblem(scene), self._frequencies(scene)
+        return peak_at(problem, level, frequencies, self.bodies, self.thoroughness.longest)
+
+    def _frequencies(self, scene: Scene) -> Array:
+        """Frequencies close where it may resonate: between where it does without dampers and where with them riding."""
+        low, high = self.band
+        loads = [loaded_matrices(scene), loaded_matrices(scene, riding=range(1, len(scene.dampers) + 1))]
+        natural = np.concatenate([natural_modes(mass, stiffness)[0] for mass, _, stiffness in loads]) / (
+            2 * np.pi
+        )
+        natural = natural[(natural > low) & (natural < high)]
+        if not len(natural):
+            raise SceneError(
+                f"band: got {low:g} to {high:g} Hz, where nothing resonates; expected a band with a natural frequency"
+            )
+        points = 8 + self.thoroughness.density * -(-len(natural) // 2)
+        return np.unique(np.concatenate([columns(scene, low, high, points), natural]))
+
+
+def variants(scene: Scene, damping: float, stiffness: float) -> tuple[Scene, ...]:
+    """Give a scene, and the corners of what is uncertain of its structure.
+
+    Parameters
+    ----------
+    damping, stiffness : float
+        Either may be larger or smaller by this share of it.
+    """
+    mass, damping_matrix, stiffness_matrix = structure_matrices(scene.structure)
+    corners = product(*({1.0 - share, 1.0 + share} for share in (damping, stiffness)))
+    others = [
+        scene.replace(
+            structure={
+                "matrices": {
+                    "mass": mass.tolist(),
+                    "damping": (a * damping_matrix).tolist(),
+                    "stiffness": (b * stiffness_matrix).tolist(),
+                }
+            }
+        )
+        for a, b in sorted(corners)
+        if (a, b) != (1.0, 1.0)
+    ]
+    return (scene, *others)

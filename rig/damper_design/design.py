@@ -1,0 +1,155 @@
+"""The dampers that make the worst peak of a structure smallest, and how good others are beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.damper_design.answers import Answers
+from rig.damper_design.asked import asked
+from rig.damper_design.choice import Question, Space, Trial
+from rig.damper_design.search import chart, front, pieces, search
+from rig.damper_design.worst_peak import Peak
+from rig.scene.scene import Scene
+from rig.system.open_loop_drive import level_of
+from rig.workers import Workers
+
+Array = NDArray[np.float64]
+
+#: Levels and clearances of the chart, relative to those of the best design.
+CHART_LEVELS = np.geomspace(0.25, 4.0, 9)
+CHART_CLEARANCES = np.geomspace(0.25, 4.0, 7)
+#: Points of the test that checks a design, and their range about the worst peak.
+CHECK_POINTS, CHECK_RANGE = 25, 0.04
+
+
+@dataclass(frozen=True)
+class Design:
+    """Dampers that make the worst peak smallest.
+
+    Attributes
+    ----------
+    scene : Scene
+        With these dampers, and a stepped sine about the worst peak at its level, to check them by.
+    best : Trial
+        The dampers and their worst peak.
+    bare : Peak
+        Worst peak without dampers.
+    trials : tuple of Trial
+        All that were tried, and `front`: those that none as light is better than.
+    question : Question
+        What was asked; `space`: what there was to choose from.
+    levels : ndarray, shape (levels,)
+        Forces of the chart, N.
+    clearance_factors : ndarray, shape (factors,)
+        Clearances of the chart, relative to the best ones.
+    chart : tuple of tuple of Peak
+        Worst peak over clearance (rows) and level.
+    """
+
+    scene: Scene
+    best: Trial
+    bare: Peak
+    trials: tuple[Trial, ...]
+    question: Question
+    space: Space
+    levels: Array
+    clearance_factors: Array
+    chart: tuple[tuple[Peak, ...], ...]
+
+    @property
+    def front(self) -> list[Trial]:
+        """Trials that none as light is better than, from light to heavy."""
+        return front(self.trials)
+
+    def reduction(self, peak: Peak) -> float:
+        """How much smaller a peak is than without dampers, dB."""
+        return 20.0 * float(np.log10(self.bare.size / peak.size))
+
+
+def design(
+    scene: Scene | str,
+    *,
+    budget: float | None = None,
+    bodies: Sequence[int] | None = None,
+    dampers: int = 1,
+    clearance: tuple[float, float] | None = None,
+    levels: Sequence[float] | None = None,
+    band: tuple[float, float] | None = None,
+    watched: Sequence[int] | None = None,
+    uncertain: tuple[float, float] = (0.0, 0.0),
+    cluster: str | None = None,
+    table: Path | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Design:
+    """Choose the dampers that make the worst peak over a band and a range of levels smallest.
+
+    Parameters
+    ----------
+    scene : Scene or str
+        Structure, shaker and level; its own dampers are left out, but for the restitution of the first.
+    budget : float, optional
+        The most that may be added, kg; unless given, a twentieth of the structure's mass.
+    bodies : sequence of int, optional
+        Bodies that may carry a damper, from 1; unless given, all.
+    dampers : int
+        How many.
+    clearance : (float, float), optional
+        Smallest and largest, m; unless given, from where a damper hardly moves to where it hardly meets its ceiling.
+    levels : sequence of float, optional
+        Forces that it has to do well at, N; unless given, half, once and twice that of the scene's test.
+    band : (float, float), optional
+        Hz; unless given, the range of the scene's test.
+    watched : sequence of int, optional
+        Bodies whose peaks count, from 1; unless given, all.
+    uncertain : (float, float)
+        Shares by which the structure's damping and stiffness may be off: the worst corner counts.
+    cluster : str, optional
+        As for `rig.workers.Workers`.
+    table : Path, optional
+        CSV file of all trials. What stands there of the same search is not computed again.
+    progress : callable, optional
+        Called with the pieces of work done and of all.
+
+    Raises
+    ------
+    SceneError
+        If that leaves nothing to choose or nothing to drive the structure with.
+    RunError
+        If workers die.
+    """
+    if isinstance(scene, str):
+        from rig.scene.loading import load
+
+        scene = load(scene)
+    question, space = asked(scene, budget, bodies, dampers, clearance, levels, band, watched, uncertain)
+    forces = level_of(question.scenes[0]) * CHART_LEVELS
+    with Workers(cluster) as workers:
+        answers = Answers(workers, table, progress, pieces(space) + CHART_CLEARANCES.size * forces.size)
+        best = search(question, space, answers)
+        found = chart(question, best.choice, CHART_CLEARANCES.tolist(), forces.tolist(), answers)
+    return Design(
+        scene=_checked(scene, best, question),
+        best=best,
+        bare=question.bare,
+        trials=tuple(Trial(choice, peak) for choice, peak in answers.known(question).items()),
+        question=question,
+        space=space,
+        levels=forces,
+        clearance_factors=CHART_CLEARANCES,
+        chart=tuple(map(tuple, found)),
+    )
+
+
+def _checked(scene: Scene, best: Trial, question: Question) -> Scene:
+    """Put the dampers into the scene, with a test about the worst peak at its level."""
+    peak = best.peak
+    low = max(peak.frequency * (1.0 - CHECK_RANGE), question.band[0])
+    high = min(peak.frequency * (1.0 + CHECK_RANGE), question.band[1])
+    frequencies = np.unique([*np.linspace(low, high, CHECK_POINTS), peak.frequency])
+    test = {"kind": "stepped_sine", "frequencies": frequencies.tolist(), "force": peak.level}
+    return scene.replace(dampers=best.choice.dampers(question.restitution), test=test)

@@ -1,0 +1,106 @@
+"""The worst peak of a structure with dampers: over frequency, level, bodies, and what is uncertain of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+from rig.errors import RunError
+from rig.orbits.orbit import solve
+from rig.orbits.problem import OperatingPoint, OrbitProblem
+from rig.orbits.sweep import LONGEST, OrbitResponse, sweep
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, order=True)
+class Peak:
+    """A peak of the compliance; the larger one is the worse.
+
+    Attributes
+    ----------
+    size : float
+        Largest |X| / F, m/N.
+    frequency : float
+        Hz.
+    level : float
+        Force, N.
+    body : int
+        From 1.
+    acceleration : float
+        Amplitude of the body's acceleration there, m/s^2.
+    simulated : float
+        Share of the frequencies at which the motion is irregular, and was simulated and averaged.
+    """
+
+    size: float
+    frequency: float
+    level: float
+    body: int
+    acceleration: float
+    simulated: float
+
+
+def curve(problem: OrbitProblem, force: float, frequencies: Array, longest: int = LONGEST) -> OrbitResponse:
+    """Steady motion at each frequency from the motion at the one before, waited for so many periods."""
+    base = OperatingPoint(float(frequencies[0]), force)
+    return sweep(problem, base, "frequency", frequencies, longest=longest)
+
+
+def resonance(problem: OrbitProblem, response: OrbitResponse, body: int) -> tuple[float, float]:
+    """Largest compliance of a body over a curve [m/N], and its frequency [Hz].
+
+    Where the largest point is an orbit, the maximum is sought between its neighbours over orbits with the same
+    events, so that it does not depend on the grid.
+    """
+    size = np.abs(response.compliance[body - 1])
+    i = int(size.argmax())
+    best, where = float(size[i]), float(response.value[i])
+    orbit = response.orbits[i]
+    if orbit is None or i in (0, size.size - 1):
+        return best, where
+
+    def missing(frequency: float) -> float:
+        setting = OperatingPoint(float(frequency), orbit.setting.force)
+        try:
+            found = solve(problem, orbit.plan, setting, orbit.unknowns)
+        except RunError:
+            return 0.0
+        return 0.0 if found.flaw or not found.stable else -abs(found.compliance[body - 1])
+
+    bounds = (float(response.value[i - 1]), float(response.value[i + 1]))
+    top = minimize_scalar(missing, bounds=bounds, method="bounded", options={"xatol": 1e-3})
+    return (float(-top.fun), float(top.x)) if -top.fun > best else (best, where)
+
+
+@dataclass(frozen=True)
+class Thoroughness:
+    """How closely a curve is looked at.
+
+    Attributes
+    ----------
+    density : int
+        Frequencies for each natural frequency in the band.
+    longest : int
+        Periods after which a motion that is not periodic counts as irregular.
+    """
+
+    density: int
+    longest: int
+
+
+def peak_at(
+    problem: OrbitProblem, level: float, frequencies: Array, bodies: Iterable[int], longest: int
+) -> Peak:
+    """Find the largest peak of some bodies at one level."""
+    response = curve(problem, level, frequencies, longest)
+    found = []
+    for body in bodies:
+        size, where = resonance(problem, response, body)
+        acceleration = size * level * (2 * np.pi * where) ** 2
+        found.append(Peak(size, where, level, body, acceleration, float(response.simulated.mean())))
+    return max(found)

@@ -1,0 +1,134 @@
+"""The dampers that a design chooses are as good as any, do what is promised on the rig, and are found again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import analysis
+import daq
+import rig
+from rig.damper_design.asked import asked, bodies_of, mass_of, range_of
+from rig.damper_design.choice import FINE, Choice, Space, Trial
+from rig.damper_design.figure import summary, write
+from rig.damper_design.search import front
+from rig.damper_design.worst_peak import Peak, curve
+from rig.errors import SceneError
+from rig.orbits.problem import OrbitProblem
+from rig.scene.quantities import FREQUENCY
+from rig.system.open_loop_drive import with_ideal_force
+from rig.system.receptance import receptance
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("design") / "table.csv"
+
+
+@pytest.fixture(scope="module")
+def chosen(table: Path) -> rig.Design:
+    return rig.design("fig9", bodies=[2], levels=[3.3], watched=[2], table=table)
+
+
+@pytest.mark.thorough
+def test_given_one_place_when_designed_then_no_clearance_of_a_fine_grid_is_a_percent_better(
+    chosen: rig.Design,
+) -> None:
+    question = replace(chosen.question, thoroughness=FINE)
+    clearances = np.geomspace(0.5, 2.0, 25) * chosen.best.choice.clearances[0]
+    others = [question.worst(replace(chosen.best.choice, clearances=(c,))).size for c in clearances]
+    assert chosen.best.peak.size < 1.01 * min(others)
+
+
+@pytest.mark.thorough
+@pytest.mark.filterwarnings("ignore:.*no steady state:daq.RunWarning")
+def test_given_a_design_when_its_scene_is_recorded_and_analysed_then_steady_motion_is_as_predicted(
+    chosen: rig.Design, tmp_path: Path
+) -> None:
+    daq.record(chosen.scene, tmp_path / "check.mcap")
+    with daq.open(tmp_path / "check.mcap") as recording:
+        measured = analysis.compliance(recording, "body2")
+    problem = OrbitProblem(with_ideal_force(chosen.scene.replace(channels=None)))
+    predicted = curve(problem, chosen.best.peak.level, measured.frequency).compliance[1]
+    assert measured.unsteady is not None and measured.unsteady.mean() < 0.3
+    decibels = 20 * np.log10(np.abs(measured.value / predicted))[~measured.unsteady]
+    assert np.abs(decibels).max() < 0.3
+
+
+@pytest.mark.thorough
+def test_given_the_table_of_a_search_when_designed_again_then_the_same_is_found_and_nothing_computed(
+    chosen: rig.Design, table: Path
+) -> None:
+    written = table.read_bytes()
+    # As a kill may leave it.
+    table.write_bytes(written + b"3dfa,2,0.1")
+    again = rig.design("fig9", bodies=[2], levels=[3.3], watched=[2], table=table)
+    assert again.best == chosen.best and again.chart == chosen.chart
+    assert table.read_bytes() == written + b"3dfa,2,0.1"
+
+
+@pytest.mark.thorough
+def test_given_a_design_when_written_then_its_scene_loads_and_its_summary_says_the_choice(
+    chosen: rig.Design, tmp_path: Path
+) -> None:
+    scene, picture, drawing = write(chosen, tmp_path)
+    assert rig.load(str(scene)).dampers == chosen.scene.dampers
+    assert picture.stat().st_size > 10_000 and drawing.stat().st_size > 10_000
+    assert f"clearance {1e3 * chosen.best.choice.clearances[0]:.3g} mm" in summary(chosen)
+
+
+def test_given_no_dampers_when_asked_then_the_worst_peak_is_that_of_the_receptance() -> None:
+    question, _ = asked(rig.load("fig9"), None, None, 1, None, None, None, None, (0.0, 0.0))
+    fine = np.linspace(49.4, 49.9, 2001)
+    exact = np.abs(receptance(rig.load("fig9"), fine)).max()
+    assert question.bare.size == pytest.approx(exact, rel=1e-5)
+
+
+def test_given_uncertain_damping_when_asked_then_the_structure_with_the_least_counts() -> None:
+    question, _ = asked(rig.load("fig9"), None, None, 1, None, None, None, None, (0.2, 0.0))
+    sure, _ = asked(rig.load("fig9"), None, None, 1, None, None, None, None, (0.0, 0.0))
+    assert len(question.scenes) == 3
+    assert question.bare.size == pytest.approx(sure.bare.size / 0.8, rel=1e-2)
+
+
+def test_given_trials_when_their_front_is_taken_then_none_as_light_is_better() -> None:
+    sizes = [(0.1, 3.0), (0.1, 2.0), (0.2, 2.5), (0.3, 1.0), (0.05, 4.0)]
+    trials = [Trial(Choice((1,), (m,), (1e-3,)), Peak(size, 10.0, 1.0, 1, 1.0, 0.0)) for m, size in sizes]
+    assert [(t.choice.mass, t.peak.size) for t in front(trials)] == [(0.05, 4.0), (0.1, 2.0), (0.3, 1.0)]
+
+
+def test_given_three_bodies_when_two_dampers_are_placed_then_each_pair_is_a_place() -> None:
+    assert Space.places_of((1, 2, 3), 2) == ((1, 2), (1, 3), (2, 3))
+
+
+@pytest.mark.parametrize(
+    ("told", "message"),
+    [
+        ({"budget": 5.0}, "expected more than nothing and less than the structure's 2.09 kg"),
+        ({"bodies": [7]}, "numbers from 1 to 3"),
+        ({"dampers": 4}, "expected 1 to 3"),
+        ({"band": (2.0, 3.0)}, "nothing resonates"),
+        ({"levels": [-1.0]}, "expected positive forces"),
+        ({"clearance": (2e-3, 1e-3)}, "the smaller one first"),
+        ({"uncertain": (2.0, 0.0)}, "two shares"),
+        ({"cluster": "nonsense://"}, "no Dask scheduler answers"),
+    ],
+)
+def test_given_what_makes_no_sense_when_designed_then_it_says_what_was_expected(
+    told: dict, message: str
+) -> None:
+    with pytest.raises(SceneError, match=message):
+        rig.design("fig9", **told)
+
+
+def test_given_words_when_read_then_masses_shares_and_lists_are_understood() -> None:
+    scene = rig.load("fig9")
+    assert mass_of("50 g", scene) == pytest.approx(0.05)
+    assert mass_of("5 %", scene) == pytest.approx(0.1045)
+    assert bodies_of("1, 3", "--bodies") == (1, 3)
+    assert range_of("40 Hz, 60 Hz", FREQUENCY, "--band") == (40.0, 60.0)
+    with pytest.raises(SceneError, match="--band: got 1 values; expected two"):
+        range_of("40 Hz", FREQUENCY, "--band")

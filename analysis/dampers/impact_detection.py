@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.dampers.joint_fit import Jump, fit_together, put
 from analysis.dampers.jump_signature import SHIFT, Signature, signature
 from analysis.recordings.slices import read_slices
 from analysis.responses.frf import MOTIONS
@@ -28,19 +29,31 @@ Indices = NDArray[np.int64]
 # three standard deviations.
 SIGMAS = 6.0
 _CERTAINTY = 3.0
+# So much smaller than the largest one, a jump is not told from what the model of a channel leaves out.
+_RANGE = 3e-3
 # What is left of a jump after it was taken out; smaller ones in its ringing are not told from that.
-_LEFT_OVER = 0.05
+_LEFT_OVER = 0.02
 # An impact on a neighbour kinks the acceleration of a body, and the kink is bent a little; the bend passes for
 # a jump of at most this part of the velocity that the kink brings about in a sample.
 _BEND = 1.0
-_PASSES = 4
+# Rounds of the search, each for the largest of what is left within reach; and of putting a window around a jump.
+_ROUNDS, _PASSES = 12, 4
+# Jumps nearer to each other than so many samples are taken for one; told apart for certain from so many on.
+_APART, _RESOLVED = 4, 6
+# So many are fitted together at a time; what is left of one that was fitted alone misleads by so many samples.
+_TOGETHER, _STARTS, _BESIDE = 5, (0.0, -2.5, 2.5, -5.0, 5.0), 10.0
+# Steps of the acceleration are such a part of what it goes through, smoothed over so many samples; kinks bring
+# it back at such a frequency, Hz.
+_PART, _CALM, _QUICK = 0.2, 8, 100.0
 # Acceleration at an impact: from so much time on either side, s, less so many decay times of the sensor's
 # resonance, by a polynomial of this order.
 _AROUND, _FEWEST_AROUND, _RUNG_OUT, _BENDS = 2e-3, 8, 4.0, 3
-# Noise is taken to be the same over so many windows.
+# Noise is taken to be the same over so many windows; it is told from the share of them in which there is least, and
+# what normal deviates are below in as many.
 _STEADY = 8
-# Orders of the polynomial the acceleration follows around a jump: the one that leaves less is taken.
-_CURVATURES = (2, 4)
+_QUANTILE, _OF_NORMAL = 0.5, 0.6745
+# Orders of the polynomial the acceleration follows around a jump: a higher one is taken where it leaves clearly less.
+_CURVATURES = (2, 4, 6, 8)
 _CLEARLY = 0.7
 
 
@@ -68,8 +81,8 @@ class Impacts:
 
     @property
     def threshold(self) -> float:
-        """Smallest jump that is not missed, m/s: the noise taken `SIGMAS` + 3 times."""
-        return (SIGMAS + _CERTAINTY) * self.noise
+        """Smallest jump that is not missed, m/s: the noise taken `SIGMAS` + 3 times, or a part of the largest one."""
+        return max((SIGMAS + _CERTAINTY) * self.noise, _RANGE * float(abs(self.jump).max(initial=0.0)))
 
     @property
     def kind(self) -> NDArray[np.str_]:
@@ -85,7 +98,7 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
     a kink of the acceleration (both come with an impact, on the body itself and on its neighbours) and a
     smooth motion, is fitted to the samples around by least squares. Where a jump explains them best and
     exceeds `SIGMAS` standard deviations, it is an impact. It is then taken out and the search repeated for
-    smaller ones.
+    smaller ones; those that ring into each other are fitted together.
 
     Parameters
     ----------
@@ -129,17 +142,21 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
             "stretch, or record with a lower level or a larger converter range"
         )
     quiet = [search.signature.gain * float(np.median(search.noise()[2])) for search in searches]
-    search = searches[0] if quiet[0] * _CLEARLY <= quiet[1] else searches[1]
+    taken = 0
+    for k, left in enumerate(quiet):
+        if left < _CLEARLY * quiet[taken]:
+            taken = k
+    search = searches[taken]
     place, jump = search.run()
     noise = float(np.percentile(search.noise()[2], 95.0)) * search.signature.gain
-    clear = abs(jump) > SIGMAS * noise
+    clear = abs(jump) > max(SIGMAS * noise, _RANGE * float(abs(jump).max(initial=0.0)))
     return Impacts(
         info.name,
         (start + place[clear]) / rec.rate - info.delay,
         jump[clear],
         _acceleration(samples, place[clear], info),
         noise,
-        search.signature.reach / rec.rate,
+        _RESOLVED / rec.rate,
         float(search.open.sum()) / rec.rate,
     )
 
@@ -173,17 +190,6 @@ def _signature(metadata: str, curvature: int) -> Signature:
     return signature(ChannelInfo.from_metadata(json.loads(metadata)), curvature)
 
 
-@dataclass
-class _Jump:
-    """A jump, or a mere kink, fitted: sample, instant, sizes (jump, step, kink), and how much it explains."""
-
-    place: int
-    instant: float
-    sizes: Array
-    explains: float
-    significant: bool
-
-
 class _Search:
     """Search of one stretch: what is left of its differences, and what was taken out."""
 
@@ -193,26 +199,27 @@ class _Search:
         self.signature, self.floor, self.rate = of, floor, rate
         filled = np.interp(np.arange(samples.size), np.flatnonzero(good), samples[good])
         self.rest = np.diff(filled, of.difference)
+        self.usual = self.typical(filled)
         # Position i of a window's first difference, of its sample 0, and of the sample itself.
         self.zero = of.difference - of.window_start
         self.open = np.convolve(~good, np.ones(of.reach), mode="full")[of.reach - 1 :] == 0
         self.open = self.open[: self.rest.size - of.window + 1]
-        self.found: list[_Jump] = []
+        self.found: list[Jump] = []
 
     def run(self) -> tuple[Array, Array]:
         """Places in samples, and sizes in m/s."""
         from scipy.ndimage import maximum_filter1d
 
         of = self.signature
-        for _ in range(_PASSES):
+        for _ in range(_ROUNDS):
             strength, noise = self.scan()
-            taken = np.zeros(strength.size)
+            taken, near = np.zeros(strength.size), ~self.open
             for one in self.found:
-                at = min(max(one.place - self.zero, 0), strength.size - 1)
+                at = self.at(one)
                 taken[at] = max(taken[at], one.explains)
-            near = maximum_filter1d(taken, 2 * of.reach + 1) > 0
+                near[max(at - _APART, 0) : at + _APART + 1] = True
             rings = maximum_filter1d(taken, 2 * (of.reach + of.ring) + 1)
-            free = np.where(near | ~self.open, 0.0, strength)
+            free = np.where(near, 0.0, strength)
             peaks = (free >= maximum_filter1d(free, 2 * of.reach + 1)) & (free > SIGMAS**2)
             peaks &= free > _LEFT_OVER**2 * rings
             where = np.flatnonzero(peaks)
@@ -220,10 +227,63 @@ class _Search:
                 break
             for first in where[np.argsort(-strength[where], kind="stable")]:
                 one = self.fitted(int(first), float(noise[2, first]))
-                self.take_out(one)
+                if any(abs(one.place - other.place) < _APART for other in self.found):
+                    continue
+                put(self.rest, of, one, -1.0)
                 self.found.append(one)
-        real = sorted((one.place + one.instant, one.sizes[0]) for one in self.found if one.significant)
-        return np.array([at for at, _ in real]), np.array([jump for _, jump in real])
+                self.settle(one, noise, _STARTS)
+        for one in sorted(self.found, key=lambda one: abs(one.sizes[0])):
+            now = min(self.found, key=lambda other: abs(other.place - one.place))
+            self.settle(now, noise)
+        self.found.sort(key=lambda one: one.place)
+        real = [
+            one
+            for one in self.found
+            if abs(one.sizes[0]) > SIGMAS * one.error
+            and abs(one.sizes[0]) > _BEND * abs(one.sizes[2]) / self.rate**2
+        ]
+        return np.array([one.place for one in real]), np.array([one.sizes[0] for one in real])
+
+    def at(self, one: Jump) -> int:
+        """Where the window of a jump begins, among those that there are."""
+        return min(max(int(np.floor(one.place)) - self.zero, 0), self.rest.size - self.signature.window)
+
+    def settle(self, one: Jump, noise: Array, starts: tuple[float, ...] = (0.0,)) -> None:
+        """Fit a jump anew together with those that it rings into, from where it lies and from places beside that.
+
+        One that lies beside a larger one is left out where that one explains both as well by itself.
+        """
+        of = self.signature
+        group = [other for other in self.found if abs(other.place - one.place) < of.reach]
+        if len(group) == 1:
+            return
+        group.sort(key=lambda other: abs(other.place - one.place))
+        group, others = group[:_TOGETHER], group[1:_TOGETHER]
+        for other in group:
+            put(self.rest, of, other, 1.0)
+        deviation = float(noise[2, self.at(one)])
+        places = [one.place + start for start in starts]
+        tries = [
+            fit_together(self.rest, of, [replace(one, place=place), *others], deviation, self.usual)
+            for place in places
+            if place == one.place or all(abs(place - other.place) >= _APART for other in others)
+        ]
+        best, left = min(tries, key=lambda fit: fit[1])
+        if any(abs(other.place - one.place) < _BESIDE for other in others):
+            alone, more = fit_together(self.rest, of, others, deviation, self.usual)
+            if more < left + (SIGMAS * deviation) ** 2:
+                best = alone
+        self.found = [other for other in self.found if all(other is not old for old in group)] + best
+        for new in best:
+            put(self.rest, of, new, -1.0)
+
+    def typical(self, samples: Array) -> tuple[float, float]:
+        """Size of steps and kinks: a part of what the motion itself goes through."""
+        order = self.signature.difference - 2
+        motion = np.diff(samples, order) * self.rate**order
+        motion = np.convolve(motion - np.median(motion), np.ones(_CALM) / _CALM, "valid")
+        step = _PART * float(np.percentile(abs(motion), 90.0))
+        return step, step * 2 * np.pi * _QUICK
 
     def coordinates(self, row: int) -> Array:
         """Kink, step and jump coordinates at every place, shape (3, places), for one instant."""
@@ -241,13 +301,15 @@ class _Search:
 
         of = self.signature
         size = abs(self.coordinates((2 * SHIFT + 1) * of.instants // 2))
-        middle = np.median(size[:, self.open], axis=1)[:, None]
+        middle = np.quantile(size[:, self.open], _QUANTILE, axis=1)[:, None]
         parts = np.array_split(
             np.where(self.open, size, middle), max(1, size.shape[1] // (_STEADY * of.window)), axis=1
         )
-        medians = np.stack([np.median(part, axis=1) for part in parts], axis=1)
+        medians = np.stack([np.quantile(part, _QUANTILE, axis=1) for part in parts], axis=1)
         steady = np.maximum(maximum_filter1d(medians, 3, axis=1), middle)
-        return np.maximum(1.4826 * np.repeat(steady, [part.shape[1] for part in parts], axis=1), self.floor)
+        return np.maximum(
+            np.repeat(steady, [part.shape[1] for part in parts], axis=1) / _OF_NORMAL, self.floor
+        )
 
     def scan(self) -> tuple[Array, Array]:
         """Largest squared jump coordinate at every place, in variances, and the noise."""
@@ -259,18 +321,18 @@ class _Search:
             np.maximum(best, (self.coordinates(row)[2] / noise[2]) ** 2, out=best)
         return best, noise
 
-    def fitted(self, first: int, noise: float) -> _Jump:
+    def fitted(self, first: int, noise: float) -> Jump:
         """Best jump near a place, in a window that has it in its middle."""
         last = self.rest.size - self.signature.window
         for _ in range(_PASSES):
             one = self.best(first, noise)
-            middle = min(max(one.place - self.zero, 0), last)
+            middle = min(max(int(np.floor(one.place)) - self.zero, 0), last)
             if middle == first:
                 break
             first = middle
         return one
 
-    def best(self, first: int, noise: float) -> _Jump:
+    def best(self, first: int, noise: float) -> Jump:
         """Best jump in the window that begins at a place: the instant that explains most of it."""
         of = self.signature
         window = self.rest[first : first + of.window]
@@ -289,33 +351,13 @@ class _Search:
         if toward:
             side = 1 if toward > 0 else -1
             sizes = (1.0 - abs(toward)) * sizes + abs(toward) * self.sizes(row + side, near[best + side])
-        instant = (row + toward) / of.instants - SHIFT
-        whole = int(np.floor(instant))
-        return _Jump(
-            first + self.zero + whole,
-            instant - whole + 0.5 / of.instants,
-            sizes,
-            float(explains[best]),
-            bool(
-                abs(near[best, 2]) > SIGMAS * noise and abs(sizes[0]) > _BEND * abs(sizes[2]) / self.rate**2
-            ),
-        )
+        place = first + self.zero + (row + toward + 0.5) / of.instants - SHIFT
+        error = noise / abs(self.signature.triangles[row, 2, 2])
+        return Jump(place, sizes, error, float(explains[best]))
 
     def sizes(self, row: int, coordinates: Array) -> Array:
         """Jump [m/s], step [m/s²] and kink [m/s³] from coordinates."""
         return np.asarray(np.linalg.solve(self.signature.triangles[row], coordinates)[::-1])
-
-    def take_out(self, one: _Jump) -> None:
-        """Subtract a fitted jump, its instant between two of those tabulated."""
-        of = self.signature
-        at = (one.instant * of.instants - 0.5) + SHIFT * of.instants
-        row = int(np.clip(np.floor(at), 0, len(of.shapes) - 2))
-        part = at - row
-        shape = one.sizes @ ((1.0 - part) * of.shapes[row] + part * of.shapes[row + 1])
-        begin = one.place + of.shape_start - of.difference
-        low, high = max(0, -begin), min(shape.size, self.rest.size - begin)
-        if high > low:
-            self.rest[begin + low : begin + high] -= shape[low:high]
 
 
 def score(found: Array, true: Array, tolerance: float) -> tuple[float, NDArray[np.bool_], NDArray[np.bool_]]:

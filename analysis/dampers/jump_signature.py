@@ -61,6 +61,12 @@ class Signature:
     """Differences of unit jump, step and kink; shape (2 SHIFT instants, 3, length)."""
     shape_start: int
     """Place of their first one against sample 0."""
+    curvature: int
+    """Order of the polynomial that a window's smooth motion follows, in the readings."""
+
+    def background(self, length: int) -> int:
+        """Order of the polynomial that the smooth motion follows over so many differences."""
+        return self.curvature + max(0, (self.curvature - 1) * (length - self.window) // self.window)
 
     @property
     def window(self) -> int:
@@ -122,6 +128,7 @@ def signature(info: ChannelInfo, curvature: int = 2) -> Signature:
         window_start=3 - before,
         shapes=shapes,
         shape_start=3 - before - extra,
+        curvature=curvature + integrations,
     )
 
 

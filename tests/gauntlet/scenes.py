@@ -28,6 +28,7 @@ KINDS = (
     "stepped_sine_dampers",
     "multisine_dampers",
     "swept_sine_dampers",
+    "tone_dampers",
 )
 # Time constant of the slowest mode, s: transients must die out within seconds.
 _SLOWEST = 1.6
@@ -60,14 +61,14 @@ class Draw:
 def draw(seed: int, number: int, kind: str) -> rig.Scene:
     """Draw a scene for a kind of test; same seed, number and kind give the same scene."""
     dice = Draw(seed, number)
-    structure, modes = _structure(dice)
-    settings: Settings = {"name": f"gauntlet {seed}/{number} {kind}", "structure": structure}
-    bodies = len(structure["masses"])
+    chain, modes = structure(dice)
+    settings: Settings = {"name": f"gauntlet {seed}/{number} {kind}", "structure": chain}
+    bodies = len(chain["masses"])
     test = kind.removesuffix("_dampers")
     if kind.endswith("_dampers"):
         settings["dampers"] = _dampers(dice, bodies)
     if test != "impulse":
-        settings["shaker"] = _shaker(dice, structure, bodies, kind)
+        settings["shaker"] = _shaker(dice, chain, bodies, kind)
     settings["test"] = _test(dice, test, modes, bodies, settings)
     settings["channels"] = _channels(dice, settings, bodies)
     settings["converter"] = _converter(dice, settings, modes)
@@ -76,7 +77,7 @@ def draw(seed: int, number: int, kind: str) -> rig.Scene:
     return _ranged(dice, rig.loads(yaml.safe_dump(settings, sort_keys=False), where=settings["name"]))
 
 
-def _structure(dice: Draw) -> tuple[Settings, list[float]]:
+def structure(dice: Draw) -> tuple[Settings, list[float]]:
     """A chain of 1 to 6 bodies and its natural frequencies, Hz."""
     bodies = dice.whole(1, 6)
     masses = [dice.log(0.3, 3.0) for _ in range(bodies)]

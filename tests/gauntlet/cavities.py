@@ -1,0 +1,85 @@
+"""Scenes in which dampers fly, with and without ceiling, for judges of what they do in their cavities."""
+
+from __future__ import annotations
+
+import numpy as np
+import yaml
+
+import rig
+from rig.system.receptance import receptance
+from tests.gauntlet.scenes import Draw, Settings, structure
+
+# Amplitude of the acceleration of a damper's body without dampers, in g: below 1 nothing flies.
+_LEVELS = (1.3, 8.0)
+_GRAVITY = 9.80665
+TONE = "tone_dampers"
+
+
+def draw_tone(seed: int, number: int) -> rig.Scene:
+    """Draw a tone near a mode behind a delta-sigma converter at 5120 Hz, with real accelerometers, truth beside."""
+    dice = Draw(seed, number)
+    chain, modes = structure(dice)
+    bodies = len(chain["masses"])
+    with_damper = sorted({dice.whole(1, bodies) for _ in range(dice.whole(1, 2))})
+    dampers = [
+        {
+            "body": body,
+            "mass_ratio": dice.even(0.03, 0.15),
+            "clearance": dice.one([".inf", f"{dice.log(0.3, 3.0):.3g} mm"]),
+            "restitution": dice.one([0.0, dice.even(0.05, 0.6)]),
+        }
+        for body in with_damper
+    ]
+    # Of a faster one fewer than 64 samples hold a period with all its impacts.
+    near = dice.one([mode for mode in modes if mode < 80.0])
+    settings: Settings = {
+        "name": f"gauntlet {seed}/{number} {TONE}",
+        "structure": chain,
+        "dampers": dampers,
+        "shaker": {"kind": "force", "body": dice.whole(1, bodies)},
+        "test": {
+            "kind": "sine",
+            "frequency": float(f"{near * dice.even(0.9, 1.1):.4g}"),
+            "force": 1.0,
+            "duration": 2.0,
+        },
+        "channels": [
+            *({"name": f"a{body}", "at": f"body {body}", **_accelerometer(dice)} for body in with_damper),
+            {"name": "force", "at": "shaker"},
+        ],
+        "converter": {"rate": 5120.0, "filter": "delta_sigma"},
+        "recording": {"display": False, "truth": True},
+        "seed": dice.whole(1, 10**6),
+    }
+    scene = rig.loads(yaml.safe_dump(settings, sort_keys=False), where=settings["name"])
+    return scene.replace(test=scene.test.replace(force=_force(dice, scene, with_damper[0])))
+
+
+def _accelerometer(dice: Draw) -> Settings:
+    if dice.chance(0.3):
+        return {"accelerometer": {"preset": "PCB 352C33", "bias": 0.0}}
+    sensor = {
+        "sensitivity": "100 mV/g",
+        "noise": f"{dice.log(1.0, 100.0):.4g} ug/sqrt(Hz)",
+        "resonance": dice.log(2e4, 5e4),
+        "low_cutoff": dice.log(0.05, 0.8),
+    }
+    order = dice.one([0, 0, 1, 2])
+    if order:
+        return {
+            "accelerometer": sensor,
+            "integrator": {
+                "order": order,
+                "corner": dice.log(0.2, 2.0),
+                "gain": 50.0 if order == 1 else 2000.0,
+            },
+        }
+    return {"accelerometer": sensor}
+
+
+def _force(dice: Draw, scene: rig.Scene, body: int) -> float:
+    """Force that without dampers moves a body by so many g."""
+    frequency = np.array([scene.test.frequency])
+    linear = abs(receptance(scene.replace(dampers=[]), frequency)[body - 1, 0])
+    asked = dice.log(*_LEVELS) * _GRAVITY / (linear * (2 * np.pi * frequency[0]) ** 2)
+    return float(f"{asked:.4g}")

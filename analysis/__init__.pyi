@@ -4,7 +4,20 @@ from .decays.free_decay import Decay, decay
 from .export.export import sep005
 from .modal.identification import identify
 from .modal.modes import Modes, mac
-from .responses.frequency_responses import compliance, frequency_responses
+from .responses.frequency_responses import compliance, frequency_responses, frfs
 from .responses.frf import Frf
+from .responses.frf_set import FrfSet
 
-__all__ = ["Decay", "Frf", "Modes", "compliance", "decay", "frequency_responses", "identify", "mac", "sep005"]
+__all__ = [
+    "Decay",
+    "Frf",
+    "FrfSet",
+    "Modes",
+    "compliance",
+    "decay",
+    "frequency_responses",
+    "frfs",
+    "identify",
+    "mac",
+    "sep005",
+]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,11 @@ from analysis.recordings.channel_delay import arrival
 from analysis.recordings.slices import hits
 from analysis.responses.measurands import motion_channel, responses
 from rig.errors import RecordingError, SceneError
+from rig.results import Result, styled
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from daq.recording.recording import Recording
     from daq.signal_chain.channel import ChannelInfo
 
@@ -28,8 +31,8 @@ HIGHEST_MODE = 200.0
 _MOST_CLIPPED = 0.1
 
 
-@dataclass(frozen=True)
-class Decay:
+@dataclass(frozen=True, repr=False)
+class Decay(Result):
     """Free decay of one channel after one hit.
 
     Attributes
@@ -66,6 +69,30 @@ class Decay:
     modes: tuple[ModalDecay, ...]
     gravity: float
     warnings: tuple[str, ...]
+
+    def summary(self) -> str:
+        """Say what decayed, from where, and each mode with its damping ratio at its largest amplitude."""
+        modes = [f"{m.frequency:.4g} Hz ({100 * m.damping[0]:.3g} %)" for m in self.modes if m.damping.size]
+        largest = float(abs(self.acceleration).max())
+        return (
+            f"{self.label}, {self.channel} after hit {self.hit}: from {largest:.3g} m/s²; {', '.join(modes)}"
+        )
+
+    def columns(self) -> dict[str, Array]:
+        """Time, acceleration, its envelope, and the energy left."""
+        return {
+            "time_s": self.time,
+            "acceleration_m/s²": self.acceleration,
+            "envelope_m/s²": self.envelope,
+            "energy_dB": self.energy,
+        }
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Acceleration with its envelope on both sides."""
+        (line,) = ax.plot(self.time, self.acceleration, **styled(style, lw=0.5, label=self.label))
+        for sign in (1.0, -1.0):
+            ax.plot(self.time, sign * self.envelope, color=line.get_color(), lw=1.2)
+        ax.set(xlabel="time after the hit / s", ylabel="acceleration / (m/s²)")
 
     def time_below(self, amplitude: float) -> float:
         """Time in s from which the acceleration stays below an amplitude; NaN when it never does."""

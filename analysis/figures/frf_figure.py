@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Curves with more points than this are drawn without a dot at each.
-_DOTS = 400
+DOTS = 400
 # Points over which the roughness of a curve is judged.
 _AROUND = 25
 # Where less of the response than this repeats with the reference, it is not drawn like a measurement.
@@ -61,7 +61,7 @@ def frf_figure(
         for curve in theory:
             shade = shades.get(curve.response, THEORY) if several else THEORY
             style: dict[str, Any] = {"color": shade, "lw": 0.9, "ls": (0, (5, 2)), "zorder": 1}
-            upper.plot(curve.frequency, abs(curve.value), **style)
+            upper.plot(curve.frequency, curve.shown_in[1] * abs(curve.value), **style)
             middle.plot(*_broken(curve.frequency, phase_degrees(curve)), **style)
         if theory:
             upper.plot([], [], color=THEORY, lw=0.9, ls=(0, (5, 2)), label=drawn(theory[0].label))
@@ -73,11 +73,12 @@ def frf_figure(
                 text, (frequency, 1.0), xycoords=("data", "axes fraction"), xytext=(3, -3),
                 textcoords="offset points", va="top", fontsize=7.5, color="#555555",
             )  # fmt: skip
-        decades(upper, [abs(frf.value) for frf in [*frfs, *theory]])
+        unit, factor = frfs[0].shown_in
+        decades(upper, [factor * abs(frf.value) for frf in [*frfs, *theory]])
         for axes, last in ((upper, False), (middle, False), (lower, True)):
             frequency_axis(axes, low, high, last)
         name = drawn(frfs[0].name)
-        upper.set_ylabel(f"|{name}| / ({frfs[0].unit})" if "/" in frfs[0].unit else name)
+        upper.set_ylabel(f"|{name}| / ({unit})" if "/" in unit else name)
         heading(upper, title)
         if upper.get_legend_handles_labels()[0]:
             upper.legend(loc="best")
@@ -110,9 +111,10 @@ def frf_figure(
 
 def _curve(frf: Frf, shade: str, upper: Axes, middle: Axes, lower: Axes) -> None:
     """Draw one measured curve into the three panels."""
-    dots = "o" if frf.frequency.size <= _DOTS else None
-    size, half, clear = abs(frf.value), np.nan_to_num(frf.band()), told(frf)
-    whole = half + np.where(np.isfinite(frf.systematic_bound()), frf.systematic_bound(), size)
+    dots = "o" if frf.frequency.size <= DOTS else None
+    factor, clear = frf.shown_in[1], told(frf)
+    size, half = factor * abs(frf.value), factor * np.nan_to_num(frf.band())
+    whole = half + np.where(np.isfinite(frf.systematic_bound()), factor * frf.systematic_bound(), size)
     for reach, strength in ((whole, 0.13), (half, 0.25)):
         upper.fill_between(
             frf.frequency, np.maximum(size - reach, size * 1e-3), size + reach, where=clear, color=shade,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.figures.frf_figure import DOTS
 from analysis.figures.style import colour, decades, drawing, frequency_axis, heading
 from analysis.modal.modes import Modes
 from analysis.responses.frf import Frf
@@ -35,13 +36,22 @@ def modes_figure(frfs: Sequence[Frf], modes: Modes, title: str) -> Figure:
         dense = dense[(dense >= low) & (dense <= high)]
         for index, curve in enumerate(curves):
             shade = colour(index)
-            fit.plot(curve.frequency, abs(curve.value), "o", ms=2.4, color=shade, label=drawn(curve.response))
-            fit.plot(dense, abs(modes.receptance(dense)[index]), color=shade, lw=0.9)
-        decades(fit, [abs(modes.receptance(dense)), *(abs(curve.value) for curve in curves)])
+            # The model lies as a line through dots, or dark and thin on a broad spectrum.
+            few = curve.frequency.size <= DOTS
+            fit.plot(
+                curve.frequency, 1e6 * abs(curve.value), "o" if few else "-", ms=2.4, color=shade,
+                lw=2.4, alpha=1.0 if few else 0.35, label=drawn(curve.response),
+            )  # fmt: skip
+            fit.plot(
+                dense, 1e6 * abs(modes.receptance(dense)[index]), color=shade if few else "black", lw=0.9
+            )
+        decades(fit, [1e6 * abs(modes.receptance(dense)), *(1e6 * abs(curve.value) for curve in curves)])
         frequency_axis(fit, low, high, False)
-        fit.set_ylabel("|receptance| / (m/N)")
+        fit.set_ylabel("|compliance| / (µm/N)")
         heading(fit, title)
-        fit.legend(loc="best", title="dots measured, lines model", title_fontsize=8)
+        fit.legend(
+            loc="best", title=f"{'dots' if few else 'broad'} measured, thin lines model", title_fontsize=8
+        )
         kinds = ((False, "x", "#bbbbbb", "new pole"), (True, "o", "#009E73", "stable"))
         for stable, mark, shade, text in kinds:
             some = np.array([(p.frequency, p.order) for p in modes.chart if p.stable == stable]).reshape(

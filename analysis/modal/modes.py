@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.modal.lscf import ChartPole
+from rig.results import Result, styled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
-@dataclass(frozen=True)
-class Modes:
+@dataclass(frozen=True, repr=False)
+class Modes(Result):
     """Identified modes.
 
     Attributes
@@ -52,6 +57,27 @@ class Modes:
     model_error: float
     label: str
     warnings: tuple[str, ...]
+
+    def summary(self) -> str:
+        """List frequency and damping ratio of each mode."""
+        found = zip(self.frequency, self.damping, strict=True)
+        return f"{self.label}: {', '.join(f'{f:.4g} Hz ({100 * zeta:.3g} %)' for f, zeta in found)}"
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Frequency, damping ratio, their standard deviations, and the shape at each response."""
+        return {
+            "frequency_Hz": self.frequency,
+            "frequency_std_Hz": self.frequency_error,
+            "damping_ratio": self.damping,
+            "damping_ratio_std": self.damping_error,
+            **{f"shape_{name}": row for name, row in zip(self.responses, self.shapes, strict=True)},
+        }
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Shape of each mode along the responses."""
+        for f, shape in zip(self.frequency, self.shapes.T, strict=True):
+            ax.plot(self.responses, shape.real, "o-", **styled(style, label=f"{f:.4g} Hz"))
+        ax.set(ylabel="mode shape")
 
     @property
     def shapes(self) -> ComplexArray:

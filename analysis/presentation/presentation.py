@@ -78,17 +78,7 @@ def present_frf(
             part = stem if len(names) == 1 else stem.with_name(f"{stem.name}-{name}")
             files += save(frf_figure(shown, f"{what} of {name}", _once(some), _marks(shown)), part)
     files.append(frf_table(stem.with_name(stem.name + ".csv"), curves))
-    return Result(tuple(files), tuple(highest(frf) for frf in curves), tuple(notes))
-
-
-def highest(frf: Frf) -> str:
-    """One line about the highest point of a curve."""
-    top = int(np.nanargmax(abs(frf.value)))
-    return (
-        f"{frf.label}, {frf.response}: {frf.frequency.size} points, {frf.frequency.min():.4g} to "
-        f"{frf.frequency.max():.4g} Hz, highest {abs(frf.value[top]):.4g} {frf.unit} at "
-        f"{frf.frequency[top]:.4g} Hz"
-    )
+    return Result(tuple(files), tuple(frf.summary() for frf in curves), tuple(notes))
 
 
 def linear_theory(rec: Recording, frf: Frf) -> Frf:

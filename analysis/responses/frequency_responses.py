@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING
 
 from analysis.responses.estimators import ESTIMATORS, Averages
 from analysis.responses.frf import MOTIONS, Frf
+from analysis.responses.frf_set import FrfSet
 from analysis.responses.measurands import concerned, responses
 from rig.errors import RecordingError, SceneError
+from rig.scene.quantities import FORCE, number
 
 if TYPE_CHECKING:
     from analysis.responses.multisine import BestLinearApproximation
@@ -109,18 +111,72 @@ def _sources(
     return [sweep.lines for sweep in sweeps(rec, channels, progress)]
 
 
+def frfs(
+    rec: Recording,
+    channels: Sequence[str] | None = None,
+    reference: str = "force",
+    motion: str = "displacement",
+    level: float | str | None = None,
+    direction: str | None = None,
+) -> FrfSet:
+    """Estimate the frequency responses of a test: one for each response.
+
+    Every channel is corrected for its sensor, amplifier and converter. The force is that in the coil spring,
+    F1 = k0 (x0 - x1), from the channels on the table and on the driven body, or a force channel where there is one.
+
+    Parameters
+    ----------
+    rec : daq.recording.Recording
+        As for `frequency_responses`, which gives all sweeps of a recording and has more options.
+    channels, reference, motion
+        As in `frequency_responses`; a response may also be named by the body it sits on.
+    level : float or str, optional
+        Which level, where the test ran several, such as ``"2.6 N"``.
+    direction : {'up', 'down'}, optional
+        Which direction, where the test ran both.
+
+    Raises
+    ------
+    SceneError
+        If not exactly one sweep fits; the message lists those there are.
+
+    Examples
+    --------
+    >>> import analysis, daq
+    >>> with daq.open("recordings/demo-sweep-no-damper.mcap") as recording:
+    ...     found = analysis.frfs(recording)
+    >>> found["body3"].name, analysis.identify(found).frequency.round(2).tolist()
+    ('compliance', [13.04, 34.78, 49.66])
+    """
+    from analysis.responses.stepped_sine import sweeps
+
+    names = list(channels) if channels else responses(rec)
+    if not any(marker.kind == "measure" and "frequency" in marker.fields for marker in rec.markers):
+        (group,) = frequency_responses(rec, names, reference, motion)
+        return FrfSet(group)
+    wanted = number(level, FORCE, "level")
+    found = sweeps(rec, concerned(rec, names, reference))
+    fitting = [
+        sweep
+        for sweep in found
+        if (wanted is None or abs(sweep.level - wanted) <= 1e-6 * abs(wanted))
+        and (direction is None or sweep.direction == direction)
+    ]
+    if len(fitting) != 1:
+        have = "; ".join(f"level={sweep.level:g}, direction={sweep.direction!r}" for sweep in found)
+        what = "several sweeps fit" if fitting else "no sweep fits"
+        raise SceneError(f"{what}: choose one of {have}, or take them all with analysis.frequency_responses")
+    return FrfSet(fitting[0].lines.frf(rec, name, reference, motion) for name in names)
+
+
 def compliance(
     rec: Recording,
     response: str = "body3",
     reference: str = "force",
-    level: float | None = None,
+    level: float | str | None = None,
     direction: str | None = None,
 ) -> Frf:
     """Compliance of the structure at one channel: displacement per force, X_j / F_1.
-
-    The force is that in the coil spring, F1 = k0 (x0 - x1), from the channels on the table and on the
-    driven body (or a force channel, where there is one). Every channel is corrected for its sensor,
-    amplifier and converter.
 
     Parameters
     ----------
@@ -128,24 +184,7 @@ def compliance(
         Channel, or the body it sits on.
     reference : {'force', 'table'}
         ``"table"`` gives X_j / X_0 instead.
-    level : float, optional
-        Which level, where the test ran several.
-    direction : {'up', 'down'}, optional
-        Which direction, where the test ran both.
+    level, direction
+        As in `frfs`.
     """
-    from analysis.responses.stepped_sine import sweeps
-
-    if not any(marker.kind == "measure" and "frequency" in marker.fields for marker in rec.markers):
-        return frequency_responses(rec, [response], reference)[0][0]
-    found = sweeps(rec, concerned(rec, [response], reference))
-    fitting = [
-        sweep
-        for sweep in found
-        if (level is None or abs(sweep.level - level) <= 1e-6 * abs(level))
-        and (direction is None or sweep.direction == direction)
-    ]
-    if len(fitting) != 1:
-        have = "; ".join(f"level={sweep.level:g}, direction={sweep.direction!r}" for sweep in found)
-        what = "several sweeps fit" if fitting else "no sweep fits"
-        raise SceneError(f"{what}: choose one of {have}, or take them all with analysis.frequency_responses")
-    return fitting[0].lines.frf(rec, response, reference)
+    return frfs(rec, [response], reference, level=level, direction=direction)[0]

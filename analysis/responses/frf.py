@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
 from rig.errors import SceneError
+from rig.results import Result, styled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 MOTIONS = ("displacement", "velocity", "acceleration")
 _NAMES = {
-    ("displacement", "force"): ("receptance", "m/N"),
+    ("displacement", "force"): ("compliance", "m/N"),
     ("velocity", "force"): ("mobility", "m/(N s)"),
     ("acceleration", "force"): ("accelerance", "m/(N s²)"),
     ("displacement", "table"): ("transmissibility", "m/m"),
@@ -22,8 +27,12 @@ _NAMES = {
 }
 
 
-@dataclass(frozen=True)
-class Frf:
+# Units in which engineers read a curve: a name, and how many of them make one in SI.
+_SHOWN = {"m/N": ("µm/N", 1e6), "m/(N s)": ("mm/(N s)", 1e3)}
+
+
+@dataclass(frozen=True, repr=False)
+class Frf(Result):
     """Frequency response of one channel, as measured.
 
     Attributes
@@ -75,13 +84,49 @@ class Frf:
 
     @property
     def name(self) -> str:
-        """Name of the ratio: receptance, mobility, accelerance, transmissibility."""
+        """Name of the ratio: compliance, mobility, accelerance, transmissibility."""
         return _NAMES[self.motion, self.reference][0]
 
     @property
     def unit(self) -> str:
         """Unit of `value` and `error`."""
         return _NAMES[self.motion, self.reference][1]
+
+    @property
+    def shown_in(self) -> tuple[str, float]:
+        """Unit in which the curve is drawn and told, and how many of it make one of `unit`."""
+        return _SHOWN.get(self.unit, (self.unit, 1.0))
+
+    def summary(self) -> str:
+        """Say which ratio this is, between which frequencies, and its highest point."""
+        what = f"{self.label}, {self.response}: {self.name}, {self.frequency.size} points"
+        if not np.isfinite(self.value).any():
+            return what
+        top, (unit, factor) = int(np.nanargmax(abs(self.value))), self.shown_in
+        return (
+            f"{what}, {self.frequency.min():.4g} to {self.frequency.max():.4g} Hz, highest "
+            f"{factor * abs(self.value[top]):.4g} {unit} at {self.frequency[top]:.4g} Hz"
+        )
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Frequency, value, and how far it may be off with 95 % confidence."""
+        return {
+            "frequency_Hz": self.frequency,
+            f"value_{self.unit}": self.value,
+            f"bound_{self.unit}": self.bound(),
+            "coherence": self.coherence,
+        }
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Magnitude with its 95 % bound, both axes logarithmic."""
+        curve, (unit, factor) = self.sorted(), self.shown_in
+        size, bound = factor * abs(curve.value), factor * np.nan_to_num(curve.bound())
+        (line,) = ax.loglog(
+            curve.frequency, size, **styled(style, label=f"{self.label} {self.response}".strip())
+        )
+        low = np.maximum(size - bound, 1e-3 * size)
+        ax.fill_between(curve.frequency, low, size + bound, color=line.get_color(), alpha=0.2, lw=0)
+        ax.set(xlabel="frequency / Hz", ylabel=f"|{self.name}| / ({unit})")
 
     def to(self, motion: str) -> Frf:
         """Express the same measurement as displacement, velocity or acceleration per reference.

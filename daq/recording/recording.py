@@ -21,8 +21,11 @@ from daq.recording.sample_block import SAMPLE_TYPE
 from daq.signal_chain.channel import UNITS, ChannelInfo
 from daq.signal_chain.field_checks import NAME, check
 from rig.errors import RecordingError
+from rig.escaping import html
+from rig.results import Result, styled
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from mcap.records import Channel
 
     from rig.scene.scene import Scene
@@ -69,7 +72,7 @@ def open(path: str | Path) -> Recording:
     return Recording(path)
 
 
-class Recording:
+class Recording(Result):
     """An open recording.
 
     Parameters
@@ -156,6 +159,38 @@ class Recording:
             return ChannelInfo.from_metadata(usual | given)
         except RecordingError as error:
             raise RecordingError(f"{where}: its metadata make no channel: {error}") from error
+
+    # -- in a notebook -----------------------------------------------------------------------------------
+
+    def summary(self) -> str:
+        """Say what it is a recording of."""
+        names = ", ".join(self.channels)
+        return f"{self.path}: {self.samples / self.rate:.4g} s of {names} at {self.rate:g} Hz, {self.status}"
+
+    def _repr_html_(self) -> str:
+        """Show what `daq info` says."""
+        from daq.recording.info import describe
+
+        return f"<pre>{html(chr(10).join(describe(self)))}</pre>"
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Time, and all samples of each channel in its unit; lost samples are NaN."""
+        values = {f"{name}_{info.unit}": self.read(name) for name, info in self.channels.items()}
+        longest = max(column.size for column in values.values())
+        return {
+            "time_s": np.arange(longest) / self.rate,
+            **{
+                name: np.pad(column, (0, longest - column.size), constant_values=np.nan)
+                for name, column in values.items()
+            },
+        }
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """All channels over time."""
+        time, *columns = self.columns().items()
+        for name, column in columns:
+            ax.plot(time[1], column, **styled(style, label=name.replace("_", " / "), lw=0.7))
+        ax.set(xlabel="time / s")
 
     # -- samples -----------------------------------------------------------------------------------------
 

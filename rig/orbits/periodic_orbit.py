@@ -13,6 +13,7 @@ from rig.orbits.event_sequence import Plan, make_plan, plan_from
 from rig.orbits.orbit import Orbit, solve
 from rig.orbits.problem import OperatingPoint, OrbitProblem
 from rig.response.steady_state import LONGEST_REPETITION, settle
+from rig.scene.quantities import FREQUENCY, number
 from rig.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -29,7 +30,7 @@ NEAR = 0.05
 CONFIRMED, CLOSE = 16, 1e-6
 
 
-def periodic_orbit(scene: Scene, frequency: float, start: Orbit | None = None) -> Orbit:
+def periodic_orbit(scene: Scene, frequency: float | str, start: Orbit | None = None) -> Orbit:
     """Find a periodic motion of a scene at a frequency.
 
     Parameters
@@ -37,8 +38,8 @@ def periodic_orbit(scene: Scene, frequency: float, start: Orbit | None = None) -
     scene : Scene
         With a shaker and a test that gives a level. Where the test holds the amplitude of the spring force,
         that force is put on the driven body as a pure tone, which is what an ideal controller holds.
-    frequency : float
-        Hz.
+    frequency : float or str
+        Hz, or text with a unit, such as ``"49 Hz"``.
     start : Orbit, optional
         An orbit of this scene near by, with the same events; without one the motion is simulated from rest
         until it repeats, and made exact from there.
@@ -58,6 +59,7 @@ def periodic_orbit(scene: Scene, frequency: float, start: Orbit | None = None) -
     >>> orbit.motion_type, orbit.stable, len(orbit.events)
     ('II', True, 4)
     """
+    frequency = number(frequency, FREQUENCY, "frequency")
     if not (np.isfinite(frequency) and frequency > 0):
         raise SceneError(f"frequency {frequency!r}: expected a positive number of hertz")
     problem = OrbitProblem(scene)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +15,8 @@ from rig.engine.trajectory import STRIKES, Array
 from rig.errors import RunError, SceneError
 from rig.response.motion_type import motion_types, overall
 from rig.response.steady_state import MARKS, Steady, one_cycle, settle
+from rig.results import Result, styled
+from rig.scene.quantities import FREQUENCY, number
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
 from rig.simulation.energy import fourier
@@ -21,13 +24,16 @@ from rig.system.assembly import assemble, spring_force_row
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import level_of, tone_drive
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 #: The spring force is held to this, relative.
 LEVEL_TOLERANCE = 1e-6
 LEVEL_TRIALS = 25
 
 
-@dataclass(frozen=True)
-class Response:
+@dataclass(frozen=True, repr=False)
+class Response(Result):
     """Steady response over frequency, in the order in which the frequencies were visited.
 
     Attributes
@@ -65,6 +71,29 @@ class Response:
     repetition: NDArray[np.int64]
     residual: Array
 
+    def summary(self) -> str:
+        """Say where, how high and which types of motion."""
+        top = np.unravel_index(int(np.argmax(abs(self.compliance))), self.compliance.shape)
+        return (
+            f"{self.frequency.size} frequencies, {self.frequency.min():.4g} to {self.frequency.max():.4g} Hz, highest "
+            f"{1e6 * abs(self.compliance[top]):.4g} µm/N at {self.frequency[top[1]]:.4g} Hz (body {top[0] + 1}), "
+            f"motion {', '.join(dict.fromkeys(map(str, self.motion_type)))}"
+        )
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Frequency, compliance of each body, and type of motion."""
+        return {
+            "frequency_Hz": self.frequency,
+            **{f"body {j}_m/N": row for j, row in enumerate(self.compliance, 1)},
+            "motion_type": self.motion_type,
+        }
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Compliance of each body."""
+        for j, row in enumerate(self.compliance, 1):
+            ax.loglog(self.frequency, 1e6 * abs(row), **styled(style, label=f"body {j}"))
+        ax.set(xlabel="frequency / Hz", ylabel="|compliance| / (µm/N)")
+
 
 @dataclass(frozen=True)
 class SteadyPoint:
@@ -87,7 +116,7 @@ class SteadyPoint:
 
 def frequency_response(
     scene: Scene | str,
-    frequencies: ArrayLike,
+    frequencies: ArrayLike | Sequence[str],
     direction: str = "up",
     tolerance: float = 1e-8,
     longest: int = 20_000,
@@ -100,8 +129,8 @@ def frequency_response(
     scene : Scene or str
         A scene, or what `rig.load` takes. The level is that of its test: `force` (of the force itself, or the
         amplitude of the spring force's first harmonic) or `drive`.
-    frequencies : array_like, shape (frequencies,)
-        Hz.
+    frequencies : array_like or sequence of str, shape (frequencies,)
+        Hz, or texts with a unit, such as ``"49 Hz"``.
     direction : {"up", "down", "both"}
         Each frequency starts from the motion at the one before. Both: up, then down.
     tolerance : float
@@ -133,7 +162,10 @@ def frequency_response(
         from rig.scene.loading import load
 
         scene = load(scene)
-    asked = np.atleast_1d(np.asarray(frequencies, dtype=np.float64))
+    given = np.atleast_1d(np.asarray(frequencies))
+    if given.dtype.kind == "U":
+        given = np.array([number(str(one), FREQUENCY, "frequencies") for one in given])
+    asked = given.astype(np.float64)
     if asked.ndim != 1 or not len(asked) or not np.isfinite(asked).all() or (asked <= 0.0).any():
         raise SceneError("frequencies: expected a list of positive, finite frequencies in Hz")
     if direction not in ("up", "down", "both"):

@@ -12,7 +12,9 @@ import re
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache, lru_cache
-from typing import Any
+from typing import Any, overload
+
+from rig.errors import SceneError
 
 UNITS = """
 nano- = 1e-9 = n-
@@ -161,6 +163,31 @@ def parse(value: Any, kind: Kind) -> float:
     if math.isnan(number):
         raise ValueError("not a number (NaN)")
     return number
+
+
+@overload
+def number(value: float | str, kind: Kind, name: str) -> float: ...
+@overload
+def number(value: float | str | None, kind: Kind, name: str) -> float | None: ...
+def number(value: float | str | None, kind: Kind, name: str) -> float | None:
+    """Take an argument as scenes take a quantity: a number in SI as it is, text with its unit.
+
+    Raises
+    ------
+    SceneError
+        If text is no such quantity; the message begins with the argument's name.
+
+    Examples
+    --------
+    >>> number("2 s", TIME, "duration"), number(2.0, TIME, "duration")
+    (2.0, 2.0)
+    """
+    if not isinstance(value, str):
+        return value
+    try:
+        return _parse_text(value, kind)
+    except ValueError as error:
+        raise SceneError(f"{name}: {error}; expected {kind.noun} such as {kind.example}") from None
 
 
 def text(value: float, kind: Kind) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,18 +13,23 @@ from rig.engine.propagator import Propagator, sampled_propagator, tone_propagato
 from rig.engine.trajectory import EVENT, Array, Trajectory, event_table, gaps_and_contacts
 from rig.errors import SceneError
 from rig.numerics.memory import need
+from rig.results import Result, styled
+from rig.scene.quantities import FREQUENCY, TIME, number
 from rig.scene.scene import Scene
 from rig.simulation.energy import Ends, Energy, ledger
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import ToneDrive, sampled_drive, tone_drive
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 #: Samples in a period from which on steps are made to end at samples rather than at periods.
 DENSE = 10
 
 
-@dataclass(frozen=True)
-class Run:
+@dataclass(frozen=True, repr=False)
+class Run(Result):
     """A simulated motion.
 
     Attributes
@@ -59,6 +64,33 @@ class Run:
     ambiguous: int
     _books: tuple[Any, ...] = field(repr=False, compare=False)
 
+    def summary(self) -> str:
+        """Say what moved, how long and how far."""
+        largest = f"{1e3 * float(abs(self.displacement).max()):.4g} mm"
+        return (
+            f"{self.scene.name}: {', '.join(self.points)}, {self.time[-1]:.4g} s, {self.time.size} samples, "
+            f"{len(self.events)} events, largest displacement {largest}"
+        )
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Time, and the motion of each point."""
+        motion = {"displacement_m": self.displacement, "velocity_m/s": self.velocity}
+        motion["acceleration_m/s²"] = self.acceleration
+        return {
+            "time_s": self.time,
+            **{
+                f"{point} {name}": row
+                for name, rows in motion.items()
+                for point, row in zip(self.points, rows, strict=True)
+            },
+        }
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Displacement of each point over time."""
+        for point, row in zip(self.points, self.displacement, strict=True):
+            ax.plot(self.time, 1e3 * row, **styled(style, label=point, lw=0.8))
+        ax.set(xlabel="time / s", ylabel="displacement / mm")
+
     @cached_property
     def energy(self) -> Energy:
         """The energy ledger of the run, J."""
@@ -67,10 +99,10 @@ class Run:
 
 def simulate(
     scene: Scene | str,
-    duration: float,
-    rate: float = 5120.0,
+    duration: float | str,
+    rate: float | str = 5120.0,
     drive: ArrayLike | None = None,
-    frequency: float | None = None,
+    frequency: float | str | None = None,
 ) -> Run:
     """Simulate a scene without sensors and controller.
 
@@ -78,13 +110,13 @@ def simulate(
     ----------
     scene : Scene or str
         A scene, or what `rig.load` takes.
-    duration : float
-        Seconds.
-    rate : float
+    duration : float or str
+        Seconds, or text with a unit, such as ``"2 s"``.
+    rate : float or str
         Samples of the motion per second; for a tone it has no influence on the motion.
     drive : array_like, shape (inputs, samples), optional
         A sampled drive at `rate`, held to first order, in place of the scene's test.
-    frequency : float, optional
+    frequency : float or str, optional
         Hz: a tone of this frequency at the test's level, in place of the test's own frequencies.
 
     Raises
@@ -109,6 +141,8 @@ def simulate(
         from rig.scene.loading import load
 
         scene = load(scene)
+    duration, rate = number(duration, TIME, "duration"), number(rate, FREQUENCY, "rate")
+    frequency = number(frequency, FREQUENCY, "frequency")
     for name, value in (("duration", duration), ("rate", rate)):
         if not (np.isfinite(value) and value > 0.0):
             raise SceneError(f"{name}: got {value!r}; expected a positive number")

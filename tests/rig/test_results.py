@@ -1,0 +1,77 @@
+"""Results in a session: a line, a table, a drawing; quantities as arguments."""
+
+from __future__ import annotations
+
+import re
+import sys
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import analysis
+import daq
+import rig
+from rig.errors import RunError, SceneError
+
+SWEEP, HIT = "recordings/demo-sweep-no-damper.mcap", "recordings/demo-impulse-no-damper.mcap"
+
+
+@pytest.fixture(scope="module")
+def results():
+    free = rig.load("fig9", {"shaker": {"kind": "force", "body": 1}, "channels": None})
+    with daq.open(SWEEP) as recording, daq.open(HIT) as hit:
+        frfs = analysis.frfs(recording)
+        yield [
+            frfs,
+            frfs["body3"],
+            analysis.identify(frfs),
+            analysis.decay(hit),
+            hit,
+            rig.simulate("fig9", "0.1 s", "1 kHz", frequency="49 Hz"),
+            rig.frequency_response(free, ["40 Hz"]),
+        ]
+
+
+def test_given_any_result_when_shown_then_it_is_a_line_a_page_a_drawing_and_a_table(results) -> None:
+    for result in results:
+        line, ax = repr(result), Figure().subplots()
+        assert line.startswith(f"<{type(result).__name__}: ") and "\n" not in line and len(line) < 300
+        assert "<" not in re.sub(r"</?(p|pre|table|tr|td)>", "", result._repr_html_())
+        assert result.plot(ax) is ax and ax.lines and ax.get_legend() is not None
+        columns = result.columns()
+        assert len({np.shape(column) for column in columns.values()}) == 1
+        table, data = result.to_dataframe(), result.to_xarray()
+        assert [table.index.name, *table.columns] == list(columns) == [*data.coords, *data.data_vars]
+        for name in table.columns:
+            np.testing.assert_array_equal(table[name].to_numpy(), columns[name])
+
+
+def test_given_a_curve_when_tabulated_then_its_numbers_are_those_of_the_curve(results) -> None:
+    frfs, frf = results[:2]
+    assert frf is frfs["body3"] is frfs[2] and len(frfs[:2]) == 2
+    table = frf.to_dataframe()
+    np.testing.assert_array_equal(table["value_m/N"], frf.value)
+    np.testing.assert_array_equal(table.index, frf.frequency)
+    assert re.search(r"compliance, \d+ points, 8 to 58 Hz, highest \d+ µm/N at 13\.\d+ Hz", repr(frf))
+
+
+def test_given_no_pandas_when_a_table_is_asked_for_then_what_to_install_is_said(results, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    for convert in (results[0].to_dataframe, results[0].to_xarray):
+        with pytest.raises(RunError, match=r'pip install "shotrig\[tables\]"'):
+            convert()
+
+
+@pytest.mark.parametrize(
+    ("duration", "said"), [("2 kg", "duration: 'kg' is no unit of time"), ("soon", "number")]
+)
+def test_given_text_that_is_no_such_quantity_when_an_argument_then_it_is_named(duration, said) -> None:
+    with pytest.raises(SceneError, match=said):
+        rig.simulate("fig9", duration)
+
+
+def test_given_quantities_or_numbers_when_arguments_then_the_result_is_the_same(results) -> None:
+    run = rig.simulate("fig9", 0.1, 1000.0, frequency=49.0)
+    np.testing.assert_array_equal(run.displacement, results[5].displacement)

@@ -16,10 +16,8 @@ from rig.numerics.jit import stored
 from rig.orbits.shooting import (
     CEILING,
     CEILING_BOUNCE,
-    CEILING_TOUCH,
     FLOOR,
     FLOOR_BOUNCE,
-    FLOOR_TOUCH,
     SEPARATION,
     WITH_LAST,
     Array,
@@ -27,9 +25,6 @@ from rig.orbits.shooting import (
     Sequence,
     Shot,
     exponential,
-)
-from rig.orbits.shooting import (
-    RELEASE as RELEASED,
 )
 
 # Product of an interval with the fastest rate. The extremes of quintics are then good to 1e-9 of the motion, and
@@ -57,8 +52,7 @@ class Track(NamedTuple):
     motion: Array  # shape (stretches, points + 1, states)
     guards: Array
     """For each damper, with first and second derivative: the gap in flight [m], or q'' + g of the body while
-    riding [m/s^2]; where contact lasts, the wall's force over the damper's mass, and within a wall that has released a
-    bed the gap that the wall's force law makes of it; shape (stretches, points + 1, dampers, 3)."""
+    riding [m/s^2]; shape (stretches, points + 1, dampers, 3)."""
     reach: Array
     """Lowest and highest value of each coordinate; shape (coordinates, 2)."""
     harmonic: NDArray[np.complex128]
@@ -79,30 +73,6 @@ def _turning(left: float, right: float, slopes: Array, curves: Array, step: floa
         if bend != 0.0:
             t = min(1.0, max(0.0, t - slope / bend))
     return left + t * (s0 + t * (0.5 * c0 + t * (a3 + t * (a4 + t * a5))))
-
-
-@stored
-def _push(equations: Equations, j: int, wall: int, nq: int, n: int) -> Array:
-    """Row of the force that a wall puts on a bed, over its mass, as a riding damper's q'' + g: upwards is positive."""
-    row = np.zeros(n + 3)
-    stiffness = equations.stiffness[j, wall - 1] / equations.mass[j]
-    row[equations.bed[j]] = -stiffness
-    row[nq + equations.bed[j]] = -stiffness * equations.recovery[j, wall - 1]
-    if wall == 2:
-        row[n + 2] = stiffness * equations.clearance[j]
-    return row
-
-
-@stored
-def _open_gap(equations: Equations, j: int, gap: float, speed: float, bend: float, out: Array) -> None:
-    """Gap of a free bed, with derivatives: opened within a wall by its speed away, as the wall's force law goes."""
-    ceiling = gap > 0.5 * equations.clearance[j]
-    lead = equations.recovery[j, 1 if ceiling else 0]
-    if (speed < 0.0) != ceiling:
-        lead = 0.0
-    out[0] = gap + lead * speed
-    out[1] = speed + lead * bend
-    out[2] = bend
 
 
 @stored
@@ -173,17 +143,14 @@ def follow(equations: Equations, sequence: Sequence, instants: Array, states: Ar
                     reach[q, 0], reach[q, 1] = min(reach[q, 0], there), max(reach[q, 1], there)
             for j in range(nd):
                 body = equations.position[j]
-                if equations.bed[j] >= 0 and sequence.wall[k, j] == 0:
-                    bed = equations.bed[j]
-                    _open_gap(equations, j, x[bed], x[nq + bed], rate[nq + bed], guards[s, i, j])
-                elif sequence.wall[k, j] == 0:
+                if sequence.wall[k, j] == 0:
                     t = i * step
                     fallen = states[k, n + j] + (states[k, n + nd + j] - 0.5 * equations.gravity * t) * t
                     guards[s, i, j, 0] = fallen - x[body]
                     guards[s, i, j, 1] = states[k, n + nd + j] - equations.gravity * t - x[nq + body]
                     guards[s, i, j, 2] = -equations.gravity - rate[nq + body]
                 else:
-                    guards[s, i, j, 0] = equations.gravity if equations.bed[j] < 0 else 0.0
+                    guards[s, i, j, 0] = equations.gravity
                     for m in range(n + 3):
                         for d in range(3):
                             guards[s, i, j, d] += forces[j, d, m] * x[m]
@@ -273,25 +240,22 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
                 continue
             sign = 1.0 if wall == 1 else -1.0
             low = _dip(track, s, j, 0.0, sign)
-            if not (own_begin and equations.bed[j] >= 0):
-                low = min(low, sign * guard[0, 0])
+            low = min(low, sign * guard[0, 0])
             if not own_end:
                 low = min(low, sign * guard[-1, 0])
             found[LEAVES, j] = min(found[LEAVES, j], low / pull)
     for e in range(events):
         kind, j = sequence.kind[e], sequence.damper[e]
-        leaves = kind in (SEPARATION, WITH_LAST, RELEASED)
-        ceiling = kind in (CEILING, CEILING_BOUNCE, CEILING_TOUCH) or (leaves and sequence.wall[e, j] == 2)
+        leaves = kind in (SEPARATION, WITH_LAST)
+        ceiling = kind in (CEILING, CEILING_BOUNCE) or (leaves and sequence.wall[e, j] == 2)
         bounces = kind in (CEILING_BOUNCE, FLOOR_BOUNCE)
         away = -1.0 if ceiling else 1.0
         if kind == WITH_LAST or (bounces and equations.restitution[j] == 0.0):
             # The gap's curvature right after the event must lead away from the wall.
             found[STAYS, j] = min(found[STAYS, j], away * track.guards[e, 0, j, 2] / pull)
-        if kind in (SEPARATION, RELEASED):
+        if kind == SEPARATION:
             found[RELEASE, e] = min(1.0, -away * track.guards[e - 1, -1, j, 1] / (pull * omega))
-        elif kind in (FLOOR_TOUCH, CEILING_TOUCH):
-            found[MISS, e] = min(1.0, closing[e] * omega / pull)
-        elif kind < FLOOR_TOUCH and kind != WITH_LAST:
+        elif kind != WITH_LAST:
             found[MISS, e] = min(1.0, closing[e] * omega / pull)
             # Through a full mass matrix an impact presses riding dampers on their walls, or kicks them off.
             for i in range(nd):
@@ -307,8 +271,7 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
             while sequence.damper[landing] != j:
                 landing = (landing + 1) % events
             length = instants[landing] - instants[e] + (equations.period if landing <= e else 0.0)
-            same_wall = (CEILING, CEILING_TOUCH) if ceiling else (FLOOR, FLOOR_TOUCH)
-            if sequence.kind[landing] in same_wall:
+            if sequence.kind[landing] == (CEILING if ceiling else FLOOR):
                 found[FLIGHT_ENDS, j] = min(found[FLIGHT_ENDS, j], length * omega - SHORTEST_FLIGHT)
     return found
 

@@ -6,24 +6,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from rig.engine.state import CEILING_IMPACT, FLOOR_IMPACT
-from rig.engine.state import CEILING_TOUCH as TOUCHED_CEILING
-from rig.engine.state import FLOOR_TOUCH as TOUCHED_FLOOR
-from rig.engine.state import RELEASE as RELEASED
 from rig.engine.trajectory import Trajectory
 from rig.errors import RunError
 from rig.orbits.shooting import (
     CEILING,
     CEILING_BOUNCE,
-    CEILING_PRESS,
-    CEILING_TOUCH,
     FLOOR,
     FLOOR_BOUNCE,
-    FLOOR_PRESS,
-    FLOOR_TOUCH,
-    RELEASE,
     SEPARATION,
     WITH_LAST,
     Sequence,
@@ -39,16 +31,14 @@ class Plan:
     """An orbit's sequence of events, with the configurations behind its slots."""
 
     sequence: Sequence
-    configurations: tuple[int, ...]  # as `HybridSystem.toggles` has their bits
+    configurations: tuple[int, ...]  # bit j set: damper j rides
     repetition: int
     """Length in periods of the drive."""
-    lasting: tuple[bool, ...]
-    """Whether the contact of each damper lasts."""
 
     @property
     def flying(self) -> NDArray[np.int64]:
-        """Dampers in flight at the start that are no part of the state."""
-        return np.flatnonzero((self.sequence.wall[0] == 0) & ~np.array(self.lasting, dtype=bool))
+        """Dampers in flight at the start."""
+        return np.flatnonzero(self.sequence.wall[0] == 0)
 
     @property
     def label(self) -> str:
@@ -60,11 +50,6 @@ class Plan:
             FLOOR_BOUNCE: "v",
             CEILING_BOUNCE: "-",
             WITH_LAST: "~",
-            FLOOR_TOUCH: "_",
-            CEILING_TOUCH: "=",
-            FLOOR_PRESS: ",",
-            CEILING_PRESS: "'",
-            RELEASE: "^",
         }
         pairs = zip(self.sequence.damper, self.sequence.kind, strict=True)
         return " ".join(f"{d + 1}{signs[int(k)]}" for d, k in pairs)
@@ -137,15 +122,7 @@ def plan_from(
                 f"{dampers[now[-1]] + 1}), for which orbits are not computed; a settled simulation "
                 "(rig.frequency_response) covers it"
             )
-        if system.lasting[damper]:
-            # A bed that still overlaps the wall which has released it does not close in on it when it is pressed again.
-            new = bool(trajectory.event_speed[k] > 0.0)
-            touch = {
-                TOUCHED_FLOOR: (FLOOR_PRESS, FLOOR_TOUCH),
-                TOUCHED_CEILING: (CEILING_PRESS, CEILING_TOUCH),
-            }
-            kinds.append(RELEASE if kind == RELEASED else touch[kind][new])
-        elif kind in (FLOOR_IMPACT, CEILING_IMPACT):
+        if kind in (FLOOR_IMPACT, CEILING_IMPACT):
             landed = FLOOR if kind == FLOOR_IMPACT else CEILING
             kinds.append(landed if system.restitution[damper] == 0 else BOUNCE[landed])
         elif hit:
@@ -161,23 +138,18 @@ def plan_from(
             kinds.append(WITH_LAST if now else SEPARATION)
         dampers.append(damper)
         order.append(k)
-    return make_plan(kinds, dampers, start, repetition, system.lasting), np.array(order, dtype=np.int64)
+    return make_plan(kinds, dampers, start, repetition), np.array(order, dtype=np.int64)
 
 
-def make_plan(
-    kinds: list[int], dampers: list[int], start: NDArray[Any], repetition: int, lasting: ArrayLike
-) -> Plan:
-    """Build a plan from events, the walls at the start, and which contacts last."""
+def make_plan(kinds: list[int], dampers: list[int], start: NDArray[Any], repetition: int) -> Plan:
+    """Build a plan from events and the walls at the start."""
     walls = [np.asarray(start, dtype=np.int64)]
-    after = dict.fromkeys((FLOOR, FLOOR_TOUCH, FLOOR_PRESS), 1)
-    after |= dict.fromkeys((CEILING, CEILING_TOUCH, CEILING_PRESS), 2)
-    after |= dict.fromkeys((SEPARATION, WITH_LAST, FLOOR_BOUNCE, CEILING_BOUNCE, RELEASE), 0)
-    last = np.asarray(lasting, dtype=bool)
+    after = dict.fromkeys((SEPARATION, WITH_LAST, FLOOR_BOUNCE, CEILING_BOUNCE), 0) | {FLOOR: 1, CEILING: 2}
     for kind, damper in zip(kinds, dampers, strict=True):
         wall = walls[-1].copy()
         wall[damper] = after[kind]
         walls.append(wall)
-    masks = [_configuration(wall, last) for wall in walls]
+    masks = [sum(1 << int(j) for j in np.flatnonzero(wall)) for wall in walls]
     configurations = tuple(dict.fromkeys(masks))
     sequence = Sequence(
         np.array(kinds, dtype=np.int64),
@@ -185,10 +157,4 @@ def make_plan(
         np.array([configurations.index(mask) for mask in masks], dtype=np.int64),
         np.array(walls, dtype=np.int64),
     )
-    return Plan(sequence, configurations, repetition, tuple(last.tolist()))
-
-
-def _configuration(wall: NDArray[np.int64], lasting: NDArray[np.bool_]) -> int:
-    """Bits of `HybridSystem.toggles` that are set."""
-    closed = sum(1 << int(j) for j in np.flatnonzero(wall))
-    return closed | sum(1 << len(wall) + int(j) for j in np.flatnonzero((wall == 2) & lasting))
+    return Plan(sequence, configurations, repetition)

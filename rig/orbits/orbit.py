@@ -18,13 +18,8 @@ from rig.orbits.problem import OperatingPoint, OrbitProblem, Parameter, vary
 from rig.orbits.shooting import (
     CEILING,
     CEILING_BOUNCE,
-    CEILING_PRESS,
-    CEILING_TOUCH,
     FLOOR,
     FLOOR_BOUNCE,
-    FLOOR_PRESS,
-    FLOOR_TOUCH,
-    RELEASE,
     SEPARATION,
     WITH_LAST,
     Change,
@@ -34,10 +29,9 @@ from rig.orbits.shooting import (
     monodromy,
     shoot,
 )
-from rig.response.motion_type import STAY, overall
+from rig.response.motion_type import overall
 from rig.scene.shaker import ForceShaker
 from rig.system.assembly import spring_force_row
-from rig.system.hybrid_system import HybridSystem
 
 Array = NDArray[np.float64]
 
@@ -217,9 +211,7 @@ class Following:
         instants = self._instants(unknowns)
         reach, integral, distances = survey(equations, plan.sequence, shot, instants)
         nearest = int(distances.argmin())
-        types = tuple(
-            _type(plan, j, problem.system, instants, equations.period) for j in range(len(plan.lasting))
-        )
+        types = tuple(_type(plan, j) for j in range(problem.system.dampers))
         bodies = self.bodies
         harmonic = 2 / equations.period * integral
         if isinstance(problem.scene.driven_shaker, ForceShaker):
@@ -243,24 +235,17 @@ class Following:
         )
 
 
-def _type(plan: Plan, damper: int, system: HybridSystem, instants: Array, period: float) -> str:
+def _type(plan: Plan, damper: int) -> str:
     """Type of one damper's motion, in the words of `rig.response.motion_type`."""
-    own = plan.sequence.damper == damper
-    kinds, times = plan.sequence.kind[own], instants[own]
-    floor = int(np.isin(kinds, (FLOOR, FLOOR_BOUNCE, FLOOR_TOUCH, FLOOR_PRESS)).sum())
-    at_ceiling = np.isin(kinds, (CEILING, CEILING_BOUNCE, CEILING_TOUCH, CEILING_PRESS))
-    ceiling = int(at_ceiling.sum())
+    kinds = plan.sequence.kind[plan.sequence.damper == damper]
+    floor = int(np.isin(kinds, (FLOOR, FLOOR_BOUNCE)).sum())
+    ceiling = int(np.isin(kinds, (CEILING, CEILING_BOUNCE)).sum())
     if floor + ceiling == 0:
         return "riding"
     if plan.repetition == 1 and floor == 1 and ceiling == 0:
         return "I"
     if plan.repetition == 1 and floor == 1 and ceiling == 1:
-        hit = int(np.flatnonzero(at_ceiling)[0])
-        stays = kinds[hit] == CEILING
-        if plan.lasting[damper]:
-            stay = (times[(hit + 1) % len(times)] - times[hit]) % period
-            stays = stay > STAY * system.landing(damper, CEILING)[0]
-        return "III" if stays else "II"
+        return "III" if CEILING in kinds else "II"
     return f"{floor + ceiling} per {plan.repetition}"
 
 
@@ -271,10 +256,6 @@ def _event_table(problem: OrbitProblem, plan: Plan, instants: Array, closing: Ar
         instants, plan.sequence.damper, plan.sequence.kind, closing, strict=True
     ):
         number = problem.system.damper_number[damper]
-        if kind >= FLOOR_TOUCH:
-            name = "release" if kind == RELEASE else "touch"
-            rows.append((time, number, name, speed))
-            continue
         if kind in (FLOOR, FLOOR_BOUNCE, CEILING, CEILING_BOUNCE):
             wall = FLOOR_IMPACT if kind in (FLOOR, FLOOR_BOUNCE) else CEILING_IMPACT
             rows.append((time, number, KINDS[wall], speed))

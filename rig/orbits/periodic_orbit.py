@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.engine.propagator import Propagator, tone_propagator
-from rig.engine.state import CEILING, FLIGHT, FLOOR
 from rig.engine.trajectory import STRIKES, Trajectory
 from rig.errors import RunError, SceneError
 from rig.orbits.event_sequence import Plan, make_plan, plan_from
@@ -154,7 +153,7 @@ def start_march(
     propagator, steps = tone_propagator(system, problem.amplitudes(setting), 2 * np.pi * setting.frequency)
     state = system.initial.copy()
     if moving:
-        riding = make_plan([], [], np.ones(system.dampers), 1, system.lasting)
+        riding = make_plan([], [], np.ones(system.dampers), 1)
         equations, _ = problem.equations(setting, riding)
         a, n = equations.generator[0], system.states
         # x = X (cos wt, sin wt): the first column of X is the state at the start.
@@ -194,7 +193,7 @@ def first_part(orbit: Orbit) -> tuple[Plan, OperatingPoint, Array] | None:
         if events and (not np.array_equal(pairs[:2], again[:2]) or np.abs(pairs[2] - again[2]).max() > 1e-9):
             continue
         kinds, dampers = sequence.kind[:count].tolist(), sequence.damper[:count].tolist()
-        plan = make_plan(kinds, dampers, sequence.wall[0], orbit.repetition // rounds, orbit.plan.lasting)
+        plan = make_plan(kinds, dampers, sequence.wall[0], orbit.repetition // rounds)
         return plan, orbit.setting, orbit.unknowns[: len(orbit.unknowns) - events + count]
     return None
 
@@ -225,14 +224,7 @@ def enter(propagator: Propagator, orbit: Orbit) -> None:
     for j in range(system.dampers):
         state.mode[j] = walls[j]
         state.multiplicity[j] = 0
-        if system.lasting[j]:
-            gap = state.z[system.bed[j]]
-            state.recovering[j] = FLIGHT
-            if walls[j] == FLIGHT and not 0.0 <= gap <= system.clearance[j]:
-                state.recovering[j] = FLOOR if gap < 0.0 else CEILING
-            if walls[j] != FLIGHT:
-                configuration |= system.toggles[j if walls[j] == FLOOR else system.dampers + j]
-        elif walls[j] == 0:
+        if walls[j] == 0:
             state.height[j], state.speed[j] = orbit.unknowns[at : at + 2]
             at += 2
         else:

@@ -42,19 +42,17 @@ class OperatingPoint:
 class _Linear(NamedTuple):
     """Equations of configurations: state matrices, inflows of inputs and (last column) of constant forces.
 
-    `inverse` is that of the mass matrix, `rate` bounds the state matrix, `lift` is the inflow of each clearance, and
-    the last four are derivatives with respect to the factor on the damper masses.
+    `inverse` is that of the mass matrix, `rate` bounds the state matrix, and the last three are derivatives with
+    respect to the factor on the damper masses.
     """
 
     matrix: Array
     inflow: Array
     inverse: Array
     rate: Array
-    lift: Array
     matrix_change: Array
     inflow_change: Array
     inverse_change: Array
-    lift_change: Array
 
 
 class OrbitProblem:
@@ -89,14 +87,7 @@ class OrbitProblem:
         if not np.isnan(setting.clearance):
             system = replace(system, clearance=np.full(system.dampers, setting.clearance))
         if setting.mass_ratio != 1.0:
-            more = setting.mass_ratio - 1.0
-            carried, weight = _beds(system)
-            system = replace(
-                system,
-                damper_mass=setting.mass_ratio * system.damper_mass,
-                mass=system.mass + more * carried,
-                force_constant=system.force_constant + more * weight,
-            )
+            system = replace(system, damper_mass=setting.mass_ratio * system.damper_mass)
         return system
 
     def amplitudes(self, setting: OperatingPoint) -> NDArray[np.complex128]:
@@ -121,8 +112,7 @@ class OrbitProblem:
         generator[:, :n, n : n + 2] = linear.inflow[:, :, :-1] @ drive
         given = np.isnan(setting.clearance)
         clearance = system.clearance if given else np.full(system.dampers, setting.clearance)
-        height = np.where(np.isfinite(clearance), clearance, 0.0)
-        generator[:, :n, n + 2] = linear.inflow[:, :, -1] + linear.lift @ height
+        generator[:, :n, n + 2] = linear.inflow[:, :, -1]
         generator[:, n, n + 1], generator[:, n + 1, n] = -omega, omega
         inverse_change = np.zeros_like(linear.inverse)
         if parameter == "frequency":
@@ -132,10 +122,8 @@ class OrbitProblem:
         if parameter == "mass_ratio":
             change[:, :n, :n] = linear.matrix_change
             change[:, :n, n : n + 2] = linear.inflow_change[:, :, :-1] @ drive
-            change[:, :n, n + 2] = linear.inflow_change[:, :, -1] + linear.lift_change @ height
+            change[:, :n, n + 2] = linear.inflow_change[:, :, -1]
             inverse_change = linear.inverse_change
-        if parameter == "clearance":
-            change[:, :n, n + 2] = linear.lift.sum(axis=-1)
         nothing = np.zeros(system.dampers)
         period = plan.repetition / setting.frequency
         return Equations(
@@ -146,9 +134,6 @@ class OrbitProblem:
             mass=ratio * system.damper_mass,
             clearance=clearance,
             restitution=system.restitution,
-            bed=system.bed.astype(np.int64),
-            recovery=system.wall_damping / np.where(system.wall_stiffness > 0.0, system.wall_stiffness, 1.0),
-            stiffness=system.wall_stiffness,
             gravity=float(system.gravity),
             omega=omega,
             period=period,
@@ -190,25 +175,16 @@ class OrbitProblem:
     def _configuration(self, configuration: int, mass_ratio: float) -> _Linear:
         system = self.system
         nq, n = system.coordinates, system.states
-        closed = np.array([j for j in range(system.dampers) if configuration >> j & 1], dtype=np.intp)
-        riding = closed[~system.lasting[closed]]
+        riding = np.array([j for j in range(system.dampers) if configuration >> j & 1], dtype=np.intp)
         rows, masses = system.damper_coordinate[riding], system.damper_mass[riding]
         added = np.zeros((nq, nq))
         np.add.at(added, (rows, rows), masses)
-        carried, bed_weight = _beds(system)
-        weight = bed_weight - system.gravity * added.sum(axis=0)
-        added += carried
-        constant = system.force_constant - bed_weight + mass_ratio * weight
-        inverse = np.asarray(np.linalg.inv(system.mass - carried + mass_ratio * added), dtype=np.float64)
+        weight = -system.gravity * added.sum(axis=0)
+        constant = system.force_constant + mass_ratio * weight
+        inverse = np.asarray(np.linalg.inv(system.mass + mass_ratio * added), dtype=np.float64)
         inverse_change = -inverse @ added @ inverse
-        force = system.force_state + system.contact_forces(configuration)[0]
+        force = system.force_state
         matrix, inflow = np.zeros((n, n)), np.zeros((n, len(system.inputs) + 1))
-        lift, lift_change = np.zeros((2, n, system.dampers))
-        for j in closed[system.lasting[closed]]:
-            if configuration >> system.dampers + int(j) & 1:
-                pushed = system.wall_stiffness[j, 1]
-                lift[nq : 2 * nq, j] = inverse[:, system.bed[j]] * pushed
-                lift_change[nq : 2 * nq, j] = inverse_change[:, system.bed[j]] * pushed
         matrix_change, inflow_change = np.zeros_like(matrix), np.zeros_like(inflow)
         matrix[:nq, nq : 2 * nq] = np.eye(nq)
         matrix[nq : 2 * nq] = inverse @ force
@@ -220,32 +196,12 @@ class OrbitProblem:
         inflow_change[nq : 2 * nq, :-1] = inverse_change @ system.force_drive
         inflow_change[nq : 2 * nq, -1] = inverse_change @ constant + inverse @ weight
         rate = np.array(float(np.linalg.norm(matrix_balance(matrix, permute=False)[0], 1)))
-        parts = (
-            matrix,
-            inflow,
-            inverse,
-            rate,
-            lift,
-            matrix_change,
-            inflow_change,
-            inverse_change,
-            lift_change,
-        )
+        parts = (matrix, inflow, inverse, rate, matrix_change, inflow_change, inverse_change)
         return _Linear(*(part[None] for part in parts))
 
     def setting(self, frequency: float) -> OperatingPoint:
         """Return the scene's own setting at a frequency."""
         return OperatingPoint(frequency, self.level)
-
-
-def _beds(system: HybridSystem) -> tuple[Array, Array]:
-    """Give what dampers whose contact lasts add to the mass matrix and to the constant forces."""
-    mass, weight = np.zeros_like(system.mass), np.zeros(system.coordinates)
-    for j in np.flatnonzero(system.lasting):
-        both = [system.damper_coordinate[j], system.bed[j]]
-        mass[np.ix_(both, both)] += system.damper_mass[j]
-        weight[both] -= system.damper_mass[j] * system.gravity
-    return mass, weight
 
 
 def vary(setting: OperatingPoint, parameter: Parameter) -> Callable[[float], OperatingPoint]:

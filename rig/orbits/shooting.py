@@ -25,9 +25,6 @@ Whole = NDArray[np.int64]
 # velocity (osculating contact) or with its rebound; one that leaves `WITH_LAST` is thrown off by the event
 # before, at the same instant.
 SEPARATION, FLOOR, CEILING, FLOOR_BOUNCE, CEILING_BOUNCE, WITH_LAST = 0, 1, 2, 3, 4, 5
-# Where contact lasts a damper touches a wall at gap zero, is pressed again before it is out of a wall that has released
-# it, and is released where the wall's force is zero. Its gap is part of the state; nothing jumps but the equations.
-FLOOR_TOUCH, CEILING_TOUCH, FLOOR_PRESS, CEILING_PRESS, RELEASE = 6, 7, 8, 9, 10
 
 # A solution is accepted when its next correction and its residuals, relative to the motion, are below this.
 SETTLED = 3e-13
@@ -48,12 +45,6 @@ class Equations(NamedTuple):
     clearance: Array
     restitution: Array
     """mass, clearance, restitution: shape (dampers,)."""
-    bed: Whole
-    """Coordinate of the gap of a damper whose contact lasts, else -1; int64, shape (dampers,)."""
-    recovery: Array
-    """Damping over stiffness of each damper's floor and ceiling [s]; shape (dampers, 2)."""
-    stiffness: Array
-    """Of floor and ceiling [N/m]; shape (dampers, 2)."""
     gravity: float
     omega: float
     period: float
@@ -180,7 +171,7 @@ def shoot(equations: Equations, change: Change, sequence: Sequence, unknowns: Ar
         sx[i, i] = 1.0
     at = n
     for j in range(nd):
-        if sequence.wall[0, j] == 0 and equations.bed[j] < 0:
+        if sequence.wall[0, j] == 0:
             height[j], speed[j] = unknowns[at], unknowns[at + 1]
             sh[j, at] = 1.0
             sv[j, at + 1] = 1.0
@@ -232,20 +223,6 @@ def shoot(equations: Equations, change: Change, sequence: Sequence, unknowns: Ar
         x[n], x[n + 1], x[n + 2] = np.cos(omega * time), np.sin(omega * time), 1.0
         j, kind = sequence.damper[k], sequence.kind[k]
         body, row = equations.position[j], first + k
-        if kind >= FLOOR_TOUCH:
-            # The gap, or the wall's force in terms of the gap.
-            bed = equations.bed[j]
-            wall = sequence.wall[k, j] if kind == RELEASE else sequence.wall[k + 1, j]
-            lead = 0.0 if kind in (FLOOR_TOUCH, CEILING_TOUCH) else equations.recovery[j, wall - 1]
-            residual[row] = x[bed] + lead * x[nq + bed]
-            for c in range(size + 1):
-                jacobian[row, c] = sx[bed, c] + lead * sx[nq + bed, c]
-            if wall == 2:
-                residual[row] -= equations.clearance[j]
-                jacobian[row, size] -= change.clearance[j]
-            if lead == 0.0 and kind != RELEASE:
-                closing[k] = x[nq + bed] if wall == 2 else -x[nq + bed]
-            continue
         if kind in (SEPARATION, WITH_LAST):
             if kind == SEPARATION:
                 force = a[nq + body]
@@ -308,7 +285,7 @@ def shoot(equations: Equations, change: Change, sequence: Sequence, unknowns: Ar
         jacobian[i, i] -= 1.0
     at = n
     for j in range(nd):
-        if sequence.wall[0, j] == 0 and equations.bed[j] < 0:
+        if sequence.wall[0, j] == 0:
             residual[at], residual[at + 1] = height[j] - unknowns[at], speed[j] - unknowns[at + 1]
             jacobian[at], jacobian[at + 1] = sh[j], sv[j]
             jacobian[at, at] -= 1.0

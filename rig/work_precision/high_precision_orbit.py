@@ -69,10 +69,6 @@ def exact_orbit(scene: Scene, orbit: Orbit) -> ExactOrbit:
     RunError
         If Newton's iteration does not settle in decimal arithmetic.
     """
-    if any(orbit.plan.lasting):
-        raise RunError(
-            "contact that lasts: an orbit is known to high precision where contact is instant only"
-        )
     coarse = _Polish(scene, orbit, CHECK_DIGITS)
     start, _ = coarse.solve(coarse.start())
     fine = _Polish(scene, orbit, DIGITS)

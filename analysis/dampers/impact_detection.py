@@ -16,10 +16,12 @@ from analysis.recordings.slices import read_slices
 from analysis.responses.frf import MOTIONS
 from analysis.responses.measurands import named
 from rig.errors import RecordingError
+from rig.scene.contact import Landing, Walls
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
     from daq.signal_chain.channel import ChannelInfo
+    from rig.scene.damper import Damper
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -38,6 +40,8 @@ _LEFT_OVER = 0.02
 _BEND = 1.0
 # Rounds of the search, each for the largest of what is left within reach; and of putting a window around a jump.
 _ROUNDS, _PASSES = 12, 4
+# A landing of no more than this part of a sample interval is a jump.
+_INSTANT = 0.25
 # Jumps nearer to each other than so many samples are taken for one; told apart for certain from so many on.
 _APART, _RESOLVED = 4, 6
 # So many are fitted together at a time; what is left of one that was fitted alone misleads by so many samples.
@@ -106,12 +110,24 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
         Channel on a body, of acceleration, velocity or displacement.
     start, stop : int
         First and one-past-last sample.
+
+    Raises
+    ------
+    RecordingError
+        If the channel measures no motion, the stretch is too short or damaged, or contact on its body lasts.
     """
     info = named(rec, channel)
     if info.quantity not in MOTIONS:
         raise RecordingError(
             f"channel {info.name!r} measures {info.quantity}: impacts show in motion channels only"
         )
+    for damper in rec.scene.dampers:
+        if info.at == f"body {damper.body}" and _lasts(damper, info.rate):
+            raise RecordingError(
+                f"{info.name}: the contact of the damper in body {damper.body} lasts (contact: in its scene), so that "
+                "its landings are no jumps of velocity and are not told from a channel; rig.frequency_response tells "
+                "its motion"
+            )
     stop = rec.samples if stop is None else min(stop, rec.samples)
     choices = [_signature(json.dumps(info.to_metadata()), order) for order in _CURVATURES]
     least = 4 * max(one.reach for one in choices)
@@ -159,6 +175,18 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
         _RESOLVED / rec.rate,
         float(search.open.sum()) / rec.rate,
     )
+
+
+def _lasts(damper: Damper, rate: float) -> bool:
+    """Whether a landing is seen to last: only one named by a time well within a sample interval is not."""
+    contact = damper.contact
+    walls = (contact.floor, contact.ceiling) if isinstance(contact, Walls) else (contact,)
+    longest = (
+        max(wall.duration if isinstance(wall, Landing) else np.inf for wall in walls if wall)
+        if contact
+        else 0.0
+    )
+    return not damper.locked and longest * rate > _INSTANT
 
 
 def _acceleration(samples: Array, places: Array, info: ChannelInfo) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.dampers.impact_detection import impacts
+from analysis.dampers.restitution import Restitution, restitution
 from analysis.responses.frf import Frf
 
 if TYPE_CHECKING:
@@ -82,6 +83,8 @@ class DamperMotion:
     """Smallest velocity jump that would have been seen for certain, m/s."""
     lifts: bool
     """Whether the body's acceleration exceeds g, so that the damper cannot ride all the time."""
+    restitution: Restitution | None = None
+    """Of the body's only damper, where its impacts tell it."""
 
     @property
     def name(self) -> str:
@@ -103,6 +106,8 @@ def damper_motion(rec: Recording, sweep: Sweep, channel: str) -> list[DamperMoti
     """
     gravity = rec.scene.gravity
     lifts = _acceleration(rec, sweep, channel) > gravity
+    place = rec.channels[channel].at
+    alone = [damper for damper in rec.scene.dampers if not damper.locked and f"body {damper.body}" == place]
     out = []
     for frequency, lift, (first, stop) in zip(sweep.lines.frequency, lifts, sweep.windows, strict=True):
         found = impacts(rec, channel, int(first), int(stop))
@@ -119,6 +124,7 @@ def damper_motion(rec: Recording, sweep: Sweep, channel: str) -> list[DamperMoti
                 bool(then.size and np.median(then) < -gravity),
                 found.threshold,
                 bool(lift),
+                restitution(rec, found, alone[0], int(first), int(stop)) if len(alone) == 1 else None,
             )
         )
     return out
@@ -130,6 +136,21 @@ def _acceleration(rec: Recording, sweep: Sweep, channel: str) -> NDArray[np.floa
     integrations = {"acceleration": 0, "velocity": 1, "displacement": 2}[info.quantity]
     read = np.abs(sweep.lines.mean[sweep.lines.channels.index(channel)] / info.response(frequency))
     return np.asarray(read * (2 * np.pi * frequency) ** integrations, dtype=np.float64)
+
+
+def describe_restitution(motions: list[DamperMotion]) -> list[str]:
+    """One line about the restitution that a body's impacts tell, if they do anywhere: weighted by its errors."""
+    told = [one.restitution for one in motions if one.restitution is not None]
+    if not told:
+        return []
+    value, weight = np.array([one.value for one in told]), np.array([one.error**-2.0 for one in told])
+    mean = float(np.sum(weight * value) / weight.sum())
+    # No better than the scatter from frequency to frequency says.
+    scatter = float(np.sqrt(np.sum(weight * (value - mean) ** 2) / weight.sum() / max(len(told) - 1, 1)))
+    error = max(float(weight.sum() ** -0.5), scatter)
+    return [
+        f"{motions[0].channel}: restitution {mean:.2f} ± {2.0 * error:.1g}, told at {len(told)} frequencies"
+    ]
 
 
 def describe_motion(motions: list[DamperMotion]) -> list[str]:

@@ -8,7 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.dampers.nonlinearity import DamperMotion, damper_motion, describe_motion
+from analysis.dampers.nonlinearity import (
+    DamperMotion,
+    damper_motion,
+    describe_motion,
+    describe_restitution,
+)
 from analysis.dampers.performance import CycleEnergy, energy_per_cycle, impact_energy_per_cycle
 from analysis.presentation.expectations import expect
 from analysis.presentation.output_names import output_stem, with_ending
@@ -84,9 +89,13 @@ def _motions(rec: Recording, sweep: Sweep) -> tuple[list[list[DamperMotion]], li
         if info is None:
             text.append(f"body {body}: no channel on it, so that its impacts are not seen")
             continue
-        motions = damper_motion(rec, sweep, info.name)
+        try:
+            motions = damper_motion(rec, sweep, info.name)
+        except RecordingError as error:
+            text.append(str(error))
+            continue
         every.append(motions)
-        text += describe_motion(motions)
+        text += describe_motion(motions) + describe_restitution(motions)
     return every, text
 
 

@@ -155,6 +155,21 @@ def test_given_too_few_samples_when_searched_then_it_says_how_many_are_needed(tm
         impacts(rec, "body1", 0, 50)
 
 
+def test_given_contact_that_lasts_when_searched_then_it_says_that_landings_are_no_jumps(tmp_path):
+    scene = rig.load("fig9")
+    [damper] = scene.dampers
+    scene = scene.replace(
+        dampers=[damper.replace(contact={"duration": 2e-3})],
+        shaker={"kind": "force", "body": 1},
+        test={"kind": "sine", "frequency": 49.0, "force": 2.6, "duration": 0.2},
+        channels=[{"name": "body2", "at": "body 2"}, {"name": "force", "at": "shaker"}],
+        recording={"display": False},
+    )
+    path = daq.record(scene, tmp_path / "a.mcap")
+    with daq.open(path) as rec, pytest.raises(RecordingError, match="contact of the damper in body 2 lasts"):
+        impacts(rec, "body2")
+
+
 def test_given_times_when_scored_then_each_is_matched_once():
     f1, found, true = score(np.array([1.0, 1.01, 2.0]), np.array([1.0, 2.5]), 0.1)
     assert found.tolist() == [True, False, False] and true.tolist() == [True, False]

@@ -1,0 +1,31 @@
+from __future__ import annotations
+
+import pytest
+
+import daq
+import rig
+from analysis.dampers.impact_detection import impacts
+from analysis.dampers.restitution import restitution
+
+
+@pytest.mark.parametrize("true", [0.0, 0.3, 0.6])
+def test_given_a_damper_between_floor_and_ceiling_when_it_strikes_then_its_restitution_lies_within_its_bounds(
+    tmp_path, true
+):
+    sensor = {"sensitivity": 0.0102, "noise": 1.96e-4, "resonance": 30e3, "low_cutoff": 0.5}
+    scene = rig.load("fig8-no-damper").replace(
+        dampers=[{"body": 2, "mass_ratio": 0.08, "clearance": 1e-3, "restitution": true}],
+        shaker={"kind": "force", "body": 1},
+        test={"kind": "sine", "frequency": 49.5, "force": 2.6, "duration": 2.0},
+        channels=[
+            {"name": "body2", "at": "body 2", "accelerometer": sensor},
+            {"name": "force", "at": "shaker"},
+        ],
+        recording={"display": False},
+    )
+    with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
+        [window] = [marker for marker in rec.markers if marker.kind == "measure"]
+        first, stop = window.first_sample, window.stop
+        found = restitution(rec, impacts(rec, "body2", first, stop), scene.dampers[0], first, stop)
+    assert found is not None and found.error < 0.05
+    assert abs(found.value - true) < 2.0 * found.error

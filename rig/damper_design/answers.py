@@ -138,7 +138,7 @@ def _digest(question: Question) -> str:
     """Name a question by all that its answers depend on."""
     scenes = [scene.to_yaml() for scene in question.scenes]
     told = (
-        scenes, question.levels, question.band, question.bodies, question.restitution, question.thoroughness,
+        scenes, question.levels, question.band, question.bodies, question.restitution, question.density,
     )  # fmt: skip
     return hashlib.sha256(repr(told).encode()).hexdigest()[:16]
 

@@ -10,7 +10,7 @@ from itertools import combinations_with_replacement, product
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.damper_design.worst_peak import Peak, Thoroughness, peak_at
+from rig.damper_design.worst_peak import Peak, peak_at
 from rig.errors import SceneError
 from rig.motion_map.grid import columns
 from rig.orbits.problem import OrbitProblem
@@ -21,8 +21,8 @@ from rig.system.structure import natural_modes, structure_matrices
 
 Array = NDArray[np.float64]
 
-#: To tell designs apart, and to compare the best of them.
-QUICK, FINE = Thoroughness(20, 400), Thoroughness(60, 1500)
+#: Frequencies for each natural frequency, to tell designs apart and to compare the best of them.
+COARSE, FINE = 20, 60
 
 
 @dataclass(frozen=True)
@@ -97,8 +97,8 @@ class Question:
         Bodies whose peaks count, from 1.
     restitution : float
         Of the dampers.
-    thoroughness : Thoroughness
-        How closely each curve is looked at.
+    density : int
+        Frequencies for each natural frequency in the band.
     """
 
     scenes: tuple[Scene, ...]
@@ -106,7 +106,7 @@ class Question:
     band: tuple[float, float]
     bodies: tuple[int, ...]
     restitution: float = 0.0
-    thoroughness: Thoroughness = QUICK
+    density: int = COARSE
 
     @cached_property
     def bare(self) -> Peak:
@@ -121,7 +121,7 @@ class Question:
     def _peak(self, bare: Scene, dampers: Sequence[Damper], level: float) -> Peak:
         scene = bare.replace(dampers=dampers)
         problem, frequencies = OrbitProblem(scene), self._frequencies(scene)
-        return peak_at(problem, level, frequencies, self.bodies, self.thoroughness.longest)
+        return peak_at(problem, level, frequencies, self.bodies)
 
     def _frequencies(self, scene: Scene) -> Array:
         """Frequencies close where it may resonate: between where it does without dampers and where with them riding."""
@@ -135,7 +135,7 @@ class Question:
             raise SceneError(
                 f"band: got {low:g} to {high:g} Hz, where nothing resonates; expected a band with a natural frequency"
             )
-        points = 8 + self.thoroughness.density * -(-len(natural) // 2)
+        points = 8 + self.density * -(-len(natural) // 2)
         return np.unique(np.concatenate([columns(scene, low, high, points), natural]))
 
 

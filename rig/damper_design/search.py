@@ -17,12 +17,12 @@ from rig.damper_design.worst_peak import Peak
 #: Shares of the mass that may be added, and clearances between smallest and largest, of the grid.
 SHARES = (1.0, 0.5, 0.25)
 CLEARANCES = 10
-#: Of the grid, what is at most so much worse than the best of its mass at the middle level is looked at further.
-FIT = 1.5
+#: Choices of each mass that are tried at once.
+BATCH = 4
 #: Trials about the best clearance of a place and a mass, and with all dampers different from each other.
 REFINEMENTS, POLISHING = 8, 40
 #: Places whose best on the grid is at most this much worse than the best of all are looked at closely.
-PROMISING = 1.15
+PROMISING = 1.4
 #: How many of the best are compared in the end.
 COMPARED = 3
 
@@ -42,23 +42,26 @@ def search(question: Question, space: Space, answers: Answers) -> Trial:
         The best, its peak computed on a finer grid of frequencies.
     """
     grid = {(place, share): _row(space, place, share) for place, share in product(space.places, SHARES)}
-    answers.of(question, _fit(question, grid, answers))
+    _bounded(question, grid, answers)
     known = answers.known(question)
 
     def best_of(place: tuple[int, ...], share: float) -> Choice:
         return min((choice for choice in grid[place, share] if choice in known), key=known.__getitem__)
 
     refine = partial(_refine, step=_step(space), bounds=space.clearance)
-    full = [best_of(place, SHARES[0]) for place in space.places]
+    full = [best_of(place, SHARES[0]) for place in space.places if set(grid[place, SHARES[0]]) & set(known)]
     limit = PROMISING * min(known[choice].size for choice in full)
     answers.found_by(refine, question, [choice for choice in full if known[choice].size <= limit])
     place = _best(known).bodies
-    answers.found_by(refine, question, [best_of(place, share) for share in SHARES[1:]])
+    lighter = [
+        [c for (_, s), row in grid.items() if s == share for c in row if c in known] for share in SHARES[1:]
+    ]
+    answers.found_by(refine, question, [min(row, key=known.__getitem__) for row in lighter])
     if len(place) > 1:
         answers.found_by(partial(_polish, bounds=space.clearance), question, [_best(known)])
     # A coarse grid of frequencies may have missed a peak: the first three are compared on a fine one.
     first = sorted(known, key=known.__getitem__)[:COMPARED]
-    peaks = answers.of(replace(question, thoroughness=FINE), first)
+    peaks = answers.of(replace(question, density=FINE), first)
     return min(map(Trial, first, peaks), key=lambda trial: trial.peak)
 
 
@@ -97,24 +100,27 @@ def _row(space: Space, place: tuple[int, ...], share: float) -> list[Choice]:
     return [Choice(place, masses, (c,) * count) for c in np.geomspace(*space.clearance, CLEARANCES).tolist()]
 
 
-def _fit(
+def _bounded(
     question: Question, grid: dict[tuple[tuple[int, ...], float], list[Choice]], answers: Answers
-) -> list[Choice]:
-    """Pick from the grid what does well enough at the middle level."""
+) -> None:
+    """Try all of the grid that may be the best of its mass: the peak at one level is at most the worst of all."""
     middle = replace(
         question, scenes=question.scenes[:1], levels=(question.levels[len(question.levels) // 2],)
     )
     every = [choice for row in grid.values() for choice in row]
-    size = {c: peak.size for c, peak in zip(every, answers.of(middle, every), strict=True)}
-    least = {
-        share: min(size[c] for (_, s), row in grid.items() if s == share for c in row) for share in SHARES
+    least = {c: peak.size for c, peak in zip(every, answers.of(middle, every), strict=True)}
+    waiting = {
+        share: sorted((c for (_, s), row in grid.items() if s == share for c in row), key=least.__getitem__)
+        for share in SHARES
     }
-    fit = []
-    for (_, share), row in grid.items():
-        # The best of each place and mass is kept: it may be good at other levels.
-        limit = max(FIT * least[share], min(size[choice] for choice in row))
-        fit += [choice for choice in row if size[choice] <= limit]
-    return fit
+    best = dict.fromkeys(SHARES, np.inf)
+    while any(waiting.values()):
+        batch = {share: waiting[share][:BATCH] for share in SHARES}
+        peaks = answers.of(question, [choice for choices in batch.values() for choice in choices])
+        for share, choices in batch.items():
+            best[share] = min([best[share], *(peak.size for peak in peaks[: len(choices)])])
+            peaks = peaks[len(choices) :]
+            waiting[share] = [c for c in waiting[share][BATCH:] if least[c] < best[share]]
 
 
 class _Asked:

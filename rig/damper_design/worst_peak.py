@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar
 from rig.errors import RunError
 from rig.orbits.orbit import solve
 from rig.orbits.problem import OperatingPoint, OrbitProblem
-from rig.orbits.sweep import LONGEST, OrbitResponse, sweep
+from rig.orbits.sweep import OrbitResponse, sweep
 
 Array = NDArray[np.float64]
 
@@ -45,10 +45,9 @@ class Peak:
     simulated: float
 
 
-def curve(problem: OrbitProblem, force: float, frequencies: Array, longest: int = LONGEST) -> OrbitResponse:
-    """Steady motion at each frequency from the motion at the one before, waited for so many periods."""
-    base = OperatingPoint(float(frequencies[0]), force)
-    return sweep(problem, base, "frequency", frequencies, longest=longest)
+def curve(problem: OrbitProblem, force: float, frequencies: Array) -> OrbitResponse:
+    """Steady motion at each frequency from the motion at the one before."""
+    return sweep(problem, OperatingPoint(float(frequencies[0]), force), "frequency", frequencies)
 
 
 def resonance(problem: OrbitProblem, response: OrbitResponse, body: int) -> tuple[float, float]:
@@ -77,27 +76,9 @@ def resonance(problem: OrbitProblem, response: OrbitResponse, body: int) -> tupl
     return (float(-top.fun), float(top.x)) if -top.fun > best else (best, where)
 
 
-@dataclass(frozen=True)
-class Thoroughness:
-    """How closely a curve is looked at.
-
-    Attributes
-    ----------
-    density : int
-        Frequencies for each natural frequency in the band.
-    longest : int
-        Periods after which a motion that is not periodic counts as irregular.
-    """
-
-    density: int
-    longest: int
-
-
-def peak_at(
-    problem: OrbitProblem, level: float, frequencies: Array, bodies: Iterable[int], longest: int
-) -> Peak:
+def peak_at(problem: OrbitProblem, level: float, frequencies: Array, bodies: Iterable[int]) -> Peak:
     """Find the largest peak of some bodies at one level."""
-    response = curve(problem, level, frequencies, longest)
+    response = curve(problem, level, frequencies)
     found = []
     for body in bodies:
         size, where = resonance(problem, response, body)

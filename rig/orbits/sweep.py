@@ -138,13 +138,9 @@ def sweep(
     parameter: Parameter,
     values: Array,
     progress: Callable[[int, int], None] | None = None,
-    longest: int = LONGEST,
 ) -> OrbitResponse:
-    """Do what `orbit_response` does, for a problem that is set up.
-
-    A motion that has not become periodic after the longest time [periods] counts as irregular.
-    """
-    follower = _Follower(problem, base, parameter, longest)
+    """Do what `orbit_response` does, for a problem that is set up."""
+    follower = _Follower(problem, base, parameter)
     points = []
     for done, value in enumerate(values.tolist(), 1):
         points.append(follower.point(value))
@@ -201,10 +197,8 @@ def _hermite(at: Array, values: Array, slopes: Array, x: float) -> Array:
 class _Follower:
     """Follows the steady motion from value to value."""
 
-    def __init__(
-        self, problem: OrbitProblem, base: OperatingPoint, parameter: Parameter, longest: int
-    ) -> None:
-        self.problem, self.parameter, self.longest = problem, parameter, longest
+    def __init__(self, problem: OrbitProblem, base: OperatingPoint, parameter: Parameter) -> None:
+        self.problem, self.parameter = problem, parameter
         self.at = vary(base, parameter)
         self.following: Following | None = None
         self.known: list[_Known] = []
@@ -266,7 +260,7 @@ class _Follower:
         elif self.snapshot is not None:
             propagator.resume(self.snapshot)
         try:
-            orbit = search(self.problem, setting, propagator, self.longest)
+            orbit = search(self.problem, setting, propagator, LONGEST)
             reason = "" if orbit.stable and not orbit.flaw else "the orbit found here is not stable"
         except RunError as failure:
             reason = str(failure)

@@ -37,7 +37,7 @@ def chosen(table: Path) -> rig.Design:
 def test_given_one_place_when_designed_then_no_clearance_of_a_fine_grid_is_a_percent_better(
     chosen: rig.Design,
 ) -> None:
-    question = replace(chosen.question, thoroughness=FINE)
+    question = replace(chosen.question, density=FINE)
     clearances = np.geomspace(0.5, 2.0, 25) * chosen.best.choice.clearances[0]
     others = [question.worst(replace(chosen.best.choice, clearances=(c,))).size for c in clearances]
     assert chosen.best.peak.size < 1.01 * min(others)

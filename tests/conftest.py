@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+
 from hypothesis import HealthCheck, settings
 
 from rig import command_line
@@ -17,3 +19,8 @@ settings.load_profile("project")
 
 # A busy machine would have commands say that they are still at work, between the lines that tests look at.
 command_line.SILENCE = float("inf")
+
+# A shell starts what it runs in the background with interrupts ignored, and programs that tests start inherit it: those
+# that are to be interrupted would go on for ever.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -10,52 +10,41 @@ force), a millimetre of table travel (kind table). An output keeps its last valu
 stands still while no task needs it.
 
 As long as nobody has ever taken an output, the scene's own test is played (see
-`daq.instrument.background_test`), so that there is something to measure and to trigger on. The hammer of an
+`daq.instrument.bench.background_test`), so that there is something to measure and to trigger on. The hammer of an
 impulse scene goes on hitting in any case.
 """
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 import traceback
 import weakref
 from bisect import bisect_right
 from collections.abc import Callable, Hashable, Sequence
-from fractions import Fraction
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq.instrument.acquisition import Acquisition, InputPlan
+from daq.instrument.devices.device_list import DeviceList
+from daq.instrument.devices.modules import Module
+from daq.instrument.engines.acquisition import InputPlan
+from daq.instrument.engines.generation import Generation, OutputBuffer, OutputPlan
+from daq.instrument.engines.input_engine import InputEngine
+from daq.instrument.engines.triggers import OtherTask
 from daq.instrument.errors import Code, DaqError
-from daq.instrument.generation import Generation, OutputBuffer, OutputPlan
-from daq.instrument.modules import Module
-from daq.instrument.names import GIVEN_BY_DRIVER
-from daq.instrument.rate_divider import RateDivider
-from daq.instrument.triggers import OtherTask
+from daq.instrument.sample_clock import NeededRate, clock_rate, divides
 
 if TYPE_CHECKING:
-    from daq.instrument.bench_source import SampleSource
-    from daq.instrument.channels import Channel
+    from daq.instrument.bench.sample_source import SampleSource
     from daq.instrument.clock import Clock
+    from daq.instrument.settings.channels import Channel
 
 _BLOCK = 4096
 # The bench may fall behind the wall clock by this long before its inputs count as overflown, s.
 _PATIENCE = 5.0
 # On a clock that only moves when somebody waits, time stands still for this long so that a listener can answer.
 _ANSWER_S = 0.25
-# Ticks per sample of the fastest task that the clock makes at most, so that all rates divide it.
-_MOST_TICKS = 8
-
-
-class NeededRate(NamedTuple):
-    """A rate that a task samples at [S/s], and whether it has to divide that of the clock."""
-
-    rate: float
-    divides: bool
 
 
 class Runner(Protocol):
@@ -82,53 +71,6 @@ class Runner(Protocol):
         """Whether that answer has come."""
 
 
-class InputEngine:
-    """Runs an acquisition from the bench's ticks.
-
-    Parameters
-    ----------
-    plan : InputPlan
-        What to acquire.
-    source : SampleSource
-        The bench.
-    tick : int
-        The bench's position.
-    """
-
-    def __init__(self, plan: InputPlan, source: SampleSource, tick: int) -> None:
-        self.divisor = max(1, round(source.rate / plan.rate))
-        self.acquisition = Acquisition(plan, -(-tick // self.divisor), source.dtype)
-        self._divider = None
-        if self.divisor > 1:
-            channels = len(source.channels)
-            self._divider = RateDivider(channels, self.divisor, source.sampling, source.delay)
-
-    def take(
-        self,
-        first: int,
-        samples: NDArray[Any],
-        overload: NDArray[np.bool_],
-        moment: Callable[..., int | None],
-    ) -> None:
-        """Take a block of the bench."""
-        if self._divider is None:
-            self.acquisition.take(first, samples, overload, moment)
-            return
-
-        def divided(source: OtherTask) -> int | None:
-            found = moment(source)
-            return None if found is None else -(-found // self.divisor)
-
-        first, samples, overload = self._divider.take(first, samples, overload)
-        if samples.shape[1]:
-            self.acquisition.take(first, samples, overload, divided)
-
-    def start_tick(self, reference: bool, position: int) -> int | None:
-        """Tell others at which tick of the bench it started (was triggered), or will be."""
-        found = self.acquisition.start_tick(reference, -(-position // self.divisor))
-        return None if found is None else found * self.divisor
-
-
 class Chassis:
     """Devices in front of a bench.
 
@@ -143,6 +85,8 @@ class Chassis:
 
     Attributes
     ----------
+    devices : DeviceList
+        What scripts find.
     position : int
         Ticks that have passed since the bench was switched on; a change of its rate switches it on anew.
     changed : threading.Condition
@@ -154,7 +98,7 @@ class Chassis:
     def __init__(
         self, modules: Sequence[Module], switch_on: Callable[[float | None], SampleSource], clock: Clock
     ) -> None:
-        self.modules = {each.name.lower(): each for each in modules}
+        self.devices = DeviceList(modules)
         self.clock = clock
         self.changed = threading.Condition(threading.RLock())
         self.listeners: list[Callable[[SampleSource, Any], None]] = []
@@ -219,41 +163,6 @@ class Chassis:
         """Time of a tick, ns: since 1970 on the real clock, since power-on on the others."""
         anchor, when = self._anchors[max(0, bisect_right(self._anchors, (tick, 1 << 63)) - 1)]
         return when + round((tick - anchor) * 1e9 / self.rate)
-
-    # What there is
-
-    def module(self, name: str) -> Module:
-        """Find a device by its name; names the driver gives stand for all inputs and outputs.
-
-        Raises
-        ------
-        DaqError
-            With -200220, if no device goes by that name.
-        """
-        bare = name.strip().lstrip("/").partition("/")[0]
-        found = self.modules.get(bare.lower())
-        if found is not None:
-            return found
-        everything = self.modules.get("")
-        if everything is not None and GIVEN_BY_DRIVER.fullmatch(bare):
-            from dataclasses import replace
-
-            return replace(everything, name=bare)
-        raise DaqError(
-            f"there is no device {name!r}: the bench has {', '.join(self.device_names)}"
-            + (", which also go by names like Dev1, cDAQ1Mod1, PXI1Slot2" if everything else ""),
-            Code.INVALID_DEVICE_ID,
-        )
-
-    @property
-    def device_names(self) -> list[str]:
-        """Names of the devices on the bench."""
-        return [each.name for each in self.modules.values() if each.name]
-
-    def modules_of(self, chassis: str) -> list[str]:
-        """Names of the modules in a chassis, by slot."""
-        found = [each for each in self.modules.values() if each.chassis and each.chassis == chassis]
-        return [each.name for each in sorted(found, key=lambda each: each.slot)]
 
     # Tasks
 
@@ -320,7 +229,7 @@ class Chassis:
         if mine is None:
             return
         if any(each is not task for each in (*self.inputs, *self.outputs)):
-            if mine.divides and not _divides({mine.rate}, self.rate):
+            if mine.divides and not divides(mine.rate, self.rate):
                 names = ", ".join(repr(each.name) for each in (*self.inputs, *self.outputs))
                 raise DaqError(
                     f"the resource is reserved: the sample clock ticks at {self.rate:g} S/s for task {names}, "
@@ -331,13 +240,7 @@ class Chassis:
             return
         others = [each for task in self.tasks.values() if (each := task.rate_needed) is not None]
         held = [each for task in self._reserved if (each := task.rate_needed) is not None]
-        for needed in ([mine, *others], [mine, *held], [mine]):
-            exact = {each.rate for each in needed if each.divides}
-            rate = _common_multiple({each.rate for each in needed}) or _common_multiple(exact)
-            if rate is not None:
-                break
-        else:
-            rate = mine.rate
+        rate = clock_rate(mine, held, others)
         if rate != self.rate:
             self._switch_on(rate)
 
@@ -501,27 +404,3 @@ class Chassis:
             )
         )
         return True
-
-
-def _fraction(rate: float) -> Fraction:
-    """Give a rate as a ratio of whole numbers: module rates are a clock divided by one."""
-    return Fraction(rate).limit_denominator(10_000)
-
-
-def _common_multiple(rates: set[float]) -> float | None:
-    """Find the lowest rate that all of some divide; None if it is out of reach."""
-    if not rates:
-        return None
-    if len(rates) == 1:
-        return next(iter(rates))
-    ratios = [_fraction(each) for each in rates]
-    common = Fraction(
-        math.lcm(*(each.numerator for each in ratios)), math.gcd(*(each.denominator for each in ratios))
-    )
-    fastest = max(ratios)
-    return float(common) if common <= _MOST_TICKS * fastest else None
-
-
-def _divides(rates: set[float], rate: float) -> bool:
-    """Whether a clock makes all rates by leaving ticks out."""
-    return all(abs(rate / each - round(rate / each)) < 1e-6 and round(rate / each) >= 1 for each in rates)

@@ -7,11 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import rig
-from daq.instrument.bench_source import SceneSource
+from daq.instrument.bench.sample_source import SceneSource
 from daq.instrument.chassis import Chassis
 from daq.instrument.clock import Clock
 from daq.instrument.clock import clock as make_clock
-from daq.instrument.modules import (
+from daq.instrument.devices.modules import (
     CHASSIS_CATEGORY,
     COMPACT_DAQ_BUS,
     SOUND_AND_VIBRATION,

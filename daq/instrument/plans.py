@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from daq.instrument.acquisition import InputPlan
-from daq.instrument.errors import Code, DaqError, bad, unsupported
-from daq.instrument.generation import OutputPlan
-from daq.instrument.names import unflatten
-from daq.instrument.triggers import (
+from daq.instrument.devices.names import unflatten
+from daq.instrument.engines.acquisition import InputPlan
+from daq.instrument.engines.generation import OutputPlan
+from daq.instrument.engines.triggers import (
     AnalogSource,
     AtTick,
     Condition,
@@ -22,12 +21,13 @@ from daq.instrument.triggers import (
     edge,
     window,
 )
+from daq.instrument.errors import Code, DaqError, bad, unsupported
 from daq.instrument.values import Overwrite, Slope, TriggerType, WindowCondition
 
 if TYPE_CHECKING:
-    from daq.instrument.bench_source import SampleSource
+    from daq.instrument.bench.sample_source import SampleSource
     from daq.instrument.chassis import Chassis
-    from daq.instrument.settings import TaskSettings
+    from daq.instrument.settings.task_settings import TaskSettings
 
 _OWN_CLOCK = re.compile(
     r"|OnboardClock|.*/OnboardClock|/?([^/]+/)?(a[io]/)?SampleClock(Timebase)?", re.IGNORECASE

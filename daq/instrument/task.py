@@ -9,25 +9,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.instrument.chassis import Chassis, InputEngine, NeededRate
+from daq.instrument.chassis import Chassis
 from daq.instrument.clock import seconds
+from daq.instrument.engines.generation import Generation, OutputBuffer
+from daq.instrument.engines.input_engine import InputEngine
+from daq.instrument.engines.log import TaskLog, open_log
 from daq.instrument.errors import STOPPED_BEFORE_DONE, Code, DaqError, bad
 from daq.instrument.events import Events, Listener
-from daq.instrument.generation import Generation, OutputBuffer
 from daq.instrument.plans import check_timing, input_plan, output_plan, sources
-from daq.instrument.reading import Reading, collect, seek
-from daq.instrument.ring_buffer import room
-from daq.instrument.scales import Scale
-from daq.instrument.settings import TaskSettings
-from daq.instrument.task_log import TaskLog, open_log
-from daq.instrument.values import LoggingMode, TaskMode, TimestampEvent
-from daq.instrument.writing import check_volts, fill, hold
+from daq.instrument.sample_clock import NeededRate
+from daq.instrument.settings.scales import Scale
+from daq.instrument.settings.task_settings import TaskSettings
+from daq.instrument.values import LoggingMode, TaskMode
 
 Array = NDArray[np.float64]
 
 
 class Task:
-    """A task on the chassis.
+    """A task on the chassis: its settings and its life; see `task_reading` and `task_writing` for its samples.
 
     Parameters
     ----------
@@ -37,17 +36,34 @@ class Task:
         Name; one is made up if it is empty.
     scales : mapping of str to Scale
         Custom scales that its channels may name.
+
+    Attributes
+    ----------
+    settings : TaskSettings
+        What the script has said.
+    acquisition, generation : InputEngine and Generation or None
+        The run that goes on, or the last one.
+    buffer : OutputBuffer or None
+        What has been written.
+    running, closed, automatic, committed : bool
+        Whether it runs, is closed, was started by a read or a write, keeps its modules when it stops.
+    told : bool
+        Whether the script has heard why the run ended early.
+    played : bool
+        Whether the buffer has been played.
+    overloads_told : list of str or None
+        Channels that were overloaded when that was last asked.
     """
 
     def __init__(self, chassis: Chassis, name: str, scales: Mapping[str, Scale]) -> None:
-        self.chassis, self.settings = chassis, TaskSettings(chassis.module, scales)
+        self.chassis, self.settings = chassis, TaskSettings(chassis.devices.module, scales)
         self.events = Events()
         self.acquisition: InputEngine | None = None
         self.generation: Generation | None = None
         self.buffer: OutputBuffer | None = None
         self.running = self.closed = False
-        self._automatic = self._committed = self._told = self._played = False
-        self._overloaded: list[str] | None = None
+        self.automatic = self.committed = self.told = self.played = False
+        self.overloads_told: list[str] | None = None
         self._looked: dict[str, int] = {}
         self.log: TaskLog | None = None
         self.name = ""
@@ -86,16 +102,17 @@ class Task:
                 Code.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK,
             )
         with self.chassis.changed:
-            self._reserve()
+            self.reserve()
             try:
                 self.chassis.wake(self)
                 self._run()
             except BaseException:
                 self._end()
                 raise
-            self._automatic, self.running, self._told = automatic, True, False
+            self.automatic, self.running, self.told = automatic, True, False
 
-    def _reserve(self) -> None:
+    def reserve(self) -> None:
+        """Reserve the modules and outputs that the task needs; see `Chassis.reserve`."""
         if self.settings.kind == "ao":
             self.chassis.reserve(self, tuple(each.row for each in self.settings.channels))
         else:
@@ -121,7 +138,7 @@ class Task:
                 Code.OUTPUT_BUFFER_EMPTY,
             )
         out, joins = output_plan(self.settings, chassis.rate, start)
-        self.generation, self._played = chassis.run_output(self, out, self.buffer), True
+        self.generation, self.played = chassis.run_output(self, out, self.buffer), True
         if joins is not None:
             self.generation.join(chassis.moment(joins))
 
@@ -129,7 +146,13 @@ class Task:
         read, engine = self.settings.groups["read"], self.acquisition
         if read["logging_mode"] == LoggingMode.OFF or not read["logging_file_path"] or engine is None:
             return
-        self.log = open_log(self.name, self.settings, self.chassis, engine.acquisition.plan)
+        chassis, began, plan = self.chassis, self.chassis.position, engine.acquisition.plan
+        ticks = chassis.rate / plan.rate
+
+        def time_ns(sample: int) -> int:
+            return chassis.time_ns(began + round(sample * ticks))
+
+        self.log = open_log(self.name, self.settings, chassis.source, plan, time_ns)
 
     def stop(self) -> int:
         """Stop the task.
@@ -147,19 +170,20 @@ class Task:
         if not self.running:
             return 0
         early = not self.endless and not self.finished
-        failure = None if self._told else self.failure
-        self._stop()
+        failure = None if self.told else self.failure
+        self.end()
         if failure is not None:
             raise failure
         return STOPPED_BEFORE_DONE if early else 0
 
-    def _stop(self) -> None:
+    def end(self) -> None:
+        """End the run, if there is one."""
         with self.chassis.changed:
             self._end()
 
     def _end(self) -> None:
         self.running = False
-        if self._committed:
+        if self.committed:
             self.chassis.halt(self)
         else:
             self.chassis.release(self)
@@ -174,7 +198,7 @@ class Task:
         if self.closed:
             return
         try:
-            self._stop()
+            self.end()
         finally:
             self.closed = True
             self.events.close()
@@ -192,11 +216,11 @@ class Task:
             self.verify()
         elif action in (TaskMode.COMMIT, TaskMode.RESERVE):
             self.verify()
-            self._reserve()
-            self._committed = True
+            self.reserve()
+            self.committed = True
         else:
-            self._committed = False
-            self._stop()
+            self.committed = False
+            self.end()
         return 0
 
     @property
@@ -223,7 +247,7 @@ class Task:
     def raise_failure(self) -> None:
         """Raise the reason why the run ended early, as often as somebody asks until the task is stopped."""
         if self.failure is not None and self.running:
-            self._told = True
+            self.told = True
             raise self.failure
 
     def look(self, question: str) -> None:
@@ -341,97 +365,6 @@ class Task:
 
     # Samples
 
-    def read(self, samples: int, timeout: float, raw: bool = False) -> Reading:
-        """Read samples, starting the task if need be.
-
-        Parameters
-        ----------
-        samples : int
-            Samples per channel; -1 takes all of a finite task, what is there of a continuous one.
-        timeout : float
-            Seconds to wait; 0 tries once, negative waits for ever.
-        raw : bool
-            Whether to give the converter's counts instead of readings in the channels' units.
-
-        Returns
-        -------
-        Reading
-            With -200284 when time is up, -200279 when samples have been overwritten (reading goes on with
-            the oldest left), -200278 beyond the end of a finite acquisition, or the reason why the
-            acquisition stopped; the samples that came before are there too.
-        """
-        timeout = seconds(timeout)
-        with self.chassis.changed:
-            self.settings.require("ai")
-            if self.settings.groups["read"]["logging_mode"] == LoggingMode.LOG:
-                raise DaqError(
-                    "the task only logs (LoggingMode.LOG): to read as well, log with LoggingMode.LOG_AND_READ",
-                    Code.READ_NOT_SUPPORTED_FOR_LOGGING_MODE,
-                )
-            if samples < 0:
-                samples = self.default_count()
-            rows = self.settings.rows_to_read()
-            out = room(len(rows), samples, np.int32 if raw else np.float64)
-            if not self.settings.clocked:
-                return self._read_on_demand(rows, out, timeout, raw)
-            self.begin()
-            assert self.acquisition is not None
-            if timeout == 0:
-                self.look("read")
-            try:
-                seek(self.settings.groups["read"], self.acquisition.acquisition)
-                return self._collect(self.acquisition, rows, out, timeout, raw)
-            finally:
-                self._after_read()
-
-    def _read_on_demand(self, rows: list[int], out: NDArray[Any], timeout: float, raw: bool) -> Reading:
-        chassis = self.chassis
-        self.verify()
-        self._reserve()
-        chassis.wake(self)
-        chassis.wire(self, self.settings.channels)
-        plan = input_plan(self.settings, chassis.source, None, None, on_demand=out.shape[1])
-        self.acquisition = chassis.run_input(self, plan)
-        try:
-            return self._collect(self.acquisition, rows, out, timeout, raw)
-        finally:
-            chassis.halt(self)
-            self.acquisition = None
-            if not (self.running or self._committed):
-                chassis.release(self)
-
-    def _collect(
-        self, engine: InputEngine, rows: list[int], out: NDArray[Any], timeout: float, raw: bool
-    ) -> Reading:
-        def taken() -> None:
-            if self.log is not None:
-                self.log.follow(engine.acquisition)
-
-        channels = self.settings.channels if raw else None
-        reading = collect(self.chassis, engine, rows, out, timeout, channels, taken)
-        self._told |= reading.error is not None and reading.error is engine.acquisition.error
-        return reading
-
-    def default_count(self) -> int:
-        """Count what a read takes by default: all of a finite task, what is there of a continuous one."""
-        settings = self.settings
-        settings.require("ai")
-        run = self.acquisition.acquisition if self.running and self.acquisition is not None else None
-        if not settings.clocked:
-            return 1
-        if settings.finite and not settings.groups["read"]["read_all_avail_samp"]:
-            if run is None or run.plan.again:
-                return settings.samples
-            end = settings.samples if run.trigger is None else run.first_readable + settings.samples
-            return max(end - run.position, 0) or settings.samples
-        if run is None:
-            self.begin()
-            assert self.acquisition is not None
-            run = self.acquisition.acquisition
-        if run.readable <= run.position and self.running and not run.done:
-            self.chassis.clock.glance(self.chassis)
-        return max(0, run.readable - run.position)
-
     def begin(self) -> None:
         """Start the task for a read, unless it may not start by itself."""
         if self.running or not self.settings.clocked:
@@ -443,138 +376,9 @@ class Task:
             )
         self.start(automatic=True)
 
-    def _after_read(self) -> None:
-        """Stop a finite task that a read has started and emptied."""
-        run = self.run
-        if self._automatic and self.running and run is not None and run.done and run.position >= run.readable:
-            self._stop()
-
-    @property
-    def raw_width(self) -> int:
-        """Bytes of a converter count."""
-        return 2 if self.settings.channels and (self.settings.channels[0].module.bits or 32) <= 16 else 4
-
-    def time_of_sample(self, sample: int) -> int:
-        """Time of a sample of the last acquisition, ns; without one, that of now."""
-        engine, chassis = self.acquisition, self.chassis
-        if engine is None:
-            return chassis.time_ns(chassis.position)
-        return chassis.time_ns(engine.acquisition.tick_of(sample) * engine.divisor)
-
-    def time_of(self, event: TimestampEvent, timeout: float) -> int:
-        """Time at which the task started or was triggered, ns.
-
-        Raises
-        ------
-        DaqError
-            With -209842, if times of triggers were switched off; with -200284, if it has not happened in time.
-        """
-        name = {TimestampEvent.START_TRIGGER: "start", TimestampEvent.REFERENCE_TRIGGER: "ref"}.get(event)
-        settings, key = self.settings.groups["trig"], f"{name}_trig_timestamp_enable"
-        if name is not None and settings.was_set(key) and not settings[key]:
-            raise DaqError(
-                "the time of that trigger is not kept: set timestamp_enable before starting the task",
-                Code.TIMESTAMP_NOT_ENABLED,
-            )
-        if name is None:
-            self.settings.groups["timing"]["first_samp_timestamp_enable"] = True
-
-        def tick() -> int | None:
-            if self.acquisition is not None:
-                reference = event == TimestampEvent.REFERENCE_TRIGGER and self.run.plan.reference is not None
-                return self.acquisition.start_tick(reference, self.chassis.position)
-            return None if self.generation is None else self.generation.first_tick
-
-        with self.chassis.changed:
-            guess = max(1, int(self.chassis.rate / 100))
-            if not self.chassis.wait(lambda: tick() is not None, lambda: guess, seconds(timeout)):
-                raise DaqError(
-                    f"the task has not been started or triggered within {timeout:g} s",
-                    Code.SAMPLES_NOT_YET_AVAILABLE,
-                )
-            found = tick()
-            assert found is not None
-            return self.chassis.time_ns(found)
-
     def start_new_file(self, path: str) -> None:
         """Go on logging in another file; before the start, log into that one."""
         with self.chassis.changed:
             if self.log is not None and self.acquisition is not None:
                 self.log.start_new_file(Path(path), self.acquisition.acquisition)
             self.settings.groups["read"]["logging_file_path"] = path
-
-    def _fill(self, volts: Array, timeout: float) -> int:
-        assert self.buffer is not None
-
-        def running() -> Generation | None:
-            return self.generation if self.running else None
-
-        try:
-            return fill(self.chassis, self.buffer, volts, timeout, self.settings.regenerates, running)
-        finally:
-            self._told |= self.failure is not None
-
-    def write(self, volts: Array, auto_start: bool, timeout: float) -> int:
-        """Write samples, shape (channels, n), in the channels' units.
-
-        Returns
-        -------
-        int
-            Samples per channel written, n.
-
-        Raises
-        ------
-        DaqError
-            With -200292 when time is up; the reason why the output stopped; -200561 for samples beyond the
-            channel's limits, -200524 for the wrong number of channels.
-        """
-        timeout = seconds(timeout)
-        self.settings.require("ao")
-        check_volts(self.settings.channels, volts)
-        with self.chassis.changed:
-            if not self.settings.clocked:
-                if not (auto_start or self.running):
-                    raise DaqError(
-                        "the task is not running, and auto_start is off: call start() before writing",
-                        Code.CANNOT_READ_WHEN_AUTO_START_FALSE_AND_TASK_NOT_RUNNING_OR_COMMITTED,
-                    )
-                return self._write_on_demand(volts)
-            if not self.running and (self.buffer is None or self._played):
-                # What has been played to its end or stopped is done with: a new write begins a new buffer.
-                chosen = self.settings.groups["buffer"]
-                size = int(chosen["output_buf_size"]) if chosen.was_set("output_buf_size") else None
-                self.buffer, self._played = OutputBuffer(volts.shape[0], size), False
-            written = self._fill(volts, timeout)
-            if auto_start and not self.running:
-                self.start()
-            return written
-
-    def _write_on_demand(self, volts: Array) -> int:
-        self.verify()
-        self._reserve()
-        try:
-            self.chassis.wake(self)
-            hold(self.chassis, self, [each.row for each in self.settings.channels], volts)
-        finally:
-            if not (self.running or self._committed):
-                self.chassis.release(self)
-        return volts.shape[1]
-
-    def overloaded_exist(self) -> bool:
-        """Whether any channel has been overloaded since this was last asked; asking clears the flags."""
-        run = None if self.acquisition is None else self.acquisition.acquisition
-        flags = [] if run is None else run.overloaded.tolist()
-        names = [each.name for each in self.settings.channels]
-        self._overloaded = [name for name, flag in zip(names, flags, strict=False) if flag]
-        if run is not None:
-            run.overloaded[:] = False
-        return bool(self._overloaded)
-
-    def overloaded(self) -> list[str]:
-        """Names of the channels that were overloaded when `overloaded_exist` was asked."""
-        if self._overloaded is None:
-            raise DaqError(
-                "ask in_stream.overloaded_chans_exist first: it takes the flags that overloaded_chans names",
-                Code.OVERLOADED_CHANS_EXIST_NOT_READ,
-            )
-        return list(self._overloaded)

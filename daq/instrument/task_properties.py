@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from daq.instrument.clock import seconds
 from daq.instrument.errors import Code, DaqError, bad
-from daq.instrument.properties import WHILE_RUNNING
+from daq.instrument.settings.properties import WHILE_RUNNING
 from daq.instrument.task import Task
+from daq.instrument.task_reading import default_count, overloaded, overloaded_exist
 from daq.instrument.values import TimestampEvent
 
 _TERMINAL = re.compile(r"A?PFI\d+|RTSI\d+|(a[io]/)?\w*(Clock|Timebase|Trigger)\w*|Ctr\d\w*", re.IGNORECASE)
@@ -105,6 +107,42 @@ def reset_value(task: Task, group: str, name: str) -> None:
     task.settings.groups[group].reset("samp_clk_rate" if name == "samp_clk_timebase_div" else name)
 
 
+def time_of(task: Task, event: TimestampEvent, timeout: float) -> int:
+    """Time at which the task started or was triggered, ns.
+
+    Raises
+    ------
+    DaqError
+        With -209842, if times of triggers were switched off; with -200284, if it has not happened in time.
+    """
+    name = {TimestampEvent.START_TRIGGER: "start", TimestampEvent.REFERENCE_TRIGGER: "ref"}.get(event)
+    settings, key = task.settings.groups["trig"], f"{name}_trig_timestamp_enable"
+    if name is not None and settings.was_set(key) and not settings[key]:
+        raise DaqError(
+            "the time of that trigger is not kept: set timestamp_enable before starting the task",
+            Code.TIMESTAMP_NOT_ENABLED,
+        )
+    if name is None:
+        task.settings.groups["timing"]["first_samp_timestamp_enable"] = True
+
+    def tick() -> int | None:
+        if task.acquisition is not None:
+            reference = event == TimestampEvent.REFERENCE_TRIGGER and task.run.plan.reference is not None
+            return task.acquisition.start_tick(reference, task.chassis.position)
+        return None if task.generation is None else task.generation.first_tick
+
+    with task.chassis.changed:
+        guess = max(1, int(task.chassis.rate / 100))
+        if not task.chassis.wait(lambda: tick() is not None, lambda: guess, seconds(timeout)):
+            raise DaqError(
+                f"the task has not been started or triggered within {timeout:g} s",
+                Code.SAMPLES_NOT_YET_AVAILABLE,
+            )
+        found = tick()
+        assert found is not None
+        return task.chassis.time_ns(found)
+
+
 def full_terminal(task: Task, name: str) -> str:
     """Write a terminal as the driver does, with its device.
 
@@ -116,7 +154,7 @@ def full_terminal(task: Task, name: str) -> str:
     if not name or name.startswith("/"):
         return name
     if "/" in name and not name.startswith(("ai/", "ao/")):
-        task.chassis.module(name)
+        task.chassis.devices.module(name)
         return f"/{name}"
     if not _TERMINAL.fullmatch(name):
         raise DaqError(
@@ -176,7 +214,7 @@ _COMPUTED: dict[tuple[str, str], Callable[[Task], Any]] = {
     ("timing", "samp_clk_timebase_div"): _divisor,
     ("timing", "samp_clk_timebase_rate"): lambda task: task.settings.channels[0].module.timebase,
     ("timing", "first_samp_timestamp_val"): lambda task: (
-        task.time_of(TimestampEvent.FIRST_SAMPLE, 10.0) * 1e-9
+        time_of(task, TimestampEvent.FIRST_SAMPLE, 10.0) * 1e-9
     ),
     ("trig", "start_trig_term"): lambda task: full_terminal(task, f"{task.settings.kind}/StartTrigger"),
     ("trig", "ref_trig_term"): lambda task: full_terminal(task, f"{task.settings.kind}/ReferenceTrigger"),
@@ -195,9 +233,9 @@ _COMPUTED: dict[tuple[str, str], Callable[[Task], Any]] = {
         "acquired", lambda task: _run_input(task, lambda run: run.ring.written)
     ),
     ("read", "curr_read_pos"): lambda task: _run_input(task, lambda run: run.position),
-    ("read", "default_number_of_samples"): Task.default_count,
-    ("read", "overloaded_chans_exist"): Task.overloaded_exist,
-    ("read", "overloaded_chans"): Task.overloaded,
+    ("read", "default_number_of_samples"): default_count,
+    ("read", "overloaded_chans_exist"): overloaded_exist,
+    ("read", "overloaded_chans"): overloaded,
     ("write", "num_chans"): lambda task: len(task.settings.channels),
     ("write", "space_avail"): _counter("space", _space),
     ("write", "curr_write_pos"): lambda task: 0 if task.buffer is None else task.buffer.written,

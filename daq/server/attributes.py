@@ -6,9 +6,9 @@ import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from daq.instrument.devices.names import parse_port
 from daq.instrument.errors import Code, DaqError, unsupported
-from daq.instrument.names import parse_port
-from daq.instrument.storage import Storage
+from daq.instrument.settings.storage import Storage
 from daq.instrument.task_properties import (
     get_channel,
     get_value,
@@ -21,7 +21,7 @@ from daq.server.protocol import attribute_name, decode
 
 if TYPE_CHECKING:
     from daq.instrument.task import Task
-    from daq.server.calls import Call
+    from daq.server.calls.call import Call
 
 _CALL = re.compile(r"(Get|Set|Reset)([A-Za-z]+?)Attribute(Ex)?(\w*?)")
 # Groups of a task's settings, by the names the calls have.
@@ -108,8 +108,8 @@ def _reset(call: Call, owner: str, name: str) -> None:
 
 def _of_device(call: Call, name: str) -> Any:
     chassis = call.server.chassis
-    module = chassis.module(call.fields["device_name"])
-    found = module.attributes(chassis.modules_of(module.name))
+    module = chassis.devices.module(call.fields["device_name"])
+    found = module.attributes(chassis.devices.modules_of(module.name))
     if name not in found:
         raise DaqError(f"{module.product_type} has no property {name}", Code.ATTR_NOT_SUPPORTED)
     return found[name]
@@ -119,7 +119,7 @@ def _of_terminal(call: Call, name: str) -> Any:
     name = name.removeprefix("physical_chan_")
     port = parse_port(call.fields["physical_channel"])
     chassis = call.server.chassis
-    module = chassis.module(port.device)
+    module = chassis.devices.module(port.device)
     module.row(port.kind, port.number)
     found: dict[str, Any] = {
         "ai_supported_meas_types": sorted(module.measurements),
@@ -153,7 +153,7 @@ def _of_task(call: Call, name: str) -> Any:
 def _of_system(call: Call, name: str) -> Any:
     storage: Storage = call.server.storage
     return {
-        "dev_names": call.server.chassis.device_names,
+        "dev_names": call.server.chassis.devices.names,
         "tasks": list(storage.tasks),
         "scales": list(storage.scales),
         "global_chans": list(storage.channels),

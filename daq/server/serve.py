@@ -118,10 +118,10 @@ def serve(
 def announcement(chassis: Chassis, host: str, port: int, encrypted: bool) -> str:
     """Say where the rig is, what is on it, and how a script reaches it."""
     lines = [f"Server listening on port {port} ({host}:{port}{', with TLS' if encrypted else ''})", ""]
-    for name in chassis.device_names:
-        module = chassis.module(name)
+    modules = [chassis.devices.module(name) for name in chassis.devices.names]
+    for module in modules:
         kinds = [each for kind in ("ai", "ao") if (each := _span(module.channel_names(kind)))]
-        lines.append(f"{name}: {module.product_type}" + (f", {', '.join(kinds)}" if kinds else ""))
+        lines.append(f"{module.name}: {module.product_type}" + (f", {', '.join(kinds)}" if kinds else ""))
         for terminal, row in zip(module.channel_names("ai"), module.inputs, strict=True):
             info = chassis.source.channels[row]
             lines.append(
@@ -129,7 +129,14 @@ def announcement(chassis: Chassis, host: str, port: int, encrypted: bool) -> str
             )
     opened = "grpc.insecure_channel" if not encrypted else "grpc.secure_channel"
     extra = "" if not encrypted else ', grpc.ssl_channel_credentials(open("ca.pem", "rb").read())'
-    first = next((chassis.module(name) for name in chassis.device_names if chassis.module(name).inputs), None)
+    first = next(
+        (
+            chassis.devices.module(name)
+            for name in chassis.devices.names
+            if chassis.devices.module(name).inputs
+        ),
+        None,
+    )
     if first is not None:
         lines += [
             "",

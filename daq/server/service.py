@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 import grpc
 
+from daq.instrument.devices.names import Port
+from daq.instrument.devices.teds import TedsMemory
 from daq.instrument.errors import Code, DaqError, bad, meaning
-from daq.instrument.names import Port
-from daq.instrument.storage import Storage
+from daq.instrument.settings.storage import Storage
 from daq.instrument.task import Task
-from daq.instrument.teds import TedsMemory
-from daq.server.calls import Call, answer_to
+from daq.server.calls.answers import answer_to
+from daq.server.calls.call import Call
 from daq.server.client_defaults import STRICT
 from daq.server.protocol import SERVICE, Method, decode, encode, methods
 from daq.server.sessions import SessionExists, Sessions
@@ -110,7 +111,7 @@ class Server:
         threading.Thread(target=self._watch, name="sessions", daemon=True).start()
 
     def _sensor_sheet(self, port: Port) -> bytes | None:
-        module = self.chassis.module(port.device)
+        module = self.chassis.devices.module(port.device)
         row = module.row("ai", port.number)
         return self.chassis.source.data_sheet(row) if module.teds else None
 

@@ -11,7 +11,7 @@ from urllib.parse import unquote
 
 from daq.instrument.chassis import Chassis
 from daq.instrument.errors import Code, DaqError
-from daq.instrument.storage import Storage
+from daq.instrument.settings.storage import Storage
 from daq.instrument.task import Task
 from rig.errors import ShotrigError
 

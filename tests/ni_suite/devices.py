@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rig
-from daq.instrument.channels import Channel
-from daq.instrument.measurements import MEASUREMENTS
-from daq.instrument.modules import Module
-from daq.instrument.scales import LINEAR, MAP_RANGES, POLYNOMIAL, TABLE, Scale
-from daq.instrument.storage import Storage
+from daq.instrument.devices.measurements import MEASUREMENTS
+from daq.instrument.devices.modules import Module
+from daq.instrument.settings.channels import Channel
+from daq.instrument.settings.scales import LINEAR, MAP_RANGES, POLYNOMIAL, TABLE, Scale
+from daq.instrument.settings.storage import Storage
 from daq.instrument.task import Task
 from daq.instrument.values import Coupling, SampleMode, TimingType, Wiring
 from daq.signal_chain.channel import ChannelInfo

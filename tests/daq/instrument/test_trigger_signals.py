@@ -4,7 +4,7 @@ from nidaqmx.constants import READ_ALL_AVAILABLE, AcquisitionType, Slope
 from nidaqmx.errors import DaqError, DaqReadError
 
 from daq.instrument import values
-from daq.instrument.triggers import CrossingFinder, SyncPulse, edge
+from daq.instrument.engines.triggers import CrossingFinder, SyncPulse, edge
 from tests.daq.client import Task, connect
 
 RATE = 5120.0

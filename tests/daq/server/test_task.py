@@ -1,4 +1,5 @@
 import queue
+import threading
 
 import numpy as np
 import pytest
@@ -271,9 +272,9 @@ def test_given_output_callbacks_when_samples_are_played_then_they_are_called(cha
     assert calls.empty() and done.empty()
 
 
-def test_given_the_real_clock_when_samples_come_then_callbacks_run_on_a_thread_of_the_client():
-    import threading
-
+def test_given_the_real_clock_when_samples_come_then_callbacks_run_on_a_thread_of_the_client(monkeypatch):
+    # However busy the machine is that runs the tests, its bench does not count as fallen behind.
+    monkeypatch.setattr("daq.instrument.chassis._PATIENCE", float("inf"))
     connect("bare-structure", "real")
     enough, names = threading.Event(), []
     with Task("live") as task:

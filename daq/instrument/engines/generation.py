@@ -9,10 +9,10 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.instrument.acquisition import Moment
+from daq.instrument.engines.acquisition import Moment
+from daq.instrument.engines.ring_buffer import room
+from daq.instrument.engines.triggers import AtTick, OtherTask, SyncPulse
 from daq.instrument.errors import Code, DaqError
-from daq.instrument.ring_buffer import room
-from daq.instrument.triggers import AtTick, OtherTask, SyncPulse
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from daq.instrument.devices.names import Port
 from daq.instrument.errors import Code, DaqError
-from daq.instrument.names import Port
 
 # Bits of the basic TEDS, in the order in which they come, lowest bit first.
 _BASIC = (

@@ -16,10 +16,10 @@ from daq.measurement.limits import Stretches
 from rig.errors import ShotrigError
 
 if TYPE_CHECKING:
-    from daq.instrument.acquisition import Acquisition, InputPlan
-    from daq.instrument.chassis import Chassis
-    from daq.instrument.properties import Properties
-    from daq.instrument.settings import TaskSettings
+    from daq.instrument.bench.sample_source import SampleSource
+    from daq.instrument.engines.acquisition import Acquisition, InputPlan
+    from daq.instrument.settings.properties import Properties
+    from daq.instrument.settings.task_settings import TaskSettings
     from daq.signal_chain.channel import ChannelInfo
     from rig.scene.scene import Scene
 
@@ -225,7 +225,9 @@ class TaskLog:
             self._file.close()
 
 
-def open_log(name: str, task: TaskSettings, chassis: Chassis, plan: InputPlan) -> TaskLog:
+def open_log(
+    name: str, task: TaskSettings, source: SampleSource, plan: InputPlan, time_ns: Callable[[int], int]
+) -> TaskLog:
     """Open a log for a task that starts.
 
     Parameters
@@ -234,10 +236,12 @@ def open_log(name: str, task: TaskSettings, chassis: Chassis, plan: InputPlan) -
         Name of the task.
     task : TaskSettings
         Its settings. The suffix of the log's path says what it becomes, `.mcap` or `.tdms`.
-    chassis : Chassis
-        Where it runs.
+    source : SampleSource
+        The bench.
     plan : InputPlan
         What it acquires.
+    time_ns : callable
+        Gives the time of a sample by its number, ns.
 
     Raises
     ------
@@ -245,12 +249,11 @@ def open_log(name: str, task: TaskSettings, chassis: Chassis, plan: InputPlan) -
         If the file cannot be opened in that way; the message says what to do.
     """
     settings = task.groups["read"]
-    source, began = chassis.source, chassis.position
     infos = [replace(source.channels[row], rate=plan.rate) for row in plan.rows]
     names = [each.name for each in task.channels]
 
     def open_file(path: Path, first: int) -> _File:
-        start_ns = chassis.time_ns(began + round(first * chassis.rate / plan.rate))
+        start_ns = time_ns(first)
         suffix, exists = path.suffix.lower(), path.exists()
         append = _appends(path, suffix, exists, settings["logging_tdms_operation"])
         try:

@@ -6,13 +6,13 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from daq.instrument.channels import Channel
+from daq.instrument.devices.measurements import Measurement
+from daq.instrument.devices.modules import Module
+from daq.instrument.devices.names import Port, numbered, parse_port, unflatten
 from daq.instrument.errors import Code, DaqError, bad
-from daq.instrument.measurements import Measurement
-from daq.instrument.modules import Module
-from daq.instrument.names import Port, numbered, parse_port, unflatten
-from daq.instrument.properties import GROUPS, Properties
-from daq.instrument.scales import Scale
+from daq.instrument.settings.channels import Channel
+from daq.instrument.settings.properties import GROUPS, Properties
+from daq.instrument.settings.scales import Scale
 from daq.instrument.values import Regeneration, SampleMode, TimingType
 
 # Size of the buffer of a continuous task, by the rate up to which it holds.

@@ -8,10 +8,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from daq.instrument.devices.measurements import MEASUREMENTS, MICROPHONE, VOLTAGE, Measurement
+from daq.instrument.devices.modules import Module
+from daq.instrument.devices.names import Port
 from daq.instrument.errors import Code, DaqError, bad, unsupported
-from daq.instrument.measurements import MEASUREMENTS, MICROPHONE, VOLTAGE, Measurement
-from daq.instrument.modules import Module
-from daq.instrument.names import Port
 from daq.instrument.values import FROM_CUSTOM_SCALE, Coupling, Excitation, Wiring
 
 _ANALOG_INPUT, _ANALOG_OUTPUT = 10100, 10102

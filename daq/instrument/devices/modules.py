@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from daq.instrument.devices.measurements import ACCELERATION, FORCE, MICROPHONE, VELOCITY, VOLTAGE
 from daq.instrument.errors import Code, DaqError, bad
-from daq.instrument.measurements import ACCELERATION, FORCE, MICROPHONE, VELOCITY, VOLTAGE
 from daq.instrument.values import Coupling, SampleMode, Wiring
 from rig.errors import SceneError
 from rig.scene.modules import Rates

@@ -5,11 +5,11 @@ from __future__ import annotations
 from copy import deepcopy
 from dataclasses import dataclass, field
 
-from daq.instrument.channels import Channel
 from daq.instrument.errors import Code, DaqError
-from daq.instrument.properties import Properties
-from daq.instrument.scales import Scale
-from daq.instrument.settings import TaskSettings
+from daq.instrument.settings.channels import Channel
+from daq.instrument.settings.properties import Properties
+from daq.instrument.settings.scales import Scale
+from daq.instrument.settings.task_settings import TaskSettings
 
 
 @dataclass

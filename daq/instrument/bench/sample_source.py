@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.instrument.background_test import BackgroundTest
+from daq.instrument.bench.background_test import BackgroundTest
+from daq.instrument.devices.teds import with_sensitivity
 from daq.instrument.errors import Code, DaqError
-from daq.instrument.teds import with_sensitivity
 from daq.instrument.values import Coupling, Excitation
 from daq.signal_chain.bench import AcquiredBlock, Bench
 from daq.signal_chain.channel import ChannelInfo
@@ -22,7 +22,7 @@ from rig.scene.shaker import DRIVE_PER_VOLT
 from rig.scene.teds import electronic_data_sheet
 
 if TYPE_CHECKING:
-    from daq.instrument.channels import Channel
+    from daq.instrument.settings.channels import Channel
     from rig.scene.scene import Scene
 
 

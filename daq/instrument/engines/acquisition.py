@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.instrument.engines.ring_buffer import RingBuffer
+from daq.instrument.engines.triggers import AnalogSource, AtTick, CrossingFinder, OtherTask, Source, SyncPulse
 from daq.instrument.errors import Code, DaqError
-from daq.instrument.ring_buffer import RingBuffer
-from daq.instrument.scales import Scale
-from daq.instrument.triggers import AnalogSource, AtTick, CrossingFinder, OtherTask, Source, SyncPulse
+from daq.instrument.settings.scales import Scale
 
 # Tells at which tick another task started or was triggered; None if it has not been yet.
 Moment = Callable[[OtherTask], int | None]

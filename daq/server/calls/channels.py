@@ -1,0 +1,93 @@
+"""Calls that make channels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from daq.instrument.devices.measurements import Measurement, measurement
+from daq.instrument.devices.names import numbered, parse_port, unflatten
+from daq.instrument.devices.teds import sensitivity
+from daq.instrument.errors import Code, DaqError
+from daq.server.calls.call import Answer, Call, plain
+
+
+def create_input(kind: str) -> Callable[[Call], Answer]:
+    """Make the call that declares inputs of a kind, by its name in the driver's calls."""
+    chosen, implied = measurement(kind)
+
+    def create(call: Call) -> Answer:
+        physical, name, settings = _declared(call, chosen)
+        call.task.settings.add_inputs(physical, name, chosen, settings | implied)
+        return {}
+
+    return create
+
+
+def create_teds_input(kind: str) -> Callable[[Call], Answer]:
+    """Make the call that declares inputs of a kind whose sensors say what they are."""
+    chosen, implied = measurement(kind)
+
+    def create(call: Call) -> Answer:
+        physical, name, settings = _declared(call, chosen)
+        terminals = unflatten(physical)
+        names = numbered(name, len(terminals)) if name else [""] * len(terminals)
+        for each, virtual in zip(terminals, names, strict=True):
+            own = settings | implied | _told_by_sensor(call, each, chosen) | {"ai_is_teds": True}
+            call.task.settings.add_inputs(each, virtual, chosen, own)
+        return {}
+
+    return create
+
+
+def _declared(call: Call, kind: Measurement) -> tuple[str, str, dict[str, Any]]:
+    """Give the terminals, the name and the settings that a call declares inputs with."""
+    call.task.check_idle("adding channels")
+    given = {key: plain(value) for key, value in call.fields.items() if key != "task"}
+    physical, name = given.pop("physical_channel"), given.pop("name_to_assign_to_channel")
+    return physical, name, kind.settings(given)
+
+
+def _told_by_sensor(call: Call, physical: str, kind: Measurement) -> dict[str, Any]:
+    """Give the settings that a sensor's own data sheet makes for a channel on its terminal.
+
+    Raises
+    ------
+    DaqError
+        With -200709 where no sensor says what it is, -200826 where it is none of that kind.
+    """
+    port = parse_port(physical)
+    volts = sensitivity(call.server.teds.sheet(port))
+    if volts is None or not kind.sensitivity:
+        raise DaqError(
+            f"{port.name}: the electronic data sheet there states no sensitivity of such a sensor",
+            Code.TEDS_SENSOR_DATA_ERROR,
+        )
+    return kind.sensitivity_settings(volts)
+
+
+def _create_output(call: Call) -> Answer:
+    given = call.fields
+    call.task.check_idle("adding channels")
+    settings = {
+        "ao_min": given["min_val"],
+        "ao_max": given["max_val"],
+        "ao_voltage_units": given["units"],
+        "ao_custom_scale_name": given["custom_scale_name"],
+    }
+    call.task.settings.add_outputs(given["physical_channel"], given["name_to_assign_to_channel"], settings)
+    return {}
+
+
+def _add_saved_channels(call: Call) -> Answer:
+    task = call.task
+    task.check_idle("adding channels")
+    for name in unflatten(call.fields["channel_names"]):
+        task.settings.channels.append(call.server.storage.channel(name))
+    return {}
+
+
+CALLS: dict[str, Callable[[Call], Answer]] = {
+    "AddGlobalChansToTask": _add_saved_channels,
+    "CreateAOVoltageChan": _create_output,
+}

@@ -172,6 +172,10 @@ def _counter(question: str, value: Callable[[Task], int]) -> Callable[[Task], in
     return ask
 
 
+def _trigger_time(event: TimestampEvent) -> Callable[[Task], float]:
+    return lambda task: time_of(task, event, 10.0) * 1e-9
+
+
 def _run_input(task: Task, value: Callable[[Any], int]) -> int:
     return 0 if task.acquisition is None else value(task.acquisition.acquisition)
 
@@ -216,6 +220,13 @@ _COMPUTED: dict[tuple[str, str], Callable[[Task], Any]] = {
     ("timing", "first_samp_timestamp_val"): lambda task: (
         time_of(task, TimestampEvent.FIRST_SAMPLE, 10.0) * 1e-9
     ),
+    **{
+        ("trig", f"{name}_trig_timestamp_val"): _trigger_time(event)
+        for name, event in (
+            ("start", TimestampEvent.START_TRIGGER),
+            ("ref", TimestampEvent.REFERENCE_TRIGGER),
+        )
+    },
     ("trig", "start_trig_term"): lambda task: full_terminal(task, f"{task.settings.kind}/StartTrigger"),
     ("trig", "ref_trig_term"): lambda task: full_terminal(task, f"{task.settings.kind}/ReferenceTrigger"),
     ("buffer", "input_buf_size"): lambda task: task.settings.input_size,

@@ -1,0 +1,155 @@
+"""What scripts written for hardware rely on beyond reads and writes: the driver's habits, through its client."""
+
+import numpy as np
+import pytest
+from nidaqmx import Scale
+from nidaqmx.constants import (
+    READ_ALL_AVAILABLE,
+    AcquisitionType,
+    LoggingMode,
+    LoggingOperation,
+    TriggerType,
+    VoltageUnits,
+)
+from nidaqmx.errors import DaqError
+from nidaqmx.stream_readers import AnalogMultiChannelReader
+from nidaqmx.system.storage import PersistedTask
+
+import daq
+from daq.instrument.clock import ManualClock
+from tests.daq.client import Task, connect, options
+
+RATE = 5120.0
+
+
+class WallClock(ManualClock):
+    """A clock by hand that takes itself for the one on the wall."""
+
+    runs_free = True
+
+
+@pytest.fixture
+def chassis():
+    return connect("bare-structure", "fast")
+
+
+def inputs(task, channels="cDAQ1Mod1/ai0", samples=100, **timing):
+    task.ai_channels.add_ai_voltage_chan(channels, min_val=-500.0, max_val=500.0)
+    task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=samples, **timing)
+    return task
+
+
+def test_given_a_bench_that_has_idled_when_a_waveform_is_read_then_it_has_the_time_on_the_wall(monkeypatch):
+    clock, now = WallClock(), [1_700_000_000 * 10**9]
+    monkeypatch.setattr("daq.instrument.chassis.time.time_ns", lambda: now[0])
+    connect("bare-structure", clock)
+    begun = []
+    for idle in (0, 3, 100):
+        now[0] += idle * 10**9
+        with Task() as task:
+            inputs(task)
+            task.start()
+            clock.advance(100 / RATE)
+            waveform = task.read_waveform(100)
+        begun.append(waveform.timing.start_time)
+        assert waveform.timing.sample_interval.total_seconds() == pytest.approx(1 / RATE, abs=1e-9)
+    apart = [(each - begun[0]).total_seconds() for each in begun]
+    assert apart == pytest.approx([0.0, 3.0, 103.0], abs=1e-6)
+    assert begun[0].year == 2023
+
+
+def test_given_a_started_task_on_demand_when_another_takes_its_own_rate_then_it_gets_it():
+    connect("bare-structure", "fast")
+    with Task() as steady, Task() as reading:
+        steady.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
+        steady.start()
+        inputs(reading)
+        reading.timing.samp_clk_rate = 10240.0
+        assert len(reading.read(100)) == 100
+        assert steady.write(0.5) == 1
+
+
+def test_given_a_trigger_source_when_it_is_read_back_then_it_bears_its_device(chassis):
+    with Task() as task:
+        inputs(task)
+        task.triggers.start_trigger.cfg_dig_edge_start_trig("PFI0")
+        assert task.triggers.start_trigger.dig_edge_src == "/cDAQ1Mod1/PFI0"
+        assert task.triggers.start_trigger.trig_type == TriggerType.DIGITAL_EDGE
+
+
+def test_given_events_of_samples_that_the_task_has_not_when_registered_then_they_are_refused(chassis):
+    with Task() as task:
+        inputs(task)
+        with pytest.raises(DaqError) as caught:
+            task.register_every_n_samples_transferred_from_buffer_event(10, print)
+    assert caught.value.error_code == -200980
+
+
+def test_given_a_custom_scale_when_a_channel_names_it_then_readings_are_scaled(chassis):
+    Scale.create_lin_scale("double", slope=2.0, y_intercept=1.0, grpc_options=options())
+    with Task() as task:
+        task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0", "plain", min_val=-500.0, max_val=500.0)
+        task.ai_channels.add_ai_voltage_chan(
+            "cDAQ1Mod1/ai0", "scaled", min_val=-500.0, max_val=500.0,
+            units=VoltageUnits.FROM_CUSTOM_SCALE, custom_scale_name="double",
+        )  # fmt: skip
+        task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=50)
+        plain, scaled = np.array(task.read(50))
+    np.testing.assert_allclose(scaled, 2.0 * plain + 1.0, rtol=1e-12)
+
+
+def test_given_a_window_trigger_when_the_signal_enters_then_sample_zero_is_the_first_inside(chassis):
+    with Task() as task:
+        inputs(task, "cDAQ1Mod1/ai3", sample_mode=AcquisitionType.FINITE)
+        chassis.advance(2000)
+        task.triggers.start_trigger.cfg_anlg_window_start_trig(0.4, 0.1, "cDAQ1Mod1/ai3")
+        assert 0.1 <= task.read(100)[0] <= 0.4
+
+
+def test_given_a_saved_task_when_it_is_loaded_then_it_is_set_up_as_the_one_that_was_saved(chassis):
+    with Task("mine") as task:
+        inputs(task)
+        task.save(overwrite_existing_task=True)
+    with PersistedTask("mine", grpc_options=options()).load() as task:
+        assert task.timing.samp_clk_rate == RATE
+        assert np.shape(task.read(READ_ALL_AVAILABLE)) == (100,)
+
+
+def test_given_a_log_that_is_paused_and_goes_on_in_another_file_when_read_then_each_holds_its_part(
+    chassis, tmp_path
+):
+    first, second = tmp_path / "first.mcap", tmp_path / "second.mcap"
+    with Task() as task:
+        inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
+        task.in_stream.configure_logging(
+            str(first), LoggingMode.LOG_AND_READ, operation=LoggingOperation.CREATE
+        )
+        task.start()
+        begun = task.read(100)
+        task.in_stream.logging_pause = True
+        task.read(50)
+        task.in_stream.logging_pause = False
+        task.in_stream.start_new_file(str(second))
+        went_on = task.read(70)
+        task.stop()
+    for path, expected in ((first, begun), (second, went_on)):
+        rec = daq.open(path)
+        (channel,) = rec.channels.values()
+        np.testing.assert_allclose(rec.read(channel.name) * channel.sensitivity, expected, rtol=1e-9)
+
+
+def test_given_a_start_trigger_when_it_has_come_then_its_time_is_known(chassis):
+    with Task() as task:
+        inputs(task)
+        trigger = task.triggers.start_trigger
+        trigger.cfg_dig_edge_start_trig("/cDAQ1/PFI0")
+        trigger.timestamp_enable = True
+        task.read(READ_ALL_AVAILABLE)
+        assert trigger.timestamp_val.timestamp() == pytest.approx(1.0, abs=1 / RATE)
+
+
+def test_given_an_array_of_another_type_when_a_reader_fills_it_then_the_client_says_so(chassis):
+    with Task() as task:
+        inputs(task)
+        with pytest.raises((TypeError, DaqError)):
+            AnalogMultiChannelReader(task.in_stream).read_many_sample(np.zeros((1, 100), np.int32), 100)

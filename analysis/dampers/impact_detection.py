@@ -43,7 +43,7 @@ _ROUNDS, _PASSES = 12, 4
 # A landing of no more than this part of a sample interval is a jump.
 _INSTANT = 0.25
 # Jumps nearer to each other than so many samples are taken for one; told apart for certain from so many on.
-_APART, _RESOLVED = 4, 6
+_APART, RESOLVED = 4, 6
 # So many are fitted together at a time; what is left of one that was fitted alone misleads by so many samples.
 _TOGETHER, _STARTS, _BESIDE = 5, (0.0, -2.5, 2.5, -5.0, 5.0), 10.0
 # Steps of the acceleration are such a part of what it goes through, smoothed over so many samples; kinks bring
@@ -172,7 +172,7 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
         jump[clear],
         _acceleration(samples, place[clear], info),
         noise,
-        _RESOLVED / rec.rate,
+        RESOLVED / rec.rate,
         float(search.open.sum()) / rec.rate,
     )
 

@@ -12,11 +12,12 @@ from tests.gauntlet.scenes import Draw, Settings, structure
 # Amplitude of the acceleration of a damper's body without dampers, in g: below 1 nothing flies.
 _LEVELS = (1.3, 8.0)
 _GRAVITY = 9.80665
-TONE = "tone_dampers"
+# Kinds of tests: one tone, and steps around a mode.
+TONE, STEPS = "tone_dampers", "steps_dampers"
 
 
-def draw_tone(seed: int, number: int) -> rig.Scene:
-    """Draw a tone near a mode behind a delta-sigma converter at 5120 Hz, with real accelerometers, truth beside."""
+def draw_cavities(seed: int, number: int, kind: str) -> rig.Scene:
+    """Draw tones near a mode behind a delta-sigma converter at 5120 Hz, with real accelerometers, truth beside."""
     dice = Draw(seed, number)
     chain, modes = structure(dice)
     bodies = len(chain["masses"])
@@ -32,17 +33,15 @@ def draw_tone(seed: int, number: int) -> rig.Scene:
     ]
     # Of a faster one fewer than 64 samples hold a period with all its impacts.
     near = dice.one([mode for mode in modes if mode < 80.0])
+    first, last = (float(f"{near * dice.even(*share):.4g}") for share in ((0.85, 0.95), (1.05, 1.15)))
+    tones = {TONE: {"kind": "sine", "frequency": first, "duration": 2.0}}
+    tones[STEPS] = {"kind": "stepped_sine", "from": first, "to": last, "points": 6}
     settings: Settings = {
-        "name": f"gauntlet {seed}/{number} {TONE}",
+        "name": f"gauntlet {seed}/{number} {kind}",
         "structure": chain,
         "dampers": dampers,
         "shaker": {"kind": "force", "body": dice.whole(1, bodies)},
-        "test": {
-            "kind": "sine",
-            "frequency": float(f"{near * dice.even(0.9, 1.1):.4g}"),
-            "force": 1.0,
-            "duration": 2.0,
-        },
+        "test": {**tones[kind], "force": 1.0},
         "channels": [
             *({"name": f"a{body}", "at": f"body {body}", **_accelerometer(dice)} for body in with_damper),
             {"name": "force", "at": "shaker"},
@@ -79,7 +78,8 @@ def _accelerometer(dice: Draw) -> Settings:
 
 def _force(dice: Draw, scene: rig.Scene, body: int) -> float:
     """Force that without dampers moves a body by so many g."""
-    frequency = np.array([scene.test.frequency])
+    test = scene.test
+    frequency = np.array([test.frequency if test.kind == "sine" else 0.5 * (test.from_ + test.to)])
     linear = abs(receptance(scene.replace(dampers=[]), frequency)[body - 1, 0])
     asked = dice.log(*_LEVELS) * _GRAVITY / (linear * (2 * np.pi * frequency[0]) ** 2)
     return float(f"{asked:.4g}")

@@ -29,6 +29,7 @@ KINDS = (
     "multisine_dampers",
     "swept_sine_dampers",
     "tone_dampers",
+    "steps_dampers",
 )
 # Time constant of the slowest mode, s: transients must die out within seconds.
 _SLOWEST = 1.6

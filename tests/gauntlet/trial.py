@@ -10,7 +10,7 @@ from pathlib import Path
 
 import daq
 from rig.errors import ShotrigError
-from tests.gauntlet.cavities import TONE, draw_tone
+from tests.gauntlet.cavities import STEPS, TONE, draw_cavities
 from tests.gauntlet.judges import JUDGES
 from tests.gauntlet.scenes import draw
 from tests.gauntlet.verdict import Case, Verdict
@@ -18,7 +18,7 @@ from tests.gauntlet.verdict import Case, Verdict
 
 def try_out(seed: int, number: int, kind: str) -> list[Verdict]:
     """Draw a scene, run its test, put the recording before all judges."""
-    scene = draw_tone(seed, number) if kind == TONE else draw(seed, number, kind)
+    scene = (draw_cavities if kind in (TONE, STEPS) else draw)(seed, number, kind)
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always", daq.RunWarning)
         path = Path(folder) / "gauntlet.mcap"

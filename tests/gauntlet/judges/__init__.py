@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from tests.gauntlet.judges import impacts, responses, restitution
+from tests.gauntlet.judges import impacts, motion_types, responses, restitution
 from tests.gauntlet.verdict import Case, Verdict
 
 # A judge takes a case and the kind it was drawn as. What it raises as ShotrigError counts as refused.
@@ -15,4 +15,5 @@ JUDGES: dict[str, Callable[[Case, str], list[Verdict]]] = {
     "responses": responses.judge,
     "impacts": impacts.judge,
     "restitution": restitution.judge,
+    "motion_types": motion_types.judge,
 }

@@ -31,14 +31,7 @@ def judge(case: Case, kind: str) -> list[Verdict]:
     for number, damper in enumerate(case.scene.dampers, 1):
         found = impacts(rec, f"a{damper.body}", window.first_sample, window.stop)
         time, jump = true_impacts(case, number)
-        shadowed = np.array(
-            [
-                (abs(jump[abs(time - t) < found.resolution]) > abs(j)).any()
-                for t, j in zip(time, jump, strict=True)
-            ],
-            dtype=bool,
-        )
-        asked = (time > low) & (time < high) & (abs(jump) > found.threshold) & ~shadowed
+        asked = (time > low) & (time < high) & seen_for_itself(time, jump, found.threshold, found.resolution)
         _, right, seen = score(found.time, time, APART / rec.rate)
         false = int(np.sum(~right & (found.time > low) & (found.time < high)))
         hit, missed = int(np.sum(seen & asked)), int(np.sum(~seen & asked))
@@ -54,3 +47,11 @@ def true_impacts(case: Case, number: int) -> tuple[NDArray[np.float64], NDArray[
     hits = events[(events["damper"] == number) & (events["kind"] != "separation")]
     share = damper.mass_ratio / (1.0 + damper.mass_ratio) * (1.0 + damper.restitution)
     return hits["time"], np.where(hits["kind"] == "floor", -share, share) * hits["speed"]
+
+
+def seen_for_itself(
+    time: NDArray[np.float64], jump: NDArray[np.float64], threshold: float, resolution: float
+) -> NDArray[np.bool_]:
+    """Whether each impact is larger than a threshold and than all others within a resolution of it."""
+    larger = (abs(time - time[:, None]) < resolution) & (abs(jump) > abs(jump)[:, None])
+    return (abs(jump) > threshold) & ~larger.any(axis=1)

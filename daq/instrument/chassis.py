@@ -1,17 +1,13 @@
 """The chassis on the bench: one clock, the modules on it, and the engines that tasks run on them.
 
-There is an input for every channel of the scene (the hammer's force among them) and an output for every
-shaker. Time is counted in ticks of one clock: what runs together is simultaneous to the tick, and outputs act
-on the inputs through the plant. Inputs that run slower than the clock are divided down from it, outputs hold
-their samples for as many ticks as they last.
+There is an input for every channel of the scene (the hammer's force among them) and an output for every shaker. Time is
+counted in ticks of one clock: what runs together is simultaneous to the tick, and outputs act on the inputs through the
+plant. Inputs that run slower than the clock are divided down from it, outputs hold their samples for as many ticks as
+they last.
 
-What an output volt does depends on the shaker: a volt at the amplifier (electrodynamic), a newton (kind
-force), a millimetre of table travel (kind table). An output keeps its last value when a task ends. The bench
-stands still while no task needs it.
-
-As long as nobody has ever taken an output, the scene's own test is played (see
-`daq.instrument.bench.background_test`), so that there is something to measure and to trigger on. The hammer of an
-impulse scene goes on hitting in any case.
+An output keeps its last value when a task ends; what its volts do says `rig.scene.shaker.DRIVE_PER_VOLT`. The bench
+stands still while no task needs it. As long as nobody has ever taken an output, the scene's own test is played, see
+`daq.instrument.bench.background_test`.
 """
 
 from __future__ import annotations
@@ -232,9 +228,8 @@ class Chassis:
             if mine.divides and not divides(mine.rate, self.rate):
                 names = ", ".join(repr(each.name) for each in (*self.inputs, *self.outputs))
                 raise DaqError(
-                    f"the resource is reserved: the sample clock ticks at {self.rate:g} S/s for task {names}, "
-                    f"and {mine.rate:g} S/s does not divide that; start the faster task first, or configure "
-                    "both before starting one",
+                    f"the resource is reserved: the clock runs at {self.rate:g} S/s for task {names}, {mine.rate:g} "
+                    "S/s does not divide that; start the faster task first, or configure both before starting one",
                     Code.PAL_RESOURCE_RESERVED,
                 )
             return
@@ -282,8 +277,7 @@ class Chassis:
 
     def run_output(self, task: Runner, plan: OutputPlan, buffer: OutputBuffer) -> Generation:
         """Start a generation."""
-        held = self.held[list(plan.rows)]
-        self.outputs[task] = Generation(plan, buffer, self.position, held)
+        self.outputs[task] = Generation(plan, buffer, self.position, self.held[list(plan.rows)])
         return self.outputs[task]
 
     def wait(self, ready: Callable[[], bool], missing: Callable[[], int], timeout: float) -> bool:

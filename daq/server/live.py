@@ -52,7 +52,7 @@ class LiveView:
 class LiveRecording:
     """Records all channels of a bench while clients use it.
 
-    A change of the bench's rate begins another file, with a number behind its name.
+    A change of the bench's rate, or of what its inputs are set to, begins another file, with a number behind its name.
 
     Parameters
     ----------
@@ -67,12 +67,13 @@ class LiveRecording:
     def __init__(self, chassis: Chassis, path: Path, overwrite: bool = False) -> None:
         self._chassis, self._path, self._overwrite = chassis, path, overwrite
         self._source: Any = None
+        self._channels: Any = None
         self._recorder: Recorder | None = None
         self.paths: list[Path] = []
         chassis.listeners.append(self._hear)
 
     def _hear(self, source: Any, block: Any) -> None:
-        if source is not self._source:
+        if source is not self._source or source.channels is not self._channels:
             self._complete()
             name = (
                 f"{self._path.stem}-{len(self.paths) + 1}{self._path.suffix}"
@@ -83,7 +84,7 @@ class LiveRecording:
             start = self._chassis.time_ns(block.first)
             # The truth of a scene belongs to a whole test.
             scene = source.scene.replace(recording=source.scene.recording.replace(truth=False))
-            self._source = source
+            self._source, self._channels = source, source.channels
             self._recorder = Recorder(
                 self.paths[-1], scene, source.channels, source.rate, start, self._overwrite
             )

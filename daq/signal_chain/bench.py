@@ -103,6 +103,8 @@ class Bench:
 
     def rewire(self, wiring: Sequence[Channel]) -> None:
         """Set couplings and supplies of the channels anew; see `daq.signal_chain.chain.Chain.rewire`."""
+        if tuple(wiring) == self.wiring:
+            return
         self._chain.rewire(wiring)
         self._converter = Quantiser(self.scene.converter, self._chain.channels)
 

@@ -6,7 +6,9 @@ from nidaqmx.constants import AcquisitionType, Coupling, ExcitationSource
 from nidaqmx.errors import DaqError
 from nidaqmx.system import System
 
+import daq
 import rig
+from daq.server.live import LiveRecording
 from tests.daq.client import Task, connect, options
 
 RATE = 5120.0
@@ -150,3 +152,20 @@ def test_given_two_shakers_when_driven_through_one_module_then_each_follows_its_
         spectra = np.abs(np.fft.rfft(np.array(task.read(8192))[:, -512:], axis=1)) / 256
     assert np.argmax(spectra, axis=1).tolist() == [4, 11]
     assert spectra[0, 11] < 1e-3 > spectra[1, 4]
+
+
+def test_given_a_recording_when_an_input_is_set_otherwise_then_another_file_begins_with_what_holds_there(
+    tmp_path,
+):
+    chassis = connected()
+    recording = LiveRecording(chassis, tmp_path / "run.mcap")
+    with Task() as task:
+        channel = task.ai_channels.add_ai_accel_chan("cDAQ1Mod1/ai0", current_excit_val=0.002)
+        task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=50)
+        for source in (ExcitationSource.INTERNAL, ExcitationSource.INTERNAL, ExcitationSource.NONE):
+            channel.ai_excit_src = source
+            task.read(50)
+            task.stop()
+    recording.close()
+    supplies = [daq.open(path).channels["one"].sensor["converter.excitation"] for path in recording.paths]
+    assert [each.split() for each in supplies] == [["0.002", "A"], ["0.0", "A"]]

@@ -1,0 +1,1 @@
+"""Three ways into the packages, as scripts with cell marks that notebook editors open."""

@@ -1,0 +1,26 @@
+"""The bundled scene whose matrices come from finite elements."""
+
+from __future__ import annotations
+
+import runpy
+
+import numpy as np
+
+import rig
+from rig.scene.loading import SCENES
+from rig.system.structure import natural_modes, structure_matrices
+
+
+def test_given_the_script_beside_the_scene_when_run_then_its_matrices_are_the_scenes_and_those_of_a_beam() -> (
+    None
+):
+    script = runpy.run_path(str(SCENES / "fe_beam.py"))
+    mass, _, stiffness = structure_matrices(rig.load("fe-beam").structure)
+    for printed, made in zip((mass, stiffness), script["reduced"](), strict=True):
+        np.testing.assert_allclose(printed, made, rtol=1e-9)
+    inertia, line = script["WIDTH"] * script["THICKNESS"] ** 3 / 12, script["WIDTH"] * script["THICKNESS"]
+    speed = np.sqrt(script["YOUNG"] * inertia / (script["DENSITY"] * line))
+    exact = np.array([1.87510407, 4.69409113, 7.85475744]) ** 2 * speed / script["LENGTH"] ** 2
+    found, _ = natural_modes(mass, stiffness)
+    # Condensation stiffens a beam, the more the higher the mode.
+    assert np.all(found[:3] >= exact * (1 - 1e-6)) and np.all(found[:3] <= exact * [1.0005, 1.005, 1.03])

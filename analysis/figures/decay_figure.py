@@ -49,9 +49,8 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
                     decay.peak_time[peaks], sign * decay.peak[peaks], color=shade, lw=1.4,
                     label=drawn(decay.label) if sign > 0 else None,
                 )  # fmt: skip
-            level.plot(
-                decay.time[keep], np.maximum(decay.envelope[keep], 1e-9), color=shade, lw=0.7, alpha=0.8
-            )
+            # By its peaks: the analytic signal of several modes beats below them down to nothing.
+            level.plot(decay.peak_time[peaks], decay.peak[peaks], color=shade, lw=1.2)
             level.plot(
                 decay.time[keep], decay.envelope.max() * 10.0 ** (decay.energy[keep] / 20.0),
                 color=shade, lw=1.6, ls="--",
@@ -81,7 +80,8 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
         level.set_ylabel("envelope / (m/s²)")
         level.set_xlabel("time after the hit / s")
         level.annotate(
-            "dashed: Schroeder integral of the energy", (1.0, 1.0), xycoords="axes fraction",
+            "solid: peaks; dashed: energy still to come (Schroeder); below, shaded: 95 % bound", (1.0, 1.0),
+                xycoords="axes fraction",
             ha="right", va="top", fontsize=7.5, color="#555555",
         )  # fmt: skip
         _damping_row(figure, rows, columns, gravity)

@@ -81,7 +81,7 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
         level.set_xlabel("time after the hit / s")
         level.annotate(
             "solid: peaks; dashed: energy still to come (Schroeder); below, shaded: 95 % bound", (1.0, 1.0),
-                xycoords="axes fraction",
+            xycoords="axes fraction",
             ha="right", va="top", fontsize=7.5, color="#555555",
         )  # fmt: skip
         _damping_row(figure, rows, columns, gravity)

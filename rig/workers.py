@@ -102,12 +102,10 @@ def _processes(until: ExitStack) -> Executor:
     pool = ProcessPoolExecutor(cores(), mp_context=get_context("spawn"), initializer=_begin)
 
     def end() -> None:
-        pool.shutdown(wait=False, cancel_futures=True)
-        workers = set(active_children()) - before
-        for worker in workers:
+        for worker in set(active_children()) - before:
             worker.kill()
-        for worker in workers:
-            worker.join()
+        # The pool notices, and collects them.
+        pool.shutdown(wait=True, cancel_futures=True)
 
     until.callback(end)
     return pool

@@ -261,8 +261,7 @@ def _bench(scene: str | None, changes: Sequence[str] | None) -> Scene | None:
 
 def _recordings(scenes: Sequence[str], output: Path | None) -> list[Path]:
     """Name the recordings of scenes: one file, or files in a folder named after them."""
-    # A name that no file can have is no folder either; what makes the file says so.
-    if output is not None and len(scenes) == 1 and not Path(output).is_dir():
+    if output is not None and len(scenes) == 1 and (output.suffix == ".mcap" or not output.is_dir()):
         return [output]
     if output is not None and output.suffix == ".mcap":
         raise typer.BadParameter(f"-o {output}: expected a folder for the recordings of {len(scenes)} scenes")

@@ -150,14 +150,14 @@ def modal_decay(
     usable = slice(begin + edge, max(acceleration.size - edge, begin + edge))
     noise = _noise(analytic[usable], rate, frequency, width)
     levels = _levels(envelope[usable]) if amplitudes is None else np.log(amplitudes)
-    damping, kink = _damping(envelope[usable], rate, frequency, levels, _HALF)
+    damping, kink = _damping(analytic[usable], levels, _HALF)
     # Half of the noise changes the envelope; at the two levels it is independent.
     amplitude = np.exp(levels)
     relative = np.hypot(np.exp(-_HALF), np.exp(_HALF)) * noise / np.sqrt(2.0) / amplitude / (2.0 * _HALF)
     more, more_edge = _band_passed(acceleration, rate, frequency, width / _SMEAR)
     late = slice(begin + more_edge, max(acceleration.size - more_edge, begin + more_edge))
-    smeared, _ = _damping(np.abs(more[late]), rate, frequency, levels, _HALF)
-    longer, _ = _damping(envelope[usable], rate, frequency, levels, _FALL * _HALF)
+    smeared, _ = _damping(more[late], levels, _HALF)
+    longer, _ = _damping(analytic[usable], levels, _FALL * _HALF)
     # What noise bends is no kink.
     kink = np.sqrt(np.maximum(kink**2 - (_KINK * np.sqrt(1.5) * noise / amplitude / _HALF) ** 2, 0.0))
     smear = _smear(damping, smeared, longer, kink)
@@ -216,21 +216,24 @@ def _levels(envelope: Array) -> Array:
     return np.arange(hull[0] - 1.25 * _HALF, hull[-1] + _HALF, -_HALF / 2.0)
 
 
-def _damping(
-    envelope: Array, rate: float, frequency: float, levels: Array, half: float
-) -> tuple[Array, Array]:
+def _damping(analytic: ComplexArray, levels: Array, half: float) -> tuple[Array, Array]:
     """Damping ratios at levels, each from the fall by `half` nepers on either side; NaN where there is none.
 
-    And the part of it by which a kink in the fall would let it be off.
+    The frequency is that of the same fall: dampers that come to rest lower it. And the part of each by which a kink
+    in the fall would let it be off.
     """
+    envelope = np.abs(analytic)
     if envelope.size < 8 or envelope.max() <= 0:
         return np.full(levels.size, np.nan), np.zeros(levels.size)
     hull = _falling(envelope)
     upper, lower = _passed(hull, levels + half), _passed(hull, levels - half)
-    logarithm = np.log(np.maximum(envelope, 1e-300))
+    logarithm, phase = np.log(np.maximum(envelope, 1e-300)), np.unwrap(np.angle(analytic))
+    place = np.arange(envelope.size)
+    turned = np.interp(lower, place, phase) - np.interp(upper, place, phase)
     fits = [_slope(logarithm, a, b, level) for a, b, level in zip(upper, lower, levels, strict=True)]
     fall, rest = np.array(fits).reshape(-1, 2).T
-    return np.asarray(fall * rate / np.hypot(2.0 * np.pi * frequency, fall * rate)), _KINK * rest / half
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(fall / np.hypot(turned / (lower - upper), fall)), _KINK * rest / half
 
 
 def _slope(logarithm: Array, first: float, last: float, level: float) -> tuple[float, float]:

@@ -11,9 +11,9 @@ from tests.gauntlet.scenes import Draw, Settings, structure
 
 # Amplitude of the acceleration of a damper's body without dampers, in g: below 1 nothing flies.
 _LEVELS = (1.3, 8.0)
-_GRAVITY = 9.80665
-# Kinds of tests: one tone, and steps around a mode.
-TONE, STEPS = "tone_dampers", "steps_dampers"
+GRAVITY = 9.80665
+# Kinds of tests: one tone, steps around a mode, and free decay of one body.
+TONE, STEPS, DECAY = "tone_dampers", "steps_dampers", "decay_dampers"
 
 
 def draw_cavities(seed: int, number: int, kind: str) -> rig.Scene:
@@ -54,6 +54,35 @@ def draw_cavities(seed: int, number: int, kind: str) -> rig.Scene:
     return scene.replace(test=scene.test.replace(force=_force(dice, scene, with_damper[0])))
 
 
+def draw_decay(seed: int, number: int, kind: str) -> rig.Scene:
+    """Draw the free decay of a single body from where its damper flies to where it rides."""
+    dice = Draw(seed, number)
+    mass, frequency, ratio = dice.log(0.3, 3.0), dice.even(12.0, 40.0), dice.log(0.002, 0.01)
+    damper = {
+        "body": 1,
+        "mass_ratio": dice.even(0.02, 0.1),
+        "clearance": dice.one([".inf", f"{dice.log(0.5, 3.0):.3g} mm"]),
+    }
+    angular = 2.0 * np.pi * frequency
+    settings: Settings = {
+        "name": f"gauntlet {seed}/{number} {kind}",
+        "structure": {"masses": [mass], "springs": [mass * angular**2], "damping": {"modal": ratio}},
+        "dampers": [damper],
+        "test": {
+            "kind": "free",
+            "velocity": [dice.log(2.0, 10.0) * GRAVITY / angular],
+            "duration": round(min(8.0, 4.0 / (ratio * angular)), 3),
+        },
+        "channels": [
+            {"name": "a1", "at": "body 1", "accelerometer": {"sensitivity": "100 mV/g", "noise": 2e-4}}
+        ],
+        "converter": {"rate": 5120.0, "filter": "delta_sigma"},
+        "recording": {"display": False},
+        "seed": dice.whole(1, 10**6),
+    }
+    return rig.loads(yaml.safe_dump(settings, sort_keys=False), where=settings["name"])
+
+
 def _accelerometer(dice: Draw) -> Settings:
     if dice.chance(0.3):
         return {"accelerometer": {"preset": "PCB 352C33", "bias": 0.0}}
@@ -81,5 +110,5 @@ def _force(dice: Draw, scene: rig.Scene, body: int) -> float:
     test = scene.test
     frequency = np.array([test.frequency if test.kind == "sine" else 0.5 * (test.from_ + test.to)])
     linear = abs(receptance(scene.replace(dampers=[]), frequency)[body - 1, 0])
-    asked = dice.log(*_LEVELS) * _GRAVITY / (linear * (2 * np.pi * frequency[0]) ** 2)
+    asked = dice.log(*_LEVELS) * GRAVITY / (linear * (2 * np.pi * frequency[0]) ** 2)
     return float(f"{asked:.4g}")

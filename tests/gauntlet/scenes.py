@@ -30,6 +30,7 @@ KINDS = (
     "swept_sine_dampers",
     "tone_dampers",
     "steps_dampers",
+    "decay_dampers",
 )
 # Time constant of the slowest mode, s: transients must die out within seconds.
 _SLOWEST = 1.6

@@ -10,15 +10,17 @@ from pathlib import Path
 
 import daq
 from rig.errors import ShotrigError
-from tests.gauntlet.cavities import STEPS, TONE, draw_cavities
+from tests.gauntlet.cavities import DECAY, STEPS, TONE, draw_cavities, draw_decay
 from tests.gauntlet.judges import JUDGES
 from tests.gauntlet.scenes import draw
 from tests.gauntlet.verdict import Case, Verdict
 
+_DRAWS = {TONE: draw_cavities, STEPS: draw_cavities, DECAY: draw_decay}
+
 
 def try_out(seed: int, number: int, kind: str) -> list[Verdict]:
     """Draw a scene, run its test, put the recording before all judges."""
-    scene = (draw_cavities if kind in (TONE, STEPS) else draw)(seed, number, kind)
+    scene = _DRAWS.get(kind, draw)(seed, number, kind)
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always", daq.RunWarning)
         path = Path(folder) / "gauntlet.mcap"

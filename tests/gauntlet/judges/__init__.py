@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from tests.gauntlet.judges import impacts, motion_types, responses, restitution
+from tests.gauntlet.judges import decays, impacts, motion_types, responses, restitution
 from tests.gauntlet.verdict import Case, Verdict
 
 # A judge takes a case and the kind it was drawn as. What it raises as ShotrigError counts as refused.
@@ -16,4 +16,5 @@ JUDGES: dict[str, Callable[[Case, str], list[Verdict]]] = {
     "impacts": impacts.judge,
     "restitution": restitution.judge,
     "motion_types": motion_types.judge,
+    "decays": decays.judge,
 }

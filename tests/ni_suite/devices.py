@@ -80,7 +80,7 @@ def modules() -> list[Module]:
         replace(
             general, name="dmmTester", product_type="NI myDAQ", bus=_USB, inputs=rows[:2], outputs=rows[:2]
         ),
-        replace(sensing, name="dsaTester", product_type="PXIe-4466", category=_DSA),
+        replace(sensing, name="dsaTester", product_type="PXIe-4466", category=_DSA, ranges=(10.0, 42.4)),
         *(replace(x_series, name=f"nidaqmxMultithreadingTester{number}") for number in range(1, 5)),
         replace(sensing, name="positionTester", product_type="PXIe-4340"),
         Module("tsChassisTester", "TS-15000", category=_TS_CHASSIS, bus=_PXIE),

@@ -114,7 +114,8 @@ def _curve(frf: Frf, shade: str, upper: Axes, middle: Axes, lower: Axes) -> None
     dots = "o" if frf.frequency.size <= DOTS else None
     factor, clear = frf.shown_in[1], told(frf)
     size, half = factor * abs(frf.value), factor * np.nan_to_num(frf.band())
-    whole = half + np.where(np.isfinite(frf.systematic_bound()), factor * frf.systematic_bound(), size)
+    systematic = frf.systematic_bound()
+    whole = np.hypot(half, np.where(np.isfinite(systematic), factor * systematic, size))
     for reach, strength in ((whole, 0.13), (half, 0.25)):
         upper.fill_between(
             frf.frequency, np.maximum(size - reach, size * 1e-3), size + reach, where=clear, color=shade,

@@ -82,16 +82,12 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
             "the resonances, longer, or over a band that holds some"
         )
     f_error, z_error = pole_errors(weighted, model)
-    # An exponential window moved every pole to the left by its own decay rate.
-    poles = model.poles[inside] + curves[0].shift
-    if np.any(poles.real >= 0):
-        raise RecordingError("the exponential window outweighs the damping: record longer after each hit")
+    poles = model.poles[inside]
     lower, upper = _residuals(model, inside, measured.frequency)
     result = Modes(
         frequency=np.asarray(abs(poles) / (2 * np.pi), dtype=float),
         frequency_error=f_error[inside],
         damping=-poles.real / abs(poles),
-        # The window's decay rate is known: it takes damping off, and no uncertainty.
         damping_error=z_error[inside],
         residue=model.residue[:, inside],
         responses=tuple(curve.response for curve in curves),

@@ -15,6 +15,7 @@ from rig.scene.quantities import FORCE, number
 if TYPE_CHECKING:
     from analysis.responses.multisine import BestLinearApproximation
     from analysis.responses.spectral_lines import Lines
+    from analysis.responses.swept_sine import SweptTone
     from analysis.responses.whole_stretches import WholeStretches
     from daq.recording.recording import Recording
 
@@ -43,8 +44,8 @@ def frequency_responses(
     motion : {'displacement', 'velocity', 'acceleration'}
         Receptance, mobility or accelerance.
     estimator : {'H1', 'H2', 'Hv'}, optional
-        For random and swept sine: average the spectra of windowed blocks. Omitted, random and hits are taken whole,
-        by the local rational method, which leaks nothing; a sweep is averaged as H1. Tones average amplitudes.
+        For random: average the spectra of windowed blocks. Omitted, random, hits and sweeps are taken whole, by the
+        local rational method, which leaks nothing. Tones average amplitudes.
     block : float, optional
         Length of the blocks in s, for random: averages their spectra, as H1 unless told otherwise.
     progress : callable, optional
@@ -79,7 +80,7 @@ def _sources(
     estimator: str | None,
     block: float | None,
     progress: Progress | None,
-) -> Sequence[Lines | Averages | BestLinearApproximation | WholeStretches]:
+) -> Sequence[Lines | Averages | BestLinearApproximation | WholeStretches | SweptTone]:
     """Choose by what the test marked as measured: tones, periods, blocks of noise, a sweep, or hits."""
     measured = [marker for marker in rec.markers if marker.kind == "measure"]
     fields = measured[0].fields if measured else {}
@@ -88,9 +89,10 @@ def _sources(
 
         return [best_linear_approximation(rec, measured, channels, reference, progress)]
     if "spacing" in fields:
-        from analysis.responses import swept_sine as swept
+        from analysis.responses.swept_sine import tracked
 
-        return [swept.averages(rec, marker, channels, progress) for marker in measured]
+        _refuse_estimator(estimator, "a sweep is")
+        return [tracked(rec, marker, channels, progress) for marker in measured]
     if "from" in fields:
         from analysis.responses import random
 
@@ -100,15 +102,18 @@ def _sources(
     if not measured and any(marker.kind == "hit" for marker in rec.markers):
         from analysis.responses import impact
 
-        if estimator is not None:
-            raise SceneError(
-                f"estimator {estimator}: hits are taken whole, by the local rational method; H1, H2 and Hv are for "
-                "random and swept sine"
-            )
+        _refuse_estimator(estimator, "hits are")
         return [impact.whole(rec, channels)]
     from analysis.responses.stepped_sine import sweeps
 
     return [sweep.lines for sweep in sweeps(rec, channels, progress)]
+
+
+def _refuse_estimator(estimator: str | None, what: str) -> None:
+    if estimator is not None:
+        raise SceneError(
+            f"estimator {estimator}: {what} taken whole, by the local rational method; H1, H2 and Hv are for random"
+        )
 
 
 def frfs(

@@ -56,9 +56,6 @@ class Frf(Result):
         Scene and setting, for legends.
     resolution : float
         Width in Hz over which leakage smears each point: 0 for steady tones, the window's for random.
-    shift : float
-        Decay rate in 1/s that an exponential window added to every mode: the curve is H along s = i w +
-        shift. Zero, as no test needs one.
     unsteady : ndarray of bool, shape (n,), or None
         Where the motion had not become steady; None where that is no question.
     warnings : tuple of str
@@ -80,7 +77,6 @@ class Frf(Result):
     warnings: tuple[str, ...] = ()
     systematic: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
     unsteady: NDArray[np.bool_] | None = None
-    shift: float = 0.0
 
     @property
     def name(self) -> str:
@@ -154,13 +150,15 @@ class Frf(Result):
     def bound(self, confidence: float = 0.95) -> NDArray[np.float64]:
         """Radius of the circle in the complex plane that holds the true value with the given confidence.
 
-        The radius of the random part and the systematic parts, added up.
+        The random radius and the systematic parts have nothing to do with each other: their squares add up. Infinite
+        where a part is: there nothing is claimed.
         """
-        return self.random_bound(confidence) + self.systematic_bound()
+        return np.hypot(self.random_bound(confidence), self.systematic_bound())
 
     def systematic_bound(self) -> NDArray[np.float64]:
-        """Sum of the systematic parts."""
-        return np.sum([np.zeros(self.value.size), *self.systematic.values()], axis=0)
+        """Root of the sum of squares of the systematic parts, each of which has a cause of its own."""
+        parts = [np.zeros(self.value.size), *self.systematic.values()]
+        return np.sqrt(np.sum(np.square(parts), axis=0))
 
     def random_bound(self, confidence: float = 0.95) -> NDArray[np.float64]:
         """Radius of the circle that holds the mean of many such measurements with the given confidence.
@@ -172,7 +170,7 @@ class Frf(Result):
         ----------
         .. [1] J. S. Bendat, A. G. Piersol, Random Data, 4th ed., Wiley 2010, section 9.2.
         """
-        return self.error * np.sqrt(2.0 * stats.f.ppf(confidence, 2.0, np.maximum(self.degrees, 1.0)))
+        return self.error * radius(confidence, self.degrees)
 
     def band(self, confidence: float = 0.95) -> NDArray[np.float64]:
         """Half-width of the confidence interval of ``abs(value)`` for the random part, from Student's t."""
@@ -197,3 +195,8 @@ class Frf(Result):
             systematic={name: part[points] for name, part in self.systematic.items()},
             unsteady=None if self.unsteady is None else self.unsteady[points],
         )
+
+
+def radius(confidence: float, degrees: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Radius of `Frf.random_bound` in standard deviations."""
+    return np.asarray(np.sqrt(2.0 * stats.f.ppf(confidence, 2.0, np.maximum(degrees, 1.0))))

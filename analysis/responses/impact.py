@@ -22,6 +22,6 @@ def whole(rec: Recording, channels: Sequence[str]) -> WholeStretches:
         hits.lowest_frequency(rec),
         hits.highest_frequency(rec),
         hits,
-        rec.scene.name,
-        dampers_move(rec),
+        label=rec.scene.name,
+        warnings=dampers_move(rec),
     )

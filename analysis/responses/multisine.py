@@ -15,6 +15,7 @@ from analysis.responses.clean_stretches import flaws, told
 from analysis.responses.frf import Frf
 from analysis.responses.measurands import reference_of
 from analysis.responses.spectral_lines import Lines, remainder
+from analysis.responses.systematic import counts_of, in_counts, tone_gain
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -108,14 +109,19 @@ def best_linear_approximation(
     noise = np.mean([one.noise for one in kept], axis=0) / count
     averages = np.full(frequency.size, float(sum(one.periods - 1 for one in kept) + 1))
     unsettled = np.mean([one.remainder for one in kept], axis=0)
-    # Rounding to counts is the same in every period: it looks like noise, but no scatter tells of it.
-    infos = [rec.channels[name] for name in names]
-    counts = np.array([0.0 if info.volts_per_count is None else info.unit_per_count for info in infos])
+    counts = counts_of(rec, names)
     samples = rec.rate / (frequency[1] - frequency[0]) if frequency.size > 1 else rec.rate / frequency[0]
-    rounding = np.broadcast_to(counts[:, None] / np.sqrt(samples), centre.shape)
+    # Rounding to counts looks like noise of a twelfth of a count squared, 95 % of whose amplitudes at a line are within
+    # this. Where noise of s counts comes with it, only so much of it is the same in every period, which no scatter
+    # tells of.
+    scatter = np.mean([one.scatter for one in kept], axis=0) / np.where(counts > 0.0, counts, 1.0) ** 2
+    same = np.exp(-2.0 * np.pi**2 * np.maximum(scatter - 1.0 / 12.0, 0.0))
+    # Of the amplitudes at all lines; at worst a resonance makes a tone of them.
+    gain = np.minimum(tone_gain(in_counts(rec, names, np.sum(abs(centre) ** 2, axis=1) / 2.0)), 0.5)
+    rounding = same[:, None] * (counts[:, None] / np.sqrt(samples) + gain[:, None] * abs(centre))
     base = Lines(
         tuple(names), frequency, centre, noise, averages, rec.scene.name, tuple(notes), unsettled,
-        resolution=np.asarray(rounding),
+        resolution=rounding,
     )  # fmt: skip
     free = any(not damper.locked and damper.clearance > 0.0 for damper in rec.scene.dampers)
     if count == 1:
@@ -123,8 +129,8 @@ def best_linear_approximation(
             base = replace(base, warnings=(*notes, ONE_REALISATION))
         return BestLinearApproximation(base, base, 1)
     off = stack - centre
-    scatter = np.einsum("min,mjn->nij", off, off.conj()) / (count * (count - 1.0))
-    total = replace(base, covariance=scatter, averages=np.full(frequency.size, float(count)))
+    covariance = np.einsum("min,mjn->nij", off, off.conj()) / (count * (count - 1.0))
+    total = replace(base, covariance=covariance, averages=np.full(frequency.size, float(count)))
     if _distorted(total, base):
         total = replace(total, warnings=(*notes, NONLINEAR))
     elif free:
@@ -142,6 +148,8 @@ class _Realisation:
     mean: ComplexArray
     noise: ComplexArray
     remainder: Array
+    scatter: Array
+    """Variance of the samples from period to period; shape (channels,)."""
 
 
 def _realisation(rec: Recording, names: Sequence[str], marker: Marker, reference: str) -> _Realisation:
@@ -165,7 +173,7 @@ def _realisation(rec: Recording, names: Sequence[str], marker: Marker, reference
     if len(clean) < 2:
         notes.append(f"Realisation {number} left out: fewer than two whole periods.")
         empty = np.zeros(0, dtype=complex)
-        return _Realisation(frequency, 0, tuple(notes), empty, empty, empty.real)
+        return _Realisation(frequency, 0, tuple(notes), empty, empty, empty.real, empty.real)
     whole = np.stack(list(read_slices(rec, names, clean)))
     spectra = fft.rfft(whole, axis=2)[:, :, lines] * (2.0 / size)
     mean = spectra.mean(axis=0)
@@ -173,7 +181,8 @@ def _realisation(rec: Recording, names: Sequence[str], marker: Marker, reference
     turn = turn.conj() / np.maximum(abs(turn), 1e-300)
     scatter = (spectra - mean) * turn
     noise = np.einsum("pin,pjn->nij", scatter, scatter.conj()) / (len(clean) * (len(clean) - 1.0))
-    return _Realisation(frequency, len(clean), tuple(notes), mean * turn, noise, remainder(spectra))
+    varies = whole.var(axis=0, ddof=1).mean(axis=1)
+    return _Realisation(frequency, len(clean), tuple(notes), mean * turn, noise, remainder(spectra), varies)
 
 
 def _distorted(total: Lines, noise: Lines) -> bool:

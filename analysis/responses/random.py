@@ -35,9 +35,14 @@ def whole(rec: Recording, marker: Marker, channels: Sequence[str]) -> WholeStret
     """Take a random test whole, bursts and all."""
     low, high = float(marker.fields["from"]), float(marker.fields["to"])
     stop = min(rec.samples, rec.samples if marker.last_sample is None else marker.stop)
+    bursts = None
+    if "block" in marker.fields:
+        block = int(marker.fields["block"])
+        bursts = block, int(np.ceil(float(marker.fields["burst"]) * block))
     return WholeStretches(
-        tuple(channels), marker.first_sample, stop, low, high, None, rec.scene.name, dampers_move(rec)
-    )
+        tuple(channels), marker.first_sample, stop, low, high, bursts=bursts, label=rec.scene.name,
+        warnings=dampers_move(rec),
+    )  # fmt: skip
 
 
 def averages(

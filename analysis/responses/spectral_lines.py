@@ -10,9 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from analysis.responses.frf import Frf
+from analysis.responses.frf import Frf, radius
 from analysis.responses.measurands import driven, motion_of, reference_of
-from analysis.responses.systematic import RESOLUTION, UNSETTLED, aliasing_part, clock_part, sensitivity_part
+from analysis.responses.systematic import (
+    RESOLUTION,
+    UNSETTLED,
+    aliasing_part,
+    clock_part,
+    doubtful_reference_part,
+    sensitivity_part,
+)
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -60,28 +67,33 @@ class Lines:
         off = (upper - value * lower) / f
         variance = np.einsum("in,nij,jn->n", off, self.covariance, off.conj()).real
         shares = value, upper * self.mean / f, lower * self.mean / f
-        systematic = sensitivity_part(rec, names, *shares) | aliasing_part(
-            rec, names, self.frequency, *shares
-        )
-        if self.resolution is not None:
-            systematic[RESOLUTION] = np.sum(abs(off) * self.resolution, axis=0)
-        if self.remainder is not None:
-            # What is left of transients adds up in the worst case.
-            systematic[UNSETTLED] = np.sum(abs(off) * self.remainder, axis=0)
+        error, degrees = np.sqrt(variance / 2.0), 2.0 * np.maximum(self.averages - 1.0, 0.0)
+        systematic = aliasing_part(rec, names, self.frequency, *shares)
+        sway = np.einsum("in,nij,jn->n", lower / f, self.covariance, (lower / f).conj()).real
+        doubts = [np.sqrt(np.nan_to_num(sway) / 2.0) * radius(0.95, degrees)]
+        # What is left of transients, and of rounding, adds up in the worst case.
+        for name, each in ((RESOLUTION, self.resolution), (UNSETTLED, self.remainder)):
+            if each is not None:
+                systematic[name] = np.sum(abs(off) * each, axis=0)
+                doubts.append(np.sum(abs(lower / f) * each, axis=0))
+        bound = np.sqrt(np.sum(np.square([error * radius(0.95, degrees), *systematic.values()]), axis=0))
+        systematic |= doubtful_reference_part(bound, np.sqrt(np.sum(np.square(doubts), axis=0)))
         with np.errstate(invalid="ignore", divide="ignore"):
             coherence = 1.0 / (1.0 + self.averages * variance / abs(value) ** 2)
         return Frf(
             frequency=self.frequency,
             value=value,
-            error=np.sqrt(variance / 2.0),
+            error=error,
             coherence=coherence,
-            degrees=2.0 * np.maximum(self.averages - 1.0, 0.0),
+            degrees=degrees,
             response=above.channels[0],
             reference=reference,
             motion=motion,
             label=self.label,
             warnings=self.warnings,
-            systematic=systematic | clock_part(rec, self.frequency, value),
+            systematic=systematic
+            | sensitivity_part(rec, names, *shares)
+            | clock_part(rec, self.frequency, value),
             unsteady=self.unsteady,
         )
 

@@ -13,6 +13,7 @@ from analysis.recordings.slices import read_slices
 from analysis.responses.clean_stretches import flaws, told
 from analysis.responses.lock_in import LockIn, ToneFit, parts_of_whole_periods
 from analysis.responses.spectral_lines import Lines, remainder
+from analysis.responses.systematic import counts_of
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -130,6 +131,11 @@ def _setting(marker: Any) -> tuple[float, str]:
 
 
 def _why_nothing(rec: Recording, marked: bool, overloaded: int, short: int) -> str:
+    broken = next((str(marker.fields["reason"]) for marker in rec.markers if marker.kind == "abort"), None)
+    if broken is not None:
+        return (
+            f"nothing was measured in these {rec.samples / rec.rate:.3g} s, as the test ended early: {broken}"
+        )
     if overloaded:
         return (
             "the channels were overloaded in every measured window: lower the level, or widen the "
@@ -188,8 +194,7 @@ def _resolution(rec: Recording, names: Sequence[str], tone: ToneFit) -> NDArray[
     ----------
     .. [1] B. Widrow, I. Kollár, Quantization Noise, Cambridge University Press 2008, sections 4 and 16.
     """
-    infos = [rec.channels[name] for name in names]
-    count = np.array([0.0 if info.volts_per_count is None else info.unit_per_count for info in infos])
+    count = counts_of(rec, names)
     step = np.where(count > 0.0, count, 1.0)
     size = np.maximum(abs(tone.amplitude[:, 0]) / step, 1e-300)
     # Rounding itself leaves a twelfth of a count squared.

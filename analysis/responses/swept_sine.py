@@ -1,43 +1,58 @@
-"""Swept sine: a tracking filter follows the tone, several tapers give coherence."""
+"""Swept sine: around each frequency the stretch in which the tone passes, fitted by the local rational method."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy import fft
 
 from analysis.recordings.slices import read_slices
 from analysis.responses.clean_stretches import flaws, told
-from analysis.responses.estimators import Averages
+from analysis.responses.frf import Frf
+from analysis.responses.local_spectra import SIDE, LocalSpectra
+from analysis.responses.measurands import motion_of, reference_of
+from analysis.responses.systematic import in_counts, tone_gain
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
     from daq.recording.markers import Marker
     from daq.recording.recording import Recording
 
-Array = NDArray[np.float64]
-
-TAPERS = 3
-# The filter's window lasts while the tone passes this ratio of frequencies: narrow enough for the second
-# harmonic, and the third, to stay out.
-_RATIO = 1.35
+# A stretch lasts at least while the tone passes this ratio of frequencies, short enough for the harmonics of a
+# nonlinear structure to stay out of it, and until so many of its lines on either side are driven.
+_RATIO, _GROWTH = 1.35, 1.1
 _POINTS = 400
 
 
-def averages(
+@dataclass(frozen=True)
+class SweptTone:
+    """One sweep: at each frequency, the spectra around it of the stretch in which the tone passes."""
+
+    spectra: LocalSpectra
+    label: str
+    warnings: tuple[str, ...]
+
+    def frf(
+        self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"
+    ) -> Frf:
+        """Frequency response with coherence, random and systematic errors."""
+        above, below = motion_of(rec, response, motion), reference_of(rec, reference)
+        return self.spectra.frf(rec, above, below, reference, motion, self.label, self.warnings)
+
+
+def tracked(
     rec: Recording,
     marker: Marker,
     channels: Sequence[str],
     progress: Callable[[int, int], None] | None = None,
-) -> Averages:
-    """Track the tone of a sweep.
+) -> SweptTone:
+    """Take the spectra of a sweep around each frequency while the tone is near.
 
-    At each frequency the spectra are taken over the time in which the tone is near it, through orthogonal
-    sine tapers [1]_, and averaged over the tapers. Reference and response pass the same tapers, so that
-    what limits the resolution is the length of the window and not the rate of the sweep; a fast sweep has
-    short windows, and `resolution` says what that means.
+    What a stretch begins with and what still rings when it ends is part of the fit: neither the rate of the sweep nor
+    the length of the stretch limits the resolution.
 
     Parameters
     ----------
@@ -47,78 +62,78 @@ def averages(
         Names of the channels to track.
     progress : callable, optional
         Called with (frequencies done, frequencies in all).
-
-    References
-    ----------
-    .. [1] K. S. Riedel, A. Sidorenko, Minimum bias multiple taper spectral estimation, IEEE Trans. Signal
-    Process.
-       43 (1995) 188-195.
     """
-    low, high = (float(marker.fields[key]) for key in ("from", "to"))
-    linear = marker.fields.get("spacing") == "linear"
-    stop = min(rec.samples, rec.samples if marker.last_sample is None else marker.last_sample + 1)
-    duration = float(marker.fields["duration"])
-    bottom, top = min(low, high), max(low, high)
-    edge = _RATIO ** (0.1 if top / bottom > _RATIO**0.3 else 0.0)
-    if duration * bottom < 20.0:
-        raise RecordingError(
-            f"a sweep of {duration:g} s is too short to track; sweep for at least {20 / bottom:.3g} s"
-        )
-    frequency = np.geomspace(bottom * edge, top / edge, _POINTS)
-    names = list(channels)
-    found = flaws(rec, names, marker.first_sample, stop)
-    edges = np.array([[flaw.first, flaw.stop] for flaw in found]).reshape(-1, 2)
-    cross = np.zeros((frequency.size, len(names), len(names)), dtype=complex)
-    widths = np.empty(frequency.size)
-    gone = 0
-    bounds = []
-    for f in frequency:
-        near = (f / _RATIO**0.5, f * _RATIO**0.5)
-        ends = sorted(_sample(value, low, high, duration, linear, rec.rate) for value in near)
-        bounds.append(
-            (marker.first_sample + max(0, int(ends[0])), min(stop, marker.first_sample + int(ends[1])))
-        )
-    order = sorted(range(frequency.size), key=lambda index: bounds[index])
-    blocks = read_slices(rec, names, [bounds[index] for index in order])
-    for done, (index, block) in enumerate(zip(order, blocks, strict=True), 1):
-        if progress is not None:
-            progress(done, frequency.size)
-        size = block.shape[1]
-        widths[index] = (TAPERS + 1.0) * rec.rate / max(size, 1)
-        begin, end = bounds[index]
-        if np.any((edges[:, 0] < end) & (edges[:, 1] > begin)) or not np.isfinite(block).all():
-            gone += 1
-            cross[index] = np.nan
-            continue
-        at = np.arange(1, size + 1)
-        turn = np.exp(-2j * np.pi * frequency[index] / rec.rate * at)
-        tapers = np.sin(np.pi * np.arange(1, TAPERS + 1)[:, None] * at / (size + 1.0))
-        spectra = (block - block.mean(axis=1, keepdims=True)) @ (tapers * turn).T / np.sqrt(size)
-        cross[index] = spectra @ spectra.conj().T / TAPERS
-    keep = np.isfinite(cross[:, 0, 0])
+    first, stop = (
+        marker.first_sample,
+        min(rec.samples, rec.samples if marker.last_sample is None else marker.stop),
+    )
+    names = tuple(channels)
+    low, high = sorted(float(marker.fields[key]) for key in ("from", "to"))
+    frequency = np.geomspace(low, high, _POINTS)
+    bounds = [_stretch(marker, f, rec.rate, first, stop) for f in frequency]
+    found = flaws(rec, names, first, stop)
+    clean = [
+        not any(flaw.first < end and flaw.stop > begin for flaw in found) and end - begin > 4 * SIDE
+        for begin, end in bounds
+    ]
     notes = []
-    if gone:
-        notes.append(f"{gone} of {frequency.size} frequencies left out: {told(rec, found)}.")
-    if not keep.any():
+    if not all(clean):
+        notes.append(f"{clean.count(False)} of {_POINTS} frequencies left out: {told(rec, found)}.")
+    if not any(clean):
         raise RecordingError(
-            f"nothing is left of the sweep to track: {told(rec, found)}; lower the level or widen the range "
-            "(converter: range)"
+            f"nothing is left of the sweep to track: {told(rec, found) or 'it is too short'}; lower the level or widen "
+            "the range (converter: range), or sweep for longer"
         )
     if marker.fields.get("settled") is False:
         notes.append("The sweep began before its first frequency had become steady.")
-    return Averages(
-        channels=tuple(names),
-        frequency=frequency[keep],
-        cross=cross[keep],
-        averages=float(TAPERS),
-        resolution=float(np.max(widths)),
-        label=rec.scene.name,
-        warnings=tuple(notes),
+    order = sorted(np.flatnonzero(clean), key=lambda index: bounds[index])
+    around = np.arange(-SIDE, SIDE + 1)
+    samples = np.empty((_POINTS, len(names), around.size), dtype=complex)
+    at = np.empty((_POINTS, around.size))
+    squares = np.empty((len(names), _POINTS))
+    blocks = read_slices(rec, names, [bounds[index] for index in order])
+    for done, (index, block) in enumerate(zip(order, blocks, strict=True), 1):
+        if progress is not None:
+            progress(done, len(order))
+        size = block.shape[1]
+        line = max(int(frequency[index] * size / rec.rate), SIDE + 1)
+        # Turned so that the frequency falls on a line.
+        shift = frequency[index] - line * rec.rate / size
+        turn = np.exp(-2j * np.pi * shift / rec.rate * np.arange(size))
+        samples[index] = fft.fft((block - block.mean(axis=1, keepdims=True)) * turn, axis=1)[:, line + around]
+        at[index] = frequency[index] + around * rec.rate / size
+        squares[:, index] = block.var(axis=1)
+    kept = np.array(sorted(order))
+    spectra = LocalSpectra(
+        names,
+        np.moveaxis(samples[kept], 0, 1).reshape(1, len(names), -1),
+        np.ones((1, kept.size * around.size), dtype=complex),
+        at[kept].ravel(),
+        np.arange(kept.size) * around.size + SIDE,
+        SIDE,
+        1.0,
+        tone_gain(in_counts(rec, names, squares[:, kept])),
     )
+    return SweptTone(spectra, rec.scene.name, tuple(notes))
 
 
-def _sample(frequency: float, low: float, high: float, duration: float, linear: bool, rate: float) -> float:
+def _stretch(marker: Marker, frequency: float, rate: float, first: int, stop: int) -> tuple[int, int]:
+    """First and one-past-last sample of the stretch around a frequency."""
+    ratio = _RATIO
+    while True:
+        ends = sorted(
+            first + _passes(marker, f, rate) for f in (frequency / ratio**0.5, frequency * ratio**0.5)
+        )
+        begin, end = max(first, int(ends[0])), min(stop, int(ends[1]))
+        driven = (ratio**0.5 - 1.0) * frequency * (end - begin) / rate
+        if driven >= SIDE or (begin == first and end == stop):
+            return begin, end
+        ratio *= _GROWTH
+
+
+def _passes(marker: Marker, frequency: float, rate: float) -> float:
     """Sample at which the sweep passes a frequency, counted from its beginning."""
-    if linear:
+    low, high, duration = (float(marker.fields[key]) for key in ("from", "to", "duration"))
+    if marker.fields.get("spacing") == "linear":
         return (frequency - low) / (high - low) * duration * rate
     return float(np.log(frequency / low) / np.log(high / low) * duration * rate)

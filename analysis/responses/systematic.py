@@ -23,10 +23,13 @@ ComplexArray = NDArray[np.complex128]
 SENSITIVITY, CLOCK = "sensors' sensitivity", "sample clock"
 REFERENCE_NOISE, LEAKAGE, UNSETTLED = "noise in the reference", "leakage", "not yet steady"
 ALIASING, RESOLUTION, MODEL = "aliasing", "converter's resolution", "local model"
+REFERENCE = "doubtful reference"
 # Sideways motion as a share of the vertical, where a data sheet of transverse sensitivity goes without one.
 _LATERAL = 0.1
 # Images of a force in the motion it causes, as a share of the motion times the square of frequency over sample rate.
 _IMAGES = 0.1
+# Power in counts below which rounding leaves nothing to tell a signal by.
+_QUARTER = 1.0 / 16.0
 
 
 def tolerance(info: ChannelInfo) -> float:
@@ -74,7 +77,8 @@ def sensitivity_part(
         Empty where no data sheet states a tolerance. Infinite where the reference, a small difference of two large
         readings, can be nothing at all.
     """
-    shares = np.array([tolerance(rec.channels[name]) for name in names])
+    # A sensor that reads too little is farther off what it reads than its data sheet says of what is there.
+    shares = np.array([(off := tolerance(rec.channels[name])) / max(1.0 - off, 1e-300) for name in names])
     if not shares.any():
         return {}
     deviation = shares @ abs(upper - value * lower)
@@ -125,6 +129,84 @@ def reference_noise_part(value: ComplexArray, coherence: Array) -> dict[str, Arr
     H1 and H2 = H1 / coherence lie on either side of the truth (Bendat and Piersol, section 6.1.4).
     """
     return {REFERENCE_NOISE: abs(value) * (1.0 / np.maximum(coherence, 1e-6) - 1.0)}
+
+
+def doubtful_reference_part(bound: Array, doubt: Array) -> dict[str, Array]:
+    """How much farther off a quotient can be because its denominator may be smaller than it reads.
+
+    With errors dx of a response x = H f and df of its reference, x / f is off by ``(dx - H df) / (f - df)``: by what
+    propagates to first order over ``1 - df / f``.
+
+    Parameters
+    ----------
+    bound : ndarray, shape (lines,)
+        Bound to first order.
+    doubt : ndarray, shape (lines,)
+        Bound of the reference, relative to what it reads. From 1 on there may be none, and nothing bounds.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        more = np.sqrt(1.0 / np.maximum(1.0 - doubt, 0.0) ** 2 - 1.0)
+    return {REFERENCE: np.where(doubt < 1.0, np.where(more > 0.0, bound * more, 0.0), np.inf)}
+
+
+def rounding_part(
+    gain: Array, value: ComplexArray, upper: ComplexArray, lower: ComplexArray
+) -> dict[str, Array]:
+    """How far rounding to counts can put a response off, where readings are a few counts only.
+
+    Parameters
+    ----------
+    gain : ndarray, shape (channels, lines)
+        How far rounding can change the gain of a channel, relative: `noise_gain` or `tone_gain`.
+    value, upper, lower
+        As in `sensitivity_part`.
+    """
+    if not gain.any():
+        return {}
+    return {RESOLUTION: np.sum(gain * np.maximum(abs(upper - value * lower), 1e-300), axis=0)}
+
+
+def noise_gain(power: Array) -> Array:
+    """How far rounding to counts can change the gain of noise, relative.
+
+    Rounding is noise of its own, which scatters, but for a part proportional to the signal: with s counts of Gaussian
+    noise ``2 exp(-2 pi^2 s^2)`` at most [1]_. Below a quarter of a count nothing can be told: infinite.
+
+    Parameters
+    ----------
+    power : ndarray
+        Mean square of a reading in counts, which rounding itself adds a twelfth to; infinite without a converter.
+
+    References
+    ----------
+    .. [1] B. Widrow, I. Kollár, Quantization Noise, Cambridge University Press 2008, sections 4 and 11.
+    """
+    power = power - 1.0 / 12.0
+    return np.asarray(np.where(power > _QUARTER, 2.0 * np.exp(-2.0 * np.pi**2 * power), np.inf))
+
+
+def tone_gain(power: Array) -> Array:
+    """How far rounding to counts can change the gain of a tone: as `noise_gain`.
+
+    Of a tone of a counts ``2 / pi^2 / a^(3/2)`` by the first term of the quantiser's series in Bessel functions, and no
+    more than twice that by all of them. Below half a count it reads nothing.
+    """
+    size = np.sqrt(2.0 * np.maximum(power - 1.0 / 12.0, 0.0))
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.where(size > 0.5, 4.0 / np.pi**2 * size**-1.5, np.inf))
+
+
+def in_counts(rec: Recording, names: Sequence[str], squares: Array) -> Array:
+    """Mean squares of readings, shape (channels, ...), in counts; infinite where a channel does not count."""
+    counts = counts_of(rec, names).reshape(-1, *[1] * (squares.ndim - 1))
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.where(counts > 0.0, squares / np.where(counts > 0.0, counts, 1.0) ** 2, np.inf))
+
+
+def counts_of(rec: Recording, names: Sequence[str]) -> Array:
+    """Size of a count of each channel in its unit; 0 where it does not count."""
+    infos = [rec.channels[name] for name in names]
+    return np.array([0.0 if info.volts_per_count is None else info.unit_per_count for info in infos])
 
 
 def clock_part(rec: Recording, frequency: Array, value: ComplexArray) -> dict[str, Array]:

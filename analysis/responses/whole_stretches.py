@@ -16,17 +16,11 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from analysis.responses.clean_stretches import clean_stretches, flaws, told
-from analysis.responses.force_pulse import high_passes, slow_and_fast
+from analysis.responses.force_pulse import high_passes
 from analysis.responses.frf import Frf
-from analysis.responses.local_rational import LocalFit, Reading, local_fit
-from analysis.responses.measurands import driven, motion_of, reference_of
-from analysis.responses.systematic import (
-    MODEL,
-    aliasing_part,
-    clock_part,
-    reference_noise_part,
-    sensitivity_part,
-)
+from analysis.responses.local_spectra import SIDE, LocalSpectra
+from analysis.responses.measurands import motion_of, reference_of
+from analysis.responses.systematic import in_counts, noise_gain
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -36,8 +30,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Resolved lines to either side that a fit takes in.
-SIDE = 12
 # A stretch shorter than this part of the longest is not worth its transients.
 _WORTH = 0.25
 _MOST_LINES = 1000
@@ -60,6 +52,8 @@ class WholeStretches:
     """Band in Hz in which responses are told."""
     hits: Hits | None = None
     """Of a hammer: what is known of the force before and after each."""
+    bursts: tuple[int, int] | None = None
+    """Samples from one burst to the next, and those in which it is on, where the test comes in bursts."""
     label: str = ""
     """For legends."""
     warnings: tuple[str, ...] = ()
@@ -84,52 +78,10 @@ class WholeStretches:
                 cure = "the test is too short to average; record longer"
             raise RecordingError(f"{' '.join(notes)} Nothing is left to tell a response from: {cure}")
         spectra = self._spectra(rec, names, stretches)
-        frequency = spectra.frequency(rec.rate)
-        force = np.einsum("cn,scn->sn", below.row(rec, names, frequency), spectra.samples)
-        driven(reference, force)
-        lines = self._lines(rec, spectra)
-        at = frequency[lines]
-        upper, lower = above.row(rec, names, at), below.row(rec, names, at)
-        # Of every channel, how much it reads per unit of the reference.
-        reads = np.zeros((len(names), lines.size), dtype=complex)
-        for index, name in enumerate(names):
-            if below.channels == (name,):
-                reads[index] = 1.0 / lower[index]
-                continue
-            info = rec.channels[name]
-            told_by = info.response(frequency)
-            slow = [1.0 / (2j * np.pi * frequency - pole) for pole in slow_and_fast(info)[0]]
-            reading = Reading(spectra.samples[:, index], told_by, np.array(slow).reshape(-1, frequency.size))
-            fit = spectra.fit(reading, force, lines)
-            reads[index] = fit.value * told_by[lines]
-            if name == above.channels[0]:
-                of_response = fit
-        upper, lower = upper * reads, lower * reads
-        value = upper.sum(axis=0)
-        variance = of_response.variance * (abs(value) / np.maximum(abs(of_response.value), 1e-300)) ** 2
-        systematic = (
-            sensitivity_part(rec, names, value, upper, lower)
-            | aliasing_part(rec, names, at, value, upper, lower)
-            | clock_part(rec, at, value)
-            | {MODEL: of_response.missed * abs(value) / np.maximum(abs(of_response.value), 1e-300)}
-        )
-        if self.hits is None:
-            systematic |= reference_noise_part(value, of_response.coherence)
-        else:
-            variance = variance + abs(value) ** 2 * self.hits.force_noise(rec, stretches, at)
-        return Frf(
-            frequency=at,
-            value=value,
-            error=np.sqrt(variance),
-            coherence=of_response.coherence,
-            degrees=of_response.degrees,
-            response=above.channels[0],
-            reference=reference,
-            motion=motion,
-            label=self.label,
-            systematic=systematic,
-            warnings=(*self.warnings, *notes),
-        )
+        noise = None
+        if self.hits is not None:
+            noise = self.hits.force_noise(rec, stretches, spectra.frequency[spectra.lines])
+        return spectra.frf(rec, above, below, reference, motion, self.label, (*self.warnings, *notes), noise)
 
     def _worth_fitting(
         self, rec: Recording, clean: Sequence[tuple[int, int]]
@@ -137,6 +89,9 @@ class WholeStretches:
         """Stretches long enough to resolve something and, of a hammer, with a hit in them."""
         if self.hits is not None:
             clean = [stretch for stretch in clean if self.hits.inside(*stretch)]
+        if self.bursts is not None:
+            # What rests between bursts tells nothing: with nothing driven, a spring's force comes from its response.
+            clean = [stretch for stretch in clean if self._driven(*stretch) > 4 * SIDE]
         # A fit reaches over so many lines, and must not reach over the whole band.
         least = 2 * SIDE / (self.high - self.low) if self.hits is None else 0.2
         longest = max((stop - start for start, stop in clean), default=0)
@@ -149,9 +104,14 @@ class WholeStretches:
             return [], [f"No stretch longer than {longest / rec.rate:.3g} s is clean."]
         return worth, []
 
+    def _driven(self, start: int, stop: int) -> int:
+        """Count the samples of a stretch in which bursts were on."""
+        size, on = self.bursts or (1, 1)
+        return int(np.sum((np.arange(start, stop) - self.first) % size < on))
+
     def _spectra(
         self, rec: Recording, names: Sequence[str], stretches: Sequence[tuple[int, int]]
-    ) -> _Spectra:
+    ) -> LocalSpectra:
         """Spectra of all stretches, each at the end of as many samples as the longest has."""
         lead = 0 if self.hits is None else self.hits.lead()
         blocks, rests = [], []
@@ -183,14 +143,31 @@ class WholeStretches:
         used = sum(block.shape[1] for block in blocks) / (size * len(blocks))
         # Hits alone are a comb of lines: between its teeth nothing is driven.
         teeth = 1.0 if self.hits is None else max(1.0, size / lead)
-        return _Spectra(np.stack(samples), np.stack(ends), size, used, int(np.ceil(SIDE * teeth)))
+        frequency = fft.rfftfreq(size, 1.0 / rec.rate)
+        # The line at zero has no displacement: it takes no part.
+        frequency[0] = frequency[1]
+        squares = np.average(
+            [block.var(axis=1) for block in blocks], axis=0, weights=[block.shape[1] for block in blocks]
+        )
+        lines = self._lines(rec, size)
+        gain = np.repeat(noise_gain(in_counts(rec, names, squares))[:, None], lines.size, axis=1)
+        return LocalSpectra(
+            tuple(names),
+            np.stack(samples),
+            np.stack(ends),
+            frequency,
+            lines,
+            int(np.ceil(SIDE * teeth)),
+            used,
+            gain,
+        )
 
-    def _lines(self, rec: Recording, spectra: _Spectra) -> NDArray[np.int64]:
-        low, high = (edge * spectra.size / rec.rate for edge in (self.low, self.high))
-        first, last = max(int(np.ceil(low - 1e-9)), 1), min(int(high + 1e-9), int(0.45 * spectra.size))
+    def _lines(self, rec: Recording, size: int) -> NDArray[np.int64]:
+        low, high = (edge * size / rec.rate for edge in (self.low, self.high))
+        first, last = max(int(np.ceil(low - 1e-9)), 1), min(int(high + 1e-9), int(0.45 * size))
         if last <= first:
             raise RecordingError(
-                f"the recording resolves {rec.rate / spectra.size:.3g} Hz, and nothing between {self.low:.4g} and "
+                f"the recording resolves {rec.rate / size:.3g} Hz, and nothing between {self.low:.4g} and "
                 f"{self.high:.4g} Hz; record longer"
             )
         return np.arange(first, last + 1, -(-(last - first) // _MOST_LINES))
@@ -204,30 +181,3 @@ def dampers_move(rec: Recording) -> tuple[str, ...]:
         "With dampers that move the structure is not linear: the curve holds for this level and kind of excitation, "
         "and its error bars take the motion for linear; use stepped sine for the response to steady tones.",
     )
-
-
-@dataclass(frozen=True)
-class _Spectra:
-    """Spectra of stretches."""
-
-    samples: ComplexArray
-    """complex, shape (stretches, channels, bins)."""
-    ends: ComplexArray
-    """As in `local_fit`; complex, shape (stretches, bins)."""
-    size: int
-    """Samples behind each spectrum, zeros put in front of shorter stretches included."""
-    used: float
-    """Share of them that was measured: zeros tell nothing, and make neighbouring lines depend on each
-    other."""
-    side: int
-    """Lines to either side that a fit takes in."""
-
-    def frequency(self, rate: float) -> Array:
-        # The line at zero has no displacement: it takes no part.
-        out = fft.rfftfreq(self.size, 1.0 / rate)
-        out[0] = out[1]
-        return out
-
-    def fit(self, reading: Reading, force: ComplexArray, lines: NDArray[np.int64]) -> LocalFit:
-        side = min(self.side, (force.shape[1] - 1) // 2)
-        return local_fit(reading, force, self.ends, lines, side, self.used)

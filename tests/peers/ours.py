@@ -73,7 +73,6 @@ def poles(folder: Path) -> dict[str, np.ndarray]:
             out[f"samples {name}"] = rec.read(name)
     out["hit_frequency"] = curves[0].frequency
     out["accelerance"] = np.stack([curve.value for curve in curves])
-    out["shift"] = np.array(curves[0].shift)
     out["pole_Hz"], out["pole_damping"], out["shapes"] = modes.frequency, modes.damping, modes.shapes
     return out
 

@@ -67,7 +67,6 @@ def poles(ours: dict[str, np.ndarray]) -> Iterator[Row]:
     peer.pole_ind = [[order, one] for one in chosen]
     found, damping = peer.pole_freq[order][chosen], peer.pole_xi[order][chosen]
     # The exponential window of the hits is in the curves that both were given; ours has been taken off.
-    damping = damping - ours["shift"] / (2 * np.pi * found)
     for mode in range(found.size):
         yield (
             f"mode {mode + 1}, frequency, sdypy-EMA", abs(found[mode] / ours["pole_Hz"][mode] - 1), 2e-4,

@@ -1,0 +1,125 @@
+"""Spectra of stretches of a recording, and the response that the local rational method finds in them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.responses.force_pulse import slow_and_fast
+from analysis.responses.frf import Frf
+from analysis.responses.local_rational import Reading, local_fit
+from analysis.responses.measurands import Measurand, driven
+from analysis.responses.systematic import (
+    MODEL,
+    aliasing_part,
+    clock_part,
+    reference_noise_part,
+    rounding_part,
+    sensitivity_part,
+)
+
+if TYPE_CHECKING:
+    from daq.recording.recording import Recording
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# Resolved lines to either side that a fit takes in.
+SIDE = 12
+
+
+@dataclass(frozen=True)
+class LocalSpectra:
+    """Spectra of stretches, without windows."""
+
+    channels: tuple[str, ...]
+    samples: ComplexArray
+    """complex, shape (stretches, channels, bins)."""
+    ends: ComplexArray
+    """As in `local_fit`; complex, shape (stretches, bins)."""
+    frequency: Array
+    """Hz; shape (bins,)."""
+    lines: NDArray[np.int64]
+    """Bins at which the response is told; shape (lines,)."""
+    side: int
+    """Lines to either side that a fit takes in."""
+    used: float
+    """Share of the samples behind the spectra that was measured, as in `local_fit`."""
+    gain: Array
+    """How far rounding can change each channel's gain, as in `rounding_part`; shape (channels, lines)."""
+
+    def frf(
+        self,
+        rec: Recording,
+        above: Measurand,
+        below: Measurand,
+        reference: str,
+        motion: str,
+        label: str,
+        warnings: Sequence[str],
+        reference_noise: Array | None = None,
+    ) -> Frf:
+        """Response of one measurand to another.
+
+        Parameters
+        ----------
+        above, below : Measurand
+            Response and reference.
+        reference_noise : ndarray, shape (lines,), optional
+            Variance of either quadrature component of the reference, relative, where it is known. Omitted: bounded by
+            the coherence.
+        """
+        names, at = list(self.channels), self.frequency[self.lines]
+        force = np.einsum("cn,scn->sn", below.row(rec, names, self.frequency), self.samples)
+        driven(reference, force)
+        upper, lower = above.row(rec, names, at), below.row(rec, names, at)
+        # Of every channel, how much it reads per unit of the reference.
+        reads = np.zeros((len(names), at.size), dtype=complex)
+        for index, name in enumerate(names):
+            if below.channels == (name,):
+                reads[index] = 1.0 / lower[index]
+                continue
+            info = rec.channels[name]
+            told_by = info.response(self.frequency)
+            slow = [1.0 / (2j * np.pi * self.frequency - pole) for pole in slow_and_fast(info)[0]]
+            reading = Reading(
+                self.samples[:, index], told_by, np.array(slow).reshape(-1, self.frequency.size)
+            )
+            side = min(self.side, (self.frequency.size - 1) // 2)
+            fit = local_fit(reading, force, self.ends, self.lines, side, self.used)
+            reads[index] = fit.value * told_by[self.lines]
+            if name == above.channels[0]:
+                of_response = fit
+        upper, lower = upper * reads, lower * reads
+        value = upper.sum(axis=0)
+        scale = abs(value) / np.maximum(abs(of_response.value), 1e-300)
+        variance = of_response.variance * scale**2
+        shares = value, upper, lower
+        systematic = (
+            sensitivity_part(rec, names, *shares)
+            | aliasing_part(rec, names, at, *shares)
+            | rounding_part(self.gain, *shares)
+            | clock_part(rec, at, value)
+            | {MODEL: of_response.missed * scale}
+        )
+        if reference_noise is None:
+            systematic |= reference_noise_part(value, of_response.coherence)
+        else:
+            variance = variance + abs(value) ** 2 * reference_noise
+        return Frf(
+            frequency=at,
+            value=value,
+            error=np.sqrt(variance),
+            coherence=of_response.coherence,
+            degrees=of_response.degrees,
+            response=above.channels[0],
+            reference=reference,
+            motion=motion,
+            label=label,
+            systematic=systematic,
+            warnings=tuple(warnings),
+        )

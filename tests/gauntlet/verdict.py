@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+import numpy as np
+
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
     from rig import Scene
@@ -34,11 +36,13 @@ class Verdict:
     kind: str
     """Kind of test."""
     outcome: Outcome
-    """Warned: wrong, and said so. Wrong: not a word of it."""
+    """Warned: of lines or channels by name, with the cause. Wrong: not a word of it."""
     inside: int = 0
     """Points within their stated 95 % bound, and all points that were judged."""
     points: int = 0
     """Points within their stated 95 % bound, and all points that were judged."""
+    width: float = np.nan
+    """Median bound, relative to the truth: bounds that hold because they are wide show."""
     note: str = ""
     """What is off, or why it was refused."""
     scene: str = ""

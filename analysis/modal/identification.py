@@ -210,7 +210,7 @@ def _with_warnings(modes: Modes, curves: Sequence[Frf], count: int | None, dropp
             notes.append(
                 f"{f:.4g} Hz: the resolution of {resolution:.3g} Hz smears a half-power width of "
                 f"{2 * half:.3g} Hz, so that more than 2 % of the damping ratio {zeta:.3%} may be due to that; "
-                f"use blocks of at least {1.5 / (SMEARED * half):.3g} s (a sweep so much slower), or burst "
+                f"use blocks of at least {1.5 / (SMEARED * half):.3g} s, or burst "
                 "random, multisine or stepped sine."
             )
         elif inside < 2:

@@ -37,7 +37,7 @@ class Modes(Result):
     lower, upper : ndarray, shape (responses,)
         What modes below and above the band add: lower / s² + upper, m/N.
     model_error : float
-        How far the modal model misses the curves beyond their error bars, as a share of their size; 0 where it
+        How far the modal model misses the curves beyond their error bars, as a share of the peaks around; 0 where it
         explains them.
     label : str
         Scene and setting.

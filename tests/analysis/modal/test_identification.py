@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -163,3 +164,15 @@ def test_given_a_peak_without_a_pole_when_identified_then_it_is_said_and_not_lis
     assert np.all(modes.damping > 1e-4) and np.all(modes.damping_error < 0.5 * modes.damping)
     assert modes.model_error > 0.01
     assert any("not those of a linear structure" in warning for warning in modes.warnings)
+
+
+def test_given_dampers_at_work_when_identified_then_each_peak_is_a_mode_and_it_is_said_what_that_means():
+    with daq.open(Path(__file__).parents[3] / "recordings" / "demo-sweep-three-dampers.mcap") as recording:
+        frfs = analysis.frfs(recording)
+    modes = analysis.identify(frfs)
+    size = max((abs(frf.value) for frf in frfs), key=lambda each: each.max())
+    assert len(modes.frequency) == 3
+    # The first peak is the highest of all.
+    top = frfs[0].frequency[size.argmax()]
+    assert abs(modes.frequency[0] / top - 1) < modes.damping[0]
+    assert "not those of a linear structure" in " ".join(modes.warnings) and modes.model_error > 0.01

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rig.arguments import Changes, SceneName, loaded
 from rig.command_line import application, counting, run
-from rig.scene.arguments import Changes, SceneName, loaded
 
 if TYPE_CHECKING:
     from analysis.presentation.presentation import Result

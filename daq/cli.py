@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rig.arguments import Changes, SceneName, SceneNames, loaded
 from rig.command_line import application, handed_over, progress, run, waiting
 from rig.errors import RecordingError
-from rig.scene.arguments import Changes, SceneName, SceneNames, loaded
 
 if TYPE_CHECKING:
     from rig.scene.scene import Scene

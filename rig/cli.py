@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rig.arguments import Changes, SceneName, completions, loaded
 from rig.command_line import application, counting, run, saying
 from rig.errors import SceneError
-from rig.scene.arguments import Changes, SceneName, completions, loaded
 
 if TYPE_CHECKING:
     from rig.scene.quantities import Kind

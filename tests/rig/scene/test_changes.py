@@ -8,8 +8,8 @@ import pytest
 import typer
 
 import rig
+from rig.arguments import loaded
 from rig.errors import SceneError
-from rig.scene.arguments import loaded
 
 SHARED = """
 structure: {masses: [1 kg, 2 kg], springs: [1 kN/m, 2 kN/m]}

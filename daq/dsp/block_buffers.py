@@ -45,7 +45,7 @@ class History:
     --------
     >>> history = History(2)
     >>> for block in ([1.0, 2.0, 3.0], [4.0]):
-    ...     history.room(len(block))[:] = block
+    ...     history.place(len(block))[:] = block
     >>> history.samples[:3].tolist()
     [2.0, 3.0, 4.0]
     """
@@ -54,7 +54,7 @@ class History:
         self._kept, self._count = kept, 0
         self.samples = np.zeros(kept)
 
-    def room(self, count: int) -> Array:
+    def place(self, count: int) -> Array:
         """Give the place for the next block, shape (count,)."""
         kept = self.samples[self._count : self._count + self._kept]
         needed = self._kept + count

@@ -22,32 +22,32 @@ class Decimator:
         From `Decimation.taps`.
     late : int
         Intervals by which what is weighed lies further back.
-    room : BlockBuffers
+    buffers : BlockBuffers
         For the moments of a block.
     """
 
-    def __init__(self, taps: Array, late: int, room: BlockBuffers) -> None:
+    def __init__(self, taps: Array, late: int, buffers: BlockBuffers) -> None:
         self._oversampling, moments, length = taps.shape
         self._weights = _beside(taps, late)
-        self._room = room
+        self._buffers = buffers
         # The last moments of the block before; in a block, they come first.
         self._last = zeros(length * self._oversampling + late - 1, moments)
-        self._moments = room.rows(0)
+        self._moments = buffers.rows(0)
         self._interval = 0
         self._samples = zeros(0)
 
-    def room(self, count: int) -> Array:
+    def place(self, count: int) -> Array:
         """Give the place for the moments of the next intervals, shape (count and TOGETHER or more, MOMENTS)."""
         kept = len(self._last)
         end = kept + count + WEIGHED * self._oversampling
-        self._moments = self._room.rows(end)
+        self._moments = self._buffers.rows(end)
         self._moments[:kept] = self._last
         # Nothing weighs these, but they must be numbers.
         self._moments[kept + count : end] = 0.0
         return self._moments[kept:]
 
     def filter(self, count: int) -> Array:
-        """Give the samples that fall due with the intervals whose moments are in `room` now.
+        """Give the samples that fall due with the intervals whose moments are in `place` now.
 
         Parameters
         ----------

@@ -141,7 +141,7 @@ class Disturbances:
             V, until the next call.
         """
         count = held.shape[1]
-        _sum_up(self._direct, held, self._passed.room(count))
+        _sum_up(self._direct, held, self._passed.place(count))
         return self._passed.samples[:count]
 
 

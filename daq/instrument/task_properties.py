@@ -189,7 +189,7 @@ def _space(task: Task) -> int:
     if task.buffer is None:
         return int(task.settings.groups["buffer"]["output_buf_size"])
     generated = 0 if task.generation is None else task.generation.generated
-    return int(min(task.buffer.room(generated, task.running, task.settings.regenerates), 1 << 31))
+    return int(min(task.buffer.free(generated, task.running, task.settings.regenerates), 1 << 31))
 
 
 def _divisor(task: Task) -> int:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from daq.instrument.clock import seconds
 from daq.instrument.engines.acquisition import Acquisition
-from daq.instrument.engines.ring_buffer import room
+from daq.instrument.engines.ring_buffer import memory
 from daq.instrument.errors import Code, DaqError, unsupported
 from daq.instrument.plans import input_plan
 from daq.instrument.values import LoggingMode, RelativeTo
@@ -62,7 +62,7 @@ def read(task: Task, samples: int, timeout: float, raw: bool = False) -> Reading
         if samples < 0:
             samples = default_count(task)
         rows = task.settings.rows_to_read()
-        out = room(len(rows), samples, np.int32 if raw else np.float64)
+        out = memory(len(rows), samples, np.int32 if raw else np.float64)
         if not task.settings.clocked:
             return _read_on_demand(task, rows, out, timeout, raw)
         task.begin()

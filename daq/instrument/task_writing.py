@@ -90,10 +90,10 @@ def _fill(task: Task, buffer: OutputBuffer, volts: Array, timeout: float) -> int
     def running() -> Generation | None:
         return task.generation if task.running else None
 
-    def room() -> int:
+    def free() -> int:
         run = running()
         generated = 0 if run is None else run.generated
-        return int(buffer.room(generated, run is not None, task.settings.regenerates))
+        return int(buffer.free(generated, run is not None, task.settings.regenerates))
 
     def piece() -> int:
         return min(wanted - done, max(1, buffer.size // 2))
@@ -105,7 +105,7 @@ def _fill(task: Task, buffer: OutputBuffer, volts: Array, timeout: float) -> int
             raise DaqError(str(run.error), run.error.code, done)
         if run is not None and run.done:
             raise DaqError("the output has ended", Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN, done)
-        take = min(room(), wanted - done)
+        take = min(free(), wanted - done)
         if take > 0:
             buffer.write(volts[:, done : done + take], run is not None)
             done += take
@@ -115,9 +115,9 @@ def _fill(task: Task, buffer: OutputBuffer, volts: Array, timeout: float) -> int
 
         def ready() -> bool:
             now = running()
-            return now is None or now.done or room() >= piece()
+            return now is None or now.done or free() >= piece()
 
-        if run is None or not chassis.wait(ready, lambda: piece() - room(), left):
+        if run is None or not chassis.wait(ready, lambda: piece() - free(), left):
             raise DaqError(
                 f"{done} of {wanted} samples per channel found room in the buffer within {timeout:g} s: start "
                 "the task, write less at a time, or enlarge out_stream.output_buf_size",

@@ -89,7 +89,7 @@ class Chain:
         self._late = delays(converter.skew, len(channels), self._clock.true_rate)
         self._inputs, self._sources = tuple(inputs), [_source(channel, scene) for channel in channels]
         self._cutters = [_cutter(channel, rate, points) for channel in channels]
-        self._room = BlockBuffers()
+        self._buffers = BlockBuffers()
         self._jitter = generator(scene.seed, "", "jitter") if converter.jitter else None
         self.latency = DELAY if converter.filter is not None and converter.remove_delay else 0
         wired = [self._wire(row, channel) for row, channel in enumerate(channels)]
@@ -104,7 +104,7 @@ class Chain:
         settings, converter = input_settings(scene.converter, channel), filled_in(scene.converter)
         line = stages(channel, settings, scene.seed)
         path = SignalPath(
-            channel.name, line, converter, clock, self._oversampling, delay, scene.seed, self._room
+            channel.name, line, converter, clock, self._oversampling, delay, scene.seed, self._buffers
         )
         info = channel_info(channel.name, channel.at, line, settings, clock, delay)
         return path, info, channel_effects(line, converter, delay)

@@ -27,14 +27,14 @@ class Sampler(Protocol):
     """Voltages at the end of each interval that it needs, from state and input; shapes (outputs, states) and
     (outputs,)."""
 
-    def room(self, intervals: int) -> Array:
+    def place(self, intervals: int) -> Array:
         """Give the place for moments, shape (at least intervals + TOGETHER, LANES).
 
         The first `integrals` lanes of the first rows are needed.
         """
 
     def read(self, points: Array) -> Array:
-        """Give the samples, the moments being in the `room` that was given last.
+        """Give the samples, the moments being in the `place` that was given last.
 
         Parameters
         ----------
@@ -48,7 +48,7 @@ class Sampler(Protocol):
         """
 
 
-class PointReading:
+class PointSampler:
     """Reads the voltage at the instant of the sample: for a signal without impulses."""
 
     integrals = 0
@@ -56,7 +56,7 @@ class PointReading:
     def __init__(self, circuit: Circuit) -> None:
         self.rows, self.rows_input = circuit.c[None], np.zeros(1)
 
-    def room(self, intervals: int) -> Array:
+    def place(self, intervals: int) -> Array:
         """Give no place: no moments are needed."""
         return np.zeros((0, LANES))
 
@@ -65,25 +65,25 @@ class PointReading:
         return points[0].copy()
 
 
-class AverageReading:
+class AverageSampler:
     """Averages the voltage over the interval that ends at the sample: for a signal that may hold impulses.
 
     Parameters
     ----------
-    room : BlockBuffers
+    buffers : BlockBuffers
         For the averages of a block.
     """
 
     integrals = 1
 
-    def __init__(self, circuit: Circuit, room: BlockBuffers) -> None:
+    def __init__(self, circuit: Circuit, buffers: BlockBuffers) -> None:
         self.rows, self.rows_input = np.zeros((0, circuit.c.size)), np.zeros(0)
-        self._room = room
-        self._averages = room.rows(0)
+        self._buffers = buffers
+        self._averages = buffers.rows(0)
 
-    def room(self, intervals: int) -> Array:
-        """Give the place for the averages; see `Sampler.room`."""
-        self._averages = self._room.rows(intervals + TOGETHER)
+    def place(self, intervals: int) -> Array:
+        """Give the place for the averages; see `Sampler.place`."""
+        self._averages = self._buffers.rows(intervals + TOGETHER)
         return self._averages
 
     def read(self, points: Array) -> Array:
@@ -91,7 +91,7 @@ class AverageReading:
         return self._averages[: points.shape[1], 0].copy()
 
 
-class FilteredReading:
+class FilteredSampler:
     """Reads behind the decimation filter of a delta-sigma converter.
 
     Parameters
@@ -100,21 +100,21 @@ class FilteredReading:
         Intervals per sample.
     late : int
         Intervals by which what is read lies further back.
-    room : BlockBuffers
+    buffers : BlockBuffers
         For the moments of a block.
     """
 
     integrals = MOMENTS
 
     def __init__(
-        self, circuit: Circuit, low_pass: Decimation, oversampling: int, late: int, room: BlockBuffers
+        self, circuit: Circuit, low_pass: Decimation, oversampling: int, late: int, buffers: BlockBuffers
     ) -> None:
         self.rows, self.rows_input = np.zeros((0, circuit.c.size)), np.zeros(0)
-        self._filter = Decimator(low_pass.taps(oversampling), late, room)
+        self._filter = Decimator(low_pass.taps(oversampling), late, buffers)
 
-    def room(self, intervals: int) -> Array:
-        """Give the place for the moments; see `Sampler.room`."""
-        return self._filter.room(intervals)
+    def place(self, intervals: int) -> Array:
+        """Give the place for the moments; see `Sampler.place`."""
+        return self._filter.place(intervals)
 
     def read(self, points: Array) -> Array:
         """Give the samples; see `Sampler.read`."""
@@ -153,7 +153,7 @@ class Jitter:
             Lateness, in standard deviations.
         """
         count = voltage.size
-        self._voltage.room(count)[:] = voltage
+        self._voltage.place(count)[:] = voltage
         due = self._voltage.samples
         error = np.subtract(due[1 : count + 1], due[:count])
         error *= late

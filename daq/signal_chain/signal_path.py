@@ -17,7 +17,7 @@ from daq.dsp.propagation import propagate, scratch_for
 from daq.dsp.skew import Delay
 from daq.signal_chain.converter import SampleClock
 from daq.signal_chain.decimation_filter import DELAY, Decimation
-from daq.signal_chain.sampling import AverageReading, FilteredReading, Jitter, PointReading, Sampler
+from daq.signal_chain.sampling import AverageSampler, FilteredSampler, Jitter, PointSampler, Sampler
 from daq.signal_chain.stage import Stage, is_integrated
 from rig.scene.measurement_chain import Converter
 
@@ -39,7 +39,7 @@ class SignalPath:
         Intervals of the input per sample.
     delay : float
         Delay of what is sampled, s.
-    room : BlockBuffers
+    buffers : BlockBuffers
         That it shares with the other channels.
     """
 
@@ -52,14 +52,14 @@ class SignalPath:
         oversampling: int,
         delay: float,
         seed: int,
-        room: BlockBuffers,
+        buffers: BlockBuffers,
     ) -> None:
         circuit = Circuit.series([section for stage in stages for section in stage.sections])
         sensor, rate = stages[0], clock.true_rate * oversampling
         gain = sensor.nominal * (1.0 + sensor.deviation)
         # Whole intervals of a delay are the filter's business.
         late = int(delay * rate)
-        self._reading = _reading(stages, circuit, converter, clock, oversampling, late, room)
+        self._reading = _reading(stages, circuit, converter, clock, oversampling, late, buffers)
         entries, sources = _disturbances(stages, name, clock.true_rate, seed)
         watched, filtered, direct = None, [False] * len(entries), circuit.d[entries]
         if sensor.limit is not None:
@@ -105,7 +105,7 @@ class SignalPath:
         points = np.empty((self._rows_input.size, intervals))
         propagate(
             pieces, self._tables, self._state, held, self._rails, self._overload, self._shift,
-            self._rows, self._rows_input, points, self._reading.room(intervals), self._scratch,
+            self._rows, self._rows_input, points, self._reading.place(intervals), self._scratch,
         )  # fmt: skip
         volts = self._reading.read(points)
         ends = self._disturbances.ends
@@ -126,11 +126,11 @@ def _reading(
     clock: SampleClock,
     oversampling: int,
     late: int,
-    room: BlockBuffers,
+    buffers: BlockBuffers,
 ) -> Sampler:
     if converter.filter is not None:
-        return FilteredReading(circuit, Decimation.standard(clock.rate), oversampling, late, room)
-    return PointReading(circuit) if is_integrated(stages) else AverageReading(circuit, room)
+        return FilteredSampler(circuit, Decimation.standard(clock.rate), oversampling, late, buffers)
+    return PointSampler(circuit) if is_integrated(stages) else AverageSampler(circuit, buffers)
 
 
 def _overload(sensor: Stage, rate: float) -> Array:

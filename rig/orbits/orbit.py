@@ -61,7 +61,7 @@ class Orbit:
         Half the range of each displacement [m].
     multipliers : ndarray of complex
         Floquet multipliers: one for each state and two for each damper in flight at the start.
-    room : float
+    margin : float
         Distance to the nearest border, at which the motion stops being possible as it is: gaps in g/w^2,
         accelerations in g, times in 1/w. At most 1, negative beyond the border.
     border : str
@@ -82,7 +82,7 @@ class Orbit:
     compliance: NDArray[np.complex128]
     peak: Array
     multipliers: NDArray[np.complex128]
-    room: float
+    margin: float
     border: str
     residual: float
     unknowns: Array = field(repr=False)
@@ -101,7 +101,7 @@ class Orbit:
     @property
     def flaw(self) -> str:
         """What makes the orbit impossible as a motion, "" if nothing does; a guess may lead past a border."""
-        return self.border if self.room < -ROUNDING else ""
+        return self.border if self.margin < -ROUNDING else ""
 
 
 def solve(
@@ -187,7 +187,7 @@ class Following:
         return self.describe(self.at(float(x[-1])), x[:-1], equations, shot)
 
     def margins(self, x: Array) -> tuple[Array, tuple[str, ...]]:
-        """Room to each border, and the borders' names, as `rig.numerics.continuation.trace` takes them."""
+        """Distance to each border, and the borders' names, as `rig.numerics.continuation.trace` takes them."""
         equations, change = self.tables(float(x[-1]))
         shot = shoot(equations, change, self.plan.sequence, x[:-1])
         distances = survey(equations, self.plan.sequence, shot, self._instants(x[:-1]))[2]
@@ -227,7 +227,7 @@ class Following:
             compliance=harmonic[:bodies] / force,
             peak=0.5 * (reach[:bodies, 1] - reach[:bodies, 0]),
             multipliers=self._multipliers(shot),
-            room=float(distances[nearest]),
+            margin=float(distances[nearest]),
             border=self.borders[nearest] if distances[nearest] < 1 else "",
             residual=float(np.abs(shot.residual / self.rows).max()),
             unknowns=unknowns.copy(),

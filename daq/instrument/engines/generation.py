@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.instrument.engines.acquisition import Moment
-from daq.instrument.engines.ring_buffer import room
+from daq.instrument.engines.ring_buffer import memory
 from daq.instrument.engines.triggers import AtTick, OtherTask, SyncPulse
 from daq.instrument.errors import Code, DaqError
 
@@ -31,7 +31,7 @@ class OutputBuffer:
     """
 
     def __init__(self, channels: int, size: int | None) -> None:
-        self.data: Array = room(channels, size or 0)
+        self.data: Array = memory(channels, size or 0)
         self.written = 0
         self._grows = size is None
 
@@ -40,7 +40,7 @@ class OutputBuffer:
         """Samples per channel held."""
         return self.data.shape[1]
 
-    def room(self, generated: int, running: bool, regenerate: bool) -> int:
+    def free(self, generated: int, running: bool, regenerate: bool) -> int:
         """Tell how many samples can be written now."""
         if not running and self._grows:
             return np.iinfo(np.int64).max

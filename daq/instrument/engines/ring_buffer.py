@@ -13,7 +13,7 @@ from daq.instrument.errors import bad
 MOST_BYTES = 2 << 30
 
 
-def room(channels: int, samples: int, dtype: DTypeLike = np.float64) -> NDArray[Any]:
+def memory(channels: int, samples: int, dtype: DTypeLike = np.float64) -> NDArray[Any]:
     """Make an array of zeros, shape (channels, samples).
 
     Raises
@@ -65,7 +65,7 @@ class RingBuffer:
     """
 
     def __init__(self, channels: int, size: int, dtype: DTypeLike) -> None:
-        self._data: NDArray[Any] = room(channels, size, dtype)
+        self._data: NDArray[Any] = memory(channels, size, dtype)
         self.written = 0
 
     @property

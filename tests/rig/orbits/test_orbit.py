@@ -235,7 +235,7 @@ def test_given_scenes_with_one_to_three_dampers_when_followed_then_branches_end_
     for branch in curve.branches:
         assert all(orbit.residual < 1e-11 and not orbit.flaw for orbit in branch.orbits)
         for end, orbit in zip(branch.ends, (branch.orbits[0], branch.orbits[-1]), strict=True):
-            assert end in ("range", "closed") or (end in orbit.plan.borders and orbit.room < 1e-5)
+            assert end in ("range", "closed") or (end in orbit.plan.borders and orbit.margin < 1e-5)
 
 
 def test_given_a_locked_damper_when_solved_then_the_orbit_is_the_exact_linear_response() -> None:

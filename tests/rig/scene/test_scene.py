@@ -192,13 +192,16 @@ def test_given_stepped_sine_settings_when_asked_then_frequencies_come_in_the_ord
     assert (listed.order, listed.levels) == ((10.0, 11.5), (0.3,))
 
 
+@pytest.mark.parametrize("name", [name for name in bundled() if name != "fe-beam"])
+def test_given_a_scene_of_the_paper_when_loaded_then_it_is_the_papers_structure(name: str) -> None:
+    structure = rig.load(name).structure
+    assert structure.masses == (0.74, 0.71, 0.64)
+    assert structure.springs == (24300.0, 21800.0, 19800.0)
+
+
 @pytest.mark.parametrize("name", bundled())
-def test_given_a_bundled_scene_when_loaded_then_it_is_the_papers_structure_and_says_what_it_is(
-    name: str,
-) -> None:
+def test_given_a_bundled_scene_when_loaded_then_it_says_what_it_is_and_can_be_written(name: str) -> None:
     scene = rig.load(name)
-    assert scene.structure.masses == (0.74, 0.71, 0.64)
-    assert scene.structure.springs == (24300.0, 21800.0, 19800.0)
     assert scene.test is not None
     assert len(summary(name)) > 20
     assert rig.loads(scene.to_yaml()) == scene

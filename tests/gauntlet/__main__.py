@@ -74,7 +74,7 @@ def _tell(found: list[Verdict]) -> int:
         counts = [sum(v.outcome == outcome for v in verdicts) for outcome in OUTCOMES]
         share = inside / points if points else np.nan
         failed |= counts[-1] > 0 or (points > 0 and not FEWEST_INSIDE <= share <= MOST_INSIDE)
-        widths = [verdict.width for verdict in verdicts if verdict.points]
+        widths = [v.width for v in verdicts if v.points and np.isfinite(v.width)]
         width = f"{np.median(widths):.2%}" if widths else "-"
         table.add_row(judge, kind, str(len(verdicts)), str(points), f"{share:.1%}", width, *map(str, counts))
     Console(width=140).print(table)

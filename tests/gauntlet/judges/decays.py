@@ -39,7 +39,7 @@ def judge(case: Case, kind: str) -> list[Verdict]:
     note = f"worst off by {worst:.2%}, median bound {bound:.2%}" + "".join(
         f" [{text}]" for text in decay.warnings
     )
-    return [Verdict("decays", kind, outcome, int(inside.sum()), inside.size, note)]
+    return [Verdict("decays", kind, outcome, int(inside.sum()), inside.size, note=note)]
 
 
 def _maxima(scene: rig.Scene) -> tuple[Array, Array, Array]:

@@ -38,7 +38,7 @@ def judge(case: Case, kind: str) -> list[Verdict]:
         hits, points = hits + 2 * hit, points + 2 * hit + missed + false
         notes.append(f"a{damper.body}: {hit} found, {missed} missed, {false} that are none")
     outcome = "right" if hits >= LEAST_F1 * points else "wrong"
-    return [Verdict("impacts", kind, outcome, hits, points, "; ".join(notes))]
+    return [Verdict("impacts", kind, outcome, hits, points, note="; ".join(notes))]
 
 
 def true_impacts(case: Case, number: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

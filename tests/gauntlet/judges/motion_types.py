@@ -35,7 +35,7 @@ def judge(case: Case, kind: str) -> list[Verdict]:
                 if motion.name != true:
                     notes.append(f"a{damper.body} at {motion.frequency:.4g} Hz: {motion.name}, is {true}")
     outcome = "right" if right >= FEWEST_RIGHT * points else "wrong"
-    return [Verdict("motion_types", kind, outcome, right, points, "; ".join(notes))] if points else []
+    return [Verdict("motion_types", kind, outcome, right, points, note="; ".join(notes))] if points else []
 
 
 def _true_type(case: Case, number: int, frequency: float, least: float, first: int, stop: int) -> str:

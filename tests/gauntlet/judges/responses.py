@@ -21,6 +21,7 @@ from analysis.responses.systematic import CLOCK, SENSITIVITY
 from daq.signal_chain.sensors import accelerometer, force_sensor
 from rig.scene.measurement_chain import Accelerometer, Hammer
 from rig.scene.presets import filled_in
+from rig.scene.shaker import ForceShaker
 from rig.system.receptance import receptance
 from tests.gauntlet.cavities import STEPS, TONE
 from tests.gauntlet.verdict import Case, Outcome, Verdict
@@ -120,14 +121,25 @@ def _truth(scene: rig.Scene) -> Callable[[NDArray[np.float64]], NDArray[np.compl
     def exact(frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
         key = frequency.tobytes()
         if key not in known:
-            if scene.dampers:
+            if scene.dampers and isinstance(scene.driven_shaker, ForceShaker):
                 response = rig.orbit_response(scene, frequency)
                 known[key] = np.where(response.simulated, np.nan, response.compliance)
+            elif scene.dampers:
+                known[key] = _settled(scene, frequency)
             else:
                 known[key] = receptance(scene, frequency)
         return known[key]
 
     return exact
+
+
+def _settled(scene: rig.Scene, frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """Receptances behind a spring, through which the dampers' harmonics act back on the force."""
+    down = getattr(scene.test, "direction", "up") == "down"
+    response = rig.frequency_response(scene, frequency, direction="down" if down else "up", longest=3000)
+    order = np.argsort(response.frequency)
+    known = np.where(response.converged, response.compliance, np.nan)[:, order]
+    return known[:, np.searchsorted(response.frequency[order], frequency)]
 
 
 def _as_built(

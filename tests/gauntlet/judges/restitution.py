@@ -26,6 +26,6 @@ def judge(case: Case, kind: str) -> list[Verdict]:
         off = abs(told.value - damper.restitution) / told.error
         note = f"a{damper.body}: {told.value:.3f} with standard deviation {told.error:.3f}, is {damper.restitution:.3f}"
         verdicts.append(
-            Verdict("restitution", kind, "right" if off < FAR else "wrong", int(off < BOUND), 1, note)
+            Verdict("restitution", kind, "right" if off < FAR else "wrong", int(off < BOUND), 1, note=note)
         )
     return verdicts

@@ -102,7 +102,13 @@ def test_given_hostile_text_when_a_command_writes_of_it_then_nothing_is_obeyed(
         assert not re.search("[\x00-\x08\x0b-\x1f\x7f\x9b\u202e]", text.replace("\r\n", "\n"))
 
 
-def test_given_hostile_text_when_reported_then_the_page_has_no_tag_of_it(folder: Path) -> None:
+def test_given_hostile_text_when_reported_then_the_page_has_no_tag_of_it(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(sys, "argv", ["analysis", "report", "r.mcap"])
+    with pytest.raises(SystemExit):
+        analysis.cli.main()
     page = next(folder.glob("*report.html")).read_text("utf-8")
     assert "script" not in Tags(page).found and "&lt;script&gt;" in page
 

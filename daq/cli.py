@@ -18,6 +18,12 @@ if TYPE_CHECKING:
 
 app = application("The instrument: record, look at, repair and replay tests.")
 
+# How a rig that scripts and clients drive is named.
+ON_THE_BENCH = "Scene on the bench (default: SHOTRIG_SCENE, or three particle dampers)."
+Clock = Annotated[
+    str | None, typer.Option(metavar="real|fast", help="How time passes (default: SHOTRIG_CLOCK, or real).")
+]
+
 
 @app.command()
 def record(
@@ -168,17 +174,9 @@ def run_a_script(
     arguments: Annotated[
         list[str] | None, typer.Argument(metavar="[ARGS]...", help="For the script.")
     ] = None,
-    scene: Annotated[
-        str | None,
-        typer.Option(
-            metavar="SCENE", help="Scene on the bench (default: SHOTRIG_SCENE, or three particle dampers)."
-        ),
-    ] = None,
+    scene: Annotated[str | None, typer.Option(metavar="SCENE", help=ON_THE_BENCH)] = None,
     changes: Changes = None,
-    clock: Annotated[
-        str | None,
-        typer.Option(metavar="real|fast", help="How time passes (default: SHOTRIG_CLOCK, or real)."),
-    ] = None,
+    clock: Clock = None,
     seconds: Annotated[
         float | None,
         typer.Option(metavar="S", help="Press Ctrl-C, or Enter at a prompt, after this time on the bench."),
@@ -194,17 +192,9 @@ def run_a_script(
 
 @app.command("serve")
 def serve_a_rig(
-    scene: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="[SCENE]", help="Scene on the bench (default: SHOTRIG_SCENE, or three particle dampers)."
-        ),
-    ] = None,
+    scene: Annotated[str | None, typer.Argument(metavar="[SCENE]", help=ON_THE_BENCH)] = None,
     changes: Changes = None,
-    clock: Annotated[
-        str | None,
-        typer.Option(metavar="real|fast", help="How time passes (default: SHOTRIG_CLOCK, or real)."),
-    ] = None,
+    clock: Clock = None,
     address: Annotated[
         str, typer.Option(metavar="HOST", help="Where to listen; other than this machine needs certificates.")
     ] = "127.0.0.1",

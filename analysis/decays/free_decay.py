@@ -16,6 +16,7 @@ from analysis.recordings.slices import hits
 from analysis.responses.measurands import motion_channel, responses
 from rig.errors import RecordingError, SceneError
 from rig.results import Result, styled
+from rig.scene.scene import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
 
 Array = NDArray[np.float64]
-STANDARD_GRAVITY = 9.80665
 LOWEST_MODE = 2.0
 HIGHEST_MODE = 200.0
 # A decay that is clipped for more than this part has no amplitudes worth reporting.

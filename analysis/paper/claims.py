@@ -10,6 +10,7 @@ import numpy as np
 
 from analysis.paper.charts import holds_c2, trust_error
 from analysis.paper.figures import Parts
+from rig.scene.scene import STANDARD_GRAVITY
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -139,7 +140,7 @@ def _c3(parts: Parts) -> Claim:
     peaks = np.array([resonance_peaks(parts[name]) for name in names])
     share = peaks / peaks[0]
     single = share[1, 1] < 0.7 and share[1, 2] < 0.7
-    in_g = peaks[0] * FORCE_C3 * parts["structure"]["omega"] ** 2 / 9.80665
+    in_g = peaks[0] * FORCE_C3 * parts["structure"]["omega"] ** 2 / STANDARD_GRAVITY
     adds = bool((np.diff(peaks, axis=0) < 0).all())
     least = bool((share[3].argmax() == 0) and (share[1].argmax() == 0))
     rows = [

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.figures.style import COLOURS, decades, drawing, frequency_axis
+from rig.scene.scene import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -225,7 +226,7 @@ def figure_10b(parts: Parts) -> Figure:
             data = parts[name]
             axes.plot(data["time"], data["acceleration"], color=shade, lw=0.5)
             axes.plot(data["time"], _smooth(data["envelope"]), color=shade, lw=1.4, label=label)
-        axes.axhspan(-9.80665, 9.80665, color=ORANGE, alpha=0.12, lw=0)
+        axes.axhspan(-STANDARD_GRAVITY, STANDARD_GRAVITY, color=ORANGE, alpha=0.12, lw=0)
         axes.annotate(
             "within 1 g dampers rest", (1.98, -9.0), ha="right", va="bottom", fontsize=8,
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1},

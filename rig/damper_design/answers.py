@@ -53,6 +53,8 @@ class Answers:
         self._workers, self._table, self._progress = workers, table, progress
         self._done, self._total = 0, total
         self._known: dict[str, Known] = {}
+        # Whether the table ends within a line, as a kill may leave it.
+        self._torn = False
         if table is not None:
             try:
                 self._read(table)
@@ -95,9 +97,12 @@ class Answers:
                 self._progress(self._done, max(self._total, self._done + 1))
 
     def _keep(self, digest: str, trials: Sequence[Trial]) -> None:
-        if self._table is None:
+        if self._table is None or not trials:
             return
         with self._table.open("a", newline="", encoding="utf-8") as file:
+            if self._torn:
+                file.write("\n")
+                self._torn = False
             writer = csv.writer(file, lineterminator="\n")
             for trial in trials:
                 choice = trial.choice
@@ -109,7 +114,9 @@ class Answers:
             with path.open("x", newline="", encoding="utf-8") as file:
                 csv.writer(file, lineterminator="\n").writerow(_HEADER)
         with path.open(newline="", encoding="utf-8", errors="replace") as file:
-            rows = list(csv.reader(file))
+            lines = file.readlines()
+        rows = list(csv.reader(lines))
+        self._torn = not lines[-1].endswith("\n") if lines else False
         if rows[:1] != [_HEADER]:
             raise RunError(f"{path}: is no table of designs; move it, or choose another place with -o")
         for row in rows[1:]:

@@ -5,19 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations_with_replacement, product
+from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.damper_design.worst_peak import Peak, peak_at
 from rig.errors import SceneError
-from rig.motion_map.grid import columns
+from rig.motion_map.grid import columns, natural_frequencies
 from rig.orbits.problem import OrbitProblem
 from rig.scene.damper import Damper
 from rig.scene.scene import Scene
-from rig.system.receptance import loaded_matrices
-from rig.system.structure import natural_modes, structure_matrices
+from rig.system.structure import structure_matrices
 
 Array = NDArray[np.float64]
 
@@ -77,8 +76,7 @@ class Space:
         >>> Space.places_of((1, 2, 3), 2)
         ((1, 2), (1, 3), (2, 3))
         """
-        ways = combinations_with_replacement(bodies, dampers)
-        return tuple(way for way in ways if len(set(way)) == dampers)
+        return tuple(combinations(bodies, dampers))
 
 
 @dataclass(frozen=True)
@@ -111,26 +109,21 @@ class Question:
     @cached_property
     def bare(self) -> Peak:
         """Worst peak without dampers, which is the same at every level."""
-        return max(self._peak(scene, (), self.levels[0]) for scene in self.scenes)
+        return max(self._peak(scene, self.levels[:1]) for scene in self.scenes)
 
     def worst(self, choice: Choice) -> Peak:
         """Worst peak of a choice over levels and structures."""
         dampers = choice.dampers(self.restitution)
-        return max(self._peak(scene, dampers, level) for scene in self.scenes for level in self.levels)
+        return max(self._peak(scene.replace(dampers=dampers), self.levels) for scene in self.scenes)
 
-    def _peak(self, bare: Scene, dampers: Sequence[Damper], level: float) -> Peak:
-        scene = bare.replace(dampers=dampers)
+    def _peak(self, scene: Scene, levels: Sequence[float]) -> Peak:
         problem, frequencies = OrbitProblem(scene), self._frequencies(scene)
-        return peak_at(problem, level, frequencies, self.bodies)
+        return max(peak_at(problem, level, frequencies, self.bodies) for level in levels)
 
     def _frequencies(self, scene: Scene) -> Array:
         """Frequencies close where it may resonate: between where it does without dampers and where with them riding."""
         low, high = self.band
-        loads = [loaded_matrices(scene), loaded_matrices(scene, riding=range(1, len(scene.dampers) + 1))]
-        natural = np.concatenate([natural_modes(mass, stiffness)[0] for mass, _, stiffness in loads]) / (
-            2 * np.pi
-        )
-        natural = natural[(natural > low) & (natural < high)]
+        natural = natural_frequencies(scene, low, high)
         if not len(natural):
             raise SceneError(
                 f"band: got {low:g} to {high:g} Hz, where nothing resonates; expected a band with a natural frequency"

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from rig.damper_design.choice import Choice
 from rig.damper_design.design import Design
 from rig.escaping import drawn
+from rig.motion_map.figure import edges
 from rig.output_files import replacing, stem
+from rig.scene.scene import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,7 +22,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
-GRAVITY = 9.80665
 BLUE, GREY, RED = "#1b4f7e", "#b0b0b0", "#c0392b"
 
 
@@ -130,7 +131,7 @@ def _chart(axes: Axes, design: Design) -> None:
     reduction = np.array([[design.reduction(peak) for peak in row] for row in design.chart])
     clearance = 1e3 * design.clearance_factors * design.best.choice.clearances[0]
     mesh = axes.pcolormesh(
-        _edges(design.levels), _edges(clearance), reduction, cmap="viridis", rasterized=True
+        edges(design.levels, True), edges(clearance, True), reduction, cmap="viridis", rasterized=True
     )
     bar = axes.figure.colorbar(mesh, ax=axes, pad=0.02)
     bar.set_label("reduction at this level, dB")
@@ -153,8 +154,9 @@ def _master_curve(axes: Axes, design: Design) -> None:
     for number in (chosen - 1, chosen, chosen + 1):
         row = design.chart[number]
         clearance = 1e3 * design.clearance_factors[number] * design.best.choice.clearances[0]
+        acceleration = [peak.acceleration / STANDARD_GRAVITY for peak in row]
         axes.plot(
-            [peak.acceleration / GRAVITY for peak in row], [design.bare.size / peak.size for peak in row], "o-", ms=4,
+            acceleration, [design.bare.size / peak.size for peak in row], "o-", ms=4,
             color=BLUE if number == chosen else GREY, mfc="white" if number < chosen else None,
             label=f"clearance {clearance:.3g} mm",
         )  # fmt: skip
@@ -175,11 +177,6 @@ def _backbone(axes: Axes, design: Design) -> None:
     axes.set(yscale="log", xlabel="frequency of the largest peak, Hz", ylabel="force, N")
     _plain_ticks(axes.yaxis)
     axes.legend(frameon=False, fontsize=9)
-
-
-def _edges(centres: Array) -> Array:
-    middle = np.sqrt(centres[1:] * centres[:-1])
-    return np.concatenate([[centres[0] ** 2 / middle[0]], middle, [centres[-1] ** 2 / middle[-1]]])
 
 
 def _plain_ticks(axis: Axis) -> None:

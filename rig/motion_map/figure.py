@@ -92,13 +92,13 @@ def _draw(map_: MotionMap) -> Figure:
     figure = Figure(figsize=(11.0, 5.6), layout="constrained")
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2, sharey=True)
-    edges = _edges(map_.frequency, False), _edges(map_.value, True)
+    borders = edges(map_.frequency, False), edges(map_.value, True)
     left.pcolormesh(
-        *edges, map_.kind, cmap=ListedColormap(COLOURS), vmin=-0.5, vmax=len(KINDS) - 0.5, rasterized=True
+        *borders, map_.kind, cmap=ListedColormap(COLOURS), vmin=-0.5, vmax=len(KINDS) - 0.5, rasterized=True
     )
     milliseconds = 1e3 * map_.cpu
     mesh = right.pcolormesh(
-        *edges, milliseconds, cmap="viridis", norm=LogNorm(*np.percentile(milliseconds, [1, 99.5])), rasterized=True
+        *borders, milliseconds, cmap="viridis", norm=LogNorm(*np.percentile(milliseconds, [1, 99.5])), rasterized=True
     )  # fmt: skip
     bar = figure.colorbar(mesh, ax=right, label="CPU time to the steady state, ms", extend="both", pad=0.02)
     bar.locator = LogLocator(subs=(1.0, 2.0, 5.0))
@@ -106,7 +106,7 @@ def _draw(map_: MotionMap) -> Figure:
     bar.minorlocator = NullLocator()
     own = _own(map_)
     for axes in (left, right):
-        _dress(axes, map_, own, edges)
+        _dress(axes, map_, own, borders)
     label = "clearance, mm" if map_.over == "clearance" else f"{map_.over}, {map_.unit}"
     left.set_ylabel(label)
     left.set_title("steady motion of the damper that moves most wildly", fontsize=10)
@@ -132,7 +132,7 @@ def _own(map_: MotionMap) -> float | None:
     return value if map_.value[0] <= value <= map_.value[-1] else None
 
 
-def _edges(centres: Array, logarithmic: bool) -> Array:
+def edges(centres: Array, logarithmic: bool) -> Array:
     """Borders of cells around their centres."""
     at = np.log(centres) if logarithmic else centres
     if len(at) == 1:
@@ -143,10 +143,10 @@ def _edges(centres: Array, logarithmic: bool) -> Array:
     return np.exp(borders) if logarithmic else borders
 
 
-def _dress(axes: Axes, map_: MotionMap, own: float | None, edges: tuple[Array, Array]) -> None:
+def _dress(axes: Axes, map_: MotionMap, own: float | None, borders: tuple[Array, Array]) -> None:
     axes.set_yscale("log")
-    axes.set_ylim(edges[1][0], edges[1][-1])
-    axes.set_xlim(edges[0][0], edges[0][-1])
+    axes.set_ylim(borders[1][0], borders[1][-1])
+    axes.set_xlim(borders[0][0], borders[0][-1])
     axes.set_xlabel("frequency, Hz")
     if map_.over == "clearance":
         axes.yaxis.set_major_formatter(lambda value, _: f"{1e3 * value:g}")

@@ -70,13 +70,7 @@ def columns(scene: Scene, low: float | None = None, high: float | None = None, p
             f"frequencies: got {low:g} to {high:g} Hz in {points} points; expected the lower end first, above zero, "
             "and 2 points at least"
         )
-    # Working dampers leave a resonance between where it is without them and where it is with them riding.
-    riding = range(1, len(scene.dampers) + 1)
-    loads = [loaded_matrices(scene), loaded_matrices(scene, riding=riding)]
-    natural = np.concatenate([natural_modes(mass, stiffness)[0] for mass, _, stiffness in loads]) / (
-        2.0 * np.pi
-    )
-    natural = natural[(natural > low) & (natural < high)]
+    natural = natural_frequencies(scene, low, high)
     grid = np.linspace(low, high, 20_001)
     density = np.full(grid.shape, 1.0 / (high - low))
     for peak in natural:
@@ -86,6 +80,17 @@ def columns(scene: Scene, low: float | None = None, high: float | None = None, p
     found = np.interp(np.linspace(0.0, share[-1], points), share, grid)
     found[0], found[-1] = low, high
     return np.asarray(found)
+
+
+def natural_frequencies(scene: Scene, low: float, high: float) -> Array:
+    """Natural frequencies between two, Hz, without the dampers that move and with them riding.
+
+    Working dampers leave a resonance between the two.
+    """
+    loads = [loaded_matrices(scene), loaded_matrices(scene, riding=range(1, len(scene.dampers) + 1))]
+    rates = np.concatenate([natural_modes(mass, stiffness)[0] for mass, _, stiffness in loads])
+    natural = rates / (2.0 * np.pi)
+    return np.asarray(natural[(natural > low) & (natural < high)])
 
 
 def _range_of_test(scene: Scene) -> tuple[float, float]:

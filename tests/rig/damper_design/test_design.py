@@ -11,6 +11,7 @@ import pytest
 import analysis
 import daq
 import rig
+from rig.damper_design.answers import Answers
 from rig.damper_design.asked import asked, bodies_of, mass_of, range_of
 from rig.damper_design.choice import FINE, Choice, Space, Trial
 from rig.damper_design.figure import summary, write
@@ -21,6 +22,7 @@ from rig.orbits.problem import OrbitProblem
 from rig.scene.quantities import FREQUENCY
 from rig.system.open_loop_drive import with_ideal_force
 from rig.system.receptance import receptance
+from rig.workers import Workers
 
 
 @pytest.fixture(scope="module")
@@ -78,6 +80,19 @@ def test_given_a_design_when_written_then_its_scene_loads_and_its_summary_says_t
     assert rig.load(str(scene)).dampers == chosen.scene.dampers
     assert picture.stat().st_size > 10_000 and drawing.stat().st_size > 10_000
     assert f"clearance {1e3 * chosen.best.choice.clearances[0]:.3g} mm" in summary(chosen)
+
+
+def test_given_a_table_that_a_kill_left_torn_when_gone_on_with_then_no_answer_is_lost(tmp_path: Path) -> None:
+    table = tmp_path / "table.csv"
+    question, _ = asked(rig.load("fig9"), None, [2], 1, None, [0.5], (49.0, 50.0), [2], (0.0, 0.0))
+    choices = [Choice((2,), (0.05,), (clearance,)) for clearance in (1e-3, 2e-3)]
+    with Workers() as workers:
+        first = Answers(workers, table, None, 1).of(question, choices[:1])
+        with table.open("a") as file:
+            file.write("torn,2,0.1")
+        second = Answers(workers, table, None, 1).of(question, choices[1:])
+        known = Answers(workers, table, None, 1).known(question)
+    assert known == dict(zip(choices, first + second, strict=True))
 
 
 def test_given_no_dampers_when_asked_then_the_worst_peak_is_that_of_the_receptance() -> None:

@@ -9,6 +9,11 @@ from daq.recording.recording import Recording
 from rig.errors import ShotrigError
 
 MOST_LINES = 10
+_SAMPLING = {
+    "point": "samples at instants",
+    "average": "samples are averages over their intervals",
+    "filter": "samples behind a decimation filter",
+}
 
 
 def describe(recording: Recording) -> Iterator[str]:
@@ -33,7 +38,7 @@ def describe(recording: Recording) -> Iterator[str]:
     for place, (name, info) in enumerate(recording.channels.items()):
         label = "channels" if place == 0 else ""
         sensor = f"{info.quantity}, {info.sensitivity:.6g} V per {info.unit}"
-        yield f"  {label:9} {name:{wide}}  {info.at}, {sensor}"
+        yield f"  {label:9} {name:{wide}}  {info.at}, {sensor}, {_SAMPLING[info.sampling]}"
     if recording.has_truth:
         points, events = ", ".join(recording.truth_points), recording.events.size
         yield f"  truth     of {points}; {events} changes of contact"

@@ -36,11 +36,10 @@ class Chain:
     Between samples a point's acceleration is taken as cubics joined at samples and breaks (`daq.dsp.interpolation`);
     impacts enter as impulses at their own instants. The analogue stages are linear and carried exactly for
     that input (`daq.dsp.propagation`). What a sample holds depends on the channel
-    (`daq.signal_chain.sampling`): a decimation
-    filter is applied where the scene names one; without it, a signal that has passed an integrator is read at
-    the instant of the sample; any other, which may hold impulses and the ringing of a resonance, is averaged
-    over the interval that ends at the sample. Everything is at rest before sample 0, where only changes of
-    position count.
+    (`daq.signal_chain.sampling`): a decimation filter is applied where the scene names one; without it, unless the
+    scene says how it samples, a signal that has passed an integrator is read at the instant of the sample; any other,
+    which may hold impulses and the ringing of a resonance, is averaged over the interval that ends at the sample.
+    Everything is at rest before sample 0, where only changes of position count.
 
     Each channel has its own random numbers, from the seed and its name: what another channel or stage does
     cannot change them. Results do not depend on how a motion is split into blocks.
@@ -48,8 +47,7 @@ class Chain:
     Parameters
     ----------
     rate : float
-        Rate of the motion's samples, Hz: the converter's true rate or, for a converter with decimation
-        filter, a whole multiple of it.
+        Rate of the motion's samples, Hz: the converter's true rate or a whole multiple of it.
     points : sequence of str
         Names of the motion's points, ``"body 1"`` ... ``"table"``.
     inputs : sequence of str
@@ -84,7 +82,7 @@ class Chain:
     def __init__(self, scene: Scene, rate: float, points: Sequence[str], inputs: Sequence[str] = ()) -> None:
         self._scene, self._clock = scene, SampleClock.of(scene.converter)
         converter = filled_in(scene.converter)
-        self._oversampling = _oversampling(rate, self._clock.true_rate, converter)
+        self._oversampling = _oversampling(rate, self._clock.true_rate)
         channels = default_channels(scene, points) if scene.channels is None else scene.channels
         self._late = delays(converter.skew, len(channels), self._clock.true_rate)
         self._inputs, self._sources = tuple(inputs), [_source(channel, scene) for channel in channels]
@@ -218,16 +216,11 @@ def _cutter(channel: Channel, rate: float, points: Sequence[str]) -> MotionInter
     return MotionInterpolator(list(points).index(channel.at), rate)
 
 
-def _oversampling(motion_rate: float, true_rate: float, converter: Converter) -> int:
+def _oversampling(motion_rate: float, true_rate: float) -> int:
     ratio = round(motion_rate / true_rate)
     if ratio < 1 or abs(motion_rate - ratio * true_rate) > 1e-9 * motion_rate:
         raise SceneError(
             f"the motion comes at {motion_rate!r} Hz; expected the converter's true rate, {true_rate!r} Hz, "
             "or a whole multiple of it"
-        )
-    if ratio > 1 and converter.filter is None:
-        raise SceneError(
-            f"the motion comes at {ratio} times the converter's rate; that needs a converter with "
-            "filter: delta_sigma, for without it the converter would pass on aliases"
         )
     return ratio

@@ -92,6 +92,11 @@ class ChannelInfo:
         return UNITS[self.quantity]
 
     @property
+    def sampling(self) -> Literal["point", "average", "filter"]:
+        """What a sample is: the voltage at its instant, its average over the interval before, or what a filter gave."""
+        return "filter" if self.filter else "average" if self.average else "point"
+
+    @property
     def unit_per_count(self) -> float:
         """Size of a converter count in the unit read; of a volt, where samples are volts."""
         return (1.0 if self.volts_per_count is None else self.volts_per_count) / self.sensitivity

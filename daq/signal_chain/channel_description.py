@@ -10,7 +10,7 @@ from daq.dsp.circuit import INTEGRATION
 from daq.signal_chain.channel import ChannelInfo, Quantity
 from daq.signal_chain.converter import SampleClock
 from daq.signal_chain.decimation_filter import DELAY, Decimation
-from daq.signal_chain.stage import Stage, data_sheet, is_integrated
+from daq.signal_chain.stage import Stage, data_sheet, is_averaged
 from rig.scene.measurement_chain import Converter
 
 _QUANTITIES: tuple[Quantity, ...] = ("acceleration", "velocity", "displacement")
@@ -53,7 +53,7 @@ def channel_info(
         zeros=tuple(zeros),
         poles=tuple(poles),
         gain=gain,
-        average=low_pass is None and not is_integrated(stages),
+        average=is_averaged(stages, converter),
         delay=filter_delay + delay,
         filter={} if low_pass is None else low_pass.design,
         sensor={key: text for stage in stages for key, text in stage.data.items()}
@@ -75,8 +75,10 @@ def channel_effects(stages: Sequence[Stage], converter: Converter, delay: float)
             found[f"{stage.name} {name}" if name in found else name] = states
     if converter.filter is not None:
         found["decimation filter"] = 2 * DELAY
-    elif not is_integrated(stages):
+    elif is_averaged(stages, converter):
         found["averaging"] = 1
+    else:
+        found["point sampling"] = 0
     named = {
         "skew": delay or None,
         "jitter": converter.jitter,

@@ -33,13 +33,15 @@ class Sampler(Protocol):
         The first `integrals` lanes of the first rows are needed.
         """
 
-    def read(self, points: Array) -> Array:
+    def read(self, points: Array, ends: slice) -> Array:
         """Give the samples, the moments being in the `place` that was given last.
 
         Parameters
         ----------
         points : ndarray, shape (outputs, intervals)
             What `rows` gave.
+        ends : slice
+            Those of the intervals that end at a sample.
 
         Returns
         -------
@@ -49,20 +51,30 @@ class Sampler(Protocol):
 
 
 class PointSampler:
-    """Reads the voltage at the instant of the sample: for a signal without impulses."""
+    """Reads the voltage at the instant of the sample; an impulse between two instants does not show.
+
+    Parameters
+    ----------
+    gain : float
+        Volts per unit of the input in front of the circuit.
+    late : int
+        Intervals by which what is read lies further back.
+    """
 
     integrals = 0
 
-    def __init__(self, circuit: Circuit) -> None:
-        self.rows, self.rows_input = circuit.c[None], np.zeros(1)
+    def __init__(self, circuit: Circuit, gain: float, late: int) -> None:
+        self.rows, self.rows_input = circuit.c[None], np.array([circuit.d[0] * gain])
+        self._voltage = History(late)
 
     def place(self, intervals: int) -> Array:
         """Give no place: no moments are needed."""
         return np.zeros((0, LANES))
 
-    def read(self, points: Array) -> Array:
+    def read(self, points: Array, ends: slice) -> Array:
         """Give the samples; see `Sampler.read`."""
-        return points[0].copy()
+        self._voltage.place(points.shape[1])[:] = points[0]
+        return self._voltage.samples[ends].copy()
 
 
 class AverageSampler:
@@ -70,14 +82,17 @@ class AverageSampler:
 
     Parameters
     ----------
+    oversampling, late : int
+        As for `FilteredSampler`.
     buffers : BlockBuffers
         For the averages of a block.
     """
 
     integrals = 1
 
-    def __init__(self, circuit: Circuit, buffers: BlockBuffers) -> None:
+    def __init__(self, circuit: Circuit, oversampling: int, late: int, buffers: BlockBuffers) -> None:
         self.rows, self.rows_input = np.zeros((0, circuit.c.size)), np.zeros(0)
+        self._oversampling, self._past = oversampling, History(oversampling - 1 + late)
         self._buffers = buffers
         self._averages = buffers.rows(0)
 
@@ -86,9 +101,14 @@ class AverageSampler:
         self._averages = self._buffers.rows(intervals + TOGETHER)
         return self._averages
 
-    def read(self, points: Array) -> Array:
+    def read(self, points: Array, ends: slice) -> Array:
         """Give the samples; see `Sampler.read`."""
-        return self._averages[: points.shape[1], 0].copy()
+        self._past.place(points.shape[1])[:] = self._averages[: points.shape[1], 0]
+        samples = self._past.samples[ends].copy()
+        for later in range(1, self._oversampling):
+            samples += self._past.samples[ends.start + later : ends.stop + later : ends.step]
+        samples /= self._oversampling
+        return samples
 
 
 class FilteredSampler:
@@ -116,7 +136,7 @@ class FilteredSampler:
         """Give the place for the moments; see `Sampler.place`."""
         return self._filter.place(intervals)
 
-    def read(self, points: Array) -> Array:
+    def read(self, points: Array, ends: slice) -> Array:
         """Give the samples; see `Sampler.read`."""
         return self._filter.filter(points.shape[1])
 

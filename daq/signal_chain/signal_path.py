@@ -18,7 +18,7 @@ from daq.dsp.skew import Delay
 from daq.signal_chain.converter import SampleClock
 from daq.signal_chain.decimation_filter import DELAY, Decimation
 from daq.signal_chain.sampling import AverageSampler, FilteredSampler, Jitter, PointSampler, Sampler
-from daq.signal_chain.stage import Stage, is_integrated
+from daq.signal_chain.stage import Stage, is_averaged
 from rig.scene.measurement_chain import Converter
 
 Array = NDArray[np.float64]
@@ -59,7 +59,7 @@ class SignalPath:
         gain = sensor.nominal * (1.0 + sensor.deviation)
         # Whole intervals of a delay are the filter's business.
         late = int(delay * rate)
-        self._reading = _reading(stages, circuit, converter, clock, oversampling, late, buffers)
+        self._reading = _reading(stages, circuit, gain, converter, clock, oversampling, late, buffers)
         entries, sources = _disturbances(stages, name, clock.true_rate, seed)
         watched, filtered, direct = None, [False] * len(entries), circuit.d[entries]
         if sensor.limit is not None:
@@ -107,8 +107,8 @@ class SignalPath:
             pieces, self._tables, self._state, held, self._rails, self._overload, self._shift,
             self._rows, self._rows_input, points, self._reading.place(intervals), self._scratch,
         )  # fmt: skip
-        volts = self._reading.read(points)
         ends = self._disturbances.ends
+        volts = self._reading.read(points, ends)
         volts += self._disturbances.reach_output(held[:, ends])
         if self._jitter is not None and late is not None:
             volts += self._jitter.error(points[-1, ends], late)
@@ -122,6 +122,7 @@ class SignalPath:
 def _reading(
     stages: Sequence[Stage],
     circuit: Circuit,
+    gain: float,
     converter: Converter,
     clock: SampleClock,
     oversampling: int,
@@ -130,7 +131,9 @@ def _reading(
 ) -> Sampler:
     if converter.filter is not None:
         return FilteredSampler(circuit, Decimation.standard(clock.rate), oversampling, late, buffers)
-    return PointSampler(circuit) if is_integrated(stages) else AverageSampler(circuit, buffers)
+    if is_averaged(stages, converter):
+        return AverageSampler(circuit, oversampling, late, buffers)
+    return PointSampler(circuit, gain, late)
 
 
 def _overload(sensor: Stage, rate: float) -> Array:

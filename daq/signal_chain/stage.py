@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from daq.dsp.circuit import INTEGRATION, Section
+from rig.scene.measurement_chain import Converter
 from rig.scene.quantities import text
 from rig.scene.quantity_field import quantity_of
 from rig.scene.settings import Settings
@@ -59,9 +60,11 @@ class Stage:
 CABLE = Stage("cable")
 
 
-def is_integrated(stages: Sequence[Stage]) -> bool:
-    """Say whether the signal has been integrated, so that no impulse is left in it."""
-    return any(section.name == INTEGRATION for stage in stages for section in stage.sections)
+def is_averaged(stages: Sequence[Stage], converter: Converter) -> bool:
+    """Say whether a sample is an average over its interval: by default where the signal may hold impulses."""
+    if converter.filter is not None or converter.sampling is not None:
+        return converter.filter is None and converter.sampling == "average"
+    return not any(section.name == INTEGRATION for stage in stages for section in stage.sections)
 
 
 def data_sheet(device: str, settings: Settings) -> dict[str, str]:

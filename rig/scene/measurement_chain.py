@@ -11,7 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 from rig.errors import SceneError
-from rig.scene.data_sheets import Preset, unknown_preset
+from rig.scene.data_sheets import Preset, data_sheet, unknown_preset
 from rig.scene.modules import module
 from rig.scene.quantities import (
     ACCELERATION,
@@ -257,6 +257,11 @@ class Converter(Settings):
     the rig oscillates fast for the sample rate, or the rate is low. None: no filter."""
     remove_delay: bool = False
     """Whether the filter's delay is taken out of the samples' times."""
+    sampling: Literal["point", "average"] | None = None
+    """What a sample is where there is no filter. point: the voltage at the instant of the sample, as in a real
+    converter without a filter, which sees nothing of an impulse between two instants and folds back what is faster
+    than half the rate; average: the mean voltage over the interval that ends at the sample, in which no impulse is
+    lost. None: point in channels with an integrator, in whose signals no impulse is left, average in all others."""
     skew: Annotated[float | tuple[float, ...], Quantity(TIME, at_least=0.0, listed=True)] | None = None
     """Lateness of the channels' sampling instants [s]: of each channel relative to the one before it, or one
     value per channel."""
@@ -273,12 +278,23 @@ class Converter(Settings):
         yield from unknown
         if not unknown:
             yield from self._too_fast()
+            yield from self._filtered_already()
         if self.bits is not None and self.range is None and self.preset is None:
             yield Mistake(("bits",), "given without range, the voltage at full scale such as 5 V")
         if self.ac_corner is not None and self.coupling != "AC" and self.preset is None:
             yield Mistake(("ac_corner",), "given without coupling: AC")
         if self.clock_error is not None and abs(self.clock_error) >= 0.1:
             yield Mistake(("clock_error",), f"got {self.clock_error}; expected a small ratio such as 20 ppm")
+
+    def _filtered_already(self) -> Iterable[Mistake]:
+        sheet = {} if self.preset is None else data_sheet(self.preset, "converter").settings["converter"]
+        named = self.filter or sheet.get("filter")
+        if self.sampling is not None and named is not None:
+            yield Mistake(
+                ("sampling",),
+                f"{self.sampling} with the filter {named}{'' if self.filter else f' of {self.preset}'}; expected "
+                "one of the two, for a sample behind a filter is what the filter gives",
+            )
 
     def _too_fast(self) -> Iterable[Mistake]:
         try:

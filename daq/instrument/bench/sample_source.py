@@ -101,9 +101,8 @@ class SceneSource:
         self.drive_per_volt = np.array([DRIVE_PER_VOLT[self.bench.drive_units[row]] for row in self._outputs])
         self._converter = filled_in(scene.converter)
         filtered = self._converter.filter is not None
-        averages = bool(self.channels) and self.channels[0].average
         self.sampling: Literal["point", "average", "filter"] = (
-            "filter" if filtered else "average" if averages else "point"
+            self.channels[0].sampling if self.channels else "filter" if filtered else "point"
         )
         self.delay = float(DELAY) if filtered and not self._converter.remove_delay else 0.0
         self._test = BackgroundTest(self.bench)

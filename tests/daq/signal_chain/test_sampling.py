@@ -1,0 +1,74 @@
+"""What a sample is without a filter: a point, or an average in which no impulse is lost."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import rig
+from daq.dsp.circuit import Circuit, high_pass, resonance
+from daq.signal_chain.bench import Bench
+from rig.errors import SceneError
+from tests.daq.dsp.analytic_motion import Path, chain_of, motion_of, scene_of
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_given_random_sensors_and_impacts_when_sampled_in_points_then_each_is_the_voltage_at_its_instant(
+    seed,
+):
+    dice = np.random.default_rng([16, seed])
+    rate, frequency = np.exp(dice.uniform(np.log([1e3, 2e3]), np.log([1e5, 6e4])))
+    q, corner = dice.uniform(1.0, 40.0), dice.uniform(0.1, 20.0)
+    samples, oversampling = 60, int(dice.integers(1, 4))
+    hits = [(dice.uniform(0.05, 0.9) * samples / rate, dice.normal()) for _ in range(5)]
+    scene = scene_of(
+        f", accelerometer: {{resonance: {frequency}, q: {q}, low_cutoff: {corner}}}",
+        converter=f"{{rate: {rate}, sampling: point}}",
+    )
+    chain, fine = chain_of(scene, oversampling)
+    motion = motion_of([Path(impacts=tuple(sorted(hits)))], fine, samples * oversampling)
+    line = Circuit.series([resonance(frequency, q), high_pass(corner, "low cut-off")])
+    time = np.arange(samples) / rate
+    expected = np.zeros(samples)
+    for instant, jump in hits:
+        for k in np.flatnonzero(time >= instant):
+            expected[k] += line.c @ expm(line.a * (time[k] - instant)) @ line.b[0] * jump
+    assert chain.measure(motion)[0] == pytest.approx(expected, abs=1e-10 * np.abs(expected).max())
+    info = chain.channels[0]
+    assert (info.sampling, info.average) == ("point", False)
+    assert "point sampling" in chain.effects["c1"]
+
+
+def test_given_an_ideal_sensor_when_sampled_in_points_then_impulses_are_lost_and_averaged_they_are_not():
+    hit = Path(impacts=((0.01234, 0.7),))
+    for sampling, velocity in (("point", 0.0), ("average", 0.7)):
+        chain, rate = chain_of(scene_of(converter=f"{{rate: 1 kHz, sampling: {sampling}}}"))
+        read = chain.measure(motion_of([hit], rate, 30))[0]
+        assert read.sum() / rate == pytest.approx(velocity, abs=1e-12)
+
+
+def test_given_landings_shorter_than_a_sample_interval_when_averaged_then_their_momentum_is_whole():
+    scene = rig.loads(
+        """
+        structure: {masses: [0.8 kg], springs: [4 kN/m]}
+        dampers: [{body: 1, mass: 60 g, clearance: 0.5 mm, contact: {duration: 0.05 ms}, restitution: 0.8}]
+        test: {kind: impulse, body: 1, peak: 400 N, width: 2 ms, repeats: 1}
+        channels: [{name: a, at: body 1}]
+        converter: {rate: 2 kHz}
+        """
+    )
+    bench = Bench(scene)
+    time = np.arange(200) / bench.rate
+    block = bench.acquire(np.where(time <= 2e-3, 400.0 * np.sin(np.pi * time / 2e-3), 0.0)[None])
+    assert (block.motion.events["kind"] == "touch").sum() >= 2
+    velocity = np.cumsum(block.samples[0]) / bench.rate
+    assert velocity == pytest.approx(block.motion.velocity[0], abs=1e-10)
+
+
+@pytest.mark.parametrize("filtered", ["filter: delta_sigma", "preset: NI 9234"])
+def test_given_a_filter_when_samples_are_to_be_points_then_that_is_refused(filtered):
+    with pytest.raises(SceneError, match="sampling: point with the filter delta_sigma"):
+        rig.loads(
+            f"structure: {{masses: [1], springs: [1]}}\nconverter: {{rate: 5120, sampling: point, {filtered}}}"
+        )

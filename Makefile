@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: demo test lint types layers quick gauntlet matrix soak bench peers docs clean
+.PHONY: demo test lint types layers quick gauntlet matrix soak mutants bench peers docs clean
 .DEFAULT_GOAL := demo
 
 $(VENV)/bin/python:
@@ -45,13 +45,19 @@ gauntlet: $(STAMP)
 	$(BIN)/python -m tests.warm_up
 	$(BIN)/python -m tests.gauntlet --scenes $(SCENES) --seed $(SEED)
 
-# The tests as on other machines: vector width, BLAS kernel, threads, locale.
+# The tests as on other machines: vector width, BLAS kernel, threads, locale, Pythons, oldest dependencies.
 matrix: $(STAMP)
 	$(BIN)/python -m tests.matrix
 
 # Kills, damage, full disks and odd inputs by the hundred.
 soak: $(STAMP)
 	$(BIN)/python -m tests.soak
+
+# Small faults put into the product, and whether its tests notice: make mutants SEED=2.
+mutants: $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[dev,mutants]"
+	$(BIN)/python -m tests.warm_up
+	$(BIN)/python -m tests.mutants --seed $(SEED)
 
 bench: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[dev,peers]"

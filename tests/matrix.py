@@ -1,14 +1,21 @@
-"""The tests under other settings of processor and libraries: `make matrix`; what a machine lacks is said, not run.
+"""The tests under other settings of processor, libraries and Pythons: `make matrix`.
 
-A result must not rest on vector width, BLAS kernel, threads, locale, time zone, place of the checkout or rights.
+A result must not rest on vector width, BLAS kernel, threads, locale, time zone, place of the checkout or rights; nor
+on the Python or the versions of dependencies, as far as `pyproject.toml` allows them. What a machine lacks is said,
+not run.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import re
+import shutil
 import subprocess
 import sys
+import tempfile
+import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -34,6 +41,10 @@ SETTINGS: dict[str, dict[str, str]] = {
 # What CI runs: examples in docstrings, where digits are printed, and the engine against its references.
 SHORT = ["rig", "daq", "analysis", "tests/rig/engine", "tests/rig/numerics"]
 
+OLDEST = "oldest dependencies"
+# Pythons that the product is made for.
+PYTHONS = ("3.11", "3.12", "3.13", "3.14")
+
 
 def features() -> str:
     """Name the groups of instructions that numpy uses here beyond its baseline, so that they can be forbidden."""
@@ -46,8 +57,45 @@ def features() -> str:
     ).stdout.strip()
 
 
+def pythons() -> Iterator[tuple[str, str]]:
+    """Find the other Pythons on the path."""
+    for version in PYTHONS:
+        if version == f"{sys.version_info.major}.{sys.version_info.minor}":
+            continue
+        found = shutil.which(f"python{version}")
+        if found and not subprocess.run([found, "--version"], capture_output=True).returncode:
+            yield f"Python {version}", found
+        else:
+            print(f"== Python {version}: not here (no python{version} on the path)", flush=True)
+
+
+def lower_bounds() -> str:
+    """Write the lowest versions that `pyproject.toml` allows as what pip may install."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = project["optional-dependencies"]
+    named = [each for extra in ("export", "tdms", "tables", "cluster") for each in extras[extra]]
+    bounds = [re.match(r"([\w-]+)(?:\[.*])?>=([\d.]+)", each) for each in (*project["dependencies"], *named)]
+    return "".join(f"{bound[1]}=={bound[2]}\n" for bound in bounds if bound)
+
+
+def environment(python: str, folder: Path, constraints: str) -> str:
+    """Install the product with another Python, or with other versions of its dependencies."""
+    subprocess.run([python, "-m", "venv", str(folder / "venv")], check=True)
+    made = str(folder / "venv" / "bin" / "python")
+    (folder / "constraints.txt").write_text(constraints, encoding="utf-8")
+    words = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "-e", f"{ROOT}[dev]"]
+    subprocess.run([made, *words, "-c", str(folder / "constraints.txt")], check=True)
+    return made
+
+
+def passes(python: str, tests: list[str], setting: dict[str, str]) -> bool:
+    """Run tests."""
+    command = [python, "-m", "pytest", "-q", "-n", "2", *tests]
+    return not subprocess.run(command, cwd=ROOT, env={**os.environ, **setting}).returncode
+
+
 def main() -> int:
-    """Run the tests under each setting; say which failed."""
+    """Run the tests under each setting and in each environment; say where they failed."""
     words = argparse.ArgumentParser(description=__doc__)
     words.add_argument("--short", action="store_true", help="the part that CI runs, under the first setting")
     words.add_argument("tests", nargs="*", help="what to run; default everything")
@@ -58,10 +106,17 @@ def main() -> int:
     for name, setting in chosen.items():
         filled = {key: value.format(features=features()) for key, value in setting.items()}
         print(f"== {name}: {' '.join(f'{key}={value}' for key, value in filled.items())}", flush=True)
-        command = [sys.executable, "-m", "pytest", "-q", "-n", "2", *tests]
-        if subprocess.run(command, cwd=ROOT, env={**os.environ, **filled}).returncode:
+        if not passes(sys.executable, tests, filled):
             failed.append(name)
-    print(f"failed under: {', '.join(failed)}" if failed else f"all {len(chosen)} settings pass")
+    others = {} if told.short else {OLDEST: sys.executable, **dict(pythons())}
+    for name, python in others.items():
+        print(f"== {name}", flush=True)
+        with tempfile.TemporaryDirectory(prefix="matrix-") as folder:
+            made = environment(python, Path(folder), lower_bounds() if name == OLDEST else "")
+            if not passes(made, tests, {}):
+                failed.append(name)
+    tried = len(chosen) + len(others)
+    print(f"failed under: {', '.join(failed)}" if failed else f"all {tried} settings pass")
     return 1 if failed else 0
 
 

@@ -303,7 +303,7 @@ def by_kind(given: Mapping[str, Any], classes: Classes) -> type[Settings]:
     """Choose by the key `kind`."""
     kinds = {cls.model_fields["kind"].default: cls for cls in classes}
     kind = given.get("kind")
-    if kind in kinds:
+    if isinstance(kind, str) and kind in kinds:
         return kinds[kind]
     names = f"one of {', '.join(kinds)}"
     near = get_close_matches(str(kind), kinds, n=1)

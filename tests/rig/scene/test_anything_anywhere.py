@@ -1,0 +1,42 @@
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import rig
+from rig.errors import SceneError
+from tests.soak.scenes import BASES, ODD_NUMBERS, ODD_TEXTS, _places
+
+texts = st.sampled_from(ODD_TEXTS) | st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"]))
+numbers = st.sampled_from(ODD_NUMBERS) | st.floats() | st.integers()
+anything = st.recursive(
+    st.none() | st.booleans() | numbers | texts,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(texts, inner, max_size=3),
+    max_leaves=5,
+)
+
+
+def put(content: Any, place: tuple[Any, ...], thing: Any) -> None:
+    *way, last = place
+    for step in way:
+        content = content[step]
+    content[last] = thing
+
+
+@pytest.mark.filterwarnings("ignore::rig.errors.SceneWarning")
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_given_anything_at_any_place_of_a_scene_when_loaded_then_it_loads_or_the_error_says_where(
+    data: st.DataObject, tmp_path: Path
+) -> None:
+    content = yaml.safe_load(yaml.safe_dump(data.draw(st.sampled_from(BASES))))
+    put(content, data.draw(st.sampled_from(list(_places(content)))), data.draw(anything))
+    path = tmp_path / "odd.yaml"
+    path.write_text(yaml.safe_dump(content, allow_unicode=True), encoding="utf-8")
+    try:
+        rig.load(path)
+    except SceneError as error:
+        assert str(path) in str(error)

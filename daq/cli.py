@@ -54,6 +54,47 @@ def record(
             raise typer.Exit(code)
 
 
+@app.command("import")
+def import_recording(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE...", help="Time histories: .tdms .uff .wav .csv .txt .npz .mat, or another's .mcap."
+        ),
+    ],
+    scene: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SCENE",
+            help="What was on the bench, with its channels; without it FILEs are only listed.",
+        ),
+    ] = None,
+    changes: Changes = None,
+    table: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.yaml|csv", help="Which column is which channel; default: that of its name."
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="REC", help="Recording to write (default: FILE.mcap)."),
+    ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace the recording if it exists.")
+    ] = False,
+) -> None:
+    """Make a recording of what other programs have measured; without --scene, list what is in their files."""
+    from daq.importing.report import import_and_report, listing
+
+    if scene is None:
+        for line in listing(files):
+            print(line)
+        return
+    path = _free(output if output is not None else files[0].with_suffix(".mcap"), overwrite)
+    import_and_report(files, loaded(scene, changes), path, table, overwrite)
+
+
 @app.command()
 def replay(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="The recording.")],

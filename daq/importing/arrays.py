@@ -1,0 +1,152 @@
+"""Signals of files that hold named arrays: numpy's .npz and .npy, MATLAB's .mat."""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from daq.importing.signal import Array, Signal, clock_of_times, held, rate_of_interval
+from rig.errors import RecordingError
+
+# What programs call the sample rate, the sample interval and the times.
+_RATES = re.compile(
+    r"(.*[._])?(fs|rate|sample_?rate|sampling_?rate|samp_?freq|sample_?frequency)(_?hz)?", re.IGNORECASE
+)
+_INTERVALS = re.compile(r"(.*[._])?(dt|ts|increment|delta_?t|sample_?interval|x?delta)(_?s)?", re.IGNORECASE)
+_TIMES = re.compile(r"(.*[._])?(t|time|times|zeit)(_s)?", re.IGNORECASE)
+# Shorter arrays are settings, not samples.
+_SHORTEST = 16
+_DEEPEST = 8
+
+
+def numpy_signals(path: Path) -> list[Signal]:
+    """List the arrays of an .npz or .npy file, which are held in memory; arrays of Python objects are refused."""
+    try:
+        with path.open("rb") as file:
+            if file.read(6) == b"\x93NUMPY":
+                return _signals(path, {"array": np.load(path, mmap_mode="r", allow_pickle=False)})
+        with np.load(path, allow_pickle=False) as archive:
+            return _signals(path, {name: archive[name] for name in archive.files})
+    except (ValueError, EOFError, KeyError, zipfile.BadZipFile, NotImplementedError, AttributeError) as error:
+        raise RecordingError(
+            f"{path} is no .npz or .npy file of numbers, or it is damaged: {error!s:.200}"
+        ) from error
+
+
+def matlab_signals(path: Path) -> list[Signal]:
+    """List the arrays of a MATLAB file of version 4 to 7.2, which are held in memory, structures field by field."""
+    from scipy.io import loadmat
+
+    try:
+        content = loadmat(path, squeeze_me=True, struct_as_record=True, chars_as_strings=True)
+    except NotImplementedError:
+        raise RecordingError(
+            f"{path} is a MATLAB file of version 7.3 (HDF5), which is not read; in MATLAB: save(name, ..., '-v7')"
+        ) from None
+    except MemoryError:
+        raise RecordingError(
+            f"{path} states an array that does not fit into memory; the file is damaged"
+        ) from None
+    except Exception as error:
+        # The reader meets damage as whatever it happens to lead to.
+        raise RecordingError(
+            f"{path} is no MATLAB file, or it is damaged: {type(error).__name__}: {error}"[:300]
+        ) from error
+    return _signals(path, dict(_flat({name: value for name, value in content.items() if name[:2] != "__"})))
+
+
+def _flat(content: Mapping[str, Any], before: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
+    """Name the fields of structures by their way: ``Signal_1.y_values.values``."""
+    for name, value in content.items():
+        where = f"{before}{name}"
+        array = np.asarray(value)
+        if array.dtype.names and depth < _DEEPEST:
+            items = array.ravel()[:1000]
+            for number, item in enumerate(items, 1):
+                part = where if items.size == 1 else f"{where}({number})"
+                yield from _flat(dict(zip(array.dtype.names, item, strict=True)), f"{part}.", depth + 1)
+        elif array.dtype.kind == "O" and array.size == 1 and depth < _DEEPEST:
+            yield from _flat({name: array.item()}, before, depth + 1)
+        else:
+            yield where, array
+
+
+def _signals(path: Path, arrays: Mapping[str, Any]) -> list[Signal]:
+    """Tell samples from times, rates and units among named arrays."""
+    numbers = {
+        name: np.asarray(value) for name, value in arrays.items() if np.asarray(value).dtype.kind in "fiu"
+    }
+    texts = {name: np.asarray(value) for name, value in arrays.items() if np.asarray(value).dtype.kind == "U"}
+    rows: dict[str, Array] = {}
+    clocks: dict[str, tuple[float, float]] = {}
+    for name, array in numbers.items():
+        if array.size < _SHORTEST or array.ndim > 2 or (array.ndim == 2 and min(array.shape) > 4096):
+            continue
+        where = f"{path}: {name!r}"
+        if _TIMES.fullmatch(name) and array.ndim == 1:
+            clocks[name] = clock_of_times(array.astype(float), 0.0, where)
+        elif array.ndim == 1:
+            rows[name] = held(array, str(path), len(rows) + 1, name)
+        else:
+            # Samples of a channel are more than there are channels, whichever way they lie.
+            across = array if array.shape[0] <= array.shape[1] else array.T
+            for number, row in enumerate(across, 1):
+                rows[f"{name}({number})"] = held(row, str(path), len(rows) + 1, f"{name}({number})")
+    if not rows:
+        raise RecordingError(f"{path} holds no array of samples; it holds {_listed(arrays)}")
+    scalars = {name: float(array.ravel()[0]) for name, array in numbers.items() if array.size == 1}
+    units = _units(texts)
+    found = []
+    for number, (name, row) in enumerate(rows.items(), 1):
+        rate, start = _clock(path, name, scalars, clocks)
+        unit = units.get(name) or units.get(name.partition("(")[0]) or ""
+
+        def read(first: int, stop: int, row: Array = row) -> Array:
+            return row[first:stop]
+
+        found.append(Signal(path.name, number, name, unit, row.size, rate, read, start))
+    return found
+
+
+def _clock(
+    path: Path, name: str, scalars: Mapping[str, float], clocks: Mapping[str, tuple[float, float]]
+) -> tuple[float | None, float]:
+    """Find the rate and the first time of a signal: what stands in its own structure goes before what is for all."""
+    own = name.split(".", 1)[0] if "." in name else ""
+
+    def nearest(pattern: re.Pattern[str], among: Mapping[str, Any]) -> list[str]:
+        fitting = [key for key in among if pattern.fullmatch(key)]
+        return [key for key in fitting if own and key.startswith(f"{own}.")] or [
+            key for key in fitting if "." not in key
+        ]
+
+    times = nearest(_TIMES, clocks)
+    if times:
+        return clocks[times[0]]
+    start = next((scalars[key] for key in ("start_s", f"{own}.x_values.start_value") if key in scalars), 0.0)
+    for key in nearest(_RATES, scalars):
+        if not 0 < scalars[key] < 1e12:
+            raise RecordingError(f"{path}: {key} = {scalars[key]!r}; expected a sample rate in Hz")
+        return scalars[key], start
+    for key in nearest(_INTERVALS, scalars):
+        try:
+            return rate_of_interval(scalars[key]), start
+        except RecordingError as error:
+            raise RecordingError(f"{path}: {key}: {error}") from None
+    return None, start
+
+
+def _units(texts: Mapping[str, Any]) -> dict[str, str]:
+    """Read units as `analysis export` writes them: two rows of texts, ``channels`` and ``units``."""
+    names, units = (texts.get(key, np.array([])).ravel().tolist() for key in ("channels", "units"))
+    return dict(zip(map(str, names), map(str, units), strict=False))
+
+
+def _listed(arrays: Mapping[str, Any]) -> str:
+    said = [f"{name} {np.asarray(value).shape}" for name, value in arrays.items()]
+    return ", ".join(said[:8]) + (" ..." if len(said) > 8 else "") or "nothing"

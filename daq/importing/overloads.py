@@ -1,0 +1,143 @@
+"""Where a signal was clipped: told from its samples, for files do not say."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.importing.signal import Array
+
+# So many equal samples in a row at the largest value are no peak, if the signal came to it by more than a few counts.
+_FLAT, _COUNTS = 3, 4.0
+# A signal that is beyond the range it is said to have by more has another one.
+_BEYOND, _AT = 1.05, 0.9999
+_MOST = 100_000
+
+
+class Rail:
+    """Looks for the flat tops of one side of a signal, block after block."""
+
+    def __init__(self, sign: int) -> None:
+        self._sign = sign
+        self.top = self._last = -np.inf
+        self._runs: list[tuple[int, int, float]] = []
+        # Where a run began that goes on, and the sample before it.
+        self._open: tuple[int, float] | None = None
+
+    def add(self, first: int, samples: Array) -> None:
+        """Take the next samples of the signal, the first one numbered `first`."""
+        values = self._sign * samples
+        top = float(np.fmax.reduce(values, initial=-np.inf))
+        if top > self.top:
+            self.top, self._runs, self._open = top, [], None
+        spans = runs_of(values == self.top)
+        if self._open is not None and not (spans and spans[0][0] == 0):
+            self._end(first, float(values[0]))
+        for begin, end in spans:
+            if begin > 0 or self._open is None:
+                self._open = first + begin, float(values[begin - 1]) if begin else self._last
+            if end < values.size:
+                self._end(first + end, float(values[end]))
+        self._last = float(values[-1])
+
+    def _end(self, stop: int, after: float) -> None:
+        assert self._open is not None
+        start, before = self._open
+        if len(self._runs) < _MOST:
+            self._runs.append((start, stop, self.top - float(np.fmin(before, after))))
+        self._open = None
+
+    def runs(self, stop: int, least: int, drop: float) -> list[tuple[int, int]]:
+        """Give the stretches [first, stop) at the largest value, those with so many samples at least.
+
+        Parameters
+        ----------
+        stop : int
+            Number of samples in all.
+        drop : float
+            How much lower the samples beside a stretch must be.
+        """
+        if self._open is not None:
+            self._end(stop, np.nan)
+        return [(a, b) for a, b, fell in self._runs if b - a >= least and fell > drop]
+
+
+class Overloads:
+    """Finds where one signal was clipped.
+
+    Parameters
+    ----------
+    limit : float or None
+        Largest reading of the converter, if it is known.
+    """
+
+    def __init__(self, limit: float | None) -> None:
+        self.limit = limit
+        self._rails = Rail(1), Rail(-1)
+        self._count = np.inf
+        self._samples = 0
+        self._over: list[tuple[int, int]] = []
+
+    @property
+    def peak(self) -> float:
+        """Largest magnitude so far."""
+        return max(rail.top for rail in self._rails)
+
+    @property
+    def span(self) -> float:
+        """Distance between the largest and the smallest value so far."""
+        return self._rails[0].top + self._rails[1].top
+
+    def add(self, first: int, samples: Array) -> None:
+        """Take the next samples, the first one numbered `first`."""
+        self._samples = first + samples.size
+        steps = abs(np.diff(samples))
+        self._count = min(self._count, float(np.nanmin(np.where(steps > 0, steps, np.inf), initial=np.inf)))
+        for rail in self._rails:
+            rail.add(first, samples)
+        if self.limit is not None and len(self._over) < _MOST:
+            self._over += [(first + a, first + b) for a, b in runs_of(abs(samples) >= _AT * self.limit)]
+
+    @property
+    def beyond_limit(self) -> bool:
+        """Whether readings are so far beyond the limit that it is not theirs."""
+        return self.limit is not None and self.peak > _BEYOND * self.limit
+
+    def found(self) -> list[tuple[int, int]]:
+        """Give the stretches [first, stop) in which the signal was clipped, in order."""
+        flat = [
+            run
+            for rail in self._rails
+            # What stays at zero, such as a force between hits, is no top.
+            if rail.top > 0.5 * self.peak
+            for run in rail.runs(self._samples, _FLAT, _COUNTS * self._count)
+        ]
+        over = [] if self.beyond_limit else self._over
+        return joined([*flat, *over])
+
+
+def runs_of(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Find where flags are set, as [first, stop).
+
+    >>> runs_of(np.array([True, True, False, True]))
+    [(0, 2), (3, 4)]
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def joined(spans: Sequence[tuple[int, int]], pause: int = 0) -> list[tuple[int, int]]:
+    """Join spans [first, stop) that overlap or lie within a pause of each other.
+
+    >>> joined([(5, 7), (0, 2), (2, 3)])
+    [(0, 3), (5, 7)]
+    """
+    out: list[tuple[int, int]] = []
+    for first, stop in sorted(spans):
+        if out and first <= out[-1][1] + pause:
+            out[-1] = out[-1][0], max(out[-1][1], stop)
+        else:
+            out.append((first, stop))
+    return out

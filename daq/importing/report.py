@@ -1,0 +1,42 @@
+"""What `daq import` tells its user: what files hold, and what came of an import."""
+
+from __future__ import annotations
+
+import json
+import sys
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+from daq.importing.files import signals_of
+from daq.importing.import_files import import_files
+from daq.measurement.run import RunWarning
+from daq.measurement.run_report import summary
+from rig.command_line import progress
+from rig.scene.scene import Scene
+
+
+def listing(files: Sequence[Path]) -> Iterator[str]:
+    """Yield what files hold, as the beginning of a table for `--table`."""
+    with ExitStack() as stack:
+        for path in files:
+            yield f"# {path}; put the names of the scene's channels in the place of signal1, ..."
+            for signal in signals_of(path, stack):
+                unit = f", unit: {json.dumps(signal.unit)}" if signal.unit else ""
+                rate = "" if signal.rate is None else f" at {signal.rate:.10g} Hz"
+                column = f"{{column: {json.dumps(signal.name)}{unit}}}"
+                yield f"signal{signal.number}: {column}  # {signal.samples} samples{rate}"
+
+
+def import_and_report(
+    files: Sequence[Path], scene: Scene, path: Path, table: Path | None, overwrite: bool
+) -> None:
+    """Import files with a progress bar, and say what came of it."""
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always", RunWarning)
+        with progress(f"importing {files[0].name}") as tell:
+            import_files(files, scene, path, table=table, overwrite=overwrite, progress=tell)
+    for warning in heard:
+        print(f"warning: {warning.message}", file=sys.stderr)
+    print(summary(path))

@@ -1,0 +1,264 @@
+"""Signals of a text table: columns between commas, semicolons, tabs or blanks, under a heading or none."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from itertools import islice
+from pathlib import Path
+from typing import IO, NamedTuple
+
+import numpy as np
+
+from daq.importing.signal import Array, Signal, even, rate_between
+from rig.errors import RecordingError
+from rig.scene.quantities import TIME, parse
+
+# Lines in which the first line of numbers has to come.
+_LONGEST_HEADING = 200
+_LONGEST_LINE = 1 << 20
+_TIME_NAMES = re.compile(r"(time|zeit|t|x_value)(stamp)?", re.IGNORECASE)
+_UNIT_BEHIND = re.compile(r"(.*?)\s*[\[(]([^\[\]()]*(?:\([^\[\]()]*\)[^\[\]()]*)?)[\])]\s*")
+# A unit behind an underscore, as our own tables have it.
+_SUFFIX = re.compile(r"(.+)_(m/s\^2|m/s²|m/s|m|N|V|g|s|ms)")
+# Lines from which the digits of times are told.
+_SAMPLED = 50
+
+
+class Layout(NamedTuple):
+    """How a table is written."""
+
+    encoding: str
+    delimiter: str | None
+    """None: blanks, any number of them."""
+    decimal_comma: bool
+    heading: int
+    """Lines in front of the first line of numbers."""
+    names: list[str]
+    units: list[str]
+
+
+def text_signals(path: Path, stack: ExitStack) -> list[Signal]:
+    """List the columns of a text table; it is read line by line, once for each time its samples are wanted.
+
+    A first column of times gives the clock. Names and units are those of the heading: ``acc1 [m/s^2]``,
+    ``acc1 (g)``, or a line of names above a line of units.
+    """
+    layout = _layout(path)
+    table = _Table(path, layout, stack)
+    columns = list(zip(layout.names, layout.units, strict=True))
+    rate, start = None, 0.0
+    first = 0
+    if _TIME_NAMES.fullmatch(columns[0][0]) and len(columns) > 1:
+        first = 1
+        rate, start = table.take_clock(columns[0][1])
+    if not table.rows:
+        raise RecordingError(f"{path} holds no line of numbers")
+    return [
+        Signal(path.name, number, name, unit, table.rows, rate, table.column(first + number - 1), start)
+        for number, (name, unit) in enumerate(columns[first:], 1)
+    ]
+
+
+class _Table:
+    """A table that is read from its beginning to its end, in pieces that all columns share."""
+
+    def __init__(self, path: Path, layout: Layout, stack: ExitStack) -> None:
+        self._path, self._layout = path, layout
+        self._file: IO[str] = stack.enter_context(
+            path.open(encoding=layout.encoding, errors="replace", newline="")
+        )
+        self._clock: tuple[float, float, float, float] | None = None
+        self._ends: list[str] = []
+        self.rows = 0
+        for _, line in self._lines():
+            if self.rows < _SAMPLED:
+                self._ends.append(line)
+            last = line
+            self.rows += 1
+        if self.rows:
+            self._ends.append(last)
+        self._reading = self._lines()
+        self._position = 0
+        self._held: tuple[int, int, Array] = (-1, -1, np.empty((0, 0)))
+
+    def take_clock(self, unit: str) -> tuple[float, float]:
+        """Take the first column for times in a unit; give the rate in Hz and the first time in s."""
+        where = f"{self._path}: the times in its first column"
+        try:
+            scale = parse(f"1 {unit}", TIME) if unit else 1.0
+        except ValueError as error:
+            raise RecordingError(f"{where}: {error}; expected a unit of time such as s or ms") from None
+        if self.rows < 2:
+            raise RecordingError(f"{where}: {self.rows} line of numbers; expected at least 2")
+        rows = [self._row(0, line) for line in (self._ends[0], self._ends[-1])]
+        begin, end = (float(row[0]) * scale for row in rows)
+        digits = max(_digits(_cells(line, self._layout.delimiter)[0]) for line in self._ends)
+        resolution = 10.0 ** (np.floor(np.log10(max(abs(begin), abs(end), 1e-300))) + 1 - digits)
+        rate = rate_between(begin, end, self.rows, resolution, where)
+        self._clock = begin, rate, resolution, scale
+        return rate, begin
+
+    def column(self, index: int) -> Callable[[int, int], Array]:
+        """Give the reader of a column."""
+        return lambda start, stop: self.read(start, stop)[:, index]
+
+    def read(self, start: int, stop: int) -> Array:
+        """Read lines of numbers from one to another, shape (lines, columns)."""
+        if self._held[:2] == (start, stop):
+            return self._held[2]
+        if start < self._position:
+            self._reading, self._position = self._lines(), 0
+        for _ in islice(self._reading, start - self._position):
+            pass
+        lines = list(islice(self._reading, stop - start))
+        self._position = start + len(lines)
+        values = self._parsed(lines)
+        if self._clock is not None:
+            begin, rate, resolution, scale = self._clock
+            even(
+                values[:, 0] * scale,
+                start,
+                begin,
+                rate,
+                resolution,
+                f"{self._path}: the times in its first column",
+            )
+        self._held = start, stop, values
+        return values
+
+    def _lines(self) -> Iterator[tuple[int, str]]:
+        """Yield the lines of numbers with their numbers in the file, from 1."""
+        self._file.seek(0)
+        number = 0
+        while line := self._file.readline(_LONGEST_LINE):
+            number += 1
+            if number > self._layout.heading and line.strip():
+                yield number, line
+
+    def _parsed(self, lines: list[tuple[int, str]]) -> Array:
+        texts = [line.replace(",", ".") if self._layout.decimal_comma else line for _, line in lines]
+        width = len(self._layout.names)
+        try:
+            values = np.loadtxt(texts, delimiter=self._layout.delimiter, comments=None, ndmin=2)
+            if values.shape == (len(lines), width):
+                return values
+        except ValueError:
+            pass
+        return np.array([self._row(number, line) for number, line in lines]).reshape(-1, width)
+
+    def _row(self, number: int, line: str) -> list[float]:
+        """Read a line, a cell without anything in it as NaN; the message of a bad one says where."""
+        cells = _cells(line, self._layout.delimiter)
+        width = len(self._layout.names)
+        where = f"{self._path}, line {number}" if number else f"{self._path}, its first or last line"
+        if len(cells) != width:
+            raise RecordingError(
+                f"{where}: {len(cells)} columns; expected {width}, as in the first line of numbers"
+            )
+        row = []
+        for column, cell in enumerate(cells, 1):
+            value = _value(cell, self._layout.decimal_comma)
+            if value is None:
+                raise RecordingError(f"{where}, column {column}: {cell!r:.40} is no number")
+            row.append(value)
+        return row
+
+
+def _layout(path: Path) -> Layout:
+    """Find out how a table is written from its beginning."""
+    with path.open("rb") as binary:
+        begin = binary.read(1 << 18)
+    if b"\0" in begin and not begin.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise RecordingError(f"{path} is no text; expected a table of numbers")
+    encoding = "utf-16" if begin.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
+    try:
+        text = begin.decode(encoding)
+    except UnicodeDecodeError as error:
+        # The end may be within a character.
+        encoding = encoding if error.start > len(begin) - 4 else "cp1252"
+        text = begin.decode(encoding, errors="replace")
+    lines = text.splitlines()[:_LONGEST_HEADING]
+    for heading, line in enumerate(lines):
+        for delimiter in ("\t", ";", ",", None):
+            cells = _cells(line, delimiter)
+            comma = delimiter != "," and "," in line
+            values = [_value(cell, comma) for cell in cells]
+            # A comma between blanks may part columns or decimals; where it parts columns, all cells are numbers, too.
+            if len(cells) >= (1 if delimiter is None else 2) and _are_numbers(values):
+                names, units = _heading(lines[:heading], delimiter, len(cells))
+                return Layout(encoding, delimiter, comma, heading, names, units)
+    raise RecordingError(
+        f"{path}: no line of numbers among its first {len(lines)} lines; expected a table of numbers"
+    )
+
+
+def _are_numbers(values: list[float | None]) -> bool:
+    return None not in values and any(value == value for value in values)
+
+
+def _heading(lines: list[str], delimiter: str | None, width: int) -> tuple[list[str], list[str]]:
+    """Take names and units from the lines above the numbers."""
+    above = [
+        _cells(line.lstrip("#%").strip() if line[:1] in "#%" else line, delimiter)
+        for line in lines
+        if line.strip()
+    ]
+    rows = [row for row in above[-2:] if len(row) == width]
+    if not rows or len(above[-1]) != width:
+        return [f"column {number}" for number in range(1, width + 1)], [""] * width
+    if (
+        len(rows) == 2
+        and all(_UNIT_BEHIND.fullmatch(cell) is None for cell in rows[0])
+        and _are_units(rows[1])
+    ):
+        return [cell or f"column {k}" for k, cell in enumerate(rows[0], 1)], [
+            cell.strip("[]()") for cell in rows[1]
+        ]
+    names, units = [], []
+    for number, cell in enumerate(rows[-1], 1):
+        found = _UNIT_BEHIND.fullmatch(cell) or _SUFFIX.fullmatch(cell)
+        names.append((found[1] if found else cell) or f"column {number}")
+        units.append(found[2].strip() if found else "")
+    return names, units
+
+
+def _are_units(cells: list[str]) -> bool:
+    """Whether a line can be one of units: nothing in it is longer than a unit, and it says seconds or several."""
+    return all(len(cell) <= 12 for cell in cells) and cells[0].strip("[]()") in (
+        "s",
+        "ms",
+        "us",
+        "sec",
+        "Seconds",
+        "",
+    )
+
+
+def _cells(line: str, delimiter: str | None) -> list[str]:
+    if delimiter is None:
+        return line.split()
+    (row,) = list(csv.reader([line.rstrip("\r\n")], delimiter=delimiter)) or [[]]
+    return [cell.strip() for cell in row]
+
+
+def _value(cell: str, decimal_comma: bool) -> float | None:
+    """Read a cell: a number, NaN for nothing; None if it is neither."""
+    if not cell:
+        return float("nan")
+    try:
+        return float(cell.replace(",", ".") if decimal_comma else cell)
+    except ValueError:
+        return None
+
+
+def _digits(cell: str) -> int:
+    """Count the digits that a number is written with, without zeros in front.
+
+    >>> _digits("0.0125"), _digits("1.250E-2"), _digits("-12")
+    (3, 4, 2)
+    """
+    mantissa = re.split("[eE]", cell)[0]
+    return len(re.sub(r"\D", "", mantissa).lstrip("0"))

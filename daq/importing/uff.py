@@ -1,0 +1,145 @@
+"""Data sets 58 of Universal Files, in text and binary (58b), as pyuff reads them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from daq.importing.signal import Signal, clock_of_times, held, rate_of_interval
+from rig.errors import RecordingError, RunError
+
+TIME_RESPONSE, FRF, COHERENCE, GENERAL = 1, 4, 6, 0
+# Units that a label leaves out, by the kind of the data, where data set 164 says that the file is in SI.
+UNITS = {8: "m", 11: "m/s", 12: "m/s^2", 9: "N", 13: "N"}
+_TIME, _SI = 17, 1
+_DIRECTIONS = {1: "+X", 2: "+Y", 3: "+Z", 4: "+RX", 5: "+RY", 6: "+RZ"}
+
+
+def uff_signals(path: Path) -> list[Signal]:
+    """List the time responses of a Universal File; they are held in memory."""
+    sets = functions(path)
+    times = [each for each in sets if _is_time(each)]
+    if not times:
+        other = Counter(int(each["func_type"]) for each in sets)
+        hint = "; it holds frequency responses: `analysis modes` takes it as it is" if other[FRF] else ""
+        raise RecordingError(f"{path} holds no time response (data set 58, function type 1){hint}")
+    names = [title(each) for each in times]
+    return [
+        _signal(path, number, name if names.count(name) == 1 else f"{name} #{number}", each)
+        for number, (name, each) in enumerate(zip(names, times, strict=True), 1)
+    ]
+
+
+def functions(path: Path) -> list[dict[str, Any]]:
+    """Read all data sets 58 of a Universal File; in each ``si`` says whether the file states that it is in SI.
+
+    Raises
+    ------
+    RecordingError
+        If there are none, or the file is damaged.
+    RunError
+        If pyuff is not installed.
+    """
+    try:
+        import pyuff
+    except ImportError:
+        raise RunError("Universal Files need the package pyuff: pip install 'shotrig[export]'") from None
+    found: list[dict[str, Any]] = []
+    units = None
+    try:
+        file = pyuff.UFF(str(path))
+        kinds = [int(kind) for kind in file.get_set_types()]
+    except Exception as error:
+        raise RecordingError(f"{path} is no Universal File, or it is damaged: {error!s:.200}") from error
+    for index, kind in enumerate(kinds):
+        if kind not in (58, 164):
+            continue
+        try:
+            one = file.read_sets(index)
+            if kind == 164:
+                units = int(one["units_code"])
+            else:
+                found.append(_checked(one))
+        except Exception as error:
+            raise RecordingError(
+                f"{path}: its data set {index + 1}, a {kind}, cannot be read: the file is cut off or damaged "
+                f"({error!s:.100})"
+            ) from error
+    if not found:
+        held = ", ".join(map(str, sorted(set(kinds) - {0}))) or "none"
+        raise RecordingError(f"{path} holds no data set 58 (functions); its data sets: {held}")
+    for each in found:
+        each["si"] = units == _SI
+    return found
+
+
+def _checked(one: dict[str, Any]) -> dict[str, Any]:
+    data, stated = np.asarray(one["data"]), int(one["num_pts"])
+    if data.size != stated:
+        raise RecordingError(f"{stated} values are stated, {data.size} are there")
+    return one
+
+
+def title(each: Mapping[str, Any]) -> str:
+    """Name a function: what stands first in its first line, or its node and direction."""
+    first = str(each["id1"]).partition(":")[0].strip()
+    return first if first and first.upper() != "NONE" else point(each, "rsp")
+
+
+def point(each: Mapping[str, Any], which: str) -> str:
+    """Name the node and direction of a response (``rsp``) or reference (``ref``): ``3 +Z``."""
+    way = int(each[f"{which}_dir"])
+    sign = _DIRECTIONS.get(abs(way), "")
+    return f"{int(each[f'{which}_node'])} {sign if way >= 0 else sign.replace('+', '-')}".strip()
+
+
+def label(each: Mapping[str, Any], axis: str) -> str:
+    """Give the unit of an axis as its label says it, or as its kind does in a file in SI; empty if neither does."""
+    text = str(each.get(f"{axis}_axis_units_lab", "")).strip()
+    if text and text.upper() != "NONE":
+        return text
+    return UNITS.get(int(each.get(f"{axis}_spec_data_type", 0)), "") if each["si"] else ""
+
+
+def _is_time(each: Mapping[str, Any]) -> bool:
+    kind = int(each["func_type"])
+    return kind == TIME_RESPONSE or (kind == GENERAL and int(each["abscissa_spec_data_type"]) == _TIME)
+
+
+def _signal(path: Path, number: int, name: str, each: Mapping[str, Any]) -> Signal:
+    data = held(np.asarray(each["data"]), str(path), number, name)
+    where = f"{path}: times of {name!r}"
+    if int(each["abscissa_spacing"]):
+        interval, start = float(each["abscissa_inc"]), float(each["abscissa_min"])
+        try:
+            rate = _stated_rate(each) or rate_of_interval(interval, _last_digit(interval) / 2)
+        except RecordingError as error:
+            raise RecordingError(f"{where}: {error}") from None
+    else:
+        times = np.asarray(each["x"], dtype=float)
+        rate, start = clock_of_times(times, _last_digit(float(abs(times).max(initial=0.0))), where)
+
+    def read(first: int, stop: int) -> np.ndarray:
+        return data[first:stop]
+
+    return Signal(path.name, number, name, label(each, "ordinate"), data.size, rate, read, start)
+
+
+def _stated_rate(each: Mapping[str, Any]) -> float | None:
+    """Read the exact rate that `analysis export` writes in the fourth line, where there is one."""
+    words = str(each.get("id4", "")).split()
+    if len(words) == 4 and words[:2] == ["sample", "rate"] and words[3] == "Hz":
+        try:
+            return float(words[2])
+        except ValueError:
+            return None
+    return None
+
+
+def _last_digit(number: float) -> float:
+    """Size of the last digit of a number that is written with six (E13.5)."""
+    return 0.0 if number == 0 else 10.0 ** (np.floor(np.log10(abs(number))) - 5)

@@ -1,0 +1,54 @@
+"""Units as measurement programs spell them."""
+
+from __future__ import annotations
+
+import re
+
+from daq.signal_chain.channel import Quantity
+from rig.scene.quantities import ACCELERATION, FORCE, LENGTH, VELOCITY, VOLTAGE, Kind, parse
+
+KINDS: dict[Quantity, Kind] = {
+    "acceleration": ACCELERATION,
+    "velocity": VELOCITY,
+    "displacement": LENGTH,
+    "force": FORCE,
+    "voltage": VOLTAGE,
+}
+_SPELLED = {
+    "volts": "V", "volt": "V", "v": "V", "millivolts": "mV", "mv": "mV",
+    "newtons": "N", "newton": "N", "n": "N", "kn": "kN",
+    "pounds": "4.4482216152605 N", "lbf": "4.4482216152605 N", "lb": "4.4482216152605 N",
+    "g's": "g", "gs": "g", "gn": "g", "g_n": "g", "gee": "g",
+    "meters/second^2": "m/s^2", "m/s/s": "m/s^2", "meters": "m", "inches": "inch", "in": "inch",
+    "meters/second": "m/s", "inches/second": "inch/s", "in/s": "inch/s", "in/s^2": "inch/s^2",
+}  # fmt: skip
+
+
+def meaning(unit: str) -> tuple[Quantity, float]:
+    """Say what a unit, or a number of units, measures and how large it is in SI.
+
+    Raises
+    ------
+    ValueError
+        If it is none of acceleration, velocity, displacement, force or voltage.
+
+    Examples
+    --------
+    >>> meaning("g"), meaning("m/s2"), meaning("Volts"), meaning("2.5 mm")
+    (('acceleration', 9.80665), ('acceleration', 1.0), ('voltage', 1.0), ('displacement', 0.0025))
+    """
+    plain = re.sub(r"\bsec\b|\bsecond\b", "s", unit.strip())
+    plain = re.sub(r"(?<=[a-z])\s*(?:\*\*|\^)?\s*\(?2\)?$", "^2", plain)
+    known = _SPELLED.get(plain.lower(), plain)
+    written = known if re.match(r"[+-]?\.?\d", known) else f"1 {known}"
+    for quantity, kind in KINDS.items():
+        try:
+            size = parse(written, kind)
+        except ValueError:
+            continue
+        if size > 0 and known and kind.carries(size) and not re.fullmatch(r"[\d.eE+-]*", known):
+            return quantity, size
+    raise ValueError(
+        f"unit {unit!r} is none that is known; expected one of acceleration, velocity, displacement, force or voltage, "
+        "such as m/s^2, g, mm, N, mV, or what one in the file means, such as 5 V"
+    )

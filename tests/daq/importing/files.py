@@ -1,0 +1,128 @@
+"""The same time histories in every format, written by the packages that others write them with."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import nptdms
+import numpy as np
+import pyuff
+from mcap.writer import Writer
+from scipy.io import savemat, wavfile
+
+import rig
+from rig.scene.scene import Scene
+
+RATE = 2048.0
+NAMES = ("body1", "body2", "force")
+UNITS = ("g", "m/s^2", "N")
+IN_SI = np.array([[9.80665], [1.0], [1.0]])
+
+
+def bench(
+    test: str = "{kind: random, from: 5 Hz, to: 400 Hz, duration: 4 s, force: 1 N}", more: str = ""
+) -> Scene:
+    return rig.loads(f"""
+structure: {{masses: [1 kg, 2 kg], springs: [10 kN/m, 20 kN/m]}}
+shaker: {{kind: force, body: 1}}
+test: {test}
+channels:
+  - {{name: body1, at: body 1, accelerometer: {{sensitivity: 10 mV/g}}}}
+  - {{name: body2, at: body 2, accelerometer: {{sensitivity: 10 mV/g}}}}
+  - {{name: force, at: {"hammer" if "impulse" in test else "shaker"}, hammer: {{sensitivity: 2 mV/N}}}}
+{more}
+""")
+
+
+def histories(samples: int = 5000, seed: int = 1) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal((3, samples))
+
+
+def tdms(path: Path, rows: np.ndarray) -> None:
+    with nptdms.TdmsWriter(str(path)) as writer:
+        # Several segments, as drivers write while they acquire.
+        for part in np.array_split(np.arange(rows.shape[1]), 3):
+            writer.write_segment(
+                [
+                    nptdms.ChannelObject(
+                        "Measured",
+                        name,
+                        row[part],
+                        {"wf_increment": 1.0 / RATE, "unit_string": unit, "wf_samples": 1},
+                    )
+                    for name, unit, row in zip(NAMES, UNITS, rows, strict=True)
+                ]
+            )
+
+
+def uff(path: Path, rows: np.ndarray, binary: int = 0) -> None:
+    file = pyuff.UFF(str(path))
+    for number, (name, unit, row) in enumerate(zip(NAMES, UNITS, rows, strict=True), 1):
+        file.write_sets(
+            {
+                "type": 58, "binary": binary, "func_type": 1, "id1": name, "rsp_node": number, "rsp_dir": 3,
+                "ref_node": 0, "ref_dir": 0, "abscissa_spacing": 1, "abscissa_spec_data_type": 17,
+                "ordinate_spec_data_type": 12, "ordinate_axis_units_lab": unit, "orddenom_spec_data_type": 0,
+                "data": row, "x": np.arange(row.size) / RATE,
+            },
+            mode="add",
+        )  # fmt: skip
+
+
+def csv(path: Path, rows: np.ndarray) -> None:
+    heading = ",".join(["time [s]", *(f"{name} [{unit}]" for name, unit in zip(NAMES, UNITS, strict=True))])
+    np.savetxt(
+        path, np.vstack([np.arange(rows.shape[1]) / RATE, rows]).T, "%.9g", ",", header=heading, comments=""
+    )
+
+
+def german(path: Path, rows: np.ndarray) -> None:
+    """Semicolons, decimal commas, a line of units, Windows' characters."""
+    lines = ["Messung für Müller;;;", "Zeit;" + ";".join(NAMES), "ms;" + ";".join(UNITS)]
+    for k, row in enumerate(rows.T):
+        lines.append(";".join(f"{value:.9g}" for value in (1000 * k / RATE, *row)).replace(".", ","))
+    path.write_text("\r\n".join(lines), encoding="cp1252")
+
+
+def npz(path: Path, rows: np.ndarray) -> None:
+    members = dict(zip(NAMES, rows, strict=True))
+    np.savez(path, fs=RATE, channels=np.array(NAMES), units=np.array(UNITS), **members)
+
+
+def mat(path: Path, rows: np.ndarray) -> None:
+    units = {"channels": np.array(NAMES), "units": np.array(UNITS)}
+    savemat(path, {**dict(zip(NAMES, rows, strict=True)), "t": np.arange(rows.shape[1]) / RATE, **units})
+
+
+def wav(path: Path, rows: np.ndarray) -> None:
+    wavfile.write(path, int(RATE), (rows / 8.0).T.astype(np.float32))
+
+
+def mcap(path: Path, rows: np.ndarray) -> None:
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        for name, unit, row in zip(NAMES, UNITS, rows, strict=True):
+            channel = writer.register_channel(f"/{name}", "json", 0, {"unit": unit})
+            for first in range(0, row.size, 500):
+                data = json.dumps(
+                    {"sample_rate": RATE, "samples": row[first : first + 500].tolist()}
+                ).encode()
+                time = round(first / RATE * 1e9)
+                writer.add_message(channel, time, data, time)
+        writer.finish()
+
+
+WRITERS: dict[str, tuple[str, Callable[[Path, np.ndarray], None], float]] = {
+    "tdms": (".tdms", tdms, 0.0),
+    "uff text": (".uff", uff, 1e-11),
+    "uff binary": (".uff", lambda path, rows: uff(path, rows, 1), 0.0),
+    "csv": (".csv", csv, 1e-8),
+    "german": (".txt", german, 1e-8),
+    "npz": (".npz", npz, 0.0),
+    "mat": (".mat", mat, 0.0),
+    "wav": (".wav", wav, 1e-6),
+    "mcap": (".mcap", mcap, 0.0),
+}

@@ -1,0 +1,210 @@
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+from scipy.io import wavfile
+from typer.testing import CliRunner
+
+import daq
+from daq.cli import app
+from daq.importing.channel_table import Column
+from rig.errors import RecordingError, SceneError
+from tests.daq.importing.files import IN_SI, NAMES, RATE, WRITERS, bench, csv, histories, tdms
+
+# pyuff leaves a binary file open that it wrote.
+pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+# A WAV file knows full scale only, and no names.
+TRACKS = {
+    name: Column(str(number), unit=unit)
+    for number, (name, unit) in enumerate(zip(NAMES, ("78.4532 m/s^2", "8 m/s^2", "8 N"), strict=True), 1)
+}
+
+
+def imported(files, scene, path, **options) -> tuple[daq.Recording, list[str]]:
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        recording = daq.open(daq.import_files(files, scene, path, **options))
+    return recording, [str(each.message) for each in heard]
+
+
+@pytest.mark.parametrize("form", WRITERS)
+def test_given_a_file_of_another_program_when_imported_then_its_samples_and_rate_are_there(form, tmp_path):
+    ending, write, error = WRITERS[form]
+    rows = histories()
+    write(tmp_path / f"a{ending}", rows)
+    table = TRACKS if form == "wav" else None
+    recording, heard = imported(tmp_path / f"a{ending}", bench(), tmp_path / "r.mcap", table=table)
+    with recording:
+        assert recording.rate == RATE and not heard
+        read = np.array([recording.read(name) for name in NAMES])
+        np.testing.assert_allclose(
+            read, rows * IN_SI, rtol=0, atol=max(error, 1e-15) * abs(rows * IN_SI).max()
+        )
+        assert [marker.kind for marker in recording.markers] == ["measure"]
+        assert recording.markers[0].fields == {"from": 5.0, "to": 400.0}
+        assert recording.scene.channels == bench().channels and recording.scene.converter.rate == RATE
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.int16, "int24", np.int32, np.float32, np.float64])
+def test_given_sound_of_any_depth_when_imported_then_full_scale_is_the_converters_range(kind, tmp_path):
+    rows = np.random.default_rng(3).uniform(-0.9, 0.9, (2, 3000))
+    path = tmp_path / "a.wav"
+    if kind == "int24":
+        _write_24_bits(path, rows)
+    elif np.dtype(kind).kind == "f":
+        wavfile.write(path, 2048, rows.T.astype(kind))
+    else:
+        half = 2.0 ** (8 * np.dtype(kind).itemsize - 1)
+        wavfile.write(path, 2048, np.rint(rows.T * half + (128 if kind is np.uint8 else 0)).astype(kind))
+    scene = bench(more="converter: {range: 5 V}")
+    table = {"body1": Column("1", sensitivity="100 mV/g"), "body2": Column("2", unit="2 V", sign=-1)}
+    if np.dtype(kind if kind != "int24" else "i4").kind == "f":
+        table["body1"] = Column("1", unit="5 V", sensitivity="100 mV/g")
+    recording, _ = imported(path, scene, tmp_path / "r.mcap", table=table)
+    with recording:
+        step = 2.0 ** (-7 if kind is np.uint8 else -15 if kind is np.int16 else -22)
+        volts = recording.read("body1") * 0.1 / 9.80665, recording.read("body2") * 0.01 / 9.80665
+        assert np.abs(volts[0] / 5.0 - rows[0]).max() <= step
+        assert np.abs(volts[1] / -2.0 - rows[1]).max() <= step
+
+
+def _write_24_bits(path, rows):
+    """As measurement cards do: the extensible form, three bytes a sample."""
+    whole = np.ascontiguousarray(np.rint(rows.T * 2**23).astype("<i4"))
+    data = whole.view(np.uint8).reshape(*whole.shape, 4)[..., :3].tobytes()
+    guid = bytes.fromhex("0100000000001000800000aa00389b71")
+    form = np.array([0xFFFE, 2], "<u2").tobytes() + np.array([2048, 2048 * 6], "<u4").tobytes()
+    form += np.array([6, 24, 22, 24], "<u2").tobytes() + np.array([3], "<u4").tobytes() + guid
+    chunk = b"fmt " + np.array([len(form)], "<u4").tobytes() + form
+    chunk += b"LIST" + np.array([3], "<u4").tobytes() + b"odd\0"
+    chunk += b"data" + np.array([len(data)], "<u4").tobytes() + data
+    path.write_bytes(b"RIFF" + np.array([4 + len(chunk)], "<u4").tobytes() + b"WAVE" + chunk)
+
+
+def test_given_hits_that_nobody_marked_when_imported_then_they_are_found_in_the_force(tmp_path):
+    rows = 1e-3 * histories(12000)
+    pulse = np.sin(np.pi * np.arange(1, 9) / 9)
+    for at, size in ((1000, 80.0), (1060, 20.0), (5000, 50.0), (9000, 30.0)):
+        rows[2, at : at + 8] -= size * pulse
+    csv(tmp_path / "a.csv", rows)
+    scene = bench("{kind: impulse, body: 2, peak: 50 N, width: 4 ms}")
+    recording, heard = imported(tmp_path / "a.csv", scene, tmp_path / "r.mcap")
+    with recording:
+        hits = [marker for marker in recording.markers if marker.kind == "hit"]
+        assert [round(hit.first_sample, -2) for hit in hits] == [1000, 5000, 9000]
+        assert all(
+            hit.first_sample < at and hit.end >= at + 7
+            for hit, at in zip(hits, (1000, 5000, 9000), strict=True)
+        )
+    assert any("3 hits found" in note for note in heard)
+
+
+def test_given_clipped_and_lost_samples_when_imported_then_each_is_marked_and_told(tmp_path):
+    rows = 20.0 * np.sin(0.05 * np.arange(4000)) + np.zeros((3, 1))
+    rows += 0.1 * histories(4000)
+    rows[1] = np.clip(rows[1], -15.0, 15.0)
+    rows[0, 700:720] = np.nan
+    csv(tmp_path / "a.csv", rows)
+    recording, heard = imported(tmp_path / "a.csv", bench(), tmp_path / "r.mcap")
+    with recording:
+        clipped = np.zeros(4000, bool)
+        for marker in recording.overloads:
+            assert marker.fields["channel"] == "body2"
+            clipped[marker.first_sample : marker.stop] = True
+        flat = np.flatnonzero(abs(rows[1]) == 15.0)
+        assert clipped[flat].mean() > 0.95 and clipped.sum() < 1.2 * flat.size
+        (gap,) = recording.gaps
+        assert (gap.first_sample, gap.last_sample, gap.channels) == (700, 719, ("body1",))
+        assert np.array_equal(np.isnan(recording.read("body1")), np.isnan(rows[0]))
+    assert any("clipped" in note for note in heard) and any("lost" in note for note in heard)
+
+
+def test_given_a_smooth_coarse_signal_when_imported_then_its_rounded_tops_are_no_overload(tmp_path):
+    rows = np.round(40.0 * np.sin(0.003 * np.arange(20000))) + np.zeros((3, 1))
+    csv(tmp_path / "a.csv", rows)
+    recording, _ = imported(tmp_path / "a.csv", bench(), tmp_path / "r.mcap")
+    with recording:
+        assert not recording.overloads
+
+
+def test_given_files_longer_than_memory_is_to_hold_when_imported_then_pieces_join_without_a_seam(tmp_path):
+    rows = histories(200_000)
+    tdms(tmp_path / "a.tdms", rows)
+    recording, _ = imported(tmp_path / "a.tdms", bench(), tmp_path / "r.mcap")
+    with recording:
+        np.testing.assert_allclose(recording.read("force"), rows[2], rtol=1e-15)
+
+
+def test_given_two_files_of_one_test_when_imported_then_channels_come_from_both(tmp_path):
+    rows = histories()
+    tdms(tmp_path / "a.tdms", rows)
+    csv(tmp_path / "b.csv", rows[:, :4000])
+    table = {"body1": Column("body1"), "force": Column("force", file="b.csv")}
+    with pytest.raises(SceneError, match=r"several signals are called 'body1': a.tdms .* b.csv"):
+        imported([tmp_path / "a.tdms", tmp_path / "b.csv"], bench(), tmp_path / "r.mcap", table=table)
+    table["body1"] = Column("body1", file="a")
+    table["body2"] = Column("body2", file="a")
+    recording, heard = imported(
+        [tmp_path / "a.tdms", tmp_path / "b.csv"], bench(), tmp_path / "r.mcap", table=table
+    )
+    with recording:
+        assert recording.samples == 5000 and recording.gaps[0].first_sample == 4000
+    assert any("force (4000)" in note for note in heard)
+
+
+TABLES = {
+    "channels: [body1": "valid YAML",
+    "- body1": "expected a line for each channel",
+    "": "names no channel",
+    "body1: {columns: 1}": r"unknown key 'columns'.*column\?",
+    "body1: {unit: g}": "column missing",
+    "body1: {column: 1, sign: up}": "expected 1 or -1",
+    "body1: {column: 1, offset: little}": "expected a number",
+    "body1: {column: 1, delay: 2 kg}": "expected a time",
+    "body1: {column: 1, rate: -3}": "expected a frequency",
+    "body1: {column: 1, unit: furlong}": "none that is known",
+    "body1: {column: 1, sensitivity: 100 mV/g}": "not in volts",
+    "body1: {column: 1, unit: V, sensitivity: 1 kg}": "no unit of voltage per acceleration",
+    "body1: {column: 3}\nforce: {column: 1}": "columns swapped, or a wrong unit",
+    "body1: {column: 7}": "no column '7'; there are 1: body1",
+    "body1: {column: 1, file: z.csv}": "file 'z.csv' is none of a.csv",
+    "bodi1: {column: 1}": r"no channel of the scene.*body1\?",
+    "body1: 1\nbody2: 1": "one signal for both",
+    "body1: {column: 1, rate: 10}\nbody2: {column: 2, rate: 20}": "several rates",
+}
+
+
+@pytest.mark.parametrize("text", TABLES)
+def test_given_a_table_that_is_wrong_when_imported_then_it_is_refused_in_words(text, tmp_path):
+    csv(tmp_path / "a.csv", histories(100))
+    (tmp_path / "t.yaml").write_text(text)
+    with pytest.raises(SceneError, match=TABLES[text]):
+        imported(tmp_path / "a.csv", bench(), tmp_path / "r.mcap", table=tmp_path / "t.yaml")
+    assert not (tmp_path / "r.mcap").exists()
+
+
+def test_given_rates_that_contradict_when_imported_then_it_is_refused_and_says_what_to_do(tmp_path):
+    csv(tmp_path / "a.csv", histories(100))
+    with pytest.raises(SceneError, match=r"files say 2048 Hz.*5120 Hz; correct.*converter.rate=2048Hz"):
+        imported(tmp_path / "a.csv", bench(more="converter: {rate: 5120 Hz}"), tmp_path / "r.mcap")
+    table = {name: Column(name, rate=5120.0) for name in NAMES}
+    recording, _ = imported(
+        tmp_path / "a.csv", bench(more="converter: {rate: 5120 Hz}"), tmp_path / "r.mcap", table=table
+    )
+    with recording:
+        assert recording.rate == 5120.0
+
+
+def test_given_files_when_typed_then_listed_imported_and_never_overwritten(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    csv(tmp_path / "a.csv", histories(3000))
+    (tmp_path / "bench.yaml").write_text(bench().to_yaml().replace("rate: 5120.0 Hz", "rate: 2048 Hz"))
+    listed = CliRunner().invoke(app, ["import", "a.csv"])
+    assert 'signal1: {column: "body1", unit: "g"}  # 3000 samples at 2048 Hz' in listed.output
+    words = ["import", "a.csv", "--scene", "bench.yaml"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0 and "3000 samples of 3 channels" in done.output, done.output
+    again = CliRunner().invoke(app, words)
+    assert isinstance(again.exception, RecordingError) and "exists" in str(again.exception)

@@ -164,13 +164,13 @@ def _assigned(scene: Scene, chosen: Choice, rate: float, skew: float) -> Assigne
 def described(scene: Scene, channel: Channel, rate: float, delay: float) -> ChannelInfo:
     """Describe a real channel by its data sheets.
 
-    Averaging over the sample interval is how converters without a filter are simulated, and none does; the filter's
-    delay belongs to all channels and cannot be seen in a file.
+    Averaging over the sample interval is how converters are simulated of which a scene says nothing; a real one does it
+    only if the scene says so. The filter's delay belongs to all channels and cannot be seen in a file.
     """
     settings = input_settings(scene.converter, channel).replace(excitation=None, remove_delay=True)
     line = stages(channel, settings, scene.seed)
     info = channel_info(channel.name, channel.at, line, settings, SampleClock(rate, rate), delay)
-    return replace(info, average=False, range=settings.range)
+    return replace(info, average=settings.sampling == "average", range=settings.range)
 
 
 def _sensitivity(channel: Channel, info: ChannelInfo, column: Column) -> float:

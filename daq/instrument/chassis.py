@@ -2,8 +2,7 @@
 
 There is an input for every channel of the scene (the hammer's force among them) and an output for every shaker. Time is
 counted in ticks of one clock: what runs together is simultaneous to the tick, and outputs act on the inputs through the
-plant. Inputs that run slower than the clock are divided down from it, outputs hold their samples for as many ticks as
-they last.
+plant. Inputs and outputs of any rate lie on it, in any order of starting: none changes what another sees.
 
 An output keeps its last value when a task ends; what its volts do says `rig.scene.shaker.DRIVE_PER_VOLT`. The bench
 stands still while no task needs it. As long as nobody has ever taken an output, the scene's own test is played, see
@@ -29,7 +28,6 @@ from daq.instrument.engines.generation import Generation, OutputBuffer, OutputPl
 from daq.instrument.engines.input_engine import InputEngine
 from daq.instrument.engines.triggers import OtherTask
 from daq.instrument.errors import Code, DaqError
-from daq.instrument.sample_clock import NeededRate, clock_rate, divides
 
 if TYPE_CHECKING:
     from daq.instrument.bench.sample_source import SampleSource
@@ -53,8 +51,8 @@ class Runner(Protocol):
         """Name of the first device in use."""
 
     @property
-    def rate_needed(self) -> NeededRate | None:
-        """Rate its clock is set to; None on demand."""
+    def sample_rate(self) -> float | None:
+        """Rate at which it samples its inputs; None on demand, or without inputs."""
 
     def horizon(self) -> int:
         """Count the ticks that may pass before `passed` has to be called."""
@@ -74,8 +72,8 @@ class Chassis:
     ----------
     modules : sequence of Module
         What scripts find, a chassis included.
-    switch_on : callable
-        Makes the bench at a rate, at rest; `switch_on(None)` at the rate it has by itself.
+    source : SampleSource
+        The bench, at rest.
     clock : Clock
         What lets its time pass.
 
@@ -84,42 +82,30 @@ class Chassis:
     devices : DeviceList
         What scripts find.
     position : int
-        Ticks that have passed since the bench was switched on; a change of its rate switches it on anew.
+        Ticks that have passed since the bench was switched on.
     changed : threading.Condition
         Notified when samples have passed; its lock guards everything here.
     listeners : list of callable
-        Called with every block of the bench and its rate: the scope, a recording.
+        Called with every block of the bench at its own sample rate: the scope, a recording.
     """
 
-    def __init__(
-        self, modules: Sequence[Module], switch_on: Callable[[float | None], SampleSource], clock: Clock
-    ) -> None:
-        self.devices = DeviceList(modules)
+    def __init__(self, modules: Sequence[Module], source: SampleSource, clock: Clock) -> None:
+        self.devices, self.source = DeviceList(modules), source
         self.clock = clock
         self.changed = threading.Condition(threading.RLock())
         self.listeners: list[Callable[[SampleSource, Any], None]] = []
         self.inputs: dict[Runner, InputEngine] = {}
         self.outputs: dict[Runner, Generation] = {}
-        self._make = switch_on
         self._output_taken = False
-        self._passed = 0.0
         self._alarms: list[tuple[float, Callable[[], None]]] = []
         self._reserved: dict[Runner, tuple[Hashable, ...]] = {}
         self._awake: weakref.WeakSet[Any] = weakref.WeakSet()
         self.tasks: dict[str, Runner] = {}
         self.position = 0
-        self._switch_on(None)
-        self.held = np.zeros(len(self.source.drive_per_volt))
-
-    def _switch_on(self, rate: float | None) -> None:
-        self._passed = self.elapsed if self.position else self._passed
-        self.source = self._make(rate)
-        if self._output_taken:
-            self.source.leave_outputs()
-        self.position = 0
         # Ticks at which the clock on the wall was looked at, and what it said: the bench stands still at times.
         self._anchors: list[tuple[int, int]] = []
         self.anchor()
+        self.held = np.zeros(len(source.drive_per_volt))
 
     def anchor(self) -> None:
         """Note the time of the tick that comes next; see `Timeline.anchor`."""
@@ -135,7 +121,7 @@ class Chassis:
     @property
     def elapsed(self) -> float:
         """Seconds that have passed on the bench since it was connected."""
-        return self._passed + (self.position / self.rate if self.position else 0.0)
+        return self.position / self.rate
 
     def at(self, seconds: float, action: Callable[[], None]) -> None:
         """Have something done once so many seconds have passed on the bench."""
@@ -144,10 +130,10 @@ class Chassis:
     def pass_time(self, seconds: float) -> None:
         """Let some bench time pass; while no task needs the bench, the wall clock's."""
         with self.changed:
-            source, end = self.source, self.position + round(seconds * self.rate)
+            end = self.position + round(seconds * self.rate)
 
             def over() -> bool:
-                return not self.live or self.source is not source or self.position >= end
+                return not self.live or self.position >= end
 
             if self.live:
                 self.clock.wait(self, over, lambda: end - self.position, -1.0)
@@ -186,7 +172,7 @@ class Chassis:
             self.tasks.pop(task.name, None)
 
     def reserve(self, task: Runner, resources: tuple[Hashable, ...]) -> None:
-        """Reserve what a task needs and set the clock so that it runs at the task's rates.
+        """Reserve what a task needs.
 
         Parameters
         ----------
@@ -198,7 +184,7 @@ class Chassis:
         Raises
         ------
         DaqError
-            With -50103, if another task has it, or what runs would have to be stopped to change the clock.
+            With -50103, if another task has it.
         """
         with self.changed:
             for other, theirs in self._reserved.items():
@@ -209,35 +195,10 @@ class Chassis:
                         f"{other.name!r}; stop or close that task, or put the channels into one task",
                         Code.PAL_RESOURCE_RESERVED,
                     )
-            self._set_clock(task)
             if any(isinstance(each, int) for each in resources) and not self._output_taken:
                 self._output_taken = True
                 self.source.leave_outputs()
             self._reserved[task] = resources
-
-    def _set_clock(self, task: Runner) -> None:
-        """Let the clock tick so that a task's rate divides it, and those of tasks that may run beside it.
-
-        Tasks that are configured but not started count too, as long as one clock makes all their rates. What
-        runs is not disturbed: the clock then stays as it is. Outputs need not divide it, they hold samples.
-        """
-        mine = task.rate_needed
-        if mine is None:
-            return
-        if any(each is not task for each in (*self.inputs, *self.outputs)):
-            if mine.divides and not divides(mine.rate, self.rate):
-                names = ", ".join(repr(each.name) for each in (*self.inputs, *self.outputs))
-                raise DaqError(
-                    f"the resource is reserved: the clock runs at {self.rate:g} S/s for task {names}, {mine.rate:g} "
-                    "S/s does not divide that; start the faster task first, or configure both before starting one",
-                    Code.PAL_RESOURCE_RESERVED,
-                )
-            return
-        others = [each for task in self.tasks.values() if (each := task.rate_needed) is not None]
-        held = [each for task in self._reserved if (each := task.rate_needed) is not None]
-        rate = clock_rate(mine, held, others)
-        if rate != self.rate:
-            self._switch_on(rate)
 
     def release(self, task: Runner) -> None:
         """Give back what a task reserved and run it no more."""
@@ -272,7 +233,7 @@ class Chassis:
 
     def run_input(self, task: Runner, plan: InputPlan) -> InputEngine:
         """Start an acquisition."""
-        self.inputs[task] = InputEngine(plan, self.source, self.position)
+        self.inputs[task] = InputEngine(plan, self.rate, self.position, self.source.dtype)
         return self.inputs[task]
 
     def run_output(self, task: Runner, plan: OutputPlan, buffer: OutputBuffer) -> Generation:
@@ -286,35 +247,37 @@ class Chassis:
 
     # Time
 
-    def advance(self, samples: int) -> None:
+    def advance(self, ticks: int) -> None:
         """Let ticks pass: outputs drive the plant, inputs take what comes, events are told."""
         with self.changed:
-            source, target = self.source, self.position + samples
-            while self.source is source and self.position < target:
+            target = self.position + ticks
+            while self.position < target:
                 self._step(target - self.position)
 
     def _step(self, limit: int) -> None:
         source, tick = self.source, self.position
-        samples = source.horizon(min(limit, _BLOCK))
-        if self._output_waits_on_data():
-            samples = 1
+        ticks = source.horizon(min(limit, _BLOCK, self._ticks_to_output()))
         for task in (*self.inputs, *self.outputs):
-            samples = max(1, min(samples, task.horizon()))
+            ticks = max(1, min(ticks, task.horizon()))
         volts = None
         if self._output_taken:
-            volts = np.repeat(self.held[:, None], samples, axis=1)
+            volts = np.repeat(self.held[:, None], ticks, axis=1)
             for generation in self.outputs.values():
                 rows = list(generation.plan.rows)
-                volts[rows] = generation.produce(tick, samples, self.moment)
+                volts[rows] = generation.produce(tick, ticks, self.moment)
                 self.held[rows] = generation.held
-        block = source.acquire(volts, samples)
-        self.position += samples
+        # Rates of tasks that are only configured count too: their filters go on while they do not run.
+        rates = {rate for task in self.tasks.values() if (rate := task.sample_rate) is not None}
+        rates |= {engine.acquisition.plan.rate for engine in self.inputs.values()}
+        blocks = source.acquire(volts, ticks, rates)
+        self.position += ticks
         # Tasks that wait for others come last.
         waiting = sorted(self.inputs.values(), key=lambda e: isinstance(e.acquisition.plan.start, OtherTask))
         for engine in waiting:
-            self._give(engine, block)
-        for listener in self.listeners:
-            listener(source, block)
+            self._give(engine, blocks[engine.acquisition.plan.rate])
+        own = blocks[source.sample_rate]
+        for listener in self.listeners if own.samples.size else ():
+            listener(source, own)
         self.changed.notify_all()
         curious = [task for task in (*self.inputs, *self.outputs) if task.passed()]
         if curious and not self.clock.runs_free:
@@ -329,7 +292,8 @@ class Chassis:
         if acquisition.done:
             return
         stop = block.first + block.samples.shape[1]
-        lost = [first for first, last in self.source.lost if block.first <= last and first < stop]
+        losses = self.source.lost(acquisition.plan.rate)
+        lost = [first for first, last in losses if block.first <= last and first < stop]
         kept = slice(0, max(0, min(lost) - block.first)) if lost else slice(None)
         engine.take(block.first, block.samples[:, kept], block.overload[:, kept], self.moment)
         if lost and not acquisition.done:
@@ -355,8 +319,8 @@ class Chassis:
                 return found
         return None
 
-    def _output_waits_on_data(self) -> bool:
-        """Whether samples not yet taken may start an output: then time goes by the tick."""
+    def _ticks_to_output(self) -> int:
+        """Count the ticks until the next sample that may start an output; time goes no further at once."""
         waiting = [
             run.plan.start
             for run in self.outputs.values()
@@ -364,11 +328,14 @@ class Chassis:
             and isinstance(run.plan.start, OtherTask)
             and run.plan.start.kind == "ai"
         ]
-        return any(
-            source.reference or run.acquisition.waits_on_data
-            for source in waiting
-            for run in self.inputs.values()
-            if self.moment(source) is None
+        return min(
+            (
+                run.ticks(1, self.position)
+                for source in waiting
+                for run in self.inputs.values()
+                if (source.reference or run.acquisition.waits_on_data) and self.moment(source) is None
+            ),
+            default=_BLOCK,
         )
 
     def fail(self, error: BaseException) -> None:
@@ -392,8 +359,8 @@ class Chassis:
             return False
         self._stop_all(
             DaqError(
-                f"input overflow: this machine simulates the scene {seconds:.0f} s behind real time at "
-                f"{self.rate:g} S/s; lower the rate, simplify the scene or use the fast clock",
+                f"input overflow: this machine simulates the scene {seconds:.0f} s behind real time; lower the "
+                "rates, simplify the scene or use the fast clock",
                 Code.INPUT_FIFO_OVERFLOW_2,
             )
         )

@@ -188,8 +188,10 @@ class RealClock:
     """
 
     runs_free = True
-    # Bench time is brought up to wall time this often, s.
-    TICK = 0.01
+    # Bench time is brought up to wall time this often, s: a reader waits half of it for its last sample.
+    TICK = 0.004
+    # It moves by no more than this at once, s: others have to come by.
+    MOST = 0.04
 
     def __init__(self) -> None:
         self._moving: weakref.WeakSet[Timeline] = weakref.WeakSet()
@@ -246,7 +248,7 @@ def _follow(reference: weakref.ref[Timeline], moving: weakref.WeakSet[Timeline])
             due = origin[1] + (now - origin[0]) * bench.rate // 10**9 - bench.position
             if due > 0:
                 try:
-                    bench.advance(int(min(due, math.ceil(4 * RealClock.TICK * bench.rate))))
+                    bench.advance(int(min(due, math.ceil(RealClock.MOST * bench.rate))))
                 except BaseException as error:
                     moving.discard(bench)
                     bench.fail(error)
@@ -256,10 +258,10 @@ def _follow(reference: weakref.ref[Timeline], moving: weakref.WeakSet[Timeline])
                 compilations += compiled
                 if compiled or bench.lag(due / bench.rate):
                     origin, due = None, 0
-        behind = due > 2 * RealClock.TICK * bench.rate
+        behind = due > RealClock.MOST * bench.rate
         del bench
-        # A bench that is behind goes on at once, but lets others have the lock in between.
-        pause.wait(0.0 if behind else RealClock.TICK)
+        # A bench that is behind goes on almost at once, but lets others have the lock in between.
+        pause.wait(RealClock.TICK / 4 if behind else RealClock.TICK)
 
 
 CLOCKS: dict[str, Callable[[], Clock]] = {"real": RealClock, "fast": FastClock, "manual": ManualClock}

@@ -47,14 +47,10 @@ def connect_scene(scene: rig.Scene | str | Path | None = None, clock: str | Cloc
     chosen = make_clock(clock if clock is not None else os.environ.get("SHOTRIG_CLOCK") or "real")
     loaded = scene if isinstance(scene, rig.Scene) else rig.load(scene)
 
-    def switch_on(rate: float | None) -> SceneSource:
-        source = SceneSource(loaded, rate)
-        if chosen.runs_free:
-            source.warm_up()
-        return source
-
-    first = SceneSource(loaded, None)
-    return Chassis(scene_modules(loaded, first), switch_on, chosen)
+    source = SceneSource(loaded)
+    if chosen.runs_free:
+        source.warm_up()
+    return Chassis(scene_modules(loaded, source), source, chosen)
 
 
 def scene_modules(scene: rig.Scene, source: SceneSource) -> list[Module]:
@@ -120,7 +116,7 @@ def _inputs(scene: rig.Scene, source: SceneSource) -> list[Module]:
         ranges=(float(converter.range),) if converter.range else (),
         bits=converter.bits,
         couplings=order,
-        own_rate=source.rate,
+        own_rate=source.sample_rate,
         on_demand=converter.filter is None,
     )
     if named is None:

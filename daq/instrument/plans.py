@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +12,7 @@ from daq.instrument.engines.acquisition import InputPlan
 from daq.instrument.engines.generation import OutputPlan
 from daq.instrument.engines.triggers import (
     AnalogSource,
-    AtTick,
+    AtTime,
     Condition,
     OtherTask,
     Source,
@@ -22,6 +21,7 @@ from daq.instrument.engines.triggers import (
     window,
 )
 from daq.instrument.errors import Code, DaqError, bad, unsupported
+from daq.instrument.sample_clock import samples_per_tick
 from daq.instrument.values import Overwrite, Slope, TriggerType, WindowCondition
 
 if TYPE_CHECKING:
@@ -139,7 +139,7 @@ def _source(task: TaskSettings, name: str, chassis: Chassis) -> Source | None:
         return digital_source(settings[own("dig_edge:src")], Slope(settings[own("dig_edge:edge")]))
     if kind == TriggerType.TIME:
         late = settings["start_trig_trig_when"] - chassis.time_ns(chassis.position) * 1e-9
-        return AtTick(chassis.position + max(0, round(late * chassis.rate)))
+        return AtTime(chassis.elapsed + max(0.0, late))
     if kind == TriggerType.ANALOG_EDGE:
         crossing = edge(
             Slope(settings[own("anlg_edge:slope")]),
@@ -204,7 +204,7 @@ def input_plan(
     on_demand : int, optional
         Samples to take from now on, whatever the sample clock's settings are.
     """
-    samples, size, rate = on_demand, on_demand or 1, source.rate
+    samples, size, rate = on_demand, on_demand or 1, source.sample_rate
     if on_demand is None:
         samples = task.samples if task.finite else None
         size, rate = task.input_size, task.rate
@@ -240,11 +240,10 @@ def output_plan(
     joins = None
     if start is None and task.groups["timing"]["samp_clk_src"].lower().endswith("ai/sampleclock"):
         start = joins = OtherTask("", "ai", reference=False)
-    ratio = Fraction(task.rate).limit_denominator(10_000) / Fraction(ticks).limit_denominator(10_000)
     plan = OutputPlan(
         rows=tuple(each.row for each in task.channels),
         rate=ticks,
-        per_tick=ratio,
+        per_tick=samples_per_tick(task.rate, ticks),
         samples=task.samples if task.finite else None,
         regenerate=task.regenerates,
         start=start,

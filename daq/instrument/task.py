@@ -17,7 +17,6 @@ from daq.instrument.engines.log import TaskLog, open_log
 from daq.instrument.errors import STOPPED_BEFORE_DONE, Code, DaqError, bad
 from daq.instrument.events import Events, Listener
 from daq.instrument.plans import check_timing, input_plan, output_plan, sources
-from daq.instrument.sample_clock import NeededRate
 from daq.instrument.settings.scales import Scale
 from daq.instrument.settings.task_settings import TaskSettings
 from daq.instrument.values import LoggingMode, TaskMode
@@ -72,12 +71,12 @@ class Task:
     # What it is
 
     @property
-    def rate_needed(self) -> NeededRate | None:
+    def sample_rate(self) -> float | None:
         """See `daq.instrument.chassis.Runner`."""
-        if not self.settings.channels or not self.settings.clocked or self.closed:
+        if self.settings.kind != "ai" or not self.settings.channels or not self.settings.clocked:
             return None
         try:
-            return NeededRate(self.settings.rate, self.settings.kind == "ai")
+            return self.settings.rate
         except DaqError:
             return None
 
@@ -278,7 +277,7 @@ class Task:
         if engine is None or plan is None or plan.samples is None or plan.again:
             return max(1, int(self.chassis.rate / 100))
         run = engine.acquisition
-        return run.missing(plan.samples - run.position) * engine.divisor
+        return engine.ticks(run.missing(plan.samples - run.position), self.chassis.position)
 
     def wait_until_done(self, timeout: float) -> None:
         """Wait until a finite task is done; with -200560, if it is not done in time."""
@@ -332,7 +331,7 @@ class Task:
         engine = self.acquisition
         most = 1 << 62 if self.chassis.clock.runs_free else self._ticks_to_event()
         if engine is not None and self.log is not None and self.log.by_itself and not self.finished:
-            most = min(most, engine.acquisition.plan.buffer * engine.divisor)
+            most = min(most, engine.ticks(engine.acquisition.plan.buffer, self.chassis.position))
         return most
 
     def passed(self) -> bool:
@@ -355,7 +354,9 @@ class Task:
             return 1 << 62
         if self.generation is not None:
             return self.generation.ticks_until(due)
-        return (due - self._samples_passed) * (1 if self.acquisition is None else self.acquisition.divisor)
+        if self.acquisition is None:
+            return 1 << 62
+        return self.acquisition.ticks(due - self._samples_passed, self.chassis.position)
 
     @property
     def answered(self) -> bool:

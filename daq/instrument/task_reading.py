@@ -212,7 +212,7 @@ def collect(
         left = timeout if timeout < 0 else max(0.0, timeout - (chassis.clock.now(chassis) - began))
         ready = chassis.wait(
             lambda: run.done or run.readable - run.position >= piece(),
-            lambda: run.missing(piece()) * engine.divisor,
+            lambda: engine.ticks(run.missing(piece()), chassis.position),
             left,
         )
         if not ready and run.readable <= run.position:
@@ -286,4 +286,4 @@ def time_of_sample(task: Task, sample: int) -> int:
     engine, chassis = task.acquisition, task.chassis
     if engine is None:
         return chassis.time_ns(chassis.position)
-    return chassis.time_ns(engine.acquisition.tick_of(sample) * engine.divisor)
+    return chassis.time_ns(engine.tick_at(engine.acquisition.tick_of(sample)))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from daq.instrument.clock import seconds
 from daq.instrument.engines.generation import OutputBuffer, OutputPlan
 from daq.instrument.errors import Code, DaqError
+from daq.instrument.sample_clock import samples_per_tick
 
 if TYPE_CHECKING:
     from daq.instrument.engines.generation import Generation
@@ -59,7 +59,7 @@ def write(task: Task, volts: Array, auto_start: bool, timeout: float) -> int:
 
 
 def _put_out_on_demand(task: Task, volts: Array) -> int:
-    """Put samples out one after the other, a tick each; the last one stays."""
+    """Put samples out one after the other at the rate of the bench; the last one stays."""
     chassis, rows = task.chassis, [each.row for each in task.settings.channels]
     task.verify()
     task.reserve()
@@ -68,7 +68,8 @@ def _put_out_on_demand(task: Task, volts: Array) -> int:
         if volts.shape[1] > 1:
             buffer = OutputBuffer(volts.shape[0], None)
             buffer.write(volts, running=False)
-            plan = OutputPlan(tuple(rows), chassis.rate, Fraction(1), volts.shape[1], False)
+            per_tick = samples_per_tick(chassis.source.sample_rate, chassis.rate)
+            plan = OutputPlan(tuple(rows), chassis.rate, per_tick, volts.shape[1], False)
             run = chassis.run_output(task, plan, buffer)
             chassis.wait(lambda: run.done, run.missing, -1.0)
             chassis.halt(task)

@@ -45,14 +45,17 @@ class LiveView:
         while True:
             source, block = self._blocks.get()
             if source is not shown or screen is None:
-                shown, screen = source, Screen(self._stream, source.scene, source.channels, source.rate)
-            screen.show(block, source.bench.physical(block.samples))
+                shown, screen = (
+                    source,
+                    Screen(self._stream, source.scene, source.channels, source.sample_rate),
+                )
+            screen.show(block, source.physical(block.samples))
 
 
 class LiveRecording:
     """Records all channels of a bench while clients use it.
 
-    A change of the bench's rate, or of what its inputs are set to, begins another file, with a number behind its name.
+    A change of what the inputs are set to begins another file, with a number behind its name.
 
     Parameters
     ----------
@@ -81,12 +84,12 @@ class LiveRecording:
                 else self._path.name
             )
             self.paths.append(self._path.with_name(name))
-            start = self._chassis.time_ns(block.first)
+            start = self._chassis.time_ns(round(block.first * source.rate / source.sample_rate))
             # The truth of a scene belongs to a whole test.
             scene = source.scene.replace(recording=source.scene.recording.replace(truth=False))
             self._source, self._channels = source, source.channels
             self._recorder = Recorder(
-                self.paths[-1], scene, source.channels, source.rate, start, self._overwrite
+                self.paths[-1], scene, source.channels, source.sample_rate, start, self._overwrite
             )
         assert self._recorder is not None
         self._recorder.write(block.samples)

@@ -17,6 +17,8 @@ from google.protobuf import message_factory
 from google.protobuf.timestamp_pb2 import Timestamp
 from nidaqmx._stubs import nidaqmx_pb2
 
+from daq.recording.protobuf import varint
+
 SERVICE = nidaqmx_pb2.DESCRIPTOR.services_by_name["NiDAQmx"]
 _SESSION, _TIMESTAMP, _ENUM = "nidevice_grpc.Session", "google.protobuf.Timestamp", "_enum"
 
@@ -106,9 +108,13 @@ def _is_list(field: Any) -> bool:
     return bool(getattr(field, "is_repeated", None) or getattr(field, "label", 0) == 3)
 
 
-def encode(response: Any, values: Mapping[str, Any]) -> Any:
-    """Fill a response from values by field name; where it has a raw form of a field, that too."""
-    names = response.DESCRIPTOR.fields_by_name
+def encode(response: Any, values: Mapping[str, Any]) -> bytes:
+    """Write a response from values by field name; where it has a raw form of a field, that too.
+
+    Samples are written as they lie in memory, which is the form that the protocol has for them: as numbers of Python's,
+    thousands of them would hold up all other clients.
+    """
+    names, samples = response.DESCRIPTOR.fields_by_name, b""
     for name, value in values.items():
         for each in (name, f"{name}_raw"):
             field = names.get(each)
@@ -118,13 +124,16 @@ def encode(response: Any, values: Mapping[str, Any]) -> Any:
                 getattr(response, each).name = value
             elif field.message_type is not None and field.message_type.full_name == _TIMESTAMP:
                 getattr(response, each).CopyFrom(timestamp(value))
+            elif isinstance(value, np.ndarray) and field.cpp_type == field.CPPTYPE_DOUBLE:
+                data = value.astype("<f8").tobytes()
+                samples += varint(field.number << 3 | 2) + varint(len(data)) + data
             elif _is_list(field):
                 getattr(response, each).extend(
                     value.ravel().tolist() if isinstance(value, np.ndarray) else value
                 )
             else:
                 setattr(response, each, value)
-    return response
+    return bytes(response.SerializeToString()) + samples
 
 
 def timestamp(seconds: float) -> Timestamp:

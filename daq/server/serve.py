@@ -145,7 +145,7 @@ def announcement(chassis: Chassis, host: str, port: int, encrypted: bool) -> str
             'options = nidaqmx.GrpcSessionOptions(channel, session_name="")',
             "with nidaqmx.Task(grpc_options=options) as task:",
             f'    task.ai_channels.add_ai_voltage_chan("{first.name}/ai0")',
-            f"    task.timing.cfg_samp_clk_timing({chassis.rate:g}, samps_per_chan=1000)",
+            f"    task.timing.cfg_samp_clk_timing({chassis.source.sample_rate:g}, samps_per_chan=1000)",
             "    print(task.read(1000))",
         ]
     return "\n".join(lines)

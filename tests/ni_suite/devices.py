@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 import rig
 from daq.instrument.devices.measurements import MEASUREMENTS
 from daq.instrument.devices.modules import Module
+from daq.instrument.sample_clock import samples_per_tick
 from daq.instrument.settings.channels import Channel
 from daq.instrument.settings.scales import LINEAR, MAP_RANGES, POLYNOMIAL, TABLE, Scale
 from daq.instrument.settings.storage import Storage
@@ -98,33 +99,41 @@ def modules() -> list[Module]:
 class SimulatedSignals:
     """A source that gives every input a sine within the limits of the channel that looks at it."""
 
-    sampling: Literal["point", "average", "filter"] = "point"
-    delay = 0.0
+    rate, sample_rate = 10_000.0, 1000.0
 
-    def __init__(self, rate: float | None) -> None:
-        self.rate = rate or 1000.0
+    def __init__(self) -> None:
         self.scene = rig.load("bare-structure")
         self.dtype: type[np.generic] = np.float64
         self.channels: Sequence[ChannelInfo] = [
-            ChannelInfo(f"ai{number}", "body 1", "acceleration", 1.0, self.rate) for number in range(_COUNT)
+            ChannelInfo(f"ai{number}", "body 1", "acceleration", 1.0, self.sample_rate)
+            for number in range(_COUNT)
         ]
         self.drive_per_volt = np.ones(32)
-        self.lost: Sequence[tuple[int, int]] = ()
         self._low, self._high = np.full((_COUNT, 1), -5.0), np.full((_COUNT, 1), 5.0)
         self._position = 0
 
-    def horizon(self, samples: int) -> int:
-        """See `SampleSource.horizon`."""
-        return samples
+    def lost(self, rate: float) -> Sequence[tuple[int, int]]:
+        """See `SampleSource.lost`."""
+        return ()
 
-    def acquire(self, volts: NDArray[np.float64] | None, samples: int) -> Any:
+    def horizon(self, ticks: int) -> int:
+        """See `SampleSource.horizon`."""
+        return ticks
+
+    def acquire(
+        self, volts: NDArray[np.float64] | None, ticks: int, rates: Collection[float]
+    ) -> Mapping[float, Any]:
         """See `SampleSource.acquire`."""
-        ticks = self._position + np.arange(samples)
-        sine = 0.4 * np.sin(2 * np.pi * ticks / 50)
+        begin, self._position = self._position, self._position + ticks
+        return {rate: self._block(begin, begin + ticks, rate) for rate in {self.sample_rate, *rates}}
+
+    def _block(self, begin: int, end: int, rate: float) -> _Block:
+        """Give the samples at a rate between two ticks."""
+        per_tick = samples_per_tick(rate, self.rate)
+        first, stop = (-(-tick * per_tick.numerator // per_tick.denominator) for tick in (begin, end))
+        sine = 0.4 * np.sin(2 * np.pi * np.arange(first, stop) / 50)
         values = (self._high + self._low) / 2 + (self._high - self._low) / 2 * sine
-        block = _Block(self._position, values, np.zeros(values.shape, bool))
-        self._position += samples
-        return block
+        return _Block(first, values, np.zeros(values.shape, bool))
 
     def leave_outputs(self) -> None:
         """See `SampleSource.leave_outputs`."""

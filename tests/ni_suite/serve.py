@@ -19,7 +19,7 @@ from tests.ni_suite.devices import (
 )
 
 if __name__ == "__main__":
-    chassis = Chassis(modules(), SimulatedSignals, RealClock())
+    chassis = Chassis(modules(), SimulatedSignals(), RealClock())
     server = Server(chassis, limits=Limits(tasks=10_000))
     for save in (save_what_ni_saved, save_outputs):
         task = Task(chassis, "", server.storage.scales)

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import warnings
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.excitation import Station, excitation
+from daq.signal_chain.oversampling import DriveLine
 from rig.errors import ShotrigError
 
 if TYPE_CHECKING:
-    from daq.signal_chain.bench import Bench
+    from daq.signal_chain.channel import ChannelInfo
+    from rig.scene.scene import Scene
 
 Array = NDArray[np.float64]
 
@@ -22,67 +25,87 @@ class BackgroundTest:
 
     Parameters
     ----------
-    bench : Bench
-        The bench.
+    scene : Scene
+        What is on the bench.
+    channels, inputs : sequence
+        Its channels, and the names of its drive inputs.
+    rate : float
+        Samples per second.
+    ticks : int
+        Ticks of the bench per sample; the drive is joined by straight lines.
+    physical : callable
+        Reads samples in the channels' units.
     """
 
-    def __init__(self, bench: Bench) -> None:
-        self._bench = bench
-        self._quiet = bench.scene.test is None
+    def __init__(
+        self,
+        scene: Scene,
+        channels: Sequence[ChannelInfo],
+        inputs: Sequence[str],
+        rate: float,
+        ticks: int,
+        physical: Callable[[NDArray[Any]], Array],
+    ) -> None:
+        self._scene, self._inputs, self._physical = scene, tuple(inputs), physical
+        self._channels, self._rate = channels, rate
+        self._line = DriveLine(len(inputs), ticks)
+        self._quiet = scene.test is None
         self._at = 0
         self._heard: list[Array] = []
-        self._window = np.zeros((len(bench.inputs), 0))
+        self._drive = np.zeros((len(inputs), 0))
         if not self._quiet:
             self._begin()
 
     def _begin(self) -> None:
-        bench = self._bench
         self._station = Station(
-            bench.scene, bench.channels, bench.inputs, bench.rate, mark=lambda *given, **fields: None
+            self._scene, self._channels, self._inputs, self._rate, mark=lambda *given, **fields: None
         )
         try:
             self._test = excitation(self._station)
-            self._window = next(self._test)
+            self._play(next(self._test))
         except ShotrigError as error:
             self._quiet = True
             warnings.warn(
-                f"the test of scene {bench.scene.name!r} cannot be played, the bench stays quiet until a "
-                "script "
+                f"the test of scene {self._scene.name!r} cannot be played, the bench stays quiet until a script "
                 f"drives it: {error}",
                 RuntimeWarning,
                 stacklevel=2,
             )
 
+    def _play(self, window: Array) -> None:
+        """Take the drive of the next samples; what they say is heard when the last one is over."""
+        self._samples, self._drive, self._at = window.shape[1], self._line.through(window), 0
+
     def leave_shaker(self) -> None:
         """Let a script have the shaker; where there is a hammer, go on hitting with it."""
-        self._quiet |= "hammer" not in self._bench.inputs
+        self._quiet |= "hammer" not in self._inputs
 
-    def horizon(self, samples: int) -> int:
-        """Cut a number of samples at the end of the current window: the next one depends on what is heard."""
-        return samples if self._quiet else min(samples, self._window.shape[1] - self._at)
+    def horizon(self, ticks: int) -> int:
+        """Cut a number of ticks at the end of the current window: the next one depends on what is heard."""
+        return ticks if self._quiet else min(ticks, self._drive.shape[1] - self._at)
 
-    def drive(self, samples: int) -> Array:
-        """Give the drive of the next samples, shape (inputs, samples)."""
+    def drive(self, ticks: int) -> Array:
+        """Give the drive of the next ticks, shape (inputs, ticks)."""
         if self._quiet:
-            return np.zeros((len(self._bench.inputs), samples))
-        return self._window[:, self._at : self._at + samples]
+            return np.zeros((len(self._inputs), ticks))
+        return self._drive[:, self._at : self._at + ticks]
 
     def hear(self, samples: NDArray[np.float64] | NDArray[np.int32], ticks: int) -> None:
-        """Take what the channels gave in so many ticks, shape (channels, up to `ticks`)."""
+        """Take what the channels gave in so many ticks, shape (channels, samples)."""
         if self._quiet:
             return
-        # Where a filter's latency is hidden in the sample numbers, nothing comes out at first.
-        readings = np.zeros((samples.shape[0], ticks))
-        readings[:, ticks - samples.shape[1] :] = self._bench.physical(samples)
-        self._heard.append(readings)
+        self._heard.append(self._physical(samples))
         self._at += ticks
-        if self._at < self._window.shape[1]:
+        if self._at < self._drive.shape[1]:
             return
-        readings = self._heard[0] if len(self._heard) == 1 else np.concatenate(self._heard, axis=1)
-        self._station.now += self._at
-        self._heard, self._at = [], 0
+        heard = np.concatenate(self._heard, axis=1)
+        # Where a filter's latency is hidden in the sample numbers, nothing comes out at first.
+        readings = np.zeros((heard.shape[0], self._samples))
+        readings[:, self._samples - heard.shape[1] :] = heard
+        self._station.now += self._samples
+        self._heard = []
         try:
-            self._window = self._test.send(readings)
+            self._play(self._test.send(readings))
         except StopIteration:
             self._begin()
         except ShotrigError as error:

@@ -2,28 +2,41 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Collection, Sequence
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+import math
+from collections import deque
+from collections.abc import Collection, Mapping, Sequence
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.instrument.bench.background_test import BackgroundTest
+from daq.instrument.bench.input_stream import InputStream, at_rate
+from daq.instrument.devices.modules import DIVIDED
 from daq.instrument.devices.teds import with_sensitivity
 from daq.instrument.errors import Code, DaqError
+from daq.instrument.sample_clock import samples_per_tick
 from daq.instrument.values import Coupling, Excitation
 from daq.signal_chain.bench import AcquiredBlock, Bench
 from daq.signal_chain.channel import ChannelInfo
-from daq.signal_chain.decimation_filter import DELAY
-from rig.errors import SceneError
+from daq.signal_chain.converter import SampleClock
+from daq.signal_chain.outputs import Outputs
+from daq.signal_chain.oversampling import oversampling
+from rig.scene.modules import module
 from rig.scene.presets import filled_in, input_settings
 from rig.scene.shaker import DRIVE_PER_VOLT
 from rig.scene.teds import electronic_data_sheet
+from rig.simulation.motion import Motion
+from rig.simulation.plant import Plant
 
 if TYPE_CHECKING:
     from daq.instrument.settings.channels import Channel
+    from rig.scene.measurement_chain import Channel as WiredChannel
     from rig.scene.scene import Scene
+
+# A rate that somebody asks for while the rig moves begins with filters that have seen this much of the motion, s.
+_SETTLING = 2.0
 
 
 class SampleSource(Protocol):
@@ -34,35 +47,39 @@ class SampleSource(Protocol):
     scene : Scene
         What a recording of it says it is of.
     rate : float
-        Ticks per second.
+        Ticks per second: how finely outputs act, whatever the rates of those who sample.
+    sample_rate : float
+        Samples per second that it takes by itself.
     dtype : type
         Kind of its samples: volts, or counts of a converter.
     drive_per_volt : ndarray, shape (outputs,)
         What a volt at each output becomes.
-    sampling, delay
-        How its converter takes samples, and by how many samples its filter lags, see `RateDivider`.
     """
 
     scene: Scene
     rate: float
+    sample_rate: float
     dtype: type[np.generic]
     drive_per_volt: NDArray[np.float64]
-    sampling: Literal["point", "average", "filter"]
-    delay: float
 
     @property
     def channels(self) -> Sequence[ChannelInfo]:
-        """What is connected."""
+        """What is connected, at `sample_rate`."""
 
-    @property
-    def lost(self) -> Sequence[tuple[int, int]]:
-        """First and last sample of every stretch that is lost."""
+    def lost(self, rate: float) -> Sequence[tuple[int, int]]:
+        """Give first and last sample of every stretch that is lost of the samples at a rate."""
 
-    def horizon(self, samples: int) -> int:
+    def horizon(self, ticks: int) -> int:
         """Cut a number of ticks at the end of what is known of the drive by itself."""
 
-    def acquire(self, volts: NDArray[np.float64] | None, samples: int) -> AcquiredBlock:
-        """Let ticks pass with volts at the outputs, shape (outputs, samples); None: nobody drives them."""
+    def acquire(
+        self, volts: NDArray[np.float64] | None, ticks: int, rates: Collection[float]
+    ) -> Mapping[float, AcquiredBlock]:
+        """Let ticks pass with volts at the outputs, shape (outputs, ticks); None: nobody drives them.
+
+        Gives the samples at each of some rates, and at `sample_rate`. Sample n is taken n / rate seconds after
+        power-on.
+        """
 
     def leave_outputs(self) -> None:
         """Hear that somebody has taken an output."""
@@ -78,56 +95,86 @@ class SampleSource(Protocol):
 
 
 class SceneSource:
-    """A scene's bench.
+    """A scene's bench: one plant, and channels that are sampled at as many rates as there are.
+
+    The plant ticks as finely as the fastest module needs. So neither its motion nor a sample depends on what else
+    runs.
 
     Parameters
     ----------
     scene : Scene
         What is on the bench.
-    rate : float or None
-        Ticks per second, if not what the scene's converter makes.
     """
 
-    def __init__(self, scene: Scene, rate: float | None) -> None:
-        if rate is not None and rate != scene.converter.sample_rate:
-            scene = _at_rate(scene, rate)
+    def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self.bench = Bench(scene)
-        self.rate = self.bench.rate
-        self.lost: Sequence[tuple[int, int]] = self.bench.lost
+        clock = SampleClock.of(scene.converter)
+        self.sample_rate, ticks = clock.rate, _ticks_per_sample(scene)
+        self.rate = clock.rate * ticks
+        self._plant = Plant(scene, clock.true_rate * ticks)
+        own = InputStream(scene, clock.rate, Fraction(1, ticks), self._plant)
+        self._streams = {clock.rate: own}
+        # The latest motion and forces, for rates that somebody asks for next.
+        self._past: deque[tuple[Motion, NDArray[np.float64]]] = deque()
+        self._line = Outputs(scene, self._plant.inputs, self._plant.drive_units)
         counts = bool(self.channels) and self.channels[0].volts_per_count is not None
         self.dtype: type[np.generic] = np.int32 if counts else np.float64
-        self._outputs = [row for row, name in enumerate(self.bench.inputs) if name != "hammer"]
-        self.drive_per_volt = np.array([DRIVE_PER_VOLT[self.bench.drive_units[row]] for row in self._outputs])
+        inputs, units = self._plant.inputs, self._plant.drive_units
+        self._outputs = [row for row, name in enumerate(inputs) if name != "hammer"]
+        self.drive_per_volt = np.array([DRIVE_PER_VOLT[units[row]] for row in self._outputs])
         self._converter = filled_in(scene.converter)
-        filtered = self._converter.filter is not None
-        self.sampling: Literal["point", "average", "filter"] = (
-            self.channels[0].sampling if self.channels else "filter" if filtered else "point"
-        )
-        self.delay = float(DELAY) if filtered and not self._converter.remove_delay else 0.0
-        self._test = BackgroundTest(self.bench)
+        self._test = BackgroundTest(scene, own.channels, inputs, clock.rate, ticks, own.physical)
 
     @property
     def channels(self) -> Sequence[ChannelInfo]:
         """See `SampleSource.channels`."""
-        return self.bench.channels
+        return self._streams[self.sample_rate].channels
+
+    @property
+    def wiring(self) -> tuple[WiredChannel, ...]:
+        """The channels of the scene as they are set now."""
+        return self._streams[self.sample_rate].wiring
+
+    def physical(self, samples: NDArray[Any]) -> NDArray[np.float64]:
+        """Read samples in each channel's unit; see `InputStream.physical`."""
+        return self._streams[self.sample_rate].physical(samples)
 
     def warm_up(self) -> None:
         """Have compiled what has to be, before time begins to run: reads would wait for it in vain."""
-        Bench(self.scene).acquire(np.zeros((len(self.bench.inputs), 64)))
+        Bench(self.scene).acquire(np.zeros((len(self._plant.inputs), 64)))
 
-    def horizon(self, samples: int) -> int:
+    def lost(self, rate: float) -> Sequence[tuple[int, int]]:
+        """See `SampleSource.lost`."""
+        return self._streams[rate].lost
+
+    def horizon(self, ticks: int) -> int:
         """See `SampleSource.horizon`."""
-        return self._test.horizon(samples)
+        return self._test.horizon(ticks)
 
-    def acquire(self, volts: NDArray[np.float64] | None, samples: int) -> AcquiredBlock:
+    def acquire(
+        self, volts: NDArray[np.float64] | None, ticks: int, rates: Collection[float]
+    ) -> Mapping[float, AcquiredBlock]:
         """See `SampleSource.acquire`."""
-        drive = self._test.drive(samples).copy()
+        wanted = {self.sample_rate, *rates}
+        kept = {rate: self._streams.get(rate) for rate in wanted}
+        self._streams = {rate: kept[rate] or self._stream(rate) for rate in sorted(wanted)}
+        drive = self._test.drive(ticks).copy()
         if volts is not None and self._outputs:
             drive[self._outputs] = volts * self.drive_per_volt[:, None]
-        block = self.bench.acquire(drive)
-        self._test.hear(block.samples, samples)
-        return block
+        drive = self._line.put_out(drive)
+        motion = self._plant.advance(drive)
+        self._past.append((motion, drive))
+        while motion.first - self._past[0][0].first > _SETTLING * self.rate:
+            self._past.popleft()
+        blocks = {rate: stream.take(motion, drive) for rate, stream in self._streams.items()}
+        self._test.hear(blocks[self.sample_rate].samples, ticks)
+        return blocks
+
+    def _stream(self, rate: float) -> InputStream:
+        """Begin to sample at a rate."""
+        return InputStream(
+            self.scene, rate, samples_per_tick(rate, self.rate), self._plant, self._past, self.wiring
+        )
 
     def leave_outputs(self) -> None:
         """See `SampleSource.leave_outputs`."""
@@ -135,7 +182,7 @@ class SceneSource:
 
     def wire(self, channels: Sequence[Channel], in_use: Collection[int]) -> None:
         """See `SampleSource.wire`."""
-        wiring, taken = list(self.bench.wiring), set(in_use)
+        wiring, taken = list(self.wiring), set(in_use)
         for each in channels:
             before = wiring[each.row]
             wanted = before.replace(
@@ -152,7 +199,9 @@ class SceneSource:
                 )
             wiring[each.row] = wanted
             taken.add(each.row)
-        self.bench.rewire(wiring)
+        if wiring != list(self.wiring):
+            for stream in self._streams.values():
+                stream.rewire(wiring)
 
     def _supply(self, channel: Channel) -> float | None:
         """Give the current for a sensor, A; None where the scene leaves open what feeds it."""
@@ -164,7 +213,7 @@ class SceneSource:
 
     def data_sheet(self, row: int) -> bytes | None:
         """See `SampleSource.data_sheet`."""
-        channel = self.bench.wiring[row]
+        channel = self.wiring[row]
         sheet = None if channel.integrator else electronic_data_sheet(channel, self.scene.seed)
         if sheet is None:
             return None
@@ -180,17 +229,21 @@ class SceneSource:
         }
 
 
-def _at_rate(scene: Scene, rate: float) -> Scene:
-    """Change a scene's sample rate; its test stays away where samples at that rate cannot tell its tones."""
-    converter = scene.converter.replace(rate=rate)
-    try:
-        return scene.replace(converter=converter)
-    except SceneError as error:
-        quiet = scene.replace(converter=converter, test=None)
-        warnings.warn(
-            f"the test of scene {scene.name!r} cannot be played, the bench stays quiet until a script drives it: "
-            f"{error}",
-            RuntimeWarning,
-            stacklevel=2,
-        )
-        return quiet
+def _ticks_per_sample(scene: Scene) -> int:
+    """Choose the ticks of the plant for each sample of the scene's own converter.
+
+    As many as the fastest of its modules needs, and what it looks at in between (`oversampling`). Where modules divide
+    one clock, all their samples then fall on ticks.
+    """
+    own, named = scene.converter.sample_rate, scene.converter.preset
+    sheets = [None if shaker.output is None else shaker.output.preset for shaker in scene.shakers]
+    inputs = None if named is None else module(named).inputs
+    outputs = [None if name is None else module(name).outputs for name in sheets]
+    fastest, *others = (
+        DIVIDED.fastest if each is None else each.rates.fastest for each in (inputs, *outputs)
+    )
+    needed = [own * oversampling(scene, SampleClock.of(scene.converter)), *others]
+    if fastest > own:
+        fast = at_rate(scene, fastest)
+        needed.append(fastest * oversampling(fast, SampleClock.of(fast.converter)))
+    return math.ceil(max(needed) / own - 1e-6)

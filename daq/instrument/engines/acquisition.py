@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.instrument.engines.ring_buffer import RingBuffer
-from daq.instrument.engines.triggers import AnalogSource, AtTick, CrossingFinder, OtherTask, Source, SyncPulse
+from daq.instrument.engines.triggers import AnalogSource, AtTime, CrossingFinder, OtherTask, Source, SyncPulse
 from daq.instrument.errors import Code, DaqError
 from daq.instrument.settings.scales import Scale
 
@@ -197,7 +197,7 @@ class Acquisition:
         """Tell others when this task was started (triggered), or will be at a later tick known already."""
         if reference:
             return None if self.trigger is None else self.tick_of(self.trigger)
-        if self.first_tick is None and isinstance(self.plan.start, SyncPulse | AtTick):
+        if self.first_tick is None and isinstance(self.plan.start, SyncPulse | AtTime):
             return self.plan.start.next_tick(max(tick, self.armed_at), self.plan.rate)
         return self.first_tick
 
@@ -233,7 +233,7 @@ class Acquisition:
         if isinstance(source, AnalogSource):
             found = self._crossing(self._start_finders, x[:, at:])
             return None if found is None else at + found
-        if isinstance(source, SyncPulse | AtTick):
+        if isinstance(source, SyncPulse | AtTime):
             when: int | None = source.next_tick(max(self.armed_at, tick + at), self.plan.rate)
         else:
             assert source is not None
@@ -286,7 +286,7 @@ class Acquisition:
             assert source is not None
             when = (
                 source.next_tick(max(earliest, tick), self.plan.rate)
-                if isinstance(source, SyncPulse | AtTick)
+                if isinstance(source, SyncPulse | AtTime)
                 else moment(source)
             )
             found = None if when is None or not max(earliest, tick) <= when < tick + count else when - tick

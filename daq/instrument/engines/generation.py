@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from daq.instrument.engines.acquisition import Moment
 from daq.instrument.engines.ring_buffer import memory
-from daq.instrument.engines.triggers import AtTick, OtherTask, SyncPulse
+from daq.instrument.engines.triggers import AtTime, OtherTask, SyncPulse
 from daq.instrument.errors import Code, DaqError
 
 Array = NDArray[np.float64]
@@ -73,7 +73,7 @@ class OutputPlan:
         Samples of a finite generation; None for a continuous one.
     regenerate : bool
         Whether the buffer may be played again.
-    start : SyncPulse, AtTick, OtherTask or None
+    start : SyncPulse, AtTime, OtherTask or None
         Start trigger.
     """
 
@@ -82,7 +82,7 @@ class OutputPlan:
     per_tick: Fraction
     samples: int | None
     regenerate: bool
-    start: SyncPulse | AtTick | OtherTask | None = None
+    start: SyncPulse | AtTime | OtherTask | None = None
 
 
 class Generation:
@@ -135,7 +135,7 @@ class Generation:
 
     def start_tick(self, tick: int) -> int | None:
         """Tell others when this task started, or will."""
-        if self.first_tick is None and isinstance(self.plan.start, SyncPulse | AtTick):
+        if self.first_tick is None and isinstance(self.plan.start, SyncPulse | AtTime):
             return self.plan.start.next_tick(max(tick, self.armed_at), self.plan.rate)
         return self.first_tick
 
@@ -162,16 +162,21 @@ class Generation:
         at = max(0, self.first_tick - tick)
         began, self._passed = self._passed, self._passed + count - at
         ratio = self.plan.per_tick
-        # Samples in their turn: an output that is slower than the bench holds each of them for a while.
-        turn = (began + np.arange(count - at)) * ratio.numerator // ratio.denominator
+        # Samples in their turn; on the ticks of the bench between them, straight lines lead to the next.
+        turn, rest = np.divmod((began + np.arange(count - at)) * ratio.numerator, ratio.denominator)
         last = self._passed * ratio.numerator // ratio.denominator
         ends = [] if self.plan.samples is None else [self.plan.samples]
         if not self.plan.regenerate:
             ends.append(self.buffer.written)
         made = int(np.searchsorted(turn, min(ends))) if ends else turn.size
-        out[:, at : at + made] = self.buffer.data[:, turn[:made] % self.buffer.size]
+        played = self.buffer.data[:, turn[:made] % self.buffer.size]
+        out[:, at : at + made] = played
+        if made and rest.any():
+            following = np.minimum(turn[:made] + 1, min(ends) - 1) if ends else turn[:made] + 1
+            ahead = self.buffer.data[:, following % self.buffer.size]
+            out[:, at : at + made] += (rest[:made] / ratio.denominator) * (ahead - played)
         if made:
-            self.held = out[:, at + made - 1].copy()
+            self.held = played[:, -1].copy()
         out[:, at + made :] = self.held[:, None]
         self.generated = min([int(turn[-1]) + 1, *ends]) if turn.size else self.generated
         if made < turn.size and self.generated != self.plan.samples:
@@ -188,7 +193,7 @@ class Generation:
 
     def _find_start(self, tick: int, count: int, moment: Moment) -> int | None:
         source = self.plan.start
-        if isinstance(source, SyncPulse | AtTick):
+        if isinstance(source, SyncPulse | AtTime):
             when: int | None = source.next_tick(max(self.armed_at, tick), self.plan.rate)
         else:
             assert source is not None

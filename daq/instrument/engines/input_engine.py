@@ -1,41 +1,36 @@
-"""An input on the bench's ticks: every n-th of them where it is slower than the clock."""
+"""An input on the bench's ticks: its acquisition counts samples, everybody else counts ticks."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.instrument.engines.acquisition import Acquisition, InputPlan
-from daq.instrument.engines.rate_divider import RateDivider
 from daq.instrument.engines.triggers import OtherTask
-
-if TYPE_CHECKING:
-    from daq.instrument.bench.sample_source import SampleSource
+from daq.instrument.sample_clock import samples_per_tick
 
 
 class InputEngine:
-    """Runs an acquisition from the bench's ticks.
+    """Runs an acquisition from the samples at its rate.
 
     Parameters
     ----------
     plan : InputPlan
         What to acquire.
-    source : SampleSource
-        The bench.
+    ticks : float
+        Ticks of the bench per second.
     tick : int
         The bench's position.
+    dtype : dtype_like
+        Kind of the converter's samples.
     """
 
-    def __init__(self, plan: InputPlan, source: SampleSource, tick: int) -> None:
-        self.divisor = max(1, round(source.rate / plan.rate))
-        self.acquisition = Acquisition(plan, -(-tick // self.divisor), source.dtype)
-        self._divider = None
-        if self.divisor > 1:
-            channels = len(source.channels)
-            self._divider = RateDivider(channels, self.divisor, source.sampling, source.delay)
+    def __init__(self, plan: InputPlan, ticks: float, tick: int, dtype: Any) -> None:
+        self._per_tick = samples_per_tick(plan.rate, ticks)
+        self.acquisition = Acquisition(plan, self._sample_at(tick), dtype)
 
     def take(
         self,
@@ -44,20 +39,28 @@ class InputEngine:
         overload: NDArray[np.bool_],
         moment: Callable[..., int | None],
     ) -> None:
-        """Take a block of the bench."""
-        if self._divider is None:
-            self.acquisition.take(first, samples, overload, moment)
-            return
+        """Take samples, the first of which has a number; see `Acquisition.take`."""
 
-        def divided(source: OtherTask) -> int | None:
+        def in_samples(source: OtherTask) -> int | None:
             found = moment(source)
-            return None if found is None else -(-found // self.divisor)
+            return None if found is None else self._sample_at(found)
 
-        first, samples, overload = self._divider.take(first, samples, overload)
         if samples.shape[1]:
-            self.acquisition.take(first, samples, overload, divided)
+            self.acquisition.take(first, samples, overload, in_samples)
 
     def start_tick(self, reference: bool, position: int) -> int | None:
         """Tell others at which tick of the bench it started (was triggered), or will be."""
-        found = self.acquisition.start_tick(reference, -(-position // self.divisor))
-        return None if found is None else found * self.divisor
+        found = self.acquisition.start_tick(reference, self._sample_at(position))
+        return None if found is None else self.tick_at(found)
+
+    def _sample_at(self, tick: int) -> int:
+        """Give the number of the first sample that is not before a tick."""
+        return -(-tick * self._per_tick.numerator // self._per_tick.denominator)
+
+    def tick_at(self, sample: int) -> int:
+        """Give the first tick that is not before a sample."""
+        return -(-sample * self._per_tick.denominator // self._per_tick.numerator)
+
+    def ticks(self, samples: int, position: int) -> int:
+        """Count the ticks from a position on until so many samples have been taken, and not a tick more."""
+        return max(1, self.tick_at(self._sample_at(position) + samples - 1) - position + 1)

@@ -137,14 +137,14 @@ class SyncPulse:
 
 
 @dataclass(frozen=True)
-class AtTick:
+class AtTime:
     """A moment that is known beforehand: a start by the clock on the wall."""
 
-    tick: int
+    seconds: float
 
     def next_tick(self, tick: int, rate: float) -> int:
         """Give the moment; see `SyncPulse.next_tick`."""
-        return max(self.tick, tick)
+        return max(math.ceil(self.seconds * rate - 1e-6), tick)
 
 
 @dataclass(frozen=True)
@@ -156,8 +156,8 @@ class OtherTask:
     reference: bool
 
 
-Scheduled = SyncPulse | AtTick
-Source = AnalogSource | SyncPulse | AtTick | OtherTask
+Scheduled = SyncPulse | AtTime
+Source = AnalogSource | SyncPulse | AtTime | OtherTask
 
 
 def digital_source(source: str, slope: Slope) -> SyncPulse | OtherTask:

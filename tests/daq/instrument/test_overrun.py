@@ -3,7 +3,7 @@ from nidaqmx.constants import AcquisitionType, OverwriteMode
 from nidaqmx.errors import DaqReadError
 
 from daq.instrument.clock import ManualClock
-from tests.daq.client import Task, connect
+from tests.daq.client import Task, connect, pass_samples
 
 RATE = 5120.0
 
@@ -26,14 +26,14 @@ def test_given_a_slow_reader_when_samples_are_overwritten_then_the_error_counts_
 ):
     with Task() as task:
         acquiring(task)
-        chassis.advance(1300)
+        pass_samples(chassis, 1300)
         with pytest.raises(DaqReadError) as caught:
             task.read(100)
         assert caught.value.error_code == -200279
         assert "300 samples" in str(caught.value)
         assert task.in_stream.curr_read_pos == 300
         assert len(task.read(1000)) == 1000
-        chassis.advance(10)
+        pass_samples(chassis, 10)
         assert len(task.read(10)) == 10
         assert not task.is_task_done()
 
@@ -42,14 +42,14 @@ def test_given_a_slow_reader_when_samples_are_overwritten_then_the_error_counts_
 def test_given_a_reader_that_keeps_up_when_it_has_been_late_once_then_it_hears_of_it_once(chassis, pause):
     with Task() as task:
         acquiring(task)
-        chassis.advance(2600)
+        pass_samples(chassis, 2600)
         with pytest.raises(DaqReadError) as caught:
             task.read(pause)
         assert caught.value.error_code == -200279
         assert "1600 samples" in str(caught.value)
         for number in range(20):
             assert task.in_stream.curr_read_pos == 1600 + number * pause
-            chassis.advance(pause)
+            pass_samples(chassis, pause)
             assert len(task.read(pause)) == pause
 
 
@@ -57,7 +57,7 @@ def test_given_a_reader_that_has_caught_up_when_it_is_late_again_then_it_hears_o
     with Task() as task:
         acquiring(task)
         for lost in (300, 200):
-            chassis.advance(1000 + lost)
+            pass_samples(chassis, 1000 + lost)
             with pytest.raises(DaqReadError) as caught:
                 task.read(10)
             assert f"{lost} samples" in str(caught.value)
@@ -69,7 +69,7 @@ def test_given_a_reader_too_slow_for_good_when_it_reads_then_each_loss_is_counte
         acquiring(task)
         read = lost = 0
         for _ in range(40):
-            chassis.advance(400)
+            pass_samples(chassis, 400)
             try:
                 read += len(task.read(100))
             except DaqReadError as error:
@@ -82,7 +82,7 @@ def test_given_unread_samples_to_be_kept_when_the_buffer_is_full_then_the_acquis
     with Task() as task:
         task.in_stream.overwrite = OverwriteMode.DO_NOT_OVERWRITE_UNREAD_SAMPLES
         acquiring(task)
-        chassis.advance(1400)
+        pass_samples(chassis, 1400)
         assert len(task.read(1000)) == 1000
         with pytest.raises(DaqReadError) as caught:
             task.read(1)

@@ -13,7 +13,7 @@ from nidaqmx.errors import DaqError, DaqReadError
 import daq
 import rig
 from daq.instrument.clock import ManualClock
-from tests.daq.client import Task, connect
+from tests.daq.client import Task, connect, pass_samples
 
 RATE = 5120.0
 
@@ -37,7 +37,7 @@ def test_given_logging_and_reading_when_the_task_stops_then_the_recording_holds_
     with Task() as task:
         logging(task, path)
         task.start()
-        chassis.advance(700)
+        pass_samples(chassis, 700)
         read = np.array(task.read(300))
         task.stop()
     with daq.open(path) as recording:
@@ -58,9 +58,9 @@ def test_given_an_overrun_when_logging_and_reading_then_the_gap_is_in_the_record
         logging(task, path)
         task.in_stream.input_buf_size = 500
         task.start()
-        chassis.advance(200)
+        pass_samples(chassis, 200)
         task.read(200)
-        chassis.advance(800)
+        pass_samples(chassis, 800)
         with pytest.raises(DaqReadError) as caught:
             task.read(100)
         assert caught.value.error_code == -200279
@@ -82,12 +82,12 @@ def test_given_an_overrun_when_the_script_pauses_before_it_reads_on_then_nothing
         logging(task, path)
         task.in_stream.input_buf_size = 500
         task.start()
-        chassis.advance(900)
+        pass_samples(chassis, 900)
         with pytest.raises(DaqReadError):
             task.read(100)
         later = []
         for _ in range(5):
-            chassis.advance(100)
+            pass_samples(chassis, 100)
             later.append(task.read(100))
         task.stop()
     with daq.open(path) as recording:
@@ -106,7 +106,7 @@ def test_given_two_modules_on_the_same_sensors_when_logging_then_both_are_in_the
         task.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
         task.in_stream.configure_logging(path, operation=LoggingOperation.CREATE)
         task.start()
-        chassis.advance(300)
+        pass_samples(chassis, 300)
         read = np.array(task.read(300))
         task.stop()
         assert [each.name for each in task.devices] == ["cDAQ1Mod1", "Dev2"]
@@ -126,7 +126,7 @@ def test_given_logging_alone_when_samples_come_then_nothing_is_lost_and_reading_
         task.in_stream.input_buf_size = 500
         task.start()
         for _ in range(20):
-            chassis.advance(100)
+            pass_samples(chassis, 100)
         with pytest.raises(DaqError, match="LOG_AND_READ") as caught:
             task.read(1)
         assert caught.value.error_code == -201301
@@ -146,7 +146,7 @@ def test_given_logging_alone_when_more_than_the_buffer_passes_at_once_then_nothi
         task.in_stream.input_buf_size = 500
         task.in_stream.overwrite = overwrite
         task.start()
-        chassis.advance(4000)
+        pass_samples(chassis, 4000)
         assert task.is_task_done()
         task.stop()
     with daq.open(path) as recording:
@@ -180,7 +180,7 @@ def test_given_samples_lost_on_the_way_when_logging_then_the_file_says_where_it_
     with Task("broken") as task:
         logging(task, path, mode)
         task.start()
-        chassis.advance(1000)
+        pass_samples(chassis, 1000)
         with pytest.raises(DaqError, match="lost on the way"):
             task.stop()
     if name.endswith(".tdms"):
@@ -226,7 +226,7 @@ def test_given_a_tdms_name_when_logging_then_the_file_holds_the_readings(chassis
         with Task("logged") as task:
             logging(task, path, operation=LoggingOperation.OPEN_OR_CREATE, samps_per_chan=50)
             task.start()
-            chassis.advance(50)
+            pass_samples(chassis, 50)
             read = np.array(task.read(READ_ALL_AVAILABLE))
     file = nptdms.TdmsFile.read(path)
     assert [group.name for group in file.groups()] == ["logged", "logged #1"]

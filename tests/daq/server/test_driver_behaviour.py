@@ -17,7 +17,7 @@ from nidaqmx.system.storage import PersistedTask
 
 import daq
 from daq.instrument.clock import ManualClock
-from tests.daq.client import Task, connect, options
+from tests.daq.client import Task, connect, options, pass_samples
 
 RATE = 5120.0
 
@@ -101,7 +101,7 @@ def test_given_a_custom_scale_when_a_channel_names_it_then_readings_are_scaled(c
 def test_given_a_window_trigger_when_the_signal_enters_then_sample_zero_is_the_first_inside(chassis):
     with Task() as task:
         inputs(task, "cDAQ1Mod1/ai3", sample_mode=AcquisitionType.FINITE)
-        chassis.advance(2000)
+        pass_samples(chassis, 2000)
         task.triggers.start_trigger.cfg_anlg_window_start_trig(0.4, 0.1, "cDAQ1Mod1/ai3")
         assert 0.1 <= task.read(100)[0] <= 0.4
 

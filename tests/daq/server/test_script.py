@@ -1,3 +1,4 @@
+import math
 import runpy
 import sys
 
@@ -140,11 +141,11 @@ def test_given_the_source_recipe_when_polled_then_it_gives_all_samples_in_order(
     source = VirtualRig("bare-structure", clock="fast")
     source.set_data_source()
     blocks = [source.read_data() for _ in range(10)]
-    position = source.rig.chassis.position
+    passed = math.ceil(source.rig.chassis.elapsed * source.sample_rate)
     source.terminate_data_source()
     assert source.channel_names == ["body1", "body2", "body3", "table"]
     assert all(block.shape[1] == 4 for block in blocks)
-    assert sum(len(block) for block in blocks) == position
+    assert sum(len(block) for block in blocks) == passed
 
 
 CHILDREN = """
@@ -187,7 +188,8 @@ def test_given_processes_that_share_a_rig_when_one_writes_then_the_other_reads_i
     assert run_script(script(CHILDREN), [method, str(path)], "bare-structure", "fast") == 0
     drive = 1e-3 * np.arange(512) / 512
     expected = Bench(rig.load("bare-structure")).acquire(drive[None]).samples
-    assert np.array_equal(np.load(path), expected)
+    # The bench looks at the rig more often than the other one does, which rounds otherwise.
+    np.testing.assert_allclose(np.load(path), expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
 def test_given_a_name_that_is_taken_when_a_script_makes_a_task_then_it_gets_the_drivers_error(script, capfd):

@@ -1,0 +1,141 @@
+"""The plant's motion at the instants at which a converter takes its samples, whatever the ticks of the plant."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.dsp.interpolation import STRAIGHT
+from rig.simulation.motion import Motion
+
+Array = NDArray[np.float64]
+
+
+class MotionAtRate:
+    """Gives a motion, and the forces on it, at another rate, block after block.
+
+    Instants that are ticks of the motion get its samples as they are. Between ticks, and breaks between them,
+    acceleration is the cubic of `daq.dsp.interpolation`, integrated once and twice; forces are straight lines.
+
+    Parameters
+    ----------
+    rate : Fraction
+        Instants per tick: number n lies n / rate ticks after power-on.
+    group : int
+        Instants come in groups of so many, each with the last of a group; the first one of all comes alone.
+    tick : float
+        Length of a tick, s.
+    first : int
+        Number of the instant to begin with; what is given counts from it.
+    """
+
+    def __init__(self, rate: Fraction, group: int, tick: float, first: int) -> None:
+        self._rate, self._group, self._tick = rate, group, tick
+        self._first = self._next = self._given = first
+        # What has been found but not been given: see `_found`; of breaks, the number of the instant after each, too.
+        self._held: list[NDArray[Any]] = []
+        self._breaks: list[NDArray[Any]] = []
+        # Displacement, velocity and acceleration at the last tick, and the forces.
+        self._last: list[Array] = []
+
+    def take(self, motion: Motion, forces: Array) -> tuple[Motion, Array]:
+        """Take the next ticks, forces of shape (inputs, ticks); give the instants that they reach."""
+        earliest, found = self._next, self._found(motion, forces)
+        if self._held:
+            found = [np.concatenate(pair, axis=1) for pair in zip(self._held, found, strict=True)]
+        first, past = self._given, (self._next - 1 - self._first) // self._group
+        self._given = max(first, self._first + past * self._group + 1)
+        count = self._given - first
+        self._held = [each[:, count:] for each in found]
+        displacement, velocity, acceleration, force, gap, contact = (each[:, :count] for each in found)
+        number, offset, *broken = self._breaks_due(motion, earliest)
+        given = replace(
+            motion,
+            first=first - self._first,
+            displacement=displacement,
+            velocity=velocity,
+            acceleration=acceleration,
+            gap=gap,
+            contact=contact,
+            break_sample=number - self._first,
+            break_offset=offset,
+            break_displacement=broken[0],
+            break_velocity=broken[1],
+            break_acceleration=broken[2],
+        )
+        return given, force
+
+    def _found(self, motion: Motion, forces: Array) -> list[NDArray[Any]]:
+        """Find displacement, velocity, acceleration, forces, gap and contact at the instants of a block."""
+        ratio, begin = self._rate, self._next
+        last_tick = motion.first + forces.shape[1] - 1
+        self._next = max(begin, last_tick * ratio.numerator // ratio.denominator + 1)
+        ticks, rest = np.divmod(np.arange(begin, self._next) * ratio.denominator, ratio.numerator)
+        share = rest / ratio.numerator
+        # What lies in front of the first tick of the block is between ticks, and found anew below.
+        at, tick = np.maximum(ticks - motion.first, 0), ticks - motion.first
+        found = [each[:, at] for each in (*_moved(motion), forces, motion.gap, motion.contact)]
+        if rest.any():
+            between = rest > 0
+            new = _between_ticks(motion, forces, self._last, self._tick, tick[between] + share[between])
+            for values, now in zip(found, new, strict=False):
+                values[:, between] = now
+        self._last = [each[:, -1:] for each in (*_moved(motion), forces)]
+        return found
+
+    def _breaks_due(self, motion: Motion, earliest: int) -> list[NDArray[Any]]:
+        """Give the breaks before the instants given, as in `Motion`, each with the instant that ends its interval."""
+        interval = self._tick / float(self._rate)
+        time = (motion.break_sample - 1) * self._tick + motion.break_offset
+        number = np.maximum(np.ceil(time / interval).astype(np.int64), earliest)
+        new = [number, np.clip(time - (number - 1) * interval, 0.0, interval)]
+        new += [motion.break_displacement, motion.break_velocity, motion.break_acceleration]
+        if self._breaks:
+            new = [np.concatenate(pair, axis=-1) for pair in zip(self._breaks, new, strict=True)]
+        due = new[0] < self._given
+        self._breaks = [each[..., ~due] for each in new]
+        return [each[..., due] for each in new]
+
+
+def _moved(motion: Motion) -> tuple[Array, Array, Array]:
+    return motion.displacement, motion.velocity, motion.acceleration
+
+
+def _between_ticks(
+    motion: Motion, forces: Array, last: list[Array], tick: float, when: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Find displacement, velocity, acceleration and forces at instants in ticks after the first one of a block."""
+    lead = 1 if last else 0
+    at_ticks = np.arange(-lead, forces.shape[1])
+    breaks = (motion.break_sample - 1 - motion.first) + motion.break_offset / tick
+    order = np.argsort(np.concatenate([at_ticks, breaks]), kind="stable")
+    times = np.concatenate([at_ticks, breaks])[order]
+    x, v, a = ([*last[k : k + 1], each] for k, each in enumerate(_moved(motion)))
+    displacement = np.concatenate([*x, motion.break_displacement], axis=1)[:, order]
+    # What holds just before and just after each node.
+    (v_before, v_after), (a_before, a_after) = (
+        [np.concatenate([*rows, side], axis=1)[:, order] for side in sides]
+        for rows, sides in ((v, motion.break_velocity), (a, motion.break_acceleration))
+    )
+    left = np.searchsorted(times, when, side="right") - 1
+    right = left + 1
+    length = (times[right] - times[left]) * tick
+    u = (when - times[left]) / (times[right] - times[left])
+    start, end, speed = a_after[:, left], a_before[:, right], v_after[:, left]
+    mean = (v_before[:, right] - speed) / length
+    moment = ((displacement[:, right] - displacement[:, left]) / length - speed) / length
+    moment = np.where(length < STRAIGHT * tick, (start - end) / 12.0 + 0.5 * mean, moment)
+    c1 = -9.0 * start + 3.0 * end - 24.0 * mean + 60.0 * moment
+    c2 = 18.0 * start - 12.0 * end + 84.0 * mean - 180.0 * moment
+    c3 = -10.0 * start + 10.0 * end - 60.0 * mean + 120.0 * moment
+    acceleration = start + u * (c1 + u * (c2 + u * c3))
+    velocity = speed + length * u * (start + u * (c1 / 2 + u * (c2 / 3 + u * c3 / 4)))
+    moved = length * u * (speed + length * u * (start / 2 + u * (c1 / 6 + u * (c2 / 12 + u * c3 / 20))))
+    lines = np.concatenate([*last[3:], forces], axis=1)
+    before = np.floor(when).astype(np.int64) + lead
+    force = lines[:, before] + (when - np.floor(when)) * (lines[:, before + 1] - lines[:, before])
+    return displacement[:, left] + moved, velocity, acceleration, force

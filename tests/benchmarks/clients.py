@@ -1,0 +1,111 @@
+"""Several clients at once: `python -m tests.benchmarks.clients [--clients 10] [--seconds 60] [--separate]`.
+
+Each client is a process that reads four channels at 51.2 kS/s ten times a second from one served rig, and checks that
+no sample is lost. Printed are the latency of the reads, from the moment their last sample was due on the wall clock,
+the memory of the server and what of the processors it took. `--separate`: forty channels, four for each client.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import psutil
+
+RATE, READS_PER_SECOND = 51200.0, 10
+SCENE = """
+structure: {masses: [1 kg, 1 kg], springs: [40 kN/m, 40 kN/m], damping: {modal: 1 %}}
+shaker: {kind: electrodynamic, body: 1, spring: 6.6 kN/m}
+channels:
+CHANNELS
+converter: {preset: NI 9234, rate: 51.2 kHz}
+"""
+CLIENT = """
+import json, sys, time
+import grpc, nidaqmx, numpy as np
+from nidaqmx.constants import AcquisitionType
+from nidaqmx.stream_readers import AnalogMultiChannelReader
+
+address, terminals, seconds, size = sys.argv[1], sys.argv[2], float(sys.argv[3]), int(sys.argv[4])
+channel = grpc.insecure_channel(address, [("grpc.max_receive_message_length", -1)])
+with nidaqmx.Task(grpc_options=nidaqmx.GrpcSessionOptions(channel, "")) as task:
+    task.ai_channels.add_ai_voltage_chan(terminals, min_val=-5, max_val=5)
+    task.timing.cfg_samp_clk_timing(51200.0, sample_mode=AcquisitionType.CONTINUOUS)
+    reader, data, late = AnalogMultiChannelReader(task.in_stream), np.zeros((4, size)), []
+    sys.stdin.readline()
+    task.start()
+    began = time.monotonic()
+    for turn in range(1, round(seconds * 51200 / size) + 1):
+        assert reader.read_many_sample(data, size) == size
+        late.append(time.monotonic() - began - turn * size / 51200)
+    total = task.in_stream.total_samp_per_chan_acquired
+    assert task.in_stream.curr_read_pos == turn * size
+print(json.dumps(late))
+"""
+
+
+def main() -> None:
+    """Serve, let the clients read, and print what came of it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--clients", type=int, default=10)
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--separate", action="store_true")
+    given = parser.parse_args()
+    count = 4 * given.clients if given.separate else 4
+    channel = "  - {name: cN, at: body 1, accelerometer: {preset: PCB 352C33}}"
+    text = SCENE.replace("CHANNELS", "\n".join(channel.replace("cN", f"c{n}") for n in range(count)))
+    with tempfile.TemporaryDirectory() as folder:
+        scene = Path(folder, "scene.yaml")
+        scene.write_text(text)
+        command = [sys.executable, "-m", "daq", "serve", str(scene), "--port", "0"]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+            assert server.stdout is not None
+            port = server.stdout.readline().split()[4]
+            try:
+                _measure(given, server.pid, f"127.0.0.1:{port}")
+            finally:
+                server.terminate()
+
+
+def _measure(given: argparse.Namespace, server: int, address: str) -> None:
+    process, size = psutil.Process(server), round(RATE / READS_PER_SECOND)
+    names = [f"cDAQ1Mod{n}" if given.separate else f"Dev{n}" for n in range(1, given.clients + 1)]
+    clients = [
+        subprocess.Popen(
+            [sys.executable, "-c", CLIENT, address, f"{name}/ai0:3", str(given.seconds), str(size)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for name in names
+    ]
+    time.sleep(10.0)
+    for client in clients:
+        assert client.stdin is not None
+        client.stdin.write("\n")
+        client.stdin.flush()
+    time.sleep(5.0)
+    before, busy, wall = process.memory_info().rss, sum(process.cpu_times()[:2]), time.monotonic()
+    time.sleep(max(0.0, given.seconds - 10.0))
+    took, busy = time.monotonic() - wall, sum(process.cpu_times()[:2]) - busy
+    after, found = process.memory_info().rss, [client.communicate()[0] for client in clients]
+    late = 1e3 * np.array([json.loads(each) for each in found if each])
+    print(
+        f"load {os.getloadavg()[0]:.1f}; server {100 * busy / took:.0f} % of a core, {after >> 20} MB", end=""
+    )
+    print(f" ({(after - before) / 1e6:+.1f} MB); {len(late)} of {given.clients} clients lost nothing")
+    middle, most, worst = np.percentile(late, [50, 99, 100])
+    print(
+        f"latency of {late.size} reads: median {middle:.1f} ms, 99 % below {most:.1f} ms, longest {worst:.1f} ms"
+    )
+
+
+if __name__ == "__main__":
+    main()

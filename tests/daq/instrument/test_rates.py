@@ -1,0 +1,112 @@
+"""Several rates on one bench: each task sees what it would see alone, in whatever order they start."""
+
+import nidaqmx
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from nidaqmx.constants import AcquisitionType
+
+import daq
+import rig
+from daq.instrument.bench.sample_source import SceneSource
+from daq.signal_chain.bench import Bench
+
+SCENE = """
+structure: {masses: [1 kg, 1 kg], springs: [40 kN/m, 40 kN/m], damping: {modal: 1 %}}
+dampers: [{body: 2, mass_ratio: 10 %, clearance: 0.5 mm}]
+shaker: {kind: force, body: 1}
+channels:
+  - {name: one, at: body 1, accelerometer: {noise: 20 ug/sqrt(Hz), resonance: 20 kHz, low_cutoff: 0.5 Hz}}
+  - {name: two, at: body 2, integrator: {order: 2, corner: 1 Hz}}
+  - {name: drive, at: drive}
+converter: CONVERTER
+"""
+CONVERTERS = ["{rate: 5120 Hz}", "{preset: NI 9234, rate: 5120 Hz}", "{preset: USB-4431, rate: 44.1 kHz}"]
+# They divide the ticks of the first two; those of the third divide into none of them.
+RATES = [51200.0, 12800.0, 51200.0 / 7, 2048.0]
+
+
+def bench(converter):
+    return SceneSource(rig.loads(SCENE.replace("CONVERTER", converter)))
+
+
+def drive(source, tick, ticks):
+    """Volts that make the damper hit floor and ceiling; they are straight lines between ticks."""
+    return 60.0 * np.sin(2 * np.pi * 25.0 * (tick + np.arange(ticks)) / source.rate)[None]
+
+
+def samples(source, blocks, rate):
+    """Samples at a rate while blocks of so many ticks pass, each with the other rates sampled meanwhile."""
+    source.leave_outputs()
+    tick, found = 0, []
+    for ticks, others in blocks:
+        found.append(source.acquire(drive(source, tick, ticks), ticks, {rate, *others})[rate].samples)
+        tick += ticks
+    return np.concatenate(found, axis=1)
+
+
+@pytest.mark.thorough
+@settings(max_examples=8, deadline=None)
+@given(
+    converter=st.sampled_from(CONVERTERS),
+    rate=st.sampled_from(RATES),
+    blocks=st.lists(st.tuples(st.integers(1, 3000), st.sets(st.sampled_from(RATES))), min_size=1, max_size=8),
+)
+def test_given_other_rates_beside_it_when_sampled_then_every_bit_is_as_alone(converter, rate, blocks):
+    alone = samples(bench(converter), [(sum(ticks for ticks, _ in blocks), ())], rate)
+    assert np.array_equal(samples(bench(converter), blocks, rate), alone)
+
+
+@pytest.mark.parametrize("converter", CONVERTERS)
+@pytest.mark.parametrize("rate", [51200.0, 51200.0 / 7])
+def test_given_a_rate_when_sampled_then_it_is_as_on_a_bench_that_has_no_other(converter, rate):
+    source = bench(converter)
+    ticks = round(0.2 * source.rate)
+    found = samples(source, [(ticks, ())], rate)
+    setup = source.scene.converter.replace(rate=rate)
+    # The same straight lines, cut at the samples of that bench only where they are straight anyway.
+    alone = Bench(source.scene.replace(converter=setup))
+    count = found.shape[1]
+    at = np.arange(count) / rate * source.rate
+    line = np.interp(at, np.arange(ticks), drive(source, 0, ticks)[0])
+    expected = alone.acquire(line[None]).samples
+    scale = np.abs(expected).max(axis=1, keepdims=True).astype(float)
+    # The drive between samples is another by (pi f / rate)^2 / 2.
+    np.testing.assert_allclose(found / scale, expected / scale, rtol=0, atol=3e-3 if rate < 1e4 else 3e-4)
+
+
+def test_given_a_rate_that_is_asked_for_while_the_rig_moves_then_its_filters_have_settled():
+    source = bench("{rate: 5120 Hz}")
+    ticks = round(2.5 * source.rate)
+    source.leave_outputs()
+    late = None
+    for first in range(0, ticks + 8192, 8192):
+        rates = {51200.0} if first >= ticks - 8192 else set()
+        late = source.acquire(drive(source, first, 8192), 8192, rates).get(51200.0)
+    # Each sample is the average of the drive over the interval that ends there.
+    line = drive(source, late.first - 1, late.samples.shape[1] + 1)[0]
+    np.testing.assert_allclose(late.samples[2], (line[1:] + line[:-1]) / 2, rtol=0, atol=1e-9)
+    # An integrator that had been switched on just now would be off by much more than it swings.
+    assert abs(late.samples[1].mean()) < 0.2 * np.ptp(late.samples[1])
+
+
+def reading(connection, device, rate):
+    task = nidaqmx.Task(grpc_options=connection)
+    task.ai_channels.add_ai_voltage_chan(f"{device}/ai0:1", min_val=-500.0, max_val=500.0)
+    task.timing.cfg_samp_clk_timing(rate, sample_mode=AcquisitionType.CONTINUOUS)
+    return task
+
+
+def test_given_a_slower_input_that_runs_when_a_faster_one_and_an_output_start_then_all_keep_their_rates():
+    with daq.connect("bare-structure", clock="fast") as alone, reading(alone, "Dev1", 5120.0) as slow:
+        expected = np.array(slow.read(300))
+    with (
+        daq.connect("bare-structure", clock="fast") as both,
+        reading(both, "Dev1", 5120.0) as slow,
+        reading(both, "Dev2", 51200.0) as fast,
+    ):
+        first = slow.read(100)
+        fast.start()
+        assert np.shape(fast.read(1000)) == (2, 1000)
+        assert np.array_equal(np.concatenate([first, slow.read(200)], axis=1), expected)

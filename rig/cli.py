@@ -249,15 +249,15 @@ def map_(
     """Map where it gets hard: type of motion and computing time over level (or clearance) and frequency."""
     import rig
     from rig.motion_map.figure import summary, write
-    from rig.motion_map.grid import columns, rows_of, vertical_axis
+    from rig.motion_map.grid import KIND_OF_UNIT, columns, rows_of, vertical_axis
     from rig.output_files import make_ready
-    from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, VOLTAGE
+    from rig.scene.quantities import FREQUENCY
 
     setting = loaded(scene, changes)
     over, unit = vertical_axis(setting, over)
     ends = _quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to")
     frequencies = columns(setting, *ends, points)
-    kind = {"N": FORCE, "V": VOLTAGE, "m": LENGTH}[unit]
+    kind = KIND_OF_UNIT[unit]
     ends = _quantity(least, kind, "--least"), _quantity(most, kind, "--most")
     values = rows_of(setting, over, frequencies, *ends, rows)
     make_ready(output)
@@ -312,30 +312,24 @@ def design(
     ] = Path(),
 ) -> None:
     """Choose dampers: mass, clearance and place with the smallest worst peak; what is there of it is not done again."""
-    from rig.damper_design.asked import bodies_of, mass_of, quantities, range_of
     from rig.damper_design.design import design as search
     from rig.damper_design.figure import next_step, summary, write
     from rig.output_files import make_ready, stem
-    from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, RATIO
 
     setting = loaded(scene, changes)
-    damping, stiffness = (
-        _quantity(share, RATIO, name)
-        for share, name in ((damping_off, "--damping-off"), (stiffness_off, "--stiffness-off"))
-    )
     make_ready(output)
     table = output / f"{stem('design', setting.name)}.csv"
     with counting("trying designs") as progress:
         found = search(
             setting,
-            budget=mass_of(budget, setting),
-            bodies=bodies_of(bodies, "--bodies"),
+            budget=budget,
+            bodies=_listed(bodies),
             dampers=dampers,
-            clearance=range_of(clearance, LENGTH, "--clearance"),
-            levels=quantities(levels, FORCE, "--levels"),
-            band=range_of(band, FREQUENCY, "--band"),
-            watched=bodies_of(watched, "--watched"),
-            uncertain=(damping or 0.0, stiffness or 0.0),
+            clearance=_listed(clearance),
+            levels=_listed(levels),
+            band=_listed(band),
+            watched=_listed(watched),
+            uncertain=(damping_off, stiffness_off),
             cluster=cluster,
             table=table,
             progress=progress,
@@ -344,6 +338,11 @@ def design(
     print(summary(found))
     print("\nwritten:", *files, table)
     print(next_step(files[0]))
+
+
+def _listed(text: str | None) -> list[str] | None:
+    """Take an option of several values with commas between apart."""
+    return None if text is None else [word.strip() for word in text.split(",")]
 
 
 def _quantity(value: str | None, kind: Kind, name: str) -> float | None:

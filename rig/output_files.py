@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from secrets import token_hex
-from typing import TYPE_CHECKING
 
 from rig.errors import RunError, SceneError, ShotrigError
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def make_ready(folder: Path) -> None:
@@ -160,37 +156,3 @@ def stem(study: str, scene: str) -> str:
     """
     words = "".join(letter if letter.isalnum() else " " for letter in scene.lower()).split()
     return "-".join([study, *words])
-
-
-def write_study(
-    study: str, scene: str, folder: Path, figure: Figure, write_table: Callable[[Path], None]
-) -> list[Path]:
-    """Write a study's figure as .png and .svg, and its table.
-
-    Parameters
-    ----------
-    study, scene : str
-        They name the files.
-    folder : Path
-        Made if it does not exist.
-    write_table : callable
-        Writes the .csv file at the path it is given.
-
-    Returns
-    -------
-    list of Path
-        The .png, .svg and .csv files.
-
-    Raises
-    ------
-    SceneError
-        If a file cannot be written.
-    """
-    picture, drawing, table = (folder / f"{stem(study, scene)}.{ending}" for ending in ("png", "svg", "csv"))
-    make_ready(folder)
-    with replacing(table) as part:
-        write_table(part)
-    for file in (picture, drawing):
-        with replacing(file) as part:
-            figure.savefig(part, dpi=160)
-    return [picture, drawing, table]

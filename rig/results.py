@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,11 +11,15 @@ from numpy.typing import NDArray
 
 from rig.errors import RunError
 from rig.escaping import html, shown
+from rig.figure_style import plain_logarithmic
 
 if TYPE_CHECKING:
     import pandas
     import xarray
     from matplotlib.axes import Axes
+
+# The columns of what found nothing.
+_NOTHING = (("", np.empty(0)),)
 
 
 class Result(ABC):
@@ -66,6 +70,9 @@ class Result(ABC):
 
             ax = plt.subplots(layout="constrained")[1]
         self.draw(ax, **style)
+        for axis in (ax.xaxis, ax.yaxis):
+            if axis.get_scale() == "log":
+                plain_logarithmic(axis)
         if ax.get_legend_handles_labels()[0]:
             ax.legend()
         return ax
@@ -82,7 +89,7 @@ class Result(ABC):
             import pandas
         except ImportError:
             raise _missing("pandas") from None
-        (index, over), *others = self.columns().items()
+        (index, over), *others = self.columns().items() or _NOTHING
         return pandas.DataFrame(dict(others), index=pandas.Index(over, name=index))
 
     def to_xarray(self) -> xarray.Dataset:
@@ -97,8 +104,13 @@ class Result(ABC):
             import xarray
         except ImportError:
             raise _missing("xarray") from None
-        (index, over), *others = self.columns().items()
+        (index, over), *others = self.columns().items() or _NOTHING
         return xarray.Dataset({name: (index, column) for name, column in others}, {index: over})
+
+
+def joined(parts: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+    """Join columns end to end."""
+    return {name: np.concatenate([part[name] for part in parts]) for part in parts[:1] for name in part}
 
 
 def styled(style: Mapping[str, Any], **defaults: Any) -> dict[str, Any]:

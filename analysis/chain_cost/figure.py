@@ -10,18 +10,14 @@ import numpy as np
 
 from analysis.chain_cost.study import ChainStudy, Measurement
 from analysis.chain_cost.variants import GROUPS, own_setting
-from analysis.figures.style import drawing, save
-from rig.errors import RunError
 from rig.escaping import drawn
+from rig.figure_style import COLOURS, drawing, save_with_table
 from rig.output_files import stem
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
-#: From the first setting of a group to the last: light to dark, of one hue.
-SHADES = ("#9ecae1", "#6baed6", "#4292c6", "#2171b5", "#08519c", "#08306b")
-MARKERS = ("o", "s", "^", "v", "D", "P")
-OWN, QUIET = "#c1272d", "#e8853d"
+OWN, REST, FAINT = COLOURS[1], COLOURS[0], "#a0a0a0"
 
 
 def table(study: ChainStudy) -> str:
@@ -62,88 +58,50 @@ def write(study: ChainStudy, folder: Path) -> list[Path]:
 
     Raises
     ------
-    RunError
+    SceneError, RunError
         If a file cannot be written.
     """
     name = folder / stem("chain-cost", study.scene.name)
-    with drawing(6.4, 10.5) as figure:
-        panels = figure.subplots(2, 3, sharex=True, sharey=True)
-        for axes, group in zip(panels.flat, GROUPS, strict=True):
-            _panel(axes, study, group)
-        for axes in panels[-1]:
-            axes.set_xlabel("CPU time for a second of the test, ms")
-        for axes in panels[:, 0]:
-            axes.set_ylabel("error, relative")
+    return save_with_table(_draw(study), name, lambda path: _write_csv(study, path))
+
+
+def _draw(study: ChainStudy) -> Figure:
+    """One row for each thing changed: the error it leaves, and beside it what it costs."""
+    groups = [(group, [p for p in study.points if p.group == group]) for group in GROUPS]
+    rows = [
+        ("the scene as it is", study.own, OWN),
+        ("without noise, counts, tolerances, bias", study.quiet, OWN),
+    ]
+    for group, points in groups:
+        own = own_setting(study.scene, group)
+        rows += [(f"{group}: {p.setting}{' (the scene)' * (p.setting == own)}", p, REST) for p in points]
+    place = np.arange(len(rows), dtype=float)
+    place[2:] += np.repeat(0.7 * np.arange(1, len(groups) + 1), [len(points) for _, points in groups])
+    with drawing(0.9 + 0.19 * place[-1], 9.0) as figure:
+        left, right = figure.subplots(1, 2, sharey=True, width_ratios=(2.2, 1.0))
+        for y, (_, point, shade) in zip(place, rows, strict=True):
+            if np.isfinite(point.error):
+                error, raw = max(point.error, 1e-17), max(point.corrected, 1e-17)
+                left.plot([error, raw], [y, y], color=FAINT, lw=0.8, zorder=1)
+                left.plot(raw, y, "o", color=FAINT, mfc="white", ms=4.5)
+                left.plot(error, y, "o", color=shade, ms=6)
+                right.barh(y, 1e3 * point.cpu / point.duration, 0.6, color=shade)
+            else:
+                left.annotate("cannot be measured", (0.02, y), xycoords=("axes fraction", "data"), va="center",
+                              fontsize=7.5, color="#666666")  # fmt: skip
+        left.axvline(study.own.error, color=OWN, lw=0.8, ls="--", zorder=0)
+        left.set(xscale="log", xlabel="error, relative")
+        left.set_yticks(place, [drawn(text) for text, *_ in rows])
+        left.set_ylim(place[-1] + 0.8, -0.8)
+        right.set_xlabel("CPU time for a second of the test / ms")
+        for axes in (left, right):
+            axes.grid(False, axis="y")
+        left.plot([], [], "o", color=REST, ms=6, label="compliance, corrected by the data sheets")
+        left.plot([], [], "o", color=FAINT, mfc="white", ms=4.5, label="displacement, not corrected")
+        left.plot([], [], "--", color=OWN, lw=0.8, label="the scene as it is")
+        figure.legend(loc="outside lower center", ncols=3)
         figure.suptitle(drawn(study.scene.name))
-        handles, labels = panels[0, 0].get_legend_handles_labels()
-        common = [(h, t) for h, t in zip(handles, labels, strict=True) if t in _COMMON]
-        figure.legend(*zip(*common, strict=True), loc="outside lower center", ncols=len(common), fontsize=8.5)
-        files = save(figure, name)
-    path = name.with_name(name.name + ".csv")
-    try:
-        _write_csv(study, path)
-    except OSError as error:
-        raise RunError(f"{path}: cannot be written ({error.strerror})") from None
-    return [*files, path]
-
-
-_COMMON = (
-    "the scene as it is",
-    "without noise, counts, tolerances, bias",
-    "compliance, corrected by the data sheets",
-    "displacement, not corrected",
-)
-
-
-def _panel(axes: Axes, study: ChainStudy, group: str) -> None:
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    axes.margins(y=0.12)
-    points = [p for p in study.points if p.group == group and np.isfinite(p.error)]
-    for marker, colour, point, label in (
-        ("*", OWN, study.own, _COMMON[0]),
-        ("*", QUIET, study.quiet, _COMMON[1]),
-    ):
-        axes.plot(*_place(point), marker, color=colour, ms=11, zorder=4, mec="white", mew=0.6)
-        axes.plot([], [], marker, color=colour, ms=10, label=label)
-    axes.plot([], [], "o", color="#555555", ms=5.5, label=_COMMON[2])
-    axes.plot([], [], "o", color="#555555", mfc="white", ms=5.5, label=_COMMON[3])
-    axes.axhline(study.own.error, color=OWN, lw=0.8, ls="--", zorder=1)
-    own_handles = []
-    for k, point in enumerate(points):
-        colour = SHADES[k + len(SHADES) - max(len(points), 1)] if len(points) <= len(SHADES) else SHADES[-1]
-        marker = MARKERS[k % len(MARKERS)]
-        x, y = _place(point)
-        axes.plot([x, x], [y, point.corrected], "-", color=colour, lw=0.7, alpha=0.6)
-        axes.plot(x, point.corrected, marker, color=colour, mfc="white", ms=5)
-        own_handles += axes.plot(x, y, marker, color=colour, ms=6, zorder=3, label=point.setting)
-    own = own_setting(study.scene, group)
-    axes.set_title(f"{group} (the scene: {own})" if own else group)
-    failed = [p.setting for p in study.points if p.group == group and not np.isfinite(p.error)]
-    if failed:
-        axes.annotate(
-            f"cannot be measured: {', '.join(failed)}", (0.03, 0.02), xycoords="axes fraction", fontsize=7
-        )
-    if own_handles:
-        axes.legend(
-            handles=own_handles, fontsize=7.5, loc="upper right", labelspacing=0.3, handletextpad=0.2,
-            frameon=True, framealpha=0.85, edgecolor="none",
-        )  # fmt: skip
-    _time_axis(axes, [_place(p)[0] for p in (study.own, study.quiet, *study.points) if np.isfinite(p.error)])
-
-
-def _time_axis(axes: Axes, times: list[float]) -> None:
-    """Logarithmic axis, wide enough for differences to look as large as they are, with room for the legend."""
-    from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
-
-    axes.set_xlim(min(times) / 1.6, max(max(times) * 1.3, min(times) * 3.0) * 1.8)
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-
-
-def _place(point: Measurement) -> tuple[float, float]:
-    return 1e3 * point.cpu / point.duration, max(point.error, 1e-17)
+        return figure
 
 
 def _write_csv(study: ChainStudy, path: Path) -> None:

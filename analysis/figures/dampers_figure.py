@@ -9,8 +9,8 @@ import numpy as np
 
 from analysis.dampers.nonlinearity import DamperMotion
 from analysis.dampers.performance import CycleEnergy
-from analysis.figures.style import COLOURS, drawing, frequency_axis, heading
 from rig.escaping import drawn
+from rig.figure_style import COLOURS, cell_edges, drawing, frequency_axis, heading
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,7 +24,7 @@ _KINDS = {
     "other": "other pattern of impacts",
     "unseen": "flies, impacts too small to be seen",
 }
-_SHADES = dict(zip(_KINDS, ("#555555", *COLOURS[:4], "#c4c4c4"), strict=True))
+_SHADES = dict(zip(_KINDS, ("#dcdcdc", *COLOURS[:4], "#8c8c8c"), strict=True))
 
 
 def dampers_figure(
@@ -50,22 +50,21 @@ def dampers_figure(
         heights = [0.45 * len(motions) + 0.15] + ([2.0] if energy is not None else [])
         rows = np.atleast_1d(figure.subplots(len(heights), 1, height_ratios=heights))
         strip = rows[0]
+        borders = cell_edges(frequency[order], False)
         used = set()
         for row, body in enumerate(motions):
-            kinds = np.array([one.name.split(":")[0] for one in body])
-            for kind in dict.fromkeys(kinds):
-                used.add(kind)
-                here = kinds == kind
-                strip.plot(
-                    frequency[here], np.full(here.sum(), row), "|", color=_SHADES[kind], ms=13, mew=2.2
-                )
-        strip.set_ylim(len(motions) - 0.4, -0.6)
+            kinds = [body[k].name.split(":")[0] for k in order]
+            used |= set(kinds)
+            for low, width, kind in zip(borders, np.diff(borders), kinds, strict=False):
+                strip.broken_barh([(low, width)], (row - 0.35, 0.7), color=_SHADES[kind], ec="white", lw=0.3)
+        strip.plot(frequency, np.full(frequency.size, len(motions) - 0.5), "|", color="black", ms=4, mew=0.8)
+        strip.set_ylim(len(motions) - 0.3, -0.6)
         strip.set_yticks(range(len(motions)), [drawn(body[0].channel) for body in motions])
         strip.grid(False)
         for kind in _KINDS:
             if kind in used:
                 strip.plot([], [], "s", color=_SHADES[kind], ms=6, label=_KINDS[kind])
-        figure.legend(loc="outside lower center", ncols=2)
+        strip.plot([], [], "|", color="black", ms=6, label="frequency that was measured")
         heading(strip, title)
         if energy is not None:
             axes = rows[1]
@@ -78,12 +77,12 @@ def dampers_figure(
                 lines["truly lost in impacts"] = (true, COLOURS[2], ":")
             for name, (joule, shade, dashes) in lines.items():
                 shown = np.where(joule > 0, 1e3 * joule, np.nan)[order]
-                axes.plot(frequency[order], shown, color=shade, ls=dashes, label=name)
+                axes.plot(frequency[order], shown, color=shade, ls=dashes, marker="o", label=name)
             top = 1e3 * float(energy.supplied.max())
             axes.set_yscale("log")
             axes.set_ylim(top * 1e-4, top * 2.0)
             axes.set_ylabel("energy a period / mJ")
-            axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.22), ncols=2)
         for axes in rows:
-            frequency_axis(axes, float(frequency.min()), float(frequency.max()), axes is rows[-1])
+            frequency_axis(axes, max(borders[0], 0.9 * frequency.min()), borders[-1], axes is rows[-1])
+        figure.legend(loc="outside lower center", ncols=2)
         return figure

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from analysis.decays.free_decay import Decay
-from analysis.figures.style import colour, drawing, heading, plain_logarithmic, plain_ticks
 from rig.escaping import drawn
+from rig.figure_style import colour, drawing, heading, note, plain_logarithmic
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,14 +44,14 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
             shade = colour(index)
             keep = decay.time <= shown
             trace.plot(decay.time[keep], decay.acceleration[keep], color=shade, lw=0.6, alpha=0.75)
-            peaks = decay.peak_time <= shown
+            time, top = envelope_of(decay)
+            early = time <= shown
             for sign in (1.0, -1.0):
                 trace.plot(
-                    decay.peak_time[peaks], sign * decay.peak[peaks], color=shade, lw=1.4,
+                    time[early], sign * top[early], color=shade, lw=1.4,
                     label=drawn(decay.label) if sign > 0 else None,
                 )  # fmt: skip
-            # By its peaks: the analytic signal of several modes beats below them down to nothing.
-            level.plot(decay.peak_time[peaks], decay.peak[peaks], color=shade, lw=1.2)
+            level.plot(time[early], top[early], color=shade, lw=1.2)
             level.plot(
                 decay.time[keep], decay.envelope.max() * 10.0 ** (decay.energy[keep] / 20.0),
                 color=shade, lw=1.6, ls="--",
@@ -60,15 +61,6 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
         trace.set_xlim(0.0, shown)
         for sign in (1.0, -1.0):
             trace.axhline(sign * gravity, color="#777777", lw=0.8, ls=":")
-        trace.annotate(
-            "g",
-            (1.0, gravity),
-            xycoords=("axes fraction", "data"),
-            xytext=(2, -3),
-            textcoords="offset points",
-            fontsize=8,
-            color="#555555",
-        )
         trace.set_ylabel("acceleration / (m/s²)")
         trace.tick_params(labelbottom=False)
         heading(trace, title)
@@ -79,10 +71,9 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
         level.axhline(gravity, color="#777777", lw=0.8, ls=":")
         level.set_ylabel("envelope / (m/s²)")
         level.set_xlabel("time after the hit / s")
-        level.annotate(
-            "solid: peaks; dashed: energy still to come (Schroeder); below, shaded: 95 % bound", (1.0, 1.0),
-            xycoords="axes fraction",
-            ha="right", va="top", fontsize=7.5, color="#555555",
+        note(
+            figure, "solid: largest acceleration within a period of the lowest mode",
+            "dashed: energy still to come (Schroeder)", "dotted: 1 g", "shaded: 95 % bound",
         )  # fmt: skip
         _damping_row(figure, rows, columns, gravity)
         return figure
@@ -103,17 +94,15 @@ def _damping_row(
                     mode.amplitude, percent - half, percent + half, color=shade, alpha=0.25, lw=0
                 )
                 axes.plot(mode.amplitude, percent, "o-", color=shade)
-        plain_logarithmic(axes, [mode.amplitude for _, mode in members] + [np.array([gravity])])
+        every = np.concatenate([mode.amplitude for _, mode in members] + [np.array([gravity])])
+        low, high = 0.8 * float(every.min()), 1.25 * float(every.max())
+        axes.set_xlim(low, high)
+        plain_logarithmic(axes.xaxis, 5)
         axes.axvline(gravity, color="#777777", lw=0.8, ls=":")
         axes.set_xlabel("amplitude / (m/s²)")
         axes.set_title(f"{members[0][1].frequency:.1f} Hz", fontsize=9, fontweight="normal")
         if column == 0:
             axes.set_ylabel("damping ratio / %")
-            axes.set_yscale("log")
-            from matplotlib.ticker import FuncFormatter, NullFormatter
-
-            axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            axes.yaxis.set_minor_formatter(NullFormatter())
         else:
             axes.tick_params(labelleft=False)
     if first is not None:
@@ -122,8 +111,20 @@ def _damping_row(
         flat = flat[flat > 0]
         if flat.size:
             low, high = float(flat.min()) / 1.5, float(flat.max()) * 1.5
+            plain_logarithmic(first.yaxis, 6)
             first.set_ylim(low, high)
-            first.set_yticks(plain_ticks(low, high))
+
+
+def envelope_of(decay: Decay) -> tuple[Array, Array]:
+    """Time, and a smooth line that no sample of the acceleration passes.
+
+    The largest magnitude within a period of the lowest mode on either side, averaged over one: every value of the
+    average is as large as the sample in its middle.
+    """
+    lowest = min((mode.frequency for mode in decay.modes), default=1.0 / decay.time[-1])
+    window = 2 * max(1, round(0.5 / (lowest * (decay.time[1] - decay.time[0])))) + 1
+    largest = maximum_filter1d(abs(decay.acceleration), 2 * window + 1, mode="nearest")
+    return decay.time, uniform_filter1d(largest, window, mode="nearest")
 
 
 def _columns(decays: Sequence[Decay]) -> list[list[tuple[int, ModalDecay]]]:

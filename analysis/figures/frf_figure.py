@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from analysis.figures.style import colour, decades, drawing, frequency_axis, heading
 from analysis.responses.frf import Frf
 from rig.escaping import drawn
+from rig.figure_style import colour, decades, drawing, frequency_axis, heading, note
 
 Array = NDArray[np.float64]
 
@@ -28,8 +27,6 @@ _AROUND = 25
 _COHERENT = 0.5
 # Systematic parts below this share of the curve cannot be seen.
 _VISIBLE = 3e-3
-# Characters of the note under a figure that fit into its width.
-_NOTE_LINE = 120
 THEORY, NOISE = "#555555", "#c4c4c4"
 
 
@@ -66,7 +63,7 @@ def frf_figure(
         if theory:
             upper.plot([], [], color=THEORY, lw=0.9, ls=(0, (5, 2)), label=drawn(theory[0].label))
         for index, measured in enumerate(frfs):
-            _curve(measured.sorted(), colour(index), upper, middle, lower)
+            _curve(measured, colour(index), upper, middle, lower)
         for frequency, text in marks:
             upper.axvline(frequency, color="#777777", lw=0.8, ls=":")
             upper.annotate(
@@ -94,24 +91,27 @@ def frf_figure(
                 ha="center", va="center", fontsize=8, color="#555555",
             )  # fmt: skip
         figure.align_ylabels([upper, middle, lower])
-        notes = ["dark: 95 % of the scatter"] if any(np.any(frf.degrees > 0) for frf in frfs) else []
+        notes = ["shaded dark: 95 % of the scatter"] if any(np.any(frf.degrees > 0) for frf in frfs) else []
         parts = dict.fromkeys(name for frf in frfs for name in shown_parts(frf))
         if parts:
-            notes.append(f"light: {', '.join(parts)}, at most")
+            notes.append(f"shaded light: {', '.join(parts)}, at most")
         if not all(told(frf).all() for frf in frfs):
             notes.append("grey: within the noise, phase left out")
         if any(frf.unsteady is not None and frf.unsteady.any() for frf in frfs):
             notes.append("crosses: not steady")
-        if notes:
-            # Below all axes, where the layout makes room for it whatever the title's length.
-            text = "\n".join(wrap("; ".join(notes), _NOTE_LINE))
-            figure.supxlabel(text, x=0.995, ha="right", fontsize=7, color="#777777")
+        note(figure, *notes)
         return figure
 
 
 def _curve(frf: Frf, shade: str, upper: Axes, middle: Axes, lower: Axes) -> None:
     """Draw one measured curve into the three panels."""
-    dots = "o" if frf.frequency.size <= DOTS else None
+    # A pass downwards has open marks, larger, so that one upwards shows through where they agree.
+    falls = frf.frequency.size > 1 and frf.frequency[0] > frf.frequency[-1]
+    frf = frf.sorted()
+    few = frf.frequency.size <= DOTS
+    look: dict[str, Any] = {"marker": "o" if few else None, "color": shade, "zorder": 2.9 if falls else 3}
+    if falls:
+        look |= {"mfc": "none", "ms": 5.0, "mew": 0.9}
     factor, clear = frf.shown_in[1], told(frf)
     size, half = factor * abs(frf.value), factor * np.nan_to_num(frf.band())
     systematic = frf.systematic_bound()
@@ -125,21 +125,16 @@ def _curve(frf: Frf, shade: str, upper: Axes, middle: Axes, lower: Axes) -> None
         # A point on either side, so that the line does not break where it turns grey.
         noisy = ~clear | ~np.roll(clear, 1) | ~np.roll(clear, -1)
         upper.plot(frf.frequency, np.where(noisy, size, np.nan), color=NOISE, lw=0.7, zorder=2)
-    upper.plot(
-        frf.frequency,
-        np.where(clear, size, np.nan),
-        marker=dots,
-        color=shade,
-        label=drawn(frf.label),
-        zorder=3,
-    )
+    upper.plot(frf.frequency, np.where(clear, size, np.nan), label=drawn(frf.label), **look)
     if frf.unsteady is not None and frf.unsteady.any():
         upper.plot(frf.frequency[frf.unsteady], size[frf.unsteady], "x", color=shade, markersize=6, zorder=4)
     angle = np.where(clear, phase_degrees(frf), np.nan)
     for reach, strength in ((whole, 0.13), (half, 0.25)):
         turn = np.degrees(np.arcsin(np.minimum(reach / np.maximum(size, 1e-300), 1.0)))
-        middle.fill_between(frf.frequency, angle - turn, angle + turn, color=shade, alpha=strength, lw=0)
-    middle.plot(*_broken(frf.frequency, angle), marker=dots, color=shade, zorder=3)
+        where, centre = _broken(frf.frequency, angle)
+        wide = _broken(frf.frequency, angle, turn)[1]
+        middle.fill_between(where, centre - wide, centre + wide, color=shade, alpha=strength, lw=0)
+    middle.plot(*_broken(frf.frequency, angle), **look)
     if np.any(frf.degrees > 0):
         lower.plot(frf.frequency, frf.coherence, color=shade, zorder=3)
 
@@ -163,11 +158,11 @@ def told(frf: Frf) -> NDArray[np.bool_]:
     return np.asarray(median_filter(rough / size, _AROUND, mode="nearest") < 0.35)
 
 
-def _broken(frequency: Array, angle: Array) -> tuple[Array, Array]:
-    """Break the line where the phase wraps round."""
+def _broken(frequency: Array, angle: Array, values: Array | None = None) -> tuple[Array, Array]:
+    """Break a line, that of the angle unless told, where the phase wraps round."""
     with np.errstate(invalid="ignore"):
         wraps = np.flatnonzero(abs(np.diff(angle)) > 180.0) + 1
-    return np.insert(frequency, wraps, np.nan), np.insert(angle, wraps, np.nan)
+    return np.insert(frequency, wraps, np.nan), np.insert(angle if values is None else values, wraps, np.nan)
 
 
 def phase_degrees(frf: Frf) -> Array:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.figures.frf_figure import DOTS
-from analysis.figures.style import colour, decades, drawing, frequency_axis, heading
 from analysis.modal.modes import Modes
 from analysis.responses.frf import Frf
 from rig.escaping import drawn
+from rig.figure_style import colour, decades, drawing, frequency_axis, heading
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -68,8 +68,8 @@ def modes_figure(frfs: Sequence[Frf], modes: Modes, title: str) -> Figure:
         places = np.arange(1, len(modes.responses) + 1)
         for i in range(count):
             axes = figure.add_subplot(rows[2, i])
-            axes.plot(np.append(0, modes.shapes[:, i].real), np.append(0, places), "o-", color=colour(i))
-            axes.set_xlim(-1.25, 1.25)
+            axes.plot(np.append(0, modes.shapes[:, i].real), np.append(0, places), "o-", color="#333333")
+            axes.set(xlim=(-1.25, 1.25), xlabel="shape")
             axes.axvline(0.0, color="#777777", lw=0.7)
             names = ["ground", *modes.responses] if i == 0 else [""] * (places.size + 1)
             axes.set_yticks(np.append(0, places), names)

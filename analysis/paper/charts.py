@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.figures.style import drawing
 from analysis.paper.figures import BLACK, BLUE, GREEN, GREY, RED, Parts
+from rig.figure_style import drawing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

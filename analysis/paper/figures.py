@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.figures.style import COLOURS, decades, drawing, frequency_axis
+from rig.figure_style import COLOURS, decades, drawing, frequency_axis
 from rig.scene.scene import STANDARD_GRAVITY
 
 if TYPE_CHECKING:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from analysis.figures.style import save
 from analysis.paper import charts as paper_charts
 from analysis.paper import figures as paper_figures
 from analysis.paper.claims import claims
@@ -15,6 +14,7 @@ from analysis.paper.page import write_pages
 from analysis.paper.parts import all_parts
 from analysis.paper.store import Arrays, PaperPart, remove_partial
 from rig.errors import SceneError
+from rig.figure_style import save
 from rig.workers import Workers, cores
 
 if TYPE_CHECKING:

@@ -46,7 +46,7 @@ def present_dampers(
         Called with (frequencies done, in all) of the lock-in.
     """
     from analysis.figures.dampers_figure import dampers_figure
-    from analysis.figures.style import save
+    from rig.figure_style import save
 
     files, lines, notes = [], [], []
     for path, label in zip(paths, scene_labels(paths), strict=True):

@@ -49,8 +49,8 @@ def present_frf(
 ) -> Result:
     """Draw and tabulate frequency responses; several recordings are overlaid, one figure per response."""
     from analysis.figures.frf_figure import frf_figure
-    from analysis.figures.style import save
     from analysis.presentation.tables import frf_table
+    from rig.figure_style import save
 
     curves: list[Frf] = []
     exact: list[Frf] = []
@@ -102,8 +102,8 @@ def present_decay(
 ) -> Result:
     """Draw and tabulate free decays, several recordings overlaid."""
     from analysis.figures.decay_figure import decay_figure
-    from analysis.figures.style import save
     from analysis.presentation.tables import damping_table, envelope_table
+    from rig.figure_style import save
 
     decays: list[Decay] = []
     notes: list[str] = []
@@ -156,8 +156,8 @@ def present_modes(
 ) -> Result:
     """Identify modes, draw and tabulate them."""
     from analysis.figures.modes_figure import modes_figure
-    from analysis.figures.style import save
     from analysis.presentation.tables import modes_table
+    from rig.figure_style import save
 
     found: list[Modes] = []
     files: list[Path] = []

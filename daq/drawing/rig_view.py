@@ -14,8 +14,19 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.drawing.palette import DARK_STEEL, DRIVE, GLUED, GROUND, HAMMER, LEAD, MARK, Colour, body_colour
-from daq.drawing.shapes import Point, arrow, boxes, coil, cylinder, label, leaf_pair, lines
+from daq.drawing.palette import (
+    DARK_STEEL,
+    DRIVE,
+    GLUED,
+    GROUND,
+    HAMMER,
+    LEAD,
+    MARK,
+    STEEL,
+    Colour,
+    body_colour,
+)
+from daq.drawing.shapes import Point, arrow, boxes, coils, cylinder, label, lines
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -28,7 +39,7 @@ WALL = 0.012
 DAMPER_HEIGHT = 0.030
 HEADROOM = 0.100
 SOLID_HEIGHT = 0.060
-LEAF_LENGTH = 0.080
+SPRING_LENGTH = 0.080
 COIL_LENGTH = 0.110
 PLATE = 0.018
 PLINTH = 0.050
@@ -92,7 +103,7 @@ def exaggeration(extremes: Extremes) -> float:
     1.0
     """
     room = (
-        (extremes.spring, FILL * LEAF_LENGTH),
+        (extremes.spring, FILL * SPRING_LENGTH),
         (extremes.coil, FILL * COIL_LENGTH),
         (extremes.gap, HEADROOM),
     )
@@ -151,8 +162,8 @@ class RigView:
         ]
         hung = [shaker.body for _, shaker in scene.tables]
         # A table under body 1 needs room for itself and its coil spring.
-        first = PLINTH + PLATE + COIL_LENGTH if 1 in hung else LEAF_LENGTH
-        self._length = [first] + [LEAF_LENGTH] * (self.bodies - 1)
+        first = PLINTH + PLATE + COIL_LENGTH if 1 in hung else SPRING_LENGTH
+        self._length = [first] + [SPRING_LENGTH] * (self.bodies - 1)
         self._bottom: list[float] = []
         top = 0.0
         for length, height in zip(self._length, self._height, strict=True):
@@ -181,7 +192,7 @@ class RigView:
             yield from self._body(body)
         for body, (length, sprung) in enumerate(zip(self._length, self._sprung, strict=True), start=1):
             if sprung:
-                yield f"rig/spring_{body}", leaf_pair(length, WIDTH, DEPTH)
+                yield f"rig/spring_{body}", coils((-0.3 * WIDTH, 0.3 * WIDTH), length, STEEL)
         for table in self._tables:
             yield from self._shaker(table)
         yield from self._drive_arrows()
@@ -267,7 +278,7 @@ class RigView:
         text_at = (table.x + 0.055, -0.09, -PLATE)
         text = table.point if table.kind == "table" else table.point.replace("table", "armature")
         yield f"{table.entity('table')}/name", label(text_at, text + self._remark(table.point), colour)
-        yield table.entity("coil_spring"), coil(table.x, COIL_LENGTH)
+        yield table.entity("coil_spring"), coils([table.x], COIL_LENGTH, DRIVE)
 
     def _drive_arrows(self) -> Iterator[tuple[str, rr.AsComponents]]:
         """Arrows on the bodies that a force works on directly: kind force, and the hammer."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from daq.drawing.palette import DRIVE, STEEL, Colour
+from daq.drawing.palette import Colour
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -16,7 +16,6 @@ Point = tuple[float, float, float]
 
 COIL_TURNS = 7
 COIL_RADIUS = 0.020
-LEAF_BULGE = 0.022
 
 
 def boxes(parts: Sequence[tuple[Point, Point]], colour: Colour) -> rr.Boxes3D:
@@ -57,30 +56,15 @@ def lines(strips: Sequence[Sequence[Point]], colour: Colour, radius: float) -> r
     return rr.LineStrips3D(strips, colors=[colour], radii=[radius])
 
 
-def coil(x: float, length: float) -> rr.LineStrips3D:
-    """Draw a coil spring from z = 0 to z = length: a helix with straight ends."""
+def coils(places: Sequence[float], length: float, colour: Colour) -> rr.LineStrips3D:
+    """Draw coil springs from z = 0 to z = length, each at its x: a helix with straight ends."""
     import rerun as rr
 
     along = np.linspace(0.0, 1.0, 24 * COIL_TURNS + 1)
     turn = 2 * np.pi * COIL_TURNS * along
     helix = np.column_stack(
-        [x + COIL_RADIUS * np.cos(turn), COIL_RADIUS * np.sin(turn), length * (0.08 + 0.84 * along)]
+        [COIL_RADIUS * np.cos(turn), COIL_RADIUS * np.sin(turn), length * (0.08 + 0.84 * along)]
     )
-    ends = np.array([[x, 0.0, at * length] for at in (0.0, 0.08, 0.92, 1.0)])
+    ends = np.array([[0.0, 0.0, at * length] for at in (0.0, 0.08, 0.92, 1.0)])
     strip = np.vstack([ends[:2], helix, ends[2:]])
-    return rr.LineStrips3D([strip], colors=[DRIVE], radii=[0.0028])
-
-
-def leaf_pair(length: float, width: float, depth: float) -> rr.LineStrips3D:
-    """Draw leaf springs from z = 0 to z = length: at each side a bow of thin leaves, one behind the other."""
-    import rerun as rr
-
-    along = np.linspace(0.0, 1.0, 25)
-    bulge = LEAF_BULGE * np.sin(np.pi * along)
-    strips = []
-    for side in (-1.0, 1.0):
-        for bow in (-1.0, 1.0):
-            for y in np.linspace(-0.35 * depth, 0.35 * depth, 5):
-                x = side * (width / 2 - LEAF_BULGE - 0.004) + bow * bulge
-                strips.append(np.column_stack([x, np.full_like(x, y), length * along]))
-    return rr.LineStrips3D(strips, colors=[STEEL], radii=[0.0016])
+    return rr.LineStrips3D([strip + np.array([x, 0.0, 0.0]) for x in places], colors=[colour], radii=[0.0028])

@@ -20,10 +20,10 @@ from daq.drawing.rig_view import (
     DAMPER_HEIGHT,
     DEPTH,
     HEADROOM,
-    LEAF_LENGTH,
     PLATE,
     PLINTH,
     SOLID_HEIGHT,
+    SPRING_LENGTH,
     WALL,
     WIDTH,
 )
@@ -113,7 +113,7 @@ class RobotDescription:
         with_cavity = {damper.body: damper for damper in scene.dampers}
         bottom, below = 0.0, {}
         for body in range(1, scene.structure.bodies + 1):
-            bottom += PLINTH + PLATE + COIL_LENGTH if body == 1 and body in hung else LEAF_LENGTH
+            bottom += PLINTH + PLATE + COIL_LENGTH if body == 1 and body in hung else SPRING_LENGTH
             below[body] = bottom
             points.append(f"body {body}")
             height, boxes = SOLID_HEIGHT, [((0.0, 0.0, SOLID_HEIGHT / 2), (WIDTH, DEPTH, SOLID_HEIGHT))]

@@ -9,7 +9,7 @@ import numpy as np
 from rig.damper_design.choice import Question, Space, variants
 from rig.errors import SceneError
 from rig.motion_map.grid import columns
-from rig.scene.quantities import MASS, RATIO, Kind, parse
+from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, MASS, RATIO, Kind, number, parse, positives
 from rig.scene.scene import Scene
 from rig.system.open_loop_drive import level_of, with_ideal_force
 from rig.system.structure import structure_matrices
@@ -23,68 +23,44 @@ NARROWEST, WIDEST = 0.03, 1.5
 BUDGET = 0.05
 
 
-def mass_of(text: str | None, scene: Scene) -> float | None:
-    """Read a mass, or a share of the structure's [kg].
+def mass_of(budget: float | str | None, scene: Scene) -> float:
+    """Take a mass, a share of the structure's, or the usual one [kg].
 
     Raises
     ------
     SceneError
-        If it is neither.
+        If it is none of these.
     """
-    if text is None:
-        return None
+    if budget is None:
+        return BUDGET * total_mass(scene)
+    if not isinstance(budget, str):
+        return budget
     try:
-        return parse(text, MASS) if text.rstrip().endswith("g") else parse(text, RATIO) * total_mass(scene)
+        if budget.rstrip().endswith("g"):
+            return parse(budget, MASS)
+        return parse(budget, RATIO) * total_mass(scene)
     except ValueError:
         raise SceneError(
-            f"--budget: got {text[:60]}; expected a mass such as '50 g', or a share such as '5 %'"
+            f"budget: got {budget[:60]}; expected a mass such as '50 g', or a share such as '5 %'"
         ) from None
 
 
-def bodies_of(text: str | None, name: str) -> tuple[int, ...] | None:
-    """Read a list of bodies with commas between.
-
-    Raises
-    ------
-    SceneError
-        If it is none.
-    """
+def _bodies(given: Sequence[int | str] | None, scene: Scene, name: str) -> tuple[int, ...]:
+    everywhere = range(1, scene.structure.bodies + 1)
     try:
-        return None if text is None else tuple(int(word) for word in text.split(","))
+        found = tuple(sorted({int(one) for one in given or everywhere}))
     except ValueError:
-        raise SceneError(
-            f"{name}: got {text}; expected numbers of bodies with commas between, such as 1,3"
-        ) from None
+        found = (0,)
+    if not set(found) <= set(everywhere):
+        raise SceneError(f"{name}: got {given}; expected numbers of bodies, from 1 to {everywhere[-1]}")
+    return found
 
 
-def quantities(text: str | None, kind: Kind, name: str) -> tuple[float, ...] | None:
-    """Read a list of quantities with commas between.
-
-    Raises
-    ------
-    SceneError
-        If it is none.
-    """
-    try:
-        return None if text is None else tuple(parse(word.strip(), kind) for word in text.split(","))
-    except ValueError as error:
-        raise SceneError(f"{name}: {error}") from None
-
-
-def range_of(text: str | None, kind: Kind, name: str) -> tuple[float, float] | None:
-    """Read two quantities with a comma between.
-
-    Raises
-    ------
-    SceneError
-        If there are not two.
-    """
-    found = quantities(text, kind, name)
-    if found is None:
-        return None
-    if len(found) != 2:
-        raise SceneError(f"{name}: got {len(found)} values; expected two, with a comma between")
-    return found[0], found[1]
+def _range(given: Sequence[float | str], kind: Kind, name: str) -> tuple[float, float]:
+    ends = positives(given, kind, name).tolist()
+    if len(ends) != 2 or not ends[0] < ends[1]:
+        raise SceneError(f"{name}: got {', '.join(map(str, given))}; expected two, the smaller one first")
+    return ends[0], ends[1]
 
 
 def total_mass(scene: Scene) -> float:
@@ -94,14 +70,14 @@ def total_mass(scene: Scene) -> float:
 
 def asked(
     scene: Scene,
-    budget: float | None,
-    bodies: Sequence[int] | None,
+    budget: float | str | None,
+    bodies: Sequence[int | str] | None,
     dampers: int,
-    clearance: tuple[float, float] | None,
-    levels: Sequence[float] | None,
-    band: tuple[float, float] | None,
-    watched: Sequence[int] | None,
-    uncertain: tuple[float, float],
+    clearance: Sequence[float | str] | None,
+    levels: Sequence[float | str] | None,
+    band: Sequence[float | str] | None,
+    watched: Sequence[int | str] | None,
+    uncertain: Sequence[float | str],
 ) -> tuple[Question, Space]:
     """Fill in what was not told, and check it; parameters as of `rig.design`.
 
@@ -110,19 +86,15 @@ def asked(
     SceneError
         If that leaves nothing to choose or nothing to drive the structure with.
     """
-    everywhere = tuple(range(1, scene.structure.bodies + 1))
-    may_carry, count = tuple(sorted(set(bodies or everywhere))), tuple(sorted(set(watched or everywhere)))
-    for name, given in (("bodies", may_carry), ("watched", count)):
-        if set(given) - set(everywhere):
-            raise SceneError(f"{name}: got {given}; expected numbers from 1 to {everywhere[-1]}")
+    may_carry, count = _bodies(bodies, scene, "bodies"), _bodies(watched, scene, "watched")
     if not 1 <= dampers <= len(may_carry):
         raise SceneError(
             f"dampers: got {dampers}; expected 1 to {len(may_carry)}, one for each body that may carry one"
         )
-    if not all(0.0 <= share < 0.9 for share in uncertain):
-        raise SceneError(f"uncertain: got {uncertain}; expected two shares from 0 to below 90 %")
-    total = total_mass(scene)
-    most = BUDGET * total if budget is None else budget
+    shares = tuple(number(share, RATIO, "uncertain") for share in uncertain)
+    if len(shares) != 2 or not all(0.0 <= share < 0.9 for share in shares):
+        raise SceneError(f"uncertain: got {shares}; expected two shares from 0 to below 90 %")
+    total, most = total_mass(scene), mass_of(budget, scene)
     if not 0.0 < most < total:
         raise SceneError(
             f"budget: got {most:g} kg; expected more than nothing and less than the structure's {total:g} kg"
@@ -131,16 +103,12 @@ def asked(
         raise SceneError("gravity: got 0; expected more: beds that do not fall do not strike as these do")
     restitution = scene.dampers[0].restitution if scene.dampers else 0.0
     plain = with_ideal_force(scene.replace(dampers=[], channels=None))
-    nominal = level_of(plain)
-    forces = tuple(sorted(float(f) for f in (levels or [nominal * factor for factor in LEVELS])))
-    if not all(np.isfinite(f) and f > 0.0 for f in forces):
-        raise SceneError(f"levels: got {forces}; expected positive forces")
-    ends = band or tuple(columns(plain, points=2).tolist())
+    usual = [level_of(plain) * factor for factor in LEVELS]
+    forces = tuple(sorted(positives(levels or usual, FORCE, "levels").tolist()))
+    ends = _range(band or tuple(columns(plain, points=2).tolist()), FREQUENCY, "band")
     places = Space.places_of(may_carry, dampers)
-    question = Question(variants(plain, *uncertain), forces, (ends[0], ends[1]), count, restitution)
+    question = Question(variants(plain, *shares), forces, ends, count, restitution)
     if clearance is None:
         motion = question.bare.size
         clearance = NARROWEST * motion * forces[0], WIDEST * motion * forces[-1]
-    if not 0.0 < clearance[0] < clearance[1] < np.inf:
-        raise SceneError(f"clearance: got {clearance}; expected the smaller one first, above zero")
-    return question, Space(places, most, clearance)
+    return question, Space(places, most, _range(clearance, LENGTH, "clearance"))

@@ -26,11 +26,19 @@ COARSE, FINE = 20, 60
 
 @dataclass(frozen=True)
 class Choice:
-    """Dampers: their bodies (from 1), masses [kg] and clearances [m], one each."""
+    """Dampers: their bodies (from 1), masses [kg] and clearances [m], one each.
+
+    >>> print(Choice((2,), (0.0451,), (1.18e-3,)))
+    45.1 g in body 2, clearance 1.18 mm
+    """
 
     bodies: tuple[int, ...]
     masses: tuple[float, ...]
     clearances: tuple[float, ...]
+
+    def __str__(self) -> str:
+        each = zip(self.masses, self.bodies, self.clearances, strict=True)
+        return "; ".join(f"{1e3 * m:.3g} g in body {b}, clearance {1e3 * c:.3g} mm" for m, b, c in each)
 
     @property
     def mass(self) -> float:

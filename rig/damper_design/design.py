@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +15,14 @@ from rig.damper_design.asked import asked
 from rig.damper_design.choice import Question, Space, Trial
 from rig.damper_design.search import chart, front, pieces, search
 from rig.damper_design.worst_peak import Peak
+from rig.results import Result
+from rig.scene.loading import scene_of
 from rig.scene.scene import Scene
 from rig.system.open_loop_drive import level_of
 from rig.workers import Workers
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
 
@@ -27,8 +33,8 @@ CHART_CLEARANCES = np.geomspace(0.25, 4.0, 7)
 CHECK_POINTS, CHECK_RANGE = 25, 0.04
 
 
-@dataclass(frozen=True)
-class Design:
+@dataclass(frozen=True, repr=False)
+class Design(Result):
     """Dampers that make the worst peak smallest.
 
     Attributes
@@ -61,6 +67,23 @@ class Design:
     clearance_factors: Array
     chart: tuple[tuple[Peak, ...], ...]
 
+    def summary(self) -> str:
+        """Say which dampers are best, and what they do."""
+        return f"{self.scene.name}: {self.best.choice}, worst peak reduced by {self.reduction(self.best.peak):.1f} dB"
+
+    def columns(self) -> dict[str, Array]:
+        """Give the added mass of all that were tried, and by how much it reduces the worst peak."""
+        return {
+            "added_mass_kg": np.array([trial.choice.mass for trial in self.trials]),
+            "reduction_dB": np.array([self.reduction(trial.peak) for trial in self.trials]),
+        }
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Reduction of the worst peak over added mass, of all that were tried."""
+        from rig.damper_design.figure import draw_front
+
+        draw_front(ax, self, **style)
+
     @property
     def front(self) -> list[Trial]:
         """Trials that none as light is better than, from light to heavy."""
@@ -74,14 +97,14 @@ class Design:
 def design(
     scene: Scene | str,
     *,
-    budget: float | None = None,
-    bodies: Sequence[int] | None = None,
+    budget: float | str | None = None,
+    bodies: Sequence[int | str] | None = None,
     dampers: int = 1,
-    clearance: tuple[float, float] | None = None,
-    levels: Sequence[float] | None = None,
-    band: tuple[float, float] | None = None,
-    watched: Sequence[int] | None = None,
-    uncertain: tuple[float, float] = (0.0, 0.0),
+    clearance: Sequence[float | str] | None = None,
+    levels: Sequence[float | str] | None = None,
+    band: Sequence[float | str] | None = None,
+    watched: Sequence[int | str] | None = None,
+    uncertain: Sequence[float | str] = (0.0, 0.0),
     cluster: str | None = None,
     table: Path | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -92,21 +115,23 @@ def design(
     ----------
     scene : Scene or str
         Structure, shaker and level; its own dampers are left out, but for the restitution of the first.
-    budget : float, optional
-        The most that may be added, kg; unless given, a twentieth of the structure's mass.
+    budget : float or str, optional
+        The most that may be added: kg, ``"50 g"``, or a share of the structure's mass such as ``"5 %"``; unless given,
+        a twentieth of it.
     bodies : sequence of int, optional
         Bodies that may carry a damper, from 1; unless given, all.
     dampers : int
         How many.
-    clearance : (float, float), optional
-        Smallest and largest, m; unless given, from where a damper hardly moves to where it hardly meets its ceiling.
-    levels : sequence of float, optional
+    clearance : (float, float) or (str, str), optional
+        Smallest and largest, m, or texts with units, as the following; unless given, from where a damper hardly moves
+        to where it hardly meets its ceiling.
+    levels : sequence of float or str, optional
         Forces that it has to do well at, N; unless given, half, once and twice that of the scene's test.
-    band : (float, float), optional
+    band : (float, float) or (str, str), optional
         Hz; unless given, the range of the scene's test.
     watched : sequence of int, optional
         Bodies whose peaks count, from 1; unless given, all.
-    uncertain : (float, float)
+    uncertain : (float, float) or (str, str)
         Shares by which the structure's damping and stiffness may be off: the worst corner counts.
     cluster : str, optional
         As for `rig.workers.Workers`.
@@ -122,10 +147,7 @@ def design(
     RunError
         If workers die.
     """
-    if isinstance(scene, str):
-        from rig.scene.loading import load
-
-        scene = load(scene)
+    scene = scene_of(scene)
     question, space = asked(scene, budget, bodies, dampers, clearance, levels, band, watched, uncertain)
     forces = level_of(question.scenes[0]) * CHART_LEVELS
     with Workers(cluster) as workers:

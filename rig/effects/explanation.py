@@ -9,6 +9,7 @@ from typing import cast
 
 import numpy as np
 
+from rig.scene.loading import scene_of
 from rig.scene.scene import Scene
 from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, Shaker, TableShaker
 from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping
@@ -87,10 +88,7 @@ def explain(scene: Scene | str) -> Explanation:
     >>> rig.explain("reference-B").states["motion"]
     8
     """
-    if isinstance(scene, str):
-        from rig.scene.loading import load
-
-        scene = load(scene)
+    scene = scene_of(scene)
     effects = list(motion_effects(scene))
     names = {effect.name for effect in effects}
     possible = (

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rig.engine.trajectory import Array
 from rig.escaping import drawn
+from rig.figure_style import cell_edges, drawing, plain_logarithmic, save_with_table
 from rig.motion_map.motion_map import KINDS, MotionMap
-from rig.output_files import write_study
+from rig.output_files import stem
 from rig.system.open_loop_drive import level_of
 
 if TYPE_CHECKING:
@@ -57,69 +58,69 @@ def write(map_: MotionMap, folder: Path) -> list[Path]:
         If a file cannot be written.
     """
     study = "map-clearance" if map_.over == "clearance" else "map"
-    return write_study(study, map_.scene.name, folder, _draw(map_), lambda path: _write_csv(map_, path))
+    name = folder / stem(study, map_.scene.name)
+    return save_with_table(_draw(map_), name, lambda path: _write_csv(map_, path))
 
 
 def _write_csv(map_: MotionMap, path: Path) -> None:
-    dampers = range(1, map_.motion[0, 0].count("/") + 2)
-    header = [
-        f"{map_.over}_{map_.unit.lower()}", "frequency_hz", "kind", *(f"damper{k}_motion" for k in dampers),
-        "impacts_per_period", "repetition_periods", "periods_followed", "cpu_s", "cpu_us_per_period",
-    ]  # fmt: skip
+    table = map_.columns()
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        for i, value in enumerate(map_.value):
-            for k, frequency in enumerate(map_.frequency):
-                cpu, periods = map_.cpu[i, k], map_.periods[i, k]
-                numbers = (value, frequency), (cpu, 1e6 * cpu / periods)
-                writer.writerow(
-                    [f"{number:.9g}" for number in numbers[0]]
-                    + [KINDS[map_.kind[i, k]], *map_.motion[i, k].split("/")]
-                    + [f"{map_.impacts[i, k]:.6g}", map_.repetition[i, k], periods]
-                    + [f"{number:.4g}" for number in numbers[1]]
-                )
+        writer.writerow(name.lower() for name in table)
+        for row in zip(*table.values(), strict=True):
+            writer.writerow(f"{one:.9g}" if isinstance(one, float) else one for one in row)
 
 
 def _draw(map_: MotionMap) -> Figure:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.colors import ListedColormap, LogNorm
-    from matplotlib.figure import Figure
+    from matplotlib.colors import LogNorm
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
-    from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
-    figure = Figure(figsize=(11.0, 5.6), layout="constrained")
-    FigureCanvasAgg(figure)
-    left, right = figure.subplots(1, 2, sharey=True)
-    borders = edges(map_.frequency, False), edges(map_.value, True)
-    left.pcolormesh(
-        *borders, map_.kind, cmap=ListedColormap(COLOURS), vmin=-0.5, vmax=len(KINDS) - 0.5, rasterized=True
-    )
-    milliseconds = 1e3 * map_.cpu
-    mesh = right.pcolormesh(
-        *borders, milliseconds, cmap="viridis", norm=LogNorm(*np.percentile(milliseconds, [1, 99.5])), rasterized=True
-    )  # fmt: skip
-    bar = figure.colorbar(mesh, ax=right, label="CPU time to the steady state, ms", extend="both", pad=0.02)
-    bar.locator = LogLocator(subs=(1.0, 2.0, 5.0))
-    bar.formatter = StrMethodFormatter("{x:g}")
-    bar.minorlocator = NullLocator()
-    own = _own(map_)
-    for axes in (left, right):
-        _dress(axes, map_, own, borders)
-    label = "clearance, mm" if map_.over == "clearance" else f"{map_.over}, {map_.unit}"
-    left.set_ylabel(label)
-    left.set_title("steady motion of the damper that moves most wildly", fontsize=10)
-    right.set_title("where it gets hard", fontsize=10)
-    present = sorted(set(map_.kind.ravel()))
-    handles: list[Patch | Line2D] = [Patch(color=COLOURS[k], label=LEGEND[k]) for k in present]
-    if map_.over != "clearance":
-        handles.append(Line2D([], [], color="black", lw=1.2, label="acceleration of 1 g, all dampers riding"))
-    if own is not None:
-        handles.append(Line2D([], [], color="black", lw=1.0, ls="--", label="the scene's own"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=5, fontsize=9, frameon=False)
-    figure.suptitle(drawn(map_.scene.name))
-    return figure
+    with drawing(4.6, 10.0) as figure:
+        left, right = figure.subplots(1, 2, sharey=True)
+        draw_kinds(left, map_)
+        milliseconds = 1e3 * map_.cpu
+        low, high = np.percentile(milliseconds, [1, 99.5])
+        mesh = right.pcolormesh(
+            *_borders(map_), milliseconds, cmap="viridis", norm=LogNorm(low, high), rasterized=True
+        )
+        bar = figure.colorbar(
+            mesh, ax=right, label="CPU time to the steady state / ms", extend="both", pad=0.02
+        )
+        plain_logarithmic(bar.ax.yaxis)
+        _dress(right, map_)
+        right.set_ylabel("")
+        left.set_title("What the damper does that moves most wildly")
+        right.set_title("Where it takes long to compute")
+        present = sorted(set(map_.kind.ravel()))
+        handles: list[Patch | Line2D] = [Patch(color=COLOURS[k], label=LEGEND[k]) for k in present]
+        if map_.over != "clearance":
+            handles.append(Line2D([], [], color="black", lw=1.2, label="riding at 1 g: above, dampers fly"))
+        if _own(map_) is not None:
+            handles.append(Line2D([], [], color="black", lw=1.0, ls="--", label=f"{map_.over} of the scene"))
+        figure.legend(handles=handles, loc="outside lower center", ncols=5)
+        figure.suptitle(drawn(map_.scene.name))
+        return figure
+
+
+def draw_kinds(axes: Axes, map_: MotionMap, **style: Any) -> None:
+    """Draw the kind of motion of the damper that moves most wildly; each kind has an entry for a legend."""
+    from matplotlib.colors import ListedColormap
+
+    look: dict[str, Any] = {
+        "cmap": ListedColormap(COLOURS),
+        "vmin": -0.5,
+        "vmax": len(KINDS) - 0.5,
+        "rasterized": True,
+    }
+    axes.pcolormesh(*_borders(map_), map_.kind, **look | style)
+    for k in sorted(set(map_.kind.ravel())):
+        axes.plot([], [], "s", color=COLOURS[k], label=LEGEND[k])
+    _dress(axes, map_)
+
+
+def _borders(map_: MotionMap) -> tuple[Array, Array]:
+    return cell_edges(map_.frequency, False), cell_edges(map_.value, True)
 
 
 def _own(map_: MotionMap) -> float | None:
@@ -132,26 +133,16 @@ def _own(map_: MotionMap) -> float | None:
     return value if map_.value[0] <= value <= map_.value[-1] else None
 
 
-def edges(centres: Array, logarithmic: bool) -> Array:
-    """Borders of cells around their centres."""
-    at = np.log(centres) if logarithmic else centres
-    if len(at) == 1:
-        borders = np.array([at[0] - 0.05 * abs(at[0]) - 1e-9, at[0] + 0.05 * abs(at[0]) + 1e-9])
-    else:
-        middle = 0.5 * (at[1:] + at[:-1])
-        borders = np.concatenate([[2 * at[0] - middle[0]], middle, [2 * at[-1] - middle[-1]]])
-    return np.exp(borders) if logarithmic else borders
-
-
-def _dress(axes: Axes, map_: MotionMap, own: float | None, borders: tuple[Array, Array]) -> None:
-    axes.set_yscale("log")
-    axes.set_ylim(borders[1][0], borders[1][-1])
-    axes.set_xlim(borders[0][0], borders[0][-1])
-    axes.set_xlabel("frequency, Hz")
-    if map_.over == "clearance":
-        axes.yaxis.set_major_formatter(lambda value, _: f"{1e3 * value:g}")
-    else:
-        axes.yaxis.set_major_formatter("{x:g}")
+def _dress(axes: Axes, map_: MotionMap) -> None:
+    """Axes, the border to flight, and the scene's own value."""
+    (left, *_, right), (low, *_, high) = _borders(map_)
+    axes.grid(False)
+    axes.set(xlim=(left, right), xlabel="frequency / Hz")
+    millimetres = map_.unit == "m"
+    plain_logarithmic(axes.yaxis, factor=1e3 if millimetres else 1.0)
+    axes.set(ylim=(low, high), ylabel=f"{map_.over} / {'mm' if millimetres else map_.unit}")
+    if map_.over != "clearance":
         axes.plot(map_.frequency, map_.take_off, color="black", lw=1.2)
+    own = _own(map_)
     if own is not None:
         axes.axhline(own, color="black", lw=1.0, ls="--")

@@ -7,6 +7,7 @@ import numpy as np
 from rig.engine.trajectory import Array
 from rig.errors import SceneError
 from rig.scene.excitation import Multisine, Random, Sine, SteppedSine, SweptSine
+from rig.scene.quantities import FORCE, LENGTH, VOLTAGE
 from rig.scene.scene import Scene
 from rig.scene.shaker import TableShaker
 from rig.system.assembly import assemble
@@ -14,6 +15,8 @@ from rig.system.open_loop_drive import accelerations_per_level, level_of
 from rig.system.receptance import loaded_matrices
 from rig.system.structure import natural_modes
 
+#: What a level or a clearance measures, by its unit.
+KIND_OF_UNIT = {"N": FORCE, "V": VOLTAGE, "m": LENGTH}
 #: Frequencies and rows of a map, unless told.
 POINTS, ROWS = 48, 36
 #: What counts as close to a natural frequency, as a share of it.

@@ -6,17 +6,24 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.engine.trajectory import Array
-from rig.errors import SceneError
-from rig.motion_map.grid import columns, rows_of, take_off, vertical_axis
+from rig.motion_map.grid import KIND_OF_UNIT, columns, rows_of, take_off, vertical_axis
 from rig.response.frequency_response import Follower, SteadyPoint
+from rig.results import Result
+from rig.scene.loading import scene_of
+from rig.scene.quantities import FREQUENCY, positives
 from rig.scene.scene import Scene
 from rig.system.open_loop_drive import with_ideal_force
 from rig.system.structure import natural_modes, structure_matrices
+
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.axes import Axes
 
 #: What a damper does, from the tamest to the wildest; a point of the map counts as what its wildest damper does.
 KINDS = ("riding", "I", "II", "III", "other, every period", "longer period", "irregular")
@@ -28,8 +35,8 @@ PATIENCE = 3.0
 FEWEST, MOST = 2000, 20_000
 
 
-@dataclass(frozen=True)
-class MotionMap:
+@dataclass(frozen=True, repr=False)
+class MotionMap(Result):
     """Steady motion over a grid.
 
     Attributes
@@ -73,6 +80,39 @@ class MotionMap:
     cpu: Array
     take_off: Array
 
+    def summary(self) -> str:
+        """Say what was mapped, and how much of it each kind of motion takes."""
+        shares = [(kind, (self.kind == number).mean()) for number, kind in enumerate(KINDS)]
+        return (
+            f"{self.scene.name}: {self.over} {self.value[0]:.3g} to {self.value[-1]:.3g} {self.unit}, "
+            f"{self.frequency[0]:.4g} to {self.frequency[-1]:.4g} Hz; "
+            f"{', '.join(f'{kind} {share:.0%}' for kind, share in shares if share)}"
+        )
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Every point of the grid: where, which motion, how often it hits and repeats, what it cost."""
+        dampers = np.array([each.split("/") for each in self.motion.ravel()]).T
+        return {
+            f"{self.over}_{self.unit}": np.repeat(self.value, self.frequency.size),
+            "frequency_Hz": np.tile(self.frequency, self.value.size),
+            "kind": np.array(KINDS)[self.kind.ravel()],
+            **{f"damper{k}_motion": row for k, row in enumerate(dampers, 1)},
+            "impacts_per_period": self.impacts.ravel(),
+            "repetition_periods": self.repetition.ravel(),
+            "periods_followed": self.periods.ravel(),
+            "cpu_s": self.cpu.ravel(),
+        }
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Give the columns as an xarray data set over both axes."""
+        return self.to_dataframe().set_index("frequency_Hz", append=True).to_xarray()
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Kind of motion over level or clearance, and frequency."""
+        from rig.motion_map.figure import draw_kinds
+
+        draw_kinds(ax, self, **style)
+
 
 def map_motion(
     scene: Scene | str,
@@ -92,10 +132,10 @@ def map_motion(
         What changes beside the frequency; None: the level that the test gives. A clearance is that of every damper
         that is not locked, at the test's level.
     values : array_like, shape (rows,), optional
-        Levels [N, or the drive's unit] or clearances [m]; None: around what decides over take-off and over hitting the
-        ceiling, the scene's own value among them.
+        Levels [N, or the drive's unit] or clearances [m], or texts with units; None: around what decides over
+        take-off and over hitting the ceiling, the scene's own value among them.
     frequencies : array_like, shape (frequencies,), optional
-        Hz; None: the test's range, closer around the natural frequencies.
+        Hz, or texts with units; None: the test's range, closer around the natural frequencies.
     progress : callable, optional
         Called with the number of points done and of all.
 
@@ -104,20 +144,19 @@ def map_motion(
     SceneError
         If the scene has no damper that moves, no shaker or no level, or a value is not positive.
     """
-    if isinstance(scene, str):
-        from rig.scene.loading import load
-
-        scene = load(scene)
+    scene = scene_of(scene)
     over, unit = vertical_axis(scene, over)
     scene = with_ideal_force(scene)
-    frequency = _rising(frequencies if frequencies is not None else columns(scene), "frequencies")
-    value = _rising(values if values is not None else rows_of(scene, over, frequency), "values")
+    asked = frequencies if frequencies is not None else columns(scene)
+    frequency = np.unique(positives(asked, FREQUENCY, "frequencies"))
+    rows = values if values is not None else rows_of(scene, over, frequency)
+    value = np.unique(positives(rows, KIND_OF_UNIT[unit], "values"))
     longest = _longest(scene, frequency)
-    rows = _follow_rows(
+    found = _follow_rows(
         [_with(scene, over, float(each)) for each in value], frequency, longest, progress or _silent
     )
-    types = [[point.types for point, _ in row] for row in rows]
-    points = [[point for point, _ in row] for row in rows]
+    types = [[point.types for point, _ in row] for row in found]
+    points = [[point for point, _ in row] for row in found]
     return MotionMap(
         scene=scene,
         over=over,
@@ -129,16 +168,9 @@ def map_motion(
         impacts=np.array([[point.impacts.sum() for point in row] for row in points]),
         repetition=np.array([[point.steady.repetition for point in row] for row in points]),
         periods=np.array([[point.steady.periods for point in row] for row in points]),
-        cpu=np.array([[cpu for _, cpu in row] for row in rows]),
+        cpu=np.array([[cpu for _, cpu in row] for row in found]),
         take_off=take_off(scene, frequency),
     )
-
-
-def _rising(values: ArrayLike, name: str) -> Array:
-    given = np.unique(np.asarray(values, dtype=np.float64))
-    if not len(given) or not np.isfinite(given).all() or given[0] <= 0.0:
-        raise SceneError(f"{name}: expected a list of positive, finite numbers")
-    return given
 
 
 def _with(scene: Scene, over: str, value: float) -> Scene:

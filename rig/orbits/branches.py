@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +20,23 @@ from rig.numerics import continuation
 from rig.orbits.event_sequence import Plan
 from rig.orbits.orbit import Following, Orbit
 from rig.orbits.periodic_orbit import enter, refine, search, start_march
-from rig.orbits.problem import PARAMETERS, OperatingPoint, OrbitProblem, Parameter, vary
+from rig.orbits.problem import (
+    AXES,
+    PARAMETERS,
+    OperatingPoint,
+    OrbitProblem,
+    Parameter,
+    base_frequency,
+    column_name,
+    parameter_values,
+    vary,
+)
+from rig.results import Result, joined, styled
+from rig.scene.loading import scene_of
 from rig.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
 
@@ -33,8 +49,8 @@ FARTHER = (2e-5, 3e-4, 3e-3)
 MOST = 60
 
 
-@dataclass(frozen=True)
-class OrbitBranch:
+@dataclass(frozen=True, repr=False)
+class OrbitBranch(Result):
     """Orbits with one sequence of events along a continuous curve.
 
     Attributes
@@ -79,9 +95,39 @@ class OrbitBranch:
         """Half the ranges of the displacements [m], shape (bodies, points)."""
         return np.array([orbit.peak for orbit in self.orbits]).T
 
+    def summary(self) -> str:
+        """Say which motion, from where to where, and how much of it is stable."""
+        unit = PARAMETERS[self.parameter].si
+        return (
+            f"{self.motion_type}, {self.value.size} orbits, {self.parameter} {self.value.min():.4g} to "
+            f"{self.value.max():.4g} {unit}, {self.stable.mean():.0%} stable, {self.folds.size} folds"
+        )
 
-@dataclass(frozen=True)
-class OrbitCurve:
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Parameter, compliance of each body, type of motion, whether it is stable."""
+        return {
+            column_name(self.parameter): self.value,
+            **{f"body {j}_m/N": row for j, row in enumerate(self.compliance, 1)},
+            "motion_type": np.full(self.value.size, self.motion_type),
+            "stable": self.stable,
+        }
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Compliance of the body that moves most; dashed where the orbits are not stable."""
+        label, factor = AXES[self.parameter]
+        size = 1e6 * abs(self.compliance)
+        body = int(size.max(axis=1).argmax())
+        (line,) = ax.loglog(
+            factor * self.value,
+            np.where(self.stable, size[body], np.nan),
+            **styled(style, label=self.motion_type),
+        )
+        ax.plot(factor * self.value, size[body], "--", color=line.get_color(), lw=0.6 * line.get_linewidth())
+        ax.set(xlabel=label, ylabel=f"|compliance| of body {body + 1} / (µm/N)")
+
+
+@dataclass(frozen=True, repr=False)
+class OrbitCurve(Result):
     """What was found over a range of a parameter.
 
     Attributes
@@ -93,13 +139,35 @@ class OrbitCurve:
     branches: tuple[OrbitBranch, ...]
     failures: tuple[str, ...]
 
+    def summary(self) -> str:
+        """Say how many branches there are, and of which motions."""
+        kinds = ", ".join(dict.fromkeys(branch.motion_type for branch in self.branches))
+        return f"{len(self.branches)} branches: {kinds}; {len(self.failures)} not followed to their ends"
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Join the columns of all branches, with the number of each."""
+        return joined(
+            [
+                branch.columns() | {"branch": np.full(branch.value.size, number)}
+                for number, branch in enumerate(self.branches, 1)
+            ]
+        )
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Every branch, one colour for each type of motion; dashed where the orbits are not stable."""
+        kinds = list(dict.fromkeys(branch.motion_type for branch in self.branches))
+        for branch in self.branches:
+            first = branch.motion_type not in {line.get_label() for line in ax.lines}
+            colour = f"C{kinds.index(branch.motion_type)}"
+            branch.draw(ax, **styled(style, color=colour, label=branch.motion_type if first else "_again"))
+
 
 def follow_orbits(
-    scene: Scene,
+    scene: Scene | str,
     parameter: Parameter,
-    bounds: tuple[float, float],
+    bounds: tuple[float | str, float | str],
     *,
-    frequency: float | None = None,
+    frequency: float | str | None = None,
     searches: int = 5,
     progress: Callable[[int], None] | None = None,
 ) -> OrbitCurve:
@@ -107,14 +175,14 @@ def follow_orbits(
 
     Parameters
     ----------
-    scene : Scene
+    scene : Scene or str
         As for `rig.periodic_orbit`.
     parameter : {'frequency', 'force', 'clearance', 'mass_ratio'}
         What is varied: Hz, level of the drive (N), clearance of all dampers (m), factor on their masses.
-    bounds : tuple of float
-        Range of the parameter.
-    frequency : float, optional
-        Hz; needed unless it is the parameter.
+    bounds : tuple of float or str
+        Range of the parameter, in SI or as texts with units.
+    frequency : float or str, optional
+        Hz, or text with a unit; needed unless it is the parameter.
     searches : int
         Number of values at which motions are looked for, from rest and from full swing.
     progress : callable, optional
@@ -125,16 +193,12 @@ def follow_orbits(
     SceneError
         If the parameter or its range makes no sense.
     """
-    if parameter not in PARAMETERS:
-        raise SceneError(f"parameter {parameter!r}: expected one of {', '.join(PARAMETERS)}")
-    if not 0 < bounds[0] < bounds[1]:
-        raise SceneError(f"range {bounds[0]:g} to {bounds[1]:g}: expected two rising values above 0")
-    if parameter != "frequency" and frequency is None:
-        raise SceneError(f"following the {parameter} needs a frequency")
-    problem = OrbitProblem(scene)
-    base = problem.setting(bounds[0] if frequency is None else frequency)
-    explorer = _Explorer(problem, base, parameter, bounds, progress)
-    low, high = bounds
+    low, high = parameter_values(parameter, bounds).tolist()
+    if not low < high:
+        raise SceneError(f"range {low:g} to {high:g}: expected two rising values above 0")
+    problem = OrbitProblem(scene_of(scene))
+    base = problem.setting(base_frequency(parameter, frequency, low))
+    explorer = _Explorer(problem, base, parameter, (low, high), progress)
     for value in np.linspace(low, high, searches + 2)[1:-1]:
         explorer.search(float(value))
     return OrbitCurve(tuple(explorer.branches), tuple(dict.fromkeys(explorer.failures)))

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dgeev
 
-from rig.engine.state import CEILING_IMPACT, FLOOR_IMPACT
+from rig.engine.state import CEILING as CEILING_HELD
+from rig.engine.state import CEILING_IMPACT, FLIGHT, FLOOR_IMPACT
 from rig.engine.state import SEPARATION as SEPARATED
 from rig.engine.trajectory import EVENT, KINDS
 from rig.errors import RunError
-from rig.orbits.admissibility import survey
+from rig.orbits.admissibility import follow, survey
 from rig.orbits.event_sequence import Plan
 from rig.orbits.problem import OperatingPoint, OrbitProblem, Parameter, vary
 from rig.orbits.shooting import (
@@ -30,8 +32,12 @@ from rig.orbits.shooting import (
     shoot,
 )
 from rig.response.motion_type import overall
+from rig.results import Result, styled
 from rig.scene.shaker import ForceShaker
 from rig.system.assembly import spring_force_row
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
 
@@ -40,8 +46,8 @@ ROUNDING = 1e-9
 CORRECTIONS = 25
 
 
-@dataclass(frozen=True)
-class Orbit:
+@dataclass(frozen=True, repr=False)
+class Orbit(Result):
     """A periodic motion.
 
     Attributes
@@ -72,6 +78,8 @@ class Orbit:
         State at the start, heights and velocities of dampers in flight, and instants, see `rig.orbits.shooting`.
     plan : Plan
         The sequence of events.
+    problem : OrbitProblem
+        What it solves.
     """
 
     setting: OperatingPoint
@@ -87,6 +95,42 @@ class Orbit:
     residual: float
     unknowns: Array = field(repr=False)
     plan: Plan = field(repr=False)
+    problem: OrbitProblem = field(repr=False, compare=False)
+
+    def summary(self) -> str:
+        """Say which motion, where, and whether it is stable."""
+        stable = "stable" if self.stable else "not stable"
+        return (
+            f"{self.motion_type}, {self.frequency:.6g} Hz, {len(self.events)} events in {self.repetition} "
+            f"period{'s' * (self.repetition > 1)}, {stable} (largest multiplier {np.abs(self.multipliers).max():.4g}), "
+            f"margin {self.margin:.2g}"
+        )
+
+    def columns(self) -> dict[str, Array]:
+        """Time over a cycle from its first event, displacement of each body, gap of each damper that moves."""
+        sequence, system = self.plan.sequence, self.problem.changed(self.setting)
+        curve = Following(self.problem, self.plan, self.setting, "frequency", self.unknowns)
+        equations, change = curve.tables(self.frequency)
+        states = shoot(equations, change, sequence, self.unknowns).states
+        instants = self.unknowns[len(self.unknowns) - len(sequence.kind) :]
+        track = follow(equations, sequence, instants, states)
+        wall = sequence.wall[len(sequence.wall) - len(track.times) :, None, :]
+        gaps = np.where(wall == FLIGHT, np.maximum(track.guards[..., 0], 0.0), 0.0)
+        gaps = np.where(wall == CEILING_HELD, system.clearance, gaps)
+        motion = track.motion[..., : self.problem.scene.structure.bodies]
+        return {
+            "time_s": track.times.ravel(),
+            **{f"body {j}_m": motion[..., j - 1].ravel() for j in range(1, motion.shape[-1] + 1)},
+            **{f"gap {k}_m": gaps[..., k - 1].ravel() for k in range(1, gaps.shape[-1] + 1)},
+        }
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Displacement of each body over a cycle, and the gap below each damper, dashed."""
+        time, *others = self.columns().items()
+        for name, column in others:
+            look = "--" if name.startswith("gap") else "-"
+            ax.plot(1e3 * time[1], 1e3 * column, look, **styled(style, label=name.removesuffix("_m")))
+        ax.set(xlabel="time / ms", ylabel="displacement, gap / mm")
 
     @property
     def frequency(self) -> float:
@@ -232,6 +276,7 @@ class Following:
             residual=float(np.abs(shot.residual / self.rows).max()),
             unknowns=unknowns.copy(),
             plan=plan,
+            problem=problem,
         )
 
 

@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 
 from rig.engine.propagator import Propagator, tone_propagator
 from rig.engine.trajectory import STRIKES, Trajectory
-from rig.errors import RunError, SceneError
+from rig.errors import RunError
 from rig.orbits.event_sequence import Plan, make_plan, plan_from
 from rig.orbits.orbit import Orbit, solve
-from rig.orbits.problem import OperatingPoint, OrbitProblem
+from rig.orbits.problem import OperatingPoint, OrbitProblem, base_frequency
 from rig.response.steady_state import LONGEST_REPETITION, settle
-from rig.scene.quantities import FREQUENCY, number
+from rig.scene.loading import scene_of
 from rig.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -29,14 +29,15 @@ NEAR = 0.05
 CONFIRMED, CLOSE = 16, 1e-6
 
 
-def periodic_orbit(scene: Scene, frequency: float | str, start: Orbit | None = None) -> Orbit:
+def periodic_orbit(scene: Scene | str, frequency: float | str, start: Orbit | None = None) -> Orbit:
     """Find a periodic motion of a scene at a frequency.
 
     Parameters
     ----------
-    scene : Scene
-        With a shaker and a test that gives a level. Where the test holds the amplitude of the spring force,
-        that force is put on the driven body as a pure tone, which is what an ideal controller holds.
+    scene : Scene or str
+        A scene, or what `rig.load` takes; with a shaker and a test that gives a level. Where the test holds
+        the amplitude of the spring force, that force is put on the driven body as a pure tone, which is what an ideal
+        controller holds.
     frequency : float or str
         Hz, or text with a unit, such as ``"49 Hz"``.
     start : Orbit, optional
@@ -58,11 +59,8 @@ def periodic_orbit(scene: Scene, frequency: float | str, start: Orbit | None = N
     >>> orbit.motion_type, orbit.stable, len(orbit.events)
     ('II', True, 4)
     """
-    frequency = number(frequency, FREQUENCY, "frequency")
-    if not (np.isfinite(frequency) and frequency > 0):
-        raise SceneError(f"frequency {frequency!r}: expected a positive number of hertz")
-    problem = OrbitProblem(scene)
-    setting = problem.setting(frequency)
+    problem = OrbitProblem(scene_of(scene))
+    setting = problem.setting(base_frequency("frequency", frequency, 0.0))
     if start is not None:
         return solve(problem, start.plan, setting, start.unknowns)
     return search(problem, setting)

@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import matrix_balance
 
 from rig.errors import SceneError
 from rig.orbits.event_sequence import Plan
 from rig.orbits.shooting import Change, Equations
+from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, RATIO, Kind, positives
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
 from rig.system.assembly import assemble
@@ -21,7 +22,20 @@ from rig.system.open_loop_drive import drive_per_level, level_of, with_ideal_for
 
 Array = NDArray[np.float64]
 Parameter = Literal["frequency", "force", "clearance", "mass_ratio"]
-PARAMETERS: tuple[Parameter, ...] = ("frequency", "force", "clearance", "mass_ratio")
+#: What can be followed: as texts give it.
+PARAMETERS: dict[str, Kind] = {
+    "frequency": FREQUENCY,
+    "force": FORCE,
+    "clearance": LENGTH,
+    "mass_ratio": RATIO,
+}
+#: The label of an axis over it, and how many of that unit make one in SI.
+AXES = {
+    "frequency": ("frequency / Hz", 1.0),
+    "force": ("force / N", 1.0),
+    "clearance": ("clearance / mm", 1e3),
+    "mass_ratio": ("factor on the damper masses", 1.0),
+}
 # Sets of configurations whose equations are kept.
 KEPT = 200
 
@@ -37,6 +51,39 @@ class OperatingPoint:
     """Of all dampers [m], or NaN: as in the scene."""
     mass_ratio: float = 1.0
     """Factor on all damper masses of the scene."""
+
+
+def column_name(parameter: Parameter) -> str:
+    """Name a column of its values, such as clearance_m."""
+    return f"{parameter}_{PARAMETERS[parameter].si}".rstrip("_")
+
+
+def parameter_values(parameter: Parameter, values: ArrayLike) -> Array:
+    """Take values of a parameter in SI or as texts.
+
+    Raises
+    ------
+    SceneError
+        If there is no such parameter, or a value of it makes no sense.
+    """
+    if parameter not in PARAMETERS:
+        raise SceneError(f"parameter {parameter!r}: expected one of {', '.join(PARAMETERS)}")
+    return positives(values, PARAMETERS[parameter], f"values of the {parameter}")
+
+
+def base_frequency(parameter: Parameter, frequency: float | str | None, first: float) -> float:
+    """Take the frequency at which a parameter is followed: the first of its values where it is that itself.
+
+    Raises
+    ------
+    SceneError
+        If it is missing or makes no sense.
+    """
+    if frequency is not None:
+        return float(positives(frequency, FREQUENCY, "frequency")[0])
+    if parameter != "frequency":
+        raise SceneError(f"following the {parameter} needs a frequency")
+    return first
 
 
 class _Linear(NamedTuple):

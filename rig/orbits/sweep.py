@@ -9,22 +9,39 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.engine.propagator import Propagator
-from rig.errors import RunError, SceneError
+from rig.errors import RunError
 from rig.numerics.jit import stored
 from rig.orbits.orbit import Following, Orbit
 from rig.orbits.periodic_orbit import enter, period_steps, search, start_march
-from rig.orbits.problem import PARAMETERS, OperatingPoint, OrbitProblem, Parameter, vary
+from rig.orbits.problem import (
+    AXES,
+    PARAMETERS,
+    OperatingPoint,
+    OrbitProblem,
+    Parameter,
+    base_frequency,
+    column_name,
+    parameter_values,
+    vary,
+)
 from rig.orbits.shooting import correct, distance
+from rig.response.frequency_response import draw_compliance
 from rig.response.motion_type import motion_types, overall
 from rig.response.steady_state import MARKS, one_cycle
+from rig.results import Result
+from rig.scene.loading import scene_of
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
 from rig.system.assembly import spring_force_row
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
 
@@ -40,8 +57,8 @@ LONGEST = 1500
 AVERAGED = 64
 
 
-@dataclass(frozen=True)
-class OrbitResponse:
+@dataclass(frozen=True, repr=False)
+class OrbitResponse(Result):
     """Steady motion over a parameter, in the order in which its values were visited.
 
     Attributes
@@ -82,13 +99,40 @@ class OrbitResponse:
         """Where the motion is irregular, and was simulated and averaged."""
         return np.array([orbit is None for orbit in self.orbits], dtype=bool)
 
+    def summary(self) -> str:
+        """Say over what, how high and which types of motion."""
+        top = np.unravel_index(int(np.argmax(abs(self.compliance))), self.compliance.shape)
+        unit = PARAMETERS[self.parameter].si
+        return (
+            f"{self.value.size} steady motions, {self.parameter} {self.value.min():.4g} to {self.value.max():.4g} "
+            f"{unit}, highest {1e6 * abs(self.compliance[top]):.4g} µm/N at {self.value[top[1]]:.4g} {unit} "
+            f"(body {top[0] + 1}), motion {', '.join(dict.fromkeys(map(str, self.motion_type)))}"
+        )
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Parameter, compliance of each body, type of motion, and largest Floquet multiplier."""
+        return {
+            column_name(self.parameter): self.value,
+            **{f"body {j}_m/N": row for j, row in enumerate(self.compliance, 1)},
+            "motion_type": self.motion_type,
+            "multiplier": self.multiplier,
+        }
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Compliance of each body."""
+        label, factor = AXES[self.parameter]
+        draw_compliance(
+            ax, factor * self.value, self.compliance, self.simulated, "irregular, averaged", **style
+        )
+        ax.set(xlabel=label)
+
 
 def orbit_response(
-    scene: Scene,
+    scene: Scene | str,
     values: ArrayLike,
     parameter: Parameter = "frequency",
     *,
-    frequency: float | None = None,
+    frequency: float | str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> OrbitResponse:
     """Steady motion of a scene at each value of a parameter, as exact stable orbits.
@@ -97,14 +141,15 @@ def orbit_response(
 
     Parameters
     ----------
-    scene : Scene
+    scene : Scene or str
         As for `rig.periodic_orbit`.
     values : array_like, shape (values,)
-        Of the parameter, in the order in which to visit them: each starts from the motion at the one before.
+        Of the parameter, in SI or as texts with units, in the order in which to visit them: each starts from the motion
+        at the one before.
     parameter : {'frequency', 'force', 'clearance', 'mass_ratio'}
         What is varied: Hz, level of the drive (N), clearance of all dampers (m), factor on their masses.
-    frequency : float, optional
-        Hz; needed unless it is the parameter.
+    frequency : float or str, optional
+        Hz, or text with a unit; needed unless it is the parameter.
     progress : callable, optional
         Called with the number of values done and of all.
 
@@ -120,15 +165,9 @@ def orbit_response(
     >>> response.motion_type.tolist(), bool(response.simulated.any())
     (['III', 'II', 'II'], False)
     """
-    asked = np.atleast_1d(np.asarray(values, dtype=np.float64))
-    if parameter not in PARAMETERS:
-        raise SceneError(f"parameter {parameter!r}: expected one of {', '.join(PARAMETERS)}")
-    if asked.ndim != 1 or not len(asked) or not np.isfinite(asked).all() or (asked <= 0).any():
-        raise SceneError(f"values of the {parameter}: expected a list of positive, finite numbers")
-    if parameter != "frequency" and frequency is None:
-        raise SceneError(f"following the {parameter} needs a frequency")
-    problem = OrbitProblem(scene)
-    base = problem.setting(float(asked[0]) if frequency is None else frequency)
+    asked = parameter_values(parameter, values)
+    problem = OrbitProblem(scene_of(scene))
+    base = problem.setting(base_frequency(parameter, frequency, float(asked[0])))
     return sweep(problem, base, parameter, asked, progress)
 
 

@@ -16,7 +16,8 @@ from rig.errors import RunError, SceneError
 from rig.response.motion_type import motion_types, overall
 from rig.response.steady_state import MARKS, Steady, one_cycle, settle
 from rig.results import Result, styled
-from rig.scene.quantities import FREQUENCY, number
+from rig.scene.loading import scene_of
+from rig.scene.quantities import FREQUENCY, positives
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
 from rig.simulation.energy import fourier
@@ -90,9 +91,25 @@ class Response(Result):
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Compliance of each body."""
-        for j, row in enumerate(self.compliance, 1):
-            ax.loglog(self.frequency, 1e6 * abs(row), **styled(style, label=f"body {j}"))
-        ax.set(xlabel="frequency / Hz", ylabel="|compliance| / (µm/N)")
+        draw_compliance(ax, self.frequency, self.compliance, ~self.converged, "not steady", **style)
+        ax.set(xlabel="frequency / Hz")
+
+
+def draw_compliance(
+    ax: Axes,
+    over: Array,
+    compliance: NDArray[np.complex128],
+    marked: NDArray[np.bool_],
+    mark: str,
+    **style: Any,
+) -> None:
+    """Draw the compliance of each body, (bodies, points), in the order of the points, some of which are marked."""
+    for j, row in enumerate(1e6 * abs(compliance), 1):
+        (line,) = ax.loglog(over, row, **styled(style, label=f"body {j}"))
+        ax.plot(over[marked], row[marked], "o", mfc="white", mec=line.get_color(), ms=4)
+    if marked.any():
+        ax.plot([], [], "o", mfc="white", mec="black", ms=4, label=mark)
+    ax.set(ylabel="|compliance| / (µm/N)")
 
 
 @dataclass(frozen=True)
@@ -116,7 +133,7 @@ class SteadyPoint:
 
 def frequency_response(
     scene: Scene | str,
-    frequencies: ArrayLike | Sequence[str],
+    frequencies: ArrayLike,
     direction: str = "up",
     tolerance: float = 1e-8,
     longest: int = 20_000,
@@ -158,16 +175,8 @@ def frequency_response(
     >>> str(response.motion_type[0]), bool(response.converged[0])
     ('II', True)
     """
-    if isinstance(scene, str):
-        from rig.scene.loading import load
-
-        scene = load(scene)
-    given = np.atleast_1d(np.asarray(frequencies))
-    if given.dtype.kind == "U":
-        given = np.array([number(str(one), FREQUENCY, "frequencies") for one in given])
-    asked = given.astype(np.float64)
-    if asked.ndim != 1 or not len(asked) or not np.isfinite(asked).all() or (asked <= 0.0).any():
-        raise SceneError("frequencies: expected a list of positive, finite frequencies in Hz")
+    scene = scene_of(scene)
+    asked = positives(frequencies, FREQUENCY, "frequencies")
     if direction not in ("up", "down", "both"):
         raise SceneError(
             f"Invalid value for direction. Allowed values are up, down and both, but got {direction!r}."

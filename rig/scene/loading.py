@@ -59,6 +59,11 @@ def load(scene: str | Path, changes: Mapping[str, Any] | None = None) -> Scene:
     return _validated(_text(path), str(path), path.parent, path.stem, changes or {})
 
 
+def scene_of(scene: Scene | str | Path) -> Scene:
+    """Take an argument that is a scene, or what `load` takes."""
+    return scene if isinstance(scene, Scene) else load(scene)
+
+
 def loads(text: str, where: str = "scene", folder: str | Path | None = None) -> Scene:
     """Load a scene from the text of a scene file.
 

@@ -14,6 +14,9 @@ from fractions import Fraction
 from functools import cache, lru_cache
 from typing import Any, overload
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from rig.errors import SceneError
 
 UNITS = """
@@ -188,6 +191,30 @@ def number(value: float | str | None, kind: Kind, name: str) -> float | None:
         return _parse_text(value, kind)
     except ValueError as error:
         raise SceneError(f"{name}: {error}; expected {kind.noun} such as {kind.example}") from None
+
+
+def positives(values: ArrayLike, kind: Kind, name: str) -> NDArray[np.float64]:
+    """Take an argument of one or several quantities, each as `number` does; all above zero and finite.
+
+    Raises
+    ------
+    SceneError
+        If one is not; the message begins with the argument's name.
+
+    Examples
+    --------
+    >>> positives(["49 Hz", "3000 rpm"], FREQUENCY, "frequencies").tolist()
+    [49.0, 50.0]
+    """
+    given = np.atleast_1d(np.asarray(values))
+    if given.dtype.kind == "U":
+        given = np.array([number(str(one), kind, name) for one in given.flat]).reshape(given.shape)
+    found = np.asarray(given, dtype=np.float64)
+    if found.ndim != 1 or not found.size or not np.isfinite(found).all() or (found <= 0.0).any():
+        raise SceneError(
+            f"{name}: expected positive, finite numbers {kind.si} or texts such as {kind.example!r}"
+        )
+    return found
 
 
 def text(value: float, kind: Kind) -> str:

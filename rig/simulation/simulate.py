@@ -14,6 +14,7 @@ from rig.engine.trajectory import EVENT, Array, Trajectory, event_table, gaps_an
 from rig.errors import SceneError
 from rig.numerics.memory import need
 from rig.results import Result, styled
+from rig.scene.loading import scene_of
 from rig.scene.quantities import FREQUENCY, TIME, number
 from rig.scene.scene import Scene
 from rig.simulation.energy import Ends, Energy, ledger
@@ -137,10 +138,7 @@ def simulate(
     >>> run.displacement.shape, len(run.events)
     ((3, 101), 5)
     """
-    if isinstance(scene, str):
-        from rig.scene.loading import load
-
-        scene = load(scene)
+    scene = scene_of(scene)
     duration, rate = number(duration, TIME, "duration"), number(rate, FREQUENCY, "rate")
     frequency = number(frequency, FREQUENCY, "frequency")
     for name, value in (("duration", duration), ("rate", rate)):

@@ -11,17 +11,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import SceneError
 from rig.numerics import continuation
+from rig.results import Result, joined, styled
+from rig.scene.loading import scene_of
+from rig.scene.quantities import FORCE, FREQUENCY, number, positives
 from rig.scene.scene import Scene
 from rig.single_mode.admissibility import Batch, first_harmonic, flaws, multipliers, peak_to_peak
 from rig.single_mode.motion_search import ENDS, order, solutions
 from rig.single_mode.periodic_motion import INSTANTS, TURN, MotionParameters, MotionType, jacobian
 from rig.single_mode.reduction import SingleMode, Weighting, single_mode
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Floats = NDArray[np.float64]
 
@@ -82,8 +89,8 @@ class Branch:
         return np.asarray(self.flaw == "")
 
 
-@dataclass(frozen=True)
-class Approximation:
+@dataclass(frozen=True, repr=False)
+class Approximation(Result):
     """What the approximate method finds for one mode.
 
     Attributes
@@ -105,13 +112,50 @@ class Approximation:
     riding: tuple[float, float] | None
     failures: tuple[str, ...]
 
+    def summary(self) -> str:
+        """Say which mode, and which motions it has where."""
+        found = ", ".join(
+            f"{b.motion_type} {b.frequency[b.valid].min():.4g} to {b.frequency[b.valid].max():.4g} Hz"
+            for b in self.branches
+        )
+        return f"mode at {self.mode.frequency:.4g} Hz, {len(self.branches)} branches: {found or 'none'}"
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Every point of every branch: frequency, compliance, type, whether it is stable and possible."""
+        return joined(
+            [
+                {
+                    "frequency_Hz": b.frequency,
+                    "compliance_m/N": b.compliance,
+                    "peak_m/N": b.peak,
+                    "motion_type": np.full(b.frequency.size, b.motion_type),
+                    "stable": b.stable,
+                    "valid": b.valid,
+                    "branch": np.full(b.frequency.size, number),
+                }
+                for number, b in enumerate(self.branches, 1)
+            ]
+        )
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Compliance of the possible motions; dashed where they are not stable."""
+        for branch in self.branches:
+            colour, size = f"C{('I', 'II', 'III').index(branch.motion_type)}", 1e6 * abs(branch.compliance)
+            known = {line.get_label() for line in ax.lines}
+            label = f"Type {branch.motion_type}"
+            for keep, look in ((branch.stable, "-"), (~branch.stable, "--")):
+                shown = np.where(branch.valid & keep, size, np.nan)
+                name = label if look == "-" and label not in known else "_again"
+                ax.loglog(branch.frequency, shown, look, **styled(style, color=colour, label=name))
+        ax.set(xlabel="frequency / Hz", ylabel="|compliance| / (µm/N)")
+
 
 def approximate_response(
-    scene: Scene,
+    scene: Scene | str,
     mode: int,
-    band: tuple[float, float],
+    band: tuple[float | str, float | str],
     *,
-    force: float | None = None,
+    force: float | str | None = None,
     weighting: Weighting = "printed",
     at: int | None = None,
 ) -> Approximation:
@@ -119,14 +163,14 @@ def approximate_response(
 
     Parameters
     ----------
-    scene : Scene
-        With dampers of one common clearance and restitution 0.
+    scene : Scene or str
+        A scene, or what `rig.load` takes; with dampers of one common clearance and restitution 0.
     mode : int
         Mode that is kept, from 1.
-    band : tuple of float
-        Lowest and highest frequency [Hz].
-    force : float, optional
-        Force amplitude [N]; by default the scene's test gives it.
+    band : tuple of float or str
+        Lowest and highest frequency, in Hz or as texts with units.
+    force : float or str, optional
+        Force amplitude, in N or as text with its unit; by default the scene's test gives it.
     weighting : {'printed', 'energy'}
         How damper masses are weighted, see `rig.single_mode.reduction`.
     at : int, optional
@@ -137,7 +181,10 @@ def approximate_response(
     Approximation
         Coordinates are those of the body where the shape is 1; multiply by `mode.shape` for the others.
     """
-    return follow_mode(single_mode(scene, mode, force=force, weighting=weighting, at=at), band)
+    low, high = positives(band, FREQUENCY, "band").tolist()
+    level = number(force, FORCE, "force")
+    reduced = single_mode(scene_of(scene), mode, force=level, weighting=weighting, at=at)
+    return follow_mode(reduced, (low, high))
 
 
 def follow_mode(mode: SingleMode, band: tuple[float, float], searches: int = 13) -> Approximation:

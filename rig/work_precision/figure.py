@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rig.escaping import drawn
-from rig.output_files import write_study
+from rig.figure_style import drawing, save_with_table
+from rig.output_files import stem
 from rig.work_precision.motion_study import Point, Study
 from rig.work_precision.steady_study import SteadyStudy
 
@@ -83,9 +84,8 @@ def write(study: Study, steady: SteadyStudy, folder: Path) -> list[Path]:
     SceneError
         If a file cannot be written.
     """
-    return write_study(
-        "cost", study.scene.name, folder, _draw(study, steady), lambda path: _write_csv(study, steady, path)
-    )
+    name = folder / stem("cost", study.scene.name)
+    return save_with_table(_draw(study, steady), name, lambda path: _write_csv(study, steady, path))
 
 
 def _write_csv(study: Study, steady: SteadyStudy, path: Path) -> None:
@@ -100,27 +100,20 @@ def _write_csv(study: Study, steady: SteadyStudy, path: Path) -> None:
 
 
 def _draw(study: Study, steady: SteadyStudy) -> Figure:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11.0 if steady.points else 7.5, 5.4), layout="constrained")
-    FigureCanvasAgg(figure)
-    panels = figure.subplots(
-        1, 2 if steady.points else 1, squeeze=False, width_ratios=(1.5, 1.0)[: 1 + bool(steady.points)]
-    )
-    left = panels[0, 0]
-    _panel(left, study.points, "CPU time for a period of the drive, s")
-    left.set_ylabel("error of the displacement, relative")
-    left.set_title(
-        f"motion: {study.periods} periods at {study.frequency:.4g} Hz, {study.events} events", fontsize=10
-    )
-    if steady.points:
-        right = panels[0, 1]
-        _panel(right, steady.points, "CPU time in all, s")
-        right.set_ylabel("error of the compliance, relative")
-        right.set_title(_steady_title(steady), fontsize=10)
-    figure.suptitle(drawn(study.scene.name))
-    return figure
+    count = 1 + bool(steady.points)
+    with drawing(4.8, 10.0 if steady.points else 6.8) as figure:
+        panels = figure.subplots(1, count, squeeze=False, width_ratios=(1.5, 1.0)[:count])[0]
+        _panel(panels[0], study.points, "CPU time for a period of the drive / s")
+        panels[0].set_ylabel("error of the displacement, relative")
+        panels[0].set_title(
+            f"Motion: {study.periods} periods at {study.frequency:.4g} Hz, {study.events} events"
+        )
+        if steady.points:
+            _panel(panels[1], steady.points, "CPU time in all / s")
+            panels[1].set_ylabel("error of the compliance, relative")
+            panels[1].set_title(_steady_title(steady).capitalize())
+        figure.suptitle(drawn(study.scene.name))
+        return figure
 
 
 def _shown(point: Point) -> float:
@@ -145,7 +138,7 @@ def _panel(axes: Axes, points: tuple[Point, ...], label: str) -> None:
             if "blind" in p.setting or p.setting in ("as called", "warm"):
                 word = "careful" if "blind" in p.setting else p.setting
                 axes.annotate(
-                    word, (p.cpu, _shown(p)), xytext=(0, 9), textcoords="offset points", fontsize=7,
+                    word, (p.cpu, _shown(p)), xytext=(0, -14), textcoords="offset points", fontsize=7,
                     color=colour, ha="center",
                 )  # fmt: skip
         axes.plot([], [], marker + "-", color=colour, ms=7, lw=1.0, label=method)
@@ -154,9 +147,6 @@ def _panel(axes: Axes, points: tuple[Point, ...], label: str) -> None:
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlabel(label)
-    axes.grid(which="major", color="#dddddd", lw=0.6)
-    axes.set_axisbelow(True)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    axes.margins(y=0.1)
     if methods:
-        axes.legend(fontsize=8, frameon=False, loc="best")
+        axes.legend(loc="best")

@@ -30,6 +30,11 @@ def results():
             hit,
             rig.simulate("fig9", "0.1 s", "1 kHz", frequency="49 Hz"),
             rig.frequency_response(free, ["40 Hz"]),
+            rig.periodic_orbit("fig9", "49.6 Hz"),
+            rig.orbit_response("fig9", ["3.2 N", "3.3 N"], "force", frequency="49.6 Hz"),
+            rig.follow_orbits("fig9", "frequency", ("49.5 Hz", "49.7 Hz"), searches=1),
+            rig.approximate_response("fig9", 3, ("49.4 Hz", "49.8 Hz")),
+            rig.map_motion("fig9", values=["0.01 N", "3.3 N"], frequencies=["49.5 Hz", "49.7 Hz"]),
         ]
 
 
@@ -42,7 +47,8 @@ def test_given_any_result_when_shown_then_it_is_a_line_a_page_a_drawing_and_a_ta
         columns = result.columns()
         assert len({np.shape(column) for column in columns.values()}) == 1
         table, data = result.to_dataframe(), result.to_xarray()
-        assert [table.index.name, *table.columns] == list(columns) == [*data.coords, *data.data_vars]
+        assert [table.index.name, *table.columns] == list(columns)
+        assert set(data.variables) == set(columns)
         for name in table.columns:
             np.testing.assert_array_equal(table[name].to_numpy(), columns[name])
 
@@ -54,6 +60,21 @@ def test_given_a_curve_when_tabulated_then_its_numbers_are_those_of_the_curve(re
     np.testing.assert_array_equal(table["value_m/N"], frf.value)
     np.testing.assert_array_equal(table.index, frf.frequency)
     assert re.search(r"compliance, \d+ points, 8 to 58 Hz, highest \d+ µm/N at 13\.\d+ Hz", repr(frf))
+
+
+def test_given_an_orbit_when_tabulated_then_it_closes_within_its_cavity_and_moves_as_it_says(results) -> None:
+    (orbit,) = (result for result in results if isinstance(result, rig.Orbit))
+    columns = orbit.columns()
+    gap, time, body2 = columns["gap 1_m"], columns["time_s"], columns["body 2_m"]
+    assert gap.min() == 0.0 and gap.max() == pytest.approx(0.98e-3, rel=1e-6)
+    assert time[-1] - time[0] == pytest.approx(orbit.repetition / orbit.frequency)
+    assert body2[-1] == pytest.approx(body2[0], abs=1e-9) and (np.diff(time) >= 0.0).all()
+    assert np.ptp(body2) / 2 == pytest.approx(orbit.peak[1], rel=1e-3)
+
+
+def test_given_nothing_found_when_tabulated_then_the_table_is_empty() -> None:
+    nothing = rig.approximate_response("fig9", 3, ("49.4 Hz", "49.8 Hz"), force="1 uN")
+    assert nothing.branches == () and len(nothing.to_dataframe()) == 0 and nothing._repr_html_()
 
 
 def test_given_no_pandas_when_a_table_is_asked_for_then_what_to_install_is_said(results, monkeypatch) -> None:

@@ -12,14 +12,13 @@ import analysis
 import daq
 import rig
 from rig.damper_design.answers import Answers
-from rig.damper_design.asked import asked, bodies_of, mass_of, range_of
+from rig.damper_design.asked import asked, mass_of
 from rig.damper_design.choice import FINE, Choice, Space, Trial
 from rig.damper_design.figure import summary, write
 from rig.damper_design.search import front
 from rig.damper_design.worst_peak import Peak, curve
 from rig.errors import SceneError
 from rig.orbits.problem import OrbitProblem
-from rig.scene.quantities import FREQUENCY
 from rig.system.open_loop_drive import with_ideal_force
 from rig.system.receptance import receptance
 from rig.workers import Workers
@@ -79,6 +78,7 @@ def test_given_a_design_when_written_then_its_scene_loads_and_its_summary_says_t
     scene, picture, drawing = write(chosen, tmp_path)
     assert rig.load(str(scene)).dampers == chosen.scene.dampers
     assert picture.stat().st_size > 10_000 and drawing.stat().st_size > 10_000
+    assert repr(chosen).startswith("<Design: ") and chosen.plot().get_legend() is not None
     assert f"clearance {1e3 * chosen.best.choice.clearances[0]:.3g} mm" in summary(chosen)
 
 
@@ -123,10 +123,10 @@ def test_given_three_bodies_when_two_dampers_are_placed_then_each_pair_is_a_plac
     ("told", "message"),
     [
         ({"budget": 5.0}, "expected more than nothing and less than the structure's 2.09 kg"),
-        ({"bodies": [7]}, "numbers from 1 to 3"),
+        ({"bodies": [7]}, "numbers of bodies, from 1 to 3"),
         ({"dampers": 4}, "expected 1 to 3"),
         ({"band": (2.0, 3.0)}, "nothing resonates"),
-        ({"levels": [-1.0]}, "expected positive forces"),
+        ({"levels": [-1.0]}, "levels: expected positive"),
         ({"clearance": (2e-3, 1e-3)}, "the smaller one first"),
         ({"uncertain": (2.0, 0.0)}, "two shares"),
         ({"cluster": "nonsense://"}, "no Dask scheduler answers"),
@@ -139,11 +139,12 @@ def test_given_what_makes_no_sense_when_designed_then_it_says_what_was_expected(
         rig.design("fig9", **told)
 
 
-def test_given_words_when_read_then_masses_shares_and_lists_are_understood() -> None:
+def test_given_quantities_in_words_when_asked_then_they_are_understood() -> None:
     scene = rig.load("fig9")
-    assert mass_of("50 g", scene) == pytest.approx(0.05)
-    assert mass_of("5 %", scene) == pytest.approx(0.1045)
-    assert bodies_of("1, 3", "--bodies") == (1, 3)
-    assert range_of("40 Hz, 60 Hz", FREQUENCY, "--band") == (40.0, 60.0)
-    with pytest.raises(SceneError, match="--band: got 1 values; expected two"):
-        range_of("40 Hz", FREQUENCY, "--band")
+    question, space = asked(
+        scene, "5 %", ["1", "3"], 1, ["1 mm", 2e-3], ["3 N", "1 N"], None, None, ["20 %", 0.0]
+    )
+    assert space.mass == pytest.approx(0.1045) and mass_of("50 g", scene) == pytest.approx(0.05)
+    assert (space.places, space.clearance, question.levels) == (((1,), (3,)), (1e-3, 2e-3), (1.0, 3.0))
+    with pytest.raises(SceneError, match="band: got 40 Hz; expected two"):
+        asked(scene, None, None, 1, None, None, ["40 Hz"], None, (0.0, 0.0))

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from rig.escaping import drawn
 from rig.output_files import make_ready, replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 # Colours that remain apart for every kind of colour blindness (Okabe and Ito's set, the darker ones first).
@@ -20,6 +24,8 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#5
 WIDTH_INCH = 7.2
 # Characters of a title that fit into this width.
 _LONGEST_LINE = 70
+# Characters of a note under a figure of that width.
+_NOTE_LINE = 112
 
 _STYLE: Any = {
     "font.family": "DejaVu Sans",
@@ -83,26 +89,10 @@ def colour(index: int) -> str:
 
 
 def frequency_axis(axes: Axes, low: float, high: float, labelled: bool) -> None:
-    """Logarithmic frequency axis whose ticks read as plain numbers."""
-    from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
-
-    axes.set_xscale("log")
+    """Frequency axis whose ticks read as plain numbers, logarithmic unless it is so short that this hardly bends it."""
     axes.set_xlim(low, high)
-    if high / low < 2.0:
-        # Within an octave a logarithm hardly bends, and round numbers are what one looks for.
-        axes.set_xscale("linear")
-        axes.set_xlim(low, high)
-        if labelled:
-            axes.set_xlabel("frequency / Hz")
-        else:
-            axes.tick_params(labelbottom=False)
-        return
-    wide = high / low > 30.0
-    digits = (1, 2, 5) if wide else (1, 1.5, 2, 3, 4, 5, 6, 8)
-    ticks = [d * 10.0**e for e in range(-3, 6) for d in digits if low <= d * 10.0**e <= high]
-    axes.xaxis.set_major_locator(FixedLocator(ticks))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    if high / low >= 2.0:
+        plain_logarithmic(axes.xaxis, 10)
     if labelled:
         axes.set_xlabel("frequency / Hz")
     else:
@@ -111,8 +101,6 @@ def frequency_axis(axes: Axes, low: float, high: float, labelled: bool) -> None:
 
 def decades(axes: Axes, values: Any, most: float = 6.0, least: float = 1.0) -> None:
     """Logarithmic vertical axis around positive values, at most so many decades deep."""
-    import numpy as np
-
     values = np.concatenate([np.ravel(v) for v in values])
     values = values[np.isfinite(values) & (values > 0)]
     axes.set_yscale("log")
@@ -122,38 +110,78 @@ def decades(axes: Axes, values: Any, most: float = 6.0, least: float = 1.0) -> N
         axes.set_ylim(min(low, high / 10.0**least), high)
 
 
-def plain_ticks(low: float, high: float) -> list[float]:
-    """Round numbers along a logarithmic axis; where it is so short that hardly any lie on it, even steps.
+def plain_ticks(low: float, high: float, most: int = 8) -> list[float]:
+    """Round numbers along a logarithmic axis, at most so many; where hardly any lie on it, even steps.
 
     Examples
     --------
-    >>> plain_ticks(0.08, 3.0)
-    [0.1, 0.2, 0.5, 1.0, 2.0]
-    >>> plain_ticks(0.65, 1.5)
-    [0.8, 1.0, 1.2, 1.4]
+    >>> plain_ticks(0.08, 3.0), plain_ticks(0.08, 3.0, 4)
+    ([0.1, 0.2, 0.5, 1.0, 2.0], [0.1, 0.3, 1.0, 3.0])
+    >>> plain_ticks(0.71, 0.95)
+    [0.75, 0.8, 0.85, 0.9]
     """
     from matplotlib.ticker import MaxNLocator
 
-    ticks = [d * 10.0**e for e in range(-9, 9) for d in (1, 2, 5)]
-    inside = [tick for tick in ticks if low <= tick <= high]
+    for digits in ((1, 1.5, 2, 3, 4, 5, 6, 8), (1, 2, 5), (1, 3), (1,)):
+        every = [float(f"{d}e{e}") for e in range(-12, 13) for d in digits]
+        inside = [tick for tick in every if low <= tick <= high]
+        if len(inside) <= most:
+            break
     if len(inside) < 3:
-        inside = [
-            round(float(tick), 12) for tick in MaxNLocator(5).tick_values(low, high) if low <= tick <= high
-        ]
+        even = MaxNLocator(5).tick_values(low, high)
+        inside = [round(float(tick), 12) for tick in even if low <= tick <= high]
     return inside
 
 
-def plain_logarithmic(axes: Axes, values: Any) -> None:
-    """Logarithmic horizontal axis over positive values whose few ticks read as plain numbers."""
-    import numpy as np
-    from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
+def plain_logarithmic(axis: Axis, most: int = 8, factor: float = 1.0) -> None:
+    """Logarithmic axis whose few ticks read as plain numbers, of a unit of which so many make one on the axis."""
+    from matplotlib.ticker import Locator, NullFormatter
 
-    values = np.concatenate([np.ravel(v) for v in values])
-    low, high = 0.8 * float(values.min()), 1.25 * float(values.max())
-    digits = (1,) if high / low > 30.0 else (1, 3) if high / low > 8.0 else (1, 2, 5)
-    ticks = [d * 10.0**e for e in range(-9, 9) for d in digits if low <= d * 10.0**e <= high]
-    axes.set_xscale("log")
-    axes.set_xlim(low, high)
-    axes.xaxis.set_major_locator(FixedLocator(ticks))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    class Plain(Locator):
+        def tick_values(self, low: float, high: float) -> list[float]:
+            return [tick / factor for tick in plain_ticks(factor * low, factor * high, most)]
+
+        def __call__(self) -> list[float]:
+            return self.tick_values(*sorted(axis.get_view_interval()))
+
+    axis.axes.set(**{f"{axis.axis_name}scale": "log"})  # type: ignore[attr-defined]
+    axis.set_major_locator(Plain())
+    axis.set_major_formatter(lambda value, _: f"{factor * value:g}")
+    axis.set_minor_formatter(NullFormatter())
+
+
+def cell_edges(centres: NDArray[np.float64], logarithmic: bool) -> NDArray[np.float64]:
+    """Borders of cells around their centres.
+
+    >>> cell_edges(np.array([1.0, 2.0, 4.0]), False).tolist()
+    [0.5, 1.5, 3.0, 5.0]
+    """
+    at = np.log(centres) if logarithmic else centres
+    if len(at) == 1:
+        borders = np.array([at[0] - 0.05 * abs(at[0]) - 1e-9, at[0] + 0.05 * abs(at[0]) + 1e-9])
+    else:
+        middle = 0.5 * (at[1:] + at[:-1])
+        borders = np.concatenate([[2 * at[0] - middle[0]], middle, [2 * at[-1] - middle[-1]]])
+    return np.exp(borders) if logarithmic else borders
+
+
+def note(figure: Figure, *texts: str) -> None:
+    """Say below all axes what is not in a legend: what is shaded, dotted, crossed."""
+    if texts:
+        wrapped = "\n".join(wrap("; ".join(texts), int(_NOTE_LINE * figure.get_figwidth() / WIDTH_INCH)))
+        figure.supxlabel(wrapped, x=0.995, ha="right", fontsize=7.5, color="#666666")
+
+
+def save_with_table(figure: Figure, stem: Path, write_table: Callable[[Path], None]) -> list[Path]:
+    """Write a figure as `save` does, and its table with a function that takes the path; name the three files.
+
+    Raises
+    ------
+    SceneError, RunError
+        If a file cannot be written.
+    """
+    table = stem.with_name(stem.name + ".csv")
+    make_ready(stem.parent)
+    with replacing(table) as part:
+        write_table(part)
+    return [*save(figure, stem), table]

@@ -93,9 +93,10 @@ def _draw(study: ChainStudy) -> Figure:
         left.set(xscale="log", xlabel="error, relative")
         left.set_yticks(place, [drawn(text) for text, *_ in rows])
         left.set_ylim(place[-1] + 0.8, -0.8)
-        right.set_xlabel("CPU time for a second of the test / ms")
+        right.set_xlabel("CPU time / (ms per s of test)")
         for axes in (left, right):
             axes.grid(False, axis="y")
+            axes.tick_params(axis="y", length=0)
         left.plot([], [], "o", color=REST, ms=6, label="compliance, corrected by the data sheets")
         left.plot([], [], "o", color=FAINT, mfc="white", ms=4.5, label="displacement, not corrected")
         left.plot([], [], "--", color=OWN, lw=0.8, label="the scene as it is")

@@ -116,6 +116,11 @@ def exaggeration(extremes: Extremes) -> float:
     return next(step * decade for step in (5.0, 2.0, 1.0, 0.5) if step * decade <= limit * (1 + 1e-9))
 
 
+def _beside(text: str, height: float) -> Point:
+    """Place of a text, which is centred there, beside a body without covering it."""
+    return (WIDTH / 2 + 0.06 + 0.0045 * len(text), -DEPTH / 2, height)
+
+
 class _Table(NamedTuple):
     """A shaker's table: its name, kind of shaker, the body (from 1) on its coil spring, and where it stands, metres."""
 
@@ -215,7 +220,7 @@ class RigView:
         if reach:
             middle, length = (reach + WIDTH / 2) / 2, reach - WIDTH / 2
             yield f"{name}/lug", boxes([((middle, 0, WALL / 2), (length, DEPTH / 2, WALL))], colour)
-        yield f"{name}/name", label((WIDTH / 2 + 0.12, -DEPTH / 2, 0.75 * height), text, colour)
+        yield f"{name}/name", label(_beside(text, 0.75 * height), text, colour)
         pointer: list[Point] = [(-WIDTH / 2 - out, -DEPTH / 2, height / 2) for out in (0.0, 0.028)]
         yield f"{name}/pointer", lines([pointer], colour, 0.0012)
 
@@ -261,7 +266,7 @@ class RigView:
         moves = self.gaps_known and not damper.locked
         centre = (0, -WALL / 2, WALL + DAMPER_HEIGHT / 2)
         yield name, boxes([(centre, size)], LEAD if moves else GLUED)
-        text_at = (WIDTH / 2 + 0.12, -DEPTH / 2, 0.45 * self._height[body - 1])
+        text_at = _beside(text, 0.45 * self._height[body - 1])
         yield f"rig/body_{body}/damper_name", label(text_at, text, LEAD if moves else MARK)
 
     def _shaker(self, table: _Table) -> Iterator[tuple[str, rr.AsComponents]]:

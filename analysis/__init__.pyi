@@ -2,6 +2,7 @@
 
 from .decays.free_decay import Decay, decay
 from .export.export import sep005
+from .fitting.fit import Fit, fit
 from .modal.identification import identify
 from .modal.modes import Modes, mac
 from .responses.frequency_responses import compliance, frequency_responses, frfs
@@ -10,11 +11,13 @@ from .responses.frf_set import FrfSet
 
 __all__ = [
     "Decay",
+    "Fit",
     "Frf",
     "FrfSet",
     "Modes",
     "compliance",
     "decay",
+    "fit",
     "frequency_responses",
     "frfs",
     "identify",

@@ -108,6 +108,39 @@ def compare(files: Files, output: Output = None) -> None:
 
 
 @app.command()
+def fit(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="RECORDING...", help="Of one structure, without and with dampers, at any levels."
+        ),
+    ],
+    scene: SceneName,
+    changes: Changes = None,
+    free: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY",
+            help="Fit this, such as structure.masses or dampers[1].clearance; may be repeated; default masses, "
+            "springs, damping and all of the dampers.",
+        ),
+    ] = None,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FILE", help="The fitted scene; figures lie beside it.")
+    ] = Path("fitted.yaml"),
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace FILE if it exists.")] = False,
+) -> None:
+    """Fit a scene to recordings of the real structure: its values, how certain, and what cannot be told."""
+    from analysis.fitting.presentation import present_fit
+
+    files_written, warnings = present_fit(files, loaded(scene, changes), free, output, overwrite, print)
+    for warning in warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    for path in files_written:
+        print(f"wrote {path}")
+
+
+@app.command()
 def report(files: Files, output: Output = None) -> None:
     """One self-contained HTML page about recordings."""
     from analysis.presentation.report import write_report

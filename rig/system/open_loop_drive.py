@@ -109,13 +109,13 @@ def _servo_inverse(shaker: TableShaker, omega: float) -> complex:
 def force_per_drive(scene: Scene, system: HybridSystem, omega: float) -> complex:
     """Spring force for one unit of drive, in the linear structure with all dampers riding."""
     return complex(
-        spring_force_row(scene, system) @ _riding_response(system, scene.at_driven("shaker"), omega)
+        spring_force_row(scene, system) @ riding_response(system, scene.at_driven("shaker"), omega)
     )
 
 
 def accelerations_per_level(scene: Scene, system: HybridSystem, omega: float) -> Array:
     """Amplitude of each body's acceleration for one unit of level, in the linear structure with all dampers riding."""
-    response = _riding_response(system, scene.at_driven("shaker"), omega) * drive_per_level(
+    response = riding_response(system, scene.at_driven("shaker"), omega) * drive_per_level(
         scene, system, omega
     )
     return omega**2 * np.abs(response[: scene.structure.bodies])
@@ -135,8 +135,8 @@ def with_ideal_force(scene: Scene) -> Scene:
     return scene.replace(shaker=all_of_them if len(all_of_them) > 1 else force, channels=None)
 
 
-def _riding_response(system: HybridSystem, name: str, omega: float) -> NDArray[np.complex128]:
-    """States for one unit of the drive of that name, all dampers riding."""
+def riding_response(system: HybridSystem, name: str, omega: float | Array) -> NDArray[np.complex128]:
+    """States for one unit of the drive of that name, all dampers riding; shape (states,) + that of omega in rad/s."""
     n, ns = system.coordinates, system.states
     mass = system.mass.copy()
     riding = system.damper_coordinate[~system.lasting]
@@ -147,16 +147,18 @@ def _riding_response(system: HybridSystem, name: str, omega: float) -> NDArray[n
     matrix[n : 2 * n] = np.linalg.solve(mass, system.force_state + force)
     matrix[2 * n :] = system.rate_state
     column = system.inputs.index(name)
-    inflow = np.zeros(ns, dtype=complex)
-    inflow[n : 2 * n] = np.linalg.solve(mass, system.force_drive[:, column])
-    inflow[2 * n :] = system.rate_drive[:, column]
+    inflow = np.zeros((ns, 1), dtype=complex)
+    inflow[n : 2 * n, 0] = np.linalg.solve(mass, system.force_drive[:, column])
+    inflow[2 * n :, 0] = system.rate_drive[:, column]
+    at = np.asarray(omega)[..., None, None]
     try:
-        return np.asarray(np.linalg.solve(1j * omega * np.eye(ns) - matrix, inflow))
+        solved = np.linalg.solve(1j * at * np.eye(ns) - matrix, inflow).astype(np.complex128, copy=False)
     except np.linalg.LinAlgError:
         raise SceneError(
-            f"the undamped rig has no steady motion at {omega / (2 * np.pi):.6g} Hz, its resonance; expected "
-            "structure.damping, another frequency, or drive in place of force"
+            f"the undamped rig has no steady motion at {np.ravel(omega)[0] / (2 * np.pi):.6g} Hz, its resonance; "
+            "expected structure.damping, another frequency, or drive in place of force"
         ) from None
+    return np.moveaxis(solved[..., 0], -1, 0)
 
 
 def sampled_drive(scene: Scene, system: HybridSystem, samples: int, rate: float) -> Array:

@@ -1,0 +1,117 @@
+"""Why a scene does not fit: which channel reads what it should not, or which two are swapped."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.fitting.estimate import mean_square, solved
+from analysis.fitting.measured import Curves, Sensor
+from analysis.fitting.problem import Problem
+from analysis.fitting.start import start
+
+Array = NDArray[np.float64]
+
+# A cause explains a misfit if it takes away all but this share of it.
+_EXPLAINED = 0.02
+# Factors by which units are mistaken, with what they are taken for.
+_FACTORS = {
+    -1.0: "its sign is turned",
+    9.80665: "m/s² read as g, or the other way round",
+    1.0 / 9.80665: "g read as m/s²",
+    1000.0: "a thousandth taken for the unit, as mV for V or mm for m",
+    0.001: "the unit taken for a thousandth, as V for mV or m for mm",
+    39.3701: "inches for metres",
+    0.0254: "metres for inches",
+    4.44822: "pounds for newtons",
+    1.0 / 4.44822: "newtons for pounds",
+}
+_NEAR = 0.06
+# How much looser a suspected sensor is held, and the scale of all masses from which on it is suspect.
+_FREED, _SCALE_OFF = 1e4, 2.5
+_MOST_PAIRS = 15
+
+
+def causes(problem: Problem) -> list[str]:
+    """Try what may be wrong with the recordings that have no moving dampers; say what explains the misfit."""
+    bare = [group.curves for group in problem.groups if group.tones is None]
+    if not bare:
+        return [
+            "No recording without moving dampers is among them: with one, the structure can be judged alone."
+        ]
+    before = _variance(problem, bare)[1]
+    if before < 4.0:
+        return ["The recordings without moving dampers fit: it is the dampers that the scene has otherwise."]
+    found = []
+    for text, curves, sensor in _suspects(bare):
+        trial, after = _variance(problem, curves)
+        if after < max(4.0, _EXPLAINED * before):
+            factor = 1.0 if sensor is None else 1.0 + trial[0].deviation(trial[1], sensor)
+            found.append(
+                (after, text if sensor is None else f"{text} {factor:.4g} times what fits{_meaning(factor)}")
+            )
+    if not found:
+        return [
+            "No single channel and no swap of two explains it: the structure is another one, a chain of other bodies "
+            "and springs or one with other damping; the figure of what is left shows where."
+        ]
+    return [min(found)[1] + ": corrected, the rest fits."]
+
+
+def scale_off(problem: Problem, x: Array) -> str:
+    """Say whether all masses are off their guess by so much that a unit must be wrong."""
+    masses = [k for k, one in enumerate(problem.parameters) if one.what == "masses"]
+    if not masses:
+        return ""
+    factor = float(np.exp(np.mean((x - problem.start)[masses])))
+    if 1.0 / _SCALE_OFF < factor < _SCALE_OFF:
+        return ""
+    return (
+        f"The curves fit with {factor:.4g} times the masses of the scene{_meaning(1.0 / factor)}: force or motion is "
+        "in another unit than the recording says, or the masses of the scene are far off; correct either."
+    )
+
+
+def _suspects(bare: list[Curves]) -> Iterator[tuple[str, list[Curves], Sensor | None]]:
+    sensors = dict.fromkeys(s for curves in bare for s in (*curves.sensors, curves.reference_sensor))
+    for sensor in sensors:
+        free = replace(sensor, tolerance=_FREED)
+        yield f"{sensor.name} reads", [_with_sensor(curves, sensor, free) for curves in bare], free
+    names = dict.fromkeys(sensor.name for curves in bare for sensor in curves.sensors)
+    for one, other in list(combinations(names, 2))[:_MOST_PAIRS]:
+        yield f"{one} and {other} are swapped", [_swapped(curves, one, other) for curves in bare], None
+
+
+def _with_sensor(curves: Curves, old: Sensor, new: Sensor) -> Curves:
+    return replace(
+        curves,
+        sensors=tuple(new if sensor == old else sensor for sensor in curves.sensors),
+        reference_sensor=new if curves.reference_sensor == old else curves.reference_sensor,
+    )
+
+
+def _swapped(curves: Curves, one: str, other: str) -> Curves:
+    bodies = {sensor.name: body for sensor, body in zip(curves.sensors, curves.bodies, strict=True)}
+    if one in bodies and other in bodies:
+        bodies[one], bodies[other] = bodies[other], bodies[one]
+    return replace(curves, bodies=tuple(bodies[sensor.name] for sensor in curves.sensors))
+
+
+def _variance(problem: Problem, curves: list[Curves]) -> tuple[tuple[Problem, Array], float]:
+    parameters = [one for one in problem.parameters if one.place[0] != "dampers"]
+    trial = Problem(problem.model, parameters, curves)
+    x = start(trial, trial.groups)
+    for distrust in (0.1, 0.01, 0.0):
+        x = solved(trial, x, trial.groups, distrust, most=15)
+    return (trial, x), mean_square(trial, x, trial.groups)
+
+
+def _meaning(factor: float) -> str:
+    for known, text in _FACTORS.items():
+        if abs(factor / known - 1.0) < _NEAR:
+            return f" ({text})"
+    return ""

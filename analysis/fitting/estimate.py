@@ -1,0 +1,180 @@
+"""The unknowns that explain what was measured, and how well the data tell them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from analysis.fitting.problem import Group, Problem
+from analysis.fitting.start import start
+
+Array = NDArray[np.float64]
+Told = Callable[[str], None]
+
+# How far a model is allowed to miss, relative to the peaks around, on the way to the errors stated: far from the
+# solution, narrow resonances beside each other know nothing of each other.
+_DISTRUST = (0.1, 0.01, 0.0)
+_DISTRUST_DAMPERS = (0.2, 0.05)
+# Factors on mass and clearance of all dampers to start from, where the scene's own lead nowhere.
+_MASSES, _CLEARANCES = (1.0, 0.75), (1.0, 0.7, 1.5)
+# A fit with dampers that leaves more variances than this may have started in the wrong place.
+_DOUBTFUL = 25.0
+# Rounds of fitting all, each after a look for other motions at points that stand out.
+_ROUNDS = 4
+# Frequencies whose misses may have a common cause, as a share of all of a group's.
+_CLUSTERS = 40
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A solution.
+
+    Attributes
+    ----------
+    x : ndarray, shape (unknowns,)
+    covariance : ndarray, shape (unknowns, unknowns)
+        With what is known beforehand; the larger of what the stated errors and what the misses themselves imply.
+    variance : float
+        Mean square of the misses, in standard deviations: 1 where the stated errors explain them.
+    """
+
+    x: Array
+    covariance: Array
+    variance: float
+
+
+def estimate(problem: Problem, told: Told) -> Estimate:
+    """Find the unknowns: first those of the structure from linear recordings, then of the dampers, then all at once."""
+    bare = [group for group in problem.groups if group.tones is None]
+    told("structure")
+    x = start(problem, bare)
+    for distrust in _DISTRUST if bare else ():
+        x = solved(problem, x, bare, distrust)
+    damped = [group for group in problem.groups if group.tones is not None]
+    if damped:
+        told("dampers")
+        x = _with_dampers(problem, x, damped, bool(bare))
+        for turn in range(_ROUNDS):
+            if not _rechosen(problem, x, damped) and turn > 0:
+                break
+            told("all")
+            x = solved(problem, x, problem.groups, 0.0)
+    return Estimate(x, *_certainty(problem, x))
+
+
+def solved(
+    problem: Problem,
+    x: Array,
+    groups: Sequence[Group],
+    distrust: float,
+    active: Sequence[int] | None = None,
+    most: int = 30,
+) -> Array:
+    """Least squares over active unknowns, from x."""
+    chosen = list(range(problem.size) if active is None else active)
+
+    def full(inner: Array) -> Array:
+        out = x.copy()
+        out[chosen] = inner
+        return out
+
+    solution = least_squares(
+        lambda inner: problem.residual(full(inner), groups, distrust),
+        x[chosen],
+        jac=lambda inner: problem.jacobian(full(inner), groups, distrust, chosen),
+        x_scale="jac",
+        loss="linear" if distrust == 0.0 else "soft_l1",
+        max_nfev=most,
+        ftol=1e-10,
+        xtol=1e-12,
+        gtol=1e-10,
+    )
+    best = full(solution.x)
+    # What was tried last need not be what was best: the motions known are to be those of the solution.
+    problem.residual(best, groups, distrust)
+    return best
+
+
+def _with_dampers(problem: Problem, x: Array, damped: Sequence[Group], structure_known: bool) -> Array:
+    """Values of the dampers with the structure held, if linear recordings told it; else of all, coarsely."""
+    active = [k for k, one in enumerate(problem.parameters) if one.damper is not None]
+    if not structure_known:
+        active = list(range(problem.size))
+    if not active:
+        return x
+    best, smallest = x, np.inf
+    bounded = any(one.what == "clearance" for one in problem.parameters)
+    for masses in _MASSES:
+        for clearances in _CLEARANCES if bounded else (1.0,):
+            for group in damped:
+                assert group.tones is not None
+                group.tones.given_up.clear()
+            tried = x.copy()
+            for k, one in enumerate(problem.parameters):
+                if one.damper is not None:
+                    factor = {"mass": masses, "mass_ratio": masses, "clearance": clearances}.get(
+                        one.what, 1.0
+                    )
+                    tried[k] += np.log(factor)
+            for distrust in _DISTRUST_DAMPERS:
+                tried = solved(problem, tried, damped, distrust, active, 12)
+            cost = mean_square(problem, tried, damped, _DISTRUST_DAMPERS[-1])
+            if cost < smallest:
+                best, smallest = tried, cost
+            if smallest < _DOUBTFUL / 10.0:
+                problem.residual(best, damped)
+                return best
+    problem.residual(best, damped)
+    return best
+
+
+def mean_square(problem: Problem, x: Array, groups: Sequence[Group], distrust: float = 0.0) -> float:
+    """Mean square of the misses of some groups, in standard deviations."""
+    misses = problem.residual(x, groups, distrust)[: -problem.size]
+    return float(np.mean(misses**2)) if misses.size else 0.0
+
+
+def _rechosen(problem: Problem, x: Array, damped: Sequence[Group]) -> bool:
+    """Look for the motions that the rig was in where points stand out; whether anything changed."""
+    scene = problem.scene(x)
+    changed = [group.choose_motions(problem, x, scene) for group in damped]
+    return any(changed)
+
+
+def _certainty(problem: Problem, x: Array) -> tuple[Array, float]:
+    """Covariance of the unknowns, and the mean square of the misses.
+
+    Misses beyond the stated errors enlarge the covariance by their mean square. Misses that have causes in common,
+    from response to response and over neighbouring frequencies, are counted by cluster [1]_; of both the larger.
+
+    References
+    ----------
+    .. [1] K.-Y. Liang, S. L. Zeger, Longitudinal data analysis using generalized linear models, Biometrika 73 (1986).
+    """
+    data, scores, square, count = np.zeros((problem.size,) * 2), np.zeros((problem.size,) * 2), 0.0, 0
+    for group in problem.groups:
+        jacobian = problem.jacobian(x, [group])[: -problem.size]
+        misses = problem.residual(x, [group])[: -problem.size]
+        used = int(group.used.sum())
+        data += jacobian.T @ jacobian
+        square += float(misses @ misses)
+        count += misses.size
+        order = np.argsort(group.curves.frequency[group.used], kind="stable")
+        rank = np.empty(used, dtype=int)
+        rank[order] = np.arange(used)
+        width = 1 if group.curves.level is not None else max(1, used // _CLUSTERS)
+        cluster = np.tile(np.repeat(rank // width, misses.size // (2 * used)), 2)
+        for one in range(cluster.max() + 1):
+            score = jacobian[cluster == one].T @ misses[cluster == one]
+            scores += np.outer(score, score)
+    prior = np.diag(1.0 / problem.spread**2)
+    variance = square / max(count - problem.size, 1)
+    stated = np.linalg.inv(data / max(variance, 1.0) + prior)
+    bread = np.linalg.inv(data + prior)
+    clustered = bread @ (scores + prior) @ bread
+    wider = np.sqrt(np.maximum(np.diag(clustered) / np.diag(stated), 1.0))
+    return stated * np.outer(wider, wider), variance

@@ -1,0 +1,345 @@
+"""A scene fitted to recordings of the real structure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.fitting.diagnosis import causes, scale_off
+from analysis.fitting.estimate import Estimate, estimate
+from analysis.fitting.measured import Curves, measured
+from analysis.fitting.parameters import Parameter, free_parameters, spelt_out
+from analysis.fitting.problem import Problem, slope
+from analysis.fitting.separation import LevelDamping, damping_by_level
+from analysis.fitting.untold import together
+from analysis.recordings.names import opened
+from rig.errors import RecordingError, SceneError
+from rig.results import Result, styled
+from rig.scene.scene import Scene
+from rig.system.structure import natural_modes, structure_matrices
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from daq.recording.recording import Recording
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Progress = Callable[[str], None]
+
+# Half width of a 95 % interval in standard deviations.
+CONFIDENCE = 1.96
+# A value whose 95 % interval is wider, relative, is not told at all.
+_UNTOLD = 0.5
+# Misses of so many variances are not noise; of so much of the curves they are those of another structure.
+NOT_NOISE, ANOTHER = 4.0, 0.02
+# Share of the points with dampers that may have been in a motion that the model does not have.
+_MOST_LEFT_OUT = 0.25
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """One value of the scene.
+
+    Attributes
+    ----------
+    key, unit : str
+        As `--set` names it, and its unit.
+    start, value : float
+        Before and after, in SI.
+    low, high : float
+        95 % interval.
+    told : {'determined', 'roughly', 'not told'}
+        Whether the recordings tell it: within a few per cent, within half of itself, or not.
+    """
+
+    key: str
+    unit: str
+    start: float
+    value: float
+    low: float
+    high: float
+    told: str
+
+    @property
+    def half_width(self) -> float:
+        """Half the 95 % interval, relative to the value."""
+        return 0.5 * (self.high - self.low) / self.value
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A natural mode of the fitted structure without dampers and coil spring, with 95 % bounds."""
+
+    frequency: float
+    frequency_bound: float
+    damping: float
+    damping_bound: float
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Measured curves beside what the fitted scene answers, as the sensors read it.
+
+    Attributes
+    ----------
+    curves : Curves
+        Measured.
+    predicted : ndarray of complex, shape (responses, n)
+        NaN where the model has no steady motion.
+    used : ndarray of bool, shape (n,)
+        Points that count.
+    misses : ndarray, shape (responses, n)
+        Distance in standard deviations.
+    relative : float
+        Root mean square of what is missed, relative to that of the curve; the largest of all responses.
+    """
+
+    curves: Curves
+    predicted: ComplexArray
+    used: NDArray[np.bool_]
+    misses: Array
+    relative: float
+
+
+@dataclass(frozen=True, repr=False)
+class Fit(Result):
+    """A scene with the values that recordings tell.
+
+    Attributes
+    ----------
+    scene : Scene
+        With the values found; what is not told stays near where it was.
+    parameters : tuple of Fitted
+    correlation : ndarray, shape (parameters, parameters)
+        Between the errors of their logarithms.
+    sensitivities : mapping of str to (float, float)
+        Relative deviation of each sensor's sensitivity that is known to a tolerance only, and its 95 % bound.
+    modes : tuple of Mode
+    damping : tuple of LevelDamping
+        The structure's own damping, told from each sweep alone, that of the dampers taken out by their model.
+    compared : tuple of Compared
+    variance : float
+        Mean square of the misses in standard deviations: about 1, or less, where the stated errors explain them.
+    misfit : str
+        Why the scene does not fit the recordings; "" where it does. Then no value is determined.
+    together : tuple of str
+        Which values the recordings cannot tell apart.
+    warnings : tuple of str
+    """
+
+    scene: Scene
+    parameters: tuple[Fitted, ...]
+    correlation: Array
+    sensitivities: dict[str, tuple[float, float]]
+    modes: tuple[Mode, ...]
+    damping: tuple[LevelDamping, ...]
+    compared: tuple[Compared, ...]
+    variance: float
+    misfit: str
+    together: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+    def __getitem__(self, key: str) -> Fitted:
+        """Give one value by its key."""
+        return {one.key: one for one in self.parameters}[key]
+
+    def summary(self) -> str:
+        """Say whether it fits, and how many values are told."""
+        told = [one.told for one in self.parameters]
+        counts = ", ".join(f"{told.count(kind)} {kind}" for kind in dict.fromkeys(told))
+        return f"{self.scene.name}: {'does not fit; ' if self.misfit else ''}{counts}"
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Each value with its start and 95 % interval."""
+        names = ("key", "unit", "start", "value", "low", "high", "told")
+        return {name: np.array([getattr(one, name) for one in self.parameters]) for name in names}
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Draw what is missed, in standard deviations, over frequency."""
+        for one in self.compared:
+            order = np.argsort(one.curves.frequency, kind="stable")
+            worst = np.where(one.used, one.misses.max(axis=0), np.nan)[order]
+            ax.semilogy(one.curves.frequency[order], worst, ".-", **styled(style, label=one.curves.label))
+        ax.set(xlabel="frequency / Hz", ylabel="largest miss / standard deviation")
+
+
+def fit(
+    recordings: Sequence[Recording | str | Path] | Recording | str | Path,
+    scene: Scene | str,
+    free: Sequence[str] | None = None,
+    progress: Progress | None = None,
+) -> Fit:
+    """Fit a scene to recordings of the real structure, without and with dampers.
+
+    Everything is compared as it was measured: responses of each sweep over the force or the motion of the table, each
+    weighted by its stated error, with the sensors' sensitivities free within their tolerances. Where dampers move, the
+    model answers with its exact periodic motions. Start values come from modes. What is free has its scene's value as
+    a vague hint, within a factor of e: it counts only where the recordings tell nothing, and then that is said.
+
+    Parameters
+    ----------
+    recordings : sequence of daq.recording.Recording, str or Path
+        Of one structure: stepped, swept, random, multisine or impulse tests; with dampers that move, tones. Which
+        dampers were in is taken from the scene of each recording.
+    scene : Scene or str
+        The model: structure and dampers, as well as they are known. Shaker, test and channels are those of the
+        recordings.
+    free : sequence of str, optional
+        Keys of what is free, such as ``structure.masses`` or ``dampers[1].clearance``; omitted, masses, springs,
+        damping, and all of the dampers.
+    progress : callable, optional
+        Called with the name of each stage.
+
+    Returns
+    -------
+    Fit
+
+    Raises
+    ------
+    SceneError
+        If the scene cannot be that of the recordings, or nothing is free.
+    RecordingError
+        If a recording holds nothing to fit.
+
+    Examples
+    --------
+    >>> import analysis, rig
+    >>> guess = rig.load("bare-structure", {"structure.masses": ["0.8 kg", "0.7 kg", "0.6 kg"]})
+    >>> found = analysis.fit("recordings/demo-sweep-no-damper.mcap", guess)
+    >>> found.misfit, found["structure.masses[1]"].told
+    ('', 'determined')
+    """
+    told = progress or (lambda _: None)
+    if isinstance(scene, str):
+        from rig.scene.loading import load
+
+        scene = load(scene)
+    if scene.structure.damping is None and scene.structure.matrices is None:
+        raise SceneError(
+            f"scene {scene.name!r} has no structure.damping; expected its form and a guess, such as "
+            "damping: {modal: 1 %}"
+        )
+    model = spelt_out(scene)
+    parameters = free_parameters(model, free)
+    told("reading")
+    several = recordings if isinstance(recordings, list | tuple) else [recordings]
+    curves = [one for recording in several for one in _curves(recording)]
+    if not curves:
+        raise RecordingError("no recordings: expected at least one")
+    problem = Problem(model, parameters, curves)
+    found = estimate(problem, told)
+    return _result(problem, found, told)
+
+
+def _curves(recording: Any) -> list[Curves]:
+    if isinstance(recording, str | Path):
+        with opened(Path(recording)) as rec:
+            return measured(rec, Path(recording).name)
+    return measured(recording, recording.path.name)
+
+
+def _result(problem: Problem, found: Estimate, told: Progress) -> Fit:
+    x, scene = found.x, problem.scene(found.x)
+    compared = tuple(_compared(problem, x, scene, number) for number in range(len(problem.groups)))
+    warnings = [f"{one.curves.label}: {note}" for one in compared for note in one.curves.warnings]
+    misfit = _misfit(found, compared)
+    if misfit:
+        told("looking for the cause")
+        misfit = " ".join([misfit, *causes(problem)])
+    else:
+        misfit = scale_off(problem, x)
+    if not misfit and found.variance > NOT_NOISE:
+        worst = max(one.relative for one in compared)
+        warnings.append(
+            f"The scene misses the curves by up to {worst:.2%}, beyond their errors (mean square of the misses "
+            f"{found.variance:.3g}); the intervals are widened by that."
+        )
+    for one in compared:
+        if not one.used.all():
+            left = ", ".join(f"{f:.4g}" for f in one.curves.frequency[~one.used])
+            warnings.append(
+                f"{one.curves.label}: left out {left} Hz, where the rig was in another motion than any that the scene "
+                "has there, or in none that repeats."
+            )
+    names = range(len(problem.parameters))
+    deviation = np.sqrt(np.diag(found.covariance))
+    each = tuple(_fitted(one, x[k], deviation[k], bool(misfit)) for k, one in enumerate(problem.parameters))
+    damping = () if misfit else damping_by_level(problem, found)
+    return Fit(
+        scene=scene,
+        parameters=each,
+        correlation=(found.covariance / np.outer(deviation, deviation))[np.ix_(names, names)],
+        sensitivities={
+            sensor.name: (problem.deviation(x, sensor), CONFIDENCE * float(deviation[len(names) + k]))
+            for k, sensor in enumerate(problem.sensors)
+        },
+        modes=_modes(problem, found),
+        damping=damping,
+        compared=compared,
+        variance=found.variance,
+        misfit=misfit,
+        together=together(problem, found, [one.told for one in each]),
+        warnings=tuple(warnings),
+    )
+
+
+def _fitted(one: Parameter, x: float, deviation: float, misfit: bool) -> Fitted:
+    low, value, high = (one.value(x + step * CONFIDENCE * deviation) for step in (-1.0, 0.0, 1.0))
+    half = CONFIDENCE * deviation * slope(one, value)
+    told = "not told" if half > _UNTOLD else "determined" if half <= one.limit and not misfit else "roughly"
+    return Fitted(one.key, one.unit, one.start, value, low, high, told)
+
+
+def _compared(problem: Problem, x: Array, scene: Scene, number: int) -> Compared:
+    group = problem.groups[number]
+    curves = group.curves
+    predicted = problem.predicted(x, group, scene)
+    off = predicted - curves.value
+    misses = abs(np.einsum("nij,jn->in", curves.whiten, off))
+    used = group.used & np.isfinite(misses).all(axis=0)
+    square = np.mean(abs(off[:, used]) ** 2, axis=1) / np.mean(abs(curves.value[:, used]) ** 2, axis=1)
+    return Compared(curves, predicted, used, misses, float(np.sqrt(square.max())) if used.any() else np.inf)
+
+
+def _misfit(found: Estimate, compared: Sequence[Compared]) -> str:
+    """Say how far a scene is from recordings that it does not fit."""
+    for one in compared:
+        if one.used.mean() < 1.0 - _MOST_LEFT_OUT:
+            return (
+                f"{one.curves.label}: the scene has no motion like the measured one at {int((~one.used).sum())} of "
+                f"{one.used.size} points."
+            )
+    worst = max(compared, key=lambda one: one.relative)
+    if found.variance > NOT_NOISE and worst.relative > ANOTHER:
+        return (
+            f"{worst.curves.label}: even the nearest values miss the curves by {worst.relative:.1%} of them (root mean "
+            f"square), {np.sqrt(found.variance):.3g} times their stated errors."
+        )
+    return ""
+
+
+def _modes(problem: Problem, found: Estimate) -> tuple[Mode, ...]:
+    """Modes of the structure alone; bounds by first-order propagation of the covariance."""
+
+    def at(x: Array) -> Array:
+        mass, damping, stiffness = structure_matrices(problem.scene(x).structure)
+        omega, shapes = natural_modes(mass, stiffness)
+        modal = np.einsum("ji,jk,ki->i", shapes, mass, shapes)
+        ratio = np.einsum("ji,jk,ki->i", shapes, damping, shapes) / (2.0 * np.maximum(omega, 1e-9) * modal)
+        return np.concatenate([omega / (2.0 * np.pi), ratio])
+
+    here, step = at(found.x), 1e-6
+    columns = [(at(found.x + step * row) - here) / step for row in np.eye(problem.size)]
+    jacobian = np.stack(columns, axis=1)
+    bound = CONFIDENCE * np.sqrt(np.einsum("ij,jk,ik->i", jacobian, found.covariance, jacobian))
+    count = here.size // 2
+    return tuple(
+        Mode(*(float(v) for v in (here[k], bound[k], here[count + k], bound[count + k])))
+        for k in range(count)
+    )

@@ -1,0 +1,206 @@
+"""What may be free in a scene: its values by their keys, as `--set` names them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rig.errors import SceneError
+from rig.scene.changes import changes_of
+from rig.scene.contact import Landing
+from rig.scene.scene import Scene
+from rig.scene.settings import Place, Settings
+from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping
+
+#: What is free unless told: all of these that a scene gives.
+FREE = (
+    "structure.masses",
+    "structure.springs",
+    "structure.damping",
+    "dampers.mass",
+    "dampers.mass_ratio",
+    "dampers.clearance",
+    "dampers.restitution",
+    "dampers.contact",
+)
+_UNITS = {
+    "masses": "kg", "springs": "N/m", "alpha": "1/s", "beta": "s", "dashpots": "N s/m", "mass": "kg",
+    "clearance": "m", "duration": "s", "spring": "N/m",
+}  # fmt: skip
+# Half the 95 % interval, relative, up to which a value counts as determined.
+_LIMITS = {
+    "modal": 0.03,
+    "alpha": 0.03,
+    "beta": 0.03,
+    "dashpots": 0.03,
+    "restitution": 0.05,
+    "duration": 0.05,
+}
+_LIMIT = 0.02
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A positive value of a scene that may be free.
+
+    Attributes
+    ----------
+    key : str
+        As `--set` names it: ``dampers[1].clearance``; lists count from 1.
+    place : tuple
+        The same as steps, positions from 0.
+    start : float
+        Its value in the scene, in SI.
+    """
+
+    key: str
+    place: Place
+    start: float
+
+    @property
+    def what(self) -> str:
+        """Last word of its key."""
+        return next(str(step) for step in reversed(self.place) if isinstance(step, str))
+
+    @property
+    def unit(self) -> str:
+        """Unit, "" where it is a ratio."""
+        return _UNITS.get(self.what, "")
+
+    @property
+    def limit(self) -> float:
+        """Half the 95 % interval, relative, up to which it counts as determined."""
+        return _LIMITS.get(self.what, _LIMIT)
+
+    @property
+    def damper(self) -> int | None:
+        """Position from 0 of the damper it belongs to."""
+        return int(self.place[1]) if self.place[0] == "dampers" else None
+
+    @property
+    def below_one(self) -> bool:
+        """Whether it is a share that stays below one."""
+        return self.what in ("restitution", "modal")
+
+    def unknown(self, value: float) -> float:
+        """Give the unknown that stands for a value: its logarithm, or that of a share to the rest."""
+        return float(np.log(value / (1.0 - value)) if self.below_one else np.log(value))
+
+    def value(self, unknown: float) -> float:
+        """Give the value that an unknown stands for."""
+        return float(1.0 / (1.0 + np.exp(-unknown)) if self.below_one else np.exp(unknown))
+
+
+def spelt_out(scene: Scene) -> Scene:
+    """Give each mode a damping ratio of its own where the scene gives one for all: real structures do."""
+    damping = scene.structure.damping
+    if isinstance(damping, ModalDamping) and not isinstance(damping.modal, tuple):
+        ratios = (damping.modal,) * scene.structure.bodies
+        return scene.replace(structure=scene.structure.replace(damping=ModalDamping(modal=ratios)))
+    return scene
+
+
+def free_parameters(scene: Scene, free: Sequence[str] | None = None) -> list[Parameter]:
+    """List what is free.
+
+    Parameters
+    ----------
+    scene : Scene
+        With its damping spelt out.
+    free : sequence of str, optional
+        Keys, such as ``structure.masses`` for all masses or ``dampers[1].clearance``; omitted, `FREE`.
+
+    Raises
+    ------
+    SceneError
+        If a key names nothing that can be free, with what can.
+
+    Examples
+    --------
+    >>> import rig
+    >>> [one.key for one in free_parameters(rig.load("fig9"), ["structure.masses[1]", "dampers"])]
+    ['structure.masses[1]', 'dampers[1].mass_ratio', 'dampers[1].clearance']
+    """
+    there = list(_candidates(scene))
+    if free is None:
+        chosen = changes_of(dict.fromkeys(FREE))
+    else:
+        chosen = changes_of(dict.fromkeys(free))
+        for change in chosen:
+            if not any(change.concerns(one.place) for one in there):
+                names = ", ".join(dict.fromkeys(_general(one) for one in there))
+                raise SceneError(
+                    f"free: {change.key}: nothing in scene {scene.name!r} that can be fitted; expected one of {names} "
+                    "(with [1] and so on for one of a list; a value of 0 or infinity is a property, not fitted)"
+                )
+    found = [one for one in there if any(change.concerns(one.place) for change in chosen)]
+    if free is None:
+        # The coil spring calibrates the force; it is free only where that is asked for.
+        found = [one for one in found if one.place[0] != "shaker"]
+    if not found:
+        raise SceneError(
+            f"scene {scene.name!r} has nothing to fit: no masses, damping or dampers with values above 0"
+        )
+    return found
+
+
+def with_values(scene: Scene, values: Mapping[Place, float]) -> Scene:
+    """Put values into a scene, at places from 0."""
+    parts: dict[str, dict[Place, float]] = {}
+    for place, value in values.items():
+        parts.setdefault(str(place[0]), {})[place[1:]] = value
+    return scene.replace(**{name: _put(getattr(scene, name), inside) for name, inside in parts.items()})
+
+
+def _put(node: Any, values: Mapping[Place, float]) -> Any:
+    if () in values:
+        return values[()]
+    parts: dict[int | str, dict[Place, float]] = {}
+    for place, value in values.items():
+        parts.setdefault(place[0], {})[place[1:]] = value
+    if isinstance(node, tuple):
+        return tuple(_put(item, parts[k]) if k in parts else item for k, item in enumerate(node))
+    assert isinstance(node, Settings)
+    return node.replace(
+        **{str(name): _put(getattr(node, str(name)), inside) for name, inside in parts.items()}
+    )
+
+
+def _candidates(scene: Scene) -> Iterator[Parameter]:
+    for place, value in _values(scene):
+        if value is not None and 0.0 < value < np.inf:
+            steps = [f"[{step + 1}]" if isinstance(step, int) else f".{step}" for step in place]
+            yield Parameter("".join(steps).removeprefix("."), place, float(value))
+
+
+def _values(scene: Scene) -> Iterator[tuple[Place, float | None]]:
+    structure, damping = scene.structure, scene.structure.damping
+    listed = {"masses": structure.masses, "springs": structure.springs}
+    for name, items in listed.items():
+        yield from ((("structure", name, k), value) for k, value in enumerate(items or ()))
+    at = ("structure", "damping")
+    if isinstance(damping, ModalDamping) and isinstance(damping.modal, tuple):
+        yield from (((*at, "modal", k), value) for k, value in enumerate(damping.modal))
+    elif isinstance(damping, Dashpots):
+        yield from (((*at, "dashpots", k), value) for k, value in enumerate(damping.dashpots))
+    elif isinstance(damping, RayleighDamping):
+        yield (*at, "rayleigh", "alpha"), damping.rayleigh.alpha
+        yield (*at, "rayleigh", "beta"), damping.rayleigh.beta
+    for k, damper in enumerate(scene.dampers):
+        for name in ("mass", "mass_ratio"):
+            yield ("dampers", k, name), getattr(damper, name)
+        if damper.locked:
+            continue
+        for name in ("clearance", "restitution"):
+            yield ("dampers", k, name), getattr(damper, name)
+        if isinstance(damper.contact, Landing):
+            yield ("dampers", k, "contact", "duration"), damper.contact.duration
+    if len(scene.shakers) == 1 and not isinstance(scene.shaker, tuple):
+        yield ("shaker", "spring"), scene.shakers[0].spring
+
+
+def _general(one: Parameter) -> str:
+    return ".".join(str(step) for step in one.place if isinstance(step, str))

@@ -1,0 +1,80 @@
+"""What `analysis fit` says and writes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from analysis.figures.style import save
+from analysis.fitting.figure import fit_figure
+from analysis.fitting.fit import Fit, fit
+from rig.errors import RunError, SceneError
+from rig.output_files import make_ready, replacing
+from rig.scene.scene import Scene
+
+
+def present_fit(
+    recordings: Sequence[Path],
+    scene: Scene,
+    free: Sequence[str] | None,
+    output: Path,
+    overwrite: bool,
+    say: Callable[[str], None],
+) -> tuple[list[Path], tuple[str, ...]]:
+    """Fit a scene to recordings; say what was found, write the figure of what is left, and the scene if it fits.
+
+    Returns
+    -------
+    files, warnings
+
+    Raises
+    ------
+    SceneError
+        If the output is there already, or the fit cannot be made.
+    RunError
+        If the scene does not fit the recordings; the figure is written all the same.
+    """
+    if output.suffix not in (".yaml", ".yml"):
+        raise SceneError(f"--output {output}: expected the name of a scene file, such as fitted.yaml")
+    if output.exists() and not overwrite:
+        raise SceneError(f"{output} is there already; expected another name, or --overwrite")
+    found = fit(list(recordings), scene, free)
+    files = save(fit_figure(found), output.with_name(f"{output.stem}-residuals"))
+    if found.misfit:
+        for path in files:
+            say(f"wrote {path}")
+        raise RunError(f"the scene does not fit the recordings, no scene is written. {found.misfit}")
+    for line in describe(found):
+        say(line)
+    make_ready(output.parent)
+    with replacing(output) as part:
+        part.write_text(found.scene.to_yaml(), encoding="utf-8")
+    return [output, *files], found.warnings
+
+
+def describe(found: Fit) -> list[str]:
+    """List each value with its 95 % interval, sensors, modes, what cannot be told, and how near the curves come."""
+    width = max(len(one.key) for one in found.parameters)
+    lines = [f"{found.summary()} (95 % intervals)"]
+    for one in found.parameters:
+        value = f"{one.value:.6g} {one.unit}".strip()
+        tail = (
+            f"± {one.half_width:.2g} of it, from {one.start:.4g}" if one.told != "not told" else "as it was"
+        )
+        lines.append(f"  {one.key:{width}}  {value:18} {one.told:10} {tail}")
+    for name, (deviation, bound) in found.sensitivities.items():
+        lines.append(f"  sensitivity of {name}: off by {deviation:+.3%} ± {bound:.2%}")
+    for number, mode in enumerate(found.modes, 1):
+        lines.append(
+            f"  mode {number} of the structure: {mode.frequency:.5g} Hz ± {mode.frequency_bound:.2g}, damping ratio "
+            f"{mode.damping:.4%} ± {mode.damping_bound:.1%}"
+        )
+    for level in found.damping:
+        beneath = "beneath its dampers" if level.damped else "without dampers"
+        values = ", ".join(f"{v:.4g} ± {b:.1g}" for v, b in zip(level.value, level.bound, strict=True))
+        lines.append(f"  {level.label}, {beneath}, up to {level.acceleration:.3g} m/s²: damping {values}")
+    lines += [f"  {line}" for line in found.together]
+    lines += [
+        f"  {each.curves.label}: off by {each.relative:.2%} of the curves, rms" for each in found.compared
+    ]
+    return lines

@@ -1,0 +1,223 @@
+"""The least-squares problem of a fit: unknowns, their prior knowledge, weighted residuals and their derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.fitting.measured import Curves, Sensor
+from analysis.fitting.parameters import Parameter, with_values
+from analysis.fitting.predicted import linear, on_the_bench
+from analysis.fitting.steady_tones import SteadyTones
+from rig.scene.scene import Scene
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# A value is known beforehand to some factor of e: so little that it counts only where the data tell nothing.
+VAGUE = 1.0
+# No value is tried farther away, factors of e.
+_FARTHEST = 6.0
+# A step for derivatives: motions are exact to some 1e-13.
+_STEP = 1e-6
+# Residual, in standard deviations, of a point at which the model has no steady motion, and of any one at most.
+_LOST = 30.0
+# Largest miss, in standard deviations and in typical misses, of a point that is not taken for another motion.
+_OUTLYING = 6.0
+# Up to so many times a frequency, and down from it, belongs to its neighbourhood.
+_AROUND = 1.15
+
+
+@dataclass
+class Group:
+    """Curves, and what is known of the motion at each of their points."""
+
+    curves: Curves
+    tones: SteadyTones | None
+    """Where dampers move; None where the rig is linear."""
+    used: NDArray[np.bool_]
+    """Points that count, shape (n,)."""
+    around: Array
+    """Largest whitened value around each point, shape (n, responses)."""
+    last: tuple[tuple[float, ...], bool, ComplexArray] | None = field(default=None, repr=False)
+
+    def choose_motions(self, problem: Problem, x: Array, scene: Scene) -> bool:
+        """Take, where a point stands out, another motion of the rig that suits better; leave out what stands out still.
+
+        Returns
+        -------
+        bool
+            Whether anything changed.
+        """
+        assert self.tones is not None
+        self.tones.given_up.clear()
+        curves, before = self.curves, self.used.copy()
+        level = np.asarray(self.curves.level)
+        predicted = problem.predicted(x, self, scene)
+        bench = on_the_bench(scene, curves)
+        gain = 1.0 + problem.deviation(x, curves.reference_sensor)
+        frequency = curves.frequency * (1.0 + problem.clock_deviation(x))
+        own = np.array([1.0 + problem.deviation(x, sensor) for sensor in curves.sensors]) / gain
+
+        def miss(k: int, value: ComplexArray) -> float:
+            return float(
+                np.nan_to_num(abs(curves.whiten[k] @ (value - curves.value[:, k])), nan=np.inf).max()
+            )
+
+        off = np.array([miss(k, predicted[:, k]) for k in range(frequency.size)])
+        outlying = _OUTLYING * max(1.0, float(np.median(off)))
+        changed = False
+        for k in np.flatnonzero(off > outlying).tolist():
+            for known, bodies in self.tones.others(bench, level / gain, frequency, k):
+                better = miss(k, own * bodies[list(curves.bodies)])
+                if better < 0.5 * off[k]:
+                    self.tones.known[k], off[k], changed = known, better, True
+                if off[k] <= outlying:
+                    break
+        self.used = off <= outlying
+        self.last = None
+        return changed or bool(np.any(self.used != before))
+
+
+class Problem:
+    """A scene's unknowns, and how far it is from what was measured.
+
+    Parameters
+    ----------
+    model : Scene
+        With its damping spelt out.
+    parameters : sequence of Parameter
+        What is free in it.
+    curves : sequence of Curves
+        What was measured.
+
+    Attributes
+    ----------
+    sensors : list of Sensor
+        Those whose sensitivity is known to a tolerance only; their deviations are unknowns behind the parameters.
+    clocks : float
+        Largest deviation of the sample clock, the last unknown where there is any.
+    start, spread : ndarray, shape (unknowns,)
+        What is known beforehand, and its standard deviation. Values count by their logarithm.
+    """
+
+    def __init__(self, model: Scene, parameters: Sequence[Parameter], curves: Sequence[Curves]) -> None:
+        self.model, self.parameters = model, list(parameters)
+        self.groups = [
+            Group(
+                one,
+                SteadyTones(one) if one.moving else None,
+                np.ones(one.frequency.size, dtype=bool),
+                _around(one),
+            )
+            for one in curves
+        ]
+        everywhere = [sensor for one in curves for sensor in (*one.sensors, one.reference_sensor)]
+        self.sensors = [sensor for sensor in dict.fromkeys(everywhere) if sensor.tolerance > 0.0]
+        self.clock = max(one.clock for one in curves)
+        values = [one.unknown(one.start) for one in self.parameters]
+        # Evenly anywhere within its tolerance, a deviation scatters by its third root.
+        others = [sensor.tolerance for sensor in self.sensors] + [self.clock] * (self.clock > 0.0)
+        self.start = np.array(values + [0.0] * len(others))
+        self.spread = np.array([VAGUE] * len(values) + [one / np.sqrt(3.0) for one in others])
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return self.start.size
+
+    def values(self, x: Array) -> Array:
+        """Values of the parameters, in SI."""
+        inside = np.clip(x - self.start, -_FARTHEST, _FARTHEST) + self.start
+        return np.array([one.value(value) for one, value in zip(self.parameters, inside, strict=False)])
+
+    def scene(self, x: Array) -> Scene:
+        """Give the model with the values of the unknowns."""
+        return with_values(
+            self.model,
+            {one.place: v for one, v in zip(self.parameters, self.values(x).tolist(), strict=True)},
+        )
+
+    def deviation(self, x: Array, sensor: Sensor) -> float:
+        """Relative deviation of a sensor's sensitivity."""
+        at = len(self.parameters)
+        return float(x[at + self.sensors.index(sensor)]) if sensor in self.sensors else 0.0
+
+    def clock_deviation(self, x: Array) -> float:
+        """Relative deviation of the sample clock."""
+        return float(x[-1]) if self.clock > 0.0 else 0.0
+
+    def predicted(self, x: Array, group: Group, scene: Scene, settle: bool = True) -> ComplexArray:
+        """Tell what the sensors should have read, shape (responses, n); NaN where there is no steady motion."""
+        curves = group.curves
+        gain = 1.0 + self.deviation(x, curves.reference_sensor)
+        clock = 1.0 + self.clock_deviation(x)
+        level = None if group.tones is None else gain
+        key = (*x[: len(self.parameters)].tolist(), clock, 0.0 if level is None else level)
+        if group.last is None or group.last[0] != key or (settle and not group.last[1]):
+            frequency = curves.frequency * clock
+            bench = on_the_bench(scene, curves)
+            if group.tones is None:
+                bodies = linear(bench, curves, frequency)
+            else:
+                assert curves.level is not None
+                bodies = group.tones.at(bench, curves.level / gain, frequency, settle)
+            group.last = (key, settle, bodies)
+        bodies = group.last[2][list(curves.bodies)]
+        own = np.array([1.0 + self.deviation(x, sensor) for sensor in curves.sensors])
+        return own[:, None] / gain * bodies
+
+    def misses(
+        self, x: Array, group: Group, scene: Scene, distrust: float = 0.0, settle: bool = True
+    ) -> ComplexArray:
+        """Tell what is missed of a group's used points, in standard deviations; shape (used, responses)."""
+        curves, used = group.curves, group.used
+        off = self.predicted(x, group, scene, settle)[:, used] - curves.value[:, used]
+        white = np.einsum("nij,jn->ni", curves.whiten[used], off)
+        white = white / np.sqrt(1.0 + (distrust * group.around[used]) ** 2)
+        return np.where(np.isfinite(white), white, _LOST * (1 + 1j))
+
+    def residual(
+        self, x: Array, groups: Sequence[Group], distrust: float = 0.0, settle: bool = True
+    ) -> Array:
+        """All misses of some groups, real and imaginary parts, then how far the unknowns are from what was known."""
+        scene = self.scene(x)
+        parts = [self.misses(x, group, scene, distrust, settle) for group in groups]
+        flat = np.concatenate([part.ravel() for part in parts]) if parts else np.zeros(0, dtype=complex)
+        return np.concatenate([flat.real, flat.imag, (x - self.start) / self.spread])
+
+    def jacobian(
+        self, x: Array, groups: Sequence[Group], distrust: float = 0.0, active: Sequence[int] | None = None
+    ) -> Array:
+        """Differentiate `residual` with respect to active unknowns, shape (residuals, active).
+
+        Motions keep their events as they are followed from the ones known at x.
+        """
+        chosen = range(self.size) if active is None else active
+        base = self.residual(x, groups, distrust, settle=False)
+        found = np.empty((base.size, len(chosen)))
+        for column, k in enumerate(chosen):
+            moved = x.copy()
+            moved[k] += _STEP
+            found[:, column] = (self.residual(moved, groups, distrust, settle=False) - base) / (
+                moved[k] - x[k]
+            )
+        return found
+
+
+def _around(curves: Curves) -> Array:
+    """Largest value around each point in standard deviations: how much a model that is not right may be off."""
+    order = np.argsort(curves.frequency, kind="stable")
+    f, size = curves.frequency[order], abs(curves.value[:, order])
+    low, high = np.searchsorted(f, f / _AROUND), np.searchsorted(f, f * _AROUND, side="right")
+    largest = np.empty(size.T.shape)
+    largest[order] = np.stack([size[:, a:b].max(axis=1) for a, b in zip(low, high, strict=True)])
+    return largest * abs(np.einsum("nii->ni", curves.whiten))
+
+
+def slope(one: Parameter, value: float) -> float:
+    """Relative change of a parameter's value for one unit of its unknown."""
+    return 1.0 - value if one.below_one else 1.0

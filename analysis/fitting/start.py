@@ -1,0 +1,118 @@
+"""Where a fit starts: values with which the model has the modes that the linear recordings show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from analysis.fitting.predicted import on_the_bench
+from analysis.fitting.problem import Group, Problem
+from analysis.modal.identification import identify
+from analysis.modal.modes import Modes, mac
+from rig.errors import RecordingError, SceneError
+from rig.scene.scene import Scene
+from rig.system.receptance import driven_bodies, loaded_matrices
+from rig.system.structure import natural_modes
+
+Array = NDArray[np.float64]
+
+# How near the start has to come to the modes found: frequency and damping relative, shapes relative to the largest.
+_FREQUENCY, _DAMPING, _SHAPE = 3e-4, 0.05, 0.05
+# Ways in which the modes found may be those of the model that are tried: the most likely first.
+_TRIED = 4
+_MOST_WAYS = 2000
+
+
+def start(problem: Problem, groups: Sequence[Group]) -> Array:
+    """Give unknowns with which the model has the modes of some linear groups; those of the scene where none are found.
+
+    Which mode of the model a mode found is, where the test's band holds but some, is what suits best.
+    """
+    seen = [(group, modes) for group in groups if (modes := _modes(group)) is not None]
+    x = problem.start.copy()
+    if not seen:
+        return x
+    active = [k for k, one in enumerate(problem.parameters) if one.place[0] == "structure"]
+    if not active:
+        return x
+    ways = [_ways(problem.scene(x), *one) for one in seen]
+    best, smallest = x, np.inf
+    for turn in range(min(_TRIED, max(len(way) for way in ways))):
+        chosen = [way[min(turn, len(way) - 1)] for way in ways]
+        found = _fitted(problem, x, active, seen, chosen)
+        cost = float(np.sum(np.minimum(abs(problem.residual(found, groups, 0.1)), 30.0) ** 2))
+        if cost < smallest:
+            best, smallest = found, cost
+    return best
+
+
+def _modes(group: Group) -> Modes | None:
+    try:
+        return identify(group.curves.frfs, group.curves.scene.structure.bodies)
+    except (RecordingError, SceneError, np.linalg.LinAlgError):
+        return None
+
+
+def _fitted(
+    problem: Problem,
+    x: Array,
+    active: list[int],
+    seen: Sequence[tuple[Group, Modes]],
+    chosen: Sequence[tuple[int, ...]],
+) -> Array:
+    def off(inner: Array) -> Array:
+        full = x.copy()
+        full[active] = inner
+        scene = problem.scene(full)
+        parts = [(inner - problem.start[active]) / problem.spread[active]]
+        for (group, modes), which in zip(seen, chosen, strict=True):
+            frequency, damping, residue = _model_modes(scene, group)
+            at = list(which)
+            measured = (modes.residue * (-2.0 * 2.0 * np.pi * modes.frequency)).imag
+            scale = abs(measured).max(axis=0)
+            parts += [
+                np.log(frequency[at] / modes.frequency) / _FREQUENCY,
+                np.log(np.maximum(damping[at], 1e-9) / modes.damping) / _DAMPING,
+                ((residue[:, at] - measured) / scale / _SHAPE).ravel(),
+            ]
+        return np.concatenate(parts)
+
+    solution = least_squares(off, x[active], x_scale=1.0, max_nfev=60)
+    found = x.copy()
+    found[active] = solution.x
+    return found
+
+
+def _model_modes(scene: Scene, group: Group) -> tuple[Array, Array, Array]:
+    """Frequency [Hz], damping ratio, and 2 w times the residue's size at each response, shape (responses, modes)."""
+    bench = on_the_bench(scene, group.curves)
+    spring = getattr(bench.driven_shaker, "spring", None)
+    mass, damping, stiffness = loaded_matrices(bench, spring is not None)
+    omega, shapes = natural_modes(mass, stiffness)
+    omega = np.maximum(omega, 1e-6)
+    shapes = shapes / np.sqrt(np.einsum("ji,jk,ki->i", shapes, mass, shapes))
+    ratio = np.einsum("ji,jk,ki->i", shapes, damping, shapes) / (2.0 * omega)
+    hammer = bench.test is not None and bench.test.kind == "impulse"
+    driven = [bench.test.body - 1] if hammer else driven_bodies(bench)  # type: ignore[union-attr]
+    force = spring if group.curves.reference == "table" and spring is not None else 1.0
+    residue = shapes[list(group.curves.bodies)] * shapes[driven].sum(axis=0) * force
+    return omega / (2.0 * np.pi), ratio, residue
+
+
+def _ways(scene: Scene, group: Group, modes: Modes) -> list[tuple[int, ...]]:
+    """Which modes of the model those found may be, in rising order, the likeliest first."""
+    frequency, _, residue = _model_modes(scene, group)
+    count = modes.frequency.size
+    shapes = mac(residue, modes.shapes)
+    ways = []
+    for number, which in enumerate(combinations(range(frequency.size), count)):
+        if number == _MOST_WAYS:
+            break
+        near = np.log(frequency[list(which)] / modes.frequency) / 0.1
+        alike = 1.0 - shapes[list(which), range(count)]
+        ways.append((float(np.sum(near**2 + 4.0 * alike)), which))
+    return [which for _, which in sorted(ways)]

@@ -1,0 +1,250 @@
+"""What a scene with dampers answers to steady tones: its exact periodic motions, point by point."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.fitting.measured import Curves
+from analysis.fitting.predicted import linear
+from rig.errors import RunError, SceneError
+from rig.orbits.admissibility import survey
+from rig.orbits.event_sequence import Plan
+from rig.orbits.orbit import Following, Orbit
+from rig.orbits.periodic_orbit import enter, search, start_march
+from rig.orbits.problem import OperatingPoint, OrbitProblem
+from rig.orbits.shooting import correct
+from rig.scene.matrices import Matrices
+from rig.scene.scene import Scene
+from rig.scene.shaker import ForceShaker
+from rig.scene.structure import Structure
+from rig.system.open_loop_drive import riding_response
+from rig.system.receptance import loaded_matrices
+from rig.system.structure import damper_bodies
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# Newton's corrections from a motion near by, and periods that a motion is followed for where that leads nowhere.
+_CORRECTIONS, _LONGEST = 8, 300
+# Steps in which a motion is led to a neighbour's setting, and corrections of the level in each.
+_LEADS, _HOLDS = 8, 2
+# Corrections of a drive, and how near it has to bring the reference to its level.
+_DRIVES, _LEVEL = 8, 1e-10
+# Drives at which a motion is looked for, each nearer to the level.
+_SEARCHES = 5
+
+
+@dataclass(frozen=True)
+class Known:
+    """A periodic motion: its events, the unknowns of its equations, and the level of the drive that causes it."""
+
+    plan: Plan
+    unknowns: Array
+    drive: float
+
+
+Answer = tuple[Known, ComplexArray]
+
+
+class SteadyTones:
+    """Steady motion with dampers at each point of a sweep, each from the motion found there before.
+
+    Parameters
+    ----------
+    curves : Curves
+        Of steady tones.
+
+    Attributes
+    ----------
+    known : list of Known or None
+        The motion at each point; None where all dampers ride, or none repeats.
+    given_up : set of int
+        Points at which no motion was found; it is not looked for again until this is emptied.
+    """
+
+    def __init__(self, curves: Curves) -> None:
+        if isinstance(curves.scene.shaker, tuple):
+            raise SceneError(f"{curves.label}: several shakers beside dampers; expected one shaker")
+        self.curves = curves
+        self.known: list[Known | None] = [None] * curves.frequency.size
+        self.given_up: set[int] = set()
+
+    def at(self, bench: Scene, level: Array, frequency: Array, settle: bool = True) -> ComplexArray:
+        """Give the displacement of the bodies over the reference; NaN where the motion is irregular.
+
+        Parameters
+        ----------
+        bench : Scene
+            From `on_the_bench`.
+        level : ndarray, shape (n,)
+            True amplitude of the reference.
+        frequency : ndarray, shape (n,)
+            Hz.
+        settle : bool
+            Whether motions may be looked for anew; else only those known are followed, for derivatives.
+        """
+        found = linear(bench, self.curves, frequency)
+        moving = np.array([k for k, d in enumerate(bench.dampers) if not d.locked and d.clearance > 0.0])
+        carrying = damper_bodies(bench)[moving]
+        pull = (2.0 * np.pi * frequency) ** 2 * level * abs(found[carrying]).max(axis=0)
+        flying = np.array([one is not None for one in self.known])
+        rig = _Rig(bench)
+        for k in np.flatnonzero(pull > bench.gravity if settle else flying).tolist():
+            here = self.known[k]
+            answer = None if here is None else rig.corrected(here, frequency[k], level[k], checked=settle)
+            if settle:
+                answer = answer or self._anew(rig, frequency, level, k)
+                self.known[k] = None if answer is None else answer[0]
+            found[:, k] = np.nan if answer is None else answer[1]
+        if settle:
+            for k in np.flatnonzero(pull <= bench.gravity).tolist():
+                self.known[k] = None
+        return found
+
+    def others(self, bench: Scene, level: Array, frequency: Array, k: int) -> Iterator[Answer]:
+        """Give the stable motions at a point that those at its neighbours lead to, and the one found from riding."""
+        rig = _Rig(bench)
+        for near in (k - 1, k + 1):
+            if 0 <= near < frequency.size and (known := self.known[near]) is not None:
+                answer = rig.led(known, frequency[[near, k]], level[[near, k]])
+                if answer is not None:
+                    yield answer
+        answer = rig.searched(frequency[k], level[k])
+        if answer is not None:
+            yield answer
+
+    def _anew(self, rig: _Rig, frequency: Array, level: Array, k: int) -> Answer | None:
+        """Motion with the events of a neighbour's, else the one that riding leads to."""
+        for near in (k - 1, k + 1):
+            if 0 <= near < len(self.known) and (known := self.known[near]) is not None:
+                answer = rig.corrected(known, frequency[k], level[k], checked=True)
+                if answer is not None:
+                    return answer
+        if k in self.given_up:
+            return None
+        answer = rig.searched(frequency[k], level[k])
+        if answer is None:
+            self.given_up.add(k)
+        return answer
+
+
+class _Rig:
+    """A scene's orbits for given levels of the reference.
+
+    A table that moves as prescribed is a spring to ground and a force of its stiffness times the motion. The table of
+    an electrodynamic shaker is shaken by the dampers as well: there the drive is sought that gives it its level.
+    """
+
+    def __init__(self, bench: Scene) -> None:
+        shaker = bench.driven_shaker
+        assert shaker is not None
+        self.driven = shaker.bodies[0] - 1
+        self.spring = shaker.spring or 0.0
+        self.table: int | None = None
+        level = "force"
+        if shaker.kind == "electrodynamic":
+            level = "drive"
+        elif self.spring:
+            mass, damping, stiffness = loaded_matrices(bench.replace(dampers=()), attached=True)
+            held = Structure(matrices=Matrices(mass=mass, damping=damping, stiffness=stiffness))
+            bench = bench.replace(structure=held, shaker=ForceShaker(body=shaker.body))
+        self.bodies = bench.structure.bodies
+        self.problem = OrbitProblem(bench.replace(test={"kind": "sine", "frequency": 1.0, level: 1.0}))
+        if shaker.kind == "electrodynamic":
+            self.table = self.problem.system.points.index("table")
+
+    def searched(self, frequency: float, level: float) -> Answer | None:
+        """Motion that the one with all dampers riding leads to."""
+        drive = level * (self.spring or 1.0)
+        if self.table is not None:
+            per_volt = riding_response(self.problem.system, "shaker", 2.0 * np.pi * frequency)[self.table]
+            drive = level / abs(per_volt)
+        orbit: Orbit | None = None
+        for _ in range(_SEARCHES if self.table is not None else 1):
+            setting = OperatingPoint(float(frequency), float(drive))
+            propagator = start_march(self.problem, setting, moving=orbit is None)[0]
+            if orbit is not None:
+                enter(propagator, orbit)
+            try:
+                orbit = search(self.problem, setting, propagator, _LONGEST)
+            except (RunError, np.linalg.LinAlgError):
+                return None
+            known = Known(orbit.plan, orbit.unknowns, drive)
+            answer = self.corrected(known, frequency, level, checked=True)
+            if answer is not None or self.table is None:
+                return answer
+            if self._at_drive(known, frequency, drive, checked=False) is None:
+                return None
+            drive *= float(np.clip(level / self._reference, 0.5, 2.0))
+        return None
+
+    def corrected(self, near: Known, frequency: float, level: float, checked: bool) -> Answer | None:
+        """Correct a motion to a setting; None if it leads nowhere or, `checked`, to an impossible or unstable one."""
+        if self.table is None:
+            return self._at_drive(near, frequency, level * (self.spring or 1.0), checked)
+        drive, tried = near.drive, [(0.0, 0.0)]
+        for _ in range(_DRIVES):
+            answer = self._at_drive(near, frequency, drive, False)
+            if answer is None:
+                return None
+            near, moved = answer[0], self._reference
+            if abs(moved / level - 1.0) < _LEVEL:
+                return self._at_drive(near, frequency, drive, checked)
+            tried = [*tried[-1:], (drive, moved)]
+            (before, moved_before), (now, _) = tried
+            slope = (moved - moved_before) / (now - before) if now != before else moved / now
+            drive = (
+                float(np.clip(drive + (level - moved) / slope, 0.5 * drive, 2.0 * drive))
+                if slope > 0.0
+                else 0.0
+            )
+            if drive <= 0.0:
+                return None
+        return None
+
+    def led(self, known: Known, frequency: Array, level: Array) -> Answer | None:
+        """Lead a motion from the first setting to the second, the force in the coil spring held as in the test."""
+        answer = self.corrected(known, frequency[0], level[0], checked=False)
+        if answer is None:
+            return None
+        wanted, now = level[0] * self._held(answer[1]), level[0]
+        for between in np.linspace(frequency[0], frequency[1], _LEADS + 1)[1:].tolist():
+            for _ in range(_HOLDS if self.spring else 1):
+                answer = self.corrected(known, between, now, checked=False)
+                if answer is None:
+                    return None
+                now = wanted / self._held(answer[1])
+            known = answer[0]
+        return self.corrected(known, frequency[1], level[1], checked=True)
+
+    def _held(self, ratio: ComplexArray) -> float:
+        """Force for one unit of the reference, but for a factor."""
+        return float(abs(1.0 - ratio[self.driven])) if self.spring else 1.0
+
+    def _at_drive(self, near: Known, frequency: float, drive: float, checked: bool) -> Answer | None:
+        setting = OperatingPoint(float(frequency), float(drive))
+        curve = Following(self.problem, near.plan, setting, "frequency", near.unknowns)
+        equations, change = curve.tables(setting.frequency)
+        sequence = near.plan.sequence
+        try:
+            x, _, shot, _, count = correct(
+                equations, change, sequence, near.unknowns, curve.scale[:-1], curve.rows, _CORRECTIONS
+            )
+        except np.linalg.LinAlgError:
+            return None
+        if count < 0:
+            return None
+        if checked:
+            orbit = curve.describe(setting, x, equations, shot)
+            if orbit.flaw or not orbit.stable:
+                return None
+        instants = x[len(x) - len(sequence.kind) :]
+        harmonic = 2.0 / equations.period * survey(equations, sequence, shot, instants)[1]
+        driven = -1j * setting.force / (self.spring or 1.0)
+        reference = complex(driven if self.table is None else harmonic[self.table])
+        self._reference = abs(reference)
+        return replace(near, unknowns=x, drive=float(drive)), harmonic[: self.bodies] / reference

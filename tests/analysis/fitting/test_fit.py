@@ -1,0 +1,124 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import analysis
+import daq
+import rig
+from analysis.fitting.parameters import free_parameters, spelt_out, with_values
+from rig.errors import RecordingError, SceneError
+from tests.analysis.responses import synthetic
+
+FREQUENCIES = np.geomspace(9.0, 60.0, 60)
+
+
+def guess(**changes):
+    """The structure of the synthetic recordings, off by some 20 %."""
+    structure = {
+        "masses": [0.62, 0.83, 0.7], "springs": [28e3, 19e3, 21e3], "damping": {"modal": [0.004, 0.006, 0.007]},
+    }  # fmt: skip
+    return synthetic.scene().replace(structure=structure | changes, shaker=None, test=None)
+
+
+def truth():
+    structure = spelt_out(synthetic.scene()).structure
+    return {"masses": structure.masses, "springs": structure.springs, "modal": structure.damping.modal}
+
+
+def off(found):
+    true = truth()
+    return {
+        one.key: one.value / true[one.key.split("[")[0].split(".")[-1]][int(one.key[-2]) - 1] - 1
+        for one in found.parameters
+    }
+
+
+def test_given_a_sweep_and_a_guess_when_fitted_then_every_value_lies_in_its_interval(tmp_path):
+    path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7)
+    found = analysis.fit(path, guess())
+    assert not found.misfit
+    assert {one.told for one in found.parameters} == {"determined"}
+    for key, miss in off(found).items():
+        assert abs(miss) < 1.5 * found[key].half_width
+        assert abs(miss) < 2e-3
+    again = rig.loads(found.scene.to_yaml(), where="the fitted scene")
+    assert again.structure == found.scene.structure
+
+
+def test_given_sensors_known_to_a_tolerance_when_fitted_then_masses_are_as_uncertain_as_they_make_them(
+    tmp_path,
+):
+    sheet = {"accelerometer.sensitivity_tolerance": "0.05"}
+    infos = [replace(info, sensor=sheet) for info in synthetic.channels()]
+    path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7, infos=infos)
+    found = analysis.fit(path, guess())
+    assert found["structure.masses[1]"].told == "roughly"
+    assert 0.01 < found["structure.masses[1]"].half_width < 0.12
+    assert found["structure.damping.modal[1]"].told == "determined"
+    assert any("by one factor" in line for line in found.together)
+
+
+@pytest.mark.thorough
+def test_given_a_guess_of_another_structure_when_fitted_then_the_misfit_is_told_and_nothing_is_determined(
+    tmp_path,
+):
+    path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7)
+    found = analysis.fit(path, guess(), free=["structure.damping"])
+    assert "miss the curves by" in found.misfit
+    assert "determined" not in {one.told for one in found.parameters}
+
+
+@pytest.mark.thorough
+def test_given_swapped_columns_when_fitted_then_the_two_are_named(tmp_path):
+    path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7)
+    with daq.open(path) as recording:
+        for name, at in {"body2": "body 3", "body3": "body 2"}.items():
+            recording.channels[name] = replace(recording.channels[name], at=at)
+        found = analysis.fit(recording, guess())
+    assert "body2 and body3 are swapped" in found.misfit
+
+
+@pytest.mark.thorough
+def test_given_a_channel_that_reads_g_as_metres_when_fitted_then_it_is_named_with_the_factor(tmp_path):
+    path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7)
+    with daq.open(path) as recording:
+        # As filters are, a factor is divided out: what is left is too small by it.
+        read = recording.channels["body2"]
+        recording.channels["body2"] = replace(read, gain=9.80665)
+        found = analysis.fit(recording, guess())
+    assert "body2 reads 0.102 times" in found.misfit and "g" in found.misfit
+
+
+def test_given_dampers_and_hits_when_fitted_then_it_is_refused_in_words(tmp_path):
+    path = synthetic.impulses(tmp_path / "a.mcap")
+    with daq.open(path) as recording:
+        recording.scene = recording.scene.replace(
+            dampers=({"body": 3, "mass_ratio": 0.1, "clearance": 1e-3},)
+        )
+        with pytest.raises(RecordingError, match="stepped_sine"):
+            analysis.fit(recording, guess())
+
+
+def test_given_a_scene_of_other_bodies_when_fitted_then_it_is_refused(tmp_path):
+    path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES[:9])
+    small = guess(masses=[0.7, 0.7], springs=[2e4, 2e4], damping={"modal": 0.01})
+    with pytest.raises(SceneError, match="3 bodies; the scene to fit has 2"):
+        analysis.fit(path, small)
+
+
+def test_given_a_key_that_cannot_be_fitted_when_asked_for_then_those_that_can_are_named():
+    with pytest.raises(SceneError, match=r"dampers\.clearance.*structure\.masses"):
+        free_parameters(guess(), ["dampers.clearance"])
+
+
+def test_given_values_when_put_into_a_scene_then_they_and_no_others_change():
+    scene = spelt_out(rig.load("fig9"))
+    parameters = free_parameters(scene)
+    changed = with_values(scene, {one.place: 2.0 * one.start for one in parameters if one.what != "modal"})
+    assert changed.structure.masses == tuple(2.0 * m for m in scene.structure.masses)
+    assert changed.dampers[0].clearance == 2.0 * scene.dampers[0].clearance
+    assert changed.structure.damping == scene.structure.damping
+    assert changed.shaker == scene.shaker

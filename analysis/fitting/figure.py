@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.figures.style import colour, decades, drawing, frequency_axis, heading
+from rig.figure_style import colour, decades, drawing, frequency_axis, heading
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from analysis.figures.style import save
 from analysis.fitting.figure import fit_figure
 from analysis.fitting.fit import Fit, fit
 from rig.errors import RunError, SceneError
+from rig.figure_style import save
 from rig.output_files import make_ready, replacing
 from rig.scene.scene import Scene
 

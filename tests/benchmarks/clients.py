@@ -38,13 +38,14 @@ channel = grpc.insecure_channel(address, [("grpc.max_receive_message_length", -1
 with nidaqmx.Task(grpc_options=nidaqmx.GrpcSessionOptions(channel, "")) as task:
     task.ai_channels.add_ai_voltage_chan(terminals, min_val=-5, max_val=5)
     task.timing.cfg_samp_clk_timing(51200.0, sample_mode=AcquisitionType.CONTINUOUS)
+    task.timing.first_samp_timestamp_enable = True
     reader, data, late = AnalogMultiChannelReader(task.in_stream), np.zeros((4, size)), []
     sys.stdin.readline()
     task.start()
-    began = time.monotonic()
+    began = task.timing.first_samp_timestamp_val.timestamp()
     for turn in range(1, round(seconds * 51200 / size) + 1):
         assert reader.read_many_sample(data, size) == size
-        late.append(time.monotonic() - began - turn * size / 51200)
+        late.append(time.time() - began - turn * size / 51200)
     total = task.in_stream.total_samp_per_chan_acquired
     assert task.in_stream.curr_read_pos == turn * size
 print(json.dumps(late))
@@ -91,9 +92,9 @@ def _measure(given: argparse.Namespace, server: int, address: str) -> None:
         assert client.stdin is not None
         client.stdin.write("\n")
         client.stdin.flush()
-    time.sleep(5.0)
+    time.sleep(min(15.0, given.seconds / 2))
     before, busy, wall = process.memory_info().rss, sum(process.cpu_times()[:2]), time.monotonic()
-    time.sleep(max(0.0, given.seconds - 10.0))
+    time.sleep(max(0.0, given.seconds / 2 - 5.0))
     took, busy = time.monotonic() - wall, sum(process.cpu_times()[:2]) - busy
     after, found = process.memory_info().rss, [client.communicate()[0] for client in clients]
     late = 1e3 * np.array([json.loads(each) for each in found if each])

@@ -21,6 +21,13 @@ _REFERENCE_TRIGGER, _START_TRIGGER = 4, 8
 # Product categories and bus types, as the driver numbers them.
 CHASSIS_CATEGORY, MODULE_CATEGORY, SOUND_AND_VIBRATION = 14658, 14659, 14649
 COMPACT_DAQ_BUS, USB_BUS = 14637, 12586
+# Where signals of the chassis, or of a device of its own, can be found.
+_TERMINALS = (
+    "PFI0",
+    "PFI1",
+    *(f"a{way}/{signal}" for way in "io" for signal in ("SampleClock", "StartTrigger")),
+)
+_TERMINALS += ("ai/ReferenceTrigger",)
 # What inputs and outputs do that no module is named for: 51.2 kS/s divided by whole numbers up to 31.
 DIVIDED = Rates(51200.0 / 31, 51200.0, tuple(51200.0 / divisor for divisor in range(31, 0, -1)))
 
@@ -189,7 +196,7 @@ class Module:
             "chassis_module_dev_names": list(modules),
             "compact_daq_chassis_dev_name": self.chassis,
             "compact_daq_slot_num": self.slot,
-            "terminals": [f"/{self.chassis or self.name}/PFI{number}" for number in range(2)],
+            "terminals": [f"/{self.chassis or self.name}/{each}" for each in _TERMINALS],
             "accessory_product_types": [],
             "accessory_product_nums": [],
             "accessory_serial_nums": [],

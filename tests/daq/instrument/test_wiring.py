@@ -141,6 +141,8 @@ def test_given_two_shakers_when_driven_through_one_module_then_each_follows_its_
     )
     connected(text=text)
     devices = System.remote(options()).devices
+    # By these, controllers start their outputs with the inputs.
+    assert "/cDAQ1/ai/StartTrigger" in devices["cDAQ1Mod3"].compact_daq_chassis_device.terminals
     assert [each.product_type for each in devices] == ["cDAQ-9178", "NI 9234", "NI 9234", "NI 9260 (BNC)"]
     waves = np.stack([np.sin(2 * np.pi * n * np.arange(512) / 512) for n in (4, 11)])
     with Task() as driving, Task() as task:

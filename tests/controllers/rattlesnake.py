@@ -1,0 +1,155 @@
+"""Rattlesnake closes its random vibration loop: `python -m tests.controllers.rattlesnake CHECKOUT [SITE_PACKAGES]`.
+
+CHECKOUT is a copy of https://github.com/sandialabs/rattlesnake-vibration-controller (GPL), which this project does not
+hold; SITE_PACKAGES is where what it needs is installed (qtpy, PyQt5, pyqtgraph, netCDF4, openpyxl and the like). Its
+processes run as they ship: acquisition, output, and the random environment with the four of its own, each a client of
+the instrument or of them. Only its window is left out; what a user would press there is sent into its queues. It
+identifies the system, predicts the drive, and controls the acceleration to a flat spectrum; the error that it states
+must be below 3 dB rms.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+import rig
+from daq.server.script import run_script
+
+SCENE = """
+structure: {masses: [1 kg, 1 kg], springs: [40 kN/m, 40 kN/m], damping: {modal: 5 %}}
+shaker: {kind: electrodynamic, body: 1, spring: 40 kN/m, output: {preset: NI 9260}}
+channels:
+  - {name: control, at: body 1, accelerometer: {preset: PCB 352C33}}
+  - {name: drive, at: drive}
+converter: {preset: NI 9234, rate: 2048 Hz}
+"""
+SCRIPT = """
+import multiprocessing as mp, os, queue, sys, threading, time
+import numpy as np
+import psutil
+from components import (ControlTypes, QueueContainer, VerboseMessageQueue, acquisition_process,
+                        all_environment_processes, output_process)
+from components.random_vibration_sys_id_environment import RandomVibrationCommands, RandomVibrationMetadata
+from components.abstract_sysid_environment import SystemIdCommands
+from components.utilities import Channel, DataAcquisitionParameters, GlobalCommands
+
+NAME, RATE, FRAME, HERE = "Random", 2048, 1024, os.getcwd()
+seconds = float(sys.argv[1])
+
+
+def channel(number, sensitivity, unit, kind, excited, feedback):
+    return Channel(str(number), "X+", "", "", "", str(sensitivity), unit, "", "", "", "cDAQ1Mod1", f"ai{number}",
+                   kind, "-4", "4", "AC", "Internal" if excited else "None", "0.002" if excited else "0",
+                   feedback and "cDAQ1Mod2", feedback and "ao0", "", "")
+
+
+channels = [channel(0, 100, "g", "Acceleration", True, ""), channel(1, 1000, "V", "Voltage", False, "ao0")]
+daq = DataAcquisitionParameters(channels, RATE, 512, 1024, 0, None, [NAME], np.ones((2, 1), bool), 1, 1)
+lines = np.arange(FRAME // 2 + 1) * RATE / FRAME
+level = np.where((lines >= 20) & (lines <= 200), 2e-6, 0.0)
+limits = np.full((2, lines.size, 1), np.nan)
+random = RandomVibrationMetadata(2, RATE, FRAME, 0.5, "Hann", 0.5, 0.5, False, 20, "Hann", 0.5, False,
+                                 os.path.join(HERE, "control_laws", "control_laws.py"), "pseudoinverse_control", 0, "",
+                                 [0], [1], lines, level[:, None, None].astype(complex), limits, limits, None, None)
+random.sysid_frame_size, random.sysid_averaging_type = FRAME, "Linear"
+random.sysid_noise_averages, random.sysid_averages, random.sysid_estimator = 5, 20, "H1"
+random.sysid_exponential_averaging_coefficient, random.sysid_level, random.sysid_level_ramp_time = 0.1, 0.2, 0.5
+random.sysid_signal_type, random.sysid_window, random.sysid_overlap = "Random", "Hann", 0.5
+random.sysid_burst_on, random.sysid_pretrigger, random.sysid_burst_ramp_fraction = 0.5, 0.05, 0.05
+
+log = mp.Queue()
+def messages(name):
+    return VerboseMessageQueue(log, name)
+commands, data_in, data_out = {NAME: messages("environment")}, {NAME: mp.Queue()}, {NAME: mp.Queue()}
+controller, shown = messages("controller"), mp.Queue()
+queues = QueueContainer(controller, messages("acquisition"), messages("output"), messages("streaming"), log, mp.Queue(),
+                        mp.Queue(), shown, commands, data_in, data_out)
+acquiring, putting_out = mp.Value("i", 0), mp.Value("i", 0)
+environments = [[ControlTypes.RANDOM, NAME]]
+processes = [
+    mp.Process(target=all_environment_processes[ControlTypes.RANDOM],
+               args=(NAME, commands[NAME], shown, controller, log, data_in[NAME], data_out[NAME], acquiring,
+                     putting_out)),
+    mp.Process(target=acquisition_process, args=(queues, environments, acquiring)),
+    mp.Process(target=output_process, args=(queues, environments, putting_out)),
+]
+for each in processes:
+    each.start()
+identified, errors, found = threading.Event(), [], []
+
+
+def relay():
+    # What the window does with instructions of the environment.
+    both = (queues.acquisition_command_queue, queues.output_command_queue)
+    to = {GlobalCommands.RUN_HARDWARE: both, GlobalCommands.STOP_HARDWARE: both,
+          GlobalCommands.START_ENVIRONMENT: both[1:], GlobalCommands.STOP_ENVIRONMENT: both[:1]}
+    while True:
+        message, data = controller.get("test")
+        if message == GlobalCommands.COMPLETED_SYSTEM_ID:
+            identified.set()
+        for each in to.get(message, ()):
+            each.put("test", (message, data))
+
+
+def watch():
+    while True:
+        given = shown.get()
+        if given[0] == "error":
+            errors.append(given[1])
+            print(given[1], flush=True)
+        elif given[0] == NAME and given[1][0] == "update_test_response_error_list":
+            found.append(float(given[1][1][0][0]))
+
+
+def flush():
+    with open("Rattlesnake.log", "w") as file:
+        while True:
+            file.write(log.get())
+
+
+for each in (relay, watch, flush):
+    threading.Thread(target=each, daemon=True).start()
+commands[NAME].put("test", (GlobalCommands.INITIALIZE_DATA_ACQUISITION, daq))
+for each in (queues.acquisition_command_queue, queues.output_command_queue):
+    each.put("test", (GlobalCommands.INITIALIZE_DATA_ACQUISITION, (daq, {NAME: [0, 1]})))
+commands[NAME].put("test", (GlobalCommands.INITIALIZE_ENVIRONMENT_PARAMETERS, random))
+time.sleep(2)
+commands[NAME].put("test", (SystemIdCommands.START_SYSTEM_ID, (random, None)))
+assert identified.wait(20 + 2 * seconds) or errors, "the system was not identified"
+while (acquiring.value or putting_out.value) and not errors:
+    time.sleep(0.1)
+if not errors:
+    controller.put("test", (GlobalCommands.RUN_HARDWARE, None))
+    time.sleep(2)
+    commands[NAME].put("test", (RandomVibrationCommands.START_CONTROL, 1.0))
+    time.sleep(seconds)
+print("error, dB rms, as control goes on:", " ".join(f"{each:.2f}" for each in found[:: max(1, len(found) // 10)]))
+for each in psutil.Process().children(recursive=True):
+    each.kill()
+passed = bool(found) and not errors and found[-1] < 3.0
+print("Rattlesnake:", f"passed, {found[-1]:.2f} dB rms after {len(found)} updates" if passed else "FAILED", flush=True)
+os._exit(0 if passed else 1)
+"""
+
+
+def main() -> int:
+    """Run the script in the copy of Rattlesnake."""
+    if len(sys.argv) < 2:
+        print(__doc__)
+        return 2
+    copy, *packages = (str(Path(each).resolve()) for each in sys.argv[1:])
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [os.environ.get("PYTHONPATH"), copy, *packages]))
+    os.environ["QT_QPA_PLATFORM"] = "offscreen"
+    scene = rig.loads(SCENE)
+    with tempfile.TemporaryDirectory() as folder:
+        script = Path(folder, "script.py")
+        script.write_text(SCRIPT)
+        os.chdir(copy)
+        return run_script(script, ["40"], scene, "real")
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

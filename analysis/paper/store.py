@@ -79,7 +79,8 @@ class PaperPart:
         partial = partial_name(target)
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
-            np.savez_compressed(partial, allow_pickle=False, digest=np.array(self.digest), **arrays)
+            contents: dict[str, Any] = {"digest": np.array(self.digest), **arrays}
+            np.savez_compressed(partial, **contents)
             partial.replace(target)
         except OSError as error:
             raise RunError(

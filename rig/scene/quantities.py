@@ -212,7 +212,7 @@ def positives(values: ArrayLike, kind: Kind, name: str) -> NDArray[np.float64]:
     found = np.asarray(given, dtype=np.float64)
     if found.ndim != 1 or not found.size or not np.isfinite(found).all() or (found <= 0.0).any():
         raise SceneError(
-            f"{name}: expected positive, finite numbers {kind.si} or texts such as {kind.example!r}"
+            f"{name}: expected a list of positive, finite numbers in {kind.si}, or of texts such as {kind.example}"
         )
     return found
 

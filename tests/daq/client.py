@@ -1,10 +1,15 @@
 """NI's client on a rig in this process, for tests that were written as scripts are."""
 
 import nidaqmx
+import pytest
 
 import daq
 
 _connected = []
+
+reads_waveforms = pytest.mark.skipif(
+    not hasattr(nidaqmx.Task, "read_waveform"), reason="this client is older than waveforms"
+)
 
 
 def connect(scene, clock="fast"):

@@ -5,7 +5,7 @@ from nidaqmx.errors import DaqError, DaqReadError
 
 from daq.instrument import values
 from daq.instrument.engines.triggers import CrossingFinder, SyncPulse, edge
-from tests.daq.client import Task, connect
+from tests.daq.client import Task, connect, reads_waveforms
 
 RATE = 5120.0
 
@@ -144,6 +144,7 @@ def test_given_a_trigger_that_never_comes_when_reading_then_the_timeout_says_so(
     assert chassis.elapsed == 0.5
 
 
+@reads_waveforms
 def test_given_a_digital_start_trigger_when_the_sync_pulse_comes_then_sampling_begins_there(chassis):
     with Task() as reading:
         inputs(reading, "Dev1/ai0", samps_per_chan=10)
@@ -152,6 +153,7 @@ def test_given_a_digital_start_trigger_when_the_sync_pulse_comes_then_sampling_b
     assert start_s(waveform) == 1.0
 
 
+@reads_waveforms
 def test_given_a_retriggerable_task_when_pulses_come_then_each_brings_a_record(chassis):
     with Task() as reading:
         inputs(reading, "Dev1/ai0", samps_per_chan=100)

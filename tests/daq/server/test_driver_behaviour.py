@@ -17,7 +17,7 @@ from nidaqmx.system.storage import PersistedTask
 
 import daq
 from daq.instrument.clock import ManualClock
-from tests.daq.client import Task, connect, options, pass_samples
+from tests.daq.client import Task, connect, options, pass_samples, reads_waveforms
 
 RATE = 5120.0
 
@@ -39,6 +39,7 @@ def inputs(task, channels="cDAQ1Mod1/ai0", samples=100, **timing):
     return task
 
 
+@reads_waveforms
 def test_given_a_bench_that_has_idled_when_a_waveform_is_read_then_it_has_the_time_on_the_wall(monkeypatch):
     clock, now = WallClock(), [1_700_000_000 * 10**9]
     monkeypatch.setattr("daq.instrument.chassis.time.time_ns", lambda: now[0])

@@ -15,7 +15,7 @@ from nidaqmx.constants import (
 from nidaqmx.errors import DaqError
 
 import rig
-from tests.daq.client import Task, connect, pass_samples
+from tests.daq.client import Task, connect, pass_samples, reads_waveforms
 
 RATE = 5120.0
 
@@ -82,6 +82,7 @@ def test_given_a_request_when_the_rate_is_read_back_then_it_is_what_the_clock_ma
     assert coerced == pytest.approx([51200 / 31, 5120.0, 51200 / 6, 51200.0], rel=1e-15)
 
 
+@reads_waveforms
 def test_given_another_rate_when_a_task_runs_then_the_bench_really_samples_at_it(chassis):
     with Task() as task:
         inputs(task, "Dev1/ai3")

@@ -7,6 +7,7 @@ from .modal.identification import identify
 from .modal.modes import Modes, mac
 from .responses.frequency_responses import compliance, frequency_responses, frfs
 from .responses.frf import Frf
+from .responses.frf_files import read_frfs
 from .responses.frf_set import FrfSet
 
 __all__ = [
@@ -22,5 +23,6 @@ __all__ = [
     "frfs",
     "identify",
     "mac",
+    "read_frfs",
     "sep005",
 ]

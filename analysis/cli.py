@@ -24,7 +24,11 @@ Output = Annotated[
 Reference = Annotated[
     str, typer.Option(help="What to divide by: force (on the structure) or table (its displacement).")
 ]
-Block = Annotated[float | None, typer.Option(help="Block length in s, for random tests.")]
+Block = Annotated[float | None, typer.Option(help="Block length in s, for random tests and hits.")]
+Unit = Annotated[
+    str | None,
+    typer.Option(metavar="UNIT", help="Of responses in a .uff or .csv FILE that says none: g/N, m/N."),
+]
 Count = Annotated[
     int | None, typer.Option("--modes", help="How many modes to keep; default all stable ones.")
 ]
@@ -43,9 +47,16 @@ def frf(
     ] = "displacement",
     estimator: Annotated[
         str | None,
-        typer.Option(help="H1, H2 or Hv: average blocks of random; default: take it whole, without leakage."),
+        typer.Option(
+            help="H1, H2 or Hv: average blocks of random or hits; default: take it whole, without leakage."
+        ),
     ] = None,
     block: Block = None,
+    overlap: Annotated[float, typer.Option(help="Part of a block that it shares with the next.")] = 0.5,
+    window: Annotated[
+        str | None, typer.Option(help="Over blocks: hann, none, ...; default hann, none for hits.")
+    ] = None,
+    unit: Unit = None,
     theory: Annotated[
         bool, typer.Option("--theory", help="Add the exact curve of the bare structure.")
     ] = False,
@@ -54,7 +65,20 @@ def frf(
     from analysis.presentation.presentation import present_frf
 
     with counting("analysing") as progress:
-        result = present_frf(files, output, response, reference, motion, estimator, block, theory, progress)
+        result = present_frf(
+            files,
+            output,
+            response,
+            reference,
+            motion,
+            estimator,
+            block,
+            theory,
+            progress,
+            overlap,
+            window,
+            unit,
+        )
     _show(result)
 
 
@@ -78,12 +102,13 @@ def modes(
     reference: Reference = "force",
     modes: Count = None,
     block: Block = None,
+    unit: Unit = None,
 ) -> None:
-    """Natural frequencies, damping ratios and mode shapes."""
+    """Natural frequencies, damping ratios and mode shapes, of recordings or of responses in .uff or .csv."""
     from analysis.presentation.presentation import present_modes
 
     with counting("analysing") as progress:
-        result = present_modes(files, output, reference, modes, block, progress)
+        result = present_modes(files, output, reference, modes, block, progress, unit)
     _show(result)
 
 

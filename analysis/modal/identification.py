@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.modal.line_choice import scatter, thinned
 from analysis.modal.lscf import chart, columns
 from analysis.modal.modes import Modes
 from analysis.modal.order_selection import MOST_MODES, in_band, select
@@ -64,7 +65,7 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
     """
     if count is not None and count < 1:
         raise SceneError(f"{count} modes asked for: expected at least 1")
-    curves = [frf.to("displacement").sorted() for frf in frfs]
+    curves = thinned([frf.to("displacement").sorted() for frf in frfs])
     measured, sigma = _measured(curves)
     charts = [
         chart(measured.frequency, measured.value, weight)
@@ -175,7 +176,9 @@ def _residuals(model: Fit, inside: NDArray[np.bool_], frequency: Array) -> tuple
 def _sigma(curves: Sequence[Frf]) -> Array:
     size = np.stack([abs(curve.value) for curve in curves])
     error = np.stack([curve.error for curve in curves])
-    error = np.where(np.isfinite(error), error, 0.01 * np.nanmedian(size, axis=1, keepdims=True))
+    for row, curve in zip(error, curves, strict=True):
+        if not np.isfinite(row).all():
+            row[~np.isfinite(row)] = scatter(curve.value)[~np.isfinite(row)]
     top = np.nanmax(size, axis=1, keepdims=True)
     return np.hypot(error, LEAST_RELATIVE_ERROR * np.maximum(size, 1e-6 * top))
 

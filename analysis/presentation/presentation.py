@@ -18,6 +18,8 @@ from analysis.presentation.output_names import output_stem, with_ending
 from analysis.recordings.names import opened, relabelled, scene_labels
 from analysis.responses.frequency_responses import frequency_responses
 from analysis.responses.frf import Frf
+from analysis.responses.frf_files import is_frf_file, read_frfs
+from rig.errors import RecordingError
 
 if TYPE_CHECKING:
     from analysis.decays.modal_decay import ModalDecay
@@ -46,8 +48,11 @@ def present_frf(
     block: float | None = None,
     theory: bool = False,
     progress: Progress | None = None,
+    overlap: float = 0.5,
+    window: str | None = None,
+    unit: str | None = None,
 ) -> Result:
-    """Draw and tabulate frequency responses; several recordings are overlaid, one figure per response."""
+    """Draw and tabulate frequency responses; several files are overlaid, one figure per response."""
     from analysis.figures.frf_figure import frf_figure
     from analysis.presentation.tables import frf_table
     from rig.figure_style import save
@@ -55,10 +60,15 @@ def present_frf(
     curves: list[Frf] = []
     exact: list[Frf] = []
     notes: list[str] = []
-    for path, label in zip(paths, scene_labels(paths), strict=True):
+    for path, label in zip(paths, _labels(paths), strict=True):
+        if is_frf_file(path):
+            curves += [replace(frf.to(motion), label=label) for frf in _read(path, reference, channels, unit)]
+            continue
         with opened(path) as rec:
             expect(rec, path, "frf")
-            groups = frequency_responses(rec, channels, reference, motion, estimator, block, progress)
+            groups = frequency_responses(
+                rec, channels, reference, motion, estimator, block, progress, overlap, window
+            )
             curves += [relabelled(frf, rec.scene.name, label) for group in groups for frf in group]
             notes += _noted(path, [note for group in groups for note in group[0].warnings])
             if theory:
@@ -153,8 +163,9 @@ def present_modes(
     count: int | None = None,
     block: float | None = None,
     progress: Progress | None = None,
+    unit: str | None = None,
 ) -> Result:
-    """Identify modes, draw and tabulate them."""
+    """Identify modes, draw and tabulate them; of recordings, or of responses that other programs have estimated."""
     from analysis.figures.modes_figure import modes_figure
     from analysis.presentation.tables import modes_table
     from rig.figure_style import save
@@ -163,10 +174,18 @@ def present_modes(
     files: list[Path] = []
     lines: list[str] = []
     notes: list[str] = []
-    for path, label in zip(paths, scene_labels(paths), strict=True):
+    for path, label in zip(paths, _labels(paths), strict=True):
+        first = output_stem([path], output, "modes")
+        if is_frf_file(path):
+            curves = _read(path, reference, None, unit)
+            modes = replace(identify(curves, count), label=label)
+            found.append(modes)
+            files += save(modes_figure(curves, modes, f"Modes: {modes.label}"), first)
+            lines += describe_modes(modes)
+            notes += _noted(path, modes.warnings)
+            continue
         with opened(path) as rec:
             expect(rec, path, "modes")
-            first = output_stem([path], output, "modes")
             for number, group in enumerate(
                 frequency_responses(rec, None, reference, block=block, progress=progress)
             ):
@@ -174,15 +193,33 @@ def present_modes(
                 found.append(modes)
                 stem = first if number == 0 else first.with_name(f"{first.name}-{number + 1}")
                 files += save(modes_figure(group, modes, f"Modes: {modes.label}"), stem)
-                lines += describe_modes(rec, modes, reference)
+                lines += describe_modes(
+                    modes, theoretical_shapes(rec, modes) if reference == "force" else None
+                )
                 notes += _noted(path, modes.warnings)
     files.append(modes_table(with_ending(output_stem(paths, output, "modes"), "csv"), found))
     return Result(tuple(files), tuple(lines), tuple(notes))
 
 
-def describe_modes(rec: Recording, modes: Modes, reference: str) -> list[str]:
-    """List frequency, damping and shape of each mode, and how near it comes to theory."""
-    theory = theoretical_shapes(rec, modes) if reference == "force" else None
+def _labels(paths: Sequence[Path]) -> list[str]:
+    """Name recordings after their scenes, and other programs' files after themselves."""
+    recordings = [path for path in paths if not is_frf_file(path)]
+    named = dict(zip(recordings, scene_labels(recordings), strict=True))
+    return [named.get(path, path.stem) for path in paths]
+
+
+def _read(path: Path, reference: str, channels: Sequence[str] | None, unit: str | None) -> list[Frf]:
+    """Read the curves of another program; `reference` is then the force's node and direction."""
+    curves = read_frfs(path, None if reference == "force" else reference, unit)
+    missing = [name for name in channels or () if name not in {curve.response for curve in curves}]
+    if missing:
+        has = ", ".join(curve.response for curve in curves)
+        raise RecordingError(f"{path} has no response {', '.join(missing)}; it has {has[:300]}")
+    return [curve for curve in curves if not channels or curve.response in channels]
+
+
+def describe_modes(modes: Modes, theory: np.ndarray | None = None) -> list[str]:
+    """List frequency, damping and shape of each mode, and how near it comes to the shapes of theory."""
     out = [f"{modes.label}: {modes.frequency.size} modes"]
     for i, frequency in enumerate(modes.frequency):
         shape = ", ".join(f"{value:.3f}" for value in modes.shapes[:, i].real)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -58,7 +58,7 @@ def clean_stretches(found: list[Flaw], first: int, stop: int) -> list[tuple[int,
     return [*left, (at, stop)] if at < stop else left
 
 
-def told(rec: Recording, found: list[Flaw]) -> str:
+def told(rec: Recording, found: Sequence[Flaw]) -> str:
     """Say what was wrong, where: ``a3 overloaded (at 1.2 s, 4.5 s, ...), all channels lost (at 7 s)``."""
     groups: dict[str, list[str]] = {}
     for flaw in found:

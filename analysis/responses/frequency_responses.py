@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from analysis.responses.estimators import ESTIMATORS, Averages
@@ -22,6 +23,21 @@ if TYPE_CHECKING:
 Progress = Callable[[int, int], None]
 
 
+@dataclass(frozen=True)
+class Blocks:
+    """How spectra of blocks are to be averaged, where that is asked for."""
+
+    estimator: str | None = None
+    length: float | None = None
+    overlap: float = 0.5
+    window: str | None = None
+
+    @property
+    def wanted(self) -> bool:
+        """Whether it is asked for."""
+        return self != Blocks()
+
+
 def frequency_responses(
     rec: Recording,
     channels: Sequence[str] | None = None,
@@ -30,6 +46,8 @@ def frequency_responses(
     estimator: str | None = None,
     block: float | None = None,
     progress: Progress | None = None,
+    overlap: float = 0.5,
+    window: str | None = None,
 ) -> list[list[Frf]]:
     """All frequency responses that a recording holds.
 
@@ -44,12 +62,17 @@ def frequency_responses(
     motion : {'displacement', 'velocity', 'acceleration'}
         Receptance, mobility or accelerance.
     estimator : {'H1', 'H2', 'Hv'}, optional
-        For random: average the spectra of windowed blocks. Omitted, random, hits and sweeps are taken whole, by the
+        For random and hits: average the spectra of blocks. Omitted, random, hits and sweeps are taken whole, by the
         local rational method, which leaks nothing. Tones average amplitudes.
     block : float, optional
-        Length of the blocks in s, for random: averages their spectra, as H1 unless told otherwise.
+        Length of the blocks in s, for random and hits, each of which begins one: averages their spectra, as H1 unless
+        told otherwise.
     progress : callable, optional
         Called with (done, in all).
+    overlap : float
+        Part of a block that it shares with the next, for random.
+    window : str, optional
+        Over each block, as `scipy.signal.get_window` names it; omitted, ``hann`` for random, none for hits.
 
     Returns
     -------
@@ -65,7 +88,7 @@ def frequency_responses(
         raise RecordingError("no channel on a body: there is no response to divide")
     out: list[list[Frf]] = []
     channels = concerned(rec, names, reference)
-    for source in _sources(rec, channels, reference, estimator, block, progress):
+    for source in _sources(rec, channels, reference, Blocks(estimator, block, overlap, window), progress):
         if isinstance(source, Averages):
             out.append([source.frf(rec, name, reference, motion, estimator or "H1") for name in names])
         else:
@@ -77,8 +100,7 @@ def _sources(
     rec: Recording,
     channels: Sequence[str],
     reference: str,
-    estimator: str | None,
-    block: float | None,
+    blocks: Blocks,
     progress: Progress | None,
 ) -> Sequence[Lines | Averages | BestLinearApproximation | WholeStretches | SweptTone]:
     """Choose by what the test marked as measured: tones, periods, blocks of noise, a sweep, or hits."""
@@ -91,29 +113,31 @@ def _sources(
     if "spacing" in fields:
         from analysis.responses.swept_sine import tracked
 
-        _refuse_estimator(estimator, "a sweep is")
+        if blocks.wanted:
+            raise SceneError(
+                "blocks: a sweep is taken whole, by the local rational method; H1, H2 and Hv are for random and hits"
+            )
         return [tracked(rec, marker, channels, progress) for marker in measured]
     if "from" in fields:
         from analysis.responses import random
 
-        if block is None and estimator is None:
+        if not blocks.wanted:
             return [random.whole(rec, marker, channels) for marker in measured]
-        return [random.averages(rec, marker, channels, block, progress=progress) for marker in measured]
+        return [
+            random.averages(
+                rec, marker, channels, blocks.length, blocks.overlap, None, progress, blocks.window or "hann"
+            )
+            for marker in measured
+        ]
     if not measured and any(marker.kind == "hit" for marker in rec.markers):
         from analysis.responses import impact
 
-        _refuse_estimator(estimator, "hits are")
+        if blocks.wanted:
+            return [impact.averages(rec, channels, blocks.length, blocks.window or "none")]
         return [impact.whole(rec, channels)]
     from analysis.responses.stepped_sine import sweeps
 
     return [sweep.lines for sweep in sweeps(rec, channels, progress)]
-
-
-def _refuse_estimator(estimator: str | None, what: str) -> None:
-    if estimator is not None:
-        raise SceneError(
-            f"estimator {estimator}: {what} taken whole, by the local rational method; H1, H2 and Hv are for random"
-        )
 
 
 def frfs(

@@ -178,13 +178,14 @@ class Frf(Result):
 
     def sorted(self) -> Frf:
         """Return the same curve with rising frequency."""
-        return self._at(np.argsort(self.frequency, kind="stable"))
+        return self.at(np.argsort(self.frequency, kind="stable"))
 
     def between(self, low: float, high: float) -> Frf:
         """Keep the points from `low` to `high` in Hz."""
-        return self._at((self.frequency >= low) & (self.frequency <= high))
+        return self.at((self.frequency >= low) & (self.frequency <= high))
 
-    def _at(self, points: NDArray[np.bool_] | NDArray[np.intp]) -> Frf:
+    def at(self, points: NDArray[np.bool_] | NDArray[np.intp]) -> Frf:
+        """Keep some points."""
         return replace(
             self,
             frequency=self.frequency[points],

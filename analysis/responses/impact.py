@@ -1,15 +1,25 @@
-"""Impact test: frequency responses from hits with a force-measuring hammer."""
+"""Impact test: frequency responses from hits with a force-measuring hammer, taken whole or block by block."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from analysis.responses.block_spectra import bins_of, cross_spectra, window_of
+from analysis.responses.clean_stretches import told
+from analysis.responses.estimators import Averages
 from analysis.responses.hits import Hits
 from analysis.responses.whole_stretches import WholeStretches, dampers_move
+from rig.errors import RecordingError, SceneError
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
+
+
+# Part of a block in front of its hit.
+_LEAD = 50
+# What is left of a response at the end of a block leaks where it is more.
+_LEFT_OVER = 0.02
 
 
 def whole(rec: Recording, channels: Sequence[str]) -> WholeStretches:
@@ -24,4 +34,52 @@ def whole(rec: Recording, channels: Sequence[str]) -> WholeStretches:
         hits,
         label=rec.scene.name,
         warnings=dampers_move(rec),
+    )
+
+
+def averages(
+    rec: Recording, channels: Sequence[str], block: float | None = None, window: str = "none"
+) -> Averages:
+    """Average the spectra of one block for each hit, as most programs do.
+
+    Parameters
+    ----------
+    block : float, optional
+        Length of a block in s; omitted, the shortest time from a hit to the next, or to the end.
+    window : str
+        Over each block, as `scipy.signal.get_window` names it.
+    """
+    hits = Hits.of(rec)
+    begins = [begin for begin, _ in hits.arrivals]
+    size = hits.interval if block is None else round(block * rec.rate)
+    lead = min(size // _LEAD, begins[0])
+    starts = [begin - lead for begin in begins if begin - lead + size <= rec.samples]
+    if size < 16 or not starts:
+        raise SceneError(
+            f"blocks of {size / rec.rate:.3g} s: expected at least 16 samples, and no more than follow a hit, "
+            f"{(rec.samples - begins[0]) / rec.rate:.4g} s"
+        )
+    weights = window_of(window, size)
+    high = hits.highest_frequency(rec)
+    summed = cross_spectra(rec, channels, starts, weights, 0.0, high)
+    if not summed.used:
+        raise RecordingError(f"no hit is left: {told(rec, summed.flaws)}")
+    notes = []
+    if summed.used < len(begins):
+        spoilt = told(rec, summed.flaws) or "the recording ends"
+        notes.append(f"{len(begins) - summed.used} of {len(begins)} hits left out: {spoilt}.")
+    if summed.used == 1:
+        notes.append("One block: its coherence is 1 whatever the noise, and nothing tells the scatter.")
+    leaks = summed.left > _LEFT_OVER
+    if leaks:
+        notes.append(
+            f"{summed.left:.0%} of the motion are left at the end of a block: the curve leaks, by what is stated as "
+            "leakage; take longer blocks or leave out --estimator, without which nothing leaks."
+        )
+    return summed.averages(
+        size,
+        bins_of(weights) * rec.rate / size if leaks else 0.0,
+        rec.scene.name,
+        tuple(notes),
+        whole(rec, channels) if leaks else None,
     )

@@ -6,12 +6,10 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import fft, signal
 
-from analysis.recordings.slices import read_slices
-from analysis.responses.clean_stretches import flaws, told
-from analysis.responses.estimators import Averages, independent_blocks
+from analysis.responses.block_spectra import bins_of, cross_spectra, window_of
+from analysis.responses.clean_stretches import told
+from analysis.responses.estimators import Averages
 from analysis.responses.whole_stretches import WholeStretches, dampers_move
 from rig.errors import RecordingError, SceneError
 
@@ -19,14 +17,9 @@ if TYPE_CHECKING:
     from daq.recording.markers import Marker
     from daq.recording.recording import Recording
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-
 # Blocks by default: enough for error bars of some 10 % at a coherence of 0.7, with the finest resolution
 # left.
 DEFAULT_BLOCKS = 30
-# Effective width of the Hann window's main lobe, bins.
-_HANN_BINS = 1.5
 # A burst's response counts as over when this part of it is left at the block's end.
 _LEFT_OVER = 0.02
 
@@ -53,6 +46,7 @@ def averages(
     overlap: float = 0.5,
     forgetting: float | None = None,
     progress: Callable[[int, int], None] | None = None,
+    window: str = "hann",
 ) -> Averages:
     """Average the spectra of a random test.
 
@@ -71,6 +65,8 @@ def averages(
         structure that changes. Omitted: linear averaging.
     progress : callable, optional
         Called with (blocks done, blocks in all).
+    window : str
+        Over each block, as `scipy.signal.get_window` names it; bursts take none.
     """
     if not 0.0 <= overlap < 1.0:
         raise SceneError(f"overlap of {overlap:g}: expected 0 or more, below 1")
@@ -83,12 +79,12 @@ def averages(
     burst = marker.fields.get("block")
     if burst is not None:
         size, step = int(burst), int(burst)
-        window = np.ones(size)
+        weights = np.ones(size)
     else:
         wanted = block if block is not None else (stop - first) / rec.rate / (0.5 * DEFAULT_BLOCKS + 0.5)
-        size = int(wanted * rec.rate)
+        size = round(wanted * rec.rate)
         step = max(1, round(size * (1.0 - overlap)))
-        window = signal.get_window("hann", max(size, 1))
+        weights = window_of(window, max(size, 1))
     count = (stop - first - size) // step + 1
     if size < 16 or count < 2:
         raise RecordingError(
@@ -96,40 +92,19 @@ def averages(
             f"{size / rec.rate:.3g} s: "
             "too short to average; record longer or choose shorter blocks (--block)"
         )
-    names = list(channels)
-    found = flaws(rec, names, first, stop)
-    edges = np.array([[flaw.first, flaw.stop] for flaw in found]).reshape(-1, 2)
     low, high = float(marker.fields["from"]), float(marker.fields["to"])
-    frequency = fft.rfftfreq(size, 1.0 / rec.rate)
-    keep = (frequency >= low) & (frequency <= min(high, 0.45 * rec.rate)) & (frequency > 0)
-    cross: ComplexArray = np.zeros((int(keep.sum()), len(names), len(names)), dtype=complex)
-    total = squares = left = 0.0
-    used = 0
-    bounds = ((first + i * step, first + i * step + size) for i in range(count))
-    for index, samples in enumerate(read_slices(rec, names, bounds)):
-        if progress is not None:
-            progress(index + 1, count)
-        begin = first + index * step
-        if np.any((edges[:, 0] < begin + size) & (edges[:, 1] > begin)):
-            continue
-        samples = samples - samples.mean(axis=1, keepdims=True)
-        spectra = fft.rfft(samples * window, axis=1)[:, keep]
-        fade = 1.0 if forgetting is None else forgetting
-        cross = cross * fade + np.einsum("in,jn->nij", spectra, spectra.conj())
-        total, squares = fade * total + 1.0, fade * fade * squares + 1.0
-        used += 1
-        if burst is not None:
-            size_now = np.maximum(abs(samples).max(axis=1), 1e-300)
-            left = max(left, float(np.max(abs(samples[:, -max(1, size // 50) :]).max(axis=1) / size_now)))
+    starts = [first + i * step for i in range(count)]
+    summed = cross_spectra(rec, channels, starts, weights, low, high, forgetting, progress)
+    found, left = summed.flaws, summed.left
     notes = []
-    if used < count:
-        notes.append(f"{count - used} of {count} blocks left out: {told(rec, found)}.")
-    if used < 2:
+    if summed.used < count:
+        notes.append(f"{count - summed.used} of {count} blocks left out: {told(rec, found)}.")
+    if summed.used < 2:
         raise RecordingError(
             f"all blocks but one are spoilt: {told(rec, found)}; lower the level, widen the range (converter: range) "
             "or choose shorter blocks (--block)"
         )
-    width = (_HANN_BINS if burst is None else 1.0) * rec.rate / size
+    width = bins_of(weights) * rec.rate / size
     leaks = burst is None or left > _LEFT_OVER
     if burst is None:
         notes.append(
@@ -142,12 +117,8 @@ def averages(
             "one with "
             "continuous random; use longer blocks, a smaller burst share, multisine or stepped sine."
         )
-    independent = independent_blocks(window, step, used) * (total**2 / squares) / used
-    return Averages(
-        channels=tuple(names),
-        frequency=frequency[keep],
-        cross=np.asarray(cross / total, dtype=complex),
-        averages=float(independent),
+    return summed.averages(
+        step,
         resolution=width if leaks else 0.0,
         label=rec.scene.name,
         warnings=tuple(notes),

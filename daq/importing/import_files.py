@@ -294,7 +294,7 @@ class _Import:
         for number, hit in enumerate(hits, 1):
             recorder.mark("hit", hit.first, hit.stop - 1, number=number, peak=hit.peak)
         if hits:
-            return [f"{len(hits)} hits found in the force channel, of {hits[0].peak:.3g} N for the first"]
+            return []
         if not any(info.quantity == "force" for info in self._infos) and not self._scene.shakers:
             return [
                 "no channel tells a force and the scene has no shaker: there is nothing to divide responses by"

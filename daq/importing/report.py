@@ -13,6 +13,7 @@ from daq.importing.files import signals_of
 from daq.importing.import_files import import_files
 from daq.measurement.run import RunWarning
 from daq.measurement.run_report import summary
+from daq.recording.recording import open as open_recording
 from rig.command_line import progress
 from rig.scene.scene import Scene
 
@@ -39,4 +40,9 @@ def import_and_report(
             import_files(files, scene, path, table=table, overwrite=overwrite, progress=tell)
     for warning in heard:
         print(f"warning: {warning.message}", file=sys.stderr)
+    with open_recording(path) as recording:
+        hits = [marker for marker in recording.markers if marker.kind == "hit"]
+    if hits:
+        peaks = [float(hit.fields["peak"]) for hit in hits]
+        print(f"{len(hits)} hits found in the force, of {min(peaks):.3g} to {max(peaks):.3g} N")
     print(summary(path))

@@ -1,0 +1,72 @@
+"""Lines of other estimators: which of many are worth fitting, and how far they scatter where nobody says it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+from scipy.ndimage import median_filter
+
+from analysis.responses.frf import Frf
+
+Array = NDArray[np.float64]
+
+# More lines than this are thinned out, between peaks to about half as many.
+MOST_LINES = 2000
+# Peaks around which lines are kept, and how many around each, down to what part of the peak.
+_PEAKS, _LINES, _FLANK = 24, 41, 0.1
+# A peak is higher than what is around it by this factor.
+_STANDS_OUT = 2.0
+# Lines over which scatter is told.
+_AROUND = 31
+
+
+def thinned(curves: Sequence[Frf]) -> list[Frf]:
+    """Leave out lines where a block average has more of them than a fit needs: far from peaks, and within wide ones.
+
+    Parameters
+    ----------
+    curves : sequence of Frf
+        At the same frequencies, rising.
+    """
+    count = curves[0].frequency.size
+    if count <= MOST_LINES or any(curve.frequency.size != count for curve in curves):
+        return list(curves)
+    sizes = np.nan_to_num(np.stack([abs(curve.value) for curve in curves]))
+    # Each curve counts alike; over the square of frequency, a receptance's fall is no slope to hide peaks.
+    size = np.sqrt(np.mean((sizes / np.median(sizes, axis=1, keepdims=True).clip(1e-300)) ** 2, axis=0))
+    level = np.log(np.maximum(size, 1e-12 * size.max()))
+    found, _ = signal.find_peaks(level, prominence=np.log(_STANDS_OUT))
+    highest = found[np.argsort(signal.peak_prominences(level, found)[0])[::-1][:_PEAKS]]
+    kept = np.zeros(count, dtype=bool)
+    kept[:: -(-2 * count // MOST_LINES)] = True
+    for peak in highest:
+        below = np.flatnonzero(size < _FLANK * size[peak])
+        first = below[below < peak].max(initial=0)
+        last = below[below > peak].min(initial=count - 1)
+        kept[np.unique(np.linspace(first, last, _LINES).astype(int))] = True
+        kept[max(peak - _LINES // 2, 0) : peak + _LINES // 2 + 1] = True
+    return [curve.at(kept) for curve in curves]
+
+
+def scatter(value: NDArray[np.complex128]) -> Array:
+    """Tell the standard deviation of either quadrature component of each line, from how far off a parabola it is.
+
+    The median over many lines knows nothing of the few in a narrow peak.
+
+    Examples
+    --------
+    >>> random = np.random.default_rng(1)
+    >>> noise = random.standard_normal(2000) + 1j * random.standard_normal(2000)
+    >>> bool(abs(np.median(scatter(noise)) - 1.0) < 0.1)
+    True
+    """
+    if value.size < 8:
+        return np.full(value.size, 0.01 * float(np.nanmedian(abs(value))))
+    known = np.where(np.isfinite(value), value, 0.0)
+    # Third differences of noise have 20 times its variance; the median of a Rayleigh distribution is 1.177.
+    off = abs(np.convolve(known, [1.0, -3.0, 3.0, -1.0], "same")) / np.sqrt(20.0) / 1.177
+    off[:2], off[-2:] = off[2], off[-3]
+    return np.asarray(median_filter(off, min(_AROUND, value.size), mode="nearest"))

@@ -1,0 +1,132 @@
+"""Spectra of blocks of a recording, windowed and averaged: what H1, H2 and Hv are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, signal
+
+from analysis.recordings.slices import read_slices
+from analysis.responses.clean_stretches import Flaw, flaws
+from analysis.responses.estimators import Averages, independent_blocks
+from rig.errors import SceneError
+
+if TYPE_CHECKING:
+    from analysis.responses.whole_stretches import WholeStretches
+    from daq.recording.recording import Recording
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class CrossSpectra:
+    """Spectral matrix of the channels, averaged over the blocks that nothing spoils."""
+
+    channels: tuple[str, ...]
+    frequency: Array  # Hz; shape (n,)
+    cross: ComplexArray
+    """Mean of Y_i conj(Y_j), shape (n, channels, channels)."""
+    window: Array
+    used: int
+    """Number of blocks."""
+    weight: float
+    """Of how many equally weighted ones they are worth, relative to that number."""
+    flaws: Sequence[Flaw]
+    """What spoilt others."""
+    left: float
+    """Largest part of any channel's motion that is left at the end of a block."""
+
+    def averages(
+        self,
+        step: int,
+        resolution: float,
+        label: str,
+        warnings: tuple[str, ...],
+        unsmeared: WholeStretches | None = None,
+    ) -> Averages:
+        """Give what responses are made of; blocks begin every `step` samples."""
+        independent = independent_blocks(self.window, step, self.used) * self.weight
+        return Averages(
+            self.channels, self.frequency, self.cross, independent, resolution, label, warnings, unsmeared
+        )
+
+
+def cross_spectra(
+    rec: Recording,
+    channels: Sequence[str],
+    starts: Sequence[int],
+    window: Array,
+    low: float,
+    high: float,
+    forgetting: float | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> CrossSpectra:
+    """Average the spectra of blocks, each less its mean.
+
+    Parameters
+    ----------
+    starts : sequence of int
+        First samples of the blocks, rising.
+    window : ndarray, shape (samples of a block,)
+    low, high : float
+        Band in Hz that is wanted.
+    forgetting : float, optional
+        Weight of each block relative to the one after it; omitted, all are alike.
+    progress : callable, optional
+        Called with (blocks done, blocks in all).
+    """
+    names, size = list(channels), window.size
+    found = flaws(rec, names, starts[0], starts[-1] + size)
+    edges = np.array([[flaw.first, flaw.stop] for flaw in found]).reshape(-1, 2)
+    frequency = fft.rfftfreq(size, 1.0 / rec.rate)
+    keep = (frequency >= low) & (frequency <= min(high, 0.45 * rec.rate)) & (frequency > 0)
+    cross: ComplexArray = np.zeros((int(keep.sum()), len(names), len(names)), dtype=complex)
+    total = squares = left = 0.0
+    used = 0
+    fade = 1.0 if forgetting is None else forgetting
+    blocks = read_slices(rec, names, ((begin, begin + size) for begin in starts))
+    for index, (begin, samples) in enumerate(zip(starts, blocks, strict=True)):
+        if progress is not None:
+            progress(index + 1, len(starts))
+        if np.any((edges[:, 0] < begin + size) & (edges[:, 1] > begin)):
+            continue
+        samples = samples - samples.mean(axis=1, keepdims=True)
+        spectra = fft.rfft(samples * window, axis=1)[:, keep]
+        cross = cross * fade + np.einsum("in,jn->nij", spectra, spectra.conj())
+        total, squares = fade * total + 1.0, fade * fade * squares + 1.0
+        used += 1
+        size_now = np.maximum(abs(samples).max(axis=1), 1e-300)
+        left = max(left, float(np.max(abs(samples[:, -max(1, size // 50) :]).max(axis=1) / size_now)))
+    weight = total**2 / squares / used if used else 0.0
+    mean = np.asarray(cross / max(total, 1e-300), dtype=complex)
+    return CrossSpectra(tuple(names), frequency[keep], mean, window, used, weight, found, left)
+
+
+def window_of(name: str, size: int) -> Array:
+    """Make a window by scipy's name for it, periodic; ``none`` is no window.
+
+    Raises
+    ------
+    SceneError
+        If there is none of that name.
+    """
+    try:
+        return np.asarray(signal.get_window("boxcar" if name == "none" else name, size), dtype=float)
+    except ValueError:
+        raise SceneError(
+            f"unknown window {name!r}: expected none, hann, hamming, flattop, blackmanharris or another of scipy's"
+        ) from None
+
+
+def bins_of(window: Array) -> float:
+    """Effective noise bandwidth of a window in bins (Harris 1978, eq. 11).
+
+    >>> round(bins_of(window_of("hann", 1000)), 6), bins_of(window_of("none", 10))
+    (1.5, 1.0)
+    """
+    return float(window.size * np.sum(window**2) / np.sum(window) ** 2)

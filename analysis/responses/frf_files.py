@@ -1,0 +1,263 @@
+"""Frequency responses that other programs have estimated: Universal Files (58, 58b) and text tables."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.responses.frf import MOTIONS, Frf
+from analysis.responses.frf_set import FrfSet
+from daq.importing import uff
+from daq.importing.files import signals_of
+from daq.importing.units import meaning
+from rig.errors import RecordingError, SceneError
+
+Array = NDArray[np.float64]
+
+ENDINGS = (".uff", ".unv", ".csv", ".txt")
+_PART = re.compile(
+    r"(.*?)[\s_.:,|-]*\b(real|re|imaginary|imag|im|magnitude|mag|amplitude|amp|abs|phase|arg)"
+    r"[\s_.]*(deg|rad|degrees|°)?",
+    re.IGNORECASE,
+)
+_KINDS = {"r": "real", "i": "imag", "m": "size", "a": "size", "p": "phase"}
+
+
+def read_frfs(path: str | Path, reference: str | None = None, unit: str | None = None) -> FrfSet:
+    r"""Read frequency responses of other programs; they have no error bars, and coherence where the file has it.
+
+    Parameters
+    ----------
+    path : str or Path
+        A Universal File with data sets 58 of function type 4; or a table: a first column of frequencies in Hz, then for
+        each response two columns, ``body1 real [m/N]`` and ``body1 imag [m/N]``, or ``magnitude`` and ``phase [deg]``;
+        or what `analysis frf` writes.
+    reference : str, optional
+        Node and direction of the force, such as ``"1 +Z"``, where the file has several.
+    unit : str, optional
+        What one in the file is, such as ``"m/s^2/N"`` or ``"g/N"``, where the file does not say; it goes before what it
+        says.
+
+    Returns
+    -------
+    FrfSet
+        Named after nodes and directions, or as the file names them. What `identify` and all figures take.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read or holds no frequency responses of motion to force.
+    SceneError
+        If there are several references and none is chosen, or a unit is missing or wrong.
+    RunError
+        If a package is missing.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "beam.csv"
+    ...     _ = file.write_text("f [Hz],tip re [g/N],tip im [g/N]\n10,1,0\n20,0,-2\n")
+    ...     tip = read_frfs(file)["tip"]
+    >>> tip.name, tip.value.round(3).tolist()
+    ('accelerance', [(9.807+0j), -19.613j])
+    """
+    file = Path(path)
+    if not file.is_file():
+        raise RecordingError(f"{file}: no such file")
+    if file.suffix.lower() in (".uff", ".unv"):
+        return FrfSet(_from_uff(file, reference, unit))
+    if file.suffix.lower() in ENDINGS:
+        return FrfSet(_from_long_table(file, unit) or _from_table(file, unit))
+    raise RecordingError(f"{file}: expected a file whose name ends in one of {', '.join(ENDINGS)}")
+
+
+def is_frf_file(path: Path) -> bool:
+    """Whether a file can be one of frequency responses, and no recording."""
+    return path.suffix.lower() in ENDINGS
+
+
+def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Frf]:
+    sets = uff.functions(path)
+    found = [each for each in sets if int(each["func_type"]) == uff.FRF]
+    if not found:
+        other = "; it holds time responses: `daq import` makes a recording of them" if sets else ""
+        raise RecordingError(f"{path} holds no frequency response (data set 58, function type 4){other}")
+    driven = list(dict.fromkeys(uff.point(each, "ref") for each in found))
+    if reference is None and len(driven) > 1:
+        raise SceneError(f"{path} has {len(driven)} references, {', '.join(driven)[:300]}: choose one")
+    chosen = [each for each in found if reference in (None, uff.point(each, "ref"))]
+    if not chosen:
+        raise SceneError(f"{path} has no reference {reference!r}; it has {', '.join(driven)[:300]}")
+    coherence = {
+        _place(each): np.asarray(each["data"]).real
+        for each in sets
+        if int(each["func_type"]) == uff.COHERENCE
+    }
+    curves = []
+    for name, each in zip(_names(chosen), chosen, strict=True):
+        frequency = _frequencies(path, name, each)
+        motion, size = _ratio(f"{path}: {name}", unit or _stated(each))
+        curves.append(
+            _curve(
+                path, name, frequency, size * np.asarray(each["data"]), motion, coherence.get(_place(each))
+            )
+        )
+    return curves
+
+
+def _names(sets: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Name responses by what tells them apart: their titles, their places, or their numbers."""
+    for names in ([uff.title(each) for each in sets], [uff.point(each, "rsp") for each in sets]):
+        if len(set(names)) == len(names):
+            return names
+    return [f"{uff.point(each, 'rsp')} #{number}" for number, each in enumerate(sets, 1)]
+
+
+def _place(each: Mapping[str, Any]) -> tuple[str, str]:
+    return uff.point(each, "rsp"), uff.point(each, "ref")
+
+
+def _frequencies(path: Path, name: str, each: Mapping[str, Any]) -> Array:
+    data, frequency = np.asarray(each["data"]), np.asarray(each["x"], dtype=float)
+    if not np.iscomplexobj(data) or data.size != frequency.size:
+        raise RecordingError(
+            f"{path}: {name} is no row of complex numbers over frequency; the file is damaged"
+        )
+    return frequency
+
+
+def _stated(each: Mapping[str, Any]) -> str:
+    """Put the unit of a ratio together from the labels of its axes."""
+    above, below = uff.label(each, "ordinate"), uff.label(each, "orddenom")
+    return f"({above})/({below})" if above and below else above
+
+
+def _ratio(where: str, unit: str) -> tuple[str, float]:
+    """Say which motion a ratio to force is of, and what its unit is in SI.
+
+    >>> _ratio("a", "(1/N)*(m/s²)"), _ratio("a", "(g)/(N)"), _ratio("a", "m/N")
+    (('acceleration', 1.0), ('acceleration', 9.80665), ('displacement', 1.0))
+    """
+    if not unit:
+        raise SceneError(f"{where}: the file does not say its unit; say it, such as --unit m/s^2/N")
+    for pattern in (
+        r"\(?1/\(?(?P<below>[^()*]+)\)?\)?\s*\*\s*\(?(?P<above>[^()]+)\)?",
+        r"\((?P<above>.+)\)\s*/\s*\(?(?P<below>[^()/]+)\)?",
+        r"(?P<above>.+?)\s*/\s*\(?(?P<below>[^/()\s]+)(?:\s+s(?:\^?2|²)?)?\)?",
+    ):
+        found = re.fullmatch(pattern, unit.strip())
+        if found is None:
+            continue
+        above, below = found["above"], found["below"]
+        # As our own tables write it: m/(N s^2).
+        if tail := re.fullmatch(r"(.+)/\((N) (s|s\^2|s²)\)", unit.strip()):
+            above, below = f"{tail[1]}/{tail[3]}", tail[2]
+        try:
+            (motion, upper), (force, lower) = meaning(above), meaning(below)
+        except ValueError:
+            continue
+        if motion in MOTIONS and force == "force":
+            return motion, upper / lower
+    raise SceneError(f"{where}: unit {unit!r}; expected motion per force, such as m/N, m/s/N, m/s^2/N or g/N")
+
+
+def _from_long_table(path: Path, unit: str | None) -> list[Frf]:
+    """Read a table as `analysis frf` writes it: a line for each response and frequency; nothing if it is none."""
+    with path.open(newline="", encoding="utf-8-sig", errors="replace") as stream:
+        reader = csv.DictReader(stream)
+        heading = reader.fieldnames or []
+        real = next((name for name in heading if name.startswith("real ")), None)
+        if real is None or not {"response", "frequency_Hz", real.replace("real", "imag", 1)} <= {*heading}:
+            return []
+        motion, size = _ratio(str(path), unit or real.removeprefix("real "))
+        rows: dict[str, list[tuple[float, complex]]] = {}
+        for line in reader:
+            try:
+                value = complex(float(line[real]), float(line[real.replace("real", "imag", 1)]))
+                point = float(line["frequency_Hz"]), size * value
+            except (TypeError, ValueError):
+                raise RecordingError(f"{path}, line {reader.line_num}: a cell is no number") from None
+            rows.setdefault(f"{line.get('scene') or ''}\0{line['response']}", []).append(point)
+    scenes = {name.partition("\0")[0] for name in rows}
+    if len(scenes) > 1:
+        raise SceneError(
+            f"{path} holds curves of several tests, {', '.join(sorted(scenes))[:200]}; expected one"
+        )
+    return [
+        _curve(
+            path,
+            name.partition("\0")[2],
+            np.array([frequency for frequency, _ in points]),
+            np.array([value for _, value in points]),
+            motion,
+        )
+        for name, points in rows.items()
+    ]
+
+
+def _from_table(path: Path, unit: str | None) -> list[Frf]:
+    """Read a table of columns: frequency, then two for each response."""
+    with ExitStack() as stack:
+        first, *others = signals_of(path, stack)
+        frequency = first.read(0, first.samples)
+        columns = [(each.name, each.unit, each.read(0, each.samples)) for each in others]
+    if not re.match(r"f|freq|hz", first.name, re.IGNORECASE) or (first.unit and first.unit.lower() != "hz"):
+        raise RecordingError(f"{path}: its first column is {first.name!r}; expected frequencies in Hz")
+    parts: dict[str, dict[str, tuple[str, Array]]] = {}
+    for name, its_unit, values in columns:
+        found = _PART.fullmatch(name)
+        if found is None:
+            raise RecordingError(
+                f"{path}: column {name!r}; expected names that end in real, imag, magnitude or phase"
+            )
+        kind = _KINDS[found[2][0].lower()]
+        parts.setdefault(found[1] or "response", {})[kind] = (found[3] or its_unit, values)
+    curves = []
+    for name, part in parts.items():
+        if part.keys() not in ({"real", "imag"}, {"size", "phase"}):
+            raise RecordingError(
+                f"{path}: of {name} there is {', '.join(part)}; expected real and imag, or magnitude and phase"
+            )
+        said, upper = part["real"] if "real" in part else part["size"]
+        motion, size = _ratio(f"{path}: {name}", unit or said)
+        if "real" in part:
+            value = upper + 1j * part["imag"][1]
+        else:
+            turn, phase = part["phase"]
+            value = upper * np.exp(1j * (phase if turn.startswith("rad") else np.radians(phase)))
+        curves.append(_curve(path, name, frequency, size * value, motion))
+    return curves
+
+
+def _curve(
+    path: Path,
+    name: str,
+    frequency: Array,
+    value: NDArray[Any],
+    motion: str,
+    coherence: Array | None = None,
+) -> Frf:
+    """Make a curve of the lines that it can have: at zero frequency there is no displacement."""
+    keep = (frequency > 0) & np.isfinite(value)
+    if not keep.any():
+        raise RecordingError(f"{path}: {name} has no number at a frequency above 0")
+    nothing = np.full(int(keep.sum()), np.nan)
+    known = coherence is not None and coherence.size == keep.size
+    return Frf(
+        frequency=frequency[keep],
+        value=np.asarray(value, dtype=complex)[keep],
+        error=nothing,
+        coherence=coherence[keep] if known and coherence is not None else nothing,
+        degrees=np.zeros(nothing.size),
+        response=name,
+        motion=motion,
+        label=path.stem,
+    )

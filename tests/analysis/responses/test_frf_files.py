@@ -1,0 +1,180 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import pyuff
+from scipy import signal
+from typer.testing import CliRunner
+
+import analysis
+import daq
+from analysis.cli import app
+from rig.errors import RecordingError, SceneError
+from tests.daq.importing.files import NAMES, RATE, bench, tdms
+
+# pyuff leaves a binary file open that it wrote.
+pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+FREQUENCY = np.arange(801) * 0.25
+POLES = 2 * np.pi * np.array([[40.0], [95.0]]) * (-np.array([[0.01], [0.004]]) + 1j)
+SHAPES = np.array([[1.0, 0.7], [-0.4, 1.0]])
+
+
+def accelerance(noise: float = 0.0) -> np.ndarray:
+    """Two modes at two places in m/s^2/N, complex, shape (places, lines)."""
+    s = 2j * np.pi * FREQUENCY
+    modes = 1.0 / (s - POLES) / (2j * POLES.imag) + 1.0 / (s - POLES.conj()) / (-2j * POLES.imag)
+    random = np.random.default_rng(2).standard_normal((2, 2, FREQUENCY.size))
+    value = s**2 * (SHAPES.T @ modes)
+    return value + noise * abs(value).max() * (random[0] + 1j * random[1])
+
+
+def uff(path, value, binary=0, reference=(1, 3), **labels):
+    file = pyuff.UFF(str(path))
+    for number, row in enumerate(value, 1):
+        file.write_sets(
+            {
+                "type": 58, "binary": binary, "func_type": 4, "rsp_node": number, "rsp_dir": -3,
+                "ref_node": reference[0], "ref_dir": reference[1], "abscissa_spacing": 1, "abscissa_spec_data_type": 18,
+                "ordinate_spec_data_type": 12, "orddenom_spec_data_type": 13, "data": row, "x": FREQUENCY, **labels,
+            },
+            mode="add",
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize("binary", [0, 1])
+def test_given_responses_in_a_universal_file_when_read_then_every_line_is_there_and_its_modes_are_found(
+    binary, tmp_path
+):
+    uff(
+        tmp_path / "a.uff",
+        accelerance(1e-4) / 9.80665,
+        binary,
+        ordinate_axis_units_lab="g",
+        orddenom_axis_units_lab="N",
+    )
+    found = analysis.read_frfs(tmp_path / "a.uff")
+    assert [curve.response for curve in found] == ["1 -Z", "2 -Z"] and found[0].name == "accelerance"
+    for curve, row in zip(found, accelerance(1e-4), strict=True):
+        np.testing.assert_allclose(curve.value, row[1:], rtol=1e-9)
+        np.testing.assert_allclose(curve.frequency, FREQUENCY[1:], rtol=1e-5)
+    modes = analysis.identify(found)
+    np.testing.assert_allclose(modes.frequency, [40.002, 95.00076], rtol=1e-4)
+    np.testing.assert_allclose(modes.damping, [0.01, 0.004], rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("heading", "columns"),
+    [
+        ("f [Hz],tip re [g/N],tip im [g/N],root real [g/N],root imag [g/N]", lambda v: (v.real, v.imag)),
+        ("Frequency (Hz),tip magnitude [m/s^2/N],tip phase [deg],root mag [m/s^2/N],root phase [deg]",
+         lambda v: (abs(v) * 9.80665, np.angle(v, deg=True))),
+    ],
+)  # fmt: skip
+def test_given_a_table_of_responses_when_read_then_parts_and_units_are_told_from_its_heading(
+    heading, columns, tmp_path
+):
+    value = accelerance() / 9.80665
+    rows = np.vstack([FREQUENCY, *columns(value[0]), *columns(value[1])]).T
+    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header=heading, comments="")
+    found = analysis.read_frfs(tmp_path / "a.csv")
+    for name, row in zip(("tip", "root"), value, strict=True):
+        np.testing.assert_allclose(found[name].value, row[1:] * 9.80665, rtol=1e-9)
+
+
+def test_given_files_of_another_program_when_typed_then_modes_and_curves_are_made_of_them(
+    tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    uff(tmp_path / "a.uff", accelerance(1e-3), ordinate_axis_units_lab="m/s2", orddenom_axis_units_lab="N")
+    done = CliRunner().invoke(app, ["modes", "a.uff"])
+    assert done.exit_code == 0 and "a: 2 modes" in done.output, (done.output, done.exception)
+    done = CliRunner().invoke(app, ["frf", "a.uff", "--motion", "acceleration"])
+    assert done.exit_code == 0, (done.output, done.exception)
+    again = analysis.read_frfs(tmp_path / "a-frf.csv")
+    np.testing.assert_allclose(again["1 -Z"].value, accelerance(1e-3)[0, 1:], rtol=1e-8)
+
+
+def test_given_responses_without_unit_or_with_two_references_when_read_then_it_is_said_what_to_give(tmp_path):
+    uff(tmp_path / "a.uff", accelerance())
+    with pytest.raises(SceneError, match=r"does not say its unit.*--unit m/s\^2/N"):
+        analysis.read_frfs(tmp_path / "a.uff")
+    (first, _) = analysis.read_frfs(tmp_path / "a.uff", unit="mm/s^2/N")
+    assert first.value[9] == pytest.approx(1e-3 * accelerance()[0, 10], rel=1e-9)
+    uff(tmp_path / "a.uff", accelerance(), reference=(7, 1))
+    with pytest.raises(SceneError, match=r"2 references, 1 \+Z, 7 \+X: choose"):
+        analysis.read_frfs(tmp_path / "a.uff", unit="m/N")
+    assert len(analysis.read_frfs(tmp_path / "a.uff", "7 +X", "m/N")) == 2
+    with pytest.raises(SceneError, match="expected motion per force"):
+        analysis.read_frfs(tmp_path / "a.uff", "7 +X", "N/m")
+
+
+BAD = {
+    "no file": None,
+    "not a file.uff": b"nothing",
+    "empty.uff": b"",
+    "no ending": b"1,2",
+    "words.csv": b"to whom it may concern",
+    "time.csv": b"time [s],a real [m/N],a imag [m/N]\n" + b"".join(b"%d,1,1\n" % k for k in range(9)),
+    "half.csv": b"f,a real [m/N]\n1,2\n2,3\n",
+    "names.csv": b"f,a [m/N],b [m/N]\n1,2,3\n2,3,4\n",
+    "units.csv": b"f,a re [V],a im [V]\n1,2,3\n2,3,4\n",
+    "long.csv": b"response,frequency_Hz,real m/N,imag m/N\na,1,x,2\n",
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_given_a_file_that_holds_no_responses_when_read_then_it_is_refused_in_words(name, tmp_path):
+    if BAD[name] is not None:
+        (tmp_path / name).write_bytes(BAD[name])
+    with pytest.raises((RecordingError, SceneError), match=name.replace(" ", r"\s")):
+        analysis.read_frfs(tmp_path / name)
+
+
+def test_given_imported_noise_when_averaged_over_blocks_then_it_is_scipys_csd_over_welch(tmp_path):
+    random = np.random.default_rng(5)
+    force = random.standard_normal(40960)
+    rows = np.vstack(
+        [signal.lfilter([1.0], [1.0, -1.8, 0.9], force), signal.lfilter([0.3], [1.0, 0.9], force), force]
+    )
+    rows[:2] += 0.1 * random.standard_normal((2, 40960))
+    tdms(tmp_path / "a.tdms", rows / np.array([[9.80665], [1.0], [1.0]]))
+    daq.import_files(tmp_path / "a.tdms", bench(), tmp_path / "r.mcap")
+    block = {"fs": RATE, "window": "hann", "nperseg": 2048, "noverlap": 1536}
+    frequency, power = signal.welch(force, **block)
+    with daq.open(tmp_path / "r.mcap") as recording:
+        for estimator in ("H1", "H2"):
+            (curves,) = analysis.frequency_responses(
+                recording, motion="acceleration", estimator=estimator, block=1.0, overlap=0.75
+            )
+            for curve, row in zip(curves, rows, strict=False):
+                cross = signal.csd(force, row, **block)[1]
+                theirs = cross / power if estimator == "H1" else signal.welch(row, **block)[1] / cross.conj()
+                at = np.searchsorted(frequency, curve.frequency - 1e-6)
+                np.testing.assert_allclose(curve.value, theirs[at], rtol=1e-9)
+
+
+def test_given_imported_hits_when_averaged_then_it_is_the_quotient_of_their_spectra(tmp_path):
+    pulse = np.sin(np.pi * np.arange(1, 9) / 9)
+    force = np.zeros(24000)
+    for at, size in ((900, 70.0), (9000, 50.0), (17000, 60.0)):
+        force[at : at + 8] = size * pulse
+    response = signal.lfilter([1.0], [1.0, -1.96, 0.985], force)
+    rows = np.vstack([response / 9.80665, 0.5 * response, force]) + 1e-3 * np.random.default_rng(
+        6
+    ).standard_normal((3, force.size))
+    tdms(tmp_path / "a.tdms", rows)
+    daq.import_files(
+        tmp_path / "a.tdms", bench("{kind: impulse, body: 1, peak: 50 N, width: 4 ms}"), tmp_path / "r.mcap",
+    )  # fmt: skip
+    with daq.open(tmp_path / "r.mcap") as recording:
+        begins = [marker.first_sample for marker in recording.markers]
+        (curves,) = analysis.frequency_responses(recording, motion="acceleration", estimator="H1", block=3.0)
+        size, lead = 6144, 6144 // 50
+        blocks = np.stack(
+            [[recording.read(name, at - lead, at - lead + size) for name in NAMES] for at in begins]
+        )
+    spectra = np.fft.rfft(blocks - blocks.mean(axis=2, keepdims=True), axis=2)
+    theirs = (spectra[:, 0] * spectra[:, 2].conj()).sum(axis=0) / (abs(spectra[:, 2]) ** 2).sum(axis=0)
+    at = np.searchsorted(np.fft.rfftfreq(size, 1 / RATE), curves[0].frequency - 1e-6)
+    np.testing.assert_allclose(curves[0].value, theirs[at], rtol=1e-9)
+    assert not any("leak" in note for note in curves[0].warnings)

@@ -239,6 +239,19 @@ class Task:
         return not self.settings.clocked or not self.settings.finite or again
 
     @property
+    def memory(self) -> int:
+        """Bytes that its buffers take."""
+        run = None if self.acquisition is None else self.acquisition.acquisition
+        held = 0 if run is None else run.ring.bytes + run.overloads.bytes
+        return held + (0 if self.buffer is None else self.buffer.data.nbytes)
+
+    def free_memory(self) -> None:
+        """End the run and give its buffers back."""
+        with self.chassis.changed:
+            self.end()
+            self.acquisition = self.generation = self.buffer = None
+
+    @property
     def failure(self) -> DaqError | None:
         """Why the run ended early."""
         return None if self.run is None else self.run.error

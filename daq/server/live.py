@@ -7,6 +7,9 @@ import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from daq.instrument.chassis import Chassis
 from daq.recording.recorder import Recorder
 from daq.scope.screen import Screen
@@ -30,26 +33,28 @@ class LiveView:
     """
 
     def __init__(self, chassis: Chassis, stream: rr.RecordingStream) -> None:
-        self._stream, self._source, self._screen = stream, None, None
-        self._blocks: queue.Queue[tuple[Any, Any]] = queue.Queue(_WAITING)
+        source = chassis.source
+        self._chassis = chassis
+        self._screen = Screen(stream, source.scene, source.channels, source.sample_rate)
+        self._blocks: queue.Queue[tuple[Any, NDArray[np.float64]] | None] = queue.Queue(_WAITING)
+        self._thread = threading.Thread(target=self._show, name="view", daemon=True)
+        self._thread.start()
         chassis.listeners.append(self._hear)
-        threading.Thread(target=self._show, name="view", daemon=True).start()
 
     def _hear(self, source: Any, block: Any) -> None:
         if not self._blocks.full():
-            self._blocks.put_nowait((source, block))
+            self._blocks.put_nowait((block, source.physical(block.samples)))
 
     def _show(self) -> None:
-        screen: Screen | None = None
-        shown: Any = None
-        while True:
-            source, block = self._blocks.get()
-            if source is not shown or screen is None:
-                shown, screen = (
-                    source,
-                    Screen(self._stream, source.scene, source.channels, source.sample_rate),
-                )
-            screen.show(block, source.physical(block.samples))
+        while (told := self._blocks.get()) is not None:
+            self._screen.show(*told)
+
+    def close(self) -> None:
+        """Show what has come, and end."""
+        with self._chassis.changed:
+            self._chassis.listeners.remove(self._hear)
+        self._blocks.put(None)
+        self._thread.join()
 
 
 class LiveRecording:

@@ -187,5 +187,5 @@ def _viewing(chassis: Chassis) -> Any:
         outputs.recording_stream() as stream,
     ):
         stream.connect_grpc(running.url)
-        LiveView(chassis, stream)
-        yield
+        with contextlib.closing(LiveView(chassis, stream)):
+            yield

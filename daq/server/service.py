@@ -44,6 +44,8 @@ class Limits:
         Bytes of a message.
     tasks : int
         Open tasks of one client.
+    memory : int
+        Bytes that the buffers of one client's tasks take in all.
     calls : int
         Calls that are answered at the same time, event streams included.
     patience : float
@@ -52,6 +54,7 @@ class Limits:
 
     message: int = 256 << 20
     tasks: int = 64
+    memory: int = 2 << 30
     calls: int = 256
     patience: float = 30.0
 
@@ -164,16 +167,19 @@ class Server:
     def _unary(self, method: Method) -> Callable[[Any, grpc.ServicerContext], Any]:
         act = answer_to(method.name)
 
-        def answer(request: Any, context: grpc.ServicerContext) -> Any:
+        def respond(request: Any, context: grpc.ServicerContext) -> Any:
             with self._telling(method.name, request, context) as call:
                 if act is None:
                     raise DaqError(
                         f"{method.name} is not among what the rig's instrument can do",
                         Code.ATTRIBUTE_NOT_SUPPORTED_IN_TASK_CONTEXT,
                     )
-                return encode(method.response(), act(call))
+                answer = act(call)
+                if method.name.startswith(("Read", "Write", "Start")):
+                    self.sessions.check_memory(call.fields["task"], self.limits.memory)
+                return encode(method.response(), answer)
 
-        return answer
+        return respond
 
     @contextlib.contextmanager
     def _telling(self, name: str, request: Any, context: grpc.ServicerContext) -> Iterator[Call]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from urllib.parse import unquote
 
 from daq.instrument.chassis import Chassis
-from daq.instrument.errors import Code, DaqError
+from daq.instrument.errors import Code, DaqError, bad
 from daq.instrument.settings.storage import Storage
 from daq.instrument.task import Task
 from rig.errors import ShotrigError
@@ -95,6 +95,20 @@ class Sessions:
             session = name or f"session_{next(self._numbers)}"
             self._open[session] = Session(task, peer, {peer})
             return session, True
+
+    def check_memory(self, name: str, most: int) -> None:
+        """Make sure that the buffers of a client do not take more than so many bytes; else the last one has to go."""
+        with self._lock:
+            session = self._open.get(name)
+            if session is None:
+                return
+            held = sum(each.task.memory for each in self._open.values() if each.owner == session.owner)
+        if held > most:
+            session.task.free_memory()
+            raise bad(
+                f"the buffers of this client's tasks would take {held >> 20} MB; it may have {most >> 20} MB: "
+                "take smaller buffers, or close tasks"
+            )
 
     def check_free(self, name: str) -> None:
         """Make sure that no task has a name; with -200089."""

@@ -74,6 +74,11 @@ class RingBuffer:
         return self._data.shape[1]
 
     @property
+    def bytes(self) -> int:
+        """Memory that it takes."""
+        return self._data.nbytes
+
+    @property
     def oldest(self) -> int:
         """Number of the oldest sample still there."""
         return max(0, self.written - self.size)

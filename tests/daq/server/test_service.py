@@ -201,6 +201,22 @@ def test_given_more_than_a_client_may_have_when_asked_for_then_it_alone_is_refus
             task.close()
 
 
+def test_given_buffers_larger_than_a_client_may_have_when_they_are_filled_then_it_alone_is_refused():
+    with daq.connect("bare-structure", clock="fast", limits=Limits(memory=1 << 20)) as rig:
+        greedy, modest = client(rig), client(rig)
+        with nidaqmx.Task(grpc_options=greedy) as task, inputs(modest, samps_per_chan=100) as other:
+            task.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
+            task.timing.cfg_samp_clk_timing(51200.0)
+            for _ in range(2):
+                task.write(np.zeros(60_000), auto_start=False)
+            with pytest.raises(DaqError, match="take smaller"):
+                task.write(np.zeros(60_000), auto_start=False)
+            assert len(other.read(100)) == 100
+            assert task.write(np.zeros(1000), auto_start=False) == 1000
+        with inputs(greedy, samps_per_chan=1_000_000) as task, pytest.raises(DaqError, match="take smaller"):
+            task.start()
+
+
 def test_given_nonsense_when_it_is_sent_then_the_caller_alone_hears_of_it(shared):
     channel = open_channel(shared.address)
     for method in ("ReadAnalogF64", "CreateAIVoltageChan", "WriteRaw", "GetChanAttributeInt32"):

@@ -1,0 +1,91 @@
+"""A served rig: seen live in the viewer, and open to those alone who have certificates."""
+
+import contextlib
+import subprocess
+
+import grpc
+import nidaqmx
+import numpy as np
+import pytest
+from nidaqmx.system import System
+from rerun.chunk import RrdReader
+
+import daq
+from daq.instrument.connecting import connect_scene
+from daq.replay.outputs import recording_stream
+from daq.server.live import LiveView
+from daq.server.serve import Certificates
+from daq.server.service import Server
+
+
+def test_given_a_viewer_when_a_client_reads_then_it_shows_what_the_channels_see(tmp_path):
+    with (
+        daq.connect("fig8-three-dampers", clock="fast") as rig,
+        recording_stream() as stream,
+        nidaqmx.Task(grpc_options=rig) as task,
+    ):
+        stream.save(tmp_path / "live.rrd")
+        with contextlib.closing(LiveView(rig.chassis, stream)):
+            task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:3", min_val=-5, max_val=5)
+            task.timing.cfg_samp_clk_timing(5120.0, samps_per_chan=1000)
+            read = task.read(1000)
+        stream.flush()
+        infos, rate = rig.sensors, rig.chassis.source.sample_rate
+    assert rate == 5120.0
+    shown = {info.name: [] for info in infos}
+    moving = 0
+    for chunk in RrdReader(tmp_path / "live.rrd").stream():
+        place, name = chunk.entity_path.rpartition("/")[::2]
+        if place.startswith("/channels/") and not chunk.is_static:
+            shown[name].append(chunk.to_record_batch().column("Scalars:scalars").flatten().to_numpy())
+        moving += chunk.entity_path == "/rig/body_2" and not chunk.is_static
+    assert moving
+    for info, volts in zip(infos, read, strict=True):
+        seen = np.concatenate(shown[info.name])
+        assert seen.size == 1000
+        # The viewer's unit is another one, by a power of ten.
+        scale = np.ptp(seen) / np.ptp(np.array(volts) / info.sensitivity)
+        np.testing.assert_allclose(
+            np.sort(seen), scale * np.sort(volts) / info.sensitivity, rtol=1e-9, atol=1e-12
+        )
+
+
+@pytest.fixture
+def certificate(tmp_path):
+    """Make pairs of certificate and key, each signed by itself."""
+
+    def make(name):
+        key, path = tmp_path / f"{name}.key", tmp_path / f"{name}.pem"
+        command = "openssl req -x509 -newkey rsa:2048 -nodes -days 2 -subj /CN=localhost"
+        subprocess.run(
+            [*command.split(), "-addext", "subjectAltName=DNS:localhost", "-keyout", key, "-out", path],
+            check=True,
+            capture_output=True,
+        )
+        return path, key
+
+    return make
+
+
+@pytest.mark.thorough
+def test_given_certificates_when_served_then_only_clients_that_have_one_of_them_get_in(certificate):
+    server, friend, stranger = (certificate(name) for name in ("server", "friend", "stranger"))
+    chassis = connect_scene("bare-structure", "fast")
+    credentials = Certificates(*server, clients=friend[0]).credentials()
+
+    def devices(*pair, root=server[0]):
+        with contextlib.ExitStack() as stack:
+            given = [each.read_bytes() for each in reversed(pair)] or [None, None]
+            secure = grpc.ssl_channel_credentials(root.read_bytes(), *given)
+            channel = stack.enter_context(grpc.secure_channel(f"localhost:{running.port}", secure))
+            return System.remote(nidaqmx.GrpcSessionOptions(channel, "")).devices.device_names
+
+    running = Server(chassis, "localhost:0", credentials)
+    with contextlib.closing(running):
+        assert "cDAQ1Mod1" in devices(*friend)
+        for refused in ((), stranger):
+            with pytest.raises(Exception, match=r"(?i)unavailable|handshake|connect"):
+                devices(*refused)
+        with pytest.raises(Exception, match=r"(?i)unavailable|certificate|connect"):
+            devices(*friend, root=stranger[0])
+        assert "cDAQ1Mod1" in devices(*friend)

@@ -60,7 +60,7 @@ def presets(
     if name is not None:
         print("\n".join(described(name)))
     else:
-        _list([(sheet.name, sheet.summary) for sheet in data_sheets().values()])
+        _list([(sheet.name, f"{sheet.summary} {sheet.doubts}".strip()) for sheet in data_sheets().values()])
 
 
 def _list(rows: Sequence[tuple[str, str]]) -> None:

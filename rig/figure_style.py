@@ -42,7 +42,9 @@ _STYLE: Any = {
     "grid.linewidth": 0.6,
     "lines.linewidth": 1.3,
     "lines.markersize": 2.6,
-    "legend.frameon": False,
+    # No curve crosses a legend, and none is hidden by it.
+    "legend.framealpha": 0.85,
+    "legend.edgecolor": "none",
     "legend.fontsize": 8.5,
     "xtick.labelsize": 8.5,
     "ytick.labelsize": 8.5,

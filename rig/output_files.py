@@ -125,8 +125,8 @@ def put_in_place(part: Path, file: Path, overwrite: bool) -> None:
     OSError
         If the disk fails.
     """
-    with part.open("rb") as written:
-        # The new bytes must be on the disk before the old ones have no name any more.
+    # The new bytes must be on the disk before the old ones have no name any more; Windows syncs what is open to write.
+    with part.open("r+b") as written:
         os.fsync(written.fileno())
     if overwrite:
         with suppress(FileNotFoundError):

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Curves with more points than this are drawn without a dot at each.
-DOTS = 400
+DOTS = 120
 # Points over which the roughness of a curve is judged.
 _AROUND = 25
 # Where less of the response than this repeats with the reference, it is not drawn like a measurement.

@@ -50,7 +50,7 @@ def modes_figure(frfs: Sequence[Frf], modes: Modes, title: str) -> Figure:
         fit.set_ylabel("|compliance| / (µm/N)")
         heading(fit, title)
         fit.legend(
-            loc="best", title=f"{'dots' if few else 'broad'} measured, thin lines model", title_fontsize=8
+            loc="best", title=f"{'dots' if few else 'broad'}: measured, thin: model", title_fontsize=8.5
         )
         kinds = ((False, "x", "#bbbbbb", "new pole"), (True, "o", "#009E73", "stable"))
         for stable, mark, shade, text in kinds:

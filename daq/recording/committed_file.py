@@ -107,7 +107,8 @@ class Disk:
         self.commit()
         if self.at == self._final:
             return
-        self._file.close()
+        # Windows replaces no file that is open: whoever locks the old one from here on replaces the new one in turn.
+        self.close()
         try:
             put_in_place(self.at, self._final, overwrite=True)
         except OSError as error:

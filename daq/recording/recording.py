@@ -164,8 +164,13 @@ class Recording(Result):
 
     def summary(self) -> str:
         """Say what it is a recording of."""
+        try:
+            status = self.status
+        except RecordingError:
+            # Somebody looks at it in a debugger or a notebook, where nothing may be raised.
+            status = "closed, or its metadata are damaged"
         names = ", ".join(self.channels)
-        return f"{self.path}: {self.samples / self.rate:.4g} s of {names} at {self.rate:g} Hz, {self.status}"
+        return f"{self.path}: {self.samples / self.rate:.4g} s of {names} at {self.rate:g} Hz, {status}"
 
     def _repr_html_(self) -> str:
         """Show what `daq info` says."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import signal
+import sys
 from collections.abc import Callable
 
 import grpc
@@ -46,7 +47,11 @@ class TimeLimit:
     def _interrupt(self) -> None:
         if not self.reached and self.process is not None:
             self.reached = True
-            os.kill(self.process, signal.SIGINT)
+            if sys.platform == "win32":
+                # There a signal to one process ends it; Ctrl-C goes to all on the console, and we are deaf to it.
+                os.kill(0, signal.CTRL_C_EVENT)
+            else:
+                os.kill(self.process, signal.SIGINT)
 
 
 class BenchTime(grpc.GenericRpcHandler):

@@ -17,6 +17,8 @@ from daq.server.service import Server
 from rig.errors import SceneError
 from rig.scene.scene import Scene
 
+#: How a process ends of Ctrl-C on Windows.
+CTRL_C_EXIT = 0xC000013A
 STARTUP = Path(__file__).resolve().parent / "startup"
 
 
@@ -82,7 +84,7 @@ def _run(command: list[str], port: int, real: bool, limit: TimeLimit) -> int:
     finally:
         if before is not None:
             signal.signal(signal.SIGINT, before)
-    if code == -signal.SIGINT:
+    if code in (-signal.SIGINT, CTRL_C_EXIT):
         return 0 if limit.reached else 130
     return code if code >= 0 else 128 - code
 

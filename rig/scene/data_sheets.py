@@ -18,7 +18,7 @@ from rig.scene.settings import Mistake
 Preset = Annotated[str, Field(min_length=1, max_length=80)]
 
 #: Settings that take a preset, by the key under which a data sheet has them.
-KINDS = ("accelerometer", "hammer", "converter", "output")
+KINDS = ("accelerometer", "hammer", "converter", "output", "shaker")
 
 
 @dataclass(frozen=True)
@@ -38,13 +38,18 @@ class DataSheet:
     facts: dict[str, Any]
     """Everything else: `module`, `inputs`, `outputs` (see `rig.scene.modules`), `teds` (see `rig.scene.teds`)."""
 
+    @property
+    def doubts(self) -> str:
+        """Which figures have no source, in a sentence; empty if all have."""
+        return f"No source at hand for {', '.join(self.unchecked)}." if self.unchecked else ""
+
 
 @cache
 def data_sheets() -> dict[str, DataSheet]:
     """List the data sheets there are, by name.
 
-    >>> list(data_sheets())
-    ['NI 9234', 'NI 9250', 'NI 9260', 'NI 9263', 'PCB 086C03', 'PCB 352C33', 'USB-4431']
+    >>> list(data_sheets())  # doctest: +ELLIPSIS
+    ['BK 8206', 'LDS V203', 'NI 9234', ..., 'PCB 356B18', 'USB-4431']
     """
     found = {}
     folder = files("rig.scene").joinpath("data", "presets")
@@ -104,7 +109,8 @@ def described(name: str) -> list[str]:
     """
     sheet = data_sheet(name)
     lines = [f"{sheet.name}: {sheet.summary}"]
-    for kind, figures in sheet.settings.items():
+    for kind, settings in sheet.settings.items():
+        figures = dict(_flat(settings))
         wide = max(map(len, figures))
         lines.append(f"  as {kind}: {{preset: {sheet.name}}}")
         for key, value in figures.items():
@@ -113,9 +119,16 @@ def described(name: str) -> list[str]:
                 f"    {key:{wide}}  {str(value).lower() if isinstance(value, bool) else value}{mark}"
             )
     lines += ["  from", *(f"    {source}" for source in sheet.sources)]
-    if sheet.unchecked:
-        lines.append(f"  no source at hand, check before relying on it: {', '.join(sheet.unchecked)}")
-    return lines
+    return [*lines, f"  {sheet.doubts} Check before relying on it."] if sheet.unchecked else lines
+
+
+def _flat(settings: dict[str, Any]) -> Iterable[tuple[str, Any]]:
+    """Name the settings of parts by their part, such as coil.resistance."""
+    for key, value in settings.items():
+        if isinstance(value, dict):
+            yield from ((f"{key}.{inner}", figure) for inner, figure in value.items())
+        else:
+            yield key, value
 
 
 def _plain(name: str) -> str:

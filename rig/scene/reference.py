@@ -18,9 +18,43 @@ _SCHEMA = Path(__file__).parent / "data" / "scene.schema.json"
 _WIDTH = 100
 _INTRODUCTION = (
     "Quantities carry units (0.98 mm, 6.6 kN/m, 5 %); a bare number is SI, a frequency Hz. What is left out and has no "
-    "default is not modelled: it adds no state, runs no code and costs nothing. What the effects of a scene cost: "
-    "rig explain SCENE --measure."
+    "default is not modelled: it adds no state, runs no code and costs nothing. What a key turns on has the name that "
+    "rig explain gives it; states are what it adds to the computation, whose time rig explain SCENE --measure tells."
 )
+#: What a key turns on, as `rig explain` calls it, and the states it adds (None: more than a few, see there).
+EFFECTS: dict[str, tuple[str, int | None]] = {
+    "structure.masses": ("structure", 2),
+    "dampers.body": ("particle dampers", 2),
+    "dampers.clearance": ("ceilings", 0),
+    "dampers.restitution": ("restitution", 0),
+    "dampers.contact": ("contact that lasts", 0),
+    "dampers.locked": ("locked dampers", 0),
+    "shaker.spring": ("coil spring and table", 2),
+    "shaker.coil": ("coil current", 1),
+    "shaker.amplifier.limit": ("amplifier clipping", 0),
+    "channels.accelerometer.sensitivity_tolerance": ("sensitivity deviation", 0),
+    "channels.accelerometer.resonance": ("resonance", 2),
+    "channels.accelerometer.low_cutoff": ("low cut-off", 1),
+    "channels.accelerometer.noise": ("noise", 0),
+    "channels.accelerometer.noise_corner": ("1/f noise", 0),
+    "channels.accelerometer.bias": ("offset", 0),
+    "channels.accelerometer.bias_settling": ("offset settling", 1),
+    "channels.accelerometer.transverse": ("sensitivity deviation", 0),
+    "channels.accelerometer.saturation": ("saturation", 0),
+    "channels.accelerometer.overload_recovery": ("overload recovery", 1),
+    "channels.accelerometer.temperature_drift": ("sensitivity deviation", 0),
+    "channels.integrator": ("integration", 1),
+    "channels.integrator.low_cutoff": ("amplifier low cut-off", 1),
+    "channels.integrator.saturation": ("saturation", 0),
+    "converter.bits": ("quantisation", 0),
+    "converter.range": ("clipping", 0),
+    "converter.noise": ("converter noise", 0),
+    "converter.coupling": ("AC coupling", 1),
+    "converter.jitter": ("jitter", 0),
+    "converter.filter": ("decimation filter", None),
+    "recording.display": ("display", 0),
+    "recording.truth": ("truth", 0),
+}
 
 
 @dataclass(frozen=True)
@@ -42,6 +76,15 @@ class Key:
     about: str
     takes: str
     without: str
+
+    @property
+    def turns_on(self) -> str:
+        """What it turns on, and the states that adds; empty for most keys."""
+        if _plain(self.name) not in EFFECTS:
+            return ""
+        effect, states = EFFECTS[_plain(self.name)]
+        count = "many states" if states is None else f"{states or 'no'} state{'s' * (states > 1)}"
+        return f"{effect}, {count}"
 
 
 @cache
@@ -169,6 +212,8 @@ def _told(key: Key, plain: str) -> Iterator[str]:
     yield _wrapped(key.about, "  ")
     yield _wrapped(f"takes: {key.takes}", "  ")
     yield f"  left out: {key.without}"
+    if key.turns_on:
+        yield f"  turns on: {key.turns_on}"
     inside = [each for each in keys() if re.fullmatch(rf"{re.escape(plain)}\.\w+", _plain(each.name))]
     if inside:
         yield "  keys:"
@@ -200,9 +245,10 @@ def page() -> str:
             lines += ["", f"## {key.name}", "", key.about, "", f"Takes {key.takes}. Left out: {key.without}."]
             inside = [each for each in keys() if _plain(each.name).startswith(f"{_plain(key.name)}.")]
             if inside:
-                lines += ["", "| key | what it is | takes | left out |", "|---|---|---|---|"]
+                lines += ["", "| key | what it is | takes | left out | turns on |", "|---|---|---|---|---|"]
             lines += [
-                f"| `{each.name.partition('.')[2]}`{_of(each)} | {each.about} | {each.takes} | {each.without} |"
+                f"| `{each.name.partition('.')[2]}`{_of(each)} | {each.about} | {each.takes} | {each.without} | "
+                f"{each.turns_on} |"
                 for each in inside
             ]
     return "\n".join(lines) + "\n"

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler, model_validator
 from pydantic_core import CoreSchema, core_schema
 
-from rig.scene.data_sheets import Preset, unknown_preset
+from rig.scene.data_sheets import Preset, data_sheet, unknown_preset
 from rig.scene.quantities import (
     CURRENT,
     DASHPOT,
@@ -170,6 +170,8 @@ class ElectrodynamicShaker(Settings):
     """A moving-coil shaker that pulls body `body` through the coil spring and feels what it pulls."""
 
     kind: Literal["electrodynamic"] = "electrodynamic"
+    preset: Preset | None = None
+    """A shaker, by its name, whose datasheet fills in what is not given here of coil and armature."""
     body: Body
     """The body it pulls, by its number from 1."""
     spring: CoilSpring
@@ -179,6 +181,24 @@ class ElectrodynamicShaker(Settings):
     amplifier: Amplifier = Amplifier()
     output: Output = Output()
     """What gives it its drive: the voltage of a module's output."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _filled_in(cls, given: Any) -> Any:
+        """Put what the data sheet says below what is given."""
+        preset = given.get("preset") if isinstance(given, Mapping) else None
+        if not isinstance(preset, str) or any(unknown_preset(preset, "shaker")):
+            return given
+        parts = {
+            part: {**figures, **given.get(part, {})}
+            for part, figures in data_sheet(preset, "shaker").settings["shaker"].items()
+            if isinstance(given.get(part, {}), Mapping)
+        }
+        return {**given, **parts}
+
+    def relations(self) -> Iterable[Mistake]:
+        """Check that the part is known."""
+        return unknown_preset(self.preset, "shaker")
 
     @property
     def bodies(self) -> tuple[int, ...]:

@@ -58,7 +58,7 @@ def _steady_title(steady: SteadyStudy) -> str:
     kinds = steady.motion_type.split("/")
     word = "type " if set(kinds) <= {"I", "II", "III"} else ""
     motion = f": {word}{steady.motion_type}" if steady.motion_type else ""
-    return f"steady state at {steady.frequency:.4g} Hz{motion}"
+    return f"Steady state at {steady.frequency:.4g} Hz{motion}"
 
 
 def _line(point: Point, milliseconds: float, events: str) -> str:
@@ -101,7 +101,7 @@ def _write_csv(study: Study, steady: SteadyStudy, path: Path) -> None:
 
 def _draw(study: Study, steady: SteadyStudy) -> Figure:
     count = 1 + bool(steady.points)
-    with drawing(4.8, 10.0 if steady.points else 6.8) as figure:
+    with drawing(5.2, 10.0 if steady.points else 6.8) as figure:
         panels = figure.subplots(1, count, squeeze=False, width_ratios=(1.5, 1.0)[:count])[0]
         _panel(panels[0], study.points, "CPU time for a period of the drive / s")
         panels[0].set_ylabel("error of the displacement, relative")
@@ -111,7 +111,7 @@ def _draw(study: Study, steady: SteadyStudy) -> Figure:
         if steady.points:
             _panel(panels[1], steady.points, "CPU time in all / s")
             panels[1].set_ylabel("error of the compliance, relative")
-            panels[1].set_title(_steady_title(steady).capitalize())
+            panels[1].set_title(_steady_title(steady))
         figure.suptitle(drawn(study.scene.name))
         return figure
 
@@ -143,10 +143,10 @@ def _panel(axes: Axes, points: tuple[Point, ...], label: str) -> None:
                 )  # fmt: skip
         axes.plot([], [], marker + "-", color=colour, ms=7, lw=1.0, label=method)
     if any(not p.right and np.isfinite(p.error) and p.method != "linear" for p in points):
-        axes.plot([], [], "o", color="#555555", mfc="white", mew=1.3, label="wrong events")
+        axes.plot([], [], "o", color="#555555", mfc="white", mew=1.3, ms=6, label="wrong events")
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlabel(label)
     axes.margins(y=0.1)
     if methods:
-        axes.legend(loc="best")
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3)

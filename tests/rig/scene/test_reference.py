@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+import rig
 from rig.errors import SceneError
 from rig.scene.loading import bundled, text_of
-from rig.scene.reference import help_on, keys, page
+from rig.scene.reference import EFFECTS, help_on, keys, page
 from rig.scene.yaml_reader import read
 
 
@@ -53,3 +54,82 @@ def test_given_a_key_or_its_end_when_asked_then_it_is_explained(key, said) -> No
 def test_given_a_misspelt_key_when_asked_then_the_nearest_is_named() -> None:
     with pytest.raises(SceneError, match="did you mean clearance"):
         help_on("clearence")
+
+
+SENSOR, INPUT = "channels[1].accelerometer", "channels[1].integrator"
+PLAIN = {
+    "structure": {"masses": ["1 kg", "1 kg"], "springs": ["20 kN/m", "20 kN/m"]},
+    "dampers": [{"body": 2, "mass": "10 g", "clearance": ".inf"}],
+    "shaker": {"kind": "electrodynamic", "body": 1, "spring": "6 kN/m", "amplifier": {"mode": "current"}},
+    "test": {"kind": "sine", "frequency": "10 Hz", "drive": "1 V"},
+    "channels": [{"name": "a", "at": "body 1", "accelerometer": {"sensitivity": "100 mV/g"}}],
+    "converter": {"rate": "5120 Hz"},
+    "recording": {"display": False},
+}
+# What turns each effect on, and where it needs company, that.
+ON: dict[str, tuple[dict[str, object], dict[str, object]]] = {
+    "structure.masses": ({}, {"structure": {"masses": ["1 kg"] * 3, "springs": ["20 kN/m"] * 3}}),
+    "dampers.body": ({"dampers": None}, {}),
+    "dampers.clearance": ({}, {"dampers[1].clearance": "1 mm"}),
+    "dampers.restitution": ({}, {"dampers[1].restitution": 0.3}),
+    "dampers.contact": ({}, {"dampers[1].contact": {"duration": "2 ms"}}),
+    "dampers.locked": ({"dampers": None}, {"dampers[1].locked": True}),
+    "shaker.spring": (
+        {
+            "shaker": {"kind": "force", "body": 1},
+            "test": {"kind": "sine", "frequency": "10 Hz", "force": "1 N"},
+        },
+        {},
+    ),
+    "shaker.coil": ({}, {"shaker.amplifier.mode": "voltage"}),
+    "shaker.amplifier.limit": ({}, {"shaker.amplifier.limit": "2 A"}),
+    f"{SENSOR}.sensitivity_tolerance": ({}, {f"{SENSOR}.sensitivity_tolerance": "5 %"}),
+    f"{SENSOR}.resonance": ({}, {f"{SENSOR}.resonance": "30 kHz"}),
+    f"{SENSOR}.low_cutoff": ({}, {f"{SENSOR}.low_cutoff": "1 Hz"}),
+    f"{SENSOR}.noise": ({}, {f"{SENSOR}.noise": "1 ug/sqrt(Hz)"}),
+    f"{SENSOR}.noise_corner": ({}, {f"{SENSOR}.noise": "1 ug/sqrt(Hz)", f"{SENSOR}.noise_corner": "10 Hz"}),
+    f"{SENSOR}.bias": ({}, {f"{SENSOR}.bias": "1 V"}),
+    f"{SENSOR}.bias_settling": ({}, {f"{SENSOR}.bias": "1 V", f"{SENSOR}.bias_settling": "1 s"}),
+    f"{SENSOR}.transverse": ({}, {f"{SENSOR}.transverse": "5 %"}),
+    f"{SENSOR}.saturation": ({}, {f"{SENSOR}.saturation": "50 g"}),
+    f"{SENSOR}.overload_recovery": (
+        {},
+        {f"{SENSOR}.saturation": "50 g", f"{SENSOR}.overload_recovery": "1 ms"},
+    ),
+    f"{SENSOR}.temperature_drift": (
+        {},
+        {f"{SENSOR}.temperature_drift": "1 %/K", f"{SENSOR}.temperature_change": "10 K"},
+    ),
+    INPUT: ({}, {INPUT: {"order": 1}}),
+    f"{INPUT}.low_cutoff": ({INPUT: {"order": 1}}, {INPUT: {"order": 1, "low_cutoff": "1 Hz"}}),
+    f"{INPUT}.saturation": ({INPUT: {"order": 1}}, {INPUT: {"order": 1, "saturation": "5 V"}}),
+    "converter.bits": ({}, {"converter": {"bits": 24, "range": "5 V"}}),
+    "converter.range": ({}, {"converter.range": "5 V"}),
+    "converter.noise": ({}, {"converter.noise": "1 uV/sqrt(Hz)"}),
+    "converter.coupling": ({}, {"converter.coupling": "AC"}),
+    "converter.jitter": ({}, {"converter.jitter": "1 ns"}),
+    "converter.filter": ({}, {"converter.filter": "delta_sigma"}),
+    "recording.display": ({}, {"recording.display": True}),
+    "recording.truth": ({}, {"recording.truth": True}),
+}
+
+
+def test_given_every_key_that_turns_something_on_when_it_does_then_explain_shows_that_effect_and_its_states() -> (
+    None
+):
+    assert {key.replace("[1]", "") for key in ON} == set(EFFECTS)
+    for key, (without, with_it) in ON.items():
+        effect, states = EFFECTS[key.replace("[1]", "")]
+        before, after = (
+            {(each.part, each.name): each.states for each in rig.explain(rig.load("fig9", changes)).effects}
+            for changes in ({**PLAIN, **without}, {**PLAIN, **with_it})
+        )
+        new = {name for place, name in after if after[place, name] != before.get((place, name))}
+        added = sum(
+            sign * count
+            for sign, all_ in ((1, after), (-1, before))
+            for (_, name), count in all_.items()
+            if name == effect
+        )
+        assert effect in new and (states is None or added == states), (key, new, added)
+        assert f"turns on: {effect}" in help_on(key)

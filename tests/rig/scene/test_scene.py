@@ -287,3 +287,13 @@ def test_given_a_scene_in_si_when_loaded_in_a_fresh_process_then_no_unit_is_look
     code = f"import sys, rig; rig.loads({text!r}); print('pint' in sys.modules)"
     seen = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert seen.stdout.strip() == "False"
+
+
+def test_given_a_shaker_by_its_data_sheet_when_loaded_then_what_the_scene_says_goes_before_it() -> None:
+    shaker = {"kind": "electrodynamic", "preset": "lds v203", "body": 1, "spring": "6.6 kN/m"}
+    scene = rig.load("fig9", {"shaker": {**shaker, "coil": {"resistance": "2 ohm"}}})
+    assert (scene.shaker.coil.resistance, scene.shaker.coil.inductance) == (2.0, 764e-6)
+    assert scene.shaker.armature.mass == pytest.approx(178.04e-6 * 175.1268, rel=1e-3)
+    assert rig.loads(scene.to_yaml()) == scene and scene.replace(seed=3).shaker == scene.shaker
+    with pytest.raises(SceneError, match='unknown shaker preset "LDS V9"'):
+        rig.load("fig9", {"shaker": {**shaker, "preset": "LDS V9"}})

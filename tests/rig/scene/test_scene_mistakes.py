@@ -241,8 +241,8 @@ MISTAKES = [
     # parts by name
     (
         STRUCTURE + "channels: [{name: a, at: body 1, accelerometer: {preset: PCB 352C34}}]",
-        ':2: channels[1].accelerometer.preset: unknown accelerometer preset "PCB 352C34"; there is PCB 352C33; did '
-        'you mean "PCB 352C33"?',
+        ':2: channels[1].accelerometer.preset: unknown accelerometer preset "PCB 352C34"; there is '
+        'PCB 352C33, PCB 356A02, PCB 356A16, PCB 356B18; did you mean "PCB 352C33"?',
     ),
     (
         STRUCTURE + "channels: [{name: a, at: body 1, accelerometer: {preset: NI 9234}}]",

@@ -1,0 +1,102 @@
+"""What differs between systems, as far as it can be had here: Windows' rules for open files, narrow consoles."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import io
+import os
+import sys
+from pathlib import Path
+
+import psutil
+import pytest
+
+import analysis
+import daq
+import rig
+from rig import command_line
+from rig.output_files import replacing
+
+SCENE = {
+    "test": {"kind": "free", "mode": 1, "amplitude": "1 mm", "duration": "0.7 s"},
+    "shaker": None,
+    "converter": None,
+    "channels": [{"name": "body3", "at": "body 3"}],
+}
+
+
+@pytest.fixture
+def windows_files(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No file that is open can be renamed, replaced or removed, and what is open to read cannot be synced."""
+
+    def refused(path: Path) -> None:
+        if str(path.resolve()) in {file.path for file in psutil.Process().open_files()}:
+            raise PermissionError(errno.EACCES, "The process cannot access the file", str(path))
+
+    replace, unlink, sync = Path.replace, Path.unlink, os.fsync
+
+    def careful_replace(self: Path, target: Path) -> Path:
+        refused(self)
+        refused(Path(target))
+        return replace(self, target)
+
+    def careful_unlink(self: Path, missing_ok: bool = False) -> None:
+        refused(self)
+        unlink(self, missing_ok)
+
+    def careful_sync(number: int) -> None:
+        if fcntl.fcntl(number, fcntl.F_GETFL) & os.O_ACCMODE == os.O_RDONLY:
+            raise OSError(errno.EBADF, "Bad file descriptor")
+        sync(number)
+
+    monkeypatch.setattr(Path, "replace", careful_replace)
+    monkeypatch.setattr(Path, "rename", careful_replace)
+    monkeypatch.setattr(Path, "unlink", careful_unlink)
+    monkeypatch.setattr(os, "fsync", careful_sync)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there the system itself has these rules")
+def test_given_windows_rules_for_open_files_when_recorded_over_recovered_and_written_then_all_are_there(
+    windows_files: None, tmp_path: Path
+) -> None:
+    scene, path = rig.load("fig10b-no-damper", SCENE), tmp_path / "run.mcap"
+    daq.record(scene, path)
+    first = path.read_bytes()
+    daq.record(scene.replace(seed=2), path, overwrite=True)
+    assert path.read_bytes() != first
+    with daq.open(path) as recording:
+        assert recording.read("body3", 0, 10).size == 10
+    assert "closed" in repr(recording)
+    with replacing(tmp_path / "table.csv") as part:
+        part.write_text("1", encoding="utf-8")
+    with replacing(tmp_path / "table.csv") as part:
+        part.write_text("2", encoding="utf-8")
+    assert (tmp_path / "table.csv").read_text(encoding="utf-8") == "2"
+    with daq.open(path) as recording:
+        analysis.decay(recording).plot().figure.savefig(tmp_path / "decay.png")
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["decay.png", "run.mcap", "table.csv"]
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "cp437", "ascii"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        "rig presets",
+        "rig explain fig9",
+        "rig schema --explain",
+        "rig scenes --show fe-beam",
+        "daq info recordings/demo-sweep-no-damper.mcap",
+        "analysis compare recordings/demo-sweep-no-damper.mcap recordings/demo-sweep-three-dampers.mcap -o {folder}",
+    ],
+)
+def test_given_a_console_that_knows_few_characters_when_a_command_speaks_then_it_is_heard(
+    words: str, encoding: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    console = io.TextIOWrapper(io.BytesIO(), encoding=encoding, errors="strict")
+    monkeypatch.setattr(sys, "argv", words.format(folder=tmp_path).split())
+    monkeypatch.setattr(sys, "stdout", console)
+    with pytest.raises(SystemExit) as end:
+        command_line.run(f"{sys.argv[0]}.cli")
+    console.flush()
+    assert (end.value.code, len(console.buffer.getvalue()) > 100) == (0, True)

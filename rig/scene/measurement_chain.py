@@ -247,7 +247,7 @@ class Converter(Settings):
     noise: Annotated[float, Quantity(VOLTAGE_NOISE, at_least=0.0)] | None = None
     """White noise density at the input [V/sqrt(Hz)]."""
     coupling: Literal["AC", "DC"] | None = None
-    """AC: a first-order high pass. None: DC."""
+    """Coupling of the inputs; AC: through a first-order high pass. None: DC."""
     ac_corner: Corner | None = None
     """Corner of that high pass [Hz]; None: 0.5."""
     excitation: Supply | None = None

@@ -121,7 +121,7 @@ def _inside(schema: Any, node: Any, path: str, kinds: tuple[str, ...]) -> Iterat
     kind = own.get("kind", {}).get("const")
     groups = [[one["required"][0] for one in group["oneOf"]] for group in node.get("allOf", ())]
     for name, field in own.items():
-        if "const" in field:
+        if name == "kind":
             continue
         here = kinds if kind is None else (kind,)
         about, _, takes = field.get("description", "").partition(" Give ")
@@ -162,6 +162,8 @@ def _takes(schema: Any, node: Any) -> str:
         return " or ".join(dict.fromkeys(_takes(schema, choice) for choice in choices))
     if "properties" in node:
         return f"keys {', '.join(node['properties'])}"
+    if "const" in node:
+        return str(node["const"])
     if "enum" in node:
         return f"one of {', '.join(node['enum'])}"
     if node["type"] == "array":

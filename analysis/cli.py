@@ -191,7 +191,8 @@ def demo(
 def export(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="The recording.")],
     output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="OUT", help="File to write: .uff, .csv, .npz or .wav.")
+        Path,
+        typer.Option("-o", "--output", metavar="OUT", help="File to write: .uff, .mat, .csv, .npz or .wav."),
     ],
     channel: Annotated[
         list[str] | None, typer.Option(help="Channel; may be repeated; default all of them.")
@@ -200,15 +201,32 @@ def export(
     stop: Annotated[float | None, typer.Option("--to", metavar="S", help="End at this time.")] = None,
     speed: Annotated[float, typer.Option(metavar="X", help="Play sound this much faster.")] = 1.0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT if it exists.")] = False,
+    what: Annotated[
+        str, typer.Option(help="samples; or frfs or modes, into .uff (58, 55) or .mat.")
+    ] = "samples",
 ) -> None:
-    """Write a recording for other tools: UFF 58, CSV, NPZ, or WAV to listen to."""
+    """Write a recording for other tools: UFF, MATLAB, CSV, NPZ, or WAV to listen to."""
+    from analysis.export.export import expected_bytes
     from analysis.export.export import export as export_stretch
+    from analysis.export.results import export_results
     from analysis.recordings.slices import Slice
     from daq.recording.recording import open as open_recording
 
+    if what != "samples":
+        if channel or start is not None or stop is not None:
+            raise typer.BadParameter("--channel, --from and --to choose samples; they do not go with --what")
+        with counting("analysing") as progress:
+            lines = export_results(file, output, what, overwrite, progress)
+        print(*lines, sep="\n")
+        return
     with open_recording(file) as recording:
-        for line in export_stretch(Slice.of(recording, channel, start, stop), output, speed, overwrite):
-            print(line)
+        stretch = Slice.of(recording, channel, start, stop)
+        size = expected_bytes(stretch, output.suffix.lower())
+        print(f"writing {output}: about {size / 1e6:.3g} MB", file=sys.stderr)
+        with counting("exporting") as progress:
+            lines = export_stretch(stretch, output, speed, overwrite, progress)
+    for line in lines:
+        print(line)
     print(f"wrote {output}")
 
 

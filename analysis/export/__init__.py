@@ -1,4 +1,4 @@
-"""Recordings and responses in other programs' formats: UFF, WAV, CSV, NPZ, SEP-005.
+"""Recordings, responses and modes in other programs' formats: UFF, MATLAB, WAV, CSV, NPZ, SEP-005.
 
 Start with `export`.
 """

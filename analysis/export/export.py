@@ -1,4 +1,4 @@
-"""Recordings for other tools: CSV, NPZ, UFF 58 and WAV files, and SEP-005 dictionaries."""
+"""Recordings for other tools: CSV, NPZ, MATLAB, UFF 58 and WAV files, and SEP-005 dictionaries."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ import csv
 import re
 import zipfile
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.export.mat import write_mat
 from analysis.export.uff import write_uff
 from analysis.export.wav import write_wav
 from analysis.recordings.slices import Slice
@@ -108,23 +110,48 @@ def _member(name: str) -> zipfile.ZipInfo:
 WRITERS: dict[str, Callable[[Slice, Path], Any]] = {
     ".csv": write_csv,
     ".npz": write_npz,
+    ".mat": write_mat,
     ".wav": write_wav,
     ".uff": write_uff,
     ".unv": write_uff,
 }
+# Bytes that a sample takes, and a line of text in front of its samples.
+_BYTES = {
+    ".csv": (20.0, 20.0),
+    ".npz": (8.0, 0.0),
+    ".mat": (8.0, 0.0),
+    ".wav": (3.0, 0.0),
+    ".uff": (20.25, 0.0),
+}
+# How often all samples are read.
+_PASSES = {".wav": 2}
 
 
-def export(stretch: Slice, path: Path, speed: float = 1.0, overwrite: bool = False) -> list[str]:
+def expected_bytes(stretch: Slice, ending: str) -> float:
+    """Size of the file that a stretch becomes, about."""
+    sample, line = _BYTES.get(ending, _BYTES[".uff"])
+    return (stretch.stop - stretch.start) * (sample * len(stretch.channels) + line)
+
+
+def export(
+    stretch: Slice,
+    path: Path,
+    speed: float = 1.0,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[str]:
     """Write a stretch of a recording in the format that the file's name says.
 
     Parameters
     ----------
     path : Path
-        File to make: ``.csv``, ``.npz``, ``.wav``, ``.uff`` or ``.unv``.
+        File to make: ``.csv``, ``.npz``, ``.mat``, ``.wav``, ``.uff`` or ``.unv``.
     speed : float
         For sound only: how much faster it plays.
     overwrite : bool
         Whether an existing file may be replaced.
+    progress : callable, optional
+        Called with (samples read, samples to read in all).
 
     Returns
     -------
@@ -145,6 +172,8 @@ def export(stretch: Slice, path: Path, speed: float = 1.0, overwrite: bool = Fal
         raise SceneError(f"{path}: expected a name that ends in one of {', '.join(WRITERS)}")
     if speed != 1.0 and kind != ".wav":
         raise SceneError("--speed is for sound (.wav)")
+    if progress is not None:
+        stretch = replace(stretch, told=_counted(stretch, _PASSES.get(kind, 1), progress))
     with replacing(path, overwrite) as part:
         if kind == ".wav":
             full = write_wav(stretch, part, speed)
@@ -156,3 +185,14 @@ def export(stretch: Slice, path: Path, speed: float = 1.0, overwrite: bool = Fal
             WRITERS[kind](stretch, part)
             notes = []
     return notes
+
+
+def _counted(stretch: Slice, passes: int, progress: Callable[[int, int], None]) -> Callable[[int], None]:
+    total, done = passes * len(stretch.channels) * (stretch.stop - stretch.start), 0
+
+    def told(samples: int) -> None:
+        nonlocal done
+        done += samples
+        progress(done, total)
+
+    return told

@@ -1,13 +1,17 @@
-"""Channels as a Universal File Format file, data set 58, which modal analysis programs read."""
+"""Channels, frequency responses and modes as Universal Files, data sets 58 and 55, which modal programs read."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from analysis.modal.modes import Modes
 from analysis.recordings.slices import Slice
-from daq.signal_chain.channel import ChannelInfo
+from analysis.responses.frf import Frf
+from daq.signal_chain.channel import UNITS
 from rig.errors import RunError, SceneError
 
 # A data set 58 in text takes 20 bytes a sample, and its writer holds a channel in memory as text.
@@ -31,10 +35,6 @@ def write_uff(stretch: Slice, path: Path) -> None:
     RunError
         If pyuff is not installed.
     """
-    try:
-        import pyuff
-    except ImportError:
-        raise RunError("UFF files need the package pyuff: pip install 'shotrig[export]'") from None
     stretch.need_all("UFF 58")
     count = stretch.stop - stretch.start
     if not 2 <= count <= MOST_TEXT_SAMPLES:
@@ -43,16 +43,16 @@ def write_uff(stretch: Slice, path: Path) -> None:
             f"these are {count}: export a stretch (--from, --to), or .npz"
         )
     recording = stretch.recording
-    file = pyuff.UFF(str(path))
+    file = _file(path)
     for number, info in enumerate(stretch.infos, start=1):
-        data = recording.read(info.name, stretch.start, stretch.stop)
+        data = stretch.whole(info.name)
         file.write_sets(
             {
                 "type": 58, "binary": 0, "func_type": 1, "func_id": number,
                 "id1": f"{info.name}: {info.quantity} at {info.at}"[:80],
                 "id2": f"from {recording.path.name}"[:80],
                 "id4": f"sample rate {recording.rate!r} Hz"[:80],
-                "rsp_ent_name": "NONE", "rsp_node": _node(info), "rsp_dir": 3,
+                "rsp_ent_name": "NONE", "rsp_node": node(info.at), "rsp_dir": 3,
                 "ref_ent_name": "NONE", "ref_node": 0, "ref_dir": 0,
                 "abscissa_spacing": 1, "abscissa_spec_data_type": 17,
                 "abscissa_axis_lab": "Time", "abscissa_axis_units_lab": "s",
@@ -65,5 +65,85 @@ def write_uff(stretch: Slice, path: Path) -> None:
         )  # fmt: skip
 
 
-def _node(info: ChannelInfo) -> int:
-    return int(info.at.removeprefix("body ")) if info.at.startswith("body ") else 0
+def write_frfs(frfs: Sequence[Frf], path: Path, nodes: Sequence[int], driven: int) -> None:
+    """Write frequency responses to a force in text, with a data set 58 (function type 4) for each.
+
+    Parameters
+    ----------
+    frfs : sequence of Frf
+    nodes : sequence of int
+        Of the responses; their direction is +Z.
+    driven : int
+        Node on which the force acts.
+
+    Raises
+    ------
+    SceneError
+        If they are responses to something else.
+    RunError
+        If pyuff is not installed.
+    """
+    file = _file(path)
+    for number, (frf, node) in enumerate(zip(frfs, nodes, strict=True), start=1):
+        curve = frf.sorted()
+        if curve.reference != "force":
+            raise SceneError(
+                f"{curve.response}: a response to the {curve.reference}; UFF 58 is written of forces"
+            )
+        steps = np.diff(curve.frequency)
+        file.write_sets(
+            {
+                "type": 58, "binary": 0, "func_type": 4, "func_id": number,
+                "id1": f"{curve.response}: {curve.name}"[:80], "id2": curve.label[:80] or "NONE",
+                "rsp_ent_name": "NONE", "rsp_node": node, "rsp_dir": 3,
+                "ref_ent_name": "NONE", "ref_node": driven, "ref_dir": 3,
+                "abscissa_spacing": int(np.ptp(steps) < 1e-6 * steps.mean()) if steps.size else 0,
+                "abscissa_spec_data_type": 18, "abscissa_axis_lab": "Frequency", "abscissa_axis_units_lab": "Hz",
+                "ordinate_spec_data_type": KINDS[curve.motion], "ordinate_axis_lab": curve.motion.capitalize(),
+                "ordinate_axis_units_lab": UNITS[curve.motion],
+                "orddenom_spec_data_type": KINDS["force"], "orddenom_axis_lab": "Force",
+                "orddenom_axis_units_lab": "N", "z_axis_spec_data_type": 0,
+                "data": curve.value, "x": curve.frequency,
+            },
+            mode="add",
+        )  # fmt: skip
+
+
+def write_modes(modes: Modes, path: Path, nodes: Sequence[int]) -> None:
+    """Write modes in text, with a data set 55 (complex eigenvalue) for each: pole in rad/s, shape along +Z.
+
+    Shapes are scaled to largest element one.
+    """
+    file = _file(path)
+    omega = 2 * np.pi * modes.frequency
+    poles = omega * (-modes.damping + 1j * np.sqrt(1.0 - modes.damping**2))
+    for number, (pole, shape) in enumerate(zip(poles, modes.shapes.T, strict=True), start=1):
+        nothing = np.zeros(shape.size, dtype=complex)
+        damping = 100.0 * modes.damping[number - 1]
+        file.write_sets(
+            {
+                "type": 55, "id1": modes.label[:80] or "NONE", "id2": f"nodes {', '.join(modes.responses)}"[:80],
+                "id4": f"mode {number}, {modes.frequency[number - 1]:.6g} Hz, damping ratio {damping:.4g} %",
+                "model_type": 1, "analysis_type": 3, "data_ch": 2, "spec_data_type": 8, "load_case": 1,
+                "mode_n": number, "eig": complex(pole), "modal_a": 0j, "modal_b": 0j,
+                "node_nums": list(nodes), "r1": nothing, "r2": nothing, "r3": shape,
+            },
+            mode="add",
+        )  # fmt: skip
+
+
+def _file(path: Path) -> Any:
+    try:
+        import pyuff
+    except ImportError:
+        raise RunError("UFF files need the package pyuff: pip install 'shotrig[export]'") from None
+    return pyuff.UFF(str(path))
+
+
+def node(place: str) -> int:
+    """Give the node of a place: its body, 0 elsewhere.
+
+    >>> node("body 3"), node("table")
+    (3, 0)
+    """
+    return int(place.removeprefix("body ")) if place.startswith("body ") else 0

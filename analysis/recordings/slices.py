@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,6 +29,8 @@ class Slice:
     start: int
     stop: int
     """First sample, and the one after the last."""
+    told: Callable[[int], None] = field(default=lambda samples: None, compare=False)
+    """Called with how many samples, of how many channels together, have been read since."""
 
     @classmethod
     def of(
@@ -67,6 +69,13 @@ class Slice:
         for first in range(self.start, self.stop, PIECE):
             last = min(first + PIECE, self.stop)
             yield first, np.array([self.recording.read(name, first, last) for name in names])
+            self.told((last - first) * len(names))
+
+    def whole(self, name: str) -> NDArray[np.float64]:
+        """Read all samples of a channel."""
+        samples = self.recording.read(name, self.start, self.stop)
+        self.told(samples.size)
+        return samples
 
     def need_all(self, form: str) -> None:
         """Refuse a stretch with lost samples for a format that has no way to say so."""

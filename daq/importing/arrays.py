@@ -81,7 +81,9 @@ def _signals(path: Path, arrays: Mapping[str, Any]) -> list[Signal]:
     numbers = {
         name: np.asarray(value) for name, value in arrays.items() if np.asarray(value).dtype.kind in "fiu"
     }
-    texts = {name: np.asarray(value) for name, value in arrays.items() if np.asarray(value).dtype.kind == "U"}
+    texts = {
+        name: np.asarray(value) for name, value in arrays.items() if np.asarray(value).dtype.kind in "UO"
+    }
     rows: dict[str, Array] = {}
     clocks: dict[str, tuple[float, float]] = {}
     for name, array in numbers.items():

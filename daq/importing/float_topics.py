@@ -37,7 +37,6 @@ def mcap_signals(path: Path, stack: ExitStack) -> list[Signal]:
 
     The sample rate is what messages say in a field such as ``sample_rate``, or follows from their times.
     """
-    from mcap.exceptions import McapError
     from mcap.reader import make_reader
 
     fields: dict[tuple[str, str], _Field] = {}
@@ -61,7 +60,10 @@ def mcap_signals(path: Path, stack: ExitStack) -> list[Signal]:
                 one.parts.append(values)
                 one.times.append(message.publish_time or message.log_time)
                 one.rate = one.rate or _rate(content)
-    except (McapError, struct.error, ValueError, KeyError, EOFError) as error:
+    except (RecordingError, OSError):
+        raise
+    except Exception as error:
+        # The reader, and what unpacks and decodes for it, meet damage as whatever it happens to lead to.
         raise RecordingError(
             f"{path} is no MCAP file, or it is damaged: {type(error).__name__} {error}"[:300]
         ) from error

@@ -50,6 +50,13 @@ def functions(path: Path) -> list[dict[str, Any]]:
         raise RunError("Universal Files need the package pyuff: pip install 'shotrig[export]'") from None
     found: list[dict[str, Any]] = []
     units = None
+    with path.open("rb") as stream:
+        # The reader passes over a last data set that does not end.
+        stream.seek(max(0, path.stat().st_size - 4096))
+        if not stream.read().rstrip().endswith(b"-1"):
+            raise RecordingError(
+                f"{path} is no Universal File, or it is cut off: it does not end with the mark -1"
+            )
     try:
         file = pyuff.UFF(str(path))
         kinds = [int(kind) for kind in file.get_set_types()]

@@ -1,16 +1,18 @@
 import csv
 import wave
+from pathlib import Path
 
 import numpy as np
 import pytest
 import pyuff
-from scipy.io import wavfile
+from scipy.io import loadmat, wavfile
 from typer.testing import CliRunner
 
 import analysis
 import daq
 from analysis.cli import app
-from analysis.export.export import export
+from analysis.export.export import expected_bytes, export
+from analysis.export.results import export_results
 from analysis.recordings.slices import Slice
 from daq.recording.recorder import Recorder
 from daq.signal_chain.channel import ChannelInfo
@@ -232,3 +234,47 @@ def test_given_the_command_when_run_then_the_file_is_there_and_named(recording, 
     assert result.exit_code == 0
     assert f"wrote {path}" in result.output
     assert len(path.read_text().splitlines()) == 257
+
+
+def test_given_a_recording_when_exported_for_matlab_and_imported_then_it_is_the_same(recording, tmp_path):
+    told = []
+    export(Slice.of(recording), tmp_path / "a.mat", progress=lambda done, total: told.append((done, total)))
+    assert told[-1] == (2 * SAMPLES, 2 * SAMPLES)
+    plain = recording.scene.replace(converter={"rate": RATE}, recording={}, test=None)
+    with pytest.warns(daq.RunWarning, match="no signal for the channels body3, table"):
+        path = daq.import_files(tmp_path / "a.mat", plain, tmp_path / "again.mcap")
+    with daq.open(path) as again:
+        for name in recording.channels:
+            np.testing.assert_allclose(again.read(name), recording.read(name), rtol=1e-14)
+        assert again.rate == RATE
+
+
+@pytest.mark.parametrize("form", ["csv", "npz", "mat", "wav", "uff"])
+def test_given_a_recording_when_exported_then_its_size_was_told_before(form, recording, tmp_path):
+    export(Slice.of(recording), tmp_path / f"a.{form}")
+    told = expected_bytes(Slice.of(recording), f".{form}")
+    assert told == pytest.approx((tmp_path / f"a.{form}").stat().st_size, rel=0.3)
+
+
+def test_given_responses_and_modes_when_exported_then_other_programs_and_we_read_the_same(tmp_path):
+    path = Path(__file__).parents[3] / "recordings" / "demo-sweep-no-damper.mcap"
+    with daq.open(path) as rec:
+        curves = analysis.frfs(rec)
+    modes = analysis.identify(curves)
+    for what, ending in (("frfs", "uff"), ("frfs", "mat"), ("modes", "uff"), ("modes", "mat")):
+        export_results(path, tmp_path / f"{what}.{ending}", what)
+    again = analysis.read_frfs(tmp_path / "frfs.uff")
+    order = np.argsort(curves["body3"].frequency)
+    np.testing.assert_allclose(again["body3"].value, curves["body3"].value[order], rtol=1e-10)
+    assert pyuff.UFF(str(tmp_path / "frfs.uff")).read_sets(0)["ref_node"] == 1
+    sets = pyuff.UFF(str(tmp_path / "modes.uff")).read_sets()
+    np.testing.assert_allclose([abs(one["eig"]) / (2 * np.pi) for one in sets], modes.frequency, rtol=1e-5)
+    np.testing.assert_allclose(sets[0]["r3"], modes.shapes[:, 0], atol=1e-5)
+    assert sets[0]["node_nums"].tolist() == [1, 2, 3]
+    theirs = loadmat(tmp_path / "frfs.mat", squeeze_me=True)
+    np.testing.assert_array_equal(theirs["body3"], curves["body3"].value[order])
+    np.testing.assert_array_equal(loadmat(tmp_path / "modes.mat")["damping_ratio"].ravel(), modes.damping)
+    with pytest.raises(SceneError, match="exists and is left"):
+        export_results(path, tmp_path / "modes.mat", "modes")
+    with pytest.raises(SceneError, match="expected a name that ends in"):
+        export_results(path, tmp_path / "modes.csv", "modes")

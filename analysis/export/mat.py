@@ -1,0 +1,99 @@
+"""Channels, frequency responses and modes as MATLAB files of version 5, which MATLAB, Octave and scipy read."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from analysis.modal.modes import Modes
+from analysis.recordings.slices import Slice
+from analysis.responses.frf import Frf
+from rig.errors import SceneError
+
+# A variable of the format takes 2 GB at most.
+MOST_SAMPLES = (1 << 28) - 1024
+
+
+def write_mat(stretch: Slice, path: Path) -> None:
+    """Write each channel by its name; ``channels``, ``units``, ``fs`` [Hz] and ``start_s``; lost samples are NaN.
+
+    Raises
+    ------
+    SceneError
+        If there are too many samples for the format.
+    """
+    count = stretch.stop - stretch.start
+    if count > MOST_SAMPLES:
+        raise SceneError(
+            f"a MATLAB file takes {MOST_SAMPLES} samples of a channel, these are {count}: export a stretch "
+            "(--from, --to), or .npz"
+        )
+    names = variables(stretch.channels, {"channels", "units", "fs", "start_s"})
+    rate = stretch.recording.rate
+    _save(
+        path,
+        {
+            **{name: stretch.whole(channel) for name, channel in zip(names, stretch.channels, strict=True)},
+            "channels": np.array(names, dtype=object),
+            "units": np.array([info.unit for info in stretch.infos], dtype=object),
+            "fs": rate,
+            "start_s": stretch.start / rate,
+        },
+    )
+
+
+def write_frfs(frfs: Sequence[Frf], path: Path) -> None:
+    """Write ``frequency`` [Hz], ``unit``, and each response by its NAME, with ``bound_NAME`` and ``coherence_NAME``."""
+    curves = [frf.sorted() for frf in frfs]
+    names = variables([curve.response for curve in curves], {"frequency", "unit", "channels"})
+    content: dict[str, Any] = {"frequency": curves[0].frequency, "unit": curves[0].unit}
+    for name, curve in zip(names, curves, strict=True):
+        content |= {name: curve.value, f"bound_{name}": curve.bound(), f"coherence_{name}": curve.coherence}
+    _save(path, content | {"channels": np.array(names, dtype=object)})
+
+
+def write_modes(modes: Modes, path: Path) -> None:
+    """Write frequencies [Hz], damping ratios, their standard deviations, shapes and residues [m/(N s)]."""
+    _save(
+        path,
+        {
+            "frequency_Hz": modes.frequency,
+            "frequency_std_Hz": modes.frequency_error,
+            "damping_ratio": modes.damping,
+            "damping_ratio_std": modes.damping_error,
+            "shapes": modes.shapes,
+            "residues": modes.residue,
+            "responses": np.array(modes.responses, dtype=object),
+        },
+    )
+
+
+def variables(names: Iterable[str], taken: set[str]) -> list[str]:
+    """Make variables of names.
+
+    >>> variables(["body1", "3 +Z", "fs"], {"fs"})
+    ['body1', 'x3__Z', 'fs_']
+
+    Raises
+    ------
+    SceneError
+        If two names become one.
+    """
+    plain = [re.sub(r"\W", "_", name, flags=re.ASCII)[:50] for name in names]
+    made = [f"x{name}" if not name[:1].isalpha() else name for name in plain]
+    made = [f"{name}_" if name in taken else name for name in made]
+    if len(set(made)) < len(made):
+        raise SceneError(
+            f"the names {', '.join(names)} cannot all be variables of one .mat file; choose fewer"
+        )
+    return made
+
+
+def _save(path: Path, content: dict[str, Any]) -> None:
+    from scipy.io import savemat
+
+    savemat(path, content, oned_as="column", long_field_names=True)

@@ -1,0 +1,177 @@
+"""Damaged and odd files of every format: each ends in words, leaves no recording behind, and no file changed."""
+
+from __future__ import annotations
+
+import gc
+import struct
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import savemat, wavfile
+
+import daq
+from daq.importing.channel_table import Column
+from rig.errors import RecordingError, SceneError
+from tests.daq.importing.files import NAMES, RATE, WRITERS, bench, histories, uff
+from tests.daq.recording.recordings import signal, write
+
+pytestmark = [
+    # Readers of other packages leave files open, and warn, where they meet damage.
+    pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
+    pytest.mark.filterwarnings("ignore"),
+]
+TABLE = {
+    name: Column(str(number), unit=unit)
+    for number, (name, unit) in enumerate(zip(NAMES, "gVN", strict=True), 1)
+}
+TABLE["body2"] = Column("2", unit="m/s^2")
+ENDINGS = (".csv", ".tdms", ".uff", ".wav", ".npz", ".npy", ".mat", ".mcap")
+LINE = b"0.0,1,2,3\n"
+WAV, DATA = b"RIFF\x40\0\0\0WAVEfmt \x10\0\0\0", b"data\4\0\0\0abcd"
+
+
+def refused(path: Path, folder: Path) -> str:
+    before = path.read_bytes() if path.is_file() else b""
+    with pytest.raises((RecordingError, SceneError)) as told:
+        daq.import_files(path, bench(), folder / "r.mcap", table=TABLE)
+    gc.collect()
+    assert not (folder / "r.mcap").exists() and not list(folder.glob(".*.mcap"))
+    assert (path.read_bytes() if path.is_file() else b"") == before
+    return str(told.value)
+
+
+ODD = {
+    "missing.csv": None,
+    "a folder.csv": "folder",
+    "unknown.xyz": b"1,2,3\n",
+    "no ending": b"1,2,3\n",
+    **{f"empty{ending}": b"" for ending in ENDINGS},
+    **{f"noise{ending}": np.random.default_rng(1).bytes(4000) for ending in ENDINGS},
+    **{f"words{ending}": b"to whom it may concern\n" * 9 for ending in ENDINGS},
+    "heading only.csv": b"time [s],a,b,c\n",
+    "one line.csv": b"time [s],a,b,c\n" + LINE,
+    "ragged.csv": b"time [s],a,b,c\n" + LINE + b"0.1,1,2\n0.2,1,2,3\n",
+    "word in it.csv": b"time [s],a,b,c\n" + LINE + b"0.1,1,two,3\n0.2,1,2,3\n",
+    "backwards.csv": b"time [s],a,b,c\n0.2,1,2,3\n0.1,1,2,3\n0.0,1,2,3\n",
+    "standing.csv": b"time [s],a,b,c\n" + 5 * LINE,
+    "jump.csv": b"time [s],a,b,c\n" + b"".join(b"%.1f,1,2,3\n" % (k / 10 + (k > 20)) for k in range(40)),
+    "no such time.csv": b"time [kg],a,b,c\n0,1,2,3\n1,1,2,3\n",
+    "nan times.csv": b"time [s],a,b,c\nnan,1,2,3\nnan,1,2,3\n",
+    "zeros inside.csv": b"time,a\n" + bytes(100),
+    "two columns.csv": b"time [s],a,b\n0,1,2\n1,1,2\n2,1,2\n",
+    "no rate.csv": b"a,b,c\n1,2,3\n2,3,4\n3,4,5\n",
+    "riff.wav": b"RIFF\x10\0\0\0WAVE",
+    "avi.wav": b"RIFF\x10\0\0\0AVI LIST" + bytes(30),
+    "no format.wav": b"RIFF\x24\0\0\0WAVEdata\x04\0\0\0\0\0\0\0",
+    "packed.wav": WAV + struct.pack("<HHIIHH", 17, 3, 8000, 4000, 3, 4) + DATA,
+    "no tracks.wav": WAV + struct.pack("<HHIIHH", 1, 0, 8000, 0, 0, 16) + DATA,
+    "standing.wav": WAV + struct.pack("<HHIIHH", 1, 1, 0, 0, 2, 16) + DATA,
+    "hdf5.mat": b"MATLAB 7.3 MAT-file, Platform: GLNXA64" + b" " * 86 + b"\0\2IM" + b"\x89HDF\r\n\x1a\n" + bytes(500),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_given_an_odd_file_when_imported_then_it_is_refused_in_words(name, tmp_path):
+    path = tmp_path / name
+    if ODD[name] == "folder":
+        path.mkdir()
+    elif ODD[name] is not None:
+        path.write_bytes(ODD[name])
+    assert len(refused(path, tmp_path)) > 20
+
+
+@pytest.mark.parametrize("form", WRITERS)
+@pytest.mark.parametrize("part", [0.02, 0.5, 0.97])
+def test_given_a_file_that_is_cut_off_when_imported_then_it_is_refused_or_what_is_there_comes(
+    form, part, tmp_path
+):
+    ending, make, _ = WRITERS[form]
+    rows = histories(600)
+    make(tmp_path / f"whole{ending}", rows)
+    data = (tmp_path / f"whole{ending}").read_bytes()
+    path = tmp_path / f"cut{ending}"
+    path.write_bytes(data[: int(part * len(data))])
+    try:
+        daq.import_files(path, bench(), tmp_path / "r.mcap", table=TABLE)
+    except (RecordingError, SceneError) as error:
+        assert "cut" in str(error) and not (tmp_path / "r.mcap").exists()
+        return
+    with daq.open(tmp_path / "r.mcap") as recording:
+        count = recording.samples
+        read = recording.read("force")
+        known = np.isfinite(read)
+        # A line of text may end within its last number, which nobody can know.
+        np.testing.assert_allclose(read[known][:-1], rows[2, :count][known][:-1], rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("form", WRITERS)
+def test_given_files_with_wrong_bytes_when_imported_then_nothing_but_words_comes(form, tmp_path):
+    ending, make, _ = WRITERS[form]
+    make(tmp_path / f"whole{ending}", histories(300))
+    data = (tmp_path / f"whole{ending}").read_bytes()
+    random = np.random.default_rng(len(form))
+    for number in range(8):
+        wrong = bytearray(data)
+        # Most of what matters stands at the beginning.
+        reach = len(wrong) if number % 2 else min(len(wrong), 600)
+        for at in random.integers(0, reach, 1 + number):
+            wrong[at] = random.integers(256)
+        path = tmp_path / f"wrong{ending}"
+        path.write_bytes(wrong)
+        try:
+            daq.import_files(path, bench(), tmp_path / "r.mcap", table=TABLE, overwrite=True)
+        except (RecordingError, SceneError):
+            continue
+        with daq.open(tmp_path / "r.mcap") as recording:
+            recording.check()
+
+
+def test_given_variables_that_are_no_samples_when_imported_then_it_is_said_what_there_is(tmp_path):
+    savemat(tmp_path / "a.mat", {"text": "hello", "few": np.arange(3.0), "fs": 100.0})
+    assert "no array of samples; it holds text" in refused(tmp_path / "a.mat", tmp_path)
+    savemat(tmp_path / "b.mat", {"a": np.zeros(50) + 1j})
+    assert "no array of samples" in refused(tmp_path / "b.mat", tmp_path)
+    savemat(tmp_path / "c.mat", {"a": np.zeros((50, 3)), "fs": -1.0})
+    assert "expected a sample rate" in refused(tmp_path / "c.mat", tmp_path)
+    np.savez(tmp_path / "d.npz", a=np.array([{"x": 1}], dtype=object))
+    assert "d.npz" in refused(tmp_path / "d.npz", tmp_path)
+
+
+def test_given_a_wav_that_states_more_than_there_is_when_imported_then_it_is_said(tmp_path):
+    wavfile.write(tmp_path / "a.wav", int(RATE), np.zeros((500, 3), np.int16))
+    data = bytearray((tmp_path / "a.wav").read_bytes())
+    data[40:44] = struct.pack("<I", 10**6)
+    (tmp_path / "a.wav").write_bytes(data)
+    assert "cut off" in refused(tmp_path / "a.wav", tmp_path)
+
+
+def test_given_universal_files_without_time_responses_when_imported_then_the_way_is_shown(tmp_path):
+    uff(tmp_path / "a.uff", histories(50))
+    text = (tmp_path / "a.uff").read_text()
+    (tmp_path / "b.uff").write_text(text.replace("    58", "    82"))
+    assert "holds no data set 58" in refused(tmp_path / "b.uff", tmp_path)
+    lines = text.splitlines(keepends=True)
+    at = [number + 6 for number, line in enumerate(lines) if line.startswith("    58")]
+    for number in at:
+        lines[number] = "    4" + lines[number][5:]
+    (tmp_path / "c.uff").write_text("".join(lines))
+    assert "`analysis modes` takes it" in refused(tmp_path / "c.uff", tmp_path)
+
+
+def test_given_a_recording_of_ours_when_imported_then_it_is_said_that_it_is_one(tmp_path):
+    path = write(tmp_path / "a.mcap", signal(600))
+    assert "is a recording already" in refused(path, tmp_path)
+
+
+def test_given_a_dead_and_an_absurd_channel_when_imported_then_both_are_told(tmp_path):
+    rows = histories(600)
+    rows[0], rows[2] = 3.0, 1e9 * rows[2]
+    WRITERS["tdms"][1](tmp_path / "a.tdms", rows)
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        daq.import_files(tmp_path / "a.tdms", bench(), tmp_path / "r.mcap")
+    told = "\n".join(str(each.message) for each in heard)
+    assert "body1 ('body1' of a.tdms) reads 29.4199 m/s^2 throughout" in told
+    assert "force ('force' of a.tdms) reads up to" in told and "wrong unit or sensitivity" in told

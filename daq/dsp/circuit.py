@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# The name of the sections that integrate.
+# Names of sections that are more than linear circuits: those that integrate, whose state an amplifier's supply
+# limits, and the shift of zero behind a sensor, which only an overload drives.
 INTEGRATION = "integration"
+RECOVERY = "overload recovery"
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,20 @@ def integration(corner: float, gain: float) -> Section:
         zeros=(),
         poles=(complex(-w),),
         gain=gain,
+    )
+
+
+def recovery(time: float) -> Section:
+    """Shift of zero that an overload leaves behind: it fades with a time constant in s, whatever the signal does."""
+    return Section(
+        RECOVERY,
+        a=np.array([[-1.0 / time]]),
+        b=np.zeros(1),
+        c=np.array([-1.0]),
+        d=1.0,
+        zeros=(),
+        poles=(),
+        gain=1.0,
     )
 
 

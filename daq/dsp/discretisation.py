@@ -38,6 +38,21 @@ CUBIC = np.array(
 )
 
 
+# Legendre polynomials over the interval -> value, slope and curvature at its start.
+LEGENDRE = np.array([[1.0, 0.0, 0.0], [-1.0, 2.0, 0.0], [1.0, -6.0, 12.0]])
+
+
+class Entry(NamedTuple):
+    """How a disturbance enters a circuit."""
+
+    section: int
+    """In front of which section."""
+    degree: int
+    """Its course over an interval: the Legendre polynomial of this degree, up to 2, times its voltage."""
+    filtered: bool
+    """Whether what of it passes the circuit at once goes into the moments."""
+
+
 class Tables(NamedTuple):
     """Matrices of a circuit at a sample rate; columns of the usual matrices are rows here.
 
@@ -48,15 +63,12 @@ class Tables(NamedTuple):
     states: int
     integrals: int
     width: int
-    """Number of states, of moments of the output, and of all that is carried besides the input."""
+    """Number of states, of moments of the output, and of both."""
     sections: NDArray[np.int64]
     """First state of each section, and the number of states; int64, shape (sections + 1,)."""
-    watched: int
-    """Number of sections up to the watched output; -1: none is watched."""
     weights: Array
     """What the input's start, end, mean and moment, then 1 V of each disturbance, then the states of the
-    sections before its own add to each state over an interval; and what all of them, without disturbances,
-    make of the watched output; shape (states and the watched output if any, 4 + disturbances + states)."""
+    sections before its own add to each state over an interval; shape (states, 4 + disturbances + states)."""
     spread: Array
     """What they add to the moments, and zeros; shape (4 + disturbances + states, LANES)."""
     step: Array
@@ -76,14 +88,56 @@ class Tables(NamedTuple):
     """Repeated integrals to moments; shape (integrals, integrals)."""
 
 
+def rate_of_change(circuit: Circuit, gain: float, rate: float, integrals: int) -> Array:
+    """Give the generator of the vector that `Tables` carries, shape (size, size), per interval."""
+    states = circuit.c.size
+    width = states + integrals
+    generator = np.zeros((width + 4, width + 4))
+    generator[:states, :states] = circuit.a / rate
+    generator[:states, width] = circuit.b[0] * (gain / rate)
+    if integrals:
+        generator[states, :states] = circuit.c
+        generator[states, width] = circuit.d[0] * gain
+        for k in range(1, integrals):
+            generator[states + k, states + k - 1] = 1.0
+    for k in range(3):
+        generator[width + k, width + k + 1] = 1.0
+    return generator
+
+
+def with_disturbances(
+    generator: Array, circuit: Circuit, rate: float, integrals: int, entries: Sequence[Entry]
+) -> tuple[Array, Array]:
+    """Carry the disturbances' courses as well.
+
+    Returns
+    -------
+    generator : ndarray, shape (all, all)
+        Value, slope and curvature of what enters at each place stand behind the vector.
+    start : ndarray, shape (all, states + 4 + disturbances)
+        What is carried, at the start of an interval, from the states, the input's start, end, mean and moment, and 1 V
+        of each disturbance.
+    """
+    states, size = circuit.c.size, len(generator)
+    places = list(dict.fromkeys((entry.section, entry.filtered) for entry in entries))
+    bigger = np.zeros((size + 3 * len(places),) * 2)
+    bigger[:size, :size] = generator
+    for column, (section, filtered) in zip(range(size, len(bigger), 3), places, strict=True):
+        bigger[:states, column] = circuit.b[section] / rate
+        if filtered and integrals:
+            bigger[states, column] = circuit.d[section]
+        bigger[column, column + 1] = bigger[column + 1, column + 2] = 1.0
+    start = np.zeros((len(bigger), states + 4 + len(entries)))
+    start[:states, :states] = np.eye(states)
+    start[size - 4 : size, states : states + 4] = CUBIC
+    for row, entry in enumerate(entries):
+        column = size + 3 * places.index((entry.section, entry.filtered))
+        start[column : column + 3, states + 4 + row] = LEGENDRE[entry.degree]
+    return bigger, start
+
+
 def discretise(
-    circuit: Circuit,
-    gain: float,
-    rate: float,
-    integrals: int,
-    watched: Circuit | None,
-    entries: Sequence[int],
-    filtered: Sequence[bool],
+    circuit: Circuit, gain: float, rate: float, integrals: int, entries: Sequence[Entry]
 ) -> Tables:
     """Make the tables of a circuit.
 
@@ -93,44 +147,16 @@ def discretise(
         Volts per unit of the input, in front of the circuit.
     integrals : int
         Moments of the output to form over every interval; 0: none, 1: the average.
-    watched : Circuit or None
-        Leading part of the circuit whose output's average over the interval is formed as well, last of all.
-    entries : sequence of int
-        In front of which section each disturbance enters.
-    filtered : sequence of bool
-        Whether what of a disturbance passes the circuit at once goes into the moments.
+    entries : sequence of Entry
+        How each disturbance enters.
     """
-    states, h = circuit.c.size, 1.0 / rate
-    width = states + integrals + (1 if watched is not None else 0)
-    size = width + 4
-    generator = np.zeros((size, size))
-    generator[:states, :states] = circuit.a * h
-    generator[:states, width] = circuit.b[0] * (gain * h)
-    if integrals:
-        generator[states, :states] = circuit.c
-        generator[states, width] = circuit.d[0] * gain
-        for k in range(1, integrals):
-            generator[states + k, states + k - 1] = 1.0
-    if watched is not None:
-        generator[width - 1, : watched.c.size] = watched.c
-        generator[width - 1, width] = watched.d[0] * gain
-    for k in range(3):
-        generator[width + k, width + k + 1] = 1.0
-
+    states = circuit.c.size
+    width = states + integrals
+    generator = rate_of_change(circuit, gain, rate, integrals)
     to_moments = np.eye(width)
-    to_moments[states : states + integrals, states : states + integrals] = _moments(integrals)
-    # A constant voltage is one more state that never changes.
-    constants = len(entries)
-    with_constants = np.zeros((size + constants, size + constants))
-    with_constants[:size, :size] = generator
-    for column, (entry, through) in enumerate(zip(entries, filtered, strict=True), size):
-        with_constants[:states, column] = circuit.b[entry] * h
-        if through and integrals:
-            with_constants[states, column] = circuit.d[entry]
-    over_interval = to_moments @ expm(with_constants)[:width]
-    step = np.concatenate(
-        [over_interval[:, :states], over_interval[:, width:size] @ CUBIC, over_interval[:, size:]], axis=1
-    )
+    to_moments[states:, states:] = _moments(integrals)
+    everything, start = with_disturbances(generator, circuit, rate, integrals, entries)
+    step = to_moments @ expm(everything)[:width] @ start
 
     # The first three terms may do no more than bring down the input's derivatives: they do not count.
     norm = np.abs(generator).sum(axis=1).max() / PARTS**2
@@ -144,37 +170,28 @@ def discretise(
     while remainder > 1e-18:
         terms += 1
         remainder *= norm / (terms - 3)
-    spread = zeros(4 + constants + states, LANES)
-    spread[:, :integrals] = _input_first(step[states : states + integrals], states).T
+    spread = zeros(step.shape[1], LANES)
+    spread[:, :integrals] = input_first(step[states:], states).T
     return Tables(
         states=states,
         integrals=integrals,
         width=width,
         sections=np.array(circuit.sections),
-        watched=-1 if watched is None else len(watched.sections) - 1,
-        weights=_weights(step, states, watched is not None),
+        weights=np.ascontiguousarray(input_first(step[:states], states)),
         spread=spread,
         step=np.ascontiguousarray(step.T),
         impulse=generator[:width, width].copy(),
-        coarse=_laid_out(_powers(expm(generator / PARTS))),
-        fine=_laid_out(_powers(expm(generator / PARTS**2))),
-        generator=_laid_out(generator[None]),
+        coarse=laid_out(_powers(expm(generator / PARTS))),
+        fine=laid_out(_powers(expm(generator / PARTS**2))),
+        generator=laid_out(generator[None]),
         terms=terms,
         moments=np.ascontiguousarray(to_moments[states:, states:].T),
     )
 
 
-def _input_first(rows: Array, states: int) -> Array:
+def input_first(rows: Array, states: int) -> Array:
     """Put the columns of the states behind those of input and disturbances."""
     return np.roll(rows, -states, axis=1)
-
-
-def _weights(step: Array, states: int, watched: bool) -> Array:
-    """Rows of a step for the states and the watched output."""
-    rows = _input_first(np.concatenate([step[:states], step[-1:]]) if watched else step[:states], states)
-    if watched:
-        rows[-1, 4 : rows.shape[1] - states] = 0.0
-    return np.ascontiguousarray(rows)
 
 
 def _powers(matrix: Array) -> Array:
@@ -185,7 +202,7 @@ def _powers(matrix: Array) -> Array:
     return np.array(powers)
 
 
-def _laid_out(matrices: Array) -> Array:
+def laid_out(matrices: Array) -> Array:
     """Transpose matrices of shape (count, size, size) and fill them up to whole registers."""
     count, size, _ = matrices.shape
     room = zeros(count, padded(size), padded(size))

@@ -1,4 +1,4 @@
-"""Voltages that enter a channel besides its signal: noise, offsets, what a clipped output lacks."""
+"""Voltages that enter a channel besides its signal: noise and offsets."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.dsp.block_buffers import History
 from rig.numerics.fma import fused
 from rig.numerics.jit import unfused
 
@@ -20,14 +19,6 @@ class Disturbance(Protocol):
 
     def fill(self, samples: Array) -> None:
         """Fill in the next samples, V, shape (samples,)."""
-
-
-class Zero:
-    """No voltage, in a place that is filled in later."""
-
-    def fill(self, samples: Array) -> None:
-        """Fill in the next samples, V."""
-        samples[:] = 0.0
 
 
 class Offset:
@@ -86,69 +77,57 @@ def _settle(samples: Array, level: float, loss: float, missing: Array) -> None:
 
 
 class Disturbances:
-    """All disturbances of a channel, each constant over the interval that ends at its sample.
+    """All disturbances of a channel, each constant over a number of intervals.
 
     Parameters
     ----------
     direct : ndarray, shape (disturbances,)
         Which share of each reaches the output at once.
-    oversampling : int
-        Intervals of the signal per sample.
-    wait : int
-        Samples by which what reaches the output at once is held back, so that it keeps in step with what
-        passes a filter. It does not pass the filter itself: white noise stays white up to half the sample
-        rate.
+    intervals : int
+        Intervals of the signal for which each voltage holds; the first of all ends such a number.
     """
 
-    def __init__(self, sources: Sequence[Disturbance], direct: Array, oversampling: int, wait: int) -> None:
-        self._sources, self._direct, self._oversampling = tuple(sources), direct, oversampling
+    def __init__(self, sources: Sequence[Disturbance], direct: Array, intervals: int) -> None:
+        self._sources, self._direct, self._each = tuple(sources), direct, intervals
         self._interval, self._drawn = 0, 0
         self._last = np.zeros((len(sources), 1))
-        self._passed = History(wait)
-        self.ends = slice(0, 0, oversampling)
 
     def hold(self, intervals: int) -> Array:
         """Draw the disturbances of the next intervals; shape (disturbances, intervals), V."""
         first, stop = self._interval, self._interval + intervals
         self._interval = stop
-        self.ends = slice(-first % self._oversampling, intervals, self._oversampling)
         if not self._sources or intervals == 0:
             return np.zeros((len(self._sources), intervals))
-        count = -(-(stop - 1) // self._oversampling) + 1 - self._drawn
+        count = -(-(stop - 1) // self._each) + 1 - self._drawn
         held = np.empty((len(self._sources), count))
         for row, source in zip(held, self._sources, strict=True):
             source.fill(row)
-        if self._oversampling > 1:
+        if self._each > 1:
             # The sample at which each interval ends, or which it leads up to; one that began in the last block
             # goes on with what was drawn for it there.
-            sample = -(-np.arange(first, stop) // self._oversampling)
+            sample = -(-np.arange(first, stop) // self._each)
             drawn = np.concatenate([self._last, held], axis=1)
             held, self._last = drawn[:, sample - (self._drawn - 1)], drawn[:, -1:]
         self._drawn += count
         return held
 
-    def reach_output(self, held: Array) -> Array:
-        """Sum up what reaches the output at once.
+    def add_direct(self, held: Array, volts: Array) -> None:
+        """Add what reaches the output at once.
 
         Parameters
         ----------
         held : ndarray, shape (disturbances, samples)
             What `hold` gave, for those intervals that end at a sample.
-
-        Returns
-        -------
-        ndarray, shape (samples,)
-            V, until the next call.
+        volts : ndarray, shape (samples,)
+            What it is added to.
         """
-        count = held.shape[1]
-        _sum_up(self._direct, held, self._passed.place(count))
-        return self._passed.samples[:count]
+        if self._direct.any():
+            _sum_up(self._direct, held, volts)
 
 
 @unfused
 def _sum_up(shares: Array, rows: Array, out: Array) -> None:
-    """Sum up rows, each times its share."""
-    out[:] = 0.0
+    """Add rows, each times its share."""
     for e in range(shares.size):
         if shares[e] != 0.0:
             for k in range(out.size):

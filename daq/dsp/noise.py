@@ -15,6 +15,9 @@ from rig.numerics.simd import padded, zeros
 
 Array = NDArray[np.float64]
 
+# Variance of the even numbers that stand for what is faster than the average; a filter sums up so many of them that the
+# sum is a normal one.
+_EVEN = 1.0 / 12.0
 # Down to here, Hz, noise with a corner rises as 1/f; below, which is to say over hours, it is white again.
 LOWEST = 1e-4
 _RATIO = 4.0
@@ -68,6 +71,34 @@ class Noise:
         samples *= self._deviation
         if self._coloured:
             _colour(samples, self._keep, self._weight, self._gain, self._states)
+
+
+class FastNoise:
+    """What of the same noise passes within an interval, beside its average: a share of a Legendre polynomial.
+
+    White noise is made of all polynomials alike, of each as much as its size allows. With averages alone, noise
+    behind a filter would fall towards half the rate as averages do, by 3.9 dB; with these of degree 1 and 2 by 0.04 dB.
+
+    Parameters
+    ----------
+    density, corner, rate, random
+        As for `Noise`; noise that rises as 1/f does so up to half the rate.
+    degree : int
+        Of the polynomial.
+    """
+
+    def __init__(
+        self, density: float, corner: float | None, rate: float, random: np.random.Generator, degree: int
+    ) -> None:
+        coloured = 1.0 + 2.0 * (corner or 0.0) / rate
+        self._size = density * np.sqrt(coloured * 0.5 * rate * (2 * degree + 1) / _EVEN)
+        self._random = random
+
+    def fill(self, samples: Array) -> None:
+        """Fill in the next voltages, shape (samples,)."""
+        self._random.random(out=samples)
+        samples -= 0.5
+        samples *= self._size
 
 
 def shape(corner: float, rate: float) -> tuple[Array, Array, float]:

@@ -7,29 +7,25 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.dsp.discretisation import CUBIC, PARTS, Tables
-from daq.dsp.interpolation import JUMP, LENGTH, CubicInput, put
+from daq.dsp.broken_intervals import PartWorkspace, part_workspace, through_parts
+from daq.dsp.discretisation import Tables
+from daq.dsp.interpolation import CubicInput, put
+from daq.dsp.limiting import Limits, follow_closely, within
 from rig.numerics.fma import WEIGHED, fused, spread, weigh
 from rig.numerics.jit import unfused
-from rig.numerics.simd import LANES, copy, multiply, zeros
+from rig.numerics.simd import LANES, zeros
 
 Array = NDArray[np.float64]
 
 # Intervals worked off together: enough to keep a processor's pipelines busy, few enough for its nearest
 # memory.
 STRETCH = 2 * WEIGHED
-# Below this, V, what is left of an overload is gone: a number that fades for ever becomes slow to work with.
-GONE = 1e-30
 
 
 class CircuitWorkspace(NamedTuple):
     """Room to work in."""
 
-    vector: Array
-    term: Array
-    work: Array
-    nothing: Array
-    """Vectors carried through parts of an interval; and zeros; shape (size,)."""
+    parts: PartWorkspace
     course: Array
     """Input, disturbances and states through a stretch; shape (4 + disturbances + states, intervals of a
     stretch and more)."""
@@ -39,83 +35,92 @@ class CircuitWorkspace(NamedTuple):
 
 def scratch_for(tables: Tables) -> CircuitWorkspace:
     """Make room to work in for a circuit."""
-    size = tables.generator.shape[1]
     # Rows a little longer than needed: the state at the end, and at even distances they would compete for the
     # same places in a cache.
     course = zeros(tables.spread.shape[0], STRETCH + LANES)
-    return CircuitWorkspace(zeros(size), zeros(size), zeros(size), zeros(size), course, zeros(2, STRETCH))
+    return CircuitWorkspace(part_workspace(tables.generator.shape[1]), course, zeros(2, STRETCH))
 
 
 @unfused
 def propagate(
     pieces: CubicInput,
     tables: Tables,
+    limits: Limits,
     state: Array,
     held: Array,
-    rails: Array,
-    overload: Array,
-    shift: Array,
     rows: Array,
     rows_input: Array,
+    rows_excess: Array,
     points: Array,
     averages: Array,
+    overload: Array,
     scratch: CircuitWorkspace,
 ) -> None:
     """Carry a circuit through the intervals of a block.
 
     Stretches without breaks are worked off section by section, as each section only depends on those before
     it: all but a section's own recurrence is then the same sum for many samples at a time. The order of every
-    sum is fixed, so that nothing depends on where a stretch or a block ends.
+    sum is fixed, so that nothing depends on where a stretch or a block ends. Intervals in which a limit may be reached,
+    and which follow such, are followed closely, one by one (`daq.dsp.limiting`).
 
     Parameters
     ----------
     state : ndarray, shape (states,)
         At the last sample; updated.
     held : ndarray, shape (disturbances, intervals)
-        Disturbances, constant over the interval, V. If an output is watched, the first of them is filled in
-        here with what its limit takes away.
-    rails : ndarray, shape (states,)
-        Voltage that each state cannot exceed.
-    overload : ndarray, shape (0,) or (3,)
-        Limit of the watched output [V], the share of its shift that is left after an interval, and the share
-        of what it lacks that enters the shift.
-    shift : ndarray, shape (0,) or (1,)
-        Shift of the watched output since it was overloaded, V; updated.
-    rows, rows_input : ndarray, shapes (outputs, states) and (outputs,)
-        Outputs at the samples, from state and input.
+        Disturbances, V.
+    rows, rows_input, rows_excess : ndarray, shapes (outputs, states), (outputs,) and (outputs,)
+        Outputs at the samples, from state, input and what is beyond the limit.
     points : ndarray, shape (outputs, intervals)
         These outputs; filled in.
     averages : ndarray, shape (intervals + TOGETHER, LANES), or (0, LANES) where there are no integrals
         Moments of the output over each interval; filled in, the last rows with anything.
+    overload : ndarray, shape (1 + intervals,)
+        Behind that of the last interval of the block before: 0 where no limit was reached, else 1 and the shift of
+        zero left behind as a share of the limit; filled in.
     """
-    vector, term, work, nothing, course, sums = scratch
+    course = scratch.course
     behind = 4 + held.shape[0]
-    part = 0
-    first = 0
-    intervals = pieces.smooth.shape[1]
+    part, first, intervals = 0, 0, pieces.smooth.shape[1]
     while first < intervals:
-        stop = min(first + STRETCH, intervals)
-        if part < pieces.broken.size:
-            stop = min(stop, pieces.broken[part])
-        if stop > first:
+        overload[1 + first] = 0.0
+        broken = part < pieces.broken.size and pieces.broken[part] == first
+        close = limits.most.size > 0 and (broken or overload[first] > 0.0)
+        stop, excess = first + 1, 0.0
+        if not broken and not close:
+            stop = min(first + STRETCH, intervals)
+            if part < pieces.broken.size:
+                stop = min(stop, pieces.broken[part])
             _lay_out(pieces, held, first, stop, course)
-            _through_stretch(tables, state, rails, overload, shift, course, sums, stop - first)
-            if overload.size:
-                put(course[4], held[0, first:stop])
-            if tables.integrals:
+            _through_stretch(tables, state, course, scratch.sums, stop - first)
+            count = within(limits, course, scratch.sums[0], stop - first)
+            if count < stop - first:
+                stop = first + count
+                for j in range(tables.states):
+                    state[j] = course[behind + j, count]
+                if count == 0:
+                    close, stop = True, first + 1
+            for k in range(first, stop):
+                overload[1 + k] = 0.0
+            if not close and tables.integrals:
                 spread(tables.spread, course, 0, course.shape[1], 1, averages, first, stop - first)
-        else:
-            stop = first + 1
-            part = _in_parts(pieces, part, tables, state, vector, term, work, nothing)
-            _disturb(tables, state, held[:, first], rails, overload, shift, vector)
+        if broken or close:
+            if close:
+                part, excess = follow_closely(
+                    pieces, part, first, tables, limits, state, held, overload, scratch.parts
+                )
+            else:
+                part = through_parts(pieces, part, tables, state, scratch.parts)
+                _disturb(tables, state, held[:, first], scratch.parts.vector)
             for j in range(tables.states):
                 course[behind + j, 1] = state[j]
             for k in range(tables.integrals):
-                averages[first, k] = vector[tables.states + k]
+                averages[first, k] = scratch.parts.vector[tables.states + k]
         for r in range(rows.shape[0]):
-            weigh(course, behind, 1, rows[r], tables.states, sums[0], stop - first)
+            weigh(course, behind, 1, rows[r], tables.states, scratch.sums[0], stop - first)
             for k in range(first, stop):
-                points[r, k] = fused(rows_input[r], pieces.smooth[1, k], sums[0, k - first])
+                points[r, k] = fused(rows_input[r], pieces.smooth[1, k], scratch.sums[0, k - first])
+            points[r, first] += rows_excess[r] * excess
         first = stop
 
 
@@ -129,51 +134,31 @@ def _lay_out(pieces: CubicInput, held: Array, first: int, stop: int, course: Arr
 
 
 @unfused
-def _through_stretch(
-    tables: Tables,
-    state: Array,
-    rails: Array,
-    overload: Array,
-    shift: Array,
-    course: Array,
-    sums: Array,
-    count: int,
-) -> None:
+def _through_stretch(tables: Tables, state: Array, course: Array, sums: Array, count: int) -> None:
     """Carry the circuit through intervals without breaks; `course` gets the states from start to end."""
     behind = course.shape[0] - tables.states
-    if tables.watched == 0:
-        _limit(tables, overload, shift, course, sums, behind, count)
     for section in range(tables.sections.size - 1):
         begin, end = tables.sections[section], tables.sections[section + 1]
         known = behind + begin
         weigh(course, 0, 0, tables.weights[begin], known, sums[0], count)
         if end == begin + 1:
             state[begin] = _first_order(
-                tables.step[begin, begin], rails[begin], state[begin], sums[0][:count], course[known]
+                tables.step[begin, begin], state[begin], sums[0][:count], course[known]
             )
         else:
             weigh(course, 0, 0, tables.weights[begin + 1], known, sums[1], count)
             _second_order(
                 tables.step, begin, state, sums[0][:count], sums[1], course[known], course[known + 1]
             )
-        if section + 1 == tables.watched:
-            _limit(tables, overload, shift, course, sums, behind + end, count)
 
 
 @unfused
-def _first_order(own: float, limit: float, first: float, added: Array, path: Array) -> float:
-    """Carry the state of a section of first order, which cannot exceed a limit; give the last one."""
+def _first_order(own: float, first: float, added: Array, path: Array) -> float:
+    """Carry the state of a section of first order; give the last one."""
     x = first
     for k in range(added.size):
         path[k] = x
         x = fused(own, x, added[k])
-    path[added.size] = x
-    if limit == np.inf or not _beyond(path[1 : added.size + 1], limit):
-        return x
-    x = first
-    for k in range(added.size):
-        path[k] = x
-        x = min(max(fused(own, x, added[k]), -limit), limit)
     path[added.size] = x
     return x
 
@@ -194,131 +179,10 @@ def _second_order(
 
 
 @unfused
-def _limit(
-    tables: Tables, overload: Array, shift: Array, course: Array, sums: Array, known: int, count: int
-) -> None:
-    """Find what the watched output lacks in each interval, from the rows of `course` known by then."""
-    out, free, lack = sums[0], sums[1], course[4]
-    weigh(course, 0, 0, tables.weights[tables.states], known, out, count)
-    left = shift[0]
-    for k in range(count):
-        lack[k] = -left
-        if left != 0.0:
-            left = _relaxed(left, overload)
-    for k in range(count):
-        free[k] = out[k] + lack[k]
-    if not _beyond(free[:count], overload[0]):
-        # As a rule nothing more is lacking than the shift.
-        shift[0] = left
-        return
-    for k in range(count):
-        lack[k] = _lack(out[k], overload, shift)
-
-
-@unfused
-def _beyond(values: Array, limit: float) -> bool:
-    """Whether any magnitude exceeds a limit; without branches, so that several are compared at a time."""
-    count = 0
-    for k in range(values.size):
-        count += abs(values[k]) > limit
-    return count > 0
-
-
-@unfused
-def _relaxed(shift: float, overload: Array) -> float:
-    """Give what is left of a shift after an interval; less than any voltage that counts is nothing."""
-    return overload[1] * shift if abs(shift) > GONE else 0.0
-
-
-@unfused
-def _lack(output: float, overload: Array, shift: Array) -> float:
-    """Find what an output lacks, and let its shift go on by an interval."""
-    free = output - shift[0]
-    excess = free - min(max(free, -overload[0]), overload[0])
-    lack = -shift[0] - excess
-    shift[0] = fused(overload[2], excess, _relaxed(shift[0], overload))
-    return lack
-
-
-@unfused
-def _disturb(
-    tables: Tables,
-    state: Array,
-    held: Array,
-    rails: Array,
-    overload: Array,
-    shift: Array,
-    vector: Array,
-) -> None:
-    """Let limits and disturbances act at the end of an interval with breaks."""
-    states, width = tables.states, tables.width
-    if overload.size:
-        held[0] = _lack(vector[width - 1], overload, shift)
+def _disturb(tables: Tables, state: Array, held: Array, vector: Array) -> None:
+    """Let disturbances act at the end of an interval with breaks."""
     for e in range(held.shape[0]):
-        for r in range(width):
-            vector[r] += tables.step[states + 4 + e, r] * held[e]
-    for j in range(states):
-        state[j] = min(max(vector[j], -rails[j]), rails[j])
-
-
-@unfused
-def _in_parts(
-    pieces: CubicInput,
-    part: int,
-    tables: Tables,
-    state: Array,
-    vector: Array,
-    term: Array,
-    work: Array,
-    nothing: Array,
-) -> int:
-    """Carry the circuit through an interval with breaks; give the first part of the next.
-
-    States and moments are left in `vector`.
-    """
-    states, width = tables.states, tables.width
-    interval = pieces.broken[part]
-    vector[:] = 0.0
-    for j in range(states):
-        vector[j] = state[j]
-    while part < pieces.broken.size and pieces.broken[part] == interval:
-        share = pieces.parts[part, LENGTH]
-        if share > 0.0:
-            scale = 1.0
-            for k in range(4):
-                total = 0.0
-                for j in range(4):
-                    total += CUBIC[k, j] * pieces.parts[part, j]
-                vector[width + k] = total * scale
-                scale /= share
-            _advance(tables, share, vector, term, work, nothing)
-        for r in range(width):
-            vector[r] += tables.impulse[r] * pieces.parts[part, JUMP]
-        part += 1
-    for r in range(states, width):
-        work[r] = vector[r]
-        vector[r] = 0.0
-    for k in range(width - states):
-        for r in range(width - states):
-            vector[states + r] += tables.moments[k, r] * work[states + k]
-    return part
-
-
-@unfused
-def _advance(tables: Tables, share: float, vector: Array, term: Array, work: Array, nothing: Array) -> None:
-    """Multiply a vector by the exponential of the generator times `share` of an interval."""
-    coarse = min(int(share * PARTS), PARTS)
-    rest = share - coarse / PARTS
-    fine = min(int(rest * PARTS * PARTS), PARTS - 1)
-    rest -= fine / (PARTS * PARTS)
-    multiply(tables.coarse, coarse, vector, nothing, term)
-    multiply(tables.fine, fine, term, nothing, vector)
-    if rest > 0.0:
-        # The series from its end.
-        copy(vector, term)
-        for k in range(tables.terms, 0, -1):
-            for r in range(term.size):
-                term[r] *= rest / k
-            multiply(tables.generator, 0, term, vector, work)
-            copy(work, term)
-        copy(term, vector)
+        for r in range(tables.width):
+            vector[r] += tables.step[tables.states + 4 + e, r] * held[e]
+    for j in range(tables.states):
+        state[j] = vector[j]

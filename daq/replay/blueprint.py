@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 # Natural periods of the lowest mode that the plots around the time cursor show at each side of it.
 PERIODS = 2.5
 TIMELINE = "time"
+# Below this entity each channel that was overloaded has a lane.
+OVERLOADS = "test/overload"
 # What a live plot shows, s.
 LIVE_S = 0.5
 
@@ -26,6 +28,8 @@ class Content:
     """Entity and title of each group of channels, the one to look at first first."""
     dampers: int
     """How many dampers have gaps and contacts to show."""
+    overloaded: int
+    """How many channels were overloaded at some time."""
     lowest_hz: float
     """Lowest natural frequency; it sets the span of the plots around the time cursor."""
     eye: tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -54,8 +58,8 @@ def layout(content: Content) -> rrb.Blueprint:
     )
     phases = rrb.StateTimelineView(
         origin="test",
-        contents="test/phase",
-        name="test (grey: settling, green: measuring, or the decay after a hit)",
+        contents=["test/phase", f"{OVERLOADS}/**"],
+        name="test (grey: settling, green: measuring, or the decay after a hit; red: overloaded)",
         time_view=axis,
     )
     near = [
@@ -87,9 +91,10 @@ def layout(content: Content) -> rrb.Blueprint:
         active_tab=0,
     )
     # A lane of a state timeline keeps its height: its view needs room for its lanes, and no more.
-    shares = [3.0, 1.0, 4.5]
+    lanes = 0.6 * content.overloaded
+    shares = [3.0, 1.0 + lanes, 4.5]
     if content.dampers:
-        shares = [3.0, 1.5, 3.8, 3.0, 0.8 + 0.6 * content.dampers]
+        shares = [3.0, 1.5 + lanes, 3.8, 3.0, 0.8 + 0.6 * content.dampers]
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(_rig_view(content.eye), notes, row_shares=[1.6, 1.0]),

@@ -18,7 +18,7 @@ COLOURS = {
     "gap": 0xC4453BFF,
     "lost": 0xC4453BFF,
 }
-OTHER = 0x7A6AA8FF
+OTHER, OVERLOADED = 0x7A6AA8FF, 0xC4453BFF
 
 
 class Line(NamedTuple):
@@ -78,6 +78,17 @@ def phases(recording: Recording, start: int, stop: int) -> list[MarkedSlice]:
             found[-1] = found[-1]._replace(stop=first)
         found.append(MarkedSlice(first, last, label, COLOURS.get(mark.kind, OTHER)))
     return [phase for phase in found if phase.stop > phase.start]
+
+
+def overloads(recording: Recording, start: int, stop: int) -> dict[str, list[MarkedSlice]]:
+    """Give the stretches of [start, stop) in which each channel was overloaded, those of a channel in order of time."""
+    found: dict[str, list[MarkedSlice]] = {}
+    for mark in sorted(recording.overloads, key=lambda mark: mark.first_sample):
+        first, last = max(start, mark.first_sample), min(stop, mark.stop)
+        if first < last:
+            name = str(mark.fields.get("channel", ""))
+            found.setdefault(name, []).append(MarkedSlice(first, last, f"{name} overloaded", OVERLOADED))
+    return found
 
 
 def described(fields: Mapping[str, Any]) -> str:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from daq.drawing.rig_view import Extremes, RigView
-from daq.replay.blueprint import Content, layout
+from daq.replay.blueprint import OVERLOADS, Content, layout
 from daq.replay.info_page import about
-from daq.replay.marker_log import log_lines, phases
+from daq.replay.marker_log import MarkedSlice, log_lines, overloads, phases
 from daq.replay.recorded_motion import BLOCK, RecordedMotion
 from daq.replay.viewer_stream import Traces, plots
 from rig.errors import SceneError
@@ -119,9 +119,9 @@ class Replay:
         """Layout for this recording."""
         dampers = len(self.recording.scene.dampers) if self.motion.gaps_known else 0
         span = self.start / self.recording.rate, self.stop / self.recording.rate
-        return layout(
-            Content(plots(self.recording.channels), dampers, self.lowest_hz, self.view.eye, span, self.speed)
-        )
+        overloaded = len(overloads(self.recording, self.start, self.stop))
+        curves = plots(self.recording.channels)
+        return layout(Content(curves, dampers, overloaded, self.lowest_hz, self.view.eye, span, self.speed))
 
     def send(
         self, stream: rr.RecordingStream, drain: Callable[[], object], progress: Progress | None = None
@@ -186,9 +186,17 @@ class Replay:
             )
             stream.send_columns("test/marks", [traces.times(np.array([line.sample for line in lines]))], text)
         spans = phases(self.recording, self.start, self.stop)
-        if not spans:
-            return
-        # Each phase is a state of its own, so that each can have its label; between phases the lane is empty.
+        if spans:
+            self._send_lane(stream, traces, "test/phase", spans)
+        for name, stretches in overloads(self.recording, self.start, self.stop).items():
+            self._send_lane(stream, traces, f"{OVERLOADS}/{name}", stretches)
+
+    def _send_lane(
+        self, stream: rr.RecordingStream, traces: Traces, path: str, spans: Sequence[MarkedSlice]
+    ) -> None:
+        import rerun as rr
+
+        # Each stretch is a state of its own, so that each can have its label; between them the lane is empty.
         states = [str(number) for number in range(len(spans))]
         lane = rr.StateConfiguration(
             values=[*states, "none"],
@@ -196,12 +204,12 @@ class Replay:
             colors=np.array([*(span.colour for span in spans), 0], dtype=np.uint32),
             visible=[True] * len(spans) + [False],
         )
-        stream.log("test/phase", lane, static=True)
+        stream.log(path, lane, static=True)
         changes = {span.stop: "none" for span in spans}
         changes |= {span.start: state for span, state in zip(spans, states, strict=True)}
         at = np.array(sorted(changes))
         stream.send_columns(
-            "test/phase",
+            path,
             [traces.times(at)],
             rr.StateChange.columns(state=[changes[int(sample)] for sample in at]),
         )

@@ -35,7 +35,7 @@ class AcquiredBlock:
         Volts (float64), or counts (int32) where the scene's converter has bits; as many as drive samples went
         in, `Bench.latency` fewer at first.
     overload : ndarray of bool, shape (channels, samples)
-        Where a channel was driven beyond its range.
+        Where a channel was driven beyond its range, or its sensor or amplifier beyond what it can follow.
     motion : Motion
         The truth behind the samples; for recording beside them, never for tests or control.
     """
@@ -133,9 +133,10 @@ class Bench:
         line = self._line.through(self._outputs.put_out(drive))
         motion = self._plant.advance(line)
         block = self._converter.convert(self._chain.measure(motion, line))
+        overload = block.overload | self._chain.overload
         if self._intervals > 1:
             motion = motion.every(self._intervals, 1.0 / self._plant.rate)
-        return AcquiredBlock(max(motion.first - self.latency, 0), block.samples, block.overload, motion)
+        return AcquiredBlock(max(motion.first - self.latency, 0), block.samples, overload, motion)
 
     def physical(self, samples: NDArray[np.float64] | NDArray[np.int32]) -> NDArray[np.float64]:
         """Read samples in each channel's unit, as its data sheet says; shape (channels, samples)."""

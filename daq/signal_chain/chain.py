@@ -64,6 +64,8 @@ class Chain:
     latency : int
         By how many samples the numbers of the samples given lag behind those of the motion: the decimation
         filter's delay where the scene has it removed. So many samples fewer come out at first.
+    overload : ndarray of bool, shape (channels, samples)
+        In which of the samples that `measure` gave last a limit of sensor or amplifier has a part.
 
     Raises
     ------
@@ -92,6 +94,7 @@ class Chain:
         self.latency = DELAY if converter.filter is not None and converter.remove_delay else 0
         wired = [self._wire(row, channel) for row, channel in enumerate(channels)]
         self.wiring: tuple[Channel, ...] = tuple(channels)
+        self.overload = np.zeros((len(channels), 0), dtype=bool)
         self._paths = [path for path, _, _ in wired]
         self.channels: tuple[ChannelInfo, ...] = tuple(info for _, info, _ in wired)
         self.effects = {info.name: effects for _, info, effects in wired}
@@ -142,12 +145,14 @@ class Chain:
         first, stop = (-(-k // self._oversampling) for k in (motion.first, motion.first + count))
         jitter = None if self._jitter is None else self._jitter.standard_normal(stop - first)
         volts = np.empty((len(self._paths), stop - first))
+        overload = np.zeros(volts.shape, dtype=bool)
         for row, (cutter, path) in enumerate(zip(self._cutters, self._paths, strict=True)):
             if isinstance(cutter, MotionInterpolator):
                 pieces = cutter.cut(motion)
             else:
                 pieces = cutter.cut(self._from_outside(*self._sources[row], forces, count))
-            volts[row] = path.measure(pieces, jitter)
+            volts[row], overload[row] = path.measure(pieces, jitter)
+        self.overload = overload[:, max(self.latency - first, 0) :]
         return volts[:, max(self.latency - first, 0) :]
 
     def _from_outside(self, name: str, factor: float, forces: Array | None, count: int) -> Array:

@@ -27,10 +27,11 @@ FASTEST = 1.024e6
 def oversampling(scene: Scene, clock: SampleClock) -> int:
     """Choose the number of intervals per sample.
 
-    Without a decimation filter a converter reads the voltage at its samples, aliases and all. With one, what
+    Without a decimation filter a converter reads the voltage at its samples, aliases and all; only where a sensor may
+    be driven to its limit, or a landing lasts, does it matter what happens in between. With a filter, what
     oscillates beyond half the sample rate must be seen as such before it can be filtered out, and what comes
     through must not suffer from being looked at seldom. A rig that is slow against the sample clock calls for
-    neither.
+    none of this.
 
     Parameters
     ----------
@@ -54,18 +55,30 @@ def oversampling(scene: Scene, clock: SampleClock) -> int:
     1
     """
     system = assemble(scene)
-    if filled_in(scene.converter).filter is None:
-        if not system.lasting.any():
-            return 1
-        # A landing may be over between two samples, and the sensor still has to feel all of it.
-        pulses = math.ceil(system.fastest / (2 * np.pi * FOLLOWED * clock.true_rate))
-        return max(1, min(pulses, int(FASTEST / clock.true_rate)))
-    fastest = float(np.abs(system.poles.imag).max(initial=0.0)) / (2 * np.pi)
+    limited, filtered = _limited(scene), filled_in(scene.converter).filter is not None
+    fastest = 0.0
+    if filtered or limited:
+        fastest = float(np.abs(system.poles.imag).max(initial=0.0)) / (2 * np.pi)
     if system.lasting.any():
+        # A landing may be over between two samples, and the sensor still has to feel all of it.
         fastest = max(fastest, system.fastest / (2 * np.pi))
-    seen = fastest / clock.true_rate + STOP
-    followed = min(max(fastest, BAND) / clock.true_rate, PASS) / FOLLOWED
-    return max(1, min(math.ceil(max(seen, followed)), int(FASTEST / clock.true_rate)))
+    followed = fastest / clock.true_rate / FOLLOWED
+    if filtered:
+        seen = fastest / clock.true_rate + STOP
+        band = max(fastest, BAND) / clock.true_rate
+        followed = max(seen, (band if limited else min(band, PASS)) / FOLLOWED)
+    return max(1, min(math.ceil(followed), int(FASTEST / clock.true_rate)))
+
+
+def _limited(scene: Scene) -> bool:
+    """Whether a sensor on the rig, or its amplifier, has a limit, so that it matters what is in front of any filter."""
+    for channel in scene.channels or ():
+        sensor, amplifier = channel.accelerometer, channel.integrator
+        if sensor is not None and filled_in(sensor).saturation is not None:
+            return True
+        if amplifier is not None and amplifier.saturation is not None:
+            return True
+    return False
 
 
 class DriveLine:

@@ -22,6 +22,8 @@ class Sampler(Protocol):
 
     integrals: int
     """Moments of the voltage over each interval that it needs."""
+    intervals: int
+    """Intervals that a sample is made of, up to the one that ends at it."""
     rows: Array
     rows_input: Array
     """Voltages at the end of each interval that it needs, from state and input; shapes (outputs, states) and
@@ -57,14 +59,15 @@ class PointSampler:
     ----------
     gain : float
         Volts per unit of the input in front of the circuit.
-    late : int
-        Intervals by which what is read lies further back.
+    oversampling, late : int
+        As for `FilteredSampler`.
     """
 
     integrals = 0
 
-    def __init__(self, circuit: Circuit, gain: float, late: int) -> None:
+    def __init__(self, circuit: Circuit, gain: float, oversampling: int, late: int) -> None:
         self.rows, self.rows_input = circuit.c[None], np.array([circuit.d[0] * gain])
+        self.intervals = oversampling + late
         self._voltage = History(late)
 
     def place(self, intervals: int) -> Array:
@@ -93,6 +96,7 @@ class AverageSampler:
     def __init__(self, circuit: Circuit, oversampling: int, late: int, buffers: BlockBuffers) -> None:
         self.rows, self.rows_input = np.zeros((0, circuit.c.size)), np.zeros(0)
         self._oversampling, self._past = oversampling, History(oversampling - 1 + late)
+        self.intervals = oversampling + late
         self._buffers = buffers
         self._averages = buffers.rows(0)
 
@@ -131,6 +135,7 @@ class FilteredSampler:
     ) -> None:
         self.rows, self.rows_input = np.zeros((0, circuit.c.size)), np.zeros(0)
         self._filter = Decimator(low_pass.taps(oversampling), late, buffers)
+        self.intervals = low_pass.length * oversampling + late
 
     def place(self, intervals: int) -> Array:
         """Give the place for the moments; see `Sampler.place`."""

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.dsp.circuit import high_pass, resonance
+from daq.dsp.circuit import high_pass, recovery, resonance
 from daq.dsp.noise import generator
 from daq.signal_chain.stage import Stage, data_sheet
 from rig.scene.measurement_chain import Accelerometer, Hammer
@@ -40,7 +40,8 @@ def accelerometer(settings: Accelerometer, seed: int, channel: str) -> Stage:
         sections.append(resonance(settings.resonance, DEFAULT_Q if settings.q is None else settings.q))
     if settings.low_cutoff is not None:
         sections.append(high_pass(settings.low_cutoff, "low cut-off"))
-    limited = settings.saturation is not None
+    if settings.saturation is not None and settings.overload_recovery is not None:
+        sections.append(recovery(settings.overload_recovery))
     return Stage(
         "accelerometer",
         tuple(sections),
@@ -51,7 +52,6 @@ def accelerometer(settings: Accelerometer, seed: int, channel: str) -> Stage:
         offset=settings.bias,
         settling=settings.bias_settling,
         limit=None if settings.saturation is None else settings.saturation * sensitivity,
-        recovery=settings.overload_recovery if limited else None,
         data=data_sheet("accelerometer", settings),
     )
 

@@ -31,8 +31,7 @@ class Stage:
     settling: float | None = None
     """Offset of its output, V, and with which time constant it settles from zero after power-on, s."""
     limit: float | None = None
-    recovery: float | None = None
-    """Largest output the signal can reach, V, and the time constant of the recovery from that, s."""
+    """Largest output the signal can reach, V."""
     rails: float | None = None
     """Largest voltage each integration can reach, V."""
     data: Mapping[str, str] = field(default_factory=dict)
@@ -47,7 +46,6 @@ class Stage:
         named = {
             "sensitivity deviation": (self.deviation or None, 0),
             "saturation": (self.limit or self.rails, 0),
-            "overload recovery": (self.recovery, 1),
             "noise": (self.noise, 0),
             "1/f noise": (self.noise_corner, 0),
             "offset": (self.offset, 0),

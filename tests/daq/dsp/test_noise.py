@@ -3,6 +3,7 @@ import pytest
 from scipy.signal import welch
 
 from daq.dsp.noise import Noise, generator
+from daq.signal_chain.decimation_filter import Decimation
 from tests.daq.dsp.analytic_motion import at_rest, chain_of, scene_of
 
 
@@ -78,3 +79,37 @@ def test_given_a_noisy_converter_when_nothing_moves_then_its_density_is_read():
     chain, rate = chain_of(scene_of("", converter="{noise: 2 uV/sqrt(Hz)}"))
     volts = chain.measure(at_rest(1, rate, 200_000))[0]
     assert volts.std() == pytest.approx(2e-6 * np.sqrt(rate / 2), rel=0.01)
+
+
+@pytest.mark.parametrize("integrator", ["", ", integrator: {order: 1, corner: 20 Hz, gain: 500}"])
+@pytest.mark.parametrize("oversampling", [1, 2])
+def test_given_noise_in_front_of_a_decimation_filter_when_read_then_it_is_filtered_like_a_signal(
+    integrator, oversampling
+):
+    keys = ", accelerometer: {sensitivity: 2, noise: 0.01}" + integrator
+    chain, fine = chain_of(scene_of(keys, converter="{filter: delta_sigma}"), oversampling)
+    rate = fine / oversampling
+    volts = chain.measure(at_rest(1, fine, 300_000 * oversampling))[0][500:]
+    frequency, value = density(volts, rate, 512)
+    low_pass = Decimation.standard(rate)
+
+    def through(f):
+        transfer = 500.0 / abs(2j * np.pi * f + 2 * np.pi * 20.0) if integrator else 1.0
+        return 0.02 * low_pass.magnitude(f) * transfer
+
+    # White noise beyond half the rate folds back, as far as the filter lets it through.
+    expected = np.hypot(through(frequency), through(rate - frequency))
+    for low, high in (
+        (0.02, 0.1),
+        (0.1, 0.2),
+        (0.2, 0.3),
+        (0.3, 0.4),
+        (0.4, 0.45),
+        (0.455, 0.475),
+        (0.475, 0.495),
+    ):
+        found = band(frequency, value, low * rate, high * rate)
+        assert found == pytest.approx(band(frequency, expected, low * rate, high * rate), rel=0.02)
+    assert band(frequency, expected, 0.475 * rate, 0.495 * rate) < 0.9 * band(
+        frequency, expected, 0.4 * rate, 0.45 * rate
+    )

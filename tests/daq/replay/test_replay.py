@@ -210,3 +210,17 @@ def test_given_hits_when_phases_are_shown_then_each_lasts_to_the_next_and_overlo
     with daq.open(path) as opened:
         found = [(phase.label, phase.start, phase.stop) for phase in phases(opened, 0, 5120)]
     assert found == [("hit 1", 512, 2560), ("hit 2", 2560, 5120)]
+
+
+def test_given_an_overloaded_channel_when_saved_then_a_lane_shows_when(tmp_path):
+    scene = rig.load("bare-structure").replace(shaker=None, test=None)
+    channels = Chain(scene, 5120.0, ["body 1", "body 2", "body 3"]).channels
+    with Recorder(tmp_path / "overload.mcap", scene, channels, 5120.0) as recorder:
+        recorder.write(np.random.default_rng(1).normal(size=(3, 5120)))
+        recorder.mark("overload", 512, 1023, channel="body1")
+        recorder.mark("overload", 4096, 5000, channel="body1")
+    with daq.open(tmp_path / "overload.mcap") as opened:
+        save(Replay(opened, end_s=0.85), tmp_path / "overload.rrd")
+    changed, states = Read(tmp_path / "overload.rrd").series("/test/overload/body1", "state")
+    shown = dict(zip(changed.round(6).tolist(), states, strict=True))
+    assert shown == {0.1: "0", 0.2: "none", 0.8: "1", 0.850195: "none"}

@@ -45,7 +45,7 @@ def test_given_rails_when_driven_beyond_them_then_the_output_stays_there_and_com
     motion = at_rest(1, rate, 2560)
     motion.acceleration[0] = acceleration
     motion.velocity[0] = np.cumsum(acceleration) / rate
-    motion.displacement[0] = np.cumsum(motion.velocity[0]) / rate
+    motion.displacement[0] = np.cumsum(motion.velocity[0] - 0.5 * acceleration / rate) / rate
     read = chain.measure(motion)[0]
     assert read.max() == 2.0
     assert read.min() == -2.0

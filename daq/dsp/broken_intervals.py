@@ -1,0 +1,108 @@
+"""A circuit carried through part of an interval, and through one in which its input breaks."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.dsp.discretisation import CUBIC, PARTS, Tables
+from daq.dsp.interpolation import JUMP, LENGTH, CubicInput
+from rig.numerics.jit import unfused
+from rig.numerics.simd import copy, multiply, zeros
+
+Array = NDArray[np.float64]
+
+
+class PartWorkspace(NamedTuple):
+    """Room to work in."""
+
+    vector: Array
+    term: Array
+    work: Array
+    nothing: Array
+    steady: Array
+    """What is carried, twice room for it, zeros, and what disturbances add; shape (size,)."""
+    whole: Array
+    """A part; shape (6,)."""
+
+
+def part_workspace(size: int) -> PartWorkspace:
+    """Make room to work in for vectors of a size."""
+    vector, term, work, nothing, steady = (zeros(size) for _ in range(5))
+    return PartWorkspace(vector, term, work, nothing, steady, zeros(6))
+
+
+@unfused
+def through_parts(
+    pieces: CubicInput,
+    part: int,
+    tables: Tables,
+    state: Array,
+    workspace: PartWorkspace,
+) -> int:
+    """Carry the circuit through an interval with breaks; give the first part of the next.
+
+    States and moments are left in the workspace's vector.
+    """
+    vector, work = workspace.vector, workspace.work
+    interval = pieces.broken[part]
+    vector[:] = 0.0
+    for j in range(tables.states):
+        vector[j] = state[j]
+    while part < pieces.broken.size and pieces.broken[part] == interval:
+        share = pieces.parts[part, LENGTH]
+        if share > 0.0:
+            begin_part(tables, pieces.parts[part], vector)
+            advance(tables, share, workspace)
+        for r in range(tables.width):
+            vector[r] += tables.impulse[r] * pieces.parts[part, JUMP]
+        part += 1
+    form_moments(tables, vector, work)
+    return part
+
+
+@unfused
+def begin_part(tables: Tables, part: Array, vector: Array) -> None:
+    """Put the derivatives of a part's cubic at its start into the vector."""
+    share, scale = part[LENGTH], 1.0
+    for k in range(4):
+        total = 0.0
+        for j in range(4):
+            total += CUBIC[k, j] * part[j]
+        vector[tables.width + k] = total * scale
+        scale /= share
+
+
+@unfused
+def form_moments(tables: Tables, vector: Array, work: Array) -> None:
+    """Turn the repeated integrals in the vector into moments."""
+    states, width = tables.states, tables.width
+    for r in range(states, width):
+        work[r] = vector[r]
+        vector[r] = 0.0
+    for k in range(width - states):
+        for r in range(width - states):
+            vector[states + r] += tables.moments[k, r] * work[states + k]
+
+
+@unfused
+def advance(tables: Tables, share: float, workspace: PartWorkspace) -> None:
+    """Multiply the vector by the exponential of the generator times `share` of an interval."""
+    vector, term, work, nothing = workspace.vector, workspace.term, workspace.work, workspace.nothing
+    coarse = min(int(share * PARTS), PARTS)
+    rest = share - coarse / PARTS
+    fine = min(int(rest * PARTS * PARTS), PARTS - 1)
+    rest -= fine / (PARTS * PARTS)
+    multiply(tables.coarse, coarse, vector, nothing, term)
+    multiply(tables.fine, fine, term, nothing, vector)
+    if rest > 0.0:
+        # The series from its end.
+        copy(vector, term)
+        for k in range(tables.terms, 0, -1):
+            for r in range(term.size):
+                term[r] *= rest / k
+            multiply(tables.generator, 0, term, vector, work)
+            copy(work, term)
+        copy(term, vector)

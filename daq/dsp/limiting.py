@@ -1,0 +1,383 @@
+"""Limits of a sensor's output and of what integrators reach, on the signal itself and not on its samples.
+
+An accelerometer's shock is over in microseconds, long before a slow converter takes its next sample. So the voltages
+that have a limit are looked at many times a period of the circuit's fastest part, whatever the sample rate. That costs
+little as long as no limit is near. An interval in which one may be reached is followed in steps: the linear circuit
+exactly, an integrator that has reached its supply held there; and where the sensor's output may reach its limit in yet
+smaller ones, what it lacks as straight lines from step to step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from daq.dsp.broken_intervals import PartWorkspace, advance, begin_part, form_moments
+from daq.dsp.circuit import RECOVERY, Circuit, Section
+from daq.dsp.discretisation import Entry, Tables, input_first, laid_out, rate_of_change, with_disturbances
+from daq.dsp.interpolation import JUMP, LENGTH, CubicInput, put
+from rig.numerics.fma import weigh
+from rig.numerics.jit import unfused
+from rig.numerics.simd import copy, multiply, padded, zeros
+
+Array = NDArray[np.float64]
+
+# Looks per period of the circuit's fastest part, and at least per interval: a sine's peak is missed by 2 % between two.
+LOOKS, FEWEST_LOOKS = 16, 8
+# The same of steps where a limit is near: of an integrator, and of the sensor.
+STEPS, FEWEST_STEPS = (32, 128), (8, 32)
+COARSE, FINE = 0, 1
+# Below this share of a limit at every look or coarse step it is not reached in between.
+NEAR = float(np.cos(np.pi / LOOKS))
+# An impulse that would be at the limit for less than this time, s, is no impact but rounding.
+SHORTEST = 1e-9
+
+
+class Limits(NamedTuple):
+    """What is needed to find out where limits are reached, and to follow the circuit there; empty without any."""
+
+    checks: Array
+    """What input, disturbances and states, in the order of `Tables.weights`, make of each limited voltage at each look
+    in an interval; shape (looks, 4 + disturbances + states)."""
+    most: Array
+    """Magnitude of these up to which no limit can be reached; shape (looks,)."""
+    steps: NDArray[np.int64]
+    """Coarse and fine steps in an interval that is followed closely; int64, shape (2,)."""
+    step: Array
+    """The vector's transition over one of each; shape (2, size, size), as `Tables.coarse`."""
+    held: Array
+    """What 1 V of each steady disturbance adds to the vector over it, and zeros; shape (2, disturbances, width)."""
+    varying: Array
+    """What 1 V of the others adds over an interval, in moments, no integrals; shape (disturbances, width)."""
+    limit: float
+    """Of the sensor's output, V."""
+    output: Array
+    """The sensor's output from the vector; shape (size,)."""
+    lacking: Array
+    """What 1 V beyond the limit adds to the vector, the volt at a step's start and at its end; shape (2, 2, width)."""
+    relief: Array
+    """What is beyond the limit at a step's end, as a share of what would be without its own effect on the shift; shape
+    (2,)."""
+    impulse: Array
+    """What is left of a unit impulse that goes beyond the limit; shape (width,)."""
+    least: float
+    """Smallest impulse that does, as `CubicInput` has them; none does behind a resonance."""
+    shift: int
+    """State that holds the shift of zero after an overload; -1: there is none."""
+    rails: Array
+    """Largest magnitude of each state, V; shape (states,)."""
+    holding: Array
+    """What adds 1 V to each state over a step, evenly, adds to the vector; shape (2, states, width)."""
+
+
+def limits_of(
+    sections: Sequence[Section],
+    sensor: int,
+    limit: float | None,
+    rails: Array,
+    gain: float,
+    rate: float,
+    entries: Sequence[Entry],
+    tables: Tables,
+) -> Limits:
+    """Make the tables of a circuit's limits.
+
+    Parameters
+    ----------
+    sections : sequence of Section
+        The whole circuit.
+    sensor : int
+        Number of sections up to the output that is limited.
+    limit : float or None
+        Of that output, V.
+    rails : ndarray, shape (states,)
+        Largest magnitude of each state, V; infinite where there is none.
+    gain, rate, entries
+        As for `daq.dsp.discretisation.discretise`.
+    tables : Tables
+        What that gave.
+    """
+    if limit is None and not np.isfinite(rails).any():
+        return _unlimited(len(entries), rails, tables)
+    integrals = tables.integrals
+    circuit, leading = Circuit.series(sections), Circuit.series(sections[:sensor])
+    generator = rate_of_change(circuit, gain, rate, integrals)
+    states, size = circuit.c.size, len(generator)
+    width, reach = size - 4, np.inf if limit is None else limit
+    output = zeros(padded(size))
+    output[: leading.c.size], output[width] = leading.c, leading.d[0] * gain
+    fastest = float(np.abs(np.linalg.eigvals(circuit.a)).max(initial=0.0)) / (2 * np.pi * rate)
+    looks = max(FEWEST_LOOKS, int(np.ceil(LOOKS * fastest)))
+    steps = np.array(
+        [max(least, int(np.ceil(each * fastest))) for each, least in zip(STEPS, FEWEST_STEPS, strict=True)]
+    )
+
+    # What is beyond the limit is missing from there on, and shifts the sensor's zero.
+    beyond = np.zeros(width)
+    beyond[:states] = -circuit.b[sensor] / rate
+    if integrals:
+        beyond[states] = -circuit.d[sensor]
+    shift = -1
+    for section, first in zip(sections[:sensor], circuit.sections, strict=False):
+        if section.name == RECOVERY:
+            shift = first
+            beyond[shift] = -section.a[0, 0] / rate
+    lacking = np.array([_ramps(generator, beyond, count) for count in steps])
+    everything, start = with_disturbances(generator, circuit, rate, tables.integrals, entries)
+    held = np.array([(expm(everything / count) @ start)[:width, states + 4 :].T for count in steps])
+    steady = np.array([entry.degree == 0 for entry in entries], dtype=bool)
+    held[:, ~steady] = 0.0
+    varying = tables.step[states + 4 :].copy()
+    varying[steady] = 0.0
+    through = output[width]
+    watched = [(np.concatenate([output[:size], np.zeros(len(everything) - size)]), reach)]
+    watched += [(np.eye(len(everything))[state], rails[state]) for state in range(states)]
+    watched = [(row, most) for row, most in watched if np.isfinite(most)]
+    checks, most = _looked_at(watched, everything, start, states, looks)
+    return Limits(
+        checks=checks,
+        most=most,
+        steps=steps,
+        step=laid_out(np.array([expm(generator / count) for count in steps])),
+        held=np.ascontiguousarray(held),
+        varying=varying,
+        limit=reach,
+        output=output,
+        lacking=lacking,
+        relief=1.0 / (1.0 - lacking[:, 1] @ output[:width]),
+        impulse=generator[:width, width] + through * beyond,
+        least=float(reach * SHORTEST * rate / abs(through)) if through else np.inf,
+        shift=shift,
+        rails=rails,
+        holding=np.array([_pushes(generator, states, count) for count in steps]),
+    )
+
+
+def _unlimited(disturbances: int, rails: Array, tables: Tables) -> Limits:
+    """Make the tables of a circuit in which nothing is limited."""
+    width, size = tables.width, tables.generator.shape[1]
+    return Limits(
+        checks=np.zeros((0, tables.spread.shape[0])), most=np.zeros(0), steps=np.ones(2, np.int64),
+        step=zeros(2, size, size), held=np.zeros((2, disturbances, width)),
+        varying=np.zeros((disturbances, width)), limit=np.inf, output=zeros(size),
+        lacking=np.zeros((2, 2, width)), relief=np.ones(2), impulse=tables.impulse, least=np.inf, shift=-1,
+        rails=rails, holding=np.zeros((2, rails.size, width)),
+    )  # fmt: skip
+
+
+def _ramps(generator: Array, beyond: Array, steps: int) -> Array:
+    """Give what an input that falls from 1 to 0 over a step adds to the vector, and one that rises: (2, width)."""
+    size, width = len(generator), beyond.size
+    ramp = np.zeros((size + 2, size + 2))
+    ramp[:size, :size] = generator
+    ramp[:width, size], ramp[size, size + 1] = beyond, 1.0
+    ramp = expm(ramp / steps)
+    rising = ramp[:width, size + 1] * steps
+    return np.array([ramp[:width, size] - rising, rising])
+
+
+def _pushes(generator: Array, states: int, steps: int) -> Array:
+    """Give what adds 1 to each state over a step, evenly, adds to the vector; shape (states, width)."""
+    size = len(generator)
+    pushes = np.zeros((size + states, size + states))
+    pushes[:size, :size], pushes[:states, size:] = generator, np.eye(states)
+    added = expm(pushes / steps)[: size - 4, size:].T
+    return np.asarray(added / np.diagonal(added)[:, None])
+
+
+def _looked_at(
+    watched: Sequence[tuple[Array, float]], everything: Array, start: Array, states: int, looks: int
+) -> tuple[Array, Array]:
+    """Rows that give watched voltages at each look, and the magnitudes up to which none is beyond its own between."""
+    over_look = expm(everything / looks)
+    checks = np.zeros((len(watched) * looks, start.shape[1]))
+    most = np.zeros(len(checks))
+    for number, (row, largest) in enumerate(watched):
+        for look in range(looks):
+            row = row @ over_look
+            checks[number * looks + look] = row @ start
+        most[number * looks : (number + 1) * looks] = largest * NEAR
+    return np.ascontiguousarray(input_first(checks, states)), most
+
+
+@unfused
+def within(limits: Limits, course: Array, sums: Array, count: int) -> int:
+    """Count the intervals of a stretch up to the first in which a limit may be reached.
+
+    Parameters
+    ----------
+    course : ndarray, shape (4 + disturbances + states, at least count)
+        Input, disturbances and the states at the start of each interval.
+    """
+    for look in range(limits.most.size):
+        weigh(course, 0, 0, limits.checks[look], course.shape[0], sums, count)
+        if _beyond(sums[:count], limits.most[look]):
+            for k in range(count):
+                if abs(sums[k]) > limits.most[look]:
+                    count = k
+                    break
+    return count
+
+
+@unfused
+def _beyond(values: Array, limit: float) -> bool:
+    """Whether any magnitude exceeds a limit; without branches, so that several are compared at a time."""
+    count = 0
+    for k in range(values.size):
+        count += abs(values[k]) > limit
+    return count > 0
+
+
+@unfused
+def follow_closely(
+    pieces: CubicInput,
+    part: int,
+    interval: int,
+    tables: Tables,
+    limits: Limits,
+    state: Array,
+    held: Array,
+    overload: Array,
+    workspace: PartWorkspace,
+) -> tuple[int, float]:
+    """Carry the circuit through an interval step by step; give the next part, and what is beyond the limit in the end.
+
+    Moments are left in the workspace's vector, and what came of the interval in `overload`: see
+    `daq.dsp.propagation.propagate`.
+    """
+    after, excess, near, reached = _in_steps(
+        COARSE, pieces, part, interval, tables, limits, state, held, workspace
+    )
+    if near:
+        after, excess, near, reached = _in_steps(
+            FINE, pieces, part, interval, tables, limits, state, held, workspace
+        )
+    vector = workspace.vector
+    form_moments(tables, vector, workspace.work)
+    for e in range(held.shape[0]):
+        for r in range(tables.width):
+            vector[r] += limits.varying[e, r] * held[e, interval]
+    for j in range(tables.states):
+        state[j] = min(max(vector[j], -limits.rails[j]), limits.rails[j])
+    if reached:
+        overload[1 + interval] = 1.0
+        if limits.shift >= 0:
+            overload[1 + interval] += abs(state[limits.shift]) / limits.limit
+    return after, excess
+
+
+@unfused
+def _in_steps(
+    size: int,
+    pieces: CubicInput,
+    part: int,
+    interval: int,
+    tables: Tables,
+    limits: Limits,
+    state: Array,
+    held: Array,
+    workspace: PartWorkspace,
+) -> tuple[int, float, bool, bool]:
+    """Carry the vector through an interval in steps of a size, coarse or fine.
+
+    Returns the next part, what is beyond the limit in the end, whether the sensor's output came near its limit, and
+    whether any limit was reached.
+    """
+    vector, whole = workspace.vector, workspace.whole
+    steps = limits.steps[size]
+    _begin(limits, size, state, held[:, interval], vector, workspace.steady)
+    node, place, excess, near, reached, more = 0, 0.0, 0.0, False, False, True
+    while more:
+        more = _next_part(pieces, part, interval, whole)
+        part += part < pieces.broken.size and pieces.broken[part] == interval
+        end = place + whole[LENGTH] if more else 1.0
+        vector[tables.width :] = 0.0
+        if whole[LENGTH] > 0.0:
+            begin_part(tables, whole, vector)
+        if node == 0:
+            near |= abs(_sensed(limits, vector)) > limits.limit * NEAR
+            excess = _excess(limits, vector)
+        while node < steps and (node + 1) / steps <= end:
+            if place == node / steps:
+                multiply(limits.step, size, vector, workspace.nothing, workspace.term)
+                copy(workspace.term, vector)
+            else:
+                advance(tables, (node + 1) / steps - place, workspace)
+            node += 1
+            place = node / steps
+            for r in range(tables.width):
+                vector[r] += excess * limits.lacking[size, 0, r] + workspace.steady[r]
+            near |= abs(_sensed(limits, vector)) > limits.limit * NEAR
+            excess = limits.relief[size] * _excess(limits, vector)
+            if excess != 0.0:
+                for r in range(tables.width):
+                    vector[r] += excess * limits.lacking[size, 1, r]
+                reached = True
+            reached |= _hold(limits, size, vector)
+        if end > place:
+            advance(tables, end - place, workspace)
+            place = end
+        beyond = abs(whole[JUMP]) > limits.least
+        reached |= beyond
+        for r in range(tables.width):
+            vector[r] += (limits.impulse[r] if beyond else tables.impulse[r]) * whole[JUMP]
+    return part, excess, near, reached
+
+
+@unfused
+def _begin(limits: Limits, size: int, state: Array, held: Array, vector: Array, steady: Array) -> None:
+    """Put the states into the vector, and sum up what the steady disturbances add to it over each step."""
+    vector[:] = 0.0
+    for j in range(state.size):
+        vector[j] = state[j]
+    steady[:] = 0.0
+    for e in range(held.size):
+        for r in range(limits.held.shape[2]):
+            steady[r] += held[e] * limits.held[size, e, r]
+
+
+@unfused
+def _next_part(pieces: CubicInput, part: int, interval: int, out: Array) -> bool:
+    """Take the next part of an interval, all of it if nothing breaks it; say whether more parts follow."""
+    if part < pieces.broken.size and pieces.broken[part] == interval:
+        put(pieces.parts[part], out)
+        return bool(part + 1 < pieces.broken.size and pieces.broken[part + 1] == interval)
+    for k in range(4):
+        out[k] = pieces.smooth[k, interval]
+    out[LENGTH], out[JUMP] = 1.0, 0.0
+    return False
+
+
+@unfused
+def _sensed(limits: Limits, vector: Array) -> float:
+    """Give the sensor's output as it would be without its limit, V."""
+    free = 0.0
+    for r in range(limits.output.size):
+        free += limits.output[r] * vector[r]
+    return free
+
+
+@unfused
+def _excess(limits: Limits, vector: Array) -> float:
+    """How far the sensor's output is beyond its limit, V."""
+    free = _sensed(limits, vector)
+    return free - min(max(free, -limits.limit), limits.limit)
+
+
+@unfused
+def _hold(limits: Limits, size: int, vector: Array) -> bool:
+    """Keep the states within their largest magnitude through a step; say whether one was beyond."""
+    held = False
+    for j in range(limits.rails.size):
+        kept = min(max(vector[j], -limits.rails[j]), limits.rails[j])
+        beyond = vector[j] - kept
+        if beyond != 0.0:
+            for r in range(limits.holding.shape[2]):
+                vector[r] -= beyond * limits.holding[size, j, r]
+            vector[j] = kept
+            held = True
+    return held

@@ -77,23 +77,28 @@ def _settle(samples: Array, level: float, loss: float, missing: Array) -> None:
 
 
 class Disturbances:
-    """All disturbances of a channel, each constant over a number of intervals.
+    """All disturbances of a channel, each a Legendre polynomial over the interval that ends at its sample.
 
     Parameters
     ----------
     direct : ndarray, shape (disturbances,)
         Which share of each reaches the output at once.
-    intervals : int
-        Intervals of the signal for which each voltage holds; the first of all ends such a number.
+    degrees : sequence of int
+        Degree of each; those of degree 1 and 2 follow one of degree 0.
+    oversampling : int
+        Intervals of the signal per sample. What is drawn does not depend on it.
     """
 
-    def __init__(self, sources: Sequence[Disturbance], direct: Array, intervals: int) -> None:
-        self._sources, self._direct, self._each = tuple(sources), direct, intervals
+    def __init__(
+        self, sources: Sequence[Disturbance], direct: Array, degrees: Sequence[int], oversampling: int
+    ) -> None:
+        self._sources, self._direct, self._each = tuple(sources), direct, oversampling
+        self._degrees = tuple(degrees)
         self._interval, self._drawn = 0, 0
         self._last = np.zeros((len(sources), 1))
 
     def hold(self, intervals: int) -> Array:
-        """Draw the disturbances of the next intervals; shape (disturbances, intervals), V."""
+        """Draw the disturbances of the next intervals, polynomials over each; shape (disturbances, intervals), V."""
         first, stop = self._interval, self._interval + intervals
         self._interval = stop
         if not self._sources or intervals == 0:
@@ -108,8 +113,22 @@ class Disturbances:
             sample = -(-np.arange(first, stop) // self._each)
             drawn = np.concatenate([self._last, held], axis=1)
             held, self._last = drawn[:, sample - (self._drawn - 1)], drawn[:, -1:]
+            self._cut(held, (np.arange(first, stop) - 1) % self._each)
         self._drawn += count
         return held
+
+    def _cut(self, held: Array, place: NDArray[np.int64]) -> None:
+        """Write polynomials over samples for the interval at a place in each sample."""
+        length = 1.0 / self._each
+        middle = (2 * place + 1) * length - 1.0
+        for row, degree in enumerate(self._degrees):
+            if degree == 1:
+                held[row - 1] += middle * held[row]
+                held[row] *= length
+            elif degree == 2:
+                held[row - 2] += (0.5 * (3.0 * middle * middle - 1.0) + 0.5 * length * length) * held[row]
+                held[row - 1] += 3.0 * middle * length * held[row]
+                held[row] *= length * length
 
     def add_direct(self, held: Array, volts: Array) -> None:
         """Add what reaches the output at once.

@@ -65,12 +65,9 @@ class SignalPath:
         late = int(delay * rate)
         filtered, self._oversampling, self._interval = converter.filter is not None, oversampling, 0
         self._reading = _reading(stages, circuit, gain, converter, clock, oversampling, late, buffers)
-        # What passes a filter is drawn as often as the signal is looked at.
-        each = 1 if filtered else oversampling
-        terms = max(1, -(-NOISE_TERMS // oversampling)) if filtered else 1
-        entries, sources = _disturbances(stages, name, rate / each, seed, terms, filtered)
+        entries, sources = _disturbances(stages, name, clock.true_rate, seed, filtered)
         direct = np.array([0.0 if filtered else circuit.d[entry.section] for entry in entries])
-        self._disturbances = Disturbances(sources, direct, each)
+        self._disturbances = Disturbances(sources, direct, [entry.degree for entry in entries], oversampling)
         self._tables = discretise(circuit, gain, rate, self._reading.integrals, entries)
         limited = len(sensor.sections)
         self._limits = limits_of(
@@ -158,7 +155,7 @@ def _rails(stages: Sequence[Stage]) -> Array:
 
 
 def _disturbances(
-    stages: Sequence[Stage], channel: str, rate: float, seed: int, terms: int, filtered: bool
+    stages: Sequence[Stage], channel: str, rate: float, seed: int, filtered: bool
 ) -> tuple[list[Entry], list[Disturbance]]:
     """List the disturbances, each with the section in front of which it enters."""
     entries: list[Entry] = []
@@ -169,6 +166,7 @@ def _disturbances(
         if stage.noise is not None:
             noise, corner, name = stage.noise, stage.noise_corner, stage.name + " noise"
             sources.append(Noise(noise, corner, rate, generator(seed, channel, name)))
+            terms = NOISE_TERMS if filtered else 1
             for degree in range(1, terms):
                 random = generator(seed, channel, f"{name} {degree}")
                 sources.append(FastNoise(noise, corner, rate, random, degree))

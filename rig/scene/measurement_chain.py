@@ -73,7 +73,9 @@ class Accelerometer(Settings):
     """Sideways acceleration of the mounting point as a share of the vertical (10 % where `transverse` is
     given without it); the structure itself moves vertically only."""
     saturation: Annotated[float, Quantity(ACCELERATION, above=0.0)] | None = None
-    """Largest acceleration the output follows [m/s^2]."""
+    """Largest acceleration the output follows [m/s^2], whatever the sample rate; beyond, samples are marked as
+    overloaded. A jump of velocity shakes a sensor with up to that jump times 2 pi resonance; one without a resonance
+    cannot follow any."""
     overload_recovery: Annotated[float, Quantity(TIME, above=0.0)] | None = None
     """Time constant of the recovery after saturation [s]; needs `saturation`."""
     temperature_drift: Annotated[float, Quantity(PER_KELVIN)] | None = None
@@ -115,7 +117,8 @@ class Integrator(Settings):
     noise: Annotated[float, Quantity(VOLTAGE_NOISE, at_least=0.0)] | None = None
     """White noise density at the output [V/sqrt(Hz)]."""
     saturation: Annotated[float, Quantity(VOLTAGE, above=0.0)] | None = None
-    """Largest output [V]."""
+    """Largest voltage of each integration [V], whatever the sample rate; samples in which it is reached are marked as
+    overloaded."""
 
 
 class Hammer(Settings):
@@ -132,7 +135,7 @@ class Hammer(Settings):
     low_cutoff: Corner | None = None
     """Corner of the first-order high pass [Hz]."""
     saturation: Annotated[float, Quantity(FORCE, above=0.0)] | None = None
-    """Largest force the output follows [N]."""
+    """Largest force the output follows [N]; samples beyond are marked as overloaded."""
     iepe: bool | None = None
     """Whether its amplifier needs the current that the converter feeds it with (`excitation`)."""
 

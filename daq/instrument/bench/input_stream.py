@@ -95,7 +95,7 @@ class InputStream:
         block = self._converter.convert(self._chain.measure(motion, forces))
         motion = motion.every(self._intervals, self._interval)
         first = self._first + max(motion.first - self._chain.latency, 0)
-        return AcquiredBlock(first, block.samples, block.overload, motion)
+        return AcquiredBlock(first, block.samples, block.overload | self._chain.overload, motion)
 
     def physical(self, samples: NDArray[np.float64] | NDArray[np.int32]) -> Array:
         """Read samples in each channel's unit, as its data sheet says; shape (channels, samples)."""

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from daq.importing.matlab_file import matlab_arrays
 from daq.importing.signal import Array, Signal, clock_of_times, held, rate_of_interval
 from rig.errors import RecordingError
 
@@ -40,24 +41,7 @@ def numpy_signals(path: Path) -> list[Signal]:
 
 def matlab_signals(path: Path) -> list[Signal]:
     """List the arrays of a MATLAB file of version 4 to 7.2, which are held in memory, structures field by field."""
-    from scipy.io import loadmat
-
-    try:
-        content = loadmat(path, squeeze_me=True, struct_as_record=True, chars_as_strings=True)
-    except NotImplementedError:
-        raise RecordingError(
-            f"{path} is a MATLAB file of version 7.3 (HDF5), which is not read; in MATLAB: save(name, ..., '-v7')"
-        ) from None
-    except MemoryError:
-        raise RecordingError(
-            f"{path} states an array that does not fit into memory; the file is damaged"
-        ) from None
-    except Exception as error:
-        # The reader meets damage as whatever it happens to lead to.
-        raise RecordingError(
-            f"{path} is no MATLAB file, or it is damaged: {type(error).__name__}: {error}"[:300]
-        ) from error
-    return _signals(path, dict(_flat({name: value for name, value in content.items() if name[:2] != "__"})))
+    return _signals(path, dict(_flat(matlab_arrays(path))))
 
 
 def _flat(content: Mapping[str, Any], before: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:

@@ -25,13 +25,14 @@ import yaml
 
 import daq
 from rig.errors import ShotrigError
+from tests.daq.importing import files
 from tests.soak import recordings, scenes
 from tests.soak.command import Ended, run
 
 matplotlib.use("agg")
 
 # How many cases of each kind, unless told.
-CASES = {"kills": 200, "damage": 400, "disks": 100, "scenes": 150, "recordings": 150}
+CASES = {"kills": 200, "damage": 400, "disks": 100, "scenes": 150, "recordings": 150, "imports": 150}
 READING = (
     "daq info r.mcap --check",
     "daq info r.mcap",
@@ -41,6 +42,7 @@ READING = (
     "analysis decay r.mcap",
     "analysis modes r.mcap",
     "analysis dampers r.mcap",
+    "analysis compare r.mcap r.mcap",
     "analysis report r.mcap",
     "analysis export r.mcap -o o.csv",
     "analysis export r.mcap -o o.npz",
@@ -81,6 +83,11 @@ class Bench:
             self.scenes[number].write_text(yaml.safe_dump(scenes.BASES[number]))
             self.whole[number] = folder / f"whole{number}.mcap"
             daq.record(str(self.scenes[number]), self.whole[number])
+        self.foreign = {}
+        for name, (ending, write, _) in files.WRITERS.items():
+            path = folder / f"foreign-{name.replace(' ', '-')}{ending}"
+            write(path, files.histories())
+            self.foreign[path.suffix, name] = path.read_bytes()
 
     def clear(self) -> Path:
         """Give the folder, empty."""
@@ -190,12 +197,32 @@ def odd_recording(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]
     return run(chance.choice(READING).split(), folder), []
 
 
+def odd_import(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
+    """Import a damaged file of another program; what lies at the recording's place is not lost."""
+    folder = bench.clear()
+    (ending, _), whole = chance.choice(list(bench.foreign.items()))
+    (folder / f"x{ending}").write_bytes(recordings.damage(whole, chance))
+    (folder / "s.yaml").write_text(files.bench().to_yaml())
+    shutil.copy(bench.whole[0], folder / "r.mcap")
+    words = [
+        "daq",
+        "import",
+        f"x{ending}",
+        *chance.choice(((), ("--scene", "s.yaml", "-o", "r.mcap", "--overwrite"))),
+    ]
+    ended = run(words, folder)
+    if ended.code and bench.compare(folder / "r.mcap", 0):
+        return ended, ["file lost"]
+    return ended, []
+
+
 KINDS: dict[str, Callable[[Bench, random.Random], tuple[Ended, list[str]]]] = {
     "kills": kill,
     "damage": damage,
     "disks": fill_disk,
     "scenes": odd_scene,
     "recordings": odd_recording,
+    "imports": odd_import,
 }
 
 

@@ -76,6 +76,8 @@ def import_recording(
             metavar="FILE.yaml|csv", help="Which column is which channel; default: that of its name."
         ),
     ] = None,
+    start: Annotated[float | None, typer.Option("--from", metavar="S", help="Begin at this time.")] = None,
+    stop: Annotated[float | None, typer.Option("--to", metavar="S", help="End at this time.")] = None,
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", metavar="REC", help="Recording to write (default: FILE.mcap)."),
@@ -92,7 +94,7 @@ def import_recording(
             print(line)
         return
     path = _free(output if output is not None else files[0].with_suffix(".mcap"), overwrite)
-    import_and_report(files, loaded(scene, changes), path, table, overwrite)
+    import_and_report(files, loaded(scene, changes), path, table, start, stop, overwrite)
 
 
 @app.command()

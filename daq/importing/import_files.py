@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
@@ -35,6 +36,8 @@ _LOWEST, _HIGHEST = 1e-4, 0.4
 # Readings beyond these, in the unit of their quantity, are no vibration.
 _ABSURD = {"acceleration": 1e6, "velocity": 1e4, "displacement": 1e2, "force": 1e7, "voltage": 1e4}
 _LOST_LISTED = 1000
+# Part of a free test after which its largest motion comes late.
+_LATE = 0.05
 
 
 def import_files(
@@ -43,6 +46,8 @@ def import_files(
     path: str | Path,
     *,
     table: Mapping[str, Column] | str | Path | None = None,
+    from_s: float | None = None,
+    to_s: float | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> Path:
@@ -64,6 +69,8 @@ def import_files(
         Recording to write (MCAP), in an existing folder.
     table : mapping of str to Column, or str or Path, optional
         Which column is which channel, or the file that says so; see `daq.importing.channel_table`.
+    from_s, to_s : float, optional
+        Times in s after the first sample between which samples are taken.
     overwrite : bool
         Whether an existing recording may be replaced.
     progress : callable, optional
@@ -110,7 +117,7 @@ def import_files(
         signals = [signal for file in paths for signal in signals_of(file, stack)]
         chosen, notes = choose(what, signals, said)
         rate = _common_rate(chosen, what)
-        made = _started_together(assign(what, chosen, rate))
+        made = _cut(_started_together(assign(what, chosen, rate)), rate, from_s, to_s)
         notes += _lengths(made)
         with warnings.catch_warnings(record=True) as heard:
             warnings.simplefilter("always", RunWarning)
@@ -182,6 +189,31 @@ def _start(signal: Signal, origin: Signal) -> float:
     """Time of a signal's first sample after another's, s; dates count where both have one."""
     dated = signal.start_ns and origin.start_ns
     return signal.start_s - origin.start_s + ((signal.start_ns - origin.start_ns) * 1e-9 if dated else 0.0)
+
+
+def _cut(
+    made: Sequence[Assigned], rate: float, from_s: float | None, to_s: float | None
+) -> Sequence[Assigned]:
+    """Take the samples between two times."""
+    if from_s is None and to_s is None:
+        return made
+    longest = max(one.signal.samples for one in made)
+    start = 0 if from_s is None else max(0, math.ceil(from_s * rate))
+    stop = longest if to_s is None else min(longest, math.ceil(to_s * rate))
+    if stop - start < 2:
+        raise SceneError(
+            f"nothing is left between --from and --to: the files hold 0 s to {longest / rate:.6g} s"
+        )
+
+    def within(signal: Signal) -> Signal:
+        return replace(
+            signal,
+            samples=max(min(stop, signal.samples) - start, 0),
+            read=lambda first, last: signal.read(start + first, start + last),
+            start_s=signal.start_s + start / rate,
+        )
+
+    return [replace(one, signal=within(one.signal)) for one in made]
 
 
 def _lengths(made: Sequence[Assigned]) -> list[str]:
@@ -279,7 +311,7 @@ class _Import:
         """Mark the hits, or all of it as measured, as the scene's test says."""
         test = self._scene.test
         if isinstance(test, Free):
-            return []
+            return self._released()
         if isinstance(test, Sine | SteppedSine):
             return [
                 f"a {test.kind} test: the files do not say where its steps are, and none is marked; for responses, "
@@ -304,6 +336,21 @@ class _Import:
             low, high = sorted((test.from_, test.to))
         recorder.mark("measure", 0, self._samples - 1, **{"from": low, "to": high})
         return []
+
+    def _released(self) -> list[str]:
+        """Say where a free decay begins, if that is not where the file does."""
+        moving = [
+            (overloads.peak_at, one.channel.name)
+            for one, overloads in zip(self._made, self._overloads, strict=True)
+            if one.channel.body is not None and overloads.peak_at is not None
+        ]
+        late = max(moving, default=(0, ""))
+        if late[0] < _LATE * self._samples:
+            return []
+        return [
+            f"a free test: its decay is taken from the first sample on, but {late[1]} moves most at "
+            f"{late[0] / self._rate:.4g} s; leave out what comes before (--from)"
+        ]
 
 
 def _limit(one: Assigned) -> float | None:

@@ -49,6 +49,12 @@ class Rail:
             self._runs.append((start, stop, self.top - float(np.fmin(before, after))))
         self._open = None
 
+    @property
+    def at(self) -> int | None:
+        """First sample of the largest value."""
+        first = self._runs[0][0] if self._runs else None
+        return self._open[0] if first is None and self._open is not None else first
+
     def runs(self, stop: int, least: int, drop: float) -> list[tuple[int, int]]:
         """Give the stretches [first, stop) at the largest value, those with so many samples at least.
 
@@ -84,6 +90,11 @@ class Overloads:
     def peak(self) -> float:
         """Largest magnitude so far."""
         return max(rail.top for rail in self._rails)
+
+    @property
+    def peak_at(self) -> int | None:
+        """First sample of the largest magnitude; None while there is none."""
+        return max(self._rails, key=lambda rail: rail.top).at
 
     @property
     def span(self) -> float:

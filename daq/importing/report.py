@@ -31,13 +31,21 @@ def listing(files: Sequence[Path]) -> Iterator[str]:
 
 
 def import_and_report(
-    files: Sequence[Path], scene: Scene, path: Path, table: Path | None, overwrite: bool
+    files: Sequence[Path],
+    scene: Scene,
+    path: Path,
+    table: Path | None,
+    from_s: float | None,
+    to_s: float | None,
+    overwrite: bool,
 ) -> None:
     """Import files with a progress bar, and say what came of it."""
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always", RunWarning)
         with progress(f"importing {files[0].name}") as tell:
-            import_files(files, scene, path, table=table, overwrite=overwrite, progress=tell)
+            import_files(
+                files, scene, path, table=table, from_s=from_s, to_s=to_s, overwrite=overwrite, progress=tell
+            )
     for warning in heard:
         print(f"warning: {warning.message}", file=sys.stderr)
     with open_recording(path) as recording:

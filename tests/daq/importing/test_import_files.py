@@ -157,6 +157,46 @@ def test_given_two_files_of_one_test_when_imported_then_channels_come_from_both(
     assert any("force (4000)" in note for note in heard)
 
 
+@pytest.mark.parametrize("form", ["csv", "tdms"])
+def test_given_a_release_that_comes_late_when_imported_then_it_is_told_and_can_be_cut_out(form, tmp_path):
+    time = np.arange(6000) / RATE - 1.5
+    rows = np.where(time < 0, 0.0, np.exp(-time) * np.cos(60.0 * time)) + 1e-4 * histories(6000)
+    ending, write, _ = WRITERS[form]
+    write(tmp_path / f"a{ending}", rows)
+    scene = bench().replace(
+        test={"kind": "free", "mode": 1, "amplitude": 1e-3}, shaker=None, channels=bench().channels[:2]
+    )
+    recording, heard = imported(tmp_path / f"a{ending}", scene, tmp_path / "r.mcap")
+    recording.close()
+    assert any("moves most at 1.5 s; leave out" in note for note in heard)
+    recording, heard = imported(
+        tmp_path / f"a{ending}", scene, tmp_path / "r.mcap", from_s=1.5, to_s=2.5, overwrite=True
+    )
+    with recording:
+        assert recording.samples == 2048 and not any("moves most" in note for note in heard)
+        np.testing.assert_allclose(recording.read("body2"), rows[1, 3072:5120], rtol=1e-8, atol=1e-9)
+
+
+def test_given_the_table_as_yaml_or_csv_when_imported_then_both_say_the_same(tmp_path):
+    csv(tmp_path / "a.csv", histories(600))
+    (tmp_path / "t.yaml").write_text(
+        "body1: 2\nbody2: {column: body1, unit: 2 m/s^2, sign: -1, offset: 0.5, delay: 1 ms}\n"
+    )
+    (tmp_path / "t.csv").write_text(
+        "channel,column,unit,sign,offset,delay\nbody1,2\nbody2,body1,2 m/s^2,-1,0.5,1 ms\n"
+    )
+    read = []
+    for name in ("t.yaml", "t.csv"):
+        recording, _ = imported(
+            tmp_path / "a.csv", bench(), tmp_path / "r.mcap", table=tmp_path / name, overwrite=True
+        )
+        with recording:
+            assert recording.channels["body2"].delay == 1e-3
+            read.append([recording.read(channel) for channel in NAMES])
+    np.testing.assert_array_equal(*read)
+    np.testing.assert_allclose(read[0][1], -2.0 * (histories(600)[0] - 0.5), rtol=0, atol=1e-7)
+
+
 TABLES = {
     "channels: [body1": "valid YAML",
     "- body1": "expected a line for each channel",

@@ -44,14 +44,14 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
             shade = colour(index)
             keep = decay.time <= shown
             trace.plot(decay.time[keep], decay.acceleration[keep], color=shade, lw=0.6, alpha=0.75)
-            time, top = envelope_of(decay)
-            early = time <= shown
+            lowest = min((mode.frequency for mode in decay.modes), default=1.0 / decay.time[-1])
+            top = envelope(decay.acceleration, 1.0 / (lowest * decay.time[1]))
             for sign in (1.0, -1.0):
                 trace.plot(
-                    time[early], sign * top[early], color=shade, lw=1.4,
+                    decay.time[keep], sign * top[keep], color=shade, lw=1.4,
                     label=drawn(decay.label) if sign > 0 else None,
                 )  # fmt: skip
-            level.plot(time[early], top[early], color=shade, lw=1.2)
+            level.plot(decay.time[keep], top[keep], color=shade, lw=1.2)
             level.plot(
                 decay.time[keep], decay.envelope.max() * 10.0 ** (decay.energy[keep] / 20.0),
                 color=shade, lw=1.6, ls="--",
@@ -115,16 +115,15 @@ def _damping_row(
             first.set_ylim(low, high)
 
 
-def envelope_of(decay: Decay) -> tuple[Array, Array]:
-    """Time, and a smooth line that no sample of the acceleration passes.
+def envelope(acceleration: Array, period: float) -> Array:
+    """Give a smooth line that no sample of an acceleration passes.
 
-    The largest magnitude within a period of the lowest mode on either side, averaged over one: every value of the
-    average is as large as the sample in its middle.
+    The largest magnitude within a period of the lowest mode [samples] on either side, averaged over one: every value
+    of the average is as large as the sample in its middle.
     """
-    lowest = min((mode.frequency for mode in decay.modes), default=1.0 / decay.time[-1])
-    window = 2 * max(1, round(0.5 / (lowest * (decay.time[1] - decay.time[0])))) + 1
-    largest = maximum_filter1d(abs(decay.acceleration), 2 * window + 1, mode="nearest")
-    return decay.time, uniform_filter1d(largest, window, mode="nearest")
+    window = 2 * max(1, round(0.5 * period)) + 1
+    largest = maximum_filter1d(abs(acceleration), 2 * window + 1, mode="nearest")
+    return np.asarray(uniform_filter1d(largest, window, mode="nearest"))
 
 
 def _columns(decays: Sequence[Decay]) -> list[list[tuple[int, ModalDecay]]]:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rig.figure_style import COLOURS, decades, drawing, frequency_axis
+from analysis.figures.decay_figure import envelope
+from rig.figure_style import COLOURS, decades, drawing, frequency_axis, plain_logarithmic
 from rig.scene.scene import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
@@ -18,7 +19,9 @@ Parts = Mapping[str, Mapping[str, np.ndarray]]
 
 BLUE, RED, GREEN, PINK, SKY, ORANGE, GREY, BLACK = COLOURS
 TYPE_COLOURS = {"I": BLUE, "II": GREEN, "III": RED, "riding": GREY}
-COMPLIANCE = "compliance |X/F₁| / (m/N)"
+# Of the first mode, Hz, which sets the envelope's window.
+LOWEST = 12.4
+COMPLIANCE = "compliance |X/F₁| / (µm/N)"
 
 
 def figure_4(parts: Parts) -> Figure:
@@ -47,6 +50,7 @@ def figure_4(parts: Parts) -> Figure:
                 xytext=(3, 4), textcoords="offset points", va="bottom", ha="left", fontsize=7.5, rotation=90,
             )  # fmt: skip
         decades(upper, [abs(measured["compliance"])])
+        plain_logarithmic(upper.yaxis, factor=1e6)
         decades(lower, [abs(measured["transfer"])])
         upper.set_title("Fig 4b: no dampers. Dots: recording; lines: exact")
         upper.set_ylabel(COMPLIANCE)
@@ -76,13 +80,14 @@ def figure_5(parts: Parts) -> Figure:
             height = np.interp(wave["frequency"], data["frequency"], abs(data["compliance"][1]))
             axes.plot(wave["frequency"], height, "o", color=BLACK, ms=4)
             axes.annotate(
-                f"{letter} ({wave['type']})", (float(wave["frequency"]), height), xytext=(5, 4),
-                textcoords="offset points",
+                f"{letter} ({wave['type']})", (float(wave["frequency"]), height), textcoords="offset points",
+                xytext=(6, 2) if letter == "a" else (-12, -14),
             )  # fmt: skip
         decades(axes, [abs(single["compliance"][1]), abs(three["compliance"][1]), [6.5e-4]], most=2.0)
         axes.set_xlim(45, 54)
         axes.set_xlabel("frequency / Hz")
-        axes.set_ylabel("compliance of body 2 |X₂/F₁| / (m/N)")
+        plain_logarithmic(axes.yaxis, factor=1e6)
+        axes.set_ylabel("compliance of body 2 |X₂/F₁| / (µm/N)")
         axes.set_title("Fig 5: third mode; mass ratio 10 %, clearance 1 mm, force 10 N (our choice)")
         axes.legend()
     return figure
@@ -132,7 +137,8 @@ def figure_8(parts: Parts) -> Figure:
             )
         decades(axes, [abs(parts["rec-bare"]["compliance"][2])])
         frequency_axis(axes, 8.0, 60.0, True)
-        axes.set_ylabel("compliance of body 3 |X₃/F₁| / (m/N)")
+        plain_logarithmic(axes.yaxis, factor=1e6)
+        axes.set_ylabel("compliance of body 3 |X₃/F₁| / (µm/N)")
         axes.set_title("Fig 8: recordings; mass ratio 10 %, no ceiling, force 2.6 N")
         axes.legend(loc="lower left")
     return figure
@@ -163,7 +169,8 @@ def figure_9(parts: Parts) -> Figure:
             measured["frequency"], abs(measured["compliance"][1]), "o", color=BLACK, ms=2.4, label="recording"
         )
         upper.set_ylim(0, 2.4e-4)
-        upper.set_ylabel("compliance of body 2 |X₂/F₁| / (m/N)")
+        upper.yaxis.set_major_formatter(lambda value, _: f"{1e6 * value:g}")
+        upper.set_ylabel("compliance of body 2 |X₂/F₁| / (µm/N)")
         upper.set_title("Fig 9: mass ratio 6 %, clearance 0.98 mm, force 3.3 N (thin: unstable)")
         upper.legend(loc="upper right", ncols=2)
         for data, shade, keep in (
@@ -175,7 +182,7 @@ def figure_9(parts: Parts) -> Figure:
         lower.plot(measured["impact_frequency"], measured["impact_phi"], "o", color=BLACK, ms=2.4)
         lower.plot(measured["impact_frequency"], measured["impact_tau_1"], "s", color=BLACK, ms=2.4)
         for text, place in (("φ, force phase lag at floor impact", (46.1, 5.4)), ("τ₁, ceiling impact", (49.6, 4.35)),
-                            ("τ₀, leaves floor", (49.0, 1.38))):  # fmt: skip
+                            ("τ₀, leaves floor", (48.75, 0.6))):  # fmt: skip
             lower.annotate(text, place, fontsize=8.5)
         lower.set_ylim(0, 2 * np.pi)
         lower.set_yticks(np.arange(5) * np.pi / 2, ["0", "π/2", "π", "3π/2", "2π"])
@@ -204,7 +211,8 @@ def figure_10a(parts: Parts) -> Figure:
             lw=0,
         )
         decades(upper, [abs(simulated["compliance"][0])])
-        upper.set_ylabel("compliance of body 1 |X₁/F₁| / (m/N)")
+        plain_logarithmic(upper.yaxis, factor=1e6)
+        upper.set_ylabel("compliance of body 1 |X₁/F₁| / (µm/N)")
         upper.set_title("Fig 10a: three dampers, mass ratio 10 %, no ceiling, force 2.6 N")
         upper.legend(loc="lower left")
         there = np.interp(measured["frequency"], simulated["frequency"], abs(simulated["compliance"][0]))
@@ -225,22 +233,23 @@ def figure_10b(parts: Parts) -> Figure:
         ):
             data = parts[name]
             axes.plot(data["time"], data["acceleration"], color=shade, lw=0.5)
-            axes.plot(data["time"], _smooth(data["envelope"]), color=shade, lw=1.4, label=label)
-        axes.axhspan(-STANDARD_GRAVITY, STANDARD_GRAVITY, color=ORANGE, alpha=0.12, lw=0)
-        axes.annotate(
-            "within 1 g dampers rest", (1.98, -9.0), ha="right", va="bottom", fontsize=8,
-            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1},
-        )  # fmt: skip
+            top = envelope(data["acceleration"], 1.0 / (LOWEST * (data["time"][1] - data["time"][0])))
+            axes.plot(data["time"], top, color=shade, lw=1.4, label=label)
+            axes.plot(data["time"], -top, color=shade, lw=1.4)
+        axes.axhspan(
+            -STANDARD_GRAVITY,
+            STANDARD_GRAVITY,
+            color=ORANGE,
+            alpha=0.2,
+            lw=0,
+            label="within 1 g: dampers rest",
+        )
         axes.set_xlim(0, 2.0)
         axes.set_xlabel("time / s")
         axes.set_ylabel("acceleration of body 3 / (m/s²)")
         axes.set_title("Fig 10b: impulse response, mass ratio 10 %, no ceiling")
         axes.legend(loc="upper right")
     return figure
-
-
-def _smooth(envelope: np.ndarray, width: int = 256) -> np.ndarray:
-    return np.convolve(envelope, np.ones(width) / width, mode="same")
 
 
 def _runs(

@@ -192,6 +192,24 @@ def _of_saved(call: Call, name: str) -> Any:
     return True
 
 
+# What the driver's simulated devices, which are never calibrated, state: temperatures in °C, an interval in months.
+_CALIBRATION = {
+    "cal_dev_temp": 0.0,
+    "ext_cal_last_temp": 0.0,
+    "self_cal_last_temp": 0.0,
+    "ext_cal_recommended_interval": 24,
+}
+
+
+def _of_calibration(call: Call, name: str) -> Any:
+    call.server.chassis.devices.module(call.fields["device_name"])
+    return _CALIBRATION[name] if name in _CALIBRATION else _refuse(call, name)
+
+
+def _refuse(call: Call, name: str) -> Any:
+    raise DaqError(f"there is no property {name} here", Code.ATTR_NOT_SUPPORTED)
+
+
 _OWNERS: dict[str, Callable[[Any, str], Any]] = {
     "Device": _of_device,
     "PhysicalChan": _of_terminal,
@@ -201,10 +219,7 @@ _OWNERS: dict[str, Callable[[Any, str], Any]] = {
     "PersistedTask": _of_saved,
     "PersistedChan": _of_saved,
     "PersistedScale": _of_saved,
+    "CalInfo": _of_calibration,
+    "RealTime": _refuse,
+    "Watchdog": _refuse,
 }
-for _absent in ("CalInfo", "RealTime", "Watchdog"):
-    _OWNERS[_absent] = lambda call, name: _refuse(name)
-
-
-def _refuse(name: str) -> Any:
-    raise DaqError(f"there is no property {name} here", Code.ATTR_NOT_SUPPORTED)

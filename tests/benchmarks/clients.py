@@ -103,6 +103,8 @@ def _measure(given: argparse.Namespace, server: int, address: str) -> None:
     )
     print(f" ({(after - before) / 1e6:+.1f} MB); {len(late)} of {given.clients} clients lost nothing")
     middle, most, worst = np.percentile(late, [50, 99, 100])
+    slow = np.flatnonzero((late > 25.0).any(axis=0)) / READS_PER_SECOND
+    print(f"reads later than 25 ms: {(late > 25.0).sum()}, at {', '.join(f'{at:.1f}' for at in slow[:30])} s")
     print(
         f"latency of {late.size} reads: median {middle:.1f} ms, 99 % below {most:.1f} ms, longest {worst:.1f} ms"
     )

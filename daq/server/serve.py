@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import ipaddress
 import signal
 import sys
@@ -110,6 +111,9 @@ def serve(
             stack.callback(LiveRecording(chassis, record, overwrite).close)
         if viewer:
             stack.enter_context(_viewing(chassis))
+        # Python's collector would look through all that is there by now, time and again, while every client waits.
+        gc.collect()
+        gc.freeze()
         print(announcement(chassis, host, server.port, certificates is not None), flush=True)
         _wait_for_signal()
         print("closing", file=sys.stderr)

@@ -40,6 +40,7 @@ with nidaqmx.Task(grpc_options=nidaqmx.GrpcSessionOptions(channel, "")) as task:
     task.timing.cfg_samp_clk_timing(51200.0, sample_mode=AcquisitionType.CONTINUOUS)
     task.timing.first_samp_timestamp_enable = True
     reader, data, late = AnalogMultiChannelReader(task.in_stream), np.zeros((4, size)), []
+    print("ready", flush=True)
     sys.stdin.readline()
     task.start()
     began = task.timing.first_samp_timestamp_val.timestamp()
@@ -87,7 +88,9 @@ def _measure(given: argparse.Namespace, server: int, address: str) -> None:
         )
         for name in names
     ]
-    time.sleep(10.0)
+    for client in clients:
+        assert client.stdout is not None
+        client.stdout.readline()
     for client in clients:
         assert client.stdin is not None
         client.stdin.write("\n")

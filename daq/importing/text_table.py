@@ -206,8 +206,10 @@ def _heading(lines: list[str], delimiter: str | None, width: int) -> tuple[list[
         for line in lines
         if line.strip()
     ]
-    rows = [row for row in above[-2:] if len(row) == width]
-    if not rows or len(above[-1]) != width:
+    # LabVIEW heads a column of comments that its lines do not have.
+    fitting = (width, width + 1)
+    rows = [row[:width] for row in above[-2:] if len(row) in fitting]
+    if not rows or len(above[-1]) not in fitting:
         return [f"column {number}" for number in range(1, width + 1)], [""] * width
     if (
         len(rows) == 2

@@ -197,6 +197,19 @@ def test_given_the_table_as_yaml_or_csv_when_imported_then_both_say_the_same(tmp
     np.testing.assert_allclose(read[0][1], -2.0 * (histories(600)[0] - 0.5), rtol=0, atol=1e-7)
 
 
+def test_given_labviews_text_when_imported_then_its_clock_and_names_are_found(tmp_path):
+    rows = histories(400)
+    heading = "LabVIEW Measurement\t\nSeparator\tTab\n***End_of_Header***\t\t\t\t\nChannels\t3\t\t\t\n"
+    heading += "***End_of_Header***\t\t\t\t\nX_Value\tbody1\tbody2\tforce\tComment\n"
+    lines = ["\t".join(f"{value:.6f}" for value in (k / RATE, *row)) for k, row in enumerate(rows.T)]
+    (tmp_path / "a.lvm").write_text(heading + "\n".join(lines) + "\n")
+    table = {name: Column(name, unit="m/s^2" if name != "force" else "N") for name in NAMES}
+    recording, heard = imported(tmp_path / "a.lvm", bench(), tmp_path / "r.mcap", table=table)
+    with recording:
+        assert recording.rate == RATE and not heard
+        np.testing.assert_allclose(recording.read("force"), rows[2], rtol=0, atol=1e-6)
+
+
 TABLES = {
     "channels: [body1": "valid YAML",
     "- body1": "expected a line for each channel",

@@ -233,6 +233,9 @@ class _Shown(io.TextIOBase):
         """Write what waits."""
         self._forward(self.terminal.flush)
 
+    def close(self) -> None:
+        """Do nothing: the terminal is Python's, and may be closed before this goes, of which 3.13 would complain."""
+
     def _forward(self, act: Callable[..., object], *given: str) -> None:
         try:
             act(*given)

@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage, signal
+
+from rig.results import Result, styled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -28,8 +34,8 @@ _FELT = 2
 _POINTS = 64
 
 
-@dataclass(frozen=True)
-class ModalDecay:
+@dataclass(frozen=True, repr=False)
+class ModalDecay(Result):
     """Decay of one mode after band-pass.
 
     Attributes
@@ -57,6 +63,35 @@ class ModalDecay:
     damping: Array
     damping_error: Array
     damping_smear: Array
+
+    def summary(self) -> str:
+        """Say which mode, and its damping ratio from the largest amplitude to the smallest."""
+        told = f"{self.frequency:.4g} Hz, {self.damping.size} amplitudes"
+        if not self.damping.size:
+            return told
+        return (
+            f"{told}, damping ratio {100 * self.damping[0]:.3g} % at {self.amplitude[0]:.3g} m/s², "
+            f"{100 * self.small_damping():.3g} % at small ones"
+        )
+
+    def columns(self) -> dict[str, Array]:
+        """Amplitude, damping ratio there, and its standard uncertainty."""
+        return {
+            "amplitude_m/s²": self.amplitude,
+            "damping_ratio": self.damping,
+            "damping_ratio_std": self.damping_error,
+        }
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Damping ratio against amplitude, with its 95 % bound."""
+        percent, half = 100.0 * self.damping, 200.0 * self.damping_error
+        (line,) = ax.semilogx(
+            self.amplitude, percent, "o-", **styled(style, ms=3, label=f"{self.frequency:.4g} Hz")
+        )
+        ax.fill_between(
+            self.amplitude, percent - half, percent + half, color=line.get_color(), alpha=0.2, lw=0
+        )
+        ax.set(xlabel="amplitude / (m/s²)", ylabel="damping ratio / %")
 
     @property
     def decrement(self) -> Array:

@@ -108,6 +108,12 @@ def test_given_responses_without_unit_or_with_two_references_when_read_then_it_i
         analysis.read_frfs(tmp_path / "a.uff", "7 +X", "N/m")
 
 
+def test_given_a_unit_in_windows_characters_when_read_then_its_square_is_told(tmp_path):
+    uff(tmp_path / "a.uff", accelerance(), ordinate_axis_units_lab="(1/N)*(m/s#)")
+    (tmp_path / "a.uff").write_bytes((tmp_path / "a.uff").read_bytes().replace(b"#", b"\xb2"))
+    assert analysis.read_frfs(tmp_path / "a.uff")[0].value[9] == pytest.approx(accelerance()[0, 10], rel=1e-9)
+
+
 BAD = {
     "no file": None,
     "not a file.uff": b"nothing",

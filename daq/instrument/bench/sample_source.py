@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 # A rate that somebody asks for while the rig moves begins with filters that have seen this much of the motion, s.
 _SETTLING = 2.0
+# No more than so many ticks of it are kept: a stiff scene has a million a second.
+_MOST_TICKS = 1 << 18
 
 
 class SampleSource(Protocol):
@@ -164,7 +166,7 @@ class SceneSource:
         drive = self._line.put_out(drive)
         motion = self._plant.advance(drive)
         self._past.append((motion, drive))
-        while motion.first - self._past[0][0].first > _SETTLING * self.rate:
+        while motion.first - self._past[0][0].first > min(_SETTLING * self.rate, _MOST_TICKS):
             self._past.popleft()
         blocks = {rate: stream.take(motion, drive) for rate, stream in self._streams.items()}
         self._test.hear(blocks[self.sample_rate].samples, ticks)

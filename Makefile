@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: demo test lint types layers quick gauntlet matrix soak mutants bench peers docs clean
+.PHONY: demo test lint types layers quick gauntlet fits matrix soak mutants bench peers docs clean
 .DEFAULT_GOAL := demo
 
 $(VENV)/bin/python:
@@ -44,6 +44,10 @@ SCENES ?= 270
 gauntlet: $(STAMP)
 	$(BIN)/python -m tests.warm_up
 	$(BIN)/python -m tests.gauntlet --scenes $(SCENES) --seed $(SEED)
+
+# Fits of scenes to the recordings of benches that nobody prepared.
+fits: $(STAMP)
+	$(BIN)/python -m tests.gauntlet.fits --seed $(SEED)
 
 # The tests as on other machines: vector width, BLAS kernel, threads, locale, Pythons, oldest dependencies.
 matrix: $(STAMP)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,10 +19,12 @@ Told = Callable[[str], None]
 # solution, narrow resonances beside each other know nothing of each other.
 _DISTRUST = (0.1, 0.01, 0.0)
 _DISTRUST_DAMPERS = (0.2, 0.05)
+# The least of it: large misses hardly count, so that a point in another motion does not decide.
+_BARELY = 1e-6
 # Factors on mass and clearance of all dampers to start from, where the scene's own lead nowhere.
 _MASSES, _CLEARANCES = (1.0, 0.75), (1.0, 0.7, 1.5)
-# A fit with dampers that leaves more variances than this may have started in the wrong place.
-_DOUBTFUL = 25.0
+# A fit of the dampers that leaves less than this of variances, in the median, started in the right place.
+_CLOSE = 1.0
 # Rounds of fitting all, each after a look for other motions at points that stand out.
 _ROUNDS = 4
 # Frequencies whose misses may have a common cause, as a share of all of a group's.
@@ -62,7 +64,8 @@ def estimate(problem: Problem, told: Told) -> Estimate:
             if not _rechosen(problem, x, damped) and turn > 0:
                 break
             told("all")
-            x = solved(problem, x, problem.groups, 0.0)
+            x = solved(problem, x, problem.groups, _DISTRUST[-2] if turn == 0 else _BARELY, most=8)
+        x = solved(problem, x, problem.groups, 0.0, most=12)
     return Estimate(x, *_certainty(problem, x))
 
 
@@ -87,10 +90,10 @@ def solved(
         x[chosen],
         jac=lambda inner: problem.jacobian(full(inner), groups, distrust, chosen),
         x_scale="jac",
-        loss="linear" if distrust == 0.0 else "soft_l1",
+        loss={0.0: "linear", _BARELY: "cauchy"}.get(distrust, "soft_l1"),
         max_nfev=most,
-        ftol=1e-10,
-        xtol=1e-12,
+        ftol=1e-8 if distrust == 0.0 else 1e-3,
+        xtol=1e-10,
         gtol=1e-10,
     )
     best = full(solution.x)
@@ -121,11 +124,13 @@ def _with_dampers(problem: Problem, x: Array, damped: Sequence[Group], structure
                     )
                     tried[k] += np.log(factor)
             for distrust in _DISTRUST_DAMPERS:
-                tried = solved(problem, tried, damped, distrust, active, 12)
-            cost = mean_square(problem, tried, damped, _DISTRUST_DAMPERS[-1])
+                tried = solved(problem, tried, damped, distrust, active, 6)
+            # The median, for some points may be in other motions than the measured ones.
+            misses = problem.residual(tried, damped, _DISTRUST_DAMPERS[-1])[: -problem.size]
+            cost = float(np.median(misses**2))
             if cost < smallest:
                 best, smallest = tried, cost
-            if smallest < _DOUBTFUL / 10.0:
+            if smallest < _CLOSE:
                 problem.residual(best, damped)
                 return best
     problem.residual(best, damped)
@@ -148,19 +153,22 @@ def _rechosen(problem: Problem, x: Array, damped: Sequence[Group]) -> bool:
 def _certainty(problem: Problem, x: Array) -> tuple[Array, float]:
     """Covariance of the unknowns, and the mean square of the misses.
 
-    Misses beyond the stated errors enlarge the covariance by their mean square. Misses that have causes in common,
+    Systematic parts, which do not scatter, shift the unknowns as a whole: what each would do is added. Misses beyond
+    the stated errors enlarge the covariance by their mean square. Misses that have causes in common,
     from response to response and over neighbouring frequencies, are counted by cluster [1]_; of both the larger.
 
     References
     ----------
     .. [1] K.-Y. Liang, S. L. Zeger, Longitudinal data analysis using generalized linear models, Biometrika 73 (1986).
     """
+    shifts: list[Array] = []
     data, scores, square, count = np.zeros((problem.size,) * 2), np.zeros((problem.size,) * 2), 0.0, 0
     for group in problem.groups:
         jacobian = problem.jacobian(x, [group])[: -problem.size]
         misses = problem.residual(x, [group])[: -problem.size]
         used = int(group.used.sum())
         data += jacobian.T @ jacobian
+        shifts += [jacobian.T @ off for off in _systematic(group)]
         square += float(misses @ misses)
         count += misses.size
         order = np.argsort(group.curves.frequency[group.used], kind="stable")
@@ -177,4 +185,21 @@ def _certainty(problem: Problem, x: Array) -> tuple[Array, float]:
     bread = np.linalg.inv(data + prior)
     clustered = bread @ (scores + prior) @ bread
     wider = np.sqrt(np.maximum(np.diag(clustered) / np.diag(stated), 1.0))
-    return stated * np.outer(wider, wider), variance
+    moved = bread @ np.array(shifts).T
+    return stated * np.outer(wider, wider) + moved @ moved.T, variance
+
+
+def _systematic(group: Group) -> Iterator[Array]:
+    """Whitened residuals of what stays the same from line to line: a gain, and a phase, of each response.
+
+    Evenly anywhere within its bounds, each has the root of a third of them as its standard deviation.
+    """
+    curves, used = group.curves, group.used
+    for k in range(len(curves.sensors)):
+        off = np.zeros_like(curves.value)
+        off[k] = (
+            curves.systematic[k] / np.sqrt(3.0) * curves.value[k] / np.maximum(abs(curves.value[k]), 1e-300)
+        )
+        white = np.einsum("nij,jn->ni", curves.whiten[used], off[:, used]).ravel()
+        yield np.concatenate([white.real, white.imag])
+        yield np.concatenate([-white.imag, white.real])

@@ -55,7 +55,8 @@ class Fitted:
     low, high : float
         95 % interval.
     told : {'determined', 'roughly', 'not told'}
-        Whether the recordings tell it: within a few per cent, within half of itself, or not.
+        Whether the recordings tell it: within a few per cent, within half of itself, or not. Nothing is determined by a
+        scene that misses the curves by more than their errors.
     """
 
     key: str
@@ -269,7 +270,10 @@ def _result(problem: Problem, found: Estimate, told: Progress) -> Fit:
             )
     names = range(len(problem.parameters))
     deviation = np.sqrt(np.diag(found.covariance))
-    each = tuple(_fitted(one, x[k], deviation[k], bool(misfit)) for k, one in enumerate(problem.parameters))
+    each = tuple(
+        _fitted(one, x[k], deviation[k], bool(misfit) or found.variance > NOT_NOISE)
+        for k, one in enumerate(problem.parameters)
+    )
     damping = () if misfit else damping_by_level(problem, found)
     return Fit(
         scene=scene,
@@ -289,10 +293,10 @@ def _result(problem: Problem, found: Estimate, told: Progress) -> Fit:
     )
 
 
-def _fitted(one: Parameter, x: float, deviation: float, misfit: bool) -> Fitted:
+def _fitted(one: Parameter, x: float, deviation: float, missed: bool) -> Fitted:
     low, value, high = (one.value(x + step * CONFIDENCE * deviation) for step in (-1.0, 0.0, 1.0))
     half = CONFIDENCE * deviation * slope(one, value)
-    told = "not told" if half > _UNTOLD else "determined" if half <= one.limit and not misfit else "roughly"
+    told = "not told" if half > _UNTOLD else "determined" if half <= one.limit and not missed else "roughly"
     return Fitted(one.key, one.unit, one.start, value, low, high, told)
 
 

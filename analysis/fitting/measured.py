@@ -61,6 +61,8 @@ class Curves:
         Displacement over the reference, as read by the sensors.
     whiten : ndarray of complex, shape (n, responses, responses)
         Applied to errors, gives components of which each quadrature has variance 1.
+    systematic : ndarray, shape (responses, n)
+        How far each value can be off at most, sensors' tolerances apart, however long one averages.
     sensors : tuple of Sensor
         Behind each response; `reference_sensor` behind the reference.
     bodies : tuple of int
@@ -79,6 +81,7 @@ class Curves:
     frequency: Array
     value: ComplexArray
     whiten: ComplexArray
+    systematic: Array
     sensors: tuple[Sensor, ...]
     reference_sensor: Sensor
     bodies: tuple[int, ...]
@@ -192,6 +195,7 @@ def _curves(
         frequency=frfs[0].frequency[known],
         value=value[:, known],
         whiten=_whitening(frfs, covariance, known),
+        systematic=np.stack([_other_systematic(frf)[known] for frf in frfs]),
         sensors=sensors,
         reference_sensor=_sensor(rec, lower.channels[0]),
         bodies=tuple(int(sensor.at.split()[1]) - 1 for sensor in sensors),

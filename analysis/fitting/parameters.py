@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.special import expit
 
 from rig.errors import SceneError
 from rig.scene.changes import changes_of
@@ -40,6 +41,8 @@ _LIMITS = {
     "duration": 0.05,
 }
 _LIMIT = 0.02
+# What is not told at all has intervals without end; a double holds this power of e.
+_LARGEST = 600.0
 
 
 @dataclass(frozen=True)
@@ -91,7 +94,7 @@ class Parameter:
 
     def value(self, unknown: float) -> float:
         """Give the value that an unknown stands for."""
-        return float(1.0 / (1.0 + np.exp(-unknown)) if self.below_one else np.exp(unknown))
+        return float(expit(unknown) if self.below_one else np.exp(min(unknown, _LARGEST)))
 
 
 def spelt_out(scene: Scene) -> Scene:

@@ -67,7 +67,7 @@ def describe(found: Fit) -> list[str]:
     for number, mode in enumerate(found.modes, 1):
         lines.append(
             f"  mode {number} of the structure: {mode.frequency:.5g} Hz ± {mode.frequency_bound:.2g}, damping ratio "
-            f"{mode.damping:.4%} ± {mode.damping_bound:.1%}"
+            f"{mode.damping:.4%} ± {mode.damping_bound:.2%}"
         )
     for level in found.damping:
         beneath = "beneath its dampers" if level.damped else "without dampers"

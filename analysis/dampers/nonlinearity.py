@@ -24,6 +24,8 @@ _ERRORS = 5.0
 # So far from one a period impacts may be: of some twenty one or two fall on the edge of a window, or lie too
 # near to another.
 _ONCE = 0.15
+# Where so many periods pass without a blow on the floor, one in between is missing.
+_MISSING = 1.5
 
 
 def jumps(frf: Frf) -> list[tuple[float, str]]:
@@ -85,13 +87,15 @@ class DamperMotion:
     """Whether the body's acceleration exceeds g, so that the damper cannot ride all the time."""
     restitution: Restitution | None = None
     """Of the body's only damper, where its impacts tell it."""
+    longest: float = 1.0
+    """Longest time between blows on the floor, periods."""
 
     @property
     def name(self) -> str:
         """Kind of motion, in the paper's terms where they apply."""
         if self.floor == 0 and self.ceiling == 0:
             return "unseen" if self.lifts else "riding"
-        once = abs(self.floor - 1.0) < _ONCE
+        once = abs(self.floor - 1.0) < _ONCE and self.longest < _MISSING
         if once and self.ceiling < _ONCE:
             return "I"
         if once and abs(self.ceiling - 1.0) < _ONCE:
@@ -114,6 +118,7 @@ def damper_motion(rec: Recording, sweep: Sweep, channel: str) -> list[DamperMoti
         # The search leaves out the ends of its stretch.
         inner = found.searched * float(frequency)
         struck = found.kind == "ceiling"
+        between = np.diff(found.time[~struck]) * float(frequency)
         then = found.acceleration[struck & np.isfinite(found.acceleration)]
         out.append(
             DamperMotion(
@@ -125,6 +130,7 @@ def damper_motion(rec: Recording, sweep: Sweep, channel: str) -> list[DamperMoti
                 found.threshold,
                 bool(lift),
                 restitution(rec, found, alone[0], int(first), int(stop)) if len(alone) == 1 else None,
+                float(between.max(initial=0.0)),
             )
         )
     return out

@@ -15,6 +15,7 @@ from analysis.modal.order_selection import MOST_MODES, in_band, select
 from analysis.modal.pole_errors import pole_errors
 from analysis.modal.pole_residue import Curves, Fit, fit
 from analysis.responses.frf import Frf
+from analysis.responses.systematic import MODEL, RESOLUTION, UNSETTLED
 from rig.errors import RecordingError, SceneError
 
 Array = NDArray[np.float64]
@@ -36,6 +37,8 @@ _AROUND = 1.15
 # A Hann window's leakage widens a resonance; fitted, its damping ratio comes out too high by some 0.16 of
 # (resolution over half the half-power width) squared: by 2 % at this ratio.
 SMEARED = 0.36
+# Systematic parts that differ from line to line.
+_ROUGH = (UNSETTLED, RESOLUTION, MODEL)
 # A damping ratio that is uncertain by more (one standard deviation) cannot be told.
 _TOLD = 0.5
 
@@ -138,7 +141,9 @@ def _explained(
         model = select(curves, stable, every, most)
         if model.misfit < _NOT_NOISE * curves.degrees(model.poles.size):
             break
-    return curves, model, error * np.sqrt(model.misfit / curves.degrees(model.poles.size))
+    missed = float(error * np.sqrt(model.misfit / curves.degrees(model.poles.size)))
+    # Modes far outside the band bend a curve by a little more than their two residual terms: that is as linear.
+    return curves, model, missed if missed > LEAST_RELATIVE_ERROR else 0.0
 
 
 def _neighbourhood(measured: Curves) -> Array:
@@ -179,6 +184,12 @@ def _sigma(curves: Sequence[Frf]) -> Array:
     for row, curve in zip(error, curves, strict=True):
         if not np.isfinite(row).all():
             row[~np.isfinite(row)] = scatter(curve.value)[~np.isfinite(row)]
+    # What differs from line to line bends a curve as noise does; what is smooth looks like no mode.
+    rough = [
+        [curve.systematic.get(name, 0.0 * row) for name in _ROUGH]
+        for curve, row in zip(curves, size, strict=True)
+    ]
+    error = np.hypot(error, 0.5 * np.linalg.norm(rough, axis=1))
     top = np.nanmax(size, axis=1, keepdims=True)
     return np.hypot(error, LEAST_RELATIVE_ERROR * np.maximum(size, 1e-6 * top))
 

@@ -118,7 +118,7 @@ class Averages:
             resolution=self.resolution,
             warnings=self.warnings,
             systematic=sensitivity_part(rec, self.channels, value, upper * reads, lower * reads)
-            | aliasing_part(rec, self.channels, self.frequency, value, upper * reads, lower * reads)
+            | aliasing_part(rec, self.channels, self.frequency, value, upper * reads, lower * reads, motion)
             | reference_noise_part(value, coherence)
             | clock_part(rec, self.frequency, value)
             | leakage,

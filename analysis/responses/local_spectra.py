@@ -101,7 +101,7 @@ class LocalSpectra:
         shares = value, upper, lower
         systematic = (
             sensitivity_part(rec, names, *shares)
-            | aliasing_part(rec, names, at, *shares)
+            | aliasing_part(rec, names, at, *shares, motion)
             | rounding_part(self.gain, *shares)
             | clock_part(rec, at, value)
             | {MODEL: of_response.missed * scale}

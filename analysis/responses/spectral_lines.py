@@ -26,7 +26,9 @@ if TYPE_CHECKING:
 
 
 # Lines whose transients are taken to decay alike; how fast where two periods do not tell; and how slowly at most.
-_TOGETHER, _UNKNOWN_DECAY, _SLOWEST_DECAY = 5, 0.5, 0.95
+_TOGETHER, _UNKNOWN_DECAY, _SLOWEST_DECAY = 5, 0.5, 0.99
+# Parts that tell how a transient decays.
+_FEW = 4
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,7 @@ class Lines:
         variance = np.einsum("in,nij,jn->n", off, self.covariance, off.conj()).real
         shares = value, upper * self.mean / f, lower * self.mean / f
         error, degrees = np.sqrt(variance / 2.0), 2.0 * np.maximum(self.averages - 1.0, 0.0)
-        systematic = aliasing_part(rec, names, self.frequency, *shares)
+        systematic = aliasing_part(rec, names, self.frequency, *shares, motion)
         sway = np.einsum("in,nij,jn->n", lower / f, self.covariance, (lower / f).conj()).real
         doubts = [np.sqrt(np.nan_to_num(sway) / 2.0) * radius(0.95, degrees)]
         # What is left of transients, and of rounding, adds up in the worst case.
@@ -101,8 +103,10 @@ class Lines:
 def remainder(successive: NDArray[np.complex128]) -> NDArray[np.float64]:
     """How far the mean of successive parts may be off for a transient that still decays.
 
-    A transient shrinks by the same factor r from part to part. Over P parts it changes by what was seen between the
-    first and the last, and shifts their mean by ``(1 - r^P) / (P (1 - r) (1 - r^(P - 1)))`` of that.
+    A transient shrinks and turns by the same complex factor r from part to part, as its frequency is not that of the
+    line. Of P parts that begin with c it shifts the mean by ``c (1 - r^P) / (P (1 - r))``, and part k changes into the
+    next by ``c r^k (r - 1)``: the changes tell r and c. Many parts are first averaged to a few, as r is lost in noise
+    otherwise.
 
     Parameters
     ----------
@@ -119,13 +123,17 @@ def remainder(successive: NDArray[np.complex128]) -> NDArray[np.float64]:
     >>> float(round(remainder(amplitudes)[0, 0] / (abs(amplitudes.mean()) - 1.0), 6))
     1.0
     """
+    if len(successive) >= 2 * _FEW:
+        successive = np.stack([part.mean(axis=0) for part in np.array_split(successive, _FEW)])
     count = len(successive)
     changes = np.diff(successive, axis=0)
-    factor = np.full(successive.shape[1:], _UNKNOWN_DECAY)
+    factor = np.full(successive.shape[1:], _UNKNOWN_DECAY, dtype=complex)
     if count > 2:
         together = np.ones((1, _TOGETHER))
         size = signal.convolve(np.sum(abs(changes[:-1]) ** 2, axis=0), together, mode="same")
-        both = signal.convolve(np.sum(changes[:-1].conj() * changes[1:], axis=0).real, together, mode="same")
-        factor = np.clip(both / np.maximum(size, 1e-300), 0.0, _SLOWEST_DECAY)
-    share = (1 - factor**count) / (count * (1 - factor) * (1 - factor ** (count - 1)))
-    return share * abs(successive[-1] - successive[0])
+        both = signal.convolve(np.sum(changes[:-1].conj() * changes[1:], axis=0), together, mode="same")
+        factor = both / np.maximum(size, 1e-300)
+        factor *= np.minimum(1.0, _SLOWEST_DECAY / np.maximum(abs(factor), 1e-300))
+    powers = np.sum([abs(factor) ** (2 * k) for k in range(count - 1)], axis=0)
+    begins = np.sqrt(np.sum(abs(changes) ** 2, axis=0) / powers) / abs(1.0 - factor)
+    return np.asarray(begins * abs(1.0 - factor**count) / (count * abs(1.0 - factor)))

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import fft
 
 from analysis.recordings.slices import read_slices
@@ -14,12 +15,15 @@ from analysis.responses.clean_stretches import flaws, told
 from analysis.responses.frf import Frf
 from analysis.responses.local_spectra import SIDE, LocalSpectra
 from analysis.responses.measurands import motion_of, reference_of
-from analysis.responses.systematic import in_counts, tone_gain
+from analysis.responses.systematic import UNSETTLED, in_counts, tone_gain
+from analysis.responses.whole_stretches import dampers_move
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
     from daq.recording.markers import Marker
     from daq.recording.recording import Recording
+
+Array = NDArray[np.float64]
 
 # A stretch lasts at least while the tone passes this ratio of frequencies, short enough for the harmonics of a
 # nonlinear structure to stay out of it, and until so many of its lines on either side are driven.
@@ -32,6 +36,8 @@ class SweptTone:
     """One sweep: at each frequency, the spectra around it of the stretch in which the tone passes."""
 
     spectra: LocalSpectra
+    speed: Array
+    """How fast the tone passes each frequency, Hz/s; shape (lines,)."""
     label: str
     warnings: tuple[str, ...]
 
@@ -40,7 +46,26 @@ class SweptTone:
     ) -> Frf:
         """Frequency response with coherence, random and systematic errors."""
         above, below = motion_of(rec, response, motion), reference_of(rec, reference)
-        return self.spectra.frf(rec, above, below, reference, motion, self.label, self.warnings)
+        found = self.spectra.frf(rec, above, below, reference, motion, self.label, self.warnings)
+        if not dampers_move(rec):
+            return found
+        return replace(found, systematic={**found.systematic, UNSETTLED: self._lag(found)})
+
+    def _lag(self, found: Frf) -> Array:
+        """How far a passing tone puts a response off that is not linear.
+
+        What passes is off a steady one by half the speed (in rad/s²) times the curvature of the response [1]_. The fit
+        sets that right where the structure is linear; where it is not, it may be off by as much.
+
+        References
+        ----------
+        .. [1] J. R. Carson, T. C. Fry, Variable frequency electric circuit theory, Bell System Technical Journal 16
+           (1937) 513-540.
+        """
+        if found.frequency.size < 3:
+            return np.full(found.frequency.size, np.inf)
+        slope = np.gradient(found.value, found.frequency)
+        return np.asarray(self.speed / (4.0 * np.pi) * abs(np.gradient(slope, found.frequency)), dtype=float)
 
 
 def tracked(
@@ -114,7 +139,8 @@ def tracked(
         1.0,
         tone_gain(in_counts(rec, names, squares[:, kept])),
     )
-    return SweptTone(spectra, rec.scene.name, tuple(notes))
+    speed = abs(np.gradient(frequency, [_passes(marker, f, rec.rate) / rec.rate for f in frequency]))
+    return SweptTone(spectra, speed[kept], rec.scene.name, tuple(notes))
 
 
 def _stretch(marker: Marker, frequency: float, rate: float, first: int, stop: int) -> tuple[int, int]:

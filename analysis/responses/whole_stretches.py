@@ -146,18 +146,21 @@ class WholeStretches:
         frequency = fft.rfftfreq(size, 1.0 / rec.rate)
         # The line at zero has no displacement: it takes no part.
         frequency[0] = frequency[1]
-        squares = np.average(
-            [block.var(axis=1) for block in blocks], axis=0, weights=[block.shape[1] for block in blocks]
-        )
         lines = self._lines(rec, size)
-        gain = np.repeat(noise_gain(in_counts(rec, names, squares))[:, None], lines.size, axis=1)
+        side = int(np.ceil(SIDE * teeth))
+        if self.hits is not None:
+            gain = self.hits.rounding(rec, names, stretches, blocks, samples, lines, side)
+        else:
+            lengths = [block.shape[1] for block in blocks]
+            squares = np.average([block.var(axis=1) for block in blocks], axis=0, weights=lengths)
+            gain = np.repeat(noise_gain(in_counts(rec, names, squares))[:, None], lines.size, axis=1)
         return LocalSpectra(
             tuple(names),
             np.stack(samples),
             np.stack(ends),
             frequency,
             lines,
-            int(np.ceil(SIDE * teeth)),
+            side,
             used,
             gain,
         )

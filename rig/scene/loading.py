@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from functools import cache
-from math import inf
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
@@ -15,16 +14,15 @@ from pydantic import TypeAdapter, ValidationError
 from rig.errors import SceneError, SceneWarning
 from rig.scene.changes import Change, changes_of
 from rig.scene.consistency import mistakes_between
+from rig.scene.doubtful_units import doubts
 from rig.scene.matrices import FOLDER
 from rig.scene.scene import Scene
-from rig.scene.settings import Mistake, Place, Settings, at, describe, dotted, mistakes_of
+from rig.scene.settings import Mistake, Settings, at, describe, dotted, mistakes_of
 from rig.scene.yaml_reader import Document, read
 
 SCENES = Path(__file__).parent / "data" / "scenes"
 SUFFIXES = (".yaml", ".yml")
 MOST_BYTES = 64_000_000
-# A clearance from here on is taken for a forgotten unit where it has none, m.
-DOUBTFUL = 0.1
 
 
 def load(scene: str | Path, changes: Mapping[str, Any] | None = None) -> Scene:
@@ -180,15 +178,8 @@ def _validated(
         mistakes.sort(key=lambda mistake: document.line(mistake.place))
         told = [_told(mistake, where, document, changes) for mistake in mistakes]
         raise SceneError("\n".join([*twice, *told]))
-    for k, damper in enumerate(scene.dampers):
-        written = str(at(content["dampers"][k], ("clearance",)))
-        if DOUBTFUL <= damper.clearance < inf and written[-1] in ".0123456789":
-            doubt = (
-                f"got {written} without a unit, which is metres: {1e3 * damper.clearance:g} mm; expected a unit, such "
-                f"as {written} mm"
-            )
-            place: Place = ("dampers", k, "clearance")
-            warnings.warn(_told(Mistake(place, doubt), where, document, changes), SceneWarning, stacklevel=3)
+    for doubt in doubts(scene, content):
+        warnings.warn(_told(doubt, where, document, changes), SceneWarning, stacklevel=3)
     return scene
 
 

@@ -31,6 +31,9 @@ KINDS = (
     "tone_dampers",
     "steps_dampers",
     "decay_dampers",
+    "curves_pairs",
+    "multisine_pairs",
+    "stepped_sine_pairs",
 )
 # Time constant of the slowest mode, s: transients must die out within seconds.
 _SLOWEST = 1.6

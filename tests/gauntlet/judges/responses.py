@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 
 import analysis
 import rig
@@ -26,8 +27,10 @@ from rig.system.receptance import receptance
 from tests.gauntlet.cavities import STEPS, TONE
 from tests.gauntlet.verdict import Case, Outcome, Verdict
 
-# Of the lines of a scene, so many must lie within the bound.
-FEWEST_INSIDE = 0.7
+# Of the lines of a scene, so many must lie within the bound, unless it has so few that chance brings that about: errors
+# whose 95 % bounds are right are as large, together, in no more than so many scenes. (Of two lines one lies outside in
+# every tenth scene, whatever the bounds; one far outside in none.)
+FEWEST_INSIDE, CHANCE = 0.7, 1e-4
 # A line as far off as this, as a multiple of its bound and relative to the truth, misleads by itself; so many may.
 FAR_BOUNDS, FAR, MOST_FAR = 3.0, 0.05, 0.02
 # A scene of which more lines than this have no value or no finite bound, or are marked as unsteady, told little.
@@ -37,6 +40,8 @@ MOST_UNTOLD = 0.3
 _NOT_TONES = (NONLINEAR, ONE_REALISATION, "before the motion had become periodic")
 # Rounding of what has no noise at all, relative.
 _ROUNDING = 1e-9
+# How much more force tells how a response depends on it, relative.
+_MORE_FORCE = 2e-3
 
 
 @dataclass
@@ -46,6 +51,8 @@ class _Tally:
     name: str
     inside: int = 0
     points: int = 0
+    by_chance: float = 1.0
+    """Chance of errors as large together, of the curve least likely."""
     far: int = 0
     refused: int = 0
     marked: int = 0
@@ -65,6 +72,9 @@ class _Tally:
         self.marked += int(np.sum(known & told & ~steady))
         self.far += int(np.sum(judged & (wrong > FAR_BOUNDS * bound) & (wrong > FAR * size)))
         if judged.any():
+            # A normal error is k times its 95 % bound or more with a chance of 0.05 to the power of k squared.
+            exponent = -np.log(0.05) * np.sum((wrong / bound)[judged] ** 2)
+            self.by_chance = min(self.by_chance, float(special.gammaincc(judged.sum(), exponent)))
             self.widths += (bound / size)[judged].tolist()
             worst = int(np.argmax(np.where(judged, wrong / bound, 0.0)))
             self.off.append(
@@ -75,7 +85,8 @@ class _Tally:
 
     def verdict(self, kind: str, said: list[str]) -> Verdict:
         lines = self.points + self.refused + self.marked
-        holds = self.inside >= FEWEST_INSIDE * self.points and self.far <= MOST_FAR * self.points
+        enough = self.inside >= FEWEST_INSIDE * self.points or self.by_chance > CHANCE
+        holds = enough and self.far <= MOST_FAR * self.points
         outcome: Outcome
         if self.refused > MOST_UNTOLD * lines:
             outcome = "refused"
@@ -103,7 +114,7 @@ def judge(case: Case, kind: str) -> list[Verdict]:
         return []
     whole, random = _Tally("responses"), _Tally("responses, as built")
     said: list[str] = []
-    truth = _truth(case.scene)
+    truth = _at_forces(case, _truth(case.scene))
     for group in analysis.frequency_responses(case.recording):
         for frf in group:
             said += frf.warnings
@@ -142,32 +153,67 @@ def _settled(scene: rig.Scene, frequency: NDArray[np.float64]) -> NDArray[np.com
     return known[:, np.searchsorted(response.frequency[order], frequency)]
 
 
+def _at_forces(
+    case: Case, truth: Callable[[NDArray[np.float64]], NDArray[np.complex128]]
+) -> Callable[[NDArray[np.float64]], NDArray[np.complex128]]:
+    """Receptances at the forces that were there, to first order.
+
+    A controller holds what its sensors read, each a little off, and stops at its tolerance; the response of a structure
+    that is not linear is that to the force that was there, whatever was asked for.
+    """
+    scene = case.scene
+    read = {
+        marker.fields["frequency"]: marker.fields["force"]
+        for marker in case.recording.markers
+        if marker.kind == "measure" and "frequency" in marker.fields and "force" in marker.fields
+    }
+    if not scene.dampers or not read or scene.test.force is None:
+        return truth
+    more = _truth(scene.replace(test=scene.test.replace(force=scene.test.force * (1.0 + _MORE_FORCE))))
+    frequencies, forces = np.array(list(read)), np.array(list(read.values()))
+
+    def exact(frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
+        known = truth(frequency)
+        near = np.argmin(abs(frequency[:, None] - frequencies), axis=1)
+        with np.errstate(invalid="ignore"):
+            off = forces[near] / abs(_force_reads(case, known)) / scene.test.force - 1.0
+            return np.asarray(known + (more(frequency) - known) / _MORE_FORCE * off)
+
+    return exact
+
+
+def _gain(case: Case, name: str) -> float:
+    """What a channel reads of what it says it reads: as its sensor, a little off its data sheet, was drawn."""
+    channel = next(channel for channel in case.scene.channels or () if channel.name == name)
+    if channel.measures_force:
+        return 1.0 + force_sensor(filled_in(channel.hammer or Hammer()), case.scene.seed, name).deviation
+    sensor = accelerometer(filled_in(channel.accelerometer or Accelerometer()), case.scene.seed, name)
+    clock = 1.0 + (case.scene.converter.clock_error or 0.0)
+    return float((1.0 + sensor.deviation) * clock ** MOTIONS.index(case.recording.channels[name].quantity))
+
+
+def _force_reads(case: Case, exact: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """What the channels read of the force for each newton that is there, by the receptances of all bodies."""
+    channels = case.scene.channels or ()
+    force = next((channel.name for channel in channels if channel.measures_force), None)
+    if force is not None:
+        return np.full(exact.shape[1], _gain(case, force), dtype=complex)
+    table = next(channel.name for channel in channels if channel.at == "table")
+    number = case.scene.shaker.bodies[0]
+    driven = next(channel.name for channel in channels if channel.at == f"body {number}")
+    # The spring's force as the difference of what is read at its ends, per newton that is there.
+    spring = case.scene.shaker.spring * exact[number - 1]
+    # Not a number where the truth is none; such lines are judged nowhere.
+    with np.errstate(invalid="ignore"):
+        return np.asarray(_gain(case, table) * (1.0 + spring) - _gain(case, driven) * spring)
+
+
 def _as_built(
     case: Case, frf: Frf, truth: Callable[[NDArray[np.float64]], NDArray[np.complex128]]
 ) -> NDArray[np.complex128]:
     """Curve that sensors read which are off their data sheets by what the seed drew for them."""
-    scene, channels = case.scene, {channel.name: channel for channel in case.scene.channels or ()}
-
     # Everything runs at the true rate of a clock that is off, and is told by its nominal one.
-    clock = 1.0 + (scene.converter.clock_error or 0.0)
-
-    def gain(name: str) -> float:
-        channel, info = channels[name], case.recording.channels[name]
-        if channel.measures_force:
-            return 1.0 + force_sensor(filled_in(channel.hammer or Hammer()), scene.seed, name).deviation
-        sensor = accelerometer(filled_in(channel.accelerometer or Accelerometer()), scene.seed, name)
-        return float((1.0 + sensor.deviation) * clock ** MOTIONS.index(info.quantity))
-
-    exact = truth(frf.frequency * clock)
-    response = exact[int(case.recording.channels[frf.response].at.split()[1]) - 1] * gain(frf.response)
-    force = next((channel.name for channel in channels.values() if channel.measures_force), None)
-    if force is not None:
-        return response / gain(force)
-    table = next(channel.name for channel in channels.values() if channel.at == "table")
-    number = scene.shaker.bodies[0]
-    driven = next(channel.name for channel in channels.values() if channel.at == f"body {number}")
-    # The spring's force as the difference of what is read at its ends, per newton that is there.
-    spring = scene.shaker.spring * exact[number - 1]
-    # Not a number where the truth is none; such lines are judged nowhere.
+    exact = truth(frf.frequency * (1.0 + (case.scene.converter.clock_error or 0.0)))
+    body = int(case.recording.channels[frf.response].at.split()[1])
     with np.errstate(invalid="ignore"):
-        return response / (gain(table) * (1.0 + spring) - gain(driven) * spring)
+        return np.asarray(exact[body - 1] * _gain(case, frf.response) / _force_reads(case, exact))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -63,6 +65,23 @@ def test_given_a_clearance_without_unit_that_no_cavity_has_when_loaded_then_the_
         rig.loads(chain % "0.98")
     for meant in ("0.98 m", "0.00098", ".inf", "0"):
         rig.loads(chain % meant)
+
+
+@pytest.mark.parametrize(
+    ("meant", "said"),
+    [
+        ("damping: {modal: 0.5}", r"structure.damping.modal: got 0.5 .* 50 %; .* such as 0.5 %"),
+        ("damping: {modal: [0.5 %, 0.3]}", r"structure.damping.modal\[2\]: got 0.3 .* 30 %"),
+        ("damping: {modal: 50 %}", None),
+        ("damping: {modal: 0.005}", None),
+    ],
+)
+def test_given_a_damping_ratio_that_looks_like_percent_when_loaded_then_it_is_told_as_a_share(
+    meant, said
+) -> None:
+    chain = f"structure: {{masses: [1 kg, 1 kg], springs: [1 kN/m, 1 kN/m], {meant}}}"
+    with pytest.warns(SceneWarning, match=said) if said else nullcontext():
+        rig.loads(chain)
 
 
 RUNS_AWAY = """

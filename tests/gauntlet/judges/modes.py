@@ -1,0 +1,98 @@
+"""Modes: each that is told is one of the structure, once; its frequency and damping ratio within their stated errors.
+
+Of a pair, both must be told; of other structures, those that stand out of the noise, which no judge can know.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+import analysis
+import rig
+from analysis.modal.modes import Modes
+from analysis.responses.frf import Frf
+from rig.system.structure import structure_matrices
+from tests.gauntlet.pairs import CURVES, MULTISINE, STEPPED
+from tests.gauntlet.verdict import Case, Outcome, Verdict
+
+Array = NDArray[np.float64]
+
+# Standard deviations within which 95 % lie, and those that no honest error leaves behind.
+BOUND, FAR = 1.96, 4.5
+# Rounding, relative.
+_ROUNDING = 1e-9
+_PAIRS = (CURVES, MULTISINE, STEPPED)
+
+
+def judge(case: Case, kind: str) -> list[Verdict]:
+    """Identify modes from all curves of a linear structure."""
+    if case.scene.dampers or case.scene.test.kind == "free":
+        return []
+    found = [
+        judged(case.scene, curves, kind)
+        for curves in analysis.frequency_responses(case.recording)
+        if curves[0].frequency.size > 2
+    ]
+    return found[:1]
+
+
+def judged(scene: rig.Scene, curves: list[Frf], kind: str) -> Verdict:
+    """Hold the modes of some curves against those of the structure; the points are frequencies and ratios."""
+    modes = analysis.identify(curves)
+    true_frequency, true_ratio = _true_modes(scene)
+    matched, extra = _matched(modes, true_frequency, true_ratio)
+    off = np.array(
+        [
+            [
+                abs(modes.frequency[i] - true_frequency[j])
+                / (modes.frequency_error[i] + _ROUNDING * true_frequency[j]),
+                abs(modes.damping[i] - true_ratio[j]) / (modes.damping_error[i] + _ROUNDING),
+            ]
+            for i, j in matched
+        ]
+    ).reshape(-1, 2)
+    apart = kind not in _PAIRS or {0, 1} <= {j for _, j in matched}
+    outcome: Outcome = "right"
+    if modes.model_error:
+        outcome = "warned"
+    elif extra or not apart or np.any(off > FAR):
+        outcome = "wrong"
+    counted = outcome != "warned"
+    worst = off.max(initial=0.0)
+    note = f"{len(matched)} of {true_frequency.size} modes told, worst {worst:.2f} standard deviations off"
+    note += "".join(f", {modes.frequency[i]:.5g} Hz is none" for i in extra)
+    note += "" if apart else f", the pair at {true_frequency[0]:.5g} Hz is not told apart"
+    width = float(np.median(BOUND * modes.damping_error / modes.damping))
+    return Verdict(
+        "modes", kind, outcome, int(np.sum(off < BOUND)) if counted else 0, off.size if counted else 0, width,
+        note, scene.name,
+    )  # fmt: skip
+
+
+def _true_modes(scene: rig.Scene) -> tuple[Array, Array]:
+    """Natural frequencies as a clock that is off lets them read, Hz, and damping ratios."""
+    mass, damping, stiffness = structure_matrices(scene.structure)
+    size = len(mass)
+    state = np.block(
+        [[np.zeros((size, size)), np.eye(size)], [-linalg.solve(mass, np.hstack([stiffness, damping]))]]
+    )
+    poles = np.linalg.eigvals(state)
+    poles = poles[poles.imag > 0.0]
+    poles = poles[np.argsort(abs(poles))]
+    clock = 1.0 + (scene.converter.clock_error or 0.0)
+    return abs(poles) / (2.0 * np.pi * clock), -poles.real / abs(poles)
+
+
+def _matched(modes: Modes, frequency: Array, ratio: Array) -> tuple[list[tuple[int, int]], list[int]]:
+    """Pairs of told and true modes, each once, nearest first; and told ones that are none."""
+    apart = abs(modes.frequency[:, None] - frequency)
+    near = apart < np.maximum(5.0 * modes.frequency_error[:, None], ratio * frequency)
+    matched: list[tuple[int, int]] = []
+    for flat in np.argsort(apart, axis=None):
+        i, j = divmod(int(flat), frequency.size)
+        if near[i, j] and all(i != a and j != b for a, b in matched):
+            matched.append((i, j))
+    told = {i for i, _ in matched}
+    return matched, [i for i in range(modes.frequency.size) if i not in told]

@@ -1,0 +1,81 @@
+"""Structures with two modes close together, for the judge of modes: as curves in closed form, and to be recorded."""
+
+from __future__ import annotations
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+import rig
+from analysis.responses.frf import Frf
+from rig.system.receptance import receptance
+from tests.gauntlet.scenes import Draw, Settings
+
+Array = NDArray[np.float64]
+
+CURVES, MULTISINE, STEPPED = "curves_pairs", "multisine_pairs", "stepped_sine_pairs"
+# How far apart two modes lie at least, relative, and the damping ratio of all: without noise, and with it.
+_EXACT, _NOISY = (0.004, 0.002), (0.01, 0.005)
+# Both take part in the motion of every body by at least so much of what the larger does.
+_LEAST_SHARE = 0.25
+
+
+def draw_pair(seed: int, number: int, kind: str) -> rig.Scene:
+    """Draw a structure of 2 to 4 bodies with a pair, and a test that resolves it behind noisy accelerometers."""
+    dice = Draw(seed, number)
+    apart, ratio = _EXACT if kind == CURVES else _NOISY
+    bodies = dice.whole(2, 4)
+    first = dice.even(20.0, 40.0)
+    modes = [first, first * (1.0 + apart * dice.even(1.0, 1.5)), 1.7 * first, 2.9 * first][:bodies]
+    masses = np.array([dice.log(0.5, 2.0) for _ in range(bodies)])
+    shapes = _shapes(dice, bodies) * np.sqrt(masses)[:, None]
+    stiffness = shapes * (2.0 * np.pi * np.array(modes)) ** 2 @ shapes.T
+    width = 2.0 * ratio * first
+    tests: dict[str, Settings] = {
+        MULTISINE: {"kind": "multisine", "period": round(5.0 / width, 2), "periods": 3},
+        STEPPED: {"kind": "stepped_sine", "points": 40},
+    }
+    band = {"from": round(0.94 * first, 3), "to": round(1.08 * first, 3)}
+    sensor = {
+        "accelerometer": {"sensitivity": "100 mV/g", "noise": f"{dice.log(30.0, 1000.0):.3g} ug/sqrt(Hz)"}
+    }
+    settings: Settings = {
+        "name": f"gauntlet {seed}/{number} {kind}",
+        "structure": {
+            "matrices": {
+                "mass": np.diag(masses).tolist(),
+                "stiffness": (0.5 * (stiffness + stiffness.T)).tolist(),
+            },
+            "damping": {"modal": ratio},
+        },
+        "shaker": {"kind": "force", "body": 1},
+        "test": {**tests.get(kind, tests[STEPPED]), **band, "force": dice.log(0.5, 3.0)},
+        "channels": [
+            *({"name": f"a{body}", "at": f"body {body}", **sensor} for body in (1, 2)),
+            {"name": "force", "at": "shaker"},
+        ],
+        "converter": {"rate": 1024.0, "bits": 24, "range": 10.0},
+        "recording": {"display": False},
+        "seed": dice.whole(1, 10**6),
+    }
+    return rig.loads(yaml.safe_dump(settings, sort_keys=False), where=settings["name"])
+
+
+def exact_curves(scene: rig.Scene, seed: int, number: int) -> list[Frf]:
+    """Receptances of some bodies in closed form, with some lines in each half-power width."""
+    dice = Draw(seed, number + 10**6)
+    width = 2.0 * _EXACT[1] * scene.test.from_
+    spacing = width / dice.even(2.0, 6.0)
+    frequency = np.arange(scene.test.from_, scene.test.to, spacing)
+    values = receptance(scene, frequency)[: dice.whole(1, 2)]
+    nothing, ones = np.zeros(frequency.size), np.ones(frequency.size)
+    return [Frf(frequency, value, nothing, ones, 38.0 * ones, f"a{k}") for k, value in enumerate(values, 1)]
+
+
+def _shapes(dice: Draw, bodies: int) -> Array:
+    """Orthonormal columns, of which the first two are alike in size at the bodies that are driven and measured."""
+    while True:
+        shapes = np.linalg.qr([[dice.even(-1.0, 1.0) for _ in range(bodies)] for _ in range(bodies)])[0]
+        driven = abs(shapes[:2, :2] * shapes[0, :2])
+        if driven.min() > _LEAST_SHARE * driven.max():
+            return np.asarray(shapes)

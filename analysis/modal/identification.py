@@ -12,7 +12,7 @@ from analysis.modal.line_choice import scatter, thinned
 from analysis.modal.lscf import chart, columns
 from analysis.modal.modes import Modes
 from analysis.modal.order_selection import MOST_MODES, in_band, select
-from analysis.modal.pole_errors import pole_errors
+from analysis.modal.pole_errors import pole_errors, systematic_pole_errors
 from analysis.modal.pole_residue import Curves, Fit, fit
 from analysis.responses.frf import Frf
 from analysis.responses.systematic import MODEL, RESOLUTION, UNSETTLED
@@ -88,14 +88,19 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
             "the curves hold no resonance that their noise and resolution can show; measure more densely around "
             "the resonances, longer, or over a band that holds some"
         )
-    f_error, z_error = pole_errors(weighted, model)
+    f_error, z_error = (error[inside] for error in pole_errors(weighted, model))
     poles = model.poles[inside]
+    # A bound holds 95 %: two standard deviations.
+    f_error, z_error = (
+        np.hypot(error, 0.5 * part)
+        for error, part in zip((f_error, z_error), systematic_pole_errors(curves, poles), strict=True)
+    )
     lower, upper = _residuals(model, inside, measured.frequency)
     result = Modes(
         frequency=np.asarray(abs(poles) / (2 * np.pi), dtype=float),
-        frequency_error=f_error[inside],
+        frequency_error=f_error,
         damping=-poles.real / abs(poles),
-        damping_error=z_error[inside],
+        damping_error=z_error,
         residue=model.residue[:, inside],
         responses=tuple(curve.response for curve in curves),
         chart=tuple(charts[0]),

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.modal.order_selection import correlation
 from analysis.modal.pole_residue import Curves, Fit
+from analysis.responses.frf import Frf
+from analysis.responses.systematic import CLOCK, MODEL, REFERENCE_NOISE, RESOLUTION, SENSITIVITY
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# Systematic parts that move a pole, told from so many half-widths around it, and those that may be its width.
+_MOVES, _WIDENS = (SENSITIVITY, CLOCK), (RESOLUTION, MODEL, REFERENCE_NOISE)
+_FLANKS = 10.0
+# Neighbours within so many times the correlation of the misfit may share errors.
+_REACH = 3.0
 
 # Errors of a curve that look like a mode themselves (what is left of a transient, a sensor's phase) leave nothing
 # to see in the misfit: no damping ratio is claimed to be known better than this, and no frequency better than this
@@ -45,6 +56,48 @@ def pole_errors(curves: Curves, model: Fit) -> tuple[Array, Array]:
     return np.hypot(f_error, unseen / (2 * np.pi)), np.hypot(z_error, unseen / size)
 
 
+def systematic_pole_errors(frfs: Sequence[Frf], poles: ComplexArray) -> tuple[Array, Array]:
+    """Tell how far systematic errors of curves may put natural frequencies [Hz] and damping ratios off, shape (modes,).
+
+    A reference that is the difference of two readings, each a little off, has some of the response in it: to first
+    order another stiffness, which moves the pole p by ``d |s - p|`` where the curve is off by the part d of itself at s
+    (and by nothing where d is the same everywhere). What is off at the peak alone may as well be its width.
+
+    Parameters
+    ----------
+    frfs : sequence of Frf
+        The curves, by rising frequency.
+    poles : ndarray of complex, shape (modes,)
+        rad/s.
+    """
+    f_error, z_error = np.zeros(poles.size), np.zeros(poles.size)
+    for curve in frfs:
+        size = np.maximum(abs(curve.value), 1e-300)
+        moves, widens = (
+            np.sqrt(
+                sum(
+                    (np.square(curve.systematic[name] / size) for name in names if name in curve.systematic),
+                    0.0 * size,
+                )
+            )
+            for names in (_MOVES, _WIDENS)
+        )
+        known = np.isfinite(moves) & np.isfinite(curve.value)
+        moves = (
+            np.where(known, moves - np.min(moves[known], initial=np.inf), np.nan) if known.any() else moves
+        )
+        for i, p in enumerate(poles):
+            half = -p.real / (2.0 * np.pi)
+            away = abs(curve.frequency - abs(p) / (2.0 * np.pi) - 1j * half)
+            near = known & (away <= max(_FLANKS * half, np.sort(away[known])[:4].max(initial=0.0)))
+            shift = float(np.quantile(moves[near] * away[near], 0.75)) if near.any() else 0.0
+            peak = float(np.nan_to_num(widens[int(np.argmin(away))], posinf=1.0)) * half
+            size_ = abs(p) / (2.0 * np.pi)
+            f_error[i] = max(f_error[i], float(np.hypot(shift, peak)))
+            z_error[i] = max(z_error[i], float(np.hypot(half / size_ * shift, peak)) / size_)
+    return f_error, z_error
+
+
 def _covariances(curves: Curves, model: Fit) -> tuple[Array, Array]:
     """Covariance of the parameters for independent errors, and for errors shared by responses and neighbours."""
     parameters = model.slope.shape[0]
@@ -53,7 +106,8 @@ def _covariances(curves: Curves, model: Fit) -> tuple[Array, Array]:
     degrees = curves.degrees(model.poles.size)
     score = np.einsum("pmn,mn->pn", model.slope.conj(), model.rest).real
     middle = score @ score.T
-    lags = int(np.clip(round(correlation(model.rest)), 1, max(score.shape[1] // 4, 1)))
+    # Weights that fall to nothing within the correlation itself would miss half of it.
+    lags = int(np.clip(round(_REACH * correlation(model.rest)), 1, max(score.shape[1] // 4, 1)))
     for lag in range(1, lags):
         common = score[:, lag:] @ score[:, :-lag].T
         middle += (1.0 - lag / lags) * (common + common.T)

@@ -9,6 +9,7 @@ import pytest
 import analysis
 import daq
 from analysis.responses.frf import Frf
+from analysis.responses.systematic import SENSITIVITY
 from rig.errors import RecordingError
 from rig.system.structure import natural_modes, structure_matrices
 from tests.analysis.responses import synthetic
@@ -176,3 +177,19 @@ def test_given_dampers_at_work_when_identified_then_each_peak_is_a_mode_and_it_i
     top = frfs[0].frequency[size.argmax()]
     assert abs(modes.frequency[0] / top - 1) < modes.damping[0]
     assert "not those of a linear structure" in " ".join(modes.warnings) and modes.model_error > 0.01
+
+
+def test_given_a_force_that_is_a_difference_of_readings_when_identified_then_its_tolerance_is_in_the_frequency():
+    # What two sensors, 1 % apart, leave of the motion in the force reads as another stiffness.
+    natural, frfs = two_modes(30.0, 0.2, 0.01, 400, noise=1e-4, seed=4)
+    driven = 0.2 * frfs[0].value / abs(frfs[0].value).max()
+    values = [frf.value / (1.0 + driven) for frf in frfs]
+    modes = analysis.identify(
+        [
+            replace(frf, value=value, systematic={SENSITIVITY: abs(driven * value)})
+            for frf, value in zip(frfs, values, strict=True)
+        ]
+    )
+    assert np.all(abs(modes.frequency - natural) < 2.0 * modes.frequency_error)
+    assert np.all(modes.frequency_error < 3e-3 * natural)
+    assert np.max(abs(modes.frequency / natural - 1.0)) > 1e-4

@@ -5,6 +5,7 @@ import pytest
 
 import analysis
 import daq
+from analysis.responses.spectral_lines import remainder
 from rig.errors import RecordingError, SceneError
 from rig.system.receptance import receptance
 from tests.analysis.responses import synthetic
@@ -155,3 +156,14 @@ def test_given_lost_samples_when_measured_then_only_their_frequency_is_left_out(
         frf = analysis.compliance(rec)
     assert frf.frequency.tolist() == [20.0, 20.0]
     assert any("40 Hz left out" in warning and "lost" in warning for warning in frf.warnings)
+
+
+@pytest.mark.parametrize("parts", [5, 20])
+@pytest.mark.parametrize("turn", [0.0, 0.5, 1.5])
+def test_given_a_transient_that_decays_and_turns_when_its_rest_is_bounded_then_the_mean_is_off_by_just_that(
+    parts, turn
+):
+    factor = 0.9 * np.exp(1j * turn * 5.0 / parts)
+    amplitudes = 1.0 + 0.1 * factor ** np.arange(parts)
+    bound = remainder(amplitudes[:, None, None])[0, 0]
+    assert abs(np.mean(amplitudes) - 1.0) == pytest.approx(bound, rel=1e-6)

@@ -194,7 +194,8 @@ def _sigma(curves: Sequence[Frf]) -> Array:
         [curve.systematic.get(name, 0.0 * row) for name in _ROUGH]
         for curve, row in zip(curves, size, strict=True)
     ]
-    error = np.hypot(error, 0.5 * np.linalg.norm(rough, axis=1))
+    # Where a part is not known, a line says nothing.
+    error = np.hypot(error, 0.5 * np.nan_to_num(np.linalg.norm(rough, axis=1), nan=np.inf, posinf=np.inf))
     top = np.nanmax(size, axis=1, keepdims=True)
     return np.hypot(error, LEAST_RELATIVE_ERROR * np.maximum(size, 1e-6 * top))
 

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 from analysis.modal.order_selection import correlation
 from analysis.modal.pole_residue import Curves, Fit
 from analysis.responses.frf import Frf
-from analysis.responses.systematic import CLOCK, MODEL, REFERENCE_NOISE, RESOLUTION, SENSITIVITY
+from analysis.responses.systematic import ALIASING, CLOCK, MODEL, REFERENCE_NOISE, RESOLUTION, SENSITIVITY
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Systematic parts that move a pole, told from so many half-widths around it, and those that may be its width.
-_MOVES, _WIDENS = (SENSITIVITY, CLOCK), (RESOLUTION, MODEL, REFERENCE_NOISE)
+# Systematic parts that move a pole as a stiffness does, and those that move it any way, told from so many half-widths
+# around it; and those that may be its width.
+_STIFFENS, _MOVES, _WIDENS = (SENSITIVITY, CLOCK), (ALIASING,), (RESOLUTION, MODEL, REFERENCE_NOISE)
 _FLANKS = 10.0
 # Neighbours within so many times the correlation of the misfit may share errors.
 _REACH = 3.0
@@ -72,30 +73,33 @@ def systematic_pole_errors(frfs: Sequence[Frf], poles: ComplexArray) -> tuple[Ar
     """
     f_error, z_error = np.zeros(poles.size), np.zeros(poles.size)
     for curve in frfs:
-        size = np.maximum(abs(curve.value), 1e-300)
-        moves, widens = (
-            np.sqrt(
-                sum(
-                    (np.square(curve.systematic[name] / size) for name in names if name in curve.systematic),
-                    0.0 * size,
-                )
-            )
-            for names in (_MOVES, _WIDENS)
-        )
-        known = np.isfinite(moves) & np.isfinite(curve.value)
-        moves = (
-            np.where(known, moves - np.min(moves[known], initial=np.inf), np.nan) if known.any() else moves
-        )
+        stiffens, moves, widens = (_relative(curve, names) for names in (_STIFFENS, _MOVES, _WIDENS))
         for i, p in enumerate(poles):
-            half = -p.real / (2.0 * np.pi)
-            away = abs(curve.frequency - abs(p) / (2.0 * np.pi) - 1j * half)
-            near = known & (away <= max(_FLANKS * half, np.sort(away[known])[:4].max(initial=0.0)))
-            shift = float(np.quantile(moves[near] * away[near], 0.75)) if near.any() else 0.0
-            peak = float(np.nan_to_num(widens[int(np.argmin(away))], posinf=1.0)) * half
-            size_ = abs(p) / (2.0 * np.pi)
-            f_error[i] = max(f_error[i], float(np.hypot(shift, peak)))
-            z_error[i] = max(z_error[i], float(np.hypot(half / size_ * shift, peak)) / size_)
+            half, natural = -p.real / (2.0 * np.pi), abs(p) / (2.0 * np.pi)
+            away = abs(curve.frequency - natural - 1j * half)
+            stiff, any_way = _shift(stiffens, away, half), _shift(moves, away, half)
+            peak = float(np.nan_to_num(widens[int(np.argmin(away))], nan=1.0, posinf=1.0)) * half
+            f_error[i] = max(f_error[i], float(np.linalg.norm([stiff, any_way, peak])))
+            damps = float(np.linalg.norm([half / natural * stiff, any_way, peak]))
+            z_error[i] = max(z_error[i], damps / natural)
     return f_error, z_error
+
+
+def _relative(curve: Frf, names: Sequence[str]) -> Array:
+    """Root of the sum of squares of some systematic parts, as a part of the curve."""
+    parts = [curve.systematic[name] for name in names if name in curve.systematic]
+    return np.asarray(
+        np.linalg.norm([np.zeros(curve.value.size), *parts], axis=0) / np.maximum(abs(curve.value), 1e-300)
+    )
+
+
+def _shift(off: Array, away: Array, half: float) -> float:
+    """How far, in Hz, a pole of some half-width is moved by what a curve is off by, so far away from the pole."""
+    known = np.isfinite(off)
+    if not known.any():
+        return half
+    near = known & (away <= max(_FLANKS * half, np.sort(away[known])[:4].max()))
+    return float(np.quantile((off[near] - off[known].min()) * away[near], 0.75))
 
 
 def _covariances(curves: Curves, model: Fit) -> tuple[Array, Array]:

@@ -27,6 +27,8 @@ ALIASING, RESOLUTION, MODEL = "aliasing", "converter's resolution", "local model
 REFERENCE = "doubtful reference"
 # Sideways motion as a share of the vertical, where a data sheet of transverse sensitivity goes without one.
 _LATERAL = 0.1
+# Images of a force in the motion it causes, as a share of the motion times the square of frequency over sample rate.
+_IMAGES = 0.1
 # From this part of the highest frequency on is the top of the band.
 _TOP = 0.8
 # Power in counts below which rounding leaves nothing to tell a signal by.
@@ -130,6 +132,8 @@ def aliasing_part(
         shares[row] = (frequency / image) ** 2 * abs(info.response(image) / info.response(frequency))
         if info.at.startswith("body"):
             shares[row] *= beyond
+        # Where neither is known to be less.
+        shares[row] = np.maximum(shares[row], _IMAGES * (frequency / info.rate) ** 2)
     if not shares.any():
         return {}
     return {ALIASING: np.sum(shares * abs(upper - value * lower), axis=0)}

@@ -51,7 +51,8 @@ def test_given_noise_when_modes_are_identified_then_their_errors_are_of_the_size
         )
         with daq.open(path) as rec:
             [curves] = analysis.frequency_responses(rec)
-            modes = analysis.identify(curves)
+            # Images of a drive that a converter without a filter may see are not in what was made up here.
+            modes = analysis.identify([replace(curve, systematic={}) for curve in curves])
             omega, _ = theory(rec.scene)
         off.append((modes.frequency - omega / (2 * np.pi)) / modes.frequency_error)
         off.append((modes.damping - 0.005) / modes.damping_error)

@@ -15,9 +15,9 @@ from analysis.responses.systematic import ALIASING, CLOCK, MODEL, REFERENCE_NOIS
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Systematic parts that move a pole as a stiffness does, and those that move it any way, told from so many half-widths
-# around it; and those that may be its width.
-_STIFFENS, _MOVES, _WIDENS = (SENSITIVITY, CLOCK), (ALIASING,), (RESOLUTION, MODEL, REFERENCE_NOISE)
+# Systematic parts that move a pole as a stiffness does, told from so many half-widths around it, and those that may be
+# its width.
+_STIFFENS, _WIDENS = (SENSITIVITY, CLOCK), (ALIASING, RESOLUTION, MODEL, REFERENCE_NOISE)
 _FLANKS = 10.0
 # Neighbours within so many times the correlation of the misfit may share errors.
 _REACH = 3.0
@@ -73,14 +73,14 @@ def systematic_pole_errors(frfs: Sequence[Frf], poles: ComplexArray) -> tuple[Ar
     """
     f_error, z_error = np.zeros(poles.size), np.zeros(poles.size)
     for curve in frfs:
-        stiffens, moves, widens = (_relative(curve, names) for names in (_STIFFENS, _MOVES, _WIDENS))
+        stiffens, widens = (_relative(curve, names) for names in (_STIFFENS, _WIDENS))
         for i, p in enumerate(poles):
             half, natural = -p.real / (2.0 * np.pi), abs(p) / (2.0 * np.pi)
             away = abs(curve.frequency - natural - 1j * half)
-            stiff, any_way = _shift(stiffens, away, half), _shift(moves, away, half)
+            stiff = _shift(stiffens, away, half)
             peak = float(np.nan_to_num(widens[int(np.argmin(away))], nan=1.0, posinf=1.0)) * half
-            f_error[i] = max(f_error[i], float(np.linalg.norm([stiff, any_way, peak])))
-            damps = float(np.linalg.norm([half / natural * stiff, any_way, peak]))
+            f_error[i] = max(f_error[i], float(np.hypot(stiff, peak)))
+            damps = float(np.hypot(half / natural * stiff, peak))
             z_error[i] = max(z_error[i], damps / natural)
     return f_error, z_error
 

@@ -120,7 +120,7 @@ def aliasing_part(
     # Beyond the modes a structure is accelerated as at the top of the band, or less.
     acceleration = abs(value) * frequency ** (2 - MOTIONS.index(motion))
     top = np.median(acceleration[frequency >= _TOP * frequency.max()])
-    beyond = top / np.maximum(acceleration, 1e-300)
+    beyond = np.minimum(top / np.maximum(acceleration, 1e-300), 1.0)
     for row, name in enumerate(names):
         info = rec.channels[name]
         if info.filter:

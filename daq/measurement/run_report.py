@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from daq.measurement.estimate import WORTH_SAYING_S, estimate
 from daq.measurement.force_reference import force_untold
 from rig.command_line import progress
 from rig.errors import ShotrigError
+from rig.scene.presets import filled_in
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -111,4 +113,24 @@ def _overloads(rec: Recording) -> str:
     stretches = [mark for mark in rec.markers if mark.kind == "overload"]
     names = sorted({str(mark.fields["channel"]) for mark in stretches})
     count = "1 stretch" if len(stretches) == 1 else f"{len(stretches)} stretches"
-    return f"{count} in {', '.join(names)}" if stretches else "none"
+    return f"{count} in {', '.join(names)}{_sudden_landings(rec, names)}" if stretches else "none"
+
+
+def _sudden_landings(rec: Recording, overloaded: Sequence[str]) -> str:
+    """Tell a real sensor that is struck by landings of no duration, which none withstands, from too high a level."""
+    try:
+        scene = rec.scene
+    except ShotrigError:
+        return ""
+    sudden = [number for number, damper in enumerate(scene.dampers, 1) if damper.contact is None]
+    limited = {
+        each.name
+        for each in scene.channels or ()
+        if each.accelerometer is not None and filled_in(each.accelerometer).saturation is not None
+    }
+    if not sudden or limited.isdisjoint(overloaded):
+        return ""
+    return (
+        f"; a landing of no duration overloads most real sensors: with dampers[{sudden[0]}].contact: "
+        "{duration: 2 ms} it lasts, as that of shot does"
+    )

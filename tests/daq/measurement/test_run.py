@@ -16,6 +16,7 @@ import daq
 import rig
 from daq.cli import main
 from daq.measurement.limits import Stretches
+from daq.measurement.run_report import summary
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError, RunError, SceneError
 
@@ -424,3 +425,21 @@ def test_given_flags_in_any_blocks_when_joined_to_stretches_then_they_are_the_sa
     stretches.close()
     expected = [("overload", 3, 10, "a"), ("overload", 20, 22, "a"), ("overload", 48, 49, "b")]
     assert sorted(noted, key=lambda note: note[1]) == expected
+
+
+@pytest.mark.filterwarnings("ignore::daq.RunWarning")
+@pytest.mark.parametrize(("contact", "told"), [("", True), (", contact: {duration: 2 ms}", False)])
+def test_given_landings_of_no_duration_when_they_overload_a_sensor_then_the_summary_says_what_cures_it(
+    contact: str, told: bool, tmp_path: Path
+) -> None:
+    scene = rig.loads(f"""
+structure: {{masses: [1 kg], springs: [40 kN/m], damping: {{modal: 1 %}}}}
+dampers: [{{body: 1, mass_ratio: 10 %, clearance: 1 mm{contact}}}]
+shaker: {{kind: force, body: 1}}
+test: {{kind: sine, frequency: 30 Hz, force: 10 N, duration: 1 s}}
+channels:
+  - {{name: body1, at: body 1, accelerometer: {{preset: PCB 352C33}}}}
+  - {{name: force, at: shaker, hammer: {{sensitivity: 10 mV/N}}}}
+""")
+    daq.record(scene, tmp_path / "r.mcap")
+    assert ("no duration" in summary(tmp_path / "r.mcap")) is told

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import rig
 from rig.errors import SceneError
 from rig.scene.data_sheets import data_sheets
 from rig.scene.modules import Module, Rates, module
@@ -74,3 +75,11 @@ def test_given_a_rate_that_a_clock_cannot_make_when_asked_for_then_the_error_nam
 def test_given_a_sensor_when_a_module_is_asked_for_then_it_is_none() -> None:
     with pytest.raises(SceneError, match="unknown module"):
         module("PCB 352C33")
+
+
+def test_given_a_shaker_by_its_name_when_loaded_then_coil_and_armature_are_those_of_its_data_sheet() -> None:
+    shaker = "{kind: electrodynamic, body: 1, spring: 6.6 kN/m, preset: LDS V203, armature: {mass: 40 g}}"
+    scene = rig.loads(f"structure: {{masses: [1 kg], springs: [10 kN/m]}}\nshaker: {shaker}")
+    assert scene.shaker.coil.force_factor == 3.744
+    # What is named beside it holds.
+    assert scene.shaker.armature.mass == 0.04 and scene.shaker.armature.stiffness == 2897.0

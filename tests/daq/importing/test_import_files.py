@@ -1,8 +1,6 @@
 from __future__ import annotations
 
-import random
 import warnings
-from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -12,9 +10,8 @@ from typer.testing import CliRunner
 import daq
 from daq.cli import app
 from daq.importing.channel_table import Column
-from rig.errors import RecordingError, SceneError, ShotrigError
+from rig.errors import RecordingError, SceneError
 from tests.daq.importing.files import IN_SI, NAMES, RATE, WRITERS, bench, csv, histories, tdms
-from tests.soak.recordings import damage
 
 # pyuff leaves a binary file open that it wrote.
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
@@ -264,16 +261,3 @@ def test_given_files_when_typed_then_listed_imported_and_never_overwritten(tmp_p
     assert done.exit_code == 0 and "3000 samples of 3 channels" in done.output, done.output
     again = CliRunner().invoke(app, words)
     assert isinstance(again.exception, RecordingError) and "exists" in str(again.exception)
-
-
-@pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("name", WRITERS)
-def test_given_a_damaged_file_when_imported_then_it_is_imported_or_refused_in_words(name, tmp_path) -> None:
-    ending, write, _ = WRITERS[name]
-    whole, damaged = tmp_path / f"whole{ending}", tmp_path / f"damaged{ending}"
-    write(whole, histories(500))
-    # A process for each MATLAB file takes its time.
-    for seed in range(8 if ending == ".mat" else 30):
-        damaged.write_bytes(damage(whole.read_bytes(), random.Random(seed)))
-        with suppress(ShotrigError):
-            daq.import_files(damaged, bench(), tmp_path / "r.mcap", overwrite=True)

@@ -127,7 +127,8 @@ def _in_words(error: BaseException) -> tuple[int, str]:
     match error:
         case SystemExit(code=int() | None):
             return int(error.code or 0), ""
-        case KeyboardInterrupt():
+        # Python 3.11 wraps what interrupts it while it makes a class, as in an import.
+        case KeyboardInterrupt() | RuntimeError(__cause__=KeyboardInterrupt()):
             return 130, "interrupted"
         case ShotrigError():
             notes = getattr(error, "__notes__", ())

@@ -58,6 +58,8 @@ def present_dampers(
                 name = relabelled(sweep.lines, rec.scene.name, label).label
                 motions, found = _motions(rec, sweep)
                 lines += [name, *(f"  {line}" for line in found)]
+                # Frequencies that are missing here may be those that matter.
+                notes += [f"{path.name}: {warning}" for warning in sweep.lines.warnings]
                 try:
                     energy = energy_per_cycle(rec, sweep)
                 except RecordingError as error:

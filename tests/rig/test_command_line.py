@@ -47,12 +47,18 @@ def raising(error: BaseException) -> Callable[[], object]:
     return act
 
 
+def caused(error: Exception, cause: BaseException) -> Exception:
+    error.__cause__ = cause
+    return error
+
+
 @pytest.mark.parametrize(
     ("error", "code", "said"),
     [
         (SceneError("no such body"), 2, "error: no such body"),
         (RunError("the disk is full"), 1, "error: the disk is full"),
         (KeyboardInterrupt(), 130, "interrupted"),
+        (caused(RuntimeError("Error calling __set_name__"), KeyboardInterrupt()), 130, "interrupted"),
         (MemoryError(), 1, "not enough memory"),
         (PermissionError(13, "Permission denied", "run.mcap"), 1, "error: run.mcap: Permission denied"),
         (BrokenPipeError(), 0, ""),

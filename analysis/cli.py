@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rig.arguments import Changes, SceneName, loaded
-from rig.command_line import application, counting, run
+from rig.command_line import application, run
+from rig.console import counting
 
 if TYPE_CHECKING:
     from analysis.presentation.presentation import Result

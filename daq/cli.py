@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rig.arguments import Changes, SceneName, SceneNames, loaded
-from rig.command_line import application, handed_over, progress, run, waiting
+from rig.command_line import application, run
+from rig.console import handed_over, progress, waiting
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rig.arguments import Changes, SceneName, completions, loaded
-from rig.command_line import application, counting, run, saying
+from rig.command_line import application, run
+from rig.console import counting, saying
 from rig.errors import SceneError
 
 if TYPE_CHECKING:

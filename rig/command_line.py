@@ -6,29 +6,25 @@ No command ends in a traceback, or is silent for long. What a user can mend is a
 
 from __future__ import annotations
 
-import io
 import os
 import signal
 import sys
 import threading
-import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import ExitStack, suppress
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
-from typing import IO, TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
+from rig import console
 from rig.errors import RunError, ShotrigError
-from rig.escaping import shown
 
 if TYPE_CHECKING:
     import typer
 
-# After so long without a word a command says that it is still at work, s.
-SILENCE = 12.0
 # What may end a command: Ctrl-C, and what a machine that goes down sends.
 ENDINGS = (signal.SIGINT, signal.SIGTERM)
 
@@ -73,8 +69,9 @@ def run(module: str) -> NoReturn:
     with ExitStack() as put_back:
         try:
             _answer_signals(put_back)
-            _take_streams(put_back)
+            console.take_streams(put_back)
             _take_hooks(put_back)
+            console.say_now_and_then(put_back)
             code = _carry_out(module, words[debug:])
             sys.stdout.flush()
         except BaseException as error:
@@ -136,7 +133,7 @@ def _in_words(error: BaseException) -> tuple[int, str]:
         case BrokenPipeError():
             # The reader of a pipe (head, less) has left, which is its right.
             return 0, ""
-        case _Unwritable():
+        case console.Unwritable():
             return 1, f"error: standard output cannot be written: {error.strerror}"
         case MemoryError():
             return 1, f"error: there is not enough memory for this: {error or 'none is left'}"
@@ -202,79 +199,8 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 # -- what is said ----------------------------------------------------------------------------------------
 
 
-class _Unwritable(OSError):
-    """Standard output takes nothing: its disk is full."""
-
-
-class _Shown(io.TextIOBase):
-    """A stream on which text from files is shown, not obeyed.
-
-    Parameters
-    ----------
-    terminal : text stream
-        Where the text goes. A progress bar, which has to move the cursor, writes there.
-    """
-
-    last = time.monotonic()
-
-    def __init__(self, terminal: IO[str]) -> None:
-        self.terminal = terminal
-
-    def write(self, text: str) -> int:
-        """Write what can be shown."""
-        if not isinstance(text, str):
-            # By trying, click finds out whether a stream takes bytes.
-            raise TypeError(f"text is written here, not {type(text).__name__}")
-        _Shown.last = time.monotonic()
-        encoding = self.encoding
-        self._forward(self.terminal.write, shown(text).encode(encoding, "backslashreplace").decode(encoding))
-        return len(text)
-
-    def flush(self) -> None:
-        """Write what waits."""
-        self._forward(self.terminal.flush)
-
-    def close(self) -> None:
-        """Do nothing: the terminal is Python's, and may be closed before this goes, of which 3.13 would complain."""
-
-    def _forward(self, act: Callable[..., object], *given: str) -> None:
-        try:
-            act(*given)
-        except BrokenPipeError:
-            raise
-        except OSError as error:
-            raise _Unwritable(error.errno, error.strerror) from None
-
-    @property
-    def encoding(self) -> str:  # type: ignore[override]
-        """Encoding of the terminal."""
-        return getattr(self.terminal, "encoding", None) or "utf-8"
-
-    def isatty(self) -> bool:
-        """Whether somebody looks at it."""
-        return self.terminal.isatty()
-
-    def fileno(self) -> int:
-        """Give the number of the file below."""
-        return self.terminal.fileno()
-
-
-def _take_streams(put_back: ExitStack) -> None:
-    """Put our streams in place of Python's; a closed one becomes one that takes everything and keeps nothing."""
-    for number, name in enumerate(("stdin", "stdout", "stderr")):
-        try:
-            os.fstat(number)
-        except OSError:
-            # Otherwise the next file that is opened, a recording, would get the number that prints go to.
-            os.open(os.devnull, os.O_RDWR)
-        stream = getattr(sys, name)
-        if number > 0:
-            put_back.callback(setattr, sys, name, stream)
-            setattr(sys, name, _Shown(stream or open(os.devnull, "w", encoding="utf-8")))  # noqa: PTH123, SIM115
-
-
 def _take_hooks(put_back: ExitStack) -> None:
-    """Say in a line what Python would say in a traceback; say now and then that work goes on."""
+    """Say in a line what Python would say in a traceback."""
     for module, name, ours in (
         (warnings, "showwarning", _warn),
         (sys, "unraisablehook", _passed_over),
@@ -291,10 +217,6 @@ def _take_hooks(put_back: ExitStack) -> None:
     put_back.callback(log.removeHandler, handler)
     put_back.callback(log.setLevel, log.level)
     log.setLevel(logging.INFO)
-    over = threading.Event()
-    put_back.callback(over.set)
-    _Work.doing = ""
-    threading.Thread(target=_say_now_and_then, args=(over, sys.stderr), name="words", daemon=True).start()
 
 
 def _warn(message: Warning | str, *_: Any, **__: Any) -> None:
@@ -313,90 +235,3 @@ def _passed_over(what: sys.UnraisableHookArgs) -> None:
 def _thread_failed(what: threading.ExceptHookArgs) -> None:
     if what.exc_value is not None:
         print(_unexpected(what.exc_value), file=sys.stderr)
-
-
-class _Work:
-    """What a command is doing; None while it waits for its user."""
-
-    doing: str | None = ""
-
-
-def _say_now_and_then(over: threading.Event, to: Any) -> None:
-    start = time.monotonic()
-    _Shown.last = start
-    while not over.wait(1.0):
-        if _Work.doing is not None and time.monotonic() - _Shown.last > SILENCE:
-            with suppress(OSError, ValueError):
-                doing = _Work.doing and f": {_Work.doing}"
-                print(f"at work for {time.monotonic() - start:.0f} s{doing}", file=to, flush=True)
-
-
-@contextmanager
-def waiting() -> Iterator[None]:
-    """Say nothing while the body waits for its user."""
-    before, _Work.doing = _Work.doing, None
-    try:
-        yield
-    finally:
-        _Work.doing = before
-
-
-@contextmanager
-def handed_over() -> Iterator[None]:
-    """Give the terminal to a program of the user's, which may write on it what it likes."""
-    ours = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = (getattr(stream, "terminal", stream) for stream in ours)
-    try:
-        with waiting():
-            yield
-    finally:
-        sys.stdout, sys.stderr = ours
-
-
-@contextmanager
-def progress(title: str) -> Iterator[Callable[[float, str], None]]:
-    """Show how far the body is: ``tell(fraction, message)``.
-
-    A terminal shows a bar with the time left; other error outputs get a line now and then.
-    """
-    if not sys.stderr.isatty():
-
-        def tell(fraction: float, message: str = "") -> None:
-            _Work.doing = f"{title}, {100 * fraction:.0f} %{message and ', '}{message}"
-
-        yield tell
-        _Work.doing = ""
-        return
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeRemainingColumn(elapsed_when_finished=True),
-        TextColumn("{task.fields[message]}"),
-    )
-    terminal = getattr(sys.stderr, "terminal", sys.stderr)
-    with waiting(), Progress(*columns, console=Console(file=terminal), transient=True) as bar:
-        task = bar.add_task(escape(shown(title)), total=1.0, message="")
-
-        def move(fraction: float, message: str = "") -> None:
-            bar.update(task, completed=fraction, message=escape(shown(message)))
-
-        yield move
-
-
-@contextmanager
-def counting(title: str) -> Iterator[Callable[[int, int], None]]:
-    """Show how many pieces of work are done: ``tell(done, total)``."""
-    with progress(title) as tell:
-        yield lambda done, total: tell(done / total if total else 1.0, f"{done} of {total}")
-
-
-@contextmanager
-def saying() -> Iterator[Callable[[str], None]]:
-    """Show what the body is doing: ``tell(message)``."""
-    with progress("") as tell:
-        yield lambda message: tell(0.0, message)

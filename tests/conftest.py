@@ -6,7 +6,7 @@ import signal
 
 from hypothesis import HealthCheck, settings
 
-from rig import command_line
+from rig import console
 
 settings.register_profile(
     "project",
@@ -18,7 +18,7 @@ settings.register_profile(
 settings.load_profile("project")
 
 # A busy machine would have commands say that they are still at work, between the lines that tests look at.
-command_line.SILENCE = float("inf")
+console.SILENCE = float("inf")
 
 # A shell starts what it runs in the background with interrupts ignored, and programs that tests start inherit it: those
 # that are to be interrupted would go on for ever.

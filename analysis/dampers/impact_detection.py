@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.dampers.joint_fit import Jump, fit_together, put
-from analysis.dampers.jump_signature import SHIFT, Signature, signature
+from analysis.dampers.jump_search import RESOLVED, SIGMAS, JumpSearch
+from analysis.dampers.jump_signature import Signature, signature
 from analysis.recordings.slices import read_slices
 from analysis.responses.frf import MOTIONS
 from analysis.responses.measurands import named
 from rig.errors import RecordingError
-from rig.scene.contact import Landing, Walls
+from rig.scene.damper import Landing, Walls
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -26,36 +26,16 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-# A jump counts when it exceeds the standard deviation of its estimate by this factor: one false alarm in
-# some 1e9 samples of Gaussian noise. One larger by so much more is found for certain, as noise may take off
-# three standard deviations.
-SIGMAS = 6.0
+# A jump larger than the least that counts by so many standard deviations is found for certain, as noise may take
+# off three.
 _CERTAINTY = 3.0
 # So much smaller than the largest one, a jump is not told from what the model of a channel leaves out.
 _RANGE = 3e-3
-# What is left of a jump after it was taken out; smaller ones in its ringing are not told from that.
-_LEFT_OVER = 0.02
-# An impact on a neighbour kinks the acceleration of a body, and the kink is bent a little; the bend passes for
-# a jump of at most this part of the velocity that the kink brings about in a sample.
-_BEND = 1.0
-# Rounds of the search, each for the largest of what is left within reach; and of putting a window around a jump.
-_ROUNDS, _PASSES = 12, 4
 # A landing of no more than this part of a sample interval is a jump.
 _INSTANT = 0.25
-# Jumps nearer to each other than so many samples are taken for one; told apart for certain from so many on.
-_APART, RESOLVED = 4, 6
-# So many are fitted together at a time; what is left of one that was fitted alone misleads by so many samples.
-_TOGETHER, _STARTS, _BESIDE = 5, (0.0, -2.5, 2.5, -5.0, 5.0), 10.0
-# Steps of the acceleration are such a part of what it goes through, smoothed over so many samples; kinks bring
-# it back at such a frequency, Hz.
-_PART, _CALM, _QUICK = 0.2, 8, 100.0
 # Acceleration at an impact: from so much time on either side, s, less so many decay times of the sensor's
 # resonance, by a polynomial of this order.
 _AROUND, _FEWEST_AROUND, _RUNG_OUT, _BENDS = 2e-3, 8, 4.0, 3
-# Noise is taken to be the same over so many windows; it is told from the share of them in which there is least, and
-# what normal deviates are below in as many.
-_STEADY = 8
-_QUANTILE, _OF_NORMAL = 0.5, 0.6745
 # Orders of the polynomial the acceleration follows around a jump: a higher one is taken where it leaves clearly less.
 _CURVATURES = (2, 4, 6, 8)
 _CLEARLY = 0.7
@@ -151,7 +131,7 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
     scale = float(abs(samples[good]).max())
     # Rounding in the converter is noise too, even where a steady reading hides it.
     floor = max(0.0 if info.volts_per_count is None else info.unit_per_count / 12.0**0.5, 1e-14 * scale)
-    searches = [_Search(one, samples, good, floor, rec.rate) for one in choices]
+    searches = [JumpSearch(one, samples, good, floor, rec.rate) for one in choices]
     if not all(search.open.any() for search in searches):
         raise RecordingError(
             f"lost or overloaded samples leave no {least} samples of {info.name} together: choose another "
@@ -216,176 +196,6 @@ def _signature(metadata: str, curvature: int) -> Signature:
     from daq.signal_chain.channel import ChannelInfo
 
     return signature(ChannelInfo.from_metadata(json.loads(metadata)), curvature)
-
-
-class _Search:
-    """Search of one stretch: what is left of its differences, and what was taken out."""
-
-    def __init__(
-        self, of: Signature, samples: Array, good: NDArray[np.bool_], floor: float, rate: float
-    ) -> None:
-        self.signature, self.floor, self.rate = of, floor, rate
-        filled = np.interp(np.arange(samples.size), np.flatnonzero(good), samples[good])
-        self.rest = np.diff(filled, of.difference)
-        self.usual = self.typical(filled)
-        # Position i of a window's first difference, of its sample 0, and of the sample itself.
-        self.zero = of.difference - of.window_start
-        self.open = np.convolve(~good, np.ones(of.reach), mode="full")[of.reach - 1 :] == 0
-        self.open = self.open[: self.rest.size - of.window + 1]
-        self.found: list[Jump] = []
-
-    def run(self) -> tuple[Array, Array]:
-        """Places in samples, and sizes in m/s."""
-        from scipy.ndimage import maximum_filter1d
-
-        of = self.signature
-        for _ in range(_ROUNDS):
-            strength, noise = self.scan()
-            taken, near = np.zeros(strength.size), ~self.open
-            for one in self.found:
-                at = self.at(one)
-                taken[at] = max(taken[at], one.explains)
-                near[max(at - _APART, 0) : at + _APART + 1] = True
-            rings = maximum_filter1d(taken, 2 * (of.reach + of.ring) + 1)
-            free = np.where(near, 0.0, strength)
-            peaks = (free >= maximum_filter1d(free, 2 * of.reach + 1)) & (free > SIGMAS**2)
-            peaks &= free > _LEFT_OVER**2 * rings
-            where = np.flatnonzero(peaks)
-            if not where.size:
-                break
-            for first in where[np.argsort(-strength[where], kind="stable")]:
-                one = self.fitted(int(first), float(noise[2, first]))
-                if any(abs(one.place - other.place) < _APART for other in self.found):
-                    continue
-                put(self.rest, of, one, -1.0)
-                self.found.append(one)
-                self.settle(one, noise, _STARTS)
-        for one in sorted(self.found, key=lambda one: abs(one.sizes[0])):
-            now = min(self.found, key=lambda other: abs(other.place - one.place))
-            self.settle(now, noise)
-        self.found.sort(key=lambda one: one.place)
-        real = [
-            one
-            for one in self.found
-            if abs(one.sizes[0]) > SIGMAS * one.error
-            and abs(one.sizes[0]) > _BEND * abs(one.sizes[2]) / self.rate**2
-        ]
-        return np.array([one.place for one in real]), np.array([one.sizes[0] for one in real])
-
-    def at(self, one: Jump) -> int:
-        """Where the window of a jump begins, among those that there are."""
-        return min(max(int(np.floor(one.place)) - self.zero, 0), self.rest.size - self.signature.window)
-
-    def settle(self, one: Jump, noise: Array, starts: tuple[float, ...] = (0.0,)) -> None:
-        """Fit a jump anew together with those that it rings into, from where it lies and from places beside that.
-
-        One that lies beside a larger one is left out where that one explains both as well by itself.
-        """
-        of = self.signature
-        group = [other for other in self.found if abs(other.place - one.place) < of.reach]
-        if len(group) == 1:
-            return
-        group.sort(key=lambda other: abs(other.place - one.place))
-        group, others = group[:_TOGETHER], group[1:_TOGETHER]
-        for other in group:
-            put(self.rest, of, other, 1.0)
-        deviation = float(noise[2, self.at(one)])
-        places = [one.place + start for start in starts]
-        tries = [
-            fit_together(self.rest, of, [replace(one, place=place), *others], deviation, self.usual)
-            for place in places
-            if place == one.place or all(abs(place - other.place) >= _APART for other in others)
-        ]
-        best, left = min(tries, key=lambda fit: fit[1])
-        if any(abs(other.place - one.place) < _BESIDE for other in others):
-            alone, more = fit_together(self.rest, of, others, deviation, self.usual)
-            if more < left + (SIGMAS * deviation) ** 2:
-                best = alone
-        self.found = [other for other in self.found if all(other is not old for old in group)] + best
-        for new in best:
-            put(self.rest, of, new, -1.0)
-
-    def typical(self, samples: Array) -> tuple[float, float]:
-        """Size of steps and kinks: a part of what the motion itself goes through."""
-        order = self.signature.difference - 2
-        motion = np.diff(samples, order) * self.rate**order
-        motion = np.convolve(motion - np.median(motion), np.ones(_CALM) / _CALM, "valid")
-        step = _PART * float(np.percentile(abs(motion), 90.0))
-        return step, step * 2 * np.pi * _QUICK
-
-    def coordinates(self, row: int) -> Array:
-        """Kink, step and jump coordinates at every place, shape (3, places), for one instant."""
-        from scipy import signal
-
-        long = self.rest.size * self.signature.window > 1 << 20
-        how = "fft" if long and self.signature.window > 32 else "direct"
-        return np.stack(
-            [signal.correlate(self.rest, part, "valid", how) for part in self.signature.filters[row]]
-        )
-
-    def noise(self) -> Array:
-        """Find the standard deviation of the coordinates at every place, shape (3, places), from medians."""
-        from scipy.ndimage import maximum_filter1d
-
-        of = self.signature
-        size = abs(self.coordinates((2 * SHIFT + 1) * of.instants // 2))
-        middle = np.quantile(size[:, self.open], _QUANTILE, axis=1)[:, None]
-        parts = np.array_split(
-            np.where(self.open, size, middle), max(1, size.shape[1] // (_STEADY * of.window)), axis=1
-        )
-        medians = np.stack([np.quantile(part, _QUANTILE, axis=1) for part in parts], axis=1)
-        steady = np.maximum(maximum_filter1d(medians, 3, axis=1), middle)
-        return np.maximum(
-            np.repeat(steady, [part.shape[1] for part in parts], axis=1) / _OF_NORMAL, self.floor
-        )
-
-    def scan(self) -> tuple[Array, Array]:
-        """Largest squared jump coordinate at every place, in variances, and the noise."""
-        of = self.signature
-        noise = self.noise()
-        best = np.zeros(noise.shape[1])
-        first = SHIFT * of.instants + of.coarse // 2
-        for row in range(first, first + of.instants, of.coarse):
-            np.maximum(best, (self.coordinates(row)[2] / noise[2]) ** 2, out=best)
-        return best, noise
-
-    def fitted(self, first: int, noise: float) -> Jump:
-        """Best jump near a place, in a window that has it in its middle."""
-        last = self.rest.size - self.signature.window
-        for _ in range(_PASSES):
-            one = self.best(first, noise)
-            middle = min(max(int(np.floor(one.place)) - self.zero, 0), last)
-            if middle == first:
-                break
-            first = middle
-        return one
-
-    def best(self, first: int, noise: float) -> Jump:
-        """Best jump in the window that begins at a place: the instant that explains most of it."""
-        of = self.signature
-        window = self.rest[first : first + of.window]
-        rough = of.filters[of.coarse // 2 :: of.coarse] @ window
-        best = int(np.argmax(np.sum(rough**2, axis=1))) * of.coarse + of.coarse // 2
-        low = max(best - of.coarse, 0)
-        near = of.filters[low : best + of.coarse + 1] @ window
-        explains = np.sum(near**2, axis=1) / noise**2
-        best = int(np.argmax(explains))
-        row, toward = low + best, 0.0
-        if 0 < best < explains.size - 1:
-            left, mid, right = explains[best - 1 : best + 2]
-            bend = left - 2.0 * mid + right
-            toward = float(np.clip(0.5 * (left - right) / bend, -0.5, 0.5)) if bend < 0 else 0.0
-        sizes = self.sizes(row, near[best])
-        if toward:
-            side = 1 if toward > 0 else -1
-            sizes = (1.0 - abs(toward)) * sizes + abs(toward) * self.sizes(row + side, near[best + side])
-        place = first + self.zero + (row + toward + 0.5) / of.instants - SHIFT
-        error = noise / abs(self.signature.triangles[row, 2, 2])
-        return Jump(place, sizes, error, float(explains[best]))
-
-    def sizes(self, row: int, coordinates: Array) -> Array:
-        """Jump [m/s], step [m/s²] and kink [m/s³] from coordinates."""
-        return np.asarray(np.linalg.solve(self.signature.triangles[row], coordinates)[::-1])
 
 
 def score(found: Array, true: Array, tolerance: float) -> tuple[float, NDArray[np.bool_], NDArray[np.bool_]]:

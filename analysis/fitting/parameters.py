@@ -11,7 +11,7 @@ from scipy.special import expit
 
 from rig.errors import SceneError
 from rig.scene.changes import changes_of
-from rig.scene.contact import Landing
+from rig.scene.damper import Landing
 from rig.scene.scene import Scene
 from rig.scene.settings import Place, Settings
 from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping

@@ -14,7 +14,7 @@ from daq.importing.import_files import import_files
 from daq.measurement.run import RunWarning
 from daq.measurement.run_report import summary
 from daq.recording.recording import open as open_recording
-from rig.command_line import progress
+from rig.console import progress
 from rig.scene.scene import Scene
 
 

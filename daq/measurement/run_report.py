@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from daq.measurement.estimate import WORTH_SAYING_S, estimate
 from daq.measurement.force_reference import force_untold
-from rig.command_line import progress
+from rig.console import progress
 from rig.errors import ShotrigError
 from rig.scene.presets import filled_in
 

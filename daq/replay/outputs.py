@@ -23,7 +23,7 @@ from daq.replay.rerun_viewer import (
     picture,
     viewer,
 )
-from rig.command_line import waiting
+from rig.console import waiting
 from rig.errors import RunError, SceneError
 from rig.output_files import replacing
 

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import SceneError
-from rig.scene.contact import Landing, Wall, Walls
-from rig.scene.damper import Damper
+from rig.scene.damper import Damper, Landing, Wall, Walls
 from rig.scene.scene import Scene
 from rig.scene.shaker import Coil, ElectrodynamicShaker, ForceShaker, Shaker, TableShaker, at_shaker
 from rig.system.hybrid_system import HybridSystem

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from rig import command_line
+from rig import console
 from rig.command_line import application, run
 from rig.errors import RunError, SceneError
 
@@ -100,11 +100,11 @@ def test_given_a_signal_to_end_when_at_work_then_it_ends_as_by_ctrl_c(command, c
 
 
 def test_given_long_silence_when_at_work_then_it_says_so(command, capsys, monkeypatch):
-    monkeypatch.setattr(command_line, "SILENCE", -1.0)
+    monkeypatch.setattr(console, "SILENCE", -1.0)
     told = []
 
     def wait_for_a_word() -> None:
-        with command_line.progress("a long test") as tell:
+        with console.progress("a long test") as tell:
             tell(0.5, "20 Hz")
             while "at work" not in "".join(told):
                 told.append(capsys.readouterr().err)

@@ -5,7 +5,8 @@ import pytest
 
 import daq
 import rig
-from analysis.dampers.impact_detection import SIGMAS, impacts, score
+from analysis.dampers.impact_detection import impacts, score
+from analysis.dampers.jump_search import SIGMAS
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError
 from tests.analysis.responses import synthetic

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from analysis.dampers.impact_detection import RESOLVED
+from analysis.dampers.jump_search import RESOLVED
 from analysis.dampers.nonlinearity import damper_motion
 from analysis.responses.stepped_sine import sweeps
 from tests.gauntlet.cavities import STEPS

@@ -15,7 +15,7 @@ import mpmath
 import numpy as np
 
 import rig
-from rig.scene.contact import Landing, Walls
+from rig.scene.damper import Landing, Walls
 from rig.system.structure import damper_bodies, damper_masses, structure_matrices
 
 DIGITS = 40

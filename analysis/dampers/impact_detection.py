@@ -60,12 +60,17 @@ class Impacts:
     percentile."""
     resolution: float
     """Impacts nearer to each other than this are seen as one, the largest, s."""
+    ringing: float
+    """How long the channel rings about an impact, s: there one smaller than `LEFT_OVER` of it may be missed."""
     searched: float
     """Length of what was searched, s: the stretch without its ends, lost samples and overloads."""
 
     @property
     def threshold(self) -> float:
-        """Smallest jump that is not missed, m/s: the noise taken `SIGMAS` + 3 times, or a part of the largest one."""
+        """Smallest jump that is not missed, m/s: the noise taken `SIGMAS` + 3 times, or a part of the largest one.
+
+        Beside a larger one, while that rings, it is more: see `ringing`.
+        """
         return max((SIGMAS + _CERTAINTY) * self.noise, _RANGE * float(abs(self.jump).max(initial=0.0)))
 
     @property
@@ -153,6 +158,7 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
         _acceleration(samples, place[clear], info),
         noise,
         RESOLVED / rec.rate,
+        (search.signature.reach + search.signature.ring) / rec.rate,
         float(search.open.sum()) / rec.rate,
     )
 

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 # some 1e9 samples of Gaussian noise.
 SIGMAS = 6.0
 # What is left of a jump after it was taken out; smaller ones in its ringing are not told from that.
-_LEFT_OVER = 0.02
+LEFT_OVER = 0.02
 # An impact on a neighbour kinks the acceleration of a body, and the kink is bent a little; the bend passes for
 # a jump of at most this part of the velocity that the kink brings about in a sample.
 _BEND = 1.0
@@ -66,7 +66,7 @@ class JumpSearch:
             rings = maximum_filter1d(taken, 2 * (of.reach + of.ring) + 1)
             free = np.where(near, 0.0, strength)
             peaks = (free >= maximum_filter1d(free, 2 * of.reach + 1)) & (free > SIGMAS**2)
-            peaks &= free > _LEFT_OVER**2 * rings
+            peaks &= free > LEFT_OVER**2 * rings
             where = np.flatnonzero(peaks)
             if not where.size:
                 break

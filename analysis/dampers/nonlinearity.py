@@ -24,6 +24,8 @@ _ERRORS = 5.0
 # So far from one a period impacts may be: of some twenty one or two fall on the edge of a window, or lie too
 # near to another.
 _ONCE = 0.15
+# A restitution of so many standard deviations is one.
+_SURE = 3.0
 # Where so many periods pass without a blow on the floor, one in between is missing.
 _MISSING = 1.5
 
@@ -80,7 +82,7 @@ class DamperMotion:
     """Impacts a period."""
     stays: bool
     """Whether the damper stays at the ceiling after it struck: it does so while the body's acceleration is
-    below -g."""
+    below -g, unless its impacts show that it rebounds."""
     threshold: float
     """Smallest velocity jump that would have been seen for certain, m/s."""
     lifts: bool
@@ -120,16 +122,18 @@ def damper_motion(rec: Recording, sweep: Sweep, channel: str) -> list[DamperMoti
         struck = found.kind == "ceiling"
         between = np.diff(found.time[~struck]) * float(frequency)
         then = found.acceleration[struck & np.isfinite(found.acceleration)]
+        told = restitution(rec, found, alone[0], int(first), int(stop)) if len(alone) == 1 else None
+        rebounds = told is not None and told.value > _SURE * told.error
         out.append(
             DamperMotion(
                 float(frequency),
                 found.channel,
                 float(np.sum(found.kind == "floor")) / inner,
                 float(np.sum(struck)) / inner,
-                bool(then.size and np.median(then) < -gravity),
+                bool(then.size and np.median(then) < -gravity and not rebounds),
                 found.threshold,
                 bool(lift),
-                restitution(rec, found, alone[0], int(first), int(stop)) if len(alone) == 1 else None,
+                told,
                 float(between.max(initial=0.0)),
             )
         )

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from analysis.modal.order_selection import correlation
 from analysis.modal.pole_residue import Curves, Fit
-from analysis.responses.frf import Frf
-from analysis.responses.systematic import ALIASING, CLOCK, MODEL, REFERENCE_NOISE, RESOLUTION, SENSITIVITY
+from analysis.responses.frf import CLOCK, Frf
+from analysis.responses.systematic import ALIASING, MODEL, REFERENCE_NOISE, RESOLUTION, SENSITIVITY
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -31,9 +31,9 @@ _UNSEEN = 5e-4
 def pole_errors(curves: Curves, model: Fit) -> tuple[Array, Array]:
     """Tell the standard deviations of natural frequencies [Hz] and damping ratios, both of shape (modes,).
 
-    The larger of two: that of errors independent from line to line and response to response, as large as the
-    misfit says; and that of errors which responses have in common and neighbouring lines share, as they do
-    where force noise, transients or a structure that is not linear leave them [1]_.
+    The largest of three: that of errors independent from line to line and response to response, as large as the
+    misfit says; that of errors which responses have in common and neighbouring lines share, as they do
+    where force noise, transients or a structure that is not linear leave them [1]_; and that of the reference.
 
     References
     ----------
@@ -102,8 +102,13 @@ def _shift(off: Array, away: Array, half: float) -> float:
     return float(np.quantile((off[near] - off[known].min()) * away[near], 0.75))
 
 
-def _covariances(curves: Curves, model: Fit) -> tuple[Array, Array]:
-    """Covariance of the parameters for independent errors, and for errors shared by responses and neighbours."""
+def _covariances(curves: Curves, model: Fit) -> tuple[Array, Array, Array]:
+    """Covariance of the parameters for three kinds of errors.
+
+    Independent ones; those shared by responses and neighbours, as the misfit shows them; and those of a reference,
+    by which all responses are divided: a line's errors are the same part of each response, so that poles follow them
+    and the misfit shows little. Of these the curves' own errors tell, no more than the surest response's.
+    """
     parameters = model.slope.shape[0]
     slope = model.slope.reshape(parameters, -1)
     normal = np.linalg.pinv((slope @ slope.conj().T).real)
@@ -117,4 +122,7 @@ def _covariances(curves: Curves, model: Fit) -> tuple[Array, Array]:
         middle += (1.0 - lag / lags) * (common + common.T)
     # The misfit has fewer degrees of freedom than numbers: the fit has taken its share.
     plain = np.asarray(normal * (model.misfit / degrees), dtype=float)
-    return plain, np.asarray(normal @ middle @ normal * (curves.numbers / degrees), dtype=float)
+    seen = np.asarray(normal @ middle @ normal * (curves.numbers / degrees), dtype=float)
+    relative = np.min(1.0 / (curves.weight * abs(curves.value)), axis=0)
+    scored = np.einsum("pmn,mn->pn", model.slope.conj(), curves.weight * curves.value) * relative
+    return plain, seen, np.asarray(normal @ (scored @ scored.conj().T).real @ normal, dtype=float)

@@ -26,6 +26,8 @@ _NAMES = {
     ("acceleration", "table"): ("acceleration per table displacement", "1/s²"),
 }
 
+# The systematic part that comes of a sample clock that is off.
+CLOCK = "sample clock"
 
 # Units in which engineers read a curve: a name, and how many of them make one in SI.
 _SHOWN = {"m/N": ("µm/N", 1e6), "m/(N s)": ("mm/(N s)", 1e3)}
@@ -150,15 +152,22 @@ class Frf(Result):
     def bound(self, confidence: float = 0.95) -> NDArray[np.float64]:
         """Radius of the circle in the complex plane that holds the true value with the given confidence.
 
-        The random radius and the systematic parts have nothing to do with each other: their squares add up. Infinite
-        where a part is: there nothing is claimed.
+        The random radius and the systematic parts have nothing to do with each other: their squares add up, but for
+        the sample clock's. Infinite where a part is: there nothing is claimed.
         """
-        return np.hypot(self.random_bound(confidence), self.systematic_bound())
+        return np.hypot(self.random_bound(confidence), self._uncertain()) + self._clock()
 
     def systematic_bound(self) -> NDArray[np.float64]:
-        """Root of the sum of squares of the systematic parts, each of which has a cause of its own."""
-        parts = [np.zeros(self.value.size), *self.systematic.values()]
-        return np.sqrt(np.sum(np.square(parts), axis=0))
+        """Root of the sum of squares of the systematic parts, each of which has a cause of its own, and the clock's."""
+        return self._uncertain() + self._clock()
+
+    def _uncertain(self) -> NDArray[np.float64]:
+        parts = [part for name, part in self.systematic.items() if name != CLOCK]
+        return np.asarray(np.linalg.norm([np.zeros(self.value.size), *parts], axis=0))
+
+    def _clock(self) -> NDArray[np.float64]:
+        """Part of the sample clock, which is off by all that is said of it: nothing else makes it less likely."""
+        return self.systematic.get(CLOCK, np.zeros(self.value.size))
 
     def random_bound(self, confidence: float = 0.95) -> NDArray[np.float64]:
         """Radius of the circle that holds the mean of many such measurements with the given confidence.

@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 # nonlinear structure to stay out of it, and until so many of its lines on either side are driven.
 _RATIO, _GROWTH = 1.35, 1.1
 _POINTS = 400
+# Readings are told in counts from so many periods at least.
+_FEWEST_PERIODS = 3.0
 
 
 @dataclass(frozen=True)
@@ -127,7 +129,9 @@ def tracked(
         turn = np.exp(-2j * np.pi * shift / rec.rate * np.arange(size))
         samples[index] = fft.fft((block - block.mean(axis=1, keepdims=True)) * turn, axis=1)[:, line + around]
         at[index] = frequency[index] + around * rec.rate / size
-        squares[:, index] = block.var(axis=1)
+        begin, width = bounds[index][0], SIDE * rec.rate / size
+        near = [first + _passes(marker, frequency[index] + off, rec.rate) - begin for off in (-width, width)]
+        squares[:, index] = _near(block, near, rec.rate / frequency[index]).var(axis=1)
     kept = np.array(sorted(order))
     spectra = LocalSpectra(
         names,
@@ -155,6 +159,15 @@ def _stretch(marker: Marker, frequency: float, rate: float, first: int, stop: in
         if driven >= SIDE or (begin == first and end == stop):
             return begin, end
         ratio *= _GROWTH
+
+
+def _near(block: Array, ends: Sequence[float], period: float) -> Array:
+    """Take the samples between two places of a stretch, or some periods about their middle where that is more.
+
+    Elsewhere in the stretch the readings may be far larger.
+    """
+    middle, half = sum(ends) / 2.0, max(abs(ends[1] - ends[0]) / 2.0, _FEWEST_PERIODS / 2.0 * period)
+    return block[:, max(int(middle - half), 0) : max(int(middle + half), int(period)) + 1]
 
 
 def _passes(marker: Marker, frequency: float, rate: float) -> float:

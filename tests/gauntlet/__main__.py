@@ -21,8 +21,10 @@ from tests.gauntlet.scenes import KINDS
 from tests.gauntlet.trial import try_out
 from tests.gauntlet.verdict import Verdict
 
-# Share of the points within their 95 % bounds, over all scenes of a kind: bounds that always hold are too wide.
+# Share of the points within their 95 % bounds, over all scenes of a kind. Bounds that always hold are too wide, but
+# where a data sheet's limit is part of them, which no sensor exceeds.
 FEWEST_INSIDE, MOST_INSIDE = 0.90, 0.99
+NARROW = ("responses, as built",)
 OUTCOMES = ("right", "warned", "refused", "wrong")
 
 
@@ -73,7 +75,8 @@ def _tell(found: list[Verdict]) -> int:
         inside = sum(verdict.inside for verdict in verdicts)
         counts = [sum(v.outcome == outcome for v in verdicts) for outcome in OUTCOMES]
         share = inside / points if points else np.nan
-        failed |= counts[-1] > 0 or (points > 0 and not FEWEST_INSIDE <= share <= MOST_INSIDE)
+        most = MOST_INSIDE if judge in NARROW else 1.0
+        failed |= counts[-1] > 0 or (points > 0 and not FEWEST_INSIDE <= share <= most)
         widths = [v.width for v in verdicts if v.points and np.isfinite(v.width)]
         width = f"{np.median(widths):.2%}" if widths else "-"
         table.add_row(judge, kind, str(len(verdicts)), str(points), f"{share:.1%}", width, *map(str, counts))

@@ -1,8 +1,8 @@
 """Impacts found in the channels against those that the engine saw: each found once, and none that was not there.
 
 Judged are impacts larger than the threshold that the result states, but for those within its resolution of a larger
-one. What is found may be any impact. Both are the same where they are less than two samples apart: in the main lobe of
-the converter's filter.
+one, or far smaller than one that still rings. What is found may be any impact. Both are the same where they are less
+than two samples apart: in the main lobe of the converter's filter.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.dampers.impact_detection import impacts, score
+from analysis.dampers.impact_detection import Impacts, impacts, score
+from analysis.dampers.jump_search import LEFT_OVER
 from tests.gauntlet.cavities import TONE
 from tests.gauntlet.verdict import Case, Verdict
 
@@ -31,7 +32,7 @@ def judge(case: Case, kind: str) -> list[Verdict]:
     for number, damper in enumerate(case.scene.dampers, 1):
         found = impacts(rec, f"a{damper.body}", window.first_sample, window.stop)
         time, jump = true_impacts(case, number)
-        asked = (time > low) & (time < high) & seen_for_itself(time, jump, found.threshold, found.resolution)
+        asked = (time > low) & (time < high) & seen_for_itself(time, jump, found)
         _, right, seen = score(found.time, time, APART / rec.rate)
         false = int(np.sum(~right & (found.time > low) & (found.time < high)))
         hit, missed = int(np.sum(seen & asked)), int(np.sum(~seen & asked))
@@ -50,8 +51,10 @@ def true_impacts(case: Case, number: int) -> tuple[NDArray[np.float64], NDArray[
 
 
 def seen_for_itself(
-    time: NDArray[np.float64], jump: NDArray[np.float64], threshold: float, resolution: float
+    time: NDArray[np.float64], jump: NDArray[np.float64], found: Impacts
 ) -> NDArray[np.bool_]:
-    """Whether each impact is larger than a threshold and than all others within a resolution of it."""
-    larger = (abs(time - time[:, None]) < resolution) & (abs(jump) > abs(jump)[:, None])
-    return (abs(jump) > threshold) & ~larger.any(axis=1)
+    """Whether each impact is larger than what the result states may be missed, alone or beside a larger one."""
+    apart, size = abs(time - time[:, None]), abs(jump)
+    larger = (apart < found.resolution) & (size > size[:, None])
+    outshone = (apart < found.ringing) & (LEFT_OVER * size > size[:, None])
+    return (size > found.threshold) & ~(larger | outshone).any(axis=1)

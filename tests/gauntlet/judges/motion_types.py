@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from analysis.dampers.jump_search import RESOLVED
+from analysis.dampers.impact_detection import impacts
 from analysis.dampers.nonlinearity import damper_motion
 from analysis.responses.stepped_sine import sweeps
 from tests.gauntlet.cavities import STEPS
@@ -29,7 +29,7 @@ def judge(case: Case, kind: str) -> list[Verdict]:
             for motion, window in zip(motions, sweep.windows, strict=True):
                 if motion.name not in NAMED:
                     continue
-                true = _true_type(case, number, motion.frequency, motion.threshold, *map(int, window))
+                true = _true_type(case, number, motion.frequency, *map(int, window))
                 points += 1
                 right += motion.name == true
                 if motion.name != true:
@@ -38,12 +38,13 @@ def judge(case: Case, kind: str) -> list[Verdict]:
     return [Verdict("motion_types", kind, outcome, right, points, note="; ".join(notes))] if points else []
 
 
-def _true_type(case: Case, number: int, frequency: float, least: float, first: int, stop: int) -> str:
+def _true_type(case: Case, number: int, frequency: float, first: int, stop: int) -> str:
     """Type by what struck in a window; impacts that are too small, or too near to a larger one, do not count."""
     rec = case.recording
     time, jump = true_impacts(case, number)
     inside = (time >= first / rec.rate) & (time < stop / rec.rate)
-    inside &= seen_for_itself(time, jump, least, RESOLVED / rec.rate)
+    found = impacts(rec, f"a{case.scene.dampers[number - 1].body}", first, stop)
+    inside &= seen_for_itself(time, jump, found)
     periods = (stop - first) / rec.rate * frequency
     floor, ceiling = np.sum(jump[inside] < 0.0) / periods, np.sum(jump[inside] > 0.0) / periods
     if floor == ceiling == 0.0:

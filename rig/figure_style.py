@@ -167,11 +167,11 @@ def cell_edges(centres: NDArray[np.float64], logarithmic: bool) -> NDArray[np.fl
     return np.exp(borders) if logarithmic else borders
 
 
-def note(figure: Figure, *texts: str) -> None:
-    """Say below all axes what is not in a legend: what is shaded, dotted, crossed."""
-    if texts:
-        wrapped = "\n".join(wrap("; ".join(texts), int(_NOTE_LINE * figure.get_figwidth() / WIDTH_INCH)))
-        figure.supxlabel(wrapped, x=0.995, ha="right", fontsize=7.5, color="#666666")
+def caption(figure: Figure, *sentences: str) -> None:
+    """Say below all axes, in sentences, what is not in a legend: what is shaded, dotted, crossed."""
+    if sentences:
+        wrapped = "\n".join(wrap(" ".join(sentences), int(_NOTE_LINE * figure.get_figwidth() / WIDTH_INCH)))
+        figure.supxlabel(wrapped, x=0.01, ha="left", fontsize=7.5, color="#555555")
 
 
 def save_with_table(figure: Figure, stem: Path, write_table: Callable[[Path], None]) -> list[Path]:

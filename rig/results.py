@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from math import floor, isfinite, log10
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -106,6 +107,32 @@ class Result(ABC):
             raise _missing("xarray") from None
         (index, over), *others = self.columns().items() or _NOTHING
         return xarray.Dataset({name: (index, column) for name, column in others}, {index: over})
+
+
+def rounded(value: float, bound: float) -> str:
+    """Write a number with no more digits than its bound leaves it: to the bound's second one.
+
+    Examples
+    --------
+    >>> rounded(0.0123456, 0.00021), rounded(1078.4, 134.0), rounded(3.14159, 0.0)
+    ('0.01235', '1078', '3.142')
+    """
+    if not isfinite(bound) or bound <= 0.0:
+        return f"{value:.4g}"
+    return f"{value:.{min(max(1 - floor(log10(bound)), 0), 9)}f}"
+
+
+def bounded(value: float, bound: float, unit: str) -> str:
+    """Write a number with its bound and unit, in brackets so that the bound of a percentage is no share of it.
+
+    Examples
+    --------
+    >>> bounded(2.4213, 0.204, "%"), bounded(935.21, float("inf"), "µm/N")
+    ('(2.42 ± 0.20) %', '935.2 µm/N (no bound)')
+    """
+    if not isfinite(bound):
+        return f"{rounded(value, bound)} {unit} (no bound)"
+    return f"({rounded(value, bound)} ± {rounded(bound, bound)}) {unit}"
 
 
 def joined(parts: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:

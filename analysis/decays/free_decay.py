@@ -48,13 +48,18 @@ class Decay(Result):
     peak_time, peak : ndarray, shape (peaks,)
         Largest magnitudes, at least a period of the lowest mode apart: the envelope by peak picking.
     energy : ndarray, shape (n,)
-        Schroeder integral of the squared acceleration from each instant to the end, dB re its beginning.
+        Schroeder integral: energy of the acceleration from each instant on, dB re its beginning. What follows the
+        end counts as if the decay went on as in its last two tenths [1]_.
     modes : tuple of ModalDecay
         Decay of each mode found.
     gravity : float
         Below this acceleration amplitude a damper at rest on its floor stays there, m/s².
     warnings : tuple of str
         In full sentences.
+
+    References
+    ----------
+    .. [1] ISO 3382-2:2008, section 5.3.3.
     """
 
     channel: str
@@ -108,8 +113,8 @@ class Decay(Result):
 
     @property
     def halving(self) -> float:
-        """Time in s in which the energy falls by 6 dB, fitted to its curve between -1 and -21 dB."""
-        inside = (self.energy <= -1.0) & (self.energy >= -21.0)
+        """Time in s in which the energy falls by 6 dB at first, fitted to its curve between -1 and -11 dB."""
+        inside = (self.energy <= -1.0) & (self.energy >= -11.0)
         if np.sum(inside) < 8:
             return float("nan")
         return float(-20.0 * np.log10(2.0) / np.polyfit(self.time[inside], self.energy[inside], 1)[0])
@@ -176,7 +181,7 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     # Mirrored, so that the transform finds no step anywhere: one lifts its neighbourhood by its logarithm.
     envelope = abs(signal.hilbert(np.concatenate([acceleration, acceleration[::-1]])))[free:last]
     where, _ = signal.find_peaks(abs(shown), distance=max(cycle, 1))
-    power = np.cumsum(shown[::-1] ** 2)[::-1]
+    power = np.cumsum(shown[::-1] ** 2)[::-1] + _energy_after(shown)
     return Decay(
         channel=info.name,
         label=rec.scene.name,
@@ -191,6 +196,13 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
         gravity=rec.scene.gravity or STANDARD_GRAVITY,
         warnings=tuple(notes),
     )
+
+
+def _energy_after(shown: Array) -> float:
+    """Energy after the end of a decay that goes on as in its last two tenths; none if it does not fall there."""
+    tenth = max(1, shown.size // 10)
+    before, last = (float(np.sum(each**2)) for each in (shown[-2 * tenth : -tenth], shown[-tenth:]))
+    return last * last / (before - last) if before > last else 0.0
 
 
 def _clipped(rec: Recording, channel: str, begin: int, stop: int) -> float:

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d, uniform_filter1d
+from scipy.ndimage import convolve1d, maximum_filter1d
 
 from analysis.decays.free_decay import Decay
 from rig.escaping import drawn
-from rig.figure_style import colour, drawing, heading, note, plain_logarithmic
+from rig.figure_style import caption, colour, drawing, heading, plain_logarithmic
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,7 +39,7 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
         rows = figure.add_gridspec(3, max(len(columns), 1), height_ratios=[1.25, 1.0, 1.0])
         trace = figure.add_subplot(rows[0, :])
         level = figure.add_subplot(rows[1, :], sharex=trace)
-        shown = max(_interesting(decay) for decay in decays)
+        shown, lowest_shown = max(_interesting(decay) for decay in decays), decays[0].gravity
         for index, decay in enumerate(decays):
             shade = colour(index)
             keep = decay.time <= shown
@@ -52,6 +52,7 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
                     label=drawn(decay.label) if sign > 0 else None,
                 )  # fmt: skip
             level.plot(decay.time[keep], top[keep], color=shade, lw=1.2)
+            lowest_shown = min(lowest_shown, float(top[keep].min()))
             level.plot(
                 decay.time[keep], decay.envelope.max() * 10.0 ** (decay.energy[keep] / 20.0),
                 color=shade, lw=1.6, ls="--",
@@ -67,13 +68,14 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
         if trace.get_legend_handles_labels()[0]:
             trace.legend(loc="upper right")
         level.set_yscale("log")
-        level.set_ylim(1e-3 * highest, 1.6 * highest)
+        level.set_ylim(max(0.6 * lowest_shown, 1e-3 * highest), 1.6 * highest)
         level.axhline(gravity, color="#777777", lw=0.8, ls=":")
         level.set_ylabel("envelope / (m/s²)")
         level.set_xlabel("time after the hit / s")
-        note(
-            figure, "solid: largest acceleration within a period of the lowest mode",
-            "dashed: energy still to come (Schroeder)", "dotted: 1 g", "shaded: 95 % bound",
+        caption(
+            figure, "Envelopes are the largest acceleration within half a period of the lowest mode on either side.",
+            "Dashed: root of the energy still to come (Schroeder), from the same start. Dotted: 1 g.",
+            *["Bands: 95 % bound of the damping ratio; one down to the axis includes zero."][: len(columns)],
         )  # fmt: skip
         _damping_row(figure, rows, columns, gravity)
         return figure
@@ -118,12 +120,13 @@ def _damping_row(
 def envelope(acceleration: Array, period: float) -> Array:
     """Give a smooth line that no sample of an acceleration passes.
 
-    The largest magnitude within a period of the lowest mode [samples] on either side, averaged over one: every value
-    of the average is as large as the sample in its middle.
+    The largest magnitude within half a period of the lowest mode [samples] on either side, averaged over as long:
+    every value of the average is as large as the sample in its middle.
     """
-    window = 2 * max(1, round(0.5 * period)) + 1
-    largest = maximum_filter1d(abs(acceleration), 2 * window + 1, mode="nearest")
-    return np.asarray(uniform_filter1d(largest, window, mode="nearest"))
+    half = max(1, round(0.5 * period))
+    largest = maximum_filter1d(abs(acceleration), 2 * half + 1, mode="nearest")
+    weights = np.hanning(2 * half + 3)
+    return np.asarray(convolve1d(largest, weights / weights.sum(), mode="nearest"))
 
 
 def _columns(decays: Sequence[Decay]) -> list[list[tuple[int, ModalDecay]]]:

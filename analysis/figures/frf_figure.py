@@ -11,7 +11,7 @@ from scipy.ndimage import median_filter
 
 from analysis.responses.frf import Frf
 from rig.escaping import drawn
-from rig.figure_style import colour, decades, drawing, frequency_axis, heading, note
+from rig.figure_style import caption, colour, decades, drawing, frequency_axis, heading
 
 Array = NDArray[np.float64]
 
@@ -27,6 +27,8 @@ _AROUND = 25
 _COHERENT = 0.5
 # Systematic parts below this share of the curve cannot be seen.
 _VISIBLE = 3e-3
+# What a logarithmic axis shows for zero, and its inverse for no bound, as a share of the curve.
+_ZERO = 1e-9
 THEORY, NOISE = "#555555", "#c4c4c4"
 
 
@@ -47,8 +49,8 @@ def frf_figure(
     marks : sequence of (frequency in Hz, text)
         Vertical lines, such as jumps.
     """
-    low = min(float(frf.frequency.min()) for frf in frfs)
-    high = max(float(frf.frequency.max()) for frf in frfs)
+    every = np.concatenate([each for frf in frfs for each in (frf.frequency, frf.left_out)])
+    low, high = float(every.min()), float(every.max())
     if high <= low:
         low, high = low / 1.2, high * 1.2
     shades = {frf.response: colour(index) for index, frf in reversed(list(enumerate(frfs)))}
@@ -71,7 +73,10 @@ def frf_figure(
                 textcoords="offset points", va="top", fontsize=7.5, color="#555555",
             )  # fmt: skip
         unit, factor = frfs[0].shown_in
-        decades(upper, [factor * abs(frf.value) for frf in [*frfs, *theory]])
+        decades(
+            upper,
+            [factor * abs(frf.value) for frf in [*frfs, *theory]] + [factor * _reach(frf) for frf in frfs],
+        )
         for axes, last in ((upper, False), (middle, False), (lower, True)):
             frequency_axis(axes, low, high, last)
         name = drawn(frfs[0].name)
@@ -91,37 +96,52 @@ def frf_figure(
                 ha="center", va="center", fontsize=8, color="#555555",
             )  # fmt: skip
         figure.align_ylabels([upper, middle, lower])
-        notes = ["shaded dark: 95 % of the scatter"] if any(np.any(frf.degrees > 0) for frf in frfs) else []
-        parts = dict.fromkeys(name for frf in frfs for name in shown_parts(frf))
-        if parts:
-            notes.append(f"shaded light: {', '.join(parts)}, at most")
-        if not all(told(frf).all() for frf in frfs):
-            notes.append("grey: within the noise, phase left out")
-        if any(frf.unsteady is not None and frf.unsteady.any() for frf in frfs):
-            notes.append("crosses: not steady")
-        note(figure, *notes)
+        caption(figure, *_caption(frfs))
         return figure
+
+
+def _caption(frfs: Sequence[Frf]) -> list[str]:
+    """Say in sentences what bands and marks are."""
+    out = []
+    if any(np.any(frf.degrees > 0) for frf in frfs):
+        out.append("Dark band: 95 % confidence interval of the random error.")
+    parts = shown_parts(frfs)
+    if parts:
+        out.append(
+            f"Light band: with systematic errors as well, each as large as it may be: {', '.join(parts)}."
+        )
+    if any(np.any(_reaches_zero(frf)) for frf in frfs):
+        out.append("A band down to the axis includes zero.")
+    if not all(told(frf).all() for frf in frfs):
+        out.append("Grey: not to be told from noise, phase left out.")
+    if any(frf.unsteady is not None and frf.unsteady.any() for frf in frfs):
+        out.append("Crosses: the motion was not steady.")
+    if any(frf.left_out.size for frf in frfs):
+        out.append("Gaps with a mark at the axis: frequencies left out, as the warnings say.")
+    return out
 
 
 def _curve(frf: Frf, shade: str, upper: Axes, middle: Axes, lower: Axes) -> None:
     """Draw one measured curve into the three panels."""
     # A pass downwards has open marks, larger, so that one upwards shows through where they agree.
     falls = frf.frequency.size > 1 and frf.frequency[0] > frf.frequency[-1]
-    frf = frf.sorted()
     few = frf.frequency.size <= DOTS
+    curve, frf = frf.sorted(), frf.with_gaps()
+    clear = np.insert(told(curve), np.searchsorted(curve.frequency, np.sort(frf.left_out)), False)
     look: dict[str, Any] = {"marker": "o" if few else None, "color": shade, "zorder": 2.9 if falls else 3}
     if falls:
         look |= {"mfc": "none", "ms": 5.0, "mew": 0.9}
-    factor, clear = frf.shown_in[1], told(frf)
+    factor = frf.shown_in[1]
     size, half = factor * abs(frf.value), factor * np.nan_to_num(frf.band())
-    systematic = frf.systematic_bound()
-    whole = np.hypot(half, np.where(np.isfinite(systematic), factor * systematic, size))
+    whole = factor * _whole(frf)
     for reach, strength in ((whole, 0.13), (half, 0.25)):
         upper.fill_between(
-            frf.frequency, np.maximum(size - reach, size * 1e-3), size + reach, where=clear, color=shade,
-            alpha=strength, lw=0,
+            frf.frequency, np.maximum(size - reach, size * _ZERO), np.minimum(size + reach, size / _ZERO),
+            where=clear, color=shade, alpha=strength, lw=0,
         )  # fmt: skip
-    if not clear.all():
+    for place in frf.left_out:
+        upper.plot(place, 0.0, "x", color=shade, ms=5, clip_on=False, transform=upper.get_xaxis_transform())
+    if not (clear | np.isnan(size)).all():
         # A point on either side, so that the line does not break where it turns grey.
         noisy = ~clear | ~np.roll(clear, 1) | ~np.roll(clear, -1)
         upper.plot(frf.frequency, np.where(noisy, size, np.nan), color=NOISE, lw=0.7, zorder=2)
@@ -139,9 +159,35 @@ def _curve(frf: Frf, shade: str, upper: Axes, middle: Axes, lower: Axes) -> None
         lower.plot(frf.frequency, frf.coherence, color=shade, zorder=3)
 
 
-def shown_parts(frf: Frf) -> list[str]:
-    """Names of the systematic parts that can be seen anywhere along a curve."""
-    return [name for name, part in frf.systematic.items() if np.any(part > _VISIBLE * abs(frf.value))]
+def shown_parts(frfs: Sequence[Frf]) -> list[str]:
+    """Names of the systematic parts that can be seen anywhere along curves, the largest one first."""
+    sizes: dict[str, float] = {}
+    for frf in frfs:
+        for name, part in frf.systematic.items():
+            share = part / np.maximum(abs(frf.value), 1e-300)
+            if np.any(share > _VISIBLE):
+                sizes[name] = max(sizes.get(name, 0.0), float(np.nanmedian(share)))
+    return sorted(sizes, key=sizes.__getitem__, reverse=True)
+
+
+def _whole(frf: Frf) -> Array:
+    """Half-width of the band of all errors, infinite where nothing bounds them."""
+    return np.hypot(np.nan_to_num(frf.band()), frf.systematic_bound())
+
+
+def _reaches_zero(frf: Frf) -> NDArray[np.bool_]:
+    return np.asarray(told(frf) & (_whole(frf) >= abs(frf.value)))
+
+
+def _reach(frf: Frf) -> Array:
+    """Both edges of the band, as far as an axis goes for their sake: a decade beyond the curve."""
+    size, whole = abs(frf.value), _whole(frf)
+    known = told(frf) & np.isfinite(size) & (size > 0)
+    if not known.any():
+        return np.empty(0)
+    size, whole = size[known], whole[known]
+    edges = np.concatenate([np.minimum(size + whole, 10.0 * size.max()), size - whole])
+    return np.asarray(edges[edges > 0.1 * size.min()])
 
 
 def told(frf: Frf) -> NDArray[np.bool_]:

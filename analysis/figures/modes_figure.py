@@ -12,6 +12,7 @@ from analysis.modal.modes import Modes
 from analysis.responses.frf import Frf
 from rig.escaping import drawn
 from rig.figure_style import colour, decades, drawing, frequency_axis, heading
+from rig.results import rounded
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,7 +26,7 @@ def modes_figure(frfs: Sequence[Frf], modes: Modes, title: str) -> Figure:
     frfs : sequence of Frf
         The curves given to `analysis.modal.identification.identify`.
     """
-    curves = [frf.to("displacement").sorted() for frf in frfs]
+    curves = [frf.to("displacement").with_gaps() for frf in frfs]
     low, high = float(curves[0].frequency[0]), float(curves[0].frequency[-1])
     count = modes.frequency.size
     with drawing(7.6) as figure:
@@ -74,7 +75,8 @@ def modes_figure(frfs: Sequence[Frf], modes: Modes, title: str) -> Figure:
             names = ["ground", *modes.responses] if i == 0 else [""] * (places.size + 1)
             axes.set_yticks(np.append(0, places), names)
             axes.set_title(
-                f"{modes.frequency[i]:.3f} Hz\n{100 * modes.damping[i]:.3f} %",
+                f"{rounded(modes.frequency[i], 2 * modes.frequency_error[i])} Hz\n"
+                f"{rounded(100 * modes.damping[i], 200 * modes.damping_error[i])} %",
                 fontsize=9,
                 fontweight="normal",
             )

@@ -10,6 +10,7 @@ from analysis.fitting.fit import Fit, fit
 from rig.errors import RunError, SceneError
 from rig.figure_style import save
 from rig.output_files import make_ready, replacing
+from rig.results import bounded
 from rig.scene.scene import Scene
 
 
@@ -57,17 +58,17 @@ def describe(found: Fit) -> list[str]:
     width = max(len(one.key) for one in found.parameters)
     lines = [f"{found.summary()} (95 % intervals)"]
     for one in found.parameters:
-        value = f"{one.value:.6g} {one.unit}".strip()
-        tail = (
-            f"± {one.half_width:.2g} of it, from {one.start:.4g}" if one.told != "not told" else "as it was"
-        )
-        lines.append(f"  {one.key:{width}}  {value:18} {one.told:10} {tail}")
+        value, tail = f"{one.value:.6g} {one.unit}".strip(), "as it was"
+        if one.told != "not told":
+            value = bounded(one.value, one.half_width * abs(one.value), one.unit).strip()
+            tail = f"from {one.start:.4g}"
+        lines.append(f"  {one.key:{width}}  {value:30} {one.told:10} {tail}")
     for name, (deviation, bound) in found.sensitivities.items():
-        lines.append(f"  sensitivity of {name}: off by {deviation:+.3%} ± {bound:.2%}")
+        lines.append(f"  sensitivity of {name}: off by {bounded(100 * deviation, 100 * bound, '%')}")
     for number, mode in enumerate(found.modes, 1):
         lines.append(
-            f"  mode {number} of the structure: {mode.frequency:.5g} Hz ± {mode.frequency_bound:.2g}, damping ratio "
-            f"{mode.damping:.4%} ± {mode.damping_bound:.2%}"
+            f"  mode {number} of the structure: {bounded(mode.frequency, mode.frequency_bound, 'Hz')}, damping ratio "
+            f"{bounded(100 * mode.damping, 100 * mode.damping_bound, '%')}"
         )
     for level in found.damping:
         beneath = "beneath its dampers" if level.damped else "without dampers"

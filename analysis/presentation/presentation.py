@@ -19,7 +19,10 @@ from analysis.recordings.names import opened, relabelled, scene_labels
 from analysis.responses.frequency_responses import frequency_responses
 from analysis.responses.frf import Frf
 from analysis.responses.frf_files import is_frf_file, read_frfs
+from analysis.responses.systematic import SENSITIVITY, tolerance
 from rig.errors import RecordingError
+from rig.results import bounded
+from rig.scene.data_sheets import data_sheet
 
 if TYPE_CHECKING:
     from analysis.decays.modal_decay import ModalDecay
@@ -60,6 +63,7 @@ def present_frf(
     curves: list[Frf] = []
     exact: list[Frf] = []
     notes: list[str] = []
+    doubts: list[str] = []
     for path, label in zip(paths, _labels(paths), strict=True):
         if is_frf_file(path):
             curves += [replace(frf.to(motion), label=label) for frf in _read(path, reference, channels, unit)]
@@ -71,6 +75,7 @@ def present_frf(
             )
             curves += [relabelled(frf, rec.scene.name, label) for group in groups for frf in group]
             notes += _noted(path, [note for group in groups for note in group[0].warnings])
+            doubts += stated_tolerances(rec, [frf for group in groups for frf in group])
             if theory:
                 exact += [linear_theory(rec, frf) for frf in groups[0]]
     stem = output_stem(paths, output, "frf")
@@ -88,7 +93,27 @@ def present_frf(
             part = stem if len(names) == 1 else stem.with_name(f"{stem.name}-{name}")
             files += save(frf_figure(shown, f"{what} of {name}", _once(some), _marks(shown)), part)
     files.append(frf_table(stem.with_name(stem.name + ".csv"), curves))
-    return Result(tuple(files), tuple(frf.summary() for frf in curves), tuple(notes))
+    return Result(tuple(files), (*(frf.summary() for frf in curves), *dict.fromkeys(doubts)), tuple(notes))
+
+
+def stated_tolerances(rec: Recording, frfs: Sequence[Frf]) -> list[str]:
+    """Say which sensors' tolerances make most of the bounds of curves, if they do, and where these figures are from."""
+    largest = [part for frf in frfs for part in frf.parts()]
+    if 2 * largest.count(SENSITIVITY) < len(largest):
+        return []
+    groups: dict[str, list[str]] = {}
+    settings = {each.name: each.accelerometer or each.hammer for each in rec.scene.channels or ()}
+    for name, info in rec.channels.items():
+        preset = getattr(settings.get(name), "preset", None)
+        if tolerance(info):
+            doubted = preset is not None and "sensitivity_tolerance" in data_sheet(preset).unchecked
+            origin = f" by preset {preset}{', from no source' if doubted else ''}" if preset else ""
+            groups.setdefault(f"{100 * tolerance(info):.2g} %{origin}", []).append(name)
+    told = "; ".join(f"{', '.join(names)} {text}" for text, names in groups.items())
+    return [
+        f"{rec.scene.name}: most of these bounds is what the sensors' tolerances leave open ({told}); "
+        "calibrated sensors say so beside the preset, such as sensitivity_tolerance: 1 %"
+    ]
 
 
 def linear_theory(rec: Recording, frf: Frf) -> Frf:
@@ -153,7 +178,7 @@ def describe_decay(one: Decay) -> list[str]:
 def _damping_at(mode: ModalDecay, index: int) -> str:
     """Tell the damping ratio at one amplitude, with its 95 % bound from noise."""
     ratio, bound = 100.0 * mode.damping[index], 200.0 * mode.damping_error[index]
-    return f"{ratio:.3g} % ± {bound:.1g} % at {mode.amplitude[index]:.3g} m/s²"
+    return f"{bounded(ratio, bound, '%')} at {mode.amplitude[index]:.3g} m/s²"
 
 
 def present_modes(
@@ -224,9 +249,8 @@ def describe_modes(modes: Modes, theory: np.ndarray | None = None) -> list[str]:
     for i, frequency in enumerate(modes.frequency):
         shape = ", ".join(f"{value:.3f}" for value in modes.shapes[:, i].real)
         line = (
-            f"  {frequency:.4f} Hz ({2 * np.pi * frequency:.3f} rad/s), damping ratio "
-            f"{100 * modes.damping[i]:.4f} % "
-            f"± {200 * modes.damping_error[i]:.2g} %, shape ({shape})"
+            f"  {bounded(frequency, 2 * modes.frequency_error[i], 'Hz')}, damping ratio "
+            f"{bounded(100 * modes.damping[i], 200 * modes.damping_error[i], '%')}, shape ({shape})"
         )
         if theory is not None:
             line += f", MAC with theory {float(np.max(mac(modes.shapes[:, [i]], theory))):.4f}"

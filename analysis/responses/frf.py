@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from rig.errors import SceneError
-from rig.results import Result, styled
+from rig.results import Result, bounded, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -64,6 +64,8 @@ class Frf(Result):
         What a reader of the curve must know, in full sentences.
     systematic : mapping of str to ndarray, shape (n,)
         Systematic parts by name: how far each can put the value off at most, however long one averages.
+    left_out : ndarray, shape (m,)
+        Hz: frequencies of the test that have no point, as something spoilt them.
     """
 
     frequency: NDArray[np.float64]
@@ -79,6 +81,7 @@ class Frf(Result):
     warnings: tuple[str, ...] = ()
     systematic: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
     unsteady: NDArray[np.bool_] | None = None
+    left_out: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
     @property
     def name(self) -> str:
@@ -96,15 +99,26 @@ class Frf(Result):
         return _SHOWN.get(self.unit, (self.unit, 1.0))
 
     def summary(self) -> str:
-        """Say which ratio this is, between which frequencies, and its highest point."""
+        """Say which ratio this is, between which frequencies, its highest point and what bounds that."""
         what = f"{self.label}, {self.response}: {self.name}, {self.frequency.size} points"
         if not np.isfinite(self.value).any():
             return what
         top, (unit, factor) = int(np.nanargmax(abs(self.value))), self.shown_in
+        bound = float(self.bound()[top])
+        height = f"{factor * abs(self.value[top]):.4g} {unit}"
+        if bound > 0.0:
+            height = bounded(factor * float(abs(self.value[top])), factor * bound, unit)
+        mostly = f"; most of that bound: {self.parts()[top]}" if bound > 0.0 else ""
         return (
-            f"{what}, {self.frequency.min():.4g} to {self.frequency.max():.4g} Hz, highest "
-            f"{factor * abs(self.value[top]):.4g} {unit} at {self.frequency[top]:.4g} Hz"
+            f"{what}, {self.frequency.min():.4g} to {self.frequency.max():.4g} Hz, highest {height} "
+            f"at {self.frequency[top]:.4g} Hz{mostly}"
         )
+
+    def parts(self) -> list[str]:
+        """Name the largest part of the bound at each point: ``"scatter"`` or one of `systematic`."""
+        names = ("scatter", *self.systematic)
+        sizes = np.nan_to_num([self.random_bound(), *self.systematic.values()], posinf=np.inf)
+        return [names[index] for index in np.argmax(sizes, axis=0)]
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Frequency, value, and how far it may be off with 95 % confidence."""
@@ -117,7 +131,7 @@ class Frf(Result):
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Magnitude with its 95 % bound, both axes logarithmic."""
-        curve, (unit, factor) = self.sorted(), self.shown_in
+        curve, (unit, factor) = self.with_gaps(), self.shown_in
         size, bound = factor * abs(curve.value), factor * np.nan_to_num(curve.bound())
         (line,) = ax.loglog(
             curve.frequency, size, **styled(style, label=f"{self.label} {self.response}".strip())
@@ -188,6 +202,25 @@ class Frf(Result):
     def sorted(self) -> Frf:
         """Return the same curve with rising frequency."""
         return self.at(np.argsort(self.frequency, kind="stable"))
+
+    def with_gaps(self) -> Frf:
+        """Return the same curve with rising frequency and NaN where points were left out: a line breaks there."""
+        curve = self.sorted()
+        places = np.searchsorted(curve.frequency, np.sort(self.left_out))
+
+        def broken(column: NDArray[Any], value: float = np.nan) -> NDArray[Any]:
+            return np.insert(column, places, value)
+
+        return replace(
+            curve,
+            frequency=np.insert(curve.frequency, places, np.sort(self.left_out)),
+            value=broken(curve.value),
+            error=broken(curve.error),
+            coherence=broken(curve.coherence),
+            degrees=broken(curve.degrees, 0.0),
+            systematic={name: broken(part) for name, part in curve.systematic.items()},
+            unsteady=None if curve.unsteady is None else broken(curve.unsteady, False),
+        )
 
     def between(self, low: float, high: float) -> Frf:
         """Keep the points from `low` to `high` in Hz."""

@@ -51,6 +51,8 @@ class Lines:
     """How far each mean may be off for what was still changing, at most; shape (channels, n)."""
     unsteady: NDArray[np.bool_] | None = None
     """Where the motion had not become steady; shape (n,)."""
+    left_out: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    """Frequencies that were measured but spoilt, Hz."""
     resolution: NDArray[np.float64] | None = None
     """How far each mean may be off because the converter rounds to counts, at most; shape (channels, n)."""
 
@@ -97,6 +99,7 @@ class Lines:
             | sensitivity_part(rec, names, *shares)
             | clock_part(rec, self.frequency, value),
             unsteady=self.unsteady,
+            left_out=self.left_out,
         )
 
 

@@ -75,6 +75,7 @@ def sweeps(
     unsteady: dict[tuple[float, str], list[str]] = {}
     runs: dict[tuple[float, str], list[_Point]] = {}
     notes: dict[tuple[float, str], list[str]] = {}
+    left_out: dict[tuple[float, str], list[float]] = {}
     windows = [_window(rec, marker) for marker in markers]
     parts = [
         parts_of_whole_periods(first, stop, frequency, rec.rate, PARTS) for frequency, first, stop in windows
@@ -88,8 +89,10 @@ def sweeps(
             short += 1
             for _ in group:
                 next(source)
-            note = notes.setdefault(key, [])
-            note.append(f"{frequency:.4g} Hz left out: its window is shorter than a period.")
+            notes.setdefault(key, []).append(
+                f"{frequency:.4g} Hz left out: its window is shorter than a period."
+            )
+            left_out.setdefault(key, []).append(frequency)
             continue
         shortest = min(end - begin for begin, end in group)
         harmonics = int(max(1, min(HARMONICS, 0.45 * rec.rate / frequency, (shortest - 2) // 4)))
@@ -105,6 +108,7 @@ def sweeps(
         if spoilt:
             note.append(f"{frequency:.4g} Hz left out: {told(rec, spoilt)} in its window.")
             overloaded += any(flaw.what == "overloaded" for flaw in spoilt)
+            left_out.setdefault(key, []).append(frequency)
             continue
         if marker.fields.get("settled") is False:
             unsteady.setdefault(key, []).append(f"{frequency:.4g}")
@@ -117,7 +121,10 @@ def sweeps(
             f"No steady state at {', '.join(points)} Hz: the motion is irregular there, or needs longer to "
             "settle."
         )
-    return [_sweep(rec, key, found, notes[key], len(runs) > 1, tuple(names)) for key, found in runs.items()]
+    return [
+        _sweep(rec, key, found, notes[key], left_out.get(key, []), len(runs) > 1, tuple(names))
+        for key, found in runs.items()
+    ]
 
 
 def _window(rec: Recording, marker: Any) -> tuple[float, int, int]:
@@ -162,6 +169,7 @@ def _sweep(
     key: tuple[float, str],
     found: list[_Point],
     notes: list[str],
+    left_out: list[float],
     several: bool,
     names: tuple[str, ...],
 ) -> Sweep:
@@ -179,6 +187,7 @@ def _sweep(
         remainder=np.stack([remainder(tone.parts[:, :, None])[:, 0] for tone in tones], axis=1),
         resolution=np.stack([_resolution(rec, names, tone) for tone in tones], axis=1),
         unsteady=np.array([not steady for _, _, steady in found]),
+        left_out=np.array(left_out),
     )
     return Sweep(lines, tones, level, direction, np.array([window for _, window, _ in found]))
 

@@ -146,6 +146,35 @@ def test_given_a_long_name_when_drawn_then_title_note_and_axis_keep_clear_of_eac
     assert note.y1 <= label.y0 and note.y0 >= 0.0
 
 
+def drawn_frf(value, systematic, left_out=()):
+    """Figure of a curve from 10 to 20 Hz with a scatter of 1 %; and its first axes and its caption."""
+    flat = np.ones(11)
+    curve = Frf(
+        np.linspace(10.0, 20.0, 11), value * flat.astype(complex), 0.01 * value * flat, flat, 38.0 * flat, "body3",
+        systematic={"sensors' sensitivity": systematic * flat}, left_out=np.array(left_out),
+    )  # fmt: skip
+    figure = frf_figure([curve], "Compliance")
+    return figure.axes[0], figure._supxlabel.get_text()
+
+
+def test_given_points_left_out_when_drawn_then_no_line_crosses_their_place():
+    axes, caption = drawn_frf(1e-6, 0.0, [14.5, 25.0])
+    x, y = axes.lines[-1].get_data()
+    assert np.isnan(y[x == 14.5]).all() and np.isfinite(y[x != 14.5][:-1]).all()
+    assert axes.get_xlim() == (10.0, 25.0)
+    assert [line.get_xdata()[0] for line in axes.lines if line.get_marker() == "x"] == [14.5, 25.0]
+    assert caption.replace("\n", " ").endswith("frequencies left out, as the warnings say.")
+
+
+@pytest.mark.parametrize(("systematic", "to_the_axis"), [(0.8e-6, False), (2e-6, True), (np.inf, True)])
+def test_given_wide_bounds_when_drawn_then_the_axis_holds_their_band(systematic, to_the_axis):
+    axes, caption = drawn_frf(1e-6, systematic)
+    low, high = axes.get_ylim()
+    assert high >= 1.0 + 1e6 * min(systematic, 9e-6)
+    assert low <= max(1.0 - 1e6 * systematic, 0.99)
+    assert ("includes zero" in caption) == to_the_axis and "sensors' sensitivity" in caption
+
+
 def test_given_five_modes_when_drawn_then_their_titles_do_not_touch():
     frequency, many = np.geomspace(10.0, 130.0, 200), np.full(5, 0.01)
     natural = np.array([20.54, 51.61, 81.117, 97.837, 115.513])

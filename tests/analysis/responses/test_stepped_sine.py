@@ -156,6 +156,7 @@ def test_given_lost_samples_when_measured_then_only_their_frequency_is_left_out(
         frf = analysis.compliance(rec)
     assert frf.frequency.tolist() == [20.0, 20.0]
     assert any("40 Hz left out" in warning and "lost" in warning for warning in frf.warnings)
+    assert frf.left_out.tolist() == [40.0]
 
 
 @pytest.mark.parametrize("parts", [5, 20])

@@ -67,3 +67,15 @@ def told(rec: Recording, found: Sequence[Flaw]) -> str:
         f"{what} (at {', '.join(times[:3])}{f' and {len(times) - 3} times more' if len(times) > 3 else ''})"
         for what, times in groups.items()
     )
+
+
+def cure(rec: Recording, found: Sequence[Flaw]) -> str:
+    """Say what keeps channels from being overloaded: the level, the converter's range, or another sensor."""
+    limits = [
+        f"{name} follows {text}"
+        for name in dict.fromkeys(flaw.channel for flaw in found if flaw.what == "overloaded")
+        for key, text in rec.channels[name].sensor.items()
+        if key.endswith(".saturation")
+    ]
+    other = f", or take a sensor that follows more ({', '.join(limits)})" if limits else ""
+    return f"lower the level, widen the range (converter: range){other}"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.responses.block_spectra import bins_of, cross_spectra, window_of
-from analysis.responses.clean_stretches import told
+from analysis.responses.clean_stretches import cure, told
 from analysis.responses.estimators import Averages
 from analysis.responses.whole_stretches import WholeStretches, dampers_move
 from rig.errors import RecordingError, SceneError
@@ -101,8 +101,8 @@ def averages(
         notes.append(f"{count - summed.used} of {count} blocks left out: {told(rec, found)}.")
     if summed.used < 2:
         raise RecordingError(
-            f"all blocks but one are spoilt: {told(rec, found)}; lower the level, widen the range (converter: range) "
-            "or choose shorter blocks (--block)"
+            f"all blocks but one are spoilt: {told(rec, found)}; {cure(rec, found)}, or choose "
+            "shorter blocks (--block)"
         )
     width = bins_of(weights) * rec.rate / size
     leaks = burst is None or left > _LEFT_OVER

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from analysis.recordings.slices import read_slices
-from analysis.responses.clean_stretches import flaws, told
+from analysis.responses.clean_stretches import cure, flaws, told
 from analysis.responses.frf import Frf
 from analysis.responses.local_spectra import SIDE, LocalSpectra
 from analysis.responses.measurands import motion_of, reference_of
@@ -108,8 +108,8 @@ def tracked(
         notes.append(f"{clean.count(False)} of {_POINTS} frequencies left out: {told(rec, found)}.")
     if not any(clean):
         raise RecordingError(
-            f"nothing is left of the sweep to track: {told(rec, found) or 'it is too short'}; lower the level or widen "
-            "the range (converter: range), or sweep for longer"
+            f"nothing is left of the sweep to track: {told(rec, found) or 'it is too short'}; {cure(rec, found)}, or "
+            "sweep for longer"
         )
     if marker.fields.get("settled") is False:
         notes.append("The sweep began before its first frequency had become steady.")

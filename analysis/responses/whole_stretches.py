@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from analysis.responses.clean_stretches import clean_stretches, flaws, told
+from analysis.responses.clean_stretches import clean_stretches, cure, flaws, told
 from analysis.responses.force_pulse import high_passes
 from analysis.responses.frf import Frf
 from analysis.responses.local_spectra import SIDE, LocalSpectra
@@ -73,10 +73,10 @@ class WholeStretches:
             kept = sum(stop - start for start, stop in stretches) / (self.stop - self.first)
             notes.insert(0, f"{1 - kept:.0%} of the test left out: {told(rec, found)}.")
         if not stretches:
-            cure = "lower the level or widen the range (converter: range), and record again"
+            advice = f"{cure(rec, found)}, and record again"
             if not found:
-                cure = "the test is too short to average; record longer"
-            raise RecordingError(f"{' '.join(notes)} Nothing is left to tell a response from: {cure}")
+                advice = "the test is too short to average; record longer"
+            raise RecordingError(f"{' '.join(notes)} Nothing is left to tell a response from: {advice}")
         spectra = self._spectra(rec, names, stretches)
         noise = None
         if self.hits is not None:

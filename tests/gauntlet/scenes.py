@@ -13,6 +13,7 @@ import yaml
 
 import rig
 from daq.signal_chain.bench import Bench
+from rig.scene.measurement_chain import Accelerometer, Hammer
 from rig.system.receptance import receptance
 
 Settings = dict[str, Any]
@@ -38,7 +39,7 @@ KINDS = (
 # Time constant of the slowest mode, s: transients must die out within seconds.
 _SLOWEST = 1.6
 # Shares of the scenes in which something is amiss.
-_TIGHT_RANGE, _LOST, _DOUBLE_HIT = 0.2, 0.15, 0.2
+_TIGHT_RANGE, _LOST, _DOUBLE_HIT, _SATURATED = 0.2, 0.15, 0.2, 0.2
 
 
 class Draw:
@@ -79,7 +80,9 @@ def draw(seed: int, number: int, kind: str) -> rig.Scene:
     settings["converter"] = _converter(dice, settings, modes)
     settings["recording"] = {"display": False}
     settings["seed"] = dice.whole(1, 10**6)
-    return _ranged(dice, rig.loads(yaml.safe_dump(settings, sort_keys=False), where=settings["name"]))
+    return _limited(
+        dice, _ranged(dice, rig.loads(yaml.safe_dump(settings, sort_keys=False), where=settings["name"]))
+    )
 
 
 def structure(dice: Draw) -> tuple[Settings, list[float]]:
@@ -270,6 +273,8 @@ def _converter(dice: Draw, settings: Settings, modes: list[float]) -> Settings:
             "filter": dice.one(["delta_sigma", None]),
         }
         converter["noise"] = f"{dice.log(0.1, 10.0):.3g} uV/sqrt(Hz)"
+    if converter.get("filter") is None and "preset" not in converter and dice.chance(0.2):
+        converter["sampling"] = "point"
     if dice.chance(0.2):
         converter["skew"] = dice.log(1e-6, 1e-4)
     if dice.chance(0.15):
@@ -287,12 +292,36 @@ def _ranged(dice: Draw, scene: rig.Scene) -> rig.Scene:
     if "bits" not in scene.converter.model_fields_set and dice.chance(0.3):
         return scene
     room = dice.log(0.15, 0.8) if dice.chance(_TIGHT_RANGE) else dice.log(1.5, 50.0)
-    volts = float(f"{max(_largest_volts(scene) * room, 1e-6):.3g}")
+    largest = max(volts for volts, _ in _largest(scene).values())
+    volts = float(f"{max(largest * room, 1e-6):.3g}")
     return scene.replace(converter=scene.converter.replace(range=volts))
 
 
-def _largest_volts(scene: rig.Scene) -> float:
-    """Largest voltage that the test is to bring about, roughly: by the linear response without dampers."""
+def _limited(dice: Draw, scene: rig.Scene) -> rig.Scene:
+    """Give a sensor a limit that the test sometimes reaches, and now and then a slow recovery from that."""
+    if not dice.chance(_SATURATED):
+        return scene
+    largest, chosen = _largest(scene), dice.one([channel.name for channel in scene.channels])
+    limit = {"saturation": float(f"{largest[chosen][1] * dice.log(0.2, 2.0):.3g}")}
+    channels = []
+    for channel in scene.channels:
+        if channel.name == chosen and channel.measures_force:
+            channel = channel.replace(hammer=(channel.hammer or Hammer()).replace(**limit))
+        elif channel.name == chosen:
+            if dice.chance(0.3):
+                limit["overload_recovery"] = dice.log(2e-3, 0.2)
+            channel = channel.replace(
+                accelerometer=(channel.accelerometer or Accelerometer()).replace(**limit)
+            )
+        channels.append(channel)
+    return scene.replace(channels=tuple(channels))
+
+
+def _largest(scene: rig.Scene) -> dict[str, tuple[float, float]]:
+    """Largest voltage of each channel in the test, and what its sensor is shaken or struck by, roughly.
+
+    By the linear response without dampers.
+    """
     test, sweep = scene.test, scene.test.kind in ("stepped_sine", "swept_sine")
     if test.kind == "impulse":
         band, level = np.linspace(2.0, 1.0 / test.width, 2000), test.peak
@@ -301,16 +330,20 @@ def _largest_volts(scene: rig.Scene) -> float:
         level = test.force if test.force is not None else 1.0
         level = level[0] if isinstance(level, tuple) else level
     response = receptance(scene, band)
-    largest = 0.0
+    largest = {}
     for info in Bench(scene).channels:
         order = {"displacement": 0, "velocity": 1, "acceleration": 2}.get(info.quantity, 0)
-        read = abs(info.response(band)) * info.sensitivity * (2 * np.pi * band) ** order
+        motion = np.ones(band.size)
         if info.at.startswith("body"):
-            read = read * abs(response[int(info.at.split()[1]) - 1])
+            motion = abs(response[int(info.at.split()[1]) - 1])
         elif info.at == "table":
-            read = read * (1.0 / scene.shaker.spring + abs(response[scene.shaker.bodies[0] - 1]))
+            motion = 1.0 / scene.shaker.spring + abs(response[scene.shaker.bodies[0] - 1])
+        read = abs(info.response(band)) * info.sensitivity * (2 * np.pi * band) ** order * motion
+        shaken = motion if info.quantity == "force" else (2 * np.pi * band) ** 2 * motion
         if test.kind == "impulse" and info.quantity != "force":
             # The pulse's spectrum spread over the modes that it stirs.
-            read = read * 4.0 * test.width
-        largest = max(largest, level * (read.max() if sweep else 3.0 * np.sqrt(np.mean(read**2))))
+            read, shaken = 4.0 * test.width * read, 4.0 * test.width * shaken
+        largest[info.name] = tuple(
+            float(level * (row.max() if sweep else 3.0 * np.sqrt(np.mean(row**2)))) for row in (read, shaken)
+        )
     return largest

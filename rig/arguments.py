@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rig.scene.changes import parsed
-from rig.scene.loading import bundled, load
-from rig.scene.scene import Scene
+from rig.scene.scene_files import bundled
+
+if TYPE_CHECKING:
+    from rig.scene.scene import Scene
 
 SCENE_HELP = "A bundled scene (see: rig scenes) or the path of a scene file."
 
@@ -43,4 +44,7 @@ def loaded(scene: str, changes: Sequence[str] | None) -> Scene:
     SceneError
         As `rig.load`.
     """
+    from rig.scene.changes import parsed
+    from rig.scene.loading import load
+
     return load(scene, parsed(changes or ()))

@@ -38,7 +38,7 @@ def scenes(
 ) -> None:
     """List the bundled scenes, or print or copy the file of one."""
     from rig.output_files import replacing
-    from rig.scene.loading import bundled, summary, text_of
+    from rig.scene.scene_files import bundled, summary, text_of
 
     if show is not None:
         print(text_of(show), end="")

@@ -14,7 +14,6 @@ import warnings
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from importlib import import_module
-from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -42,7 +41,7 @@ def application(help_text: str) -> typer.Typer:
 
     def tell_version(asked: bool) -> None:
         if asked:
-            print(f"shotrig {version('shotrig')}")
+            print(f"shotrig {_version()}")
             raise typer.Exit
 
     told = typer.Option(
@@ -54,6 +53,12 @@ def application(help_text: str) -> typer.Typer:
         pass
 
     return app
+
+
+def _version() -> str:
+    from importlib.metadata import version
+
+    return version("shotrig")
 
 
 def run(module: str) -> NoReturn:
@@ -159,7 +164,7 @@ def _unexpected(error: BaseException) -> str:
     begin = f"error: something unexpected happened ({what[:300]}); this is a fault of shotrig"
     details = "\n".join(
         [
-            f"shotrig {version('shotrig')}, Python {platform.python_version()}, {platform.platform()}",
+            f"shotrig {_version()}, Python {platform.python_version()}, {platform.platform()}",
             f"command: {sys.argv}",
             "".join(traceback.format_exception(error)),
         ]

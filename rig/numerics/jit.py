@@ -64,13 +64,17 @@ class KernelCache(FunctionCache):
         except RuntimeError as error:
             raise OSError(f"no folder for the machine code of {function.__qualname__}") from error
         self._options = repr(sorted(options.items()))
+        self._creates_arrays = options.get("_nrt", True)
         # Some systems allow no <locals> in the name of a file.
         name = f"{function.__module__}.{function.__qualname__}".replace("<", "").replace(">", "")
         self._cache_file: Any = CodeFiles(_folder(), name)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Give the machine code for a signature, None if there is none; say so, as compiling takes long."""
-        code = super().load_overload(sig, target_context)
+        if self._creates_arrays:
+            target_context.refresh()
+        # The code of other functions needs nothing of what refreshing brings in, which takes longer than loading it.
+        code = self._load_overload(sig, target_context)
         if code is None:
             _say_once("compiling machine code for this processor, once: up to a minute or two")
         return code

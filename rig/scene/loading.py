@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, get_args
@@ -17,12 +16,9 @@ from rig.scene.consistency import mistakes_between
 from rig.scene.doubtful_units import doubts
 from rig.scene.matrices import FOLDER
 from rig.scene.scene import Scene
+from rig.scene.scene_files import find, read_text
 from rig.scene.settings import Mistake, Settings, at, describe, dotted, mistakes_of
 from rig.scene.yaml_reader import Document, read
-
-SCENES = Path(__file__).parent / "data" / "scenes"
-SUFFIXES = (".yaml", ".yml")
-MOST_BYTES = 64_000_000
 
 
 def load(scene: str | Path, changes: Mapping[str, Any] | None = None) -> Scene:
@@ -53,8 +49,8 @@ def load(scene: str | Path, changes: Mapping[str, Any] | None = None) -> Scene:
     >>> load("fig8-three-dampers", {"test.force": "5 N"}).test.force
     5.0
     """
-    path = _find(scene)
-    return _validated(_text(path), str(path), path.parent, path.stem, changes or {})
+    path = find(scene)
+    return _validated(read_text(path), str(path), path.parent, path.stem, changes or {})
 
 
 def scene_of(scene: Scene | str | Path) -> Scene:
@@ -80,69 +76,6 @@ def loads(text: str, where: str = "scene", folder: str | Path | None = None) -> 
         With one line for each mistake.
     """
     return _validated(text, where, None if folder is None else Path(folder), None, {})
-
-
-def bundled() -> tuple[str, ...]:
-    """List the names of the scenes that come with the package."""
-    return tuple(sorted(path.stem for path in SCENES.glob("*.yaml")))
-
-
-def summary(name: str) -> str:
-    """Give the first comment of a bundled scene, which says what it is."""
-    first = (SCENES / f"{name}.yaml").read_text(encoding="utf-8").split("\n", 1)[0]
-    return first.lstrip("# ").strip()
-
-
-def _find(scene: str | Path) -> Path:
-    path = Path(scene)
-    names = bundled()
-    if isinstance(scene, str) and scene in names:
-        return SCENES / f"{scene}.yaml"
-    try:
-        there, folder = path.exists(), path.is_dir()
-    except (OSError, ValueError):
-        there = folder = False
-    if folder:
-        raise SceneError(f"{path} is a folder; expected a scene file or the name of a bundled scene")
-    if there and not path.is_file():
-        raise SceneError(f"{path} is no ordinary file; expected a scene file or the name of a bundled scene")
-    if there:
-        return path
-    if path.suffix in SUFFIXES or len(path.parts) > 1:
-        raise SceneError(
-            f"no scene file {path}; expected a path, or the name of a bundled scene (see: rig scenes)"
-        )
-    near = get_close_matches(str(scene), names, n=3, cutoff=0.5)
-    hint = f"did you mean {' or '.join(near)}?" if near else "see: rig scenes"
-    raise SceneError(f"no scene {str(scene)[:100]!r}, neither a bundled one nor a file; {hint}")
-
-
-def _text(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
-    except OSError as error:
-        raise SceneError(f"{path} cannot be read: {error.strerror or error}") from None
-    if len(data) > MOST_BYTES:
-        raise SceneError(f"{path} is larger than {MOST_BYTES // 1_000_000} MB; expected a scene file")
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = "\0"
-    if "\0" in text:
-        raise SceneError(f"{path} is no text file; expected a scene in YAML")
-    return text
-
-
-def text_of(scene: str | Path) -> str:
-    """Give the text of a scene file, comments included.
-
-    Raises
-    ------
-    SceneError
-        If there is no such file, or it is no text.
-    """
-    return _text(_find(scene))
 
 
 def _validated(

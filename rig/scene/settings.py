@@ -6,9 +6,14 @@ what was expected. `rig.scene.loading` turns the place into a line of the file.
 
 from __future__ import annotations
 
+import ast
+import inspect
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import cache
+from itertools import pairwise
+from textwrap import dedent
 from typing import Any, ClassVar, Self, get_args
 
 from pydantic import (
@@ -79,7 +84,6 @@ class Settings(BaseModel):
         extra="forbid",
         validate_by_name=True,
         validate_by_alias=True,
-        use_attribute_docstrings=True,
     )
 
     # Groups of keys of which exactly one has to be given.
@@ -121,10 +125,11 @@ class Settings(BaseModel):
         if "kind" in cls.model_fields:
             known["required"] = ["kind", *known.get("required", ())]
         for name, field in cls.model_fields.items():
-            quantity = _quantity(field)
-            if quantity is not None and field.description:
-                about = known["properties"][field.alias or name]
-                about["description"] = f"{field.description} Give {quantity.offered}."
+            about = descriptions(cls).get(name)
+            if about:
+                quantity = _quantity(field)
+                offered = "" if quantity is None else f" Give {quantity.offered}."
+                known["properties"][field.alias or name]["description"] = f"{about}{offered}"
         return reference
 
     @model_validator(mode="wrap")
@@ -166,11 +171,11 @@ class Settings(BaseModel):
 
     @classmethod
     def _what(cls, key: str) -> str:
-        field = next(f for name, f in cls.model_fields.items() if key in (name, f.alias))
+        name, field = next((n, f) for n, f in cls.model_fields.items() if key in (n, f.alias))
         quantity = _quantity(field)
         if quantity is not None:
             return quantity.plain
-        about = (field.description or "a value").rstrip(".")
+        about = descriptions(cls).get(name, "a value").rstrip(".")
         return about[0].lower() + about[1:]
 
     @classmethod
@@ -193,6 +198,20 @@ class Settings(BaseModel):
                     parse(value, kind)
                 except ValueError:
                     yield Mistake(place, expected(value, f"{kind.noun} such as {kind.example}"))
+
+
+@cache
+def descriptions(cls: type[Settings]) -> dict[str, str]:
+    """Give what the docstrings below the fields say, by name; read when asked for, as pydantic's own way takes long."""
+    found: dict[str, str] = {}
+    for each in reversed(cls.__mro__[: cls.__mro__.index(BaseModel)]):
+        tree = ast.parse(dedent(inspect.getsource(each))).body[0]
+        assert isinstance(tree, ast.ClassDef)
+        for named, said in pairwise(tree.body):
+            match named, said:
+                case ast.AnnAssign(target=ast.Name(name)), ast.Expr(ast.Constant(str(text))):
+                    found[name] = inspect.cleandoc(text)
+    return found
 
 
 def at(data: Any, place: Place) -> Any:

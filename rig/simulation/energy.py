@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from rig.engine.flow import FlowTables
 from rig.engine.state import CEILING, FLIGHT, FLOOR
@@ -121,7 +120,7 @@ def _symmetric(matrix: Array) -> Array:
 
 
 def _quadratic(form: Array, states: Array) -> Array:
-    return np.einsum("...i,ij,...j->...", states, form, states)
+    return ((states @ form) * states).sum(axis=-1)
 
 
 @dataclass(frozen=True)
@@ -274,12 +273,14 @@ def _relaxed(tables: FlowTables, trajectory: Trajectory) -> float:
 
 
 def _series(tables: FlowTables, slot: int, states: Array) -> Array:
-    """Power series of states over a step, shape (states, terms, size)."""
+    """Power series of states over a step, shape (terms, states, size)."""
     flow, size = tables.flow, tables.size
     if tables.tabulated:
         matrix = flow.series[slot].reshape(size, LENGTH + 1, -1)[:, :, :size]
         constant = flow.series_constant[slot].reshape(LENGTH + 1, -1)[:, :size]
-        return np.einsum("sc,ckr->skr", states, matrix, optimize=True) + constant
+        return np.einsum("sc,ckr->ksr", states, matrix, optimize=True) + constant[:, None]
+    from scipy.sparse import csr_array
+
     rates = csr_array((flow.rates[slot], flow.column, flow.pointer), shape=(size, size))
     terms = np.empty((LENGTH + 1, len(states), size))
     terms[0] = states
@@ -287,12 +288,15 @@ def _series(tables: FlowTables, slot: int, states: Array) -> Array:
         terms[k + 1] = (rates @ terms[k].T).T * (tables.step / (k + 1))
         if k == 0:
             terms[1] += flow.rates_constant[slot] * tables.step
-    return terms.transpose(1, 0, 2)
+    return terms
 
 
 def _sum_series(terms: Array, tau: Array) -> Array:
-    powers = tau[:, None] ** np.arange(terms.shape[1])
-    return np.einsum("sk,skr->sr", powers, terms)
+    total = terms[-1].copy()
+    for term in terms[-2::-1]:
+        total *= tau[:, None]
+        total += term
+    return total
 
 
 def _stored(tables: FlowTables, quadratic: Forms, ends: Ends) -> float:

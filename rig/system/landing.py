@@ -21,8 +21,6 @@ from __future__ import annotations
 
 import math
 
-from scipy.optimize import brentq
-
 #: Time in which a wall without restitution recovers from an overlap, c / k, in seconds. No contact that only pushes
 #: takes all speed out of a rebound: its dashpot would be infinitely strong, and its spring soft. The strongest one
 #: that has recovered before a bed comes back leaves less the shorter the landing is: 5 % at 2 ms, 0.15 % at 0.1 ms.
@@ -45,6 +43,9 @@ def damping_ratio(duration: float, restitution: float) -> float:
     >>> damping_ratio(2e-3, 1.0), round(damping_ratio(2e-3, math.exp(-2.0)), 12), damping_ratio(RECOVERY, 0.0)
     (0.0, 1.0, 1.0)
     """
+    # Only few scenes need it, and it takes long to import.
+    from scipy.optimize import brentq
+
     if restitution == 0.0:
         # c / k = 2 z / w = z T / angle(z), which is z pi / 2 T for small and z^2 T / log(2 z) for large z.
         wanted = max(RECOVERY / duration, 1.0)

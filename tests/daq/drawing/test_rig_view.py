@@ -7,7 +7,7 @@ import pytest
 
 import rig
 from daq.drawing.rig_view import DAMPER_HEIGHT, HEADROOM, WALL, Extremes, RigPose, RigView, exaggeration
-from rig.scene.loading import SCENES
+from rig.scene.scene_files import SCENES
 
 SCENE = rig.load("fig8-three-dampers")
 CHAIN = """

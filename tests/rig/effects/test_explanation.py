@@ -6,7 +6,7 @@ import pytest
 
 import rig
 from rig.effects.effect_cost import effect_costs, text
-from rig.scene.loading import bundled
+from rig.scene.scene_files import bundled
 from rig.system.assembly import assemble
 
 

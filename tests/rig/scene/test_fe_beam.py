@@ -7,7 +7,7 @@ import runpy
 import numpy as np
 
 import rig
-from rig.scene.loading import SCENES
+from rig.scene.scene_files import SCENES
 from rig.system.structure import natural_modes, structure_matrices
 
 

@@ -6,8 +6,8 @@ import pytest
 
 import rig
 from rig.errors import SceneError
-from rig.scene.loading import bundled, text_of
 from rig.scene.reference import EFFECTS, help_on, keys, page
+from rig.scene.scene_files import bundled, text_of
 from rig.scene.yaml_reader import read
 
 

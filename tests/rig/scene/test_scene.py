@@ -13,8 +13,8 @@ import pytest
 import rig
 from rig.errors import SceneError
 from rig.scene.excitation import Impulse, Sine, SteppedSine
-from rig.scene.loading import bundled, summary
 from rig.scene.scene import STANDARD_GRAVITY
+from rig.scene.scene_files import bundled, summary
 from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, TableShaker
 from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping
 

@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 import rig
 from rig.cli import app
 from rig.scene.json_schema import schema_text
-from rig.scene.loading import SCENES, bundled
 from rig.scene.scene import Scene
+from rig.scene.scene_files import SCENES, bundled
 
 # What every kind of quantity carries; and the sample rate is three times a frequency.
 positive = st.floats(min_value=1e-6, max_value=1e6)

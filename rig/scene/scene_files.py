@@ -1,0 +1,89 @@
+"""The files of scenes, found and read as text: bundled ones by their names, others by their paths."""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+from pathlib import Path
+
+from rig.errors import SceneError
+
+SCENES = Path(__file__).parent / "data" / "scenes"
+SUFFIXES = (".yaml", ".yml")
+MOST_BYTES = 64_000_000
+
+
+def bundled() -> tuple[str, ...]:
+    """List the names of the scenes that come with the package."""
+    return tuple(sorted(path.stem for path in SCENES.glob("*.yaml")))
+
+
+def summary(name: str) -> str:
+    """Give the first comment of a bundled scene, which says what it is."""
+    first = (SCENES / f"{name}.yaml").read_text(encoding="utf-8").split("\n", 1)[0]
+    return first.lstrip("# ").strip()
+
+
+def find(scene: str | Path) -> Path:
+    """Find the file of a scene, a bundled one by its name.
+
+    Raises
+    ------
+    SceneError
+        If there is none.
+    """
+    path = Path(scene)
+    names = bundled()
+    if isinstance(scene, str) and scene in names:
+        return SCENES / f"{scene}.yaml"
+    try:
+        there, folder = path.exists(), path.is_dir()
+    except (OSError, ValueError):
+        there = folder = False
+    if folder:
+        raise SceneError(f"{path} is a folder; expected a scene file or the name of a bundled scene")
+    if there and not path.is_file():
+        raise SceneError(f"{path} is no ordinary file; expected a scene file or the name of a bundled scene")
+    if there:
+        return path
+    if path.suffix in SUFFIXES or len(path.parts) > 1:
+        raise SceneError(
+            f"no scene file {path}; expected a path, or the name of a bundled scene (see: rig scenes)"
+        )
+    near = get_close_matches(str(scene), names, n=3, cutoff=0.5)
+    hint = f"did you mean {' or '.join(near)}?" if near else "see: rig scenes"
+    raise SceneError(f"no scene {str(scene)[:100]!r}, neither a bundled one nor a file; {hint}")
+
+
+def read_text(path: Path) -> str:
+    """Read the text of a scene file.
+
+    Raises
+    ------
+    SceneError
+        If it cannot be read, or is no text.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(MOST_BYTES + 1)
+    except OSError as error:
+        raise SceneError(f"{path} cannot be read: {error.strerror or error}") from None
+    if len(data) > MOST_BYTES:
+        raise SceneError(f"{path} is larger than {MOST_BYTES // 1_000_000} MB; expected a scene file")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = "\0"
+    if "\0" in text:
+        raise SceneError(f"{path} is no text file; expected a scene in YAML")
+    return text
+
+
+def text_of(scene: str | Path) -> str:
+    """Give the text of a scene file, comments included.
+
+    Raises
+    ------
+    SceneError
+        If there is no such file, or it is no text.
+    """
+    return read_text(find(scene))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from textwrap import wrap
@@ -170,8 +170,20 @@ def cell_edges(centres: NDArray[np.float64], logarithmic: bool) -> NDArray[np.fl
 def caption(figure: Figure, *sentences: str) -> None:
     """Say below all axes, in sentences, what is not in a legend: what is shaded, dotted, crossed."""
     if sentences:
-        wrapped = "\n".join(wrap(" ".join(sentences), int(_NOTE_LINE * figure.get_figwidth() / WIDTH_INCH)))
-        figure.supxlabel(wrapped, x=0.01, ha="left", fontsize=7.5, color="#555555")
+        figure.supxlabel(_wrapped(figure, sentences), x=0.01, ha="left", fontsize=7.5, color="#555555")
+
+
+def legend_below(figure: Figure, *sentences: str) -> None:
+    """Put one legend of all axes below them, with such sentences above it."""
+    title = _wrapped(figure, sentences) or None
+    legend = figure.legend(
+        loc="outside lower left", ncols=2, title=title, title_fontsize=7.5, alignment="left"
+    )
+    legend.get_title().set_color("#555555")
+
+
+def _wrapped(figure: Figure, sentences: Sequence[str]) -> str:
+    return "\n".join(wrap(" ".join(sentences), int(_NOTE_LINE * figure.get_figwidth() / WIDTH_INCH)))
 
 
 def save_with_table(figure: Figure, stem: Path, write_table: Callable[[Path], None]) -> list[Path]:

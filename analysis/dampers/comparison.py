@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import inf, log10
+from math import inf, isinf, log10
 
 import numpy as np
 
 from analysis.modal.identification import identify
 from analysis.responses.frf import Frf
+from rig.results import rounded
 
 # A peak is looked for within this part of the bare natural frequency below it, and half of it above.
 _BELOW = 0.15
@@ -177,18 +178,32 @@ def peak_changes(bare: Sequence[Frf], damped: Sequence[Frf]) -> list[PeakChange]
 def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
     """One line for each resonance compared."""
     return [
-        f"{one.response}, {one.mode:.2f} Hz: peak {1e6 * one.bare.value:.4g} -> {1e6 * one.damped.value:.4g} µm/N, "
-        f"{_with_limits(one.decibel, 'dB', 1)}; from {one.bare.frequency:.2f} to {one.damped.frequency:.2f} Hz, "
-        f"{_with_limits(one.shift, 'Hz', 2)}; as if damped by {100 * one.equivalent_damping:.2g} % of critical"
+        f"{one.response}, mode at {one.mode:.2f} Hz: peak {_change(one.decibel, 'dB', 1, 'lowered', 'raised')}, from "
+        f"{rounded(1e6 * one.bare.value, 1e6 * one.bare.bound)} to "
+        f"{rounded(1e6 * one.damped.value, 1e6 * one.damped.bound)} µm/N; "
+        f"{_change(one.shift, 'Hz', 2, 'moved down', 'moved up')}, to {one.damped.frequency:.2f} Hz; as if "
+        f"damped by {100 * one.equivalent_damping:.2g} % of critical{_without_bound(one)}"
         for one in changes
     ]
 
 
-def _with_limits(value: tuple[float, float, float], unit: str, digits: int) -> str:
-    """Write a value with its limits: ``-12.3 dB (-12.6 to -12.0)``; one without a limit on a side as such."""
-    best, low, high = (f"{number:+.{digits}f}" for number in value)
-    if np.isinf(value[1]) and np.isinf(value[2]):
-        return f"{best} {unit} (no bound)"
-    if np.isinf(value[1]):
-        return f"{best} {unit} (at most {high})"
-    return f"{best} {unit} ({'at least ' + low if np.isinf(value[2]) else low + ' to ' + high})"
+def _change(value: tuple[float, float, float], unit: str, digits: int, falls: str, rises: str) -> str:
+    """Write a change with its limits: ``lowered by 12.3 dB (12.0 to 12.6 dB)``, with signs where its own is unknown."""
+    best, low, high = value
+    if low <= 0.0 <= high and not isinf(low) and not isinf(high):
+        return f"changed by {best:+.{digits}f} {unit} ({low:+.{digits}f} to {high:+.{digits}f} {unit})"
+    word, sign = (falls, -1.0) if best < 0.0 else (rises, 1.0)
+    least, most = sorted((sign * low, sign * high))
+    limits = f"{least:.{digits}f} to {most:.{digits}f} {unit}"
+    if isinf(least) or isinf(most):
+        limits = f"at least {least:.{digits}f} {unit}" if isinf(most) else f"at most {most:.{digits}f} {unit}"
+    if isinf(least) and isinf(most):
+        limits = "no bound"
+    return f"{word} by {sign * best:.{digits}f} {unit} ({limits})"
+
+
+def _without_bound(change: PeakChange) -> str:
+    """Say which peak has no upper bound, if one has none."""
+    peaks = (("first", change.bare), ("second", change.damped))
+    which = " and ".join(name for name, one in peaks if isinf(one.bound))
+    return which and f"; the {which} peak may be higher than measured"

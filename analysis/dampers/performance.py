@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from analysis.responses.measurands import motion_of, reference_of, responses
+from analysis.responses.systematic import aliasing_part, sensitivity_part
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -16,6 +18,7 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -26,7 +29,9 @@ class CycleEnergy:
     supplied: Array
     """Work of the force on the structure, J; shape (n,)."""
     structure: Array
-    """Dissipated in the structure's own damping, J; shape (n,)."""
+    """Dissipated in the structure's own damping as the scene has it, J; shape (n,)."""
+    bound: Array
+    """How far `dampers` may be off, J, with 95 % confidence in its random part; shape (n,)."""
 
     @property
     def dampers(self) -> Array:
@@ -38,7 +43,8 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
     """Energy that force, structure and dampers exchange in a period, from the channels.
 
     Force and motion of the driven body, harmonics included, give the work; the motion of all bodies and the
-    structure's damping matrix, known from the scene, give what the structure dissipates.
+    structure's damping matrix, known from the scene, give what the structure dissipates. Both are forms of second
+    degree in the channels' amplitudes a: what errors da do to their difference is ``2 Re(g^H da)``.
 
     Parameters
     ----------
@@ -60,23 +66,64 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
         )
     shaker = rec.scene.driven_shaker
     driven = shaker.body if shaker is not None and isinstance(shaker.body, int) else 1
-    supplied, structure = [], []
-    for tone in sweep.tones:
+    supplied, structure, slopes = [], [], []
+    compliance = np.empty(len(sweep.tones), dtype=complex)
+    for index, tone in enumerate(sweep.tones):
         orders = np.arange(1, tone.amplitude.shape[1] + 1)
         frequency = orders * tone.frequency
-        force = np.sum(reference_of(rec, "force").row(rec, names, frequency) * tone.amplitude, axis=0)
-        motion = np.array(
+        of_force = reference_of(rec, "force").row(rec, names, frequency)
+        of_motion = np.array(
             [
-                np.sum(
-                    motion_of(rec, bodies[f"body {body}"]).row(rec, names, frequency) * tone.amplitude, axis=0
-                )
+                motion_of(rec, bodies[f"body {body}"]).row(rec, names, frequency)
                 for body in range(1, count + 1)
             ]
         )
+        force = np.sum(of_force * tone.amplitude, axis=0)
+        motion = np.sum(of_motion * tone.amplitude, axis=1)
+        velocity_squared = 2 * np.pi**2 * tone.frequency * orders**2
+        lost = damping @ motion
         supplied.append(np.pi * np.sum(orders * np.imag(force * motion[driven - 1].conj())))
-        power = np.einsum("ik,ij,jk->k", motion.conj(), damping, motion).real
-        structure.append(np.pi * 2 * np.pi * tone.frequency * np.sum(orders**2 * power))
-    return CycleEnergy(sweep.lines.frequency, np.array(supplied), np.array(structure))
+        structure.append(np.sum(velocity_squared * np.sum(motion.conj() * lost, axis=0).real))
+        work = of_motion[driven - 1].conj() * force - of_force.conj() * motion[driven - 1]
+        slopes.append(
+            np.pi / 2j * orders * work - velocity_squared * np.einsum("bck,bk->ck", of_motion.conj(), lost)
+        )
+        compliance[index] = motion[driven - 1, 0] / force[0]
+    return CycleEnergy(
+        sweep.lines.frequency, np.array(supplied), np.array(structure), _bound(rec, sweep, slopes, compliance)
+    )
+
+
+def _bound(rec: Recording, sweep: Sweep, slopes: list[ComplexArray], compliance: ComplexArray) -> Array:
+    """How far the energy may be off: scatter and every systematic part of the channels, their squares added up."""
+    lines, nothing = sweep.lines, np.zeros((len(sweep.lines.channels), len(slopes)), dtype=complex)
+    scatter, shares, at_once, along = [], [], [], []
+    for slope, tone, covariance in zip(slopes, sweep.tones, lines.covariance, strict=True):
+        # Every harmonic scatters as the fundamental does.
+        scatter.append(2.0 * np.einsum("ck,cd,dk->", slope.conj(), covariance, slope).real)
+        product = 2.0 * slope * tone.amplitude.conj()
+        shares.append(product.real.sum(axis=1))
+        at_once.append(abs(product).sum(axis=1))
+        along.append(2.0 * abs(slope[:, 0]))
+    parts = [
+        np.sqrt(np.nan_to_num(scatter)) * stats.t.ppf(0.975, np.maximum(2.0 * (lines.averages - 1.0), 1.0))
+    ]
+    parts += sensitivity_part(
+        rec, lines.channels, compliance, np.array(shares, dtype=complex).T, nothing
+    ).values()
+    parts += aliasing_part(
+        rec,
+        lines.channels,
+        lines.frequency,
+        compliance,
+        np.array(at_once, dtype=complex).T,
+        nothing,
+        "displacement",
+    ).values()
+    for each in (lines.remainder, lines.resolution):
+        if each is not None:
+            parts.append(np.sum(np.transpose(along) * each, axis=0))
+    return np.asarray(np.sqrt(np.sum(np.square(parts), axis=0)))
 
 
 def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from analysis.dampers.nonlinearity import DamperMotion
 from analysis.dampers.performance import CycleEnergy
+from analysis.responses.spectral_lines import Lines
 from rig.escaping import drawn
-from rig.figure_style import COLOURS, cell_edges, drawing, frequency_axis, heading
+from rig.figure_style import COLOURS, decades, drawing, frequency_axis, heading, legend_below
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 #: Kinds of motion in the order of the legend, with what each means.
@@ -24,16 +26,17 @@ _KINDS = {
     "other": "other pattern of impacts",
     "unseen": "flies, impacts too small to be seen",
 }
-_SHADES = dict(zip(_KINDS, ("#dcdcdc", *COLOURS[:4], "#8c8c8c"), strict=True))
+_SHADES = dict(zip(_KINDS, ("#cccccc", *COLOURS[:4], "#8c8c8c"), strict=True))
 
 
 def dampers_figure(
     motions: Sequence[Sequence[DamperMotion]],
     energy: CycleEnergy | None,
     title: str,
+    lines: Lines,
     true: np.ndarray | None = None,
 ) -> Figure:
-    """Draw the motion of each damper along frequency and, where it is known, the energy a period.
+    """Draw the motion of each damper at each frequency measured and, where it is known, the energy a period.
 
     Parameters
     ----------
@@ -41,48 +44,94 @@ def dampers_figure(
         For each damped body, one at each frequency.
     energy : CycleEnergy or None
         At the same frequencies.
+    lines : Lines
+        Of the sweep: where the motion was not steady, and what was left out.
     true : ndarray, shape (frequencies,), optional
         Energy truly lost in impacts, J, where the truth was recorded.
     """
-    frequency = np.array([one.frequency for one in motions[0]])
-    order = np.argsort(frequency, kind="stable")
-    with drawing(2.0 + 0.3 * len(motions) + (2.4 if energy is not None else 0.0)) as figure:
-        heights = [0.45 * len(motions) + 0.15] + ([2.0] if energy is not None else [])
+    every = np.append(lines.frequency, lines.left_out)
+    low, high = 0.98 * float(every.min()), 1.02 * float(every.max())
+    with drawing(2.0 + 0.3 * len(motions) + (2.6 if energy is not None else 0.0)) as figure:
+        heights = [0.45 * len(motions) + 0.15] + ([2.2] if energy is not None else [])
         rows = np.atleast_1d(figure.subplots(len(heights), 1, height_ratios=heights))
-        strip = rows[0]
-        borders = cell_edges(frequency[order], False)
-        used = set()
-        for row, body in enumerate(motions):
-            kinds = [body[k].name.split(":")[0] for k in order]
-            used |= set(kinds)
-            for low, width, kind in zip(borders, np.diff(borders), kinds, strict=False):
-                strip.broken_barh([(low, width)], (row - 0.35, 0.7), color=_SHADES[kind], ec="white", lw=0.3)
-        strip.plot(frequency, np.full(frequency.size, len(motions) - 0.5), "|", color="black", ms=4, mew=0.8)
-        strip.set_ylim(len(motions) - 0.3, -0.6)
-        strip.set_yticks(range(len(motions)), [drawn(body[0].channel) for body in motions])
-        strip.grid(False)
-        for kind in _KINDS:
-            if kind in used:
-                strip.plot([], [], "s", color=_SHADES[kind], ms=6, label=_KINDS[kind])
-        strip.plot([], [], "|", color="black", ms=6, label="frequency that was measured")
-        heading(strip, title)
+        _strip(rows[0], motions)
+        heading(rows[0], title)
         if energy is not None:
-            axes = rows[1]
-            lines = {
-                "supplied by the force": (energy.supplied, "#000000", "-"),
-                "into the structure's damping": (energy.structure, "#777777", "-"),
-                "into the dampers": (energy.dampers, COLOURS[1], "-"),
-            }
-            if true is not None:
-                lines["truly lost in impacts"] = (true, COLOURS[2], ":")
-            for name, (joule, shade, dashes) in lines.items():
-                shown = np.where(joule > 0, 1e3 * joule, np.nan)[order]
-                axes.plot(frequency[order], shown, color=shade, ls=dashes, marker="o", label=name)
-            top = 1e3 * float(energy.supplied.max())
-            axes.set_yscale("log")
-            axes.set_ylim(top * 1e-4, top * 2.0)
-            axes.set_ylabel("energy a period / mJ")
+            _energies(rows[1], energy, lines, true)
+        for place in lines.left_out:
+            rows[0].plot(
+                place, 0.0, "x", color="black", ms=5, clip_on=False, transform=rows[0].get_xaxis_transform()
+            )
         for axes in rows:
-            frequency_axis(axes, max(borders[0], 0.9 * frequency.min()), borders[-1], axes is rows[-1])
-        figure.legend(loc="outside lower center", ncols=2)
+            frequency_axis(axes, low, high, axes is rows[-1])
+        legend_below(figure, *_caption(energy, lines))
         return figure
+
+
+def _strip(strip: Axes, motions: Sequence[Sequence[DamperMotion]]) -> None:
+    """One row for each body, with a bar at each frequency that was measured and nothing in between."""
+    used = set()
+    for row, body in enumerate(motions):
+        strip.axhline(row, color="#d9d9d9", lw=0.8, zorder=0)
+        for one in body:
+            kind = one.name.split(":")[0]
+            used.add(kind)
+            strip.vlines(one.frequency, row - 0.35, row + 0.35, color=_SHADES[kind], lw=2.4)
+    strip.set_ylim(len(motions) - 0.4, -0.6)
+    strip.set_yticks(range(len(motions)), [drawn(body[0].channel) for body in motions])
+    strip.grid(False, axis="y")
+    for kind in _KINDS:
+        if kind in used:
+            strip.plot([], [], "|", color=_SHADES[kind], ms=8, mew=2.4, label=_KINDS[kind])
+
+
+def _energies(axes: Axes, energy: CycleEnergy, lines: Lines, true: np.ndarray | None) -> None:
+    """Energies along frequency; those into dampers with their bounds, or as limits where these include zero."""
+    order = np.argsort(energy.frequency, kind="stable")
+    frequency = energy.frequency[order]
+    gaps = np.searchsorted(frequency, np.sort(lines.left_out))
+    broken = np.insert(frequency, gaps, np.nan)
+
+    def curve(joule: np.ndarray, **look: Any) -> None:
+        axes.plot(broken, np.insert(1e3 * joule[order], gaps, np.nan), **look)
+
+    told = energy.dampers > energy.bound
+    into = np.where(told, energy.dampers, np.nan)
+    curve(energy.supplied, color="#000000", marker="o", label="supplied by the force")
+    curve(
+        energy.structure, color="#777777", marker="o", label="into the structure's damping, as in the scene"
+    )
+    curve(into, color=COLOURS[1], marker="o", label="into the dampers")
+    axes.errorbar(
+        energy.frequency, 1e3 * into, 1e3 * energy.bound, fmt="none", ecolor=COLOURS[1], elinewidth=0.9
+    )
+    limit = 1e3 * np.maximum(energy.dampers + energy.bound, 0.0)
+    axes.plot(
+        energy.frequency[~told], limit[~told], "v", mfc="none", ms=4.5, mew=0.8, color=COLOURS[1],
+        label="into the dampers, at most (may be nothing)",
+    )  # fmt: skip
+    shown = [1e3 * energy.supplied, 1e3 * energy.structure, 1e3 * into, limit[~told]]
+    if true is not None:
+        lost = np.where(true > 0, true, np.nan)
+        curve(lost, color=COLOURS[2], ls=":", marker="o", label="truly lost in impacts")
+        shown.append(1e3 * lost)
+    if lines.unsteady is not None and lines.unsteady.any():
+        axes.plot(
+            energy.frequency[lines.unsteady], 1e3 * energy.supplied[lines.unsteady], "x", color="black", ms=6
+        )
+    decades(axes, shown)
+    axes.set_ylabel("energy a period / mJ")
+
+
+def _caption(energy: CycleEnergy | None, lines: Lines) -> list[str]:
+    """Say in sentences what bars and marks are."""
+    out = []
+    if energy is not None:
+        out.append(
+            "Bars: how far the energy may be off, 95 % of its scatter and the largest systematic errors."
+        )
+    if lines.unsteady is not None and lines.unsteady.any():
+        out.append("Crosses: the motion was not steady.")
+    if lines.left_out.size:
+        out.append("Crosses at the axis: frequencies left out, as the warnings say.")
+    return out

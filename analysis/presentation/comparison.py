@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isinf
 from pathlib import Path
 
 from analysis.dampers.comparison import PeakChange, describe_changes, peak_changes
@@ -18,6 +19,11 @@ _HEADING = (
     "from", "to", "response", "mode_Hz", "change_dB", "change_low_dB", "change_high_dB", "shift_Hz", "shift_low_Hz",
     "shift_high_Hz", "peak_from m/N", "bound_from m/N", "peak_to m/N", "bound_to m/N",
 )  # fmt: skip
+
+_JUMPS = (
+    "A peak that may be higher than measured has a jump of its curve, or an end, beside its highest point: measure "
+    "more densely there, upwards and downwards (test: direction: both)."
+)
 
 
 def present_compare(
@@ -46,13 +52,15 @@ def present_compare(
     bare = found[0][0]
     lines: list[str] = []
     rows: list[tuple[str | float, ...]] = []
+    jumps = False
     for group in [*found[0][1:], *(group for groups in found[1:] for group in groups)]:
         changes = peak_changes(bare, group)
         lines.append(f"{bare[0].label} -> {group[0].label}")
         lines += [f"  {line}" for line in describe_changes(changes)]
+        jumps |= any(isinf(one.bare.bound + one.damped.bound) for one in changes)
         rows += [_row(bare[0].label, group[0].label, change) for change in changes]
     table = write_table(with_ending(output_stem(paths, output, "compare"), "csv"), _HEADING, rows)
-    return Result((table,), tuple(lines), ())
+    return Result((table,), tuple(lines), (_JUMPS,) if jumps else ())
 
 
 def _row(before: str, after: str, change: PeakChange) -> tuple[str | float, ...]:

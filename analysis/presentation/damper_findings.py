@@ -23,8 +23,10 @@ from analysis.recordings.names import opened, relabelled, scene_labels
 from analysis.responses.measurands import located
 from analysis.responses.stepped_sine import Sweep, sweeps
 from rig.errors import RecordingError
+from rig.results import bounded
 
 if TYPE_CHECKING:
+    from analysis.responses.spectral_lines import Lines
     from daq.recording.recording import Recording
 
 # Frequencies named in the text; the table holds all.
@@ -53,7 +55,9 @@ def present_dampers(
         with opened(path) as rec:
             expect(rec, path, "dampers")
             rows: list[tuple[str | float, ...]] = []
-            drawn: list[tuple[list[list[DamperMotion]], CycleEnergy | None, str, np.ndarray | None]] = []
+            drawn: list[
+                tuple[list[list[DamperMotion]], CycleEnergy | None, str, Lines, np.ndarray | None]
+            ] = []
             for sweep in sweeps(rec, progress=progress):
                 name = relabelled(sweep.lines, rec.scene.name, label).label
                 motions, found = _motions(rec, sweep)
@@ -69,15 +73,15 @@ def present_dampers(
                 if energy is not None:
                     lines += [f"  {line}" for line in describe_energy(energy, true)]
                 rows += _rows(name, sweep, motions, energy, true)
-                drawn.append((motions, energy, name, true))
+                drawn.append((motions, energy, name, sweep.lines, true))
         stem = output_stem([path], output, "dampers")
-        for number, (motions, energy, name, true) in enumerate(drawn):
+        for number, (motions, energy, name, of_sweep, true) in enumerate(drawn):
             part = stem if number == 0 else stem.with_name(f"{stem.name}-{number + 1}")
             if motions:
-                files += save(dampers_figure(motions, energy, name, true), part)
+                files += save(dampers_figure(motions, energy, name, of_sweep, true), part)
         heading = [
-            "scene", "frequency_Hz", "supplied_J", "structure_J", "dampers_J", "true_impacts_J", "channel",
-            "motion", "floor_per_period", "ceiling_per_period",
+            "scene", "frequency_Hz", "supplied_J", "structure_J", "dampers_J", "dampers_bound_J", "true_impacts_J",
+            "channel", "motion", "floor_per_period", "ceiling_per_period",
         ]  # fmt: skip
         files.append(write_table(with_ending(stem, "csv"), heading, rows))
     return Result(tuple(files), tuple(lines), tuple(notes))
@@ -102,14 +106,15 @@ def _motions(rec: Recording, sweep: Sweep) -> tuple[list[list[DamperMotion]], li
 
 
 def describe_energy(energy: CycleEnergy, true: np.ndarray | None = None) -> list[str]:
-    """Lines about the frequencies at which most energy is supplied."""
+    """Lines about the frequencies at which most energy is supplied, and how much of it the dampers take."""
     named = np.sort(np.argsort(energy.supplied, kind="stable")[::-1][:_NAMED])
     out = []
     for i in named:
         share = energy.dampers[i] / energy.supplied[i]
         line = (
             f"{energy.frequency[i]:.4g} Hz: the force supplies {1e3 * energy.supplied[i]:.3g} mJ a period; "
-            f"{1.0 - share:.0%} go into the structure's damping, {share:.0%} into the dampers"
+            f"{bounded(100.0 * share, 100.0 * abs(energy.bound[i] / energy.supplied[i]), '%')} go into the dampers, "
+            "the rest into the structure's damping as the scene has it"
         )
         if true is not None:
             line += f" (truly lost in impacts: {true[i] / energy.supplied[i]:.0%})"
@@ -125,9 +130,10 @@ def _rows(
     true: np.ndarray | None,
 ) -> list[tuple[str | float, ...]]:
     nothing = np.full(sweep.lines.frequency.size, np.nan)
-    columns = ((nothing,) * 3 if energy is None else (energy.supplied, energy.structure, energy.dampers)) + (
-        nothing if true is None else true,
-    )
+    columns = [nothing] * 4
+    if energy is not None:
+        columns = [energy.supplied, energy.structure, energy.dampers, energy.bound]
+    columns.append(nothing if true is None else true)
     return [
         (
             name,

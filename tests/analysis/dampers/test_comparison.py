@@ -59,7 +59,21 @@ def test_given_a_jump_beside_the_highest_point_when_looked_for_then_the_peak_has
     found = peak(measured(f, value), 9.0, 11.0)
     assert found is not None and math.isinf(found.bound) and found.frequency == pytest.approx(10.15)
     change = PeakChange("body1", 10.0, 0.01, Peak(1e-3, 0.0, 10.0, 10.0, 10.0), found)
-    assert math.isinf(change.decibel[2]) and "at least" in describe_changes([change])[0]
+    assert math.isinf(change.decibel[2])
+    [said] = describe_changes([change])
+    assert "raised by 81.6 dB (at least 81.6 dB)" in said and "the second peak may be higher" in said
+
+
+def test_given_bounds_around_changes_when_told_then_words_say_which_way_and_how_far_at_most() -> None:
+    peaks = [
+        Peak(1e-3, 1e-5, 10.0, 9.9, 10.1),
+        Peak(2e-4, 1e-5, 9.5, 9.4, 9.8),
+        Peak(1e-3, 2e-5, 10.05, 9.9, 10.2),
+    ]
+    lowered, same = describe_changes([PeakChange("b1", 10.0, 0.01, peaks[0], other) for other in peaks[1:]])
+    assert "peak lowered by 14.0 dB (13.5 to 14.5 dB), from 1000 to 200 µm/N" in lowered
+    assert "moved down by 0.50 Hz (0.10 to 0.70 Hz), to 9.50 Hz" in lowered
+    assert "peak changed by +0.0 dB (-0.3 to +0.3 dB)" in same
 
 
 def test_given_the_same_structure_twice_when_compared_then_nothing_has_changed(tmp_path) -> None:

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.responses.aliasing import aliasing_part
 from analysis.responses.frf import Frf
 from analysis.responses.measurands import driven, motion_of, reference_of
 from analysis.responses.systematic import (
     LEAKAGE,
-    aliasing_part,
     clock_part,
     reference_noise_part,
     sensitivity_part,

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.responses.aliasing import aliasing_part
 from analysis.responses.force_pulse import slow_and_fast
 from analysis.responses.frf import Frf
 from analysis.responses.local_rational import Reading, local_fit
 from analysis.responses.measurands import Measurand, driven
 from analysis.responses.systematic import (
     MODEL,
-    aliasing_part,
     clock_part,
     reference_noise_part,
     rounding_part,

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
+from analysis.responses.aliasing import aliasing_part
 from analysis.responses.frf import Frf, radius
 from analysis.responses.measurands import driven, motion_of, reference_of
 from analysis.responses.systematic import (
     RESOLUTION,
     UNSETTLED,
-    aliasing_part,
     clock_part,
     doubtful_reference_part,
     sensitivity_part,

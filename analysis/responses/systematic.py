@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.responses.frf import CLOCK, MOTIONS
+from analysis.responses.frf import CLOCK
 from rig.scene.quantities import PER_KELVIN, RATIO, TEMPERATURE, Kind, parse
 
 if TYPE_CHECKING:
@@ -27,10 +27,6 @@ ALIASING, RESOLUTION, MODEL = "aliasing", "converter's resolution", "local model
 REFERENCE = "doubtful reference"
 # Sideways motion as a share of the vertical, where a data sheet of transverse sensitivity goes without one.
 _LATERAL = 0.1
-# Images of a force in the motion it causes, as a share of the motion times the square of frequency over sample rate.
-_IMAGES = 0.1
-# From this part of the highest frequency on is the top of the band.
-_TOP = 0.8
 # Power in counts below which rounding leaves nothing to tell a signal by.
 _QUARTER = 1.0 / 16.0
 
@@ -89,54 +85,6 @@ def sensitivity_part(
     doubt = shares @ abs(lower)
     with np.errstate(divide="ignore", invalid="ignore"):
         return {SENSITIVITY: np.where(doubt < 1.0, deviation / np.maximum(1.0 - doubt, 1e-300), np.inf)}
-
-
-def aliasing_part(
-    rec: Recording,
-    names: Sequence[str],
-    frequency: Array,
-    value: ComplexArray,
-    upper: ComplexArray,
-    lower: ComplexArray,
-    motion: str,
-) -> dict[str, Array]:
-    """How far what folds back from beyond half the sample rate can put a response off.
-
-    The drive goes from sample to sample in straight lines, whose images about the sample rate are smaller by the square
-    of the ratio of frequencies. A channel without a decimation filter sees them as far as it lets them through: of a
-    table's acceleration what its servo follows, of a body's what a structure follows beyond its modes.
-
-    Parameters
-    ----------
-    rec, names, value, upper, lower
-        As in `sensitivity_part`.
-    frequency : ndarray, shape (lines,)
-        Hz.
-    motion : str
-        What `value` is a response of: displacement, velocity or acceleration.
-    """
-    shares = np.zeros(upper.shape)
-    bandwidth = getattr(rec.scene.driven_shaker, "bandwidth", None)
-    # Beyond the modes a structure is accelerated as at the top of the band, or less.
-    acceleration = abs(value) * frequency ** (2 - MOTIONS.index(motion))
-    top = np.median(acceleration[frequency >= _TOP * frequency.max()])
-    beyond = np.minimum(top / np.maximum(acceleration, 1e-300), 1.0)
-    for row, name in enumerate(names):
-        info = rec.channels[name]
-        if info.filter:
-            continue
-        if info.at == "table" and bandwidth is not None:
-            shares[row] = 2.0 * frequency / info.rate / (1.0 + (info.rate / bandwidth) ** 2)
-            continue
-        image = info.rate - frequency
-        shares[row] = (frequency / image) ** 2 * abs(info.response(image) / info.response(frequency))
-        if info.at.startswith("body"):
-            shares[row] *= beyond
-        # Where neither is known to be less.
-        shares[row] = np.maximum(shares[row], _IMAGES * (frequency / info.rate) ** 2)
-    if not shares.any():
-        return {}
-    return {ALIASING: np.sum(shares * abs(upper - value * lower), axis=0)}
 
 
 def reference_noise_part(value: ComplexArray, coherence: Array) -> dict[str, Array]:

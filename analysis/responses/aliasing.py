@@ -1,0 +1,114 @@
+"""What folds back into the band from beyond half the sample rate, where a channel has no filter against it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.responses.frf import MOTIONS
+from analysis.responses.systematic import ALIASING
+from rig.scene.shaker import ElectrodynamicShaker, TableShaker
+
+if TYPE_CHECKING:
+    from daq.recording.recording import Recording
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# Multiples of the sample rate whose images count, and how much more all others are, at most: of 1/k² the sums differ
+# so, and all that falls off faster by less.
+_MULTIPLES = np.array([k for k in range(-8, 9) if k])
+_TAIL = 1.08
+# Images of a force in the motion it causes, as a share of the motion times the square of frequency over sample rate.
+_IMAGES = 0.1
+# From this part of the highest frequency on is the top of the band.
+_TOP = 0.8
+
+
+def aliasing_part(
+    rec: Recording,
+    names: Sequence[str],
+    frequency: Array,
+    value: ComplexArray,
+    upper: ComplexArray,
+    lower: ComplexArray,
+    motion: str,
+) -> dict[str, Array]:
+    """How far what folds back from beyond half the sample rate can put a response off.
+
+    The drive goes from sample to sample in straight lines, whose images about the multiples of the sample rate are
+    smaller by the square of the ratio of frequencies. A channel without a decimation filter sees them as far as it lets
+    them through: of a table's acceleration what its shaker follows, of a body's what a structure follows beyond its
+    modes.
+
+    Parameters
+    ----------
+    rec, names, value, upper, lower
+        As in `analysis.responses.systematic.sensitivity_part`.
+    frequency : ndarray, shape (lines,)
+        Hz.
+    motion : str
+        What `value` is a response of: displacement, velocity or acceleration.
+    """
+    shares = np.zeros(upper.shape)
+    # Beyond the modes a structure is accelerated as at the top of the band, or less.
+    acceleration = abs(value) * frequency ** (2 - MOTIONS.index(motion))
+    top = np.median(acceleration[frequency >= _TOP * frequency.max()])
+    beyond = np.minimum(top / np.maximum(acceleration, 1e-300), 1.0)
+    for row, name in enumerate(names):
+        info = rec.channels[name]
+        if info.filter:
+            continue
+        images = info.rate * _MULTIPLES[:, None] + frequency
+        let_through = abs(info.response(images.ravel()).reshape(images.shape) / info.response(frequency))
+        if info.at == "table" and isinstance(rec.scene.driven_shaker, TableShaker | ElectrodynamicShaker):
+            moved = _moved(rec.scene.driven_shaker, frequency, images, lower[row])
+            shares[row] = _TAIL * np.sum(let_through * moved, axis=0)
+            continue
+        shares[row] = _TAIL * np.sum((frequency / images) ** 2 * let_through, axis=0)
+        if info.at.startswith("body"):
+            shares[row] *= beyond
+        # Where neither is known to be less.
+        shares[row] = np.maximum(shares[row], _IMAGES * (frequency / info.rate) ** 2)
+    if not shares.any():
+        return {}
+    return {ALIASING: np.sum(shares * abs(upper - value * lower), axis=0)}
+
+
+def _moved(
+    shaker: TableShaker | ElectrodynamicShaker, frequency: Array, images: Array, share: ComplexArray
+) -> Array:
+    """Acceleration of a table by the images of a drive over that by the drive itself, shape (images, lines).
+
+    A motion X0 that pulls with F takes the drive P X0 + Q F. At an image the structure stands still, and the whole
+    spring pulls; the square of the ratio of frequencies that an image is smaller by is that by which it accelerates
+    more.
+
+    Parameters
+    ----------
+    share : ndarray of complex, shape (lines,)
+        Spring times X0 over F: the table's share in the force.
+    """
+    motion, pull = _drive_taken(shaker, frequency)
+    there, pull_there = _drive_taken(shaker, images)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        here = abs(motion) + abs(pull) * shaker.spring / abs(share)
+    return np.asarray(here / abs(there + pull_there * shaker.spring))
+
+
+def _drive_taken(
+    shaker: TableShaker | ElectrodynamicShaker, frequency: Array
+) -> tuple[ComplexArray, ComplexArray]:
+    """Drive, up to a gain, for each metre of a table's motion and for each newton that pulls at it."""
+    s: ComplexArray = np.asarray(2j * np.pi * frequency, dtype=np.complex128)
+    if isinstance(shaker, TableShaker):
+        return np.square(1.0 + s / (2.0 * np.pi * shaker.bandwidth)), np.zeros_like(s)
+    coil, armature = shaker.coil, shaker.armature
+    force = armature.mass * s**2 + armature.damping * s + armature.stiffness
+    if shaker.amplifier.mode == "current":
+        return force, np.ones_like(s)
+    impedance = (coil.resistance + coil.inductance * s) / coil.force_factor
+    return impedance * force + coil.force_factor * s, impedance

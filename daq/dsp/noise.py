@@ -7,7 +7,6 @@ from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq, nnls
 
 from rig.numerics.fma import follow
 from rig.numerics.jit import unfused
@@ -123,6 +122,9 @@ def shape(corner: float, rate: float) -> tuple[Array, Array, float]:
     gain : float
         Factor of the output.
     """
+    # Few scenes have such noise, and this takes long to import.
+    from scipy.optimize import brentq, nnls
+
     highest = 0.25 * rate
     lowest = min(LOWEST, 0.1 * corner, 0.01 * rate)
     corners = np.geomspace(lowest, highest, 2 + int(np.log(highest / lowest) / np.log(_RATIO)))

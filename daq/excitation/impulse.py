@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from daq.excitation.station import Excitation, Station
 from rig.errors import SceneError
@@ -146,6 +145,8 @@ def half_sine(peak: float, width: float, rate: float) -> Array:
     >>> float(pulse.max()), float(round(pulse.sum() / 5120.0 / (50.0 * 4e-3 * 2 / np.pi), 9))
     (50.0, 1.0)
     """
+    from scipy.optimize import brentq
+
     wanted = 2 * width * rate / np.pi
     if wanted < 1.2:
         raise SceneError(

@@ -105,6 +105,11 @@ class Limits:
         The channels, in the order of the rows of the readings.
     mark : callable
         ``mark(kind, first, stop, **fields)``.
+
+    Attributes
+    ----------
+    given : bool
+        Whether any channel has a limit.
     """
 
     def __init__(self, scene: Scene, channels: Sequence[ChannelInfo], mark: Callable[..., Any]) -> None:
@@ -117,11 +122,11 @@ class Limits:
         self._channels = channels
         self._alarm, self._abort = limits("alarm"), limits("abort")
         self._alarms = Stretches("alarm", channels, mark)
-        self._any = bool(np.isfinite(self._alarm).any() or np.isfinite(self._abort).any())
+        self.given = bool(np.isfinite(self._alarm).any() or np.isfinite(self._abort).any())
 
     def watch(self, first: int, readings: NDArray[np.float64]) -> Trip | None:
         """Look at readings, shape (channels, samples), and report the first beyond an abort limit."""
-        if not self._any:
+        if not self.given:
             return None
         size = abs(readings)
         self._alarms.add(first, size > self._alarm)

@@ -29,8 +29,9 @@ from rig.scene.scene import Scene
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
-# The channels are watched at the end of each stretch of this length, s, whatever the size of the blocks.
-_WATCH = 0.1
+# The channels are watched at the end of each stretch of this length, s, whatever the size of the blocks; the longer one
+# where they have no limits and can only lose the control.
+_WATCH, _WATCH_LONG = 0.1, 0.5
 _RAMP = 0.05
 
 
@@ -189,7 +190,7 @@ class MeasurementRun:
         return path
 
     def _play(self, test: Excitation, drive: Array, interrupted: Callable[[], bool]) -> None:
-        quantum = self._station.samples(_WATCH)
+        quantum = self._station.samples(_WATCH if self._limits.given else _WATCH_LONG)
         while True:
             readings = []
             for start in range(0, drive.shape[1], quantum):
@@ -240,6 +241,9 @@ class MeasurementRun:
         assert self._recorder is not None
         if not samples.size:
             # At a low rate a whole stretch may be shorter than the filter's delay that is taken out.
+            return
+        if not self.bench.lost:
+            self._recorder.write(samples)
             return
         kept = np.ones(samples.shape[1], dtype=bool)
         for begin, end in self.bench.lost:

@@ -102,9 +102,9 @@ class DisplayDecimator:
         self._half = HALF_LENGTH * step if step > 1 else 0
         self._taps = np.ones(1)
         if step > 1:
-            from scipy.signal import firwin
-
-            self._taps = firwin(2 * self._half + 1, 2 * CUTOFF / step, window=("kaiser", KAISER_BETA))
+            places = np.arange(-self._half, self._half + 1) * (2 * CUTOFF / step)
+            taps = np.sinc(places) * np.kaiser(places.size, KAISER_BETA)
+            self._taps = taps / taps.sum()
         self._held = np.empty((0, 0))
         self._first = 0
         self.stop: int | None = None

@@ -5,6 +5,9 @@ from __future__ import annotations
 from functools import cache
 from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 
 class Schema(NamedTuple):
     """What the messages of a topic are made of: the schema's name, its encoding, its text, and theirs."""
@@ -71,6 +74,26 @@ def varint(number: int) -> bytes:
         number >>= 7
     digits.append(number)
     return bytes(digits)
+
+
+# Numbers from these on take one byte more.
+_LARGER = np.array([1 << 7 * size for size in range(1, 10)], np.uint64)
+
+
+def varint_sizes(numbers: NDArray[np.uint64]) -> NDArray[np.int64]:
+    """Count the bytes that `varint` takes for each number."""
+    return 1 + np.searchsorted(_LARGER, numbers, side="right")
+
+
+def varints(numbers: NDArray[np.uint64], size: int) -> NDArray[np.uint8]:
+    """Encode numbers that all take so many bytes, as `varint` does; shape (numbers, bytes).
+
+    >>> varints(np.array([300, 301], np.uint64), 2).tolist()
+    [[172, 2], [173, 2]]
+    """
+    digits = (numbers[:, None] >> np.arange(0, 7 * size, 7, dtype=np.uint64)).astype(np.uint8) | 0x80
+    digits[:, -1] &= 0x7F
+    return digits
 
 
 @cache

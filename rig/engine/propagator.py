@@ -307,6 +307,8 @@ class Propagator:
 
     def accelerations(self, states: Array, slots: NDArray[np.int64]) -> Array:
         """Acceleration of every coordinate for rows of a `Trajectory`, shape (coordinates, samples)."""
+        if not len(states):
+            return np.zeros((self.system.coordinates, 0))
         _accelerations(self.tables.flow, self.tables.model, states, slots, self.workspace.derivative)
         behind = self.tables.size
         return np.ascontiguousarray(states[:, behind : behind + self.system.coordinates].T)

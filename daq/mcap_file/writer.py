@@ -33,6 +33,10 @@ _ENTRY = struct.Struct("<QQ")
 _ENTRIES = np.dtype([("log_time", "<u8"), ("place", "<u8")])
 _INDEX = struct.Struct("<BQHI")
 _INDEX_FIELDS = _INDEX.size - _RECORD.size
+# Opcode, length, first and last time, place and length of the chunk, bytes of the places that follow; then sizes.
+_CHUNK_INDEX = struct.Struct("<BQQQQQI")
+# Channel, place of its index in the file.
+_PLACE = struct.Struct("<HQ")
 _FOOTER = struct.Struct("<BQQQ")
 
 
@@ -60,13 +64,15 @@ class ChunkedFile:
     """
 
     def __init__(self, stream: Stream, library: str, compression: str) -> None:
-        self._stream, self._compression = stream, compression
+        self._stream, self._compression = stream, compression.encode()
+        name = f"I{len(self._compression)}s"
+        self._chunk, self._chunk_sizes = (struct.Struct(form) for form in (f"<BQQQQI{name}Q", f"<Q{name}QQ"))
         self._packed = _packer(compression)
         self._schemas: list[records.Schema] = []
         self._channels: list[records.Channel] = []
         # Schemas and channels that the next chunk announces.
         self._announced = RecordBuilder()
-        self._chunks: list[records.ChunkIndex] = []
+        self._chunks: list[bytes] = []
         self._attachments: list[records.AttachmentIndex] = []
         self._metadata: list[records.MetadataIndex] = []
         self._counts: dict[int, int] = {}
@@ -135,19 +141,16 @@ class ChunkedFile:
         content = b"".join(parts)
         packed = self._packed(content)
         begin = self._stream.tell()
-        length = self._put(
-            records.Chunk(
-                compression=self._compression,
-                data=packed,
-                message_start_time=earliest,
-                message_end_time=latest,
-                uncompressed_crc=zlib.crc32(content),
-                uncompressed_size=len(content),
-            )
-        )
-        places, indexes, end = {}, [], begin + length
+        name, size = self._compression, len(content)
+        length = self._chunk.size + len(packed)
+        head = self._chunk.pack(
+            Opcode.CHUNK, length - _RECORD.size, earliest, latest, size, zlib.crc32(content),
+            len(name), name, len(packed),
+        )  # fmt: skip
+        self._stream.write(head + packed)
+        places, indexes, end = [], [], begin + length
         for channel, pieces in entries.items():
-            places[channel] = end
+            places.append(_PLACE.pack(channel, end))
             listed = sum(map(len, pieces))
             indexes.append(_INDEX.pack(Opcode.MESSAGE_INDEX, _INDEX_FIELDS + listed, channel, listed))
             indexes += pieces
@@ -158,19 +161,12 @@ class ChunkedFile:
         self._times = (
             (earliest, latest) if before is None else (min(before[0], earliest), max(before[1], latest))
         )
-        self._chunks.append(
-            records.ChunkIndex(
-                chunk_length=length,
-                chunk_start_offset=begin,
-                compression=self._compression,
-                compressed_size=len(packed),
-                message_end_time=latest,
-                message_index_length=end - begin - length,
-                message_index_offsets=places,
-                message_start_time=earliest,
-                uncompressed_size=len(content),
-            )
+        known = _CHUNK_INDEX.size - _RECORD.size + _PLACE.size * len(places) + self._chunk_sizes.size
+        front = _CHUNK_INDEX.pack(
+            Opcode.CHUNK_INDEX, known, earliest, latest, begin, length, _PLACE.size * len(places)
         )
+        sizes = self._chunk_sizes.pack(end - begin - length, len(name), name, len(packed), size)
+        self._chunks.append(b"".join((front, *places, sizes)))
         return True
 
     def add_attachment(
@@ -217,7 +213,7 @@ class ChunkedFile:
             metadata_count=len(self._metadata),
             schema_count=len(self._schemas),
         )
-        groups: dict[Opcode, list[records.McapRecord]] = {
+        groups: dict[Opcode, list[records.McapRecord | bytes]] = {
             Opcode.SCHEMA: [*self._schemas],
             Opcode.CHANNEL: [*self._channels],
             Opcode.STATISTICS: [statistics],
@@ -229,7 +225,10 @@ class ChunkedFile:
         for opcode, group in groups.items():
             start = builder.count
             for record in group:
-                record.write(builder)
+                if isinstance(record, bytes):
+                    builder.write(record)
+                else:
+                    record.write(builder)
             offsets.append(
                 records.SummaryOffset(
                     group_opcode=opcode, group_start=begin + start, group_length=builder.count - start

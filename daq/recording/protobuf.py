@@ -91,7 +91,8 @@ def varints(numbers: NDArray[np.uint64], size: int) -> NDArray[np.uint8]:
     >>> varints(np.array([300, 301], np.uint64), 2).tolist()
     [[172, 2], [173, 2]]
     """
-    digits = (numbers[:, None] >> np.arange(0, 7 * size, 7, dtype=np.uint64)).astype(np.uint8) | 0x80
+    digits = (numbers[:, None] >> np.arange(0, 7 * size, 7, dtype=np.uint64)).astype(np.uint8)
+    digits |= 0x80
     digits[:, -1] &= 0x7F
     return digits
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,16 +31,18 @@ class Timebase:
         >>> Timebase(8533.333333333334).time_ns(10**12) // 10**9
         117187499
         """
-        return self._times((sample,))[0]
+        step, numerator, divisor = self._ratio
+        return self.start_ns + (step * sample + numerator) // divisor
 
     def times_ns(self, samples: Iterable[int]) -> NDArray[np.uint64]:
         """Give the times of samples in nanoseconds, as exact as `time_ns`."""
-        return np.array(self._times(samples), np.uint64)
+        return np.array([self.time_ns(sample) for sample in samples], np.uint64)
 
-    def _times(self, samples: Iterable[int]) -> list[int]:
+    @cached_property
+    def _ratio(self) -> tuple[int, int, int]:
+        """Twice the nanoseconds of a sample interval, as a fraction; and its denominator's half, for rounding."""
         numerator, denominator = float(self.rate).as_integer_ratio()
-        step, divisor = 2 * 10**9 * denominator, 2 * numerator
-        return [self.start_ns + (step * sample + numerator) // divisor for sample in samples]
+        return 2 * 10**9 * denominator, numerator, 2 * numerator
 
     def samples_at(self, time_ns: NDArray[np.uint64]) -> NDArray[np.int64]:
         """Give the sample numbers nearest to some times.

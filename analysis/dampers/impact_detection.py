@@ -99,12 +99,19 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
     Raises
     ------
     RecordingError
-        If the channel measures no motion, the stretch is too short or damaged, or contact on its body lasts.
+        If the channel measures no motion or is blind to blows, the stretch is too short or damaged, or contact on its
+        body lasts.
     """
     info = named(rec, channel)
     if info.quantity not in MOTIONS:
         raise RecordingError(
             f"channel {info.name!r} measures {info.quantity}: impacts show in motion channels only"
+        )
+    if _blind(info):
+        raise RecordingError(
+            f"{info.name} takes the acceleration at instants (converter: sampling), and nothing in it spreads a blow "
+            "over time: one between two instants leaves no trace; record with sampling: average, a filter, an "
+            "integrator or the resonance of a sensor"
         )
     for damper in rec.scene.dampers:
         if info.at == f"body {damper.body}" and _lasts(damper, info.rate):
@@ -161,6 +168,12 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
         (search.signature.reach + search.signature.ring) / rec.rate,
         float(search.open.sum()) / rec.rate,
     )
+
+
+def _blind(info: ChannelInfo) -> bool:
+    """Whether a pulse of acceleration between two samples goes unseen."""
+    spread = info.average or info.filter or len(info.poles) > len(info.zeros)
+    return info.quantity == "acceleration" and not spread
 
 
 def _lasts(damper: Damper, rate: float) -> bool:

@@ -50,6 +50,15 @@ def test_given_blows_of_known_size_when_detected_then_times_and_sizes_are_right(
     assert np.mean((found.kind == floor)[close]) > 0.98
 
 
+def test_given_samples_at_instants_without_a_filter_when_detecting_then_blows_that_leave_no_trace_are_refused(
+    tmp_path,
+):
+    infos = [ChannelInfo("body1", "body 1", "acceleration", 1.0, RATE)]
+    path = synthetic.write(tmp_path / "a.mcap", synthetic.scene(), infos, np.zeros((1, 4000)), [])
+    with daq.open(path) as rec, pytest.raises(RecordingError, match="at instants"):
+        impacts(rec, "body1")
+
+
 SENSOR = {"sensitivity": 0.0102, "noise": 1.96e-4, "resonance": 30e3, "low_cutoff": 0.5}
 INTEGRATORS = {
     "acceleration": {},

@@ -102,24 +102,7 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
         If the channel measures no motion or is blind to blows, the stretch is too short or damaged, or contact on its
         body lasts.
     """
-    info = named(rec, channel)
-    if info.quantity not in MOTIONS:
-        raise RecordingError(
-            f"channel {info.name!r} measures {info.quantity}: impacts show in motion channels only"
-        )
-    if _blind(info):
-        raise RecordingError(
-            f"{info.name} takes the acceleration at instants (converter: sampling), and nothing in it spreads a blow "
-            "over time: one between two instants leaves no trace; record with sampling: average, a filter, an "
-            "integrator or the resonance of a sensor"
-        )
-    for damper in rec.scene.dampers:
-        if info.at == f"body {damper.body}" and _lasts(damper, info.rate):
-            raise RecordingError(
-                f"{info.name}: the contact of the damper in body {damper.body} lasts (contact: in its scene), so that "
-                "its landings are no jumps of velocity and are not told from a channel; rig.frequency_response tells "
-                "its motion"
-            )
+    info = _sensitive(rec, channel)
     stop = rec.samples if stop is None else min(stop, rec.samples)
     choices = [_signature(json.dumps(info.to_metadata()), order) for order in _CURVATURES]
     least = 4 * max(one.reach for one in choices)
@@ -128,13 +111,7 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
             f"{stop - start} samples are too few to tell impacts from noise: take at least {least}"
         )
     samples = next(read_slices(rec, [info.name], [(start, stop)]))[0]
-    good = np.isfinite(samples)
-    for marker in rec.overloads:
-        if marker.fields.get("channel") == info.name:
-            # What follows is ringing whose beginning is not known.
-            good[max(marker.first_sample - start, 0) : max(marker.end + 1 + choices[0].ring - start, 0)] = (
-                False
-            )
+    good = _good(rec, info.name, samples, start, choices[0].ring)
     if np.sum(good) < least:
         raise RecordingError(
             f"all but {np.sum(good)} samples of {info.name} in this stretch are lost or overloaded: choose "
@@ -168,6 +145,39 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
         (search.signature.reach + search.signature.ring) / rec.rate,
         float(search.open.sum()) / rec.rate,
     )
+
+
+def _sensitive(rec: Recording, channel: str) -> ChannelInfo:
+    """Give a channel in which the blows on its body show; raises `RecordingError` where they do not."""
+    info = named(rec, channel)
+    if info.quantity not in MOTIONS:
+        raise RecordingError(
+            f"channel {info.name!r} measures {info.quantity}: impacts show in motion channels only"
+        )
+    if _blind(info):
+        raise RecordingError(
+            f"{info.name} takes the acceleration at instants (converter: sampling), and nothing in it spreads a blow "
+            "over time: one between two instants leaves no trace; record with sampling: average, a filter, an "
+            "integrator or the resonance of a sensor"
+        )
+    for damper in rec.scene.dampers:
+        if info.at == f"body {damper.body}" and _lasts(damper, info.rate):
+            raise RecordingError(
+                f"{info.name}: the contact of the damper in body {damper.body} lasts (contact: in its scene), so that "
+                "its landings are no jumps of velocity and are not told from a channel; rig.frequency_response tells "
+                "its motion"
+            )
+    return info
+
+
+def _good(rec: Recording, name: str, samples: Array, start: int, ring: int) -> NDArray[np.bool_]:
+    """Where samples of a channel tell its motion: neither lost nor overloaded, nor ringing after that."""
+    good = np.isfinite(samples)
+    for marker in rec.overloads:
+        if marker.fields.get("channel") == name:
+            # What follows is ringing whose beginning is not known.
+            good[max(marker.first_sample - start, 0) : max(marker.end + 1 + ring - start, 0)] = False
+    return good
 
 
 def _blind(info: ChannelInfo) -> bool:

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from analysis.responses.aliasing import aliasing_part
 from analysis.responses.measurands import motion_of, reference_of, responses
-from analysis.responses.systematic import aliasing_part, sensitivity_part
+from analysis.responses.systematic import sensitivity_part
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:

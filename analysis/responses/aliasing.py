@@ -64,8 +64,14 @@ def aliasing_part(
             continue
         images = info.rate * _MULTIPLES[:, None] + frequency
         let_through = abs(info.response(images.ravel()).reshape(images.shape) / info.response(frequency))
-        if info.at == "table" and isinstance(rec.scene.driven_shaker, TableShaker | ElectrodynamicShaker):
-            moved = _moved(rec.scene.driven_shaker, frequency, images, lower[row])
+        if info.quantity in MOTIONS:
+            # Of the same acceleration there is the less velocity and displacement the higher the frequency.
+            let_through *= abs(frequency / images) ** (2 - MOTIONS.index(info.quantity))
+        shaker = rec.scene.driven_shaker
+        if info.at == "table" and isinstance(shaker, TableShaker | ElectrodynamicShaker):
+            # Without a share in the force, what responds is the driven body itself.
+            share = np.where(lower[row] == 0.0, 1.0 + shaker.spring * value, lower[row])
+            moved = _moved(shaker, frequency, images, share)
             shares[row] = _TAIL * np.sum(let_through * moved, axis=0)
             continue
         shares[row] = _TAIL * np.sum((frequency / images) ** 2 * let_through, axis=0)
@@ -95,7 +101,7 @@ def _moved(
     motion, pull = _drive_taken(shaker, frequency)
     there, pull_there = _drive_taken(shaker, images)
     with np.errstate(divide="ignore", invalid="ignore"):
-        here = abs(motion) + abs(pull) * shaker.spring / abs(share)
+        here = abs(motion) + abs(pull) * shaker.spring / np.maximum(abs(share), 1e-300)
     return np.asarray(here / abs(there + pull_there * shaker.spring))
 
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from analysis.responses.aliasing import aliasing_part
+from analysis.responses.aliasing import folded_shares
 from analysis.responses.measurands import motion_of, reference_of, responses
-from analysis.responses.systematic import sensitivity_part
+from analysis.responses.systematic import tolerance
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
         )
     shaker = rec.scene.driven_shaker
     driven = shaker.body if shaker is not None and isinstance(shaker.body, int) else 1
-    supplied, structure, slopes = [], [], []
+    supplied, structure, slopes, pulls = [], [], [], []
     compliance = np.empty(len(sweep.tones), dtype=complex)
     for index, tone in enumerate(sweep.tones):
         orders = np.arange(1, tone.amplitude.shape[1] + 1)
@@ -90,40 +90,47 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
             np.pi / 2j * orders * work - velocity_squared * np.einsum("bck,bk->ck", of_motion.conj(), lost)
         )
         compliance[index] = motion[driven - 1, 0] / force[0]
+        pulls.append((of_force * tone.amplitude)[:, 0] / force[0])
     return CycleEnergy(
-        sweep.lines.frequency, np.array(supplied), np.array(structure), _bound(rec, sweep, slopes, compliance)
+        sweep.lines.frequency,
+        np.array(supplied),
+        np.array(structure),
+        _bound(rec, sweep, slopes, compliance, np.transpose(pulls)),
     )
 
 
-def _bound(rec: Recording, sweep: Sweep, slopes: list[ComplexArray], compliance: ComplexArray) -> Array:
-    """How far the energy may be off: scatter and every systematic part of the channels, their squares added up."""
-    lines, nothing = sweep.lines, np.zeros((len(sweep.lines.channels), len(slopes)), dtype=complex)
-    scatter, shares, at_once, along = [], [], [], []
+def _bound(
+    rec: Recording, sweep: Sweep, slopes: list[ComplexArray], compliance: ComplexArray, of_force: ComplexArray
+) -> Array:
+    """How far the energy may be off: scatter and every systematic part of the channels, their squares added up.
+
+    Parameters
+    ----------
+    slopes : list of ndarray of complex, shape (channels, harmonics)
+        For each tone.
+    compliance : ndarray of complex, shape (n,)
+        Of the driven body.
+    of_force : ndarray of complex, shape (channels, n)
+        Share of each channel in the force.
+    """
+    lines = sweep.lines
+    scatter, gains, turns, along = [], [], [], []
     for slope, tone, covariance in zip(slopes, sweep.tones, lines.covariance, strict=True):
         # Every harmonic scatters as the fundamental does.
         scatter.append(2.0 * np.einsum("ck,cd,dk->", slope.conj(), covariance, slope).real)
         product = 2.0 * slope * tone.amplitude.conj()
-        shares.append(product.real.sum(axis=1))
-        at_once.append(abs(product).sum(axis=1))
+        gains.append(product.real.sum(axis=1))
+        turns.append(abs(product).sum(axis=1))
         along.append(2.0 * abs(slope[:, 0]))
     parts = [
         np.sqrt(np.nan_to_num(scatter)) * stats.t.ppf(0.975, np.maximum(2.0 * (lines.averages - 1.0), 1.0))
     ]
-    parts += sensitivity_part(
-        rec, lines.channels, compliance, np.array(shares, dtype=complex).T, nothing
-    ).values()
-    parts += aliasing_part(
-        rec,
-        lines.channels,
-        lines.frequency,
-        compliance,
-        np.array(at_once, dtype=complex).T,
-        nothing,
-        "displacement",
-    ).values()
-    for each in (lines.remainder, lines.resolution):
-        if each is not None:
-            parts.append(np.sum(np.transpose(along) * each, axis=0))
+    tolerances = np.array([tolerance(rec.channels[name]) for name in lines.channels])
+    parts.append(abs(np.array(gains)) @ (tolerances / np.maximum(1.0 - tolerances, 1e-300)))
+    folded = folded_shares(rec, lines.channels, lines.frequency, compliance, of_force, "displacement")
+    for each, share in ((turns, folded), (along, lines.remainder), (along, lines.resolution)):
+        if share is not None:
+            parts.append(np.sum(np.transpose(each) * share, axis=0))
     return np.asarray(np.sqrt(np.sum(np.square(parts), axis=0)))
 
 

@@ -53,7 +53,22 @@ def aliasing_part(
     motion : str
         What `value` is a response of: displacement, velocity or acceleration.
     """
-    shares = np.zeros(upper.shape)
+    shares = folded_shares(rec, names, frequency, value, lower, motion)
+    if not shares.any():
+        return {}
+    return {ALIASING: np.sum(shares * abs(upper - value * lower), axis=0)}
+
+
+def folded_shares(
+    rec: Recording,
+    names: Sequence[str],
+    frequency: Array,
+    value: ComplexArray,
+    lower: ComplexArray,
+    motion: str,
+) -> Array:
+    """Give what folds back into each channel at most, as a share of what it reads: shape (channels, lines)."""
+    shares = np.zeros(lower.shape)
     # Beyond the modes a structure is accelerated as at the top of the band, or less.
     acceleration = abs(value) * frequency ** (2 - MOTIONS.index(motion))
     top = np.median(acceleration[frequency >= _TOP * frequency.max()])
@@ -79,9 +94,7 @@ def aliasing_part(
             shares[row] *= beyond
         # Where neither is known to be less.
         shares[row] = np.maximum(shares[row], _IMAGES * (frequency / info.rate) ** 2)
-    if not shares.any():
-        return {}
-    return {ALIASING: np.sum(shares * abs(upper - value * lower), axis=0)}
+    return shares
 
 
 def _moved(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from analysis.responses.aliasing import aliasing_part
 from analysis.responses.force_pulse import slow_and_fast
 from analysis.responses.frf import Frf
-from analysis.responses.local_rational import Reading, local_fit
+from analysis.responses.local_rational import LocalFit, Reading, local_fit
 from analysis.responses.measurands import Measurand, driven
 from analysis.responses.systematic import (
     MODEL,
@@ -51,6 +51,13 @@ class LocalSpectra:
     """Share of the samples behind the spectra that was measured, as in `local_fit`."""
     gain: Array
     """How far rounding can change each channel's gain, as in `rounding_part`; shape (channels, lines)."""
+    fits: dict[tuple[str, Measurand], LocalFit] = field(default_factory=dict)
+    """Made so far, of a channel to a reference: responses share the channels of their reference."""
+
+    def only(self, names: Sequence[str]) -> LocalSpectra:
+        """Keep some channels."""
+        rows = [self.channels.index(name) for name in names]
+        return replace(self, channels=tuple(names), samples=self.samples[:, rows], gain=self.gain[rows])
 
     def frf(
         self,
@@ -73,7 +80,12 @@ class LocalSpectra:
             Variance of either quadrature component of the reference, relative, where it is known. Omitted: bounded by
             the coherence.
         """
-        names, at = list(self.channels), self.frequency[self.lines]
+        names = list(dict.fromkeys([*above.channels, *below.channels]))
+        if names != list(self.channels):
+            return self.only(names).frf(
+                rec, above, below, reference, motion, label, warnings, reference_noise
+            )
+        at = self.frequency[self.lines]
         force = np.einsum("cn,scn->sn", below.row(rec, names, self.frequency), self.samples)
         driven(reference, force)
         upper, lower = above.row(rec, names, at), below.row(rec, names, at)
@@ -90,7 +102,9 @@ class LocalSpectra:
                 self.samples[:, index], told_by, np.array(slow).reshape(-1, self.frequency.size)
             )
             side = min(self.side, (self.frequency.size - 1) // 2)
-            fit = local_fit(reading, force, self.ends, self.lines, side, self.used)
+            if (name, below) not in self.fits:
+                self.fits[name, below] = local_fit(reading, force, self.ends, self.lines, side, self.used)
+            fit = self.fits[name, below]
             reads[index] = fit.value * told_by[self.lines]
             if name == above.channels[0]:
                 of_response = fit

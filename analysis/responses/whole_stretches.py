@@ -8,7 +8,7 @@ damping, a hammer that bounced is as good as one that did not, and what overload
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -58,13 +58,18 @@ class WholeStretches:
     """For legends."""
     warnings: tuple[str, ...] = ()
     """In full sentences."""
+    made: dict[tuple[str, ...], LocalSpectra] = field(default_factory=dict)
+    """Spectra made so far, by the channels they are of."""
 
     def frf(
         self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"
     ) -> Frf:
         """Frequency response with coherence, random and systematic errors."""
         above, below = motion_of(rec, response, motion), reference_of(rec, reference)
-        names = list(dict.fromkeys([*above.channels, *below.channels]))
+        # Whether hits come upon rest, each response's own channels say.
+        names = (
+            self.channels if self.hits is None else tuple(dict.fromkeys([*above.channels, *below.channels]))
+        )
         found = flaws(rec, self.channels, self.first, self.stop)
         if self.hits is not None:
             found = sorted([*found, *self.hits.missed], key=lambda flaw: flaw.first)
@@ -77,8 +82,9 @@ class WholeStretches:
             if not found:
                 advice = "the test is too short to average; record longer"
             raise RecordingError(f"{' '.join(notes)} Nothing is left to tell a response from: {advice}")
-        spectra = self._spectra(rec, names, stretches)
-        noise = None
+        if names not in self.made:
+            self.made[names] = self._spectra(rec, names, stretches)
+        spectra, noise = self.made[names], None
         if self.hits is not None:
             noise = self.hits.force_noise(rec, stretches, spectra.frequency[spectra.lines])
         return spectra.frf(rec, above, below, reference, motion, self.label, (*self.warnings, *notes), noise)
@@ -154,12 +160,15 @@ class WholeStretches:
             lengths = [block.shape[1] for block in blocks]
             squares = np.average([block.var(axis=1) for block in blocks], axis=0, weights=lengths)
             gain = np.repeat(noise_gain(in_counts(rec, names, squares))[:, None], lines.size, axis=1)
+        # All that the fits reach.
+        first = max(int(lines[0]) - side, 0)
+        reach = slice(first, max(int(lines[-1]) + side, first + 2 * side) + 1)
         return LocalSpectra(
             tuple(names),
-            np.stack(samples),
-            np.stack(ends),
-            frequency,
-            lines,
+            np.stack(samples)[:, :, reach],
+            np.stack(ends)[:, reach],
+            frequency[reach],
+            lines - first,
             side,
             used,
             gain,

@@ -35,7 +35,7 @@ PLACES: dict[str, dict[str, str]] = {
         "daq/signal_chain/decimation_filter.py": "tests/daq/signal_chain",
     },
     "triggers": {
-        "daq/instrument/engines/triggers.py": "tests/daq/instrument tests/daq/server/test_task.py",
+        "daq/instrument/engines/triggers.py": "tests/daq/instrument/test_triggers.py tests/daq/instrument",
     },
     "limits": {
         "daq/signal_chain/converter.py": "tests/daq/signal_chain",
@@ -43,7 +43,7 @@ PLACES: dict[str, dict[str, str]] = {
         "rig/system/assembly.py": "tests/rig/engine/test_limits.py tests/rig/system tests/rig/scene",
     },
     "bounds": {
-        "analysis/responses/systematic.py": "tests/analysis/responses",
+        "analysis/responses/systematic.py": "tests/analysis/responses/test_systematic.py tests/analysis/responses",
         "analysis/responses/local_rational.py": "tests/analysis/responses",
     },
     "checksums": {

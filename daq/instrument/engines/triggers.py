@@ -128,12 +128,11 @@ class SyncPulse:
     edge: Slope
 
     def next_tick(self, tick: int, rate: float) -> int:
-        """Give the sample at or after a given one at which the next edge comes."""
+        """Give the sample at which the first edge comes that is not before a given sample."""
         phase = 0.0 if self.edge == Slope.RISING else 0.5
         # The edge at 0 s belongs to power-on; the first one that can trigger comes at 1 s, or falls at 1.5 s.
         second = max(1, math.ceil(tick / rate - phase - 1e-9))
-        found = math.ceil((second + phase) * rate - 1e-6)
-        return found if found >= tick else math.ceil((second + 1 + phase) * rate - 1e-6)
+        return math.ceil((second + phase) * rate - 1e-6)
 
 
 @dataclass(frozen=True)

@@ -60,6 +60,7 @@ def random_scene(seed: int, bodies: int) -> rig.Scene:
     )  # fmt: skip
 
 
+@pytest.mark.usefixtures("tabulated")
 @pytest.mark.parametrize(("seed", "bodies"), [(0, 1), (4, 1), (5, 2), (7, 1)])
 def test_given_a_random_scene_when_simulated_then_it_is_the_motion_to_forty_digits(
     seed: int, bodies: int

@@ -46,6 +46,7 @@ def proven_events() -> list[tuple[mpf, int, str]]:
     return [(mpf(time), damper + 1, KINDS[kind]) for time, damper, kind in json.loads(data.read_text())]
 
 
+@pytest.mark.usefixtures("tabulated")
 def test_given_reference_case_a_when_run_then_all_463_proven_events_come_within_1e_12_s() -> None:
     proven = proven_events()
     events = run_of("reference-A").events
@@ -79,6 +80,7 @@ def test_given_case_a_when_carried_on_to_40_digits_through_its_events_then_posit
         assert abs(run.displacement[j, end] - float(state[j])) < 1e-12 * np.abs(run.displacement[j]).max()
 
 
+@pytest.mark.usefixtures("tabulated")
 @pytest.mark.parametrize(("name", "count"), [("reference-B", 273), ("reference-C", 984)])
 def test_given_reference_cases_b_and_c_when_run_then_the_counts_are_the_known_ones(
     name: str, count: int

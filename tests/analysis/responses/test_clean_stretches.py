@@ -1,0 +1,65 @@
+"""What is spoilt and what is clean, against a count sample by sample."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from analysis.responses.clean_stretches import Flaw, clean_stretches, flaws, told
+from daq.recording.markers import Marker
+from daq.recording.recording import Gap
+
+CHANNELS = ("a1", "a2", "force")
+SPANS = st.tuples(st.integers(0, 30), st.integers(0, 8))
+
+
+@st.composite
+def recordings(draw):
+    """What a recording tells of overloads and losses, first and last sample included."""
+    overloads = [
+        Marker("overload", first, first + length, {"channel": draw(st.sampled_from(CHANNELS))})
+        for first, length in draw(st.lists(SPANS, max_size=4))
+    ]
+    gaps = [
+        Gap(first, first + length, draw(st.sampled_from([("a1",), ("a2", "force"), CHANNELS])), "lost")
+        for first, length in draw(st.lists(SPANS, max_size=4))
+    ]
+    return SimpleNamespace(overloads=overloads, gaps=gaps, rate=10.0)
+
+
+@given(
+    rec=recordings(),
+    wanted=st.sets(st.sampled_from(CHANNELS)),
+    first=st.integers(0, 20),
+    size=st.integers(1, 25),
+)
+def test_given_overloads_and_gaps_when_stretches_are_sought_then_they_hold_all_that_is_clean_and_nothing_else(
+    rec, wanted, first, size
+):
+    stop = first + size
+    spoilt = set()
+    for marker in rec.overloads:
+        if marker.fields["channel"] in wanted:
+            spoilt |= set(range(marker.first_sample, marker.last_sample + 1))
+    for gap in rec.gaps:
+        if wanted & set(gap.channels):
+            spoilt |= set(range(gap.first_sample, gap.last_sample + 1))
+    found = flaws(rec, wanted, first, stop)
+    stretches = clean_stretches(found, first, stop)
+    covered = [sample for begin, end in stretches for sample in range(begin, end)]
+    assert covered == [sample for sample in range(first, stop) if sample not in spoilt]
+    assert all(begin < end for begin, end in stretches)
+    # Those beside the stretch are no flaws of it.
+    assert all(flaw.first < stop and flaw.stop > first and flaw.channel in wanted for flaw in found)
+    assert [flaw.first for flaw in found] == sorted(flaw.first for flaw in found)
+    assert {flaw.what for flaw in found} <= {"overloaded", "lost"}
+
+
+def test_given_flaws_when_told_then_each_kind_is_named_with_its_first_three_times():
+    rec = SimpleNamespace(rate=10.0)
+    found = [Flaw(10 * k, 10 * k + 1, "a1", "overloaded") for k in range(3)] + [Flaw(70, 75, "a2", "lost")]
+    assert told(rec, found) == "a1 overloaded (at 0 s, 1 s, 2 s), a2 lost (at 7 s)"
+    found += [Flaw(80, 81, "a1", "overloaded"), Flaw(91, 92, "a1", "overloaded")]
+    assert told(rec, found) == "a1 overloaded (at 0 s, 1 s, 2 s and 2 times more), a2 lost (at 7 s)"

@@ -1,0 +1,201 @@
+"""Systematic parts of a response's error, held against the worst that what they bound can do."""
+
+from __future__ import annotations
+
+from itertools import product
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+import rig
+from analysis.responses.systematic import (
+    aliasing_part,
+    clock_part,
+    counts_of,
+    doubtful_reference_part,
+    in_counts,
+    noise_gain,
+    reference_noise_part,
+    rounding_part,
+    sensitivity_part,
+    tolerance,
+    tone_gain,
+)
+from daq.signal_chain.channel import ChannelInfo
+
+RATE = 5120.0
+SCENE = "{structure: {masses: [1 kg], springs: [4 kN/m]}, shaker: {kind: force, body: 1}, converter: {%s}}"
+
+
+def channel(name="a1", at="body 1", **sheet):
+    return ChannelInfo(name, at, "acceleration", sensitivity=0.5, rate=RATE, **sheet)
+
+
+def recording(*channels, converter="rate: 5120 Hz"):
+    """What the parts ask of a recording."""
+    scene = rig.loads(SCENE % converter, where="a test")
+    return SimpleNamespace(channels={info.name: info for info in channels}, scene=scene)
+
+
+def only(part):
+    [value] = part.values()
+    return value
+
+
+def toleranced(*shares):
+    return [
+        channel(name, sensor={"accelerometer.sensitivity_tolerance": str(share)})
+        for name, share in zip("abc", shares, strict=False)
+    ]
+
+
+def test_given_a_data_sheet_when_its_tolerances_are_added_then_each_counts_by_what_it_is_exposed_to():
+    sheet = {
+        "accelerometer.sensitivity_tolerance": "-0.05",
+        "accelerometer.temperature_drift": "0.002 1/K",
+        "accelerometer.temperature_change": "-10 K",
+        "accelerometer.transverse": "0.04",
+        "accelerometer.lateral": "0.5",
+    }
+    assert tolerance(channel(sensor=sheet)) == pytest.approx(0.05 + 0.002 * 10 + 0.04 * 0.5)
+    assert tolerance(channel()) == 0.0
+
+
+@pytest.mark.parametrize("shares", [(0.05, 0.1, 0.02), (0.0, 0.2, 0.0), (0.1, 0.0, 0.3)])
+def test_given_sensors_within_their_tolerances_when_a_quotient_is_taken_then_it_is_off_by_the_bound_at_most(
+    shares,
+):
+    random = np.random.default_rng(3)
+    reads = random.standard_normal((3, 40)) + 1j * random.standard_normal((3, 40))
+    above, below = np.array([1.0, 0.5, 0.0]), np.array([0.0, 0.3, 1.5])
+    reference = below @ reads
+    value = (above @ reads) / reference
+    upper, lower = (each[:, None] * reads / reference for each in (above, below))
+    rec = recording(*toleranced(*shares))
+    bound = only(sensitivity_part(rec, "abc", value, upper, lower))
+    worst = np.zeros(40)
+    for corner in product(*((-share, share) for share in shares)):
+        there = reads / (1.0 + np.array(corner))[:, None]
+        worst = np.maximum(worst, abs((above @ there) / (below @ there) - value))
+    assert (worst <= bound * (1 + 1e-12)).all()
+
+
+def test_given_one_sensor_that_reads_too_little_when_its_bound_is_told_then_it_is_reached():
+    value = np.array([2.0 - 1.0j])
+    one, none = np.ones((1, 1)), np.zeros((1, 1))
+    rec = recording(*toleranced(0.2))
+    response = only(sensitivity_part(rec, "a", value, one * value, none))
+    reference = only(sensitivity_part(rec, "a", value, none, one))
+    assert response == pytest.approx(abs(value / 0.8 - value))
+    # What is there may be a quarter more than it reads, or all but nothing of a larger reading.
+    assert reference == pytest.approx(abs(value) * 0.25 / 0.75)
+    assert only(sensitivity_part(rec, "a", value, none, 4.0 * one)) == np.inf
+    assert sensitivity_part(recording(channel("a")), "a", value, one, none) == {}
+
+
+def image(frequency, fine=64):
+    """Size of the image about the sample rate of a tone drawn in straight lines from sample to sample."""
+    samples = 512
+    cycles = round(frequency / RATE * samples)
+    tone = np.exp(2j * np.pi * cycles * np.arange(samples + 1) / samples)
+    at = np.arange(samples * fine) / fine
+    drawn = np.interp(at, np.arange(samples + 1), tone.real) + 1j * np.interp(
+        at, np.arange(samples + 1), tone.imag
+    )
+    spectrum = abs(np.fft.fft(drawn))
+    return spectrum[cycles - samples] / spectrum[cycles]
+
+
+def test_given_straight_lines_from_sample_to_sample_when_they_fold_back_then_the_bound_holds_their_image():
+    frequency = np.array([40.0, 320.0, 1280.0, 2000.0])
+    value = np.full(4, 0.5 + 0.2j)
+    one, none = np.ones((1, 4)), np.zeros((1, 4))
+    images = np.array([image(f) for f in frequency])
+    given = (["a1"], frequency, value, one * value, none, "acceleration")
+    part = only(aliasing_part(recording(channel()), *given))
+    # Of a flat acceleration all of the image comes through, and a little where it is smaller than can be known.
+    assert part[1:] == pytest.approx(
+        (np.maximum(images, 0.1 * (frequency / RATE) ** 2) * abs(value))[1:], rel=0.01
+    )
+    assert (part >= images * abs(value) * 0.99).all()
+    slow = channel(poles=(-2 * np.pi * 100.0,), gain=2 * np.pi * 100.0)
+    through = abs(slow.response(RATE - frequency) / slow.response(frequency))
+    expected = np.maximum(images * through, 0.1 * (frequency / RATE) ** 2) * abs(value)
+    assert only(aliasing_part(recording(slow), *given)) == pytest.approx(expected, rel=0.02)
+    filtered = channel(filter={"rate": RATE, "delay": 38.0, "cutoff": 0.5, "beta": 11.0})
+    assert aliasing_part(recording(filtered), *given) == {}
+
+
+def test_given_a_structure_that_moves_less_beyond_its_modes_when_it_folds_back_then_the_image_is_smaller():
+    frequency = np.array([100.0, 1000.0, 2000.0])
+    one, none = np.ones((1, 3)), np.zeros((1, 3))
+    rec = recording(channel(), channel("drive", "drive"))
+    for motion, order in (("acceleration", 2), ("velocity", 1), ("displacement", 0)):
+        # A resonance at 1 kHz, ten times as high as the acceleration at the top of the band.
+        value = np.array([1.0, 10.0, 1.0]) / frequency ** (2 - order)
+        given = (frequency, value, one * value, none, motion)
+        body, other = (only(aliasing_part(rec, [name], *given)) for name in ("a1", "drive"))
+        assert body / other == pytest.approx([1.0, 0.1, 1.0])
+
+
+def test_given_noise_in_the_reference_when_h1_is_low_then_the_truth_lies_at_the_end_of_the_bound():
+    truth, noise = 2.0 - 1.0j, np.array([0.0, 0.1, 1.0, 9.0])
+    h1, coherence = truth / (1.0 + noise), 1.0 / (1.0 + noise)
+    assert only(reference_noise_part(h1, coherence)) == pytest.approx(abs(truth - h1))
+
+
+def test_given_a_reference_that_may_be_smaller_when_divided_by_then_both_bounds_make_up_the_worst():
+    doubt = np.array([0.0, 0.1, 0.5, 0.99, 1.0, 1.5])
+    first = np.full(6, 0.3)
+    both = np.hypot(first, only(doubtful_reference_part(first, doubt)))
+    assert both[:4] == pytest.approx(first[:4] / (1.0 - doubt[:4]))
+    assert (both[4:] == np.inf).all()
+
+
+def test_given_gaussian_noise_of_some_counts_when_rounded_then_its_gain_is_off_by_the_bound_and_no_more():
+    for sigma in (0.3, 0.4, 0.5, 0.7, 1.0):
+        # E[x round(x)] / sigma^2 is the sum of the density at the thresholds (Stein), worst where one is at the mean.
+        off = max(
+            abs(np.sum(norm.pdf(np.arange(-20, 21) + shift, scale=sigma)) - 1.0) for shift in (0.0, 0.5)
+        )
+        bound = noise_gain(np.array([sigma**2 + 1 / 12]))[0]
+        assert 0.95 * bound < off < 1.05 * bound
+    assert noise_gain(np.array([0.2499**2 + 1 / 12, 0.0, np.inf])).tolist() == [np.inf, np.inf, 0.0]
+
+
+def test_given_a_tone_of_some_counts_when_rounded_then_its_gain_is_off_by_the_bound_at_most():
+    angle = (np.arange(4000) + 0.5) * np.pi / 4000
+    for size in (1.0, 2.0, 5.0, 20.0):
+        worst = 0.0
+        for near, offset in product(np.linspace(0.97, 1.03, 13) * size, np.linspace(0.0, 0.5, 6)):
+            read = np.rint(near * np.cos(angle) + offset)
+            worst = max(worst, abs(2.0 * np.mean(read * np.cos(angle)) / near - 1.0))
+        bound = tone_gain(np.array([size**2 / 2 + 1 / 12]))[0]
+        assert 0.85 * bound < worst < bound
+    assert tone_gain(np.array([0.49**2 / 2 + 1 / 12, 0.0, np.inf])).tolist() == [np.inf, np.inf, 0.0]
+
+
+def test_given_readings_in_counts_when_rounded_then_each_channel_adds_its_share():
+    counting, volts = channel("a", volts_per_count=1e-3), channel("b")
+    rec = recording(counting, volts)
+    assert counts_of(rec, "ab").tolist() == [2e-3, 0.0]
+    assert in_counts(rec, "ab", np.array([[4e-6, 16e-6], [1.0, 1.0]])).tolist() == [[1.0, 4.0], [np.inf] * 2]
+    value = np.array([2.0 + 0j])
+    upper, lower = np.array([[2.0], [0.0]]), np.array([[0.0], [1.0]])
+    part = only(rounding_part(np.array([[0.1], [0.02]]), value, upper, lower))
+    assert part == pytest.approx([2.0 * (0.1 + 0.02)])
+    assert rounding_part(np.zeros((2, 1)), value, upper, lower) == {}
+    # What reads nothing bounds nothing, even where it has no share.
+    assert only(rounding_part(np.array([[np.inf], [0.0]]), value, 0 * upper, 0 * lower)) == np.inf
+
+
+def test_given_a_clock_that_is_off_when_a_curve_slopes_then_it_is_off_by_as_much_as_along_it():
+    frequency = np.array([30.0, 10.0, 20.0, 40.0])
+    value = (3.0 - 4.0j) * frequency
+    off = recording(converter="rate: 5120 Hz, clock_error: -50 ppm")
+    assert only(clock_part(off, frequency, value)) == pytest.approx(abs(value * (1 - 50e-6) - value))
+    assert clock_part(off, frequency[:2], value[:2]) == {}
+    assert len(clock_part(off, frequency[:3], value[:3])) == 1
+    assert clock_part(recording(), frequency, value) == {}

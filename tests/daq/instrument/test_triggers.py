@@ -1,0 +1,124 @@
+"""What the triggers are said to do, sample by sample, and what they find."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from math import ceil
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from daq.instrument.engines.triggers import (
+    AnalogSource,
+    AtTime,
+    OtherTask,
+    SyncPulse,
+    digital_source,
+    edge,
+    window,
+)
+from daq.instrument.errors import Code, DaqError
+from daq.instrument.values import Slope, WindowCondition
+
+# Few values, so that samples lie on levels and limits.
+LEVELS = st.integers(-4, 4).map(float)
+
+
+def watched(samples, skip, beyond, arms):
+    """Watch the samples one by one: the first beyond after one that arms."""
+    armed = False
+    for i, x in enumerate(samples):
+        if beyond(x):
+            if armed and i >= skip:
+                return i
+            armed = False
+        elif arms(x):
+            armed = True
+    return None
+
+
+def found(condition, samples, skip, cuts):
+    """Index in the whole signal of what a finder finds in its parts."""
+    ((_, finder),) = AnalogSource(((0, condition),)).finders()
+    start = 0
+    for part in np.split(np.array(samples), cuts):
+        at = finder.find(part, min(max(0, skip - start), part.size))
+        if at is not None:
+            return start + at
+        start += part.size
+    return None
+
+
+@given(
+    samples=st.lists(LEVELS, min_size=1, max_size=25),
+    skip=st.integers(0, 12),
+    cuts=st.lists(st.integers(0, 25), max_size=3).map(sorted),
+    level=LEVELS,
+    hysteresis=st.sampled_from([0.0, 1.0, 3.0]),
+    low=LEVELS,
+    width=st.sampled_from([0.0, 1.0, 3.0]),
+)
+def test_given_any_signal_in_any_parts_when_watched_then_triggers_find_what_is_seen_sample_by_sample(
+    samples, skip, cuts, level, hysteresis, low, width
+):
+    def rising(signal, level):
+        return watched(signal, skip, lambda x: x > level, lambda x: x <= level - hysteresis)
+
+    assert found(edge(Slope.RISING, level, hysteresis), samples, skip, cuts) == rising(samples, level)
+    mirrored = rising([-x for x in samples], -level)
+    assert found(edge(Slope.FALLING, level, hysteresis), samples, skip, cuts) == mirrored
+    top = low + width
+    entering = watched(samples, skip, lambda x: low <= x <= top, lambda x: not low <= x <= top)
+    assert found(window(WindowCondition.ENTERING, low, top), samples, skip, cuts) == entering
+    leaving = watched(samples, skip, lambda x: not low <= x <= top, lambda x: low <= x <= top)
+    assert found(window(WindowCondition.LEAVING, low, top), samples, skip, cuts) == leaving
+
+
+@given(
+    rate=st.sampled_from(
+        [Fraction(2), Fraction(5120), Fraction(10_000, 3), Fraction(51_200), Fraction(7, 2)]
+    ),
+    second=st.integers(0, 3000),
+    beside=st.integers(-2, 2),
+)
+def test_given_any_sample_when_the_next_pulse_is_asked_for_then_it_is_at_the_first_from_there_on(
+    rate, second, beside
+):
+    tick = max(0, ceil(second * rate / 2) + beside)
+    for slope, first in ((Slope.RISING, Fraction(1)), (Slope.FALLING, Fraction(3, 2))):
+        edges = (first + k for k in range(second + 3))
+        expected = next(ceil(time * rate) for time in edges if time * rate >= tick)
+        assert SyncPulse(slope).next_tick(tick, float(rate)) == expected
+
+
+def test_given_a_time_on_the_wall_when_it_is_to_come_then_its_sample_is_the_moment_else_now():
+    start = AtTime(0.3)
+    assert [start.next_tick(tick, 1000.0) for tick in (0, 300, 301)] == [300, 300, 301]
+    assert AtTime(0.30001).next_tick(0, 1000.0) == 301
+
+
+@pytest.mark.parametrize(
+    ("terminal", "source"),
+    [
+        ("/Dev1/PFI0", SyncPulse(Slope.FALLING)),
+        (" pfi12 ", SyncPulse(Slope.FALLING)),
+        ("/Dev1/ai/StartTrigger", OtherTask("Dev1", "ai", False)),
+        ("/Dev2/ao/StartTrigger", OtherTask("Dev2", "ao", False)),
+        ("ai/referencetrigger", OtherTask("", "ai", True)),
+    ],
+)
+def test_given_a_terminal_when_asked_what_it_carries_then_it_is_a_pulse_or_the_moment_of_a_task(
+    terminal, source
+):
+    assert digital_source(terminal, Slope.FALLING) == source
+
+
+@pytest.mark.parametrize(
+    "terminal", ["", "/Dev1/PFI", "/Dev1/ai/SampleClock", "PFI0x", "/Dev1/ci/StartTrigger"]
+)
+def test_given_a_terminal_without_a_signal_when_asked_for_then_those_with_one_are_named(terminal):
+    with pytest.raises(DaqError, match="PFI0") as caught:
+        digital_source(terminal, Slope.RISING)
+    assert caught.value.code == Code.ROUTE_NOT_SUPPORTED_BY_HW_ROUTING == -89136

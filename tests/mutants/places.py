@@ -44,6 +44,7 @@ PLACES: dict[str, dict[str, str]] = {
     },
     "bounds": {
         "analysis/responses/systematic.py": "tests/analysis/responses/test_systematic.py tests/analysis/responses",
+        "analysis/responses/aliasing.py": "tests/analysis/responses/test_aliasing.py tests/analysis/responses",
         "analysis/responses/local_rational.py": "tests/analysis/responses",
     },
     "checksums": {

@@ -80,7 +80,7 @@ def try_place(place: str, most: int, seed: int) -> list[Found]:
             outcome, output = run_tests(command, 3600.0)
             if outcome is not TestOutcome.SURVIVED:
                 raise RuntimeError(f"{module}: its tests fail as it is:\n{output[-3000:]}")
-            patience = 60.0 + 5.0 * (time.monotonic() - started)
+            patience = 30.0 + 2.0 * (time.monotonic() - started)
             found += [_try(place, module, fault, command, patience) for fault in chosen]
     return found
 

@@ -11,7 +11,6 @@ from scipy.stats import norm
 
 import rig
 from analysis.responses.systematic import (
-    aliasing_part,
     clock_part,
     counts_of,
     doubtful_reference_part,
@@ -93,51 +92,6 @@ def test_given_one_sensor_that_reads_too_little_when_its_bound_is_told_then_it_i
     assert reference == pytest.approx(abs(value) * 0.25 / 0.75)
     assert only(sensitivity_part(rec, "a", value, none, 4.0 * one)) == np.inf
     assert sensitivity_part(recording(channel("a")), "a", value, one, none) == {}
-
-
-def image(frequency, fine=64):
-    """Size of the image about the sample rate of a tone drawn in straight lines from sample to sample."""
-    samples = 512
-    cycles = round(frequency / RATE * samples)
-    tone = np.exp(2j * np.pi * cycles * np.arange(samples + 1) / samples)
-    at = np.arange(samples * fine) / fine
-    drawn = np.interp(at, np.arange(samples + 1), tone.real) + 1j * np.interp(
-        at, np.arange(samples + 1), tone.imag
-    )
-    spectrum = abs(np.fft.fft(drawn))
-    return spectrum[cycles - samples] / spectrum[cycles]
-
-
-def test_given_straight_lines_from_sample_to_sample_when_they_fold_back_then_the_bound_holds_their_image():
-    frequency = np.array([40.0, 320.0, 1280.0, 2000.0])
-    value = np.full(4, 0.5 + 0.2j)
-    one, none = np.ones((1, 4)), np.zeros((1, 4))
-    images = np.array([image(f) for f in frequency])
-    given = (["a1"], frequency, value, one * value, none, "acceleration")
-    part = only(aliasing_part(recording(channel()), *given))
-    # Of a flat acceleration all of the image comes through, and a little where it is smaller than can be known.
-    assert part[1:] == pytest.approx(
-        (np.maximum(images, 0.1 * (frequency / RATE) ** 2) * abs(value))[1:], rel=0.01
-    )
-    assert (part >= images * abs(value) * 0.99).all()
-    slow = channel(poles=(-2 * np.pi * 100.0,), gain=2 * np.pi * 100.0)
-    through = abs(slow.response(RATE - frequency) / slow.response(frequency))
-    expected = np.maximum(images * through, 0.1 * (frequency / RATE) ** 2) * abs(value)
-    assert only(aliasing_part(recording(slow), *given)) == pytest.approx(expected, rel=0.02)
-    filtered = channel(filter={"rate": RATE, "delay": 38.0, "cutoff": 0.5, "beta": 11.0})
-    assert aliasing_part(recording(filtered), *given) == {}
-
-
-def test_given_a_structure_that_moves_less_beyond_its_modes_when_it_folds_back_then_the_image_is_smaller():
-    frequency = np.array([100.0, 1000.0, 2000.0])
-    one, none = np.ones((1, 3)), np.zeros((1, 3))
-    rec = recording(channel(), channel("drive", "drive"))
-    for motion, order in (("acceleration", 2), ("velocity", 1), ("displacement", 0)):
-        # A resonance at 1 kHz, ten times as high as the acceleration at the top of the band.
-        value = np.array([1.0, 10.0, 1.0]) / frequency ** (2 - order)
-        given = (frequency, value, one * value, none, motion)
-        body, other = (only(aliasing_part(rec, [name], *given)) for name in ("a1", "drive"))
-        assert body / other == pytest.approx([1.0, 0.1, 1.0])
 
 
 def test_given_noise_in_the_reference_when_h1_is_low_then_the_truth_lies_at_the_end_of_the_bound():

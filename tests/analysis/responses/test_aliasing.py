@@ -1,0 +1,62 @@
+"""Images of a drive in straight lines, drawn finely, against the part of the error that bounds them."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+
+import rig
+from analysis.responses.aliasing import aliasing_part
+from daq.signal_chain.channel import ChannelInfo
+
+RATE, SAMPLES, FINE = 5120.0, 512, 64
+CYCLES = np.array([4, 32, 128, 200])
+FREQUENCY = CYCLES * RATE / SAMPLES
+SCENE = "{structure: {masses: [1 kg], springs: [4 kN/m]}, shaker: {kind: force, body: 1}}"
+
+
+def images(info, cycles):
+    """What a channel reads of a tone's images, over what it reads of the tone itself, added up."""
+    ends = np.exp(2j * np.pi * cycles * np.arange(SAMPLES + 1) / SAMPLES)
+    share = np.arange(FINE) / FINE
+    drawn = np.fft.fft((ends[:-1, None] * (1 - share) + ends[1:, None] * share).ravel())
+    read = abs(drawn * info.response(np.fft.fftfreq(drawn.size, 1 / (RATE * FINE))))
+    folded = read.reshape(FINE, SAMPLES)[:, cycles]
+    return folded[1:].sum() / folded[0]
+
+
+def part(info, value, motion="acceleration"):
+    rec = SimpleNamespace(channels={info.name: info}, scene=rig.loads(SCENE, where="a test"))
+    shares = value[None], np.zeros((1, value.size))
+    return aliasing_part(rec, [info.name], FREQUENCY, value, *shares, motion)
+
+
+def channel(at="body 1", quantity="acceleration", **chain):
+    return ChannelInfo("a", at, quantity, sensitivity=1.0, rate=RATE, **chain)
+
+
+def test_given_a_flat_acceleration_when_images_fold_back_then_the_bound_holds_them_and_is_near():
+    value = np.full(4, 0.5 + 0.2j)
+    slow = channel(poles=(-2 * np.pi * 100.0,), gain=2 * np.pi * 100.0)
+    for info in (channel(), slow, channel(average=True)):
+        true = np.array([images(info, cycles) for cycles in CYCLES]) * abs(value)
+        [bound] = part(info, value).values()
+        least = 0.1 * (FREQUENCY / RATE) ** 2 * abs(value)
+        assert (bound >= true).all()
+        assert (bound <= np.maximum(1.25 * true, least)).all()
+
+
+def test_given_a_decimation_filter_when_asked_for_images_then_there_are_none():
+    filtered = channel(filter={"rate": RATE, "delay": 38.0, "cutoff": 0.5, "beta": 11.0})
+    assert part(filtered, np.ones(4, dtype=complex)) == {}
+
+
+def test_given_a_structure_that_accelerates_less_beyond_a_peak_when_images_fold_back_then_they_are_smaller():
+    peak = np.array([1.0, 1.0, 4.0, 1.0], dtype=complex)
+    for motion, order in (("acceleration", 2), ("velocity", 1), ("displacement", 0)):
+        value = peak / FREQUENCY ** (2 - order)
+        body, elsewhere = (
+            next(iter(part(channel(at), value, motion).values())) for at in ("body 1", "drive")
+        )
+        np.testing.assert_allclose(body, elsewhere / peak.real)

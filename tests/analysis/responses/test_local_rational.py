@@ -1,0 +1,130 @@
+"""The local rational fit on spectra that are rational, noisy or neither, made without it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from analysis.responses import local_rational
+from analysis.responses.local_rational import Reading, local_fit
+
+BINS = 400
+at = np.arange(BINS) - 200.0
+
+
+def gaussian(random, *shape):
+    """Complex numbers of unit power."""
+    return (random.standard_normal(shape) + 1j * random.standard_normal(shape)) / np.sqrt(2.0)
+
+
+def resonance(width):
+    """A quotient of a line and a parabola, with a peak of 1 in the middle."""
+    return (1.0 + 2e-3 * at) * width**2 / ((at - 0.5j * width) ** 2 - width**2) / (-0.8)
+
+
+def quotient_of_what_ends_add(random, stretches, width):
+    """What a stretch's end adds to its spectrum: a parabola over the same denominator."""
+    powers = (at / 100.0) ** np.arange(3)[:, None]
+    return gaussian(random, stretches, 3) @ powers / ((at - 0.5j * width) ** 2 - width**2) * width**2
+
+
+@pytest.mark.parametrize("ends", ["at rest", "joined", "apart"])
+def test_given_a_rational_response_when_fitted_then_it_is_exact_whatever_the_ends_add(ends):
+    random = np.random.default_rng(7)
+    force, width = gaussian(random, 3, BINS), 20.0
+    response = 1.0 / (1.0 + 0.02j * (at + 230.0))
+    begin = {
+        "at rest": np.zeros((3, BINS), dtype=complex),
+        "joined": np.ones((3, BINS), dtype=complex),
+        "apart": np.exp(-2j * np.pi * np.arange(BINS) * np.array([0.37, 0.21, 0.45])[:, None]),
+    }[ends]
+    spectra = response * force * resonance(width) + quotient_of_what_ends_add(random, 3, width)
+    if ends == "apart":
+        spectra = spectra + begin * quotient_of_what_ends_add(random, 3, width)
+    lines = np.array([0, 3, 150, 199, 205, 390, 399])
+    fit = local_fit(Reading(spectra, response, np.zeros((0, BINS))), force, begin, lines, 12)
+    np.testing.assert_allclose(fit.value, resonance(width)[lines], rtol=1e-7)
+    assert (np.sqrt(fit.variance) < 1e-7 * abs(fit.value)).all()
+    assert (fit.missed < 1e-6 * abs(fit.value)).all()
+    assert fit.coherence == pytest.approx(np.ones(7), abs=1e-9) or ends != "at rest"
+
+
+def test_given_the_slow_transient_of_a_high_pass_when_fitted_then_it_is_not_taken_for_a_response():
+    random = np.random.default_rng(8)
+    force, slow = gaussian(random, 2, BINS), 1.0 / (1j * np.arange(BINS) + 0.4)
+    spectra = 2.0 * force + 50.0 * gaussian(random, 2, 1) * slow
+    lines = np.arange(1, 40)
+    none = np.zeros((2, BINS))
+    told = local_fit(Reading(spectra, np.ones(BINS), slow[None]), force, none, lines, 12)
+    np.testing.assert_allclose(told.value, 2.0, rtol=1e-7)
+
+
+@pytest.mark.parametrize("side", [6, 15])
+def test_given_noise_when_fitted_then_errors_scatter_as_stated_and_coherence_is_the_share_of_power(side):
+    random = np.random.default_rng(9)
+    stretches, noise, ratios, coherences, degrees = 3, 0.3, [], [], []
+    lines = np.arange(30, 370, 2 * side + 1)
+    for _ in range(40):
+        force = gaussian(random, stretches, BINS)
+        spectra = 2.0 * force + noise * gaussian(random, stretches, BINS)
+        reading = Reading(spectra, np.ones(BINS), np.zeros((0, BINS)))
+        fit = local_fit(reading, force, np.zeros((stretches, BINS)), lines, side)
+        ratios.append(abs(fit.value - 2.0) ** 2 / (2.0 * fit.variance))
+        coherences.append(fit.coherence)
+        degrees.append(fit.degrees)
+    # The mean of 1 / (chi^2 / degrees) is degrees / (degrees - 2).
+    free = np.median(degrees)
+    assert np.mean(ratios) == pytest.approx(free / (free - 2.0), rel=0.15)
+    # Two for every equation, less the unknowns: three of the response, and of each stretch's end; no denominator.
+    assert free == 2 * (stretches * (2 * side + 1) - 3 - 3 * stretches)
+    assert np.mean(coherences) == pytest.approx(4.0 / (4.0 + noise**2), abs=0.01)
+
+
+def test_given_zeros_in_front_of_stretches_when_fitted_then_lines_count_for_less():
+    random = np.random.default_rng(10)
+    force = gaussian(random, 3, BINS)
+    reading = Reading(force + 0.1 * gaussian(random, 3, BINS), np.ones(BINS), np.zeros((0, BINS)))
+    lines = np.arange(50, 350, 7)
+    none = np.zeros((3, BINS))
+    whole, half = (local_fit(reading, force, none, lines, 12, used) for used in (1.0, 0.5))
+    same = whole.degrees - half.degrees == 75
+    assert same.mean() > 0.8
+    np.testing.assert_array_equal(whole.value[same], half.value[same])
+    ratio = whole.degrees[same] / half.degrees[same]
+    np.testing.assert_allclose(half.variance[same] / whole.variance[same], ratio)
+
+
+def test_given_a_curve_too_sharp_for_the_polynomials_when_fitted_then_what_they_miss_is_told_where_it_is():
+    random = np.random.default_rng(11)
+    # Three peaks within a fit's reach are more than a denominator of second order.
+    truth = sum(5.0 / (1j * (at - place) + 1.0) for place in (-6.0, 0.0, 6.0))
+    force = gaussian(random, 6, BINS)
+    reading = Reading(truth * force, np.ones(BINS), np.zeros((0, BINS)))
+    lines = np.arange(20, 380)
+    fit = local_fit(reading, force, np.zeros((6, BINS)), lines, 12)
+    off = abs(fit.value - truth[lines])
+    beside, far = abs(at[lines]) < 8, abs(at[lines]) > 60
+    scale = np.sqrt(np.mean(off[beside] ** 2))
+    assert 0.3 * scale < np.sqrt(np.mean(fit.missed[beside] ** 2)) < 3.0 * scale
+    assert fit.missed[far].max() < 0.01 * scale
+
+
+def test_given_any_number_of_lines_at_a_time_when_fitted_then_the_result_is_the_same(monkeypatch):
+    random = np.random.default_rng(12)
+    force = gaussian(random, 2, BINS)
+    reading = Reading(
+        force * resonance(30.0) + 0.01 * gaussian(random, 2, BINS), np.ones(BINS), np.zeros((0, BINS))
+    )
+    lines = np.arange(5, 395, 9)
+    whole = local_fit(reading, force, np.zeros((2, BINS)), lines, 10)
+    monkeypatch.setattr(local_rational, "_AT_ONCE", 3000)
+    parts = local_fit(reading, force, np.zeros((2, BINS)), lines, 10)
+    np.testing.assert_allclose(parts.value, whole.value, rtol=1e-9)
+    np.testing.assert_allclose(parts.missed, whole.missed, rtol=1e-6)
+
+
+def test_given_nothing_driven_when_fitted_then_there_is_no_value():
+    random = np.random.default_rng(13)
+    reading = Reading(gaussian(random, 2, BINS), np.ones(BINS), np.zeros((0, BINS)))
+    fit = local_fit(reading, np.zeros((2, BINS), dtype=complex), np.zeros((2, BINS)), np.array([50, 60]), 8)
+    assert np.isnan(fit.value).all()

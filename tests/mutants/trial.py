@@ -91,8 +91,7 @@ def _try(place: str, module: str, fault: MutationSpec, command: str, patience: f
         raise RuntimeError(f"{module}: no trial of {fault}:\n{result.output}")
     lines = [line for line in result.diff.splitlines() if line.startswith(("@@", "-", "+"))]
     change = [line for line in lines if line[:3] not in ("---", "+++")]
-    reasons = EQUIVALENT.get(module, {})
-    why = next((reasons[text] for line in change if (text := line[1:].strip()) in reasons), "")
+    why = next((EQUIVALENT[text] for line in change if (text := line[1:].strip()) in EQUIVALENT), "")
     return Found(place, module, result.test_outcome is TestOutcome.KILLED, why, "\n".join(change))
 
 

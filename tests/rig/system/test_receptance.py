@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
 import rig
+import rig.system.receptance as module
 from rig.errors import SceneError
 from rig.scene.scene import Scene
 from rig.system.receptance import loaded_matrices, receptance
@@ -91,6 +92,23 @@ def test_given_the_spring_attached_when_compared_then_table_response_follows_fro
     np.testing.assert_allclose(
         receptance(scene, FREQUENCIES, attached=True), 6600.0 * free / (1.0 + 6600.0 * free[0]), rtol=1e-9
     )
+
+
+def test_given_any_number_of_frequencies_at_once_when_driven_then_the_response_is_the_same(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene = rig.load("bare-structure")
+    whole = receptance(scene, FREQUENCIES)
+    for elements in (1, 9, 70):
+        monkeypatch.setattr(module, "_ELEMENTS_AT_ONCE", elements)
+        np.testing.assert_array_equal(receptance(scene, FREQUENCIES), whole)
+
+
+def test_given_an_undamped_structure_when_driven_at_its_resonance_then_told_so() -> None:
+    structure = {"masses": [1.0], "springs": [(2.0 * np.pi) ** 2]}
+    scene = Scene(structure=structure, shaker={"kind": "force", "body": 1})
+    with pytest.raises(SceneError, match="infinite at one of the frequencies"):
+        receptance(scene, [0.5, 1.0])
 
 
 def test_given_slow_motion_when_driven_then_response_is_that_of_the_springs() -> None:

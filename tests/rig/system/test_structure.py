@@ -98,6 +98,25 @@ def test_given_a_floating_chain_when_solved_then_its_first_frequency_is_zero_and
     np.testing.assert_allclose(damping @ np.ones(3), 0.0, atol=1e-9 * np.abs(damping).max())
 
 
+@pytest.mark.parametrize("n", [1, 9, 10, 11, 60])
+def test_given_a_uniform_chain_that_floats_when_solved_then_it_drifts_at_zero_and_swings_as_the_closed_form(
+    n: int,
+) -> None:
+    m, k = 0.5, 2e6
+    frequencies, shapes = natural_modes(m * np.eye(n), chain((0.0, *[k] * (n - 1))))
+    expected = 2.0 * np.sqrt(k / m) * np.sin(np.arange(n) * np.pi / (2 * n))
+    assert frequencies[0] == 0.0
+    np.testing.assert_allclose(frequencies[1:], expected[1:], rtol=1e-9)
+    np.testing.assert_allclose(np.abs(shapes).max(axis=0), 1.0)
+    np.testing.assert_array_equal(shapes.max(axis=0), 1.0)
+
+
+@pytest.mark.parametrize("push", [1e-9, 1e-3])
+def test_given_springs_that_push_away_a_little_when_solved_then_told_so(push: float) -> None:
+    with pytest.raises(SceneError, match="not positive semidefinite"):
+        natural_modes(np.eye(3), np.diag([1.0, 2.0, -push]))
+
+
 def test_given_springs_that_push_away_when_solved_then_told_so() -> None:
     with pytest.raises(SceneError, match="not positive semidefinite"):
         natural_modes(np.eye(2), np.diag([1.0, -2.0]))

@@ -1,0 +1,199 @@
+"""The assembled equations against transfer functions, sags and starts worked out by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rig
+from rig.errors import SceneError
+from rig.system.assembly import assemble, spring_force_row
+from rig.system.hybrid_system import HybridSystem
+from rig.system.landing import landing
+
+M1, M2, K1, K2, C1, C2 = 1.0, 0.5, 4e3, 2e3, 3.0, 1.0
+S = 2j * np.pi * np.array([0.5, 7.0, 40.0, 300.0, 2000.0])
+
+
+def scene_of(**parts: object) -> rig.Scene:
+    """Two bodies with dashpots."""
+    structure = {"masses": [M1, M2], "springs": [K1, K2], "damping": {"dashpots": [C1, C2]}}
+    return rig.Scene.model_validate({"structure": structure, **parts})
+
+
+def response(system: HybridSystem, column: int = 0) -> dict[str, np.ndarray]:
+    """Motion of every coordinate for one unit of drive at the frequencies of `S`, straight from the equations."""
+    n, extra = system.coordinates, len(system.rate_state)
+    found = []
+    for s in S:
+        left = np.zeros((n + extra, n + extra), dtype=complex)
+        left[:n, :n] = system.mass * s**2 - system.force_state[:, :n] - s * system.force_state[:, n : 2 * n]
+        left[:n, n:] = -system.force_state[:, 2 * n :]
+        left[n:, :n] = -system.rate_state[:, :n] - s * system.rate_state[:, n : 2 * n]
+        left[n:, n:] = s * np.eye(extra) - system.rate_state[:, 2 * n :]
+        right = np.concatenate([system.force_drive[:, column], system.rate_drive[:, column]])
+        found.append(np.linalg.solve(left, right))
+    return dict(zip(system.points, np.array(found).T, strict=False))
+
+
+def link(spring: float, dashpot: float) -> np.ndarray:
+    return spring + dashpot * S
+
+
+def stiffness_of_body_2(extra: float = 0.0) -> np.ndarray:
+    """Force for each metre of body 2, the link to body 1 held there."""
+    above, hanging = link(K1, C1) + M1 * S**2, link(K2, C2)
+    return M2 * S**2 + above * hanging / (above + hanging) + extra
+
+
+def test_given_a_table_when_driven_then_it_follows_critically_damped_and_its_spring_pulls_at_the_body() -> (
+    None
+):
+    scene = scene_of(shaker={"kind": "table", "body": 2, "spring": 6e3, "bandwidth": 150.0})
+    moves = response(assemble(scene))
+    table = 1.0 / (1.0 + S / (2 * np.pi * 150.0)) ** 2
+    np.testing.assert_allclose(moves["table"], table, rtol=1e-10)
+    np.testing.assert_allclose(moves["body 2"], 6e3 * table / stiffness_of_body_2(6e3), rtol=1e-9)
+
+
+@pytest.mark.parametrize("mode", ["voltage", "current"])
+def test_given_an_electrodynamic_shaker_when_driven_then_coil_armature_and_spring_obey_their_laws(
+    mode: str,
+) -> None:
+    resistance, inductance, factor, mass, held, damped, spring, gain = (
+        2.5,
+        3e-4,
+        12.0,
+        0.3,
+        7e3,
+        9.0,
+        5e3,
+        1.7,
+    )
+    shaker = {
+        "kind": "electrodynamic",
+        "body": 2,
+        "spring": spring,
+        "coil": {"resistance": resistance, "inductance": inductance, "force_factor": factor},
+        "armature": {"mass": mass, "stiffness": held, "damping": damped},
+        "amplifier": {"mode": mode, "gain": gain},
+    }
+    system = assemble(scene_of(shaker=shaker))
+    moves = response(system)
+    body = stiffness_of_body_2()
+    load = mass * S**2 + damped * S + held + spring * body / (spring + body)
+    if mode == "voltage":
+        impedance = resistance + inductance * S
+        expected = factor * gain / (impedance * load + factor**2 * S)
+    else:
+        expected = factor * gain / load
+    np.testing.assert_allclose(moves["table"], expected, rtol=1e-9)
+    np.testing.assert_allclose(moves["body 2"], moves["table"] * spring / (spring + body), rtol=1e-9)
+    row = spring_force_row(scene_of(shaker=shaker), system)
+    assert row.tolist() == [0.0, -spring, spring, *[0.0] * (system.states - 3)]
+
+
+def test_given_a_hammer_beside_a_force_on_two_bodies_when_driven_then_each_input_acts_where_it_is() -> None:
+    test = {"kind": "impulse", "body": 2, "peak": 10.0, "width": 4e-3}
+    scene = scene_of(shaker={"kind": "force", "body": [1, 2]}, test=test)
+    system = assemble(scene)
+    assert (system.inputs, system.drive_units) == (("shaker", "hammer"), ("N", "N"))
+    hit = 1.0 / stiffness_of_body_2()
+    above, hanging = link(K1, C1) + M1 * S**2, link(K2, C2)
+    first = 1.0 / (above + hanging * M2 * S**2 / (hanging + M2 * S**2))
+    np.testing.assert_allclose(response(system, 1)["body 2"], hit, rtol=1e-9)
+    across = hit * hanging / (above + hanging)
+    np.testing.assert_allclose(response(system, 0)["body 2"], hit + across, rtol=1e-9)
+    np.testing.assert_allclose(response(system, 0)["body 1"], first + across, rtol=1e-9)
+    assert not spring_force_row(scene, system).any()
+
+
+def test_given_dampers_of_all_kinds_when_assembled_then_they_weigh_and_stand_where_they_are() -> None:
+    dampers = [
+        {"body": 2, "mass": 0.1, "clearance": 1e-3},
+        {"body": 1, "mass": 0.2, "clearance": 2e-3, "locked": True},
+        {"body": 4, "mass": 0.05, "clearance": 3e-3, "contact": {"duration": 1e-3}, "restitution": 0.4},
+        {"body": 5, "mass": 0.01, "clearance": 0.0},
+        {
+            "body": 3,
+            "mass": 0.02,
+            "clearance": 4e-3,
+            "contact": {"floor": {"stiffness": 5e5, "damping": 2.0}, "ceiling": {"duration": 2e-3}},
+            "restitution": 0.7,
+        },
+    ]
+    masses, springs = np.array([1.0, 0.5, 0.8, 0.6, 0.7]), np.array([4e3, 5e3, 2e3, 3e3, 6e3])
+    structure = {"masses": masses.tolist(), "springs": springs.tolist()}
+    scene = rig.Scene.model_validate({"structure": structure, "dampers": dampers, "gravity": 10.0})
+    system = assemble(scene)
+    assert system.damper_number.tolist() == [1, 3, 5]
+    assert system.damper_coordinate.tolist() == [1, 3, 2]
+    assert system.bed.tolist() == [-1, 5, 6]
+    assert system.damper_mass.tolist() == [0.1, 0.05, 0.02]
+    assert system.clearance.tolist() == [1e-3, 3e-3, 4e-3]
+    assert system.restitution.tolist() == [0.0, 0.4, 0.7]
+    # Kinetic energy of bodies with what is fixed to them, and of beds that move at gap and body together.
+    v = np.array([0.3, -0.2, 0.5, 0.7, -0.4, 0.9, -0.6])
+    fixed = np.add(masses, [0.2, 0.0, 0.0, 0.0, 0.01])
+    energy = fixed @ v[:5] ** 2 + 0.05 * (v[3] + v[5]) ** 2 + 0.02 * (v[2] + v[6]) ** 2
+    assert v @ system.mass @ v == pytest.approx(energy)
+    # What is fixed or has its own coordinate pulls with its weight all the time.
+    assert system.force_constant == pytest.approx([-2.0, 0.0, -0.2, -0.5, -0.1, -0.5, -0.2])
+    short, long = 1.0 / (1.0 / 0.05 + 1.0 / 0.6), 1.0 / (1.0 / 0.02 + 1.0 / 0.8)
+    for j, wall, mass, expected in (
+        (1, 0, short, (1e-3, 0.4)),
+        (1, 1, short, (1e-3, 0.4)),
+        (2, 1, long, (2e-3, 0.7)),
+    ):
+        found = landing(system.wall_stiffness[j, wall], system.wall_damping[j, wall], mass)
+        assert found == pytest.approx(expected)
+    assert (system.wall_stiffness[2, 0], system.wall_damping[2, 0]) == (5e5, 2.0)
+    assert not system.wall_stiffness[0].any() and not system.wall_damping[0].any()
+    # At rest all weight hangs on the springs, and beds lie in their floors by their own.
+    weight = np.array([2.0, 1.0, 0.2, 0.5, 0.1])
+    sag = -np.cumsum(np.cumsum(weight[::-1])[::-1] / springs)
+    assert system.initial[:7] == pytest.approx([*sag, -0.5 / system.wall_stiffness[1, 0], -0.2 / 5e5])
+    assert not system.initial[7:].any()
+
+
+def test_given_a_free_test_when_started_then_it_adds_to_the_sag_or_stands_alone() -> None:
+    damper = {"body": 1, "mass": 0.1, "clearance": 1e-3}
+    start = {"kind": "free", "displacement": [1e-3, 2e-3], "velocity": [0.1, -0.2], "duration": 1.0}
+    weight = 0.1 * 9.80665
+    settled = assemble(scene_of(dampers=[damper], test=start)).initial
+    assert settled == pytest.approx([1e-3 - weight / K1, 2e-3 - weight / K1, 0.1, -0.2])
+    empty = assemble(scene_of(dampers=[damper], test={**start, "start": "empty"})).initial
+    assert empty == pytest.approx([1e-3, 2e-3, 0.1, -0.2])
+    # The lower mode of the chain: both bodies in phase, body 2 the larger.
+    mode = {"kind": "free", "mode": 1, "amplitude": 3e-3, "duration": 1.0, "start": "empty"}
+    shape = assemble(scene_of(test=mode)).initial[:2]
+    squared = min(np.roots([M1 * M2, -(M1 * K2 + M2 * (K1 + K2)), K1 * K2]).real)
+    assert shape == pytest.approx([3e-3 * (1.0 - M2 * squared / K2), 3e-3])
+
+
+@pytest.mark.parametrize(("contact", "most"), [({}, 62), ({"contact": {"duration": 1e-3}}, 31)])
+def test_given_ever_more_dampers_that_move_when_assembled_then_the_most_there_can_be_is_told(
+    contact: dict[str, object], most: int
+) -> None:
+    def with_dampers(count: int) -> rig.Scene:
+        structure = {"masses": [1.0] * (count + 1), "springs": [1e3] * (count + 1)}
+        damper = {"mass": 1e-3, "clearance": 1e-3}
+        dampers = [{"body": body, **damper} for body in range(1, count)]
+        dampers += [{"body": count, **damper, **contact}, {"body": count + 1, **damper, "locked": True}]
+        return rig.Scene.model_validate({"structure": structure, "dampers": dampers})
+
+    assert assemble(with_dampers(most)).dampers == most
+    with pytest.raises(SceneError, match=f"expected at most {most}"):
+        assemble(with_dampers(most + 1))
+
+
+def test_given_a_structure_that_nothing_holds_when_it_is_to_settle_then_it_says_what_to_do() -> None:
+    floating = {"structure": {"masses": [1.0, 2.0], "springs": [0.0, 1e3]}}
+    damper = {"body": 1, "mass": 0.1, "clearance": 1e-3}
+    with pytest.raises(SceneError, match="not held"):
+        assemble(rig.Scene.model_validate({**floating, "dampers": [damper]}))
+    # Without weight, or from empty springs, nothing has to hold.
+    assert not assemble(
+        rig.Scene.model_validate({**floating, "dampers": [damper], "gravity": 0.0})
+    ).initial.any()
+    assert not assemble(rig.Scene.model_validate(floating)).initial.any()

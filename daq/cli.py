@@ -231,6 +231,11 @@ def run_a_script(
 
     with handed_over():
         code = run_script(script, arguments or [], _bench(scene, changes), clock, seconds)
+    if code == 1:
+        from rig.shadowing import shadowed
+
+        for text in shadowed(script.absolute().parent):
+            typer.echo(f"note: {text}, if that was meant", err=True)
     raise typer.Exit(code)
 
 

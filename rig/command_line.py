@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from rig import console
 from rig.errors import RunError, ShotrigError
+from rig.shadowing import shadowed
 
 if TYPE_CHECKING:
     import typer
@@ -151,6 +152,8 @@ def _in_words(error: BaseException) -> tuple[int, str]:
         context = getattr(error, "ctx", None)
         usage = "" if context is None else f"{context.get_usage()}\n"
         return 2, f"{usage}error: {error.format_message()}"
+    if isinstance(error, ImportError | AttributeError) and (found := shadowed(Path(sys.path[0]))):
+        return 1, "\n".join(f"error: {text}" for text in found)
     return 1, _unexpected(error)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -105,10 +106,13 @@ class DamperMotion:
         return f"other: {self.floor:.3g} floor and {self.ceiling:.3g} ceiling impacts a period"
 
 
-def damper_motion(rec: Recording, sweep: Sweep, channel: str) -> list[DamperMotion]:
+def damper_motion(
+    rec: Recording, sweep: Sweep, channel: str, progress: Callable[[int, int], None] | None = None
+) -> list[DamperMotion]:
     """Tell the motion of the damper under a channel in every measured window.
 
-    A body may hold several dampers: their impacts are then counted together.
+    A body may hold several dampers: their impacts are then counted together. `progress` is called with (windows
+    searched, in all).
     """
     gravity = rec.scene.gravity
     lifts = _acceleration(rec, sweep, channel) > gravity
@@ -137,6 +141,8 @@ def damper_motion(rec: Recording, sweep: Sweep, channel: str) -> list[DamperMoti
                 float(between.max(initial=0.0)),
             )
         )
+        if progress is not None:
+            progress(len(out), sweep.lines.frequency.size)
     return out
 
 

@@ -45,7 +45,7 @@ def present_dampers(
     output : Path, optional
         Folder for figures and tables; default beside the first recording.
     progress : callable, optional
-        Called with (frequencies done, in all) of the lock-in.
+        Called with (frequencies done, in all) of the lock-in, then of the search for impacts in each body.
     """
     from analysis.figures.dampers_figure import dampers_figure
     from rig.figure_style import save
@@ -60,7 +60,7 @@ def present_dampers(
             ] = []
             for sweep in sweeps(rec, progress=progress):
                 name = relabelled(sweep.lines, rec.scene.name, label).label
-                motions, found = _motions(rec, sweep)
+                motions, found = _motions(rec, sweep, progress)
                 lines += [name, *(f"  {line}" for line in found)]
                 # Frequencies that are missing here may be those that matter.
                 notes += [f"{path.name}: {warning}" for warning in sweep.lines.warnings]
@@ -87,7 +87,9 @@ def present_dampers(
     return Result(tuple(files), tuple(lines), tuple(notes))
 
 
-def _motions(rec: Recording, sweep: Sweep) -> tuple[list[list[DamperMotion]], list[str]]:
+def _motions(
+    rec: Recording, sweep: Sweep, progress: Progress | None
+) -> tuple[list[list[DamperMotion]], list[str]]:
     """Motion at every frequency of each damped body, and its description."""
     every, text = [], []
     for body in sorted({damper.body for damper in rec.scene.dampers if not damper.locked}):
@@ -96,7 +98,7 @@ def _motions(rec: Recording, sweep: Sweep) -> tuple[list[list[DamperMotion]], li
             text.append(f"body {body}: no channel on it, so that its impacts are not seen")
             continue
         try:
-            motions = damper_motion(rec, sweep, info.name)
+            motions = damper_motion(rec, sweep, info.name, progress)
         except RecordingError as error:
             text.append(str(error))
             continue

@@ -22,7 +22,7 @@ from analysis.responses.frf_files import is_frf_file, read_frfs
 from analysis.responses.systematic import SENSITIVITY, tolerance
 from rig.errors import RecordingError
 from rig.results import bounded
-from rig.scene.data_sheets import data_sheet
+from rig.scene.presets import origin
 
 if TYPE_CHECKING:
     from analysis.decays.modal_decay import ModalDecay
@@ -104,11 +104,9 @@ def stated_tolerances(rec: Recording, frfs: Sequence[Frf]) -> list[str]:
     groups: dict[str, list[str]] = {}
     settings = {each.name: each.accelerometer or each.hammer for each in rec.scene.channels or ()}
     for name, info in rec.channels.items():
-        preset = getattr(settings.get(name), "preset", None)
         if tolerance(info):
-            doubted = preset is not None and "sensitivity_tolerance" in data_sheet(preset).unchecked
-            origin = f" by preset {preset}{', from no source' if doubted else ''}" if preset else ""
-            groups.setdefault(f"{100 * tolerance(info):.2g} %{origin}", []).append(name)
+            source = origin(settings.get(name), "sensitivity_tolerance")
+            groups.setdefault(f"{100 * tolerance(info):.2g} %{source}", []).append(name)
     told = "; ".join(f"{', '.join(names)} {text}" for text, names in groups.items())
     return [
         f"{rec.scene.name}: most of these bounds is what the sensors' tolerances leave open ({told}); "

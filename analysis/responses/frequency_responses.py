@@ -92,7 +92,12 @@ def frequency_responses(
         if isinstance(source, Averages):
             out.append([source.frf(rec, name, reference, motion, estimator or "H1") for name in names])
         else:
-            out.append([source.frf(rec, name, reference, motion) for name in names])
+            curves = []
+            for done, name in enumerate(names):
+                if progress is not None:
+                    progress(done, len(names))
+                curves.append(source.frf(rec, name, reference, motion))
+            out.append(curves)
     return out
 
 

@@ -6,6 +6,7 @@ import shlex
 import sys
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,10 +14,12 @@ from daq.measurement.estimate import WORTH_SAYING_S, estimate
 from daq.measurement.force_reference import force_untold
 from rig.console import progress
 from rig.errors import ShotrigError
-from rig.scene.presets import filled_in
+from rig.scene.presets import filled_in, origin
 
 if TYPE_CHECKING:
+    from daq.recording.markers import Marker
     from daq.recording.recording import Recording
+    from rig.scene.measurement_chain import Accelerometer, Hammer
     from rig.scene.scene import Scene
 
 
@@ -72,7 +75,11 @@ def summary(path: Path) -> str:
         measured = [mark for mark in rec.markers if mark.kind == "measure" and "settled" in mark.fields]
         if measured:
             unsettled = [mark for mark in measured if not mark.fields["settled"]]
-            lines.append(f"not settled: {len(unsettled) or 'none'} of {len(measured)} measurements")
+            tones = dict.fromkeys(
+                f"{m.fields['frequency']:.4g}" for m in unsettled if "frequency" in m.fields
+            )
+            where = f", at {', '.join(tones)} Hz" if tones else ""
+            lines.append(f"not settled: {len(unsettled) or 'none'} of {len(measured)} measurements{where}")
         lines += _levels(rec)
         lines += [f"aborted: {mark.fields['reason']}" for mark in rec.markers if mark.kind == "abort"]
         lines.append(f"next: {'   or: '.join(next_steps(rec))}")
@@ -110,10 +117,51 @@ def _levels(rec: Recording) -> list[str]:
 
 
 def _overloads(rec: Recording) -> str:
-    stretches = [mark for mark in rec.markers if mark.kind == "overload"]
-    names = sorted({str(mark.fields["channel"]) for mark in stretches})
-    count = "1 stretch" if len(stretches) == 1 else f"{len(stretches)} stretches"
-    return f"{count} in {', '.join(names)}{_sudden_landings(rec, names)}" if stretches else "none"
+    """Say which channels were overloaded, when, at which frequencies and beyond which limit."""
+    stretches = sorted(
+        (mark for mark in rec.markers if mark.kind == "overload"), key=lambda mark: mark.first_sample
+    )
+    names = list(dict.fromkeys(str(mark.fields["channel"]) for mark in stretches))
+    told = "; ".join(
+        _overload(rec, name, [mark for mark in stretches if mark.fields["channel"] == name]) for name in names
+    )
+    return f"{told}{_sudden_landings(rec, names)}" if stretches else "none"
+
+
+def _overload(rec: Recording, name: str, stretches: Sequence[Marker]) -> str:
+    """Describe the overloads of one channel."""
+    seconds = sum(mark.stop - mark.first_sample for mark in stretches) / rec.rate
+    count = "one stretch" if len(stretches) == 1 else f"{len(stretches)} stretches"
+    tones = sorted(
+        {
+            float(tone.fields["frequency"])
+            for tone in rec.markers
+            if tone.kind in ("settle", "measure") and "frequency" in tone.fields
+            if any(tone.first_sample < mark.stop and mark.first_sample < tone.stop for mark in stretches)
+        }
+    )
+    at = f" at {tones[0]:.4g} Hz" if tones else ""
+    if len(tones) > 1:
+        at = f" between {tones[0]:.4g} and {tones[-1]:.4g} Hz"
+    return (
+        f"{name} in {count}{at}, {seconds:.2g} s in all, first at {stretches[0].first_sample / rec.rate:.2f} s "
+        f"({_limit(rec, name)})"
+    )
+
+
+def _limit(rec: Recording, name: str) -> str:
+    """Say what a channel can take: its sensor, its input."""
+    info, limits = rec.channels[name], []
+    settings: dict[str, Accelerometer | Hammer | None] = {}
+    with suppress(ShotrigError):
+        settings = {each.name: each.accelerometer or each.hammer for each in rec.scene.channels or ()}
+    for key, text in info.sensor.items():
+        if key.endswith(".saturation"):
+            limits.append(f"sensor {text}{origin(settings.get(name), 'saturation')}")
+    if info.range is not None:
+        reach = info.range / abs(info.sensitivity)
+        limits.append(f"input ±{info.range:g} V, {reach:.4g} {info.unit}")
+    return f"limits: {'; '.join(limits)}" if limits else "no limit known"
 
 
 def _sudden_landings(rec: Recording, overloaded: Sequence[str]) -> str:

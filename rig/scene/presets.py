@@ -42,6 +42,22 @@ def filled_in(settings: Device) -> Device:
         raise SceneError(f"{kind} with preset {sheet.name!r}: {reasons}") from None
 
 
+def origin(settings: Accelerometer | Hammer | None, key: str) -> str:
+    """Say which preset a figure is from and whether that has a source; nothing where the scene gives it itself.
+
+    Examples
+    --------
+    >>> origin(Accelerometer(preset="PCB 352C33"), "saturation")
+    ' by preset PCB 352C33, from no source'
+    >>> origin(Accelerometer(preset="PCB 352C33", saturation=500.0), "saturation")
+    ''
+    """
+    if settings is None or settings.preset is None or getattr(settings, key) is not None:
+        return ""
+    sheet = data_sheet(settings.preset)
+    return f" by preset {sheet.name}{', from no source' if key in sheet.unchecked else ''}"
+
+
 def input_settings(converter: Converter, channel: Channel) -> Converter:
     """Give the converter as it is at one channel: with the channel's own coupling and supply.
 

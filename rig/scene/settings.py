@@ -285,9 +285,31 @@ class Alternatives:
                 return type(value).model_validate(value)
             if not isinstance(value, Mapping):
                 raise refusal(value, "keys and values")
-            return self.choose(value, classes).model_validate(value)
+            chosen = self.choose(value, classes)
+            try:
+                return chosen.model_validate(value)
+            except ValidationError as error:
+                mistakes = [_of_another_kind(wrong, chosen, classes) for wrong in mistakes_of(error)]
+                raise report(chosen.__name__, mistakes) from None
 
         return core_schema.no_info_wrap_validator_function(read, handler(source))
+
+
+def _of_another_kind(wrong: Mistake, chosen: type[Settings], classes: Classes) -> Mistake:
+    """Say of a key that only other kinds have which these are."""
+    key, own = str(wrong.place[0]) if len(wrong.place) == 1 else "", list(chosen.keys())
+    kinds = [
+        str(kind.default)
+        for each in classes
+        if key in each.keys() and (kind := each.model_fields.get("kind"))  # noqa: SIM118
+    ]
+    if key in own or not kinds:
+        return wrong
+    return Mistake(
+        wrong.place,
+        f'unknown key "{key}" for kind {chosen.model_fields["kind"].default}, which has {", ".join(own)}; it is for '
+        f"{', '.join(kinds)}",
+    )
 
 
 class OneOrSeveral:

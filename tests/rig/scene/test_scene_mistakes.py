@@ -37,7 +37,8 @@ MISTAKES = [
     ),
     (
         STRUCTURE + "shaker: {kind: force, body: 1, spring: 6.6 kN/m}",
-        ':2: shaker.spring: unknown key "spring"; expected one of kind, body',
+        ':2: shaker.spring: unknown key "spring" for kind force, which has kind, body, output; it is for table, '
+        "electrodynamic",
     ),
     (
         STRUCTURE + "shaker: {kind: table, body: 1}",

@@ -1,0 +1,33 @@
+"""Files that stand in the way of modules: Python looks in a script's folder before anywhere else."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import suppress
+from importlib.machinery import PathFinder
+from pathlib import Path
+
+
+def shadowed(folder: Path) -> list[str]:
+    """Say which files of a folder are found in the place of modules that are installed or Python's own.
+
+    Parameters
+    ----------
+    folder : Path
+        The script's, or the first one on the path.
+    """
+    out = []
+    elsewhere = [entry for entry in sys.path if entry and Path(entry).absolute() != folder.absolute()]
+    with suppress(OSError):
+        for file in sorted(folder.iterdir()):
+            inside = file / "__init__.py"
+            if not (file.suffix == ".py" or inside.is_file()) or not file.stem.isidentifier():
+                continue
+            meant = PathFinder.find_spec(file.stem, elsewhere)
+            places = [] if meant is None else [meant.origin, *(meant.submodule_search_locations or ())]
+            if not any(places) or any(Path(place) in (file, inside) for place in places if place):
+                continue
+            out.append(
+                f"{file} is found in the place of the module {file.stem} ({next(filter(None, places))}): rename it"
+            )
+    return out

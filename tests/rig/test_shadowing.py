@@ -1,0 +1,16 @@
+from __future__ import annotations
+
+from rig.shadowing import shadowed
+
+
+def test_given_files_named_like_modules_when_looked_for_then_only_these_are_told_with_what_they_hide(
+    tmp_path,
+):
+    for name in ("json.py", "my_test.py", "notes.txt", "2.py"):
+        (tmp_path / name).touch()
+    (tmp_path / "numpy").mkdir()
+    assert [text.partition(" is ")[0] for text in shadowed(tmp_path)] == [str(tmp_path / "json.py")]
+    (tmp_path / "numpy" / "__init__.py").touch()
+    first, second = shadowed(tmp_path)
+    assert "the module json (" in first and "the module numpy (" in second and second.endswith("rename it")
+    assert shadowed(tmp_path / "none") == []

@@ -143,7 +143,8 @@ def progress(title: str) -> Iterator[Callable[[float, str], None]]:
     if not sys.stderr.isatty():
 
         def tell(fraction: float, message: str = "") -> None:
-            _Work.doing = f"{title}, {100 * fraction:.0f} %{message and ', '}{message}"
+            parts = (title, title and f"{100 * fraction:.0f} %", message)
+            _Work.doing = ", ".join(filter(None, parts))
 
         yield tell
         _Work.doing = ""

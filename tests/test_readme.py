@@ -14,6 +14,7 @@ import typer
 from typer.testing import CliRunner
 
 import rig
+from rig.scene.scene_files import bundled
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -72,7 +73,7 @@ def test_given_the_readme_when_its_long_commands_are_parsed_then_all_their_optio
         command = group.commands[words[1]]
         command.make_context(words[1], words[2:])
         for word in words[2:]:
-            named = word in ("mine.yaml", *rig.scene.loading.bundled())
+            named = word in ("mine.yaml", *bundled())
             assert not named or rig.load(word)
 
 

@@ -15,6 +15,7 @@ from analysis.recordings.slices import hits
 from analysis.responses.clean_stretches import Flaw
 from analysis.responses.force_pulse import pulse_alone
 from analysis.responses.local_rational import ORDER
+from analysis.responses.local_spectra import SIDE
 from analysis.responses.systematic import counts_of
 from rig.errors import RecordingError
 
@@ -34,6 +35,10 @@ _MISSED = 0.5
 _REBOUND, _NOISY = 0.05, 8.0
 # The spectrum of a force ends where its power is below this part of its highest.
 _FAINT = 1e-2
+
+# Counts that a coarser converter takes for one, and how much larger the mean square then is of what it changes than
+# that of rounding to counts, a twelfth.
+_COARSER = ((2.0, 6.0), (3.0, 8.0))
 
 
 @dataclass(frozen=True)
@@ -166,9 +171,10 @@ class Hits:
         """How far rounding to counts can change each channel's gain, relative, shape (channels, lines).
 
         What follows a hit is read as the same counts after each equal hit, so that no averaging helps, and what is off
-        soon after it passes for response. A twelfth of a count squared in each of n samples puts 95 % of lines off by
-        less than ``sqrt(n) / 2`` counts; and of what has decayed to half a count nothing is read. Noise of s counts
-        lets ``exp(-2 pi^2 s^2)`` of both through (Widrow and Kollár, as in `noise_gain`).
+        soon after it passes for response: of what has decayed to half a count nothing is read, and a tone of few counts
+        has harmonics. Coarser converters show how much: what readings differ by when they are rounded once more, to
+        every second and every third count. Noise of s counts lets ``exp(-2 pi^2 s^2)`` of this through (Widrow and
+        Kollár, as in `noise_gain`).
 
         Parameters
         ----------
@@ -181,25 +187,29 @@ class Hits:
         """
         count = counts_of(rec, names)[:, None]
         step = np.where(count > 0.0, count, 1.0)
+        size = 2 * (spectra[0].shape[1] - 1)
         # What is nearer to a hit than this, low polynomials cannot tell from the response to it.
-        near = int(2 * (spectra[0].shape[1] - 1) * (ORDER + 1) / side)
+        near = int(size * (ORDER + 1) / side)
         power = np.sum([abs(each) ** 2 for each in spectra], axis=0)
-        around = ndimage.uniform_filter1d(power, 2 * side + 1, axis=1, mode="nearest")[:, lines]
-        off, largest, noise = np.zeros((len(names), 1)), np.zeros((len(names), 1)), []
+        off, noise = np.zeros((len(_COARSER), *power.shape)), []
         for block, (start, stop) in zip(blocks, stretches, strict=True):
-            size, inside = block.shape[1], self.inside(start, stop)
-            largest = np.maximum(largest, abs(block).max(axis=1, keepdims=True) / step)
-            for begin, _ in inside:
-                first = begin - (stop - size)
-                read = abs(block[:, first : first + near]) > 0.5 * step
-                off += np.maximum(read.sum(axis=1, keepdims=True), 1) / 4.0
+            for begin, _ in self.inside(start, stop):
+                first = begin - (stop - block.shape[1])
+                read = np.rint(block[:, first : first + near] / step)
+                for each, (times, more) in zip(off, _COARSER, strict=True):
+                    each += abs(fft.rfft(times * np.rint(read / times) - read, size, axis=1)) ** 2 / more
                 quiet = [rec.read(name, max(start, begin - int(REST * rec.rate)), begin) for name in names]
                 if quiet[0].size > 2:
                     noise.append(np.mean(np.diff(quiet, axis=1) ** 2, axis=1, keepdims=True) / 2.0)
         # Rounding itself leaves a twelfth of a count squared.
         variance = np.maximum(np.mean(noise, axis=0) / step**2 - 1.0 / 12.0, 0.0) if noise else 0.0
+        # From tooth to tooth of the comb that several hits leave, and no farther: peaks say nothing of valleys.
+        teeth = 2 * -(-side // SIDE) + 1
+        around = ndimage.uniform_filter1d(power, teeth, axis=1, mode="nearest")
+        off = ndimage.uniform_filter1d(off, side, axis=2, mode="nearest").max(axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            gain = step * np.sqrt(off / around) + 0.5 / largest
+            # Of a normal error with two components the square is in 95 % of cases below three times its mean.
+            gain = (step * np.sqrt(3.0 * off / around))[:, lines]
         through = np.exp(-2.0 * np.pi**2 * variance)
         return np.asarray(np.where(count > 0.0, through * np.nan_to_num(gain, nan=np.inf), 0.0))
 

@@ -6,8 +6,11 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from rig.scene.quantities import ACCELERATION, FORCE, parse
+
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
+    from daq.signal_chain.channel import ChannelInfo
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,13 @@ def cure(rec: Recording, found: Sequence[Flaw]) -> str:
         f"{name} follows {text}"
         for name in dict.fromkeys(flaw.channel for flaw in found if flaw.what == "overloaded")
         for key, text in rec.channels[name].sensor.items()
-        if key.endswith(".saturation")
+        if key.endswith(".saturation") and _reached_first(rec.channels[name], text)
     ]
     other = f", or take a sensor that follows more ({', '.join(limits)})" if limits else ""
     return f"lower the level, widen the range (converter: range){other}"
+
+
+def _reached_first(info: ChannelInfo, limit: str) -> bool:
+    """Whether a sensor's limit, as its data sheet says it, is below what the converter takes."""
+    kind = {"acceleration": ACCELERATION, "force": FORCE}.get(info.quantity)
+    return kind is None or info.range is None or parse(limit, kind) * info.sensitivity < info.range

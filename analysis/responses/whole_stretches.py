@@ -32,6 +32,8 @@ ComplexArray = NDArray[np.complex128]
 
 # A stretch shorter than this part of the longest is not worth its transients.
 _WORTH = 0.25
+# Nor is one that holds less than this part of a burst.
+_BURST = 0.5
 _MOST_LINES = 1000
 
 
@@ -97,7 +99,9 @@ class WholeStretches:
             clean = [stretch for stretch in clean if self.hits.inside(*stretch)]
         if self.bursts is not None:
             # What rests between bursts tells nothing: with nothing driven, a spring's force comes from its response.
-            clean = [stretch for stretch in clean if self._driven(*stretch) > 4 * SIDE]
+            # After the end of a burst most of what rings was there before the stretch began.
+            least = max(4 * SIDE, _BURST * self.bursts[1])
+            clean = [stretch for stretch in clean if self._driven(*stretch) > least]
         # A fit reaches over so many lines, and must not reach over the whole band.
         least = 2 * SIDE / (self.high - self.low) if self.hits is None else 0.2
         longest = max((stop - start for start, stop in clean), default=0)

@@ -45,6 +45,8 @@ class Limits(NamedTuple):
     in an interval; shape (looks, 4 + disturbances + states)."""
     most: Array
     """Magnitude of these up to which no limit can be reached; shape (looks,)."""
+    safe: Array
+    """Weights of the magnitudes of the same; where the sum is below 1 no limit is reached at any look."""
     steps: NDArray[np.int64]
     """Coarse and fine steps in an interval that is followed closely; int64, shape (2,)."""
     step: Array
@@ -141,6 +143,8 @@ def limits_of(
     return Limits(
         checks=checks,
         most=most,
+        # Rounding must not make it smaller than what it bounds.
+        safe=np.abs(checks / most[:, None]).max(axis=0) * (1.0 + 1e-9),
         steps=steps,
         step=laid_out(np.array([expm(generator / count) for count in steps])),
         held=np.ascontiguousarray(held),
@@ -161,7 +165,8 @@ def _unlimited(disturbances: int, rails: Array, tables: Tables) -> Limits:
     """Make the tables of a circuit in which nothing is limited."""
     width, size = tables.width, tables.generator.shape[1]
     return Limits(
-        checks=np.zeros((0, tables.spread.shape[0])), most=np.zeros(0), steps=np.ones(2, np.int64),
+        checks=np.zeros((0, tables.spread.shape[0])), most=np.zeros(0),
+        safe=np.zeros(tables.spread.shape[0]), steps=np.ones(2, np.int64),
         step=zeros(2, size, size), held=np.zeros((2, disturbances, width)),
         varying=np.zeros((disturbances, width)), limit=np.inf, output=zeros(size),
         lacking=np.zeros((2, 2, width)), relief=np.ones(2), impulse=tables.impulse, least=np.inf, shift=-1,
@@ -205,14 +210,24 @@ def _looked_at(
 
 
 @unfused
-def within(limits: Limits, course: Array, sums: Array, count: int) -> int:
+def within(limits: Limits, course: Array, sizes: Array, sums: Array, count: int) -> int:
     """Count the intervals of a stretch up to the first in which a limit may be reached.
 
     Parameters
     ----------
     course : ndarray, shape (4 + disturbances + states, at least count)
         Input, disturbances and the states at the start of each interval.
+    sizes : ndarray of the same shape
+        Room for their magnitudes.
     """
+    if limits.most.size == 0:
+        return count
+    for r in range(course.shape[0]):
+        for k in range(count):
+            sizes[r, k] = abs(course[r, k])
+    weigh(sizes, 0, 0, limits.safe, course.shape[0], sums, count)
+    if not _beyond(sums[:count], 1.0):
+        return count
     for look in range(limits.most.size):
         weigh(course, 0, 0, limits.checks[look], course.shape[0], sums, count)
         if _beyond(sums[:count], limits.most[look]):

@@ -11,15 +11,15 @@ from daq.dsp.broken_intervals import PartWorkspace, part_workspace, through_part
 from daq.dsp.discretisation import Tables
 from daq.dsp.interpolation import CubicInput, put
 from daq.dsp.limiting import Limits, follow_closely, within
-from rig.numerics.fma import WEIGHED, fused, spread, weigh
+from rig.numerics.fma import fused, spread, weigh
 from rig.numerics.jit import unfused
 from rig.numerics.simd import LANES, zeros
 
 Array = NDArray[np.float64]
 
-# Intervals worked off together: enough to keep a processor's pipelines busy, few enough for its nearest
-# memory.
-STRETCH = 2 * WEIGHED
+# Intervals worked off together, a multiple of `WEIGHED` (`rig.numerics.fma`): enough to keep a processor busy, few
+# enough for its nearest memory.
+STRETCH = 128
 
 
 class CircuitWorkspace(NamedTuple):
@@ -29,6 +29,8 @@ class CircuitWorkspace(NamedTuple):
     course: Array
     """Input, disturbances and states through a stretch; shape (4 + disturbances + states, intervals of a
     stretch and more)."""
+    sizes: Array
+    """Magnitudes of these."""
     sums: Array
     """What is added to the states of a section; shape (2, intervals of a stretch)."""
 
@@ -37,8 +39,8 @@ def scratch_for(tables: Tables) -> CircuitWorkspace:
     """Make room to work in for a circuit."""
     # Rows a little longer than needed: the state at the end, and at even distances they would compete for the
     # same places in a cache.
-    course = zeros(tables.spread.shape[0], STRETCH + LANES)
-    return CircuitWorkspace(part_workspace(tables.generator.shape[1]), course, zeros(2, STRETCH))
+    course, sizes = (zeros(tables.spread.shape[0], STRETCH + LANES) for _ in range(2))
+    return CircuitWorkspace(part_workspace(tables.generator.shape[1]), course, sizes, zeros(2, STRETCH))
 
 
 @unfused
@@ -93,7 +95,7 @@ def propagate(
                 stop = min(stop, pieces.broken[part])
             _lay_out(pieces, held, first, stop, course)
             _through_stretch(tables, state, course, scratch.sums, stop - first)
-            count = within(limits, course, scratch.sums[0], stop - first)
+            count = within(limits, course, scratch.sizes, scratch.sums[0], stop - first)
             if count < stop - first:
                 stop = first + count
                 for j in range(tables.states):

@@ -24,6 +24,8 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#5
 WIDTH_INCH = 7.2
 # Characters of a title that fit into this width.
 _LONGEST_LINE = 70
+# A logarithmic axis shorter than this factor has too few decades for powers of ten as labels.
+_FEW = 50.0
 # Characters of a note under a figure of that width.
 _NOTE_LINE = 112
 
@@ -109,7 +111,10 @@ def decades(axes: Axes, values: Any, most: float = 6.0, least: float = 1.0) -> N
     if values.size:
         high = values.max() * 1.6
         low = max(values.min() / 1.6, high / 10.0**most)
-        axes.set_ylim(min(low, high / 10.0**least), high)
+        low = min(low, high / 10.0**least)
+        if high < _FEW * low:
+            plain_logarithmic(axes.yaxis)
+        axes.set_ylim(low, high)
 
 
 def plain_ticks(low: float, high: float, most: int = 8) -> list[float]:

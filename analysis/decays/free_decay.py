@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
+from scipy import ndimage, signal
 
 from analysis.decays.modal_decay import ModalDecay, band_width, modal_decay, spectral_peaks
 from analysis.decays.sensor_correction import corrected
@@ -93,11 +93,16 @@ class Decay(Result):
         }
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Acceleration with its envelope on both sides."""
-        (line,) = ax.plot(self.time, self.acceleration, **styled(style, lw=0.5, label=self.label))
-        for sign in (1.0, -1.0):
-            ax.plot(self.time, sign * self.envelope, color=line.get_color(), lw=1.2)
+        """Acceleration with its outline on both sides."""
+        (line,) = ax.plot(self.time, self.outline(), **styled(style, lw=1.2, label=self.label))
+        ax.plot(self.time, -self.outline(), color=line.get_color(), lw=line.get_linewidth())
+        ax.plot(self.time, self.acceleration, color=line.get_color(), lw=0.5, alpha=0.6)
         ax.set(xlabel="time after the hit / s", ylabel="acceleration / (m/s²)")
+
+    def outline(self) -> Array:
+        """Give a smooth line that no sample of the acceleration passes, shape (n,), m/s²."""
+        lowest = min((mode.frequency for mode in self.modes), default=1.0 / self.time[-1])
+        return outline(self.acceleration, 1.0 / (lowest * self.time[1]))
 
     def time_below(self, amplitude: float) -> float:
         """Time in s from which the acceleration stays below an amplitude; NaN when it never does."""
@@ -118,6 +123,24 @@ class Decay(Result):
         if np.sum(inside) < 8:
             return float("nan")
         return float(-20.0 * np.log10(2.0) / np.polyfit(self.time[inside], self.energy[inside], 1)[0])
+
+
+def outline(acceleration: Array, period: float) -> Array:
+    """Give a smooth line that no sample of an acceleration passes.
+
+    The largest magnitude within half a period of the lowest mode [samples] on either side, averaged over as long:
+    every value of the average is as large as the sample in its middle.
+
+    Examples
+    --------
+    >>> read = np.exp(-0.01 * np.arange(400)) * np.sin(np.arange(400))
+    >>> bool(np.all(outline(read, 2 * np.pi) >= abs(read)))
+    True
+    """
+    half = max(1, round(0.5 * period))
+    largest = ndimage.maximum_filter1d(abs(acceleration), 2 * half + 1, mode="nearest")
+    weights = np.hanning(2 * half + 3)
+    return np.asarray(ndimage.convolve1d(largest, weights / weights.sum(), mode="nearest"))
 
 
 def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int | None = None) -> Decay:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import convolve1d, maximum_filter1d
 
 from analysis.decays.free_decay import Decay
 from rig.escaping import drawn
@@ -44,8 +43,7 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
             shade = colour(index)
             keep = decay.time <= shown
             trace.plot(decay.time[keep], decay.acceleration[keep], color=shade, lw=0.6, alpha=0.75)
-            lowest = min((mode.frequency for mode in decay.modes), default=1.0 / decay.time[-1])
-            top = envelope(decay.acceleration, 1.0 / (lowest * decay.time[1]))
+            top = decay.outline()
             for sign in (1.0, -1.0):
                 trace.plot(
                     decay.time[keep], sign * top[keep], color=shade, lw=1.4,
@@ -115,18 +113,6 @@ def _damping_row(
             low, high = float(flat.min()) / 1.5, float(flat.max()) * 1.5
             plain_logarithmic(first.yaxis, 6)
             first.set_ylim(low, high)
-
-
-def envelope(acceleration: Array, period: float) -> Array:
-    """Give a smooth line that no sample of an acceleration passes.
-
-    The largest magnitude within half a period of the lowest mode [samples] on either side, averaged over as long:
-    every value of the average is as large as the sample in its middle.
-    """
-    half = max(1, round(0.5 * period))
-    largest = maximum_filter1d(abs(acceleration), 2 * half + 1, mode="nearest")
-    weights = np.hanning(2 * half + 3)
-    return np.asarray(convolve1d(largest, weights / weights.sum(), mode="nearest"))
 
 
 def _columns(decays: Sequence[Decay]) -> list[list[tuple[int, ModalDecay]]]:

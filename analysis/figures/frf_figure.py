@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from analysis.responses.frf import Frf
+from analysis.responses.frf import DOTS, Frf
 from rig.escaping import drawn
 from rig.figure_style import caption, colour, decades, drawing, frequency_axis, heading
 
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Curves with more points than this are drawn without a dot at each.
-DOTS = 120
 # Points over which the roughness of a curve is judged.
 _AROUND = 25
 # Where less of the response than this repeats with the reference, it is not drawn like a measurement.

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.figures.frf_figure import DOTS
 from analysis.modal.modes import Modes
-from analysis.responses.frf import Frf
+from analysis.responses.frf import DOTS, Frf
 from rig.escaping import drawn
 from rig.figure_style import colour, decades, drawing, frequency_axis, heading
 from rig.results import rounded

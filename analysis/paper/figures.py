@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.figures.decay_figure import envelope
+from analysis.decays.free_decay import outline
 from rig.figure_style import COLOURS, decades, drawing, frequency_axis, plain_logarithmic
 from rig.scene.scene import STANDARD_GRAVITY
 
@@ -233,7 +233,7 @@ def figure_10b(parts: Parts) -> Figure:
         ):
             data = parts[name]
             axes.plot(data["time"], data["acceleration"], color=shade, lw=0.5)
-            top = envelope(data["acceleration"], 1.0 / (LOWEST * (data["time"][1] - data["time"][0])))
+            top = outline(data["acceleration"], 1.0 / (LOWEST * (data["time"][1] - data["time"][0])))
             axes.plot(data["time"], top, color=shade, lw=1.4, label=label)
             axes.plot(data["time"], -top, color=shade, lw=1.4)
         axes.axhspan(

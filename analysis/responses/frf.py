@@ -16,6 +16,8 @@ from rig.results import Result, bounded, styled
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+# Curves with more points than this are drawn without a dot at each.
+DOTS = 120
 MOTIONS = ("displacement", "velocity", "acceleration")
 _NAMES = {
     ("displacement", "force"): ("compliance", "m/N"),
@@ -134,7 +136,14 @@ class Frf(Result):
         curve, (unit, factor) = self.with_gaps(), self.shown_in
         size, bound = factor * abs(curve.value), factor * np.nan_to_num(curve.bound())
         (line,) = ax.loglog(
-            curve.frequency, size, **styled(style, label=f"{self.label} {self.response}".strip())
+            curve.frequency,
+            size,
+            **styled(
+                style,
+                label=f"{self.label} {self.response}".strip(),
+                marker="o" if size.size <= DOTS else None,
+                ms=2.5,
+            ),
         )
         low = np.maximum(size - bound, 1e-3 * size)
         ax.fill_between(curve.frequency, low, size + bound, color=line.get_color(), alpha=0.2, lw=0)

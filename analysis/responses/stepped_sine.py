@@ -24,6 +24,9 @@ PARTS = 20
 
 # What a window holds, where it is, and whether the motion was steady in it.
 _Point = tuple[ToneFit, tuple[int, int], bool]
+# Level and direction of a sweep; a frequency without a point, why, and why in detail.
+_Setting = tuple[float, str]
+_LeftOut = tuple[float, str, str]
 
 
 @dataclass(frozen=True)
@@ -72,10 +75,8 @@ def sweeps(
     )
     names = list(rec.channels if channels is None else channels)
     overloaded = short = 0
-    unsteady: dict[tuple[float, str], list[str]] = {}
-    runs: dict[tuple[float, str], list[_Point]] = {}
-    notes: dict[tuple[float, str], list[str]] = {}
-    left_out: dict[tuple[float, str], list[float]] = {}
+    runs: dict[_Setting, list[_Point]] = {}
+    left_out: dict[_Setting, list[_LeftOut]] = {}
     windows = [_window(rec, marker) for marker in markers]
     parts = [
         parts_of_whole_periods(first, stop, frequency, rec.rate, PARTS) for frequency, first, stop in windows
@@ -89,10 +90,7 @@ def sweeps(
             short += 1
             for _ in group:
                 next(source)
-            notes.setdefault(key, []).append(
-                f"{frequency:.4g} Hz left out: its window is shorter than a period."
-            )
-            left_out.setdefault(key, []).append(frequency)
+            left_out.setdefault(key, []).append((frequency, "shorter than a period", "shorter than a period"))
             continue
         shortest = min(end - begin for begin, end in group)
         harmonics = int(max(1, min(HARMONICS, 0.45 * rec.rate / frequency, (shortest - 2) // 4)))
@@ -104,27 +102,52 @@ def sweeps(
                 lockin.add(samples)
         if progress is not None:
             progress(index + 1, len(markers))
-        note = notes.setdefault(key, [])
         if spoilt:
-            note.append(f"{frequency:.4g} Hz left out: {told(rec, spoilt)} in its window.")
             overloaded += any(flaw.what == "overloaded" for flaw in spoilt)
-            left_out.setdefault(key, []).append(frequency)
+            why = ", ".join(dict.fromkeys(f"{flaw.channel} {flaw.what}" for flaw in spoilt))
+            left_out.setdefault(key, []).append((frequency, why, told(rec, spoilt)))
             continue
-        if marker.fields.get("settled") is False:
-            unsteady.setdefault(key, []).append(f"{frequency:.4g}")
         steady = marker.fields.get("settled") is not False
         runs.setdefault(key, []).append((lockin.tone(), (first, stop), steady))
     if not runs:
         raise RecordingError(_why_nothing(rec, bool(markers), overloaded, short))
-    for key, points in unsteady.items():
-        notes[key].append(
-            f"No steady state at {', '.join(points)} Hz: the motion is irregular there, or needs longer to "
-            "settle."
-        )
+    several = len(runs.keys() | left_out.keys()) > 1
+    notes = {
+        key: _notes(key, runs.get(key, []), left_out.get(key, []), several) for key in {**runs, **left_out}
+    }
+    # A sweep of which nothing is left has nobody else to say so.
+    notes[next(iter(runs))] += [note for key, lost in notes.items() if key not in runs for note in lost]
     return [
-        _sweep(rec, key, found, notes[key], left_out.get(key, []), len(runs) > 1, tuple(names))
+        _sweep(
+            rec, key, found, notes[key], [each[0] for each in left_out.get(key, [])], several, tuple(names)
+        )
         for key, found in runs.items()
     ]
+
+
+def _notes(key: _Setting, found: list[_Point], left_out: list[_LeftOut], several: bool) -> list[str]:
+    """Say which frequencies of a sweep were left out and why, and at which the motion was not steady."""
+    setting = f"{key[0]:.3g} N {key[1]}: " if several else ""
+    out = []
+    for why in dict.fromkeys(each[1] for each in left_out):
+        places = [each for each in left_out if each[1] == why]
+        if len(places) == 1:
+            out.append(f"{setting}{places[0][0]:.4g} Hz left out: {places[0][2]} in its window.")
+            continue
+        low, high = min(each[0] for each in places), max(each[0] for each in places)
+        which = f"{len(places)} frequencies from {low:.4g} to {high:.4g} Hz left out"
+        if low == high:
+            which = f"{low:.4g} Hz left out {len(places)} times"
+        out.append(f"{setting}{which}: {why} in their windows.")
+    if not found:
+        out.append(f"{setting}nothing is left of this sweep.")
+    unsteady = [f"{tone.frequency:.4g}" for tone, _, steady in found if not steady]
+    if unsteady:
+        out.append(
+            f"{setting}No steady state at {', '.join(unsteady)} Hz: the motion is irregular there, or needs longer to "
+            "settle."
+        )
+    return out
 
 
 def _window(rec: Recording, marker: Any) -> tuple[float, int, int]:
@@ -133,7 +156,7 @@ def _window(rec: Recording, marker: Any) -> tuple[float, int, int]:
     return frequency, int(marker.first_sample), min(stop, rec.samples)
 
 
-def _setting(marker: Any) -> tuple[float, str]:
+def _setting(marker: Any) -> _Setting:
     return float(marker.fields.get("level", np.nan)), str(marker.fields.get("direction", "up"))
 
 
@@ -166,7 +189,7 @@ def _why_nothing(rec: Recording, marked: bool, overloaded: int, short: int) -> s
 
 def _sweep(
     rec: Recording,
-    key: tuple[float, str],
+    key: _Setting,
     found: list[_Point],
     notes: list[str],
     left_out: list[float],

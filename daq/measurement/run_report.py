@@ -144,7 +144,7 @@ def _overload(rec: Recording, name: str, stretches: Sequence[Marker]) -> str:
     if len(tones) > 1:
         at = f" between {tones[0]:.4g} and {tones[-1]:.4g} Hz"
     return (
-        f"{name} in {count}{at}, {seconds:.2g} s in all, first at {stretches[0].first_sample / rec.rate:.2f} s "
+        f"{name} in {count}{at}, {seconds:.3g} s in all, first at {stretches[0].first_sample / rec.rate:.2f} s "
         f"({_limit(rec, name)})"
     )
 

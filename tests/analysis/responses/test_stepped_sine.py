@@ -127,6 +127,31 @@ def test_given_overload_and_unsettled_points_when_measured_then_the_curve_warns(
     assert frf.frequency.tolist() == [30.0] and frf.unsteady.tolist() == [True]
 
 
+def test_given_sweeps_that_are_spoilt_when_measured_then_their_frequencies_are_told_together_and_none_is_lost(
+    tmp_path,
+):
+    marks = [
+        (
+            "measure",
+            256 * k,
+            256 * k + 255,
+            {"frequency": 20.0 + 10 * (k % 5), "level": 1.0 + k // 5, "direction": "up"},
+        )
+        for k in range(10)
+    ]
+    marks += [("overload", 256 * k + 9, 256 * k + 20, {"channel": "body3"}) for k in (1, 3, 5, 6, 7, 8, 9)]
+    samples = np.random.default_rng(0).standard_normal((4, 2560))
+    path = synthetic.write(tmp_path / "a.mcap", synthetic.scene(), synthetic.channels(), samples, marks)
+    with daq.open(path) as rec:
+        [[frf]] = analysis.frequency_responses(rec, ["body3"])
+    assert frf.frequency.tolist() == [20.0, 40.0, 60.0] and frf.left_out.tolist() == [30.0, 50.0]
+    assert frf.warnings == (
+        "1 N up: 2 frequencies from 30 to 50 Hz left out: body3 overloaded in their windows.",
+        "2 N up: 5 frequencies from 20 to 60 Hz left out: body3 overloaded in their windows.",
+        "2 N up: nothing is left of this sweep.",
+    )
+
+
 def test_given_channels_clipped_throughout_when_measured_then_the_range_is_blamed(tmp_path):
     marks = [
         ("measure", 0, 2559, {"frequency": 20.0, "level": 1.0, "direction": "up"}),

@@ -22,10 +22,10 @@ PLACES: dict[str, dict[str, str]] = {
     "guards": {"rig/engine/guards.py": _ENGINE},
     "contact decisions": {"rig/engine/contact.py": _ENGINE},
     "gap and overload marks": {
-        "daq/recording/channel_series.py": "tests/daq/recording",
-        "daq/recording/sample_block.py": "tests/daq/recording",
-        "analysis/responses/clean_stretches.py": "tests/analysis/responses",
-        "analysis/responses/whole_stretches.py": "tests/analysis/responses",
+        "daq/recording/channel_series.py": "tests/daq/recording/test_recording.py tests/daq/recording/test_suspicion.py",
+        "daq/recording/sample_block.py": "tests/daq/recording/test_layout.py tests/daq/recording/test_recording.py",
+        "daq/measurement/limits.py": "tests/daq/measurement/test_watches.py tests/daq/measurement/test_limits.py",
+        "analysis/responses/clean_stretches.py": "tests/analysis/responses/test_clean_stretches.py",
     },
     "noise scaling": {
         "daq/dsp/noise.py": "tests/daq/dsp tests/daq/signal_chain",
@@ -45,9 +45,9 @@ PLACES: dict[str, dict[str, str]] = {
         "rig/system/assembly.py": "tests/rig/system tests/rig/scene/test_unphysical.py",
     },
     "bounds": {
-        "analysis/responses/systematic.py": "tests/analysis/responses/test_systematic.py tests/analysis/responses",
-        "analysis/responses/aliasing.py": "tests/analysis/responses/test_aliasing.py tests/analysis/responses",
-        "analysis/responses/local_rational.py": "tests/analysis/responses",
+        "analysis/responses/systematic.py": "tests/analysis/responses/test_systematic.py",
+        "analysis/responses/aliasing.py": "tests/analysis/responses/test_aliasing.py tests/analysis/responses/test_stepped_sine.py",
+        "analysis/responses/local_rational.py": "tests/analysis/responses/test_local_rational.py",
     },
     "checksums": {
         "daq/mcap_file/chunk.py": _FILE,

@@ -1,0 +1,138 @@
+"""Marks of overloads and alarms, and the ends they put to a test, against a look at every sample."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import rig
+from daq.measurement.limits import ControlLoss, Limits, Stretches
+from daq.signal_chain.channel import ChannelInfo
+
+RATE = 8.0
+INFOS = [
+    ChannelInfo(name, at, "acceleration", 1.0, RATE)
+    for name, at in (("t", "table"), ("a", "body 1"), ("b", "body 2"))
+]
+SCENE = """
+structure: {{masses: [1 kg, 1 kg], springs: [4 kN/m, 4 kN/m]}}
+shaker: {{kind: {shaker}}}
+test: {{kind: sine, frequency: 10 Hz, {level}}}
+channels:
+  - {{name: t, at: table, alarm: 3, abort: 5}}
+  - {{name: a, at: body 1, abort: 4}}
+  - {{name: b, at: body 2, alarm: 2}}
+"""
+
+
+def scene(shaker="table, body: 1, spring: 6 kN/m", level="force: 1 N"):
+    return rig.loads(SCENE.format(shaker=shaker, level=level), where="a test")
+
+
+def in_blocks(cuts, values):
+    first = 0
+    for block in np.split(values, cuts, axis=1):
+        yield first, block
+        first += block.shape[1]
+
+
+def stretches_of(flags):
+    """Stretches of flagged samples less than half a second apart, as (first, stop)."""
+    found = []
+    for sample in np.flatnonzero(flags).tolist():
+        if found and sample - found[-1][1] < 0.5 * RATE:
+            found[-1] = (found[-1][0], sample + 1)
+        else:
+            found.append((sample, sample + 1))
+    return found
+
+
+@given(
+    flags=st.lists(st.lists(st.booleans(), min_size=40, max_size=40), min_size=3, max_size=3),
+    thin=st.integers(1, 7),
+    cuts=st.lists(st.integers(0, 40), max_size=5).map(sorted),
+)
+def test_given_flags_in_any_blocks_when_joined_then_each_stretch_is_marked_once_from_first_to_last(
+    flags, thin, cuts
+):
+    flags = np.array(flags) & (np.arange(40) % thin == 0)
+    marked = {info.name: [] for info in INFOS}
+    stretches = Stretches("overload", INFOS, lambda kind, *span, channel: marked[channel].append(span))
+    for first, block in in_blocks(cuts, flags):
+        stretches.add(first, block)
+    stretches.close()
+    assert marked == {info.name: stretches_of(row) for info, row in zip(INFOS, flags, strict=True)}
+
+
+def test_given_a_stretch_that_is_over_when_samples_go_on_then_it_is_marked_without_waiting_for_the_end():
+    marked = []
+    stretches = Stretches("alarm", INFOS[:1], lambda *what, channel: marked.append((*what, channel)))
+    stretches.add(100, np.array([[False, True, True]]))
+    stretches.add(103, np.zeros((1, 3), dtype=bool))
+    assert not marked
+    stretches.add(106, np.zeros((1, 1), dtype=bool))
+    assert marked == [("alarm", 101, 103, "t")]
+    stretches.close()
+    assert len(marked) == 1
+
+
+@given(st.lists(st.lists(st.integers(-6, 6).map(float), min_size=12, max_size=12), min_size=3, max_size=3))
+def test_given_any_readings_when_watched_then_the_first_beyond_an_abort_limit_trips_and_alarms_are_marked(
+    readings,
+):
+    readings, marked = np.array(readings), []
+    limits = Limits(scene(), INFOS, lambda kind, *span, channel: marked.append((kind, channel, *span)))
+    trip = limits.watch(1000, readings)
+    limits.close()
+    beyond = [(k, row) for k in range(12) for row in (0, 1) if abs(readings[row, k]) > (5.0, 4.0)[row]]
+    if beyond:
+        sample, row = beyond[0]
+        assert (trip.sample, trip.channel, trip.value) == (1000 + sample, INFOS[row], readings[row, sample])
+        assert trip.limit == (5.0, 4.0)[row]
+        assert (
+            f"channel {'ta'[row]} read {readings[row, sample]:.4g} m/s^2 at {125 + sample / 8:.3f} s"
+            in str(trip)
+        )
+    else:
+        assert trip is None
+    expected = [
+        ("alarm", INFOS[row].name, 1000 + first, 1000 + stop)
+        for row, limit in ((0, 3.0), (2, 2.0))
+        for first, stop in stretches_of(abs(readings[row]) > limit)
+    ]
+    assert sorted(marked) == sorted(expected)
+
+
+def test_given_no_limits_when_watched_then_nothing_is_looked_at():
+    without = scene().replace(channels=None)
+    limits = Limits(without, INFOS, lambda *_, **__: pytest.fail("a mark"))
+    assert not limits.given
+    assert limits.watch(0, np.full((3, 4), 1e9)) is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "rows"),
+    [
+        ({}, {0, 1}),
+        ({"level": "drive: 1 V", "shaker": "electrodynamic, body: 2, spring: 6 kN/m"}, set()),
+        ({"shaker": "electrodynamic, body: 2, spring: 6 kN/m"}, {0, 2}),
+    ],
+)
+def test_given_an_overload_that_lasts_when_a_force_is_held_then_channels_it_is_read_from_end_the_test(
+    changes, rows
+):
+    held = scene(**changes)
+    for row, info in enumerate(INFOS):
+        clipped, clean = np.zeros((2, 3, 4), dtype=bool)
+        clipped[row, 2] = True
+        loss = ControlLoss(held, INFOS)
+        # More than a second without a pause: after 4 + 4 samples it is just one.
+        said = [loss.watch(first, clipped) for first in (16, 20, 24)]
+        assert said[:2] == [None, None]
+        assert (said[2] is not None) == (row in rows)
+        if row in rows:
+            assert f"input {info.name} has been overloaded since 2.00 s" in said[2]
+            assert loss.watch(28, clean) is None
+            assert [loss.watch(first, clipped) for first in (32, 36)] == [None, None]

@@ -1,0 +1,64 @@
+"""Circuits in series against products of transfer functions as the field writes them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from daq.dsp.circuit import Circuit, Section, high_pass, integration, recovery, resonance
+
+S = 2j * np.pi * np.array([0.01, 0.7, 12.0, 300.0, 4e3, 9e4])
+
+
+def of_states(section: Section) -> np.ndarray:
+    eye = np.eye(section.states)
+    return np.array([section.c @ np.linalg.solve(s * eye - section.a, section.b) + section.d for s in S])
+
+
+def of_roots(section: Section) -> np.ndarray:
+    above = np.prod([S - zero for zero in section.zeros], axis=0) if section.zeros else 1.0
+    below = np.prod([S - pole for pole in section.poles], axis=0) if section.poles else 1.0
+    return section.gain * above / below
+
+
+W = 2 * np.pi * 50.0
+SECTIONS = [
+    (resonance(50.0, 7.0), W**2 / (S**2 + S * W / 7.0 + W**2)),
+    (resonance(50.0, 0.3), W**2 / (S**2 + S * W / 0.3 + W**2)),
+    (high_pass(50.0, "low cut-off"), S / (S + W)),
+    (integration(50.0, 3.0), 3.0 / (S + W)),
+    (integration(0.0, 2.0), 2.0 / S),
+    (recovery(0.1), np.ones(S.size)),
+]
+
+
+@pytest.mark.parametrize(("section", "transfer"), SECTIONS)
+def test_given_a_circuit_when_its_states_or_roots_are_followed_then_it_is_the_formula(section, transfer):
+    np.testing.assert_allclose(of_states(section), transfer, rtol=1e-9)
+    np.testing.assert_allclose(of_roots(section), transfer, rtol=1e-9)
+
+
+def test_given_any_circuits_in_series_when_something_enters_in_front_of_one_then_it_passes_what_follows():
+    random = np.random.default_rng(1)
+    for _ in range(20):
+        chosen = random.integers(0, len(SECTIONS), random.integers(0, 6))
+        circuit = Circuit.series([SECTIONS[k][0] for k in chosen])
+        assert circuit.sections == tuple(np.cumsum([0, *(SECTIONS[k][0].states for k in chosen)]))
+        states = circuit.sections[-1]
+        found = np.zeros((len(chosen) + 1, S.size), dtype=complex)
+        for column, s in enumerate(S):
+            inner = (
+                np.linalg.solve(s * np.eye(states) - circuit.a, circuit.b.T) if states else np.zeros((0, 1))
+            )
+            found[:, column] = circuit.c @ inner + circuit.d
+        for entry in range(len(chosen) + 1):
+            follows = np.prod([SECTIONS[k][1] for k in chosen[entry:]], axis=0) * np.ones(S.size)
+            np.testing.assert_allclose(found[entry], follows, rtol=1e-8)
+
+
+def test_given_an_overload_when_it_has_shifted_zero_then_the_shift_fades_with_its_time_constant():
+    section = recovery(0.1)
+    # Driven by the overload alone; its state lowers what is read and halves in 0.1 ln 2 seconds.
+    assert not section.b.any()
+    assert section.c.tolist() == [-1.0]
+    assert np.exp(section.a[0, 0] * 0.1 * np.log(2.0)) == pytest.approx(0.5)

@@ -1,0 +1,85 @@
+"""The decimator against the sum it stands for, written out; its filter against the integral of the kernel."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from daq.dsp.block_buffers import BlockBuffers
+from daq.dsp.decimator import Decimator
+from daq.signal_chain.decimation_filter import DELAY, MOMENTS, PASS, STOP, Decimation
+
+
+@pytest.mark.parametrize(("oversampling", "late"), [(1, 0), (1, 3), (3, 0), (4, 5)])
+def test_given_moments_in_blocks_when_filtered_then_each_sample_is_the_weighted_sum_of_those_before_it(
+    oversampling, late
+):
+    random = np.random.default_rng(oversampling)
+    length, intervals = 7, 211
+    taps = random.standard_normal((oversampling, MOMENTS, length))
+    moments = random.standard_normal((intervals, MOMENTS))
+    buffers = BlockBuffers()
+    decimator, parts = Decimator(taps, late, buffers), []
+    for begin, end in ((0, 1), (1, 1), (1, 3), (3, 100), (100, 105), (105, intervals)):
+        decimator.place(end - begin)[: end - begin] = moments[begin:end]
+        parts.append(decimator.filter(end - begin).copy())
+        # Channels take turns in the memory.
+        buffers.rows(1000)[:] = np.nan
+    samples = np.concatenate(parts)
+    assert samples.size == -(-intervals // oversampling)
+    for n, sample in enumerate(samples):
+        expected = 0.0
+        for p in range(oversampling):
+            for j in range(length):
+                interval = n * oversampling - p - j * oversampling - late
+                if interval >= 0:
+                    expected += taps[p, :, j] @ moments[interval]
+        assert sample == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize("oversampling", [1, 3])
+def test_given_the_standard_filter_when_a_polynomial_is_weighed_then_it_is_the_integral_with_the_kernel(
+    oversampling,
+):
+    low_pass = Decimation.standard(1000.0)
+    taps = low_pass.taps(oversampling)
+    assert taps.shape == (oversampling, MOMENTS, 2 * DELAY)
+    # Constants come through as they are, and as late as is said: t is read at t - 38 samples.
+    assert taps[:, 0].sum() == pytest.approx(1.0, rel=1e-12)
+    interval = np.arange(2 * DELAY * oversampling).reshape(2 * DELAY, oversampling).T
+    middle = -(interval + 0.5) / oversampling
+    half = 0.5 / oversampling
+    ramp = np.sum(taps[:, 0] * middle) + np.sum(taps[:, 1] * half / 3.0)
+    assert ramp == pytest.approx(-DELAY, abs=1e-9)
+    total = quad(lambda t: float(low_pass.impulse_response(np.array(t))), -DELAY, DELAY, limit=400)[0]
+    for p, j, k in ((0, 40, 0), (0, 40, 3), (oversampling - 1, 37, 1), (0, 2, 2)):
+        # Moment k is the mean of the signal times P_k: its weight is (2 k + 1) times the mean of kernel times P_k.
+        end = j + p / oversampling
+        polynomial = np.polynomial.legendre.Legendre.basis(k)
+
+        def weighed(lag, end=end, polynomial=polynomial):
+            place = 1.0 - 2.0 * oversampling * (lag - end)
+            return float(low_pass.impulse_response(np.array(lag - DELAY)) * polynomial(place))
+
+        expected = quad(weighed, end, end + 1 / oversampling)[0] * (2 * k + 1) / total
+        assert taps[p, k, j] == pytest.approx(expected, rel=1e-6, abs=1e-9)
+
+
+def test_given_the_standard_filter_when_its_response_is_asked_for_then_it_is_the_kernels_fourier_integral():
+    low_pass = Decimation.standard(5120.0)
+    assert low_pass.design == {
+        "rate": 5120.0,
+        "delay": 38.0,
+        "cutoff": 0.5,
+        "beta": pytest.approx(11.0531, abs=1e-4),
+    }
+    time = np.linspace(-38.0, 38.0, 200_001)
+    kernel = low_pass.impulse_response(time)
+    step = time[1] - time[0]
+    for share in (0.0, 0.2, 0.44, PASS, 0.5, STOP, 0.7, 3.0):
+        expected = np.sum(kernel * np.cos(2 * np.pi * share * time)) * step / (np.sum(kernel) * step)
+        assert low_pass.magnitude(share * 5120.0) == pytest.approx(expected, abs=2e-6)
+    assert 20 * np.log10(abs(low_pass.magnitude(np.linspace(STOP, 8.0, 4000) * 5120.0)).max()) < -100.0
+    assert abs(20 * np.log10(abs(low_pass.magnitude(np.linspace(0.0, PASS, 2000) * 5120.0)))).max() < 1e-4
+    assert not low_pass.impulse_response(np.array([-38.0, -40.0, 38.0, 41.5])).any()

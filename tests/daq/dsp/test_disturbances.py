@@ -1,0 +1,104 @@
+"""Disturbances over the intervals of a sample, and noise over its spectrum, against what they are said to be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.polynomial.legendre import legval
+
+from daq.dsp.disturbances import Disturbances, Offset, SettlingOffset
+from daq.dsp.noise import LOWEST, FastNoise, Noise, generator, shape
+
+
+class Given:
+    """What is drawn, known beforehand."""
+
+    def __init__(self, values):
+        self._values, self._place = values, 0
+
+    def fill(self, samples):
+        samples[:] = self._values[self._place : self._place + samples.size]
+        self._place += samples.size
+
+
+@pytest.mark.parametrize("each", [1, 2, 5])
+@pytest.mark.parametrize("cuts", [[], [1], [1, 2, 3, 9], [0, 7, 7, 20]])
+def test_given_polynomials_over_samples_when_cut_into_intervals_then_they_are_the_same_curves(each, cuts):
+    samples = np.random.default_rng(each).standard_normal((4, 30))
+    of = Disturbances([Given(row) for row in samples], np.zeros(4), (0, 1, 2, 0), each)
+    held = np.concatenate([of.hold(int(n)) for n in np.diff([0, *cuts, 29 * each + 1])], axis=1)
+    inside = np.linspace(-1.0, 1.0, 5)
+    # Interval 0 ends at sample 0; a sample's polynomials reach over the time since the sample before.
+    for interval in range(29 * each + 1):
+        sample = -(-interval // each)
+        place = (interval - 1) % each
+        over = (2 * place + 1 + inside) / each - 1.0
+        np.testing.assert_allclose(
+            legval(inside, held[:3, interval]), legval(over, samples[:3, sample]), atol=1e-12
+        )
+        assert held[3, interval] == samples[3, sample]
+
+
+def test_given_shares_when_disturbances_reach_the_output_at_once_then_they_are_added_to_it():
+    of = Disturbances([Offset(1.0), Offset(2.0), Offset(5.0)], np.array([0.5, 0.0, -1.0]), (0, 0, 0), 1)
+    volts = np.array([10.0, 20.0])
+    of.add_direct(of.hold(2), volts)
+    assert volts.tolist() == [5.5, 15.5]
+    none = Disturbances([], np.zeros(0), (), 4)
+    assert none.hold(3).shape == (0, 3)
+
+
+def test_given_power_switched_on_when_the_offset_settles_then_it_is_the_exponential_in_blocks_of_any_size():
+    source, level, time, rate = SettlingOffset(-3.0, 0.25, 100.0), -3.0, 0.25, 100.0
+    samples = np.empty(200)
+    for start, stop in ((0, 1), (1, 1), (1, 60), (60, 200)):
+        source.fill(samples[start:stop])
+    np.testing.assert_allclose(samples, level * (1.0 - np.exp(-np.arange(200) / rate / time)), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("corner", "rate", "near", "at_the_end"),
+    [
+        (0.5, 5120.0, 3e-3, 3e-3),
+        (50.0, 5120.0, 3e-3, 3e-3),
+        (3.0, 1e5, 3e-3, 3e-3),
+        (100.0, 50.0, 0.03, 0.06),
+    ],
+)
+def test_given_a_corner_when_noise_is_shaped_then_its_density_rises_as_the_square_root_of_1_plus_corner_over_f(
+    corner, rate, near, at_the_end
+):
+    loss, weight, gain = shape(corner, rate)
+    frequency = np.geomspace(10 * min(LOWEST, 0.1 * corner, 0.01 * rate), 0.5 * rate, 200)
+    delay = np.exp(-2j * np.pi * frequency / rate)[:, None]
+    density = gain * abs(1.0 + np.sum(weight * delay / (1.0 - (1.0 - loss) * delay), axis=1))
+    off = abs(density / np.sqrt(1.0 + corner / frequency) - 1.0)
+    assert off[frequency < 0.45 * rate].max() < near and off.max() < at_the_end
+    # Far above its corner noise is white, and states are stable.
+    assert ((loss > 0.0) & (loss <= 1.0)).all()
+
+
+def test_given_a_shaped_source_when_white_numbers_pass_then_each_state_follows_as_designed():
+    corner, rate = 20.0, 5120.0
+    loss, weight, gain = shape(corner, rate)
+    samples = np.empty(500)
+    Noise(3e-6, corner, rate, generator(4, "c", "noise")).fill(samples)
+    white = generator(4, "c", "noise").standard_normal(500) * 3e-6 * np.sqrt(0.5 * rate)
+    states, expected = np.zeros(loss.size), []
+    for value in white:
+        expected.append(gain * (value + weight @ states))
+        states = (1.0 - loss) * states + value
+    np.testing.assert_allclose(samples, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_given_noise_within_an_interval_when_drawn_then_it_has_the_power_that_its_polynomial_takes_of_the_density(
+    degree,
+):
+    density, rate, samples = 2e-6, 1000.0, np.empty(200_000)
+    for corner, more in ((None, 1.0), (100.0, 1.2)):
+        FastNoise(density, corner, rate, generator(5, "c", "fast"), degree).fill(samples)
+        # White noise projected on P_d: a variance of 2 d + 1 times that of its average, density^2 rate / 2.
+        expected = density * np.sqrt(more * (2 * degree + 1) * 0.5 * rate)
+        assert samples.std() == pytest.approx(expected, rel=0.01)
+        assert abs(samples.mean()) < 0.01 * expected

@@ -10,7 +10,7 @@ _ENGINE = (
     "tests/rig/engine/test_reference.py tests/rig/engine/test_lasting.py tests/rig/engine/test_limits.py "
     f"tests/rig/engine/test_invariants.py -k 'not ({_SLOW})'"
 )
-_RECORDING, _RESPONSES = "tests/daq/recording", "tests/analysis/responses"
+_RECORDING, _CHAIN, _RESPONSES = "tests/daq/recording", "tests/daq/signal_chain", "tests/analysis/responses"
 _FILE = f"{_RECORDING}/test_recording.py {_RECORDING}/test_recovery.py {_RECORDING} tests/daq/mcap_file"
 
 # Place: {module: tests, those that notice most first}. The examples of the module itself always run.
@@ -33,8 +33,8 @@ PLACES: dict[str, dict[str, str]] = {
         "daq/dsp/disturbances.py": "tests/daq/dsp/test_disturbances.py tests/daq/dsp",
     },
     "filters": {
-        "daq/dsp/circuit.py": "tests/daq/dsp/test_circuit.py tests/daq/signal_chain/test_chain.py",
-        "daq/dsp/decimator.py": "tests/daq/dsp/test_decimator.py tests/daq/signal_chain/test_decimation_filter.py",
+        "daq/dsp/circuit.py": f"tests/daq/dsp/test_circuit.py {_CHAIN}/test_chain.py",
+        "daq/dsp/decimator.py": f"tests/daq/dsp/test_decimator.py {_CHAIN}/test_decimation_filter.py",
         "daq/signal_chain/decimation_filter.py": "tests/daq/dsp/test_decimator.py "
         "tests/daq/signal_chain/test_decimation_filter.py",
     },
@@ -42,7 +42,7 @@ PLACES: dict[str, dict[str, str]] = {
         "daq/instrument/engines/triggers.py": "tests/daq/instrument/test_triggers.py tests/daq/instrument",
     },
     "limits": {
-        "daq/signal_chain/converter.py": "tests/daq/signal_chain/test_converter.py tests/daq/signal_chain/test_bench.py",
+        "daq/signal_chain/converter.py": f"{_CHAIN}/test_converter.py {_CHAIN}/test_bench.py",
         "rig/scene/quantity_field.py": "tests/rig/scene",
         "rig/system/assembly.py": "tests/rig/system tests/rig/scene/test_unphysical.py",
     },

@@ -111,7 +111,9 @@ class DamagedFile:
         chunk = self._chunk(place, length)
         if chunk is not None:
             return chunk
-        if opcode in (METADATA, ATTACHMENT) and length <= LARGEST_RECORD and end <= self.size:
+        # A checksum of fields says nothing of the length; one too large would take in what follows.
+        sized = opcode == ATTACHMENT or (opcode == METADATA and self._agrees(place))
+        if sized and length <= LARGEST_RECORD and end <= self.size:
             try:
                 return Intact(_verified(opcode, self._read(place + RECORD_HEAD.size, length)), length), end
             except Damage as damage:

@@ -1,0 +1,254 @@
+"""A file of a few hundred bytes, packed by hand and damaged at every byte: what is intact is had, nothing else is."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+
+import lz4.frame
+import pytest
+import zstandard
+
+from daq.mcap_file import chunk as module
+from daq.mcap_file.chunk import Damage, Stored, messages_in, records_in, unpack_chunk
+from daq.mcap_file.damaged_file import DamagedFile, Intact, Unreadable
+from daq.mcap_file.metadata_checksum import checked
+
+MAGIC = b"\x89MCAP0\r\n"
+PACKERS = {b"": bytes, b"zstd": zstandard.compress, b"lz4": lz4.frame.compress}
+
+
+def record(opcode, content):
+    return struct.pack("<BQ", opcode, len(content)) + content
+
+
+def text(value):
+    return struct.pack("<I", len(value)) + value
+
+
+def message(channel, data):
+    return record(5, struct.pack("<HIQQ", channel, 7, 2000, 1000) + data)
+
+
+def chunk(compression, inside, crc=None, size=None):
+    packed = PACKERS[compression](inside)
+    crc = zlib.crc32(inside) if crc is None else crc
+    head = struct.pack("<QQQI", 1000, 2000, len(inside) if size is None else size, crc)
+    return head + text(compression) + struct.pack("<Q", len(packed)) + packed
+
+
+def metadata(fields):
+    pairs = b"".join(text(key.encode()) + text(value.encode()) for key, value in fields.items())
+    return text(b"run") + text(pairs)
+
+
+def attachment(data):
+    content = (
+        struct.pack("<QQ", 1, 2) + text(b"scene") + text(b"text/plain") + struct.pack("<Q", len(data)) + data
+    )
+    return content + struct.pack("<I", zlib.crc32(content))
+
+
+INSIDE = [message(1, bytes(range(40))), message(2, b"second " * 4), message(1, b"\x06\x0c\x0f" * 9)]
+INDEX = struct.pack("<HI", 1, 16) + struct.pack("<QQ", 5, 6)
+CONTENTS = [
+    (6, chunk(b"", INSIDE[0])),
+    (7, INDEX),
+    (0x0C, metadata(checked({"seed": "1", "rate": "5120"}))),
+    (6, chunk(b"zstd", INSIDE[1])),
+    (9, attachment(b"structure: {}")),
+    (6, chunk(b"lz4", INSIDE[2])),
+]
+HEAD = MAGIC + record(1, text(b"") + text(b"hand"))
+END = record(0x0F, struct.pack("<I", 0))
+RECORDS = [record(opcode, content) for opcode, content in CONTENTS]
+WHOLE = HEAD + b"".join(RECORDS) + END + record(2, bytes(20)) + MAGIC
+# Where each record begins and ends, and what it holds; nothing needs an index.
+SPANS, place = [], len(HEAD)
+for each in RECORDS:
+    SPANS.append((place, place + len(each)))
+    place += len(each)
+
+
+def held(part):
+    """What a part holds, as bytes or fields."""
+    content = part.content
+    if isinstance(content, memoryview):
+        return bytes(content)
+    return getattr(content, "metadata", None) or bytes(content.data)
+
+
+TRUE = [INSIDE[0], None, checked({"seed": "1", "rate": "5120"}), INSIDE[1], b"structure: {}", INSIDE[2]]
+
+
+def parts_of(path, data):
+    path.write_bytes(data)
+    with DamagedFile(path) as file:
+        return list(file.parts())
+
+
+def test_given_a_whole_file_when_walked_then_all_it_holds_is_had_in_order(tmp_path):
+    parts = parts_of(tmp_path / "a", WHOLE)
+    assert all(isinstance(part, Intact) for part in parts)
+    assert [held(part) for part in parts] == [each for each in TRUE if each is not None]
+    assert [part.stored for part in parts] == [len(content) for opcode, content in CONTENTS if opcode != 7]
+
+
+@pytest.mark.parametrize("damage", ["flip", "ones"])
+def test_given_any_byte_damaged_when_walked_then_the_other_records_are_had_and_nothing_false(
+    tmp_path, damage
+):
+    for at in range(len(HEAD) + sum(map(len, RECORDS))):
+        data = bytearray(WHOLE)
+        data[at] = data[at] ^ (1 << at % 8) if damage == "flip" else 0xFF
+        if data == WHOLE:
+            continue
+        parts = parts_of(tmp_path / "a", data)
+        had = [held(part) for part in parts if isinstance(part, Intact)]
+        untouched = [true for true, (begin, end) in zip(TRUE, SPANS, strict=True) if not begin <= at < end]
+        assert [each for each in TRUE if each is not None and (each in untouched or each in had)] == had
+        assert all(each in had for each in untouched if each is not None)
+        spoilt = [part for part in parts if isinstance(part, Unreadable)]
+        assert len(spoilt) <= 1
+        missing = [each for each in TRUE if each is not None and each not in had]
+        if missing:
+            [span] = [span for true, span in zip(TRUE, SPANS, strict=True) if true == missing[0]]
+            assert (spoilt[0].begin, spoilt[0].end) == span
+            assert spoilt[0].reason
+
+
+def test_given_a_file_cut_at_any_byte_when_walked_then_what_came_before_is_had_and_the_rest_is_told(tmp_path):
+    near = {at + beside for span in SPANS for at in span for beside in range(-10, 70, 3)}
+    for cut in sorted(each for each in near if len(HEAD) <= each <= SPANS[-1][1]):
+        parts = parts_of(tmp_path / "a", WHOLE[:cut])
+        before = [true for true, (_, end) in zip(TRUE, SPANS, strict=True) if end <= cut and true is not None]
+        assert [held(part) for part in parts if isinstance(part, Intact)] == before
+        torn = [begin for begin, end in SPANS if begin < cut < end]
+        told = [(part.begin, part.end) for part in parts if isinstance(part, Unreadable)]
+        assert told == [(begin, cut) for begin in torn]
+
+
+@pytest.mark.parametrize("length", [1, 8, 9, 200, (1 << 20) - 9, (1 << 20) + 5])
+def test_given_foreign_bytes_between_records_when_walked_then_the_next_record_is_found(tmp_path, length):
+    for filler in (b"\0", b"\xff", b"\x06\x0c\x0f\x07"):
+        foreign = (filler * length)[:length]
+        parts = parts_of(tmp_path / "a", HEAD + RECORDS[0] + foreign + RECORDS[3] + RECORDS[4] + END)
+        begin = len(HEAD) + len(RECORDS[0])
+        spans = [(part.begin, part.end) for part in parts if isinstance(part, Unreadable)]
+        assert spans == [(begin, begin + length)]
+        assert [held(part) for part in parts if isinstance(part, Intact)] == [TRUE[0], TRUE[3], TRUE[4]]
+
+
+def test_given_a_file_that_begins_in_another_way_when_walked_then_it_is_told_and_records_are_sought(tmp_path):
+    parts = parts_of(tmp_path / "a", b"not a recording" + RECORDS[0] + END)
+    assert (parts[0].begin, parts[0].end) == (0, 15)
+    assert "does not begin like an MCAP file" in parts[0].reason
+    assert held(parts[1]) == TRUE[0] and len(parts) == 2
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        (chunk(b"", INSIDE[0], crc=0), "no checksum"),
+        (chunk(b"zstd", INSIDE[0], crc=1), "its checksum is wrong"),
+        (chunk(b"zstd", INSIDE[0], size=60), "instead of 60"),
+    ],
+)
+def test_given_a_chunk_that_vouches_for_nothing_when_walked_then_it_is_not_believed(tmp_path, content, why):
+    parts = parts_of(tmp_path / "a", HEAD + record(6, content) + RECORDS[3] + END)
+    assert (parts[0].begin, parts[0].end) == (len(HEAD), len(HEAD) + 9 + len(content))
+    assert parts[0].reason.startswith("a chunk: ") and why in parts[0].reason
+    assert held(parts[1]) == TRUE[3]
+
+
+@pytest.mark.parametrize(
+    ("opcode", "content", "why"),
+    [(0x0C, metadata({"seed": "1"}), "metadata"), (9, attachment(b"x")[:-1] + b"\0", "attachment")],
+)
+def test_given_what_has_no_right_checksum_when_walked_then_it_is_not_believed(tmp_path, opcode, content, why):
+    parts = parts_of(tmp_path / "a", HEAD + record(opcode, content) + RECORDS[3] + END)
+    assert why in parts[0].reason or isinstance(parts[0], Unreadable)
+    assert [held(part) for part in parts if isinstance(part, Intact)] == [TRUE[3]]
+
+
+@pytest.mark.parametrize("compression", PACKERS)
+def test_given_a_sound_chunk_when_unpacked_then_it_is_what_was_packed(compression):
+    inside = b"".join(INSIDE)
+    assert unpack_chunk(memoryview(chunk(compression, inside)), checksum_needed=True) == inside
+    # MCAP lets a chunk go without a checksum.
+    assert unpack_chunk(memoryview(chunk(compression, inside, crc=0))) == inside
+    assert unpack_chunk(memoryview(chunk(compression, b"", crc=0))) == b""
+
+
+@pytest.mark.parametrize("compression", PACKERS)
+def test_given_a_chunk_damaged_at_any_byte_when_unpacked_then_it_is_refused_or_the_same(compression):
+    inside = INSIDE[0]
+    content = chunk(compression, inside)
+    # Nothing vouches for the times in front.
+    for at in range(16, len(content)):
+        damaged = bytearray(content)
+        damaged[at] ^= 1 << at % 8
+        try:
+            assert unpack_chunk(memoryview(damaged), checksum_needed=True) == inside
+        except Damage as damage:
+            assert str(damage)
+    for cut in range(len(content)):
+        with pytest.raises(Damage):
+            unpack_chunk(memoryview(content[:cut]))
+    with pytest.raises(Damage):
+        unpack_chunk(memoryview(content + b"\0"))
+
+
+def test_given_a_chunk_of_the_largest_size_when_unpacked_then_it_is_taken_and_a_larger_one_is_not(
+    monkeypatch,
+):
+    monkeypatch.setattr(module, "LARGEST_CHUNK", 1000)
+    assert len(unpack_chunk(memoryview(chunk(b"", bytes(1000))))) == 1000
+    with pytest.raises(Damage, match="claims to unpack to 1001 bytes; at most 1000"):
+        unpack_chunk(memoryview(chunk(b"", bytes(1001))))
+
+
+@pytest.mark.parametrize("compression", [b"zstd", b"lz4"])
+def test_given_a_chunk_that_packs_as_well_as_is_believed_when_unpacked_then_a_better_one_is_not(
+    compression, monkeypatch
+):
+    content = chunk(compression, bytes(10_000))
+    monkeypatch.setattr(module, "PACKS_AT_MOST", 3)
+    monkeypatch.setattr(module, "PACKS_FREELY", 10_000 - 3 * len(content))
+    assert len(unpack_chunk(memoryview(content))) == 10_000
+    monkeypatch.setattr(module, "PACKS_FREELY", 10_000 - 3 * len(content) - 1)
+    with pytest.raises(Damage, match="claims to unpack from"):
+        unpack_chunk(memoryview(content))
+
+
+@pytest.mark.parametrize("size", [len(INSIDE[0]) - 1, len(INSIDE[0]) + 1])
+@pytest.mark.parametrize("compression", PACKERS)
+def test_given_a_chunk_of_another_size_than_it_claims_when_unpacked_then_it_is_refused(compression, size):
+    with pytest.raises(Damage, match="unpack"):
+        unpack_chunk(memoryview(chunk(compression, INSIDE[0], size=size)))
+
+
+def test_given_the_records_of_a_chunk_when_read_then_messages_are_had_and_what_does_not_fit_is_refused():
+    inside = record(4, b"channel") + INSIDE[0] + record(3, b"") + INSIDE[1]
+    found = [(opcode, bytes(content)) for opcode, content in records_in(memoryview(inside), len(inside))]
+    assert found == [(4, b"channel"), (5, INSIDE[0][9:]), (3, b""), (5, INSIDE[1][9:])]
+    messages = list(messages_in(memoryview(inside), len(inside)))
+    assert messages[0] == Stored(1, 7, 2000, 1000, memoryview(bytes(range(40))))
+    assert [bytes(each.data) for each in messages] == [bytes(range(40)), b"second " * 4]
+    assert next(messages_in(memoryview(message(3, b"")), 31)).data == b""
+    ends = {0, 16, 16 + len(INSIDE[0]), 25 + len(INSIDE[0]), len(inside)}
+    for cut in range(len(inside)):
+        if cut not in ends:
+            with pytest.raises(Damage, match=r"cut short|claims"):
+                list(records_in(memoryview(inside[:cut]), cut))
+    for wrong in (record(6, b""), record(2, b""), record(5, bytes(21))):
+        with pytest.raises(Damage, match=r"belongs into no chunk|cut short"):
+            list(messages_in(memoryview(wrong), len(wrong)))
+
+
+def test_given_more_records_than_bytes_when_read_then_the_chunk_is_refused(monkeypatch):
+    monkeypatch.setattr(module, "FEW_RECORDS", 3)
+    inside = memoryview(record(3, b"") * 5)
+    assert len(list(records_in(inside, stored=2))) == 5
+    with pytest.raises(Damage, match="more than 4 records in 1 bytes"):
+        list(records_in(inside, stored=1))

@@ -179,7 +179,10 @@ def caption(figure: Figure, *sentences: str) -> None:
 
 
 def legend_below(figure: Figure, *sentences: str) -> None:
-    """Put one legend of all axes below them, with such sentences above it."""
+    """Put one legend of all axes below them, where no curve crosses it, with such sentences above it."""
+    if not any(axes.get_legend_handles_labels()[0] for axes in figure.axes):
+        caption(figure, *sentences)
+        return
     title = _wrapped(figure, sentences) or None
     legend = figure.legend(
         loc="outside lower left", ncols=2, title=title, title_fontsize=7.5, alignment="left"

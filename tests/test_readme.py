@@ -54,6 +54,9 @@ def test_given_the_readme_when_its_commands_are_typed_then_each_does_what_it_say
             done = CliRunner().invoke(import_module(f"{words[0]}.cli").app, words[1:])
         assert done.exit_code == 0, (words, done.output, done.exception)
         assert done.output, words
+        if words[:2] == ["analysis", "compare"]:
+            (quoted,) = re.findall(r"^    (.*) \.\.\.$", README, re.MULTILINE)
+            assert quoted in done.output
     for made in ("sweep.mcap", "sweep-frf.png", "hit.mcap", "mine.mcap", "mine-frf.csv"):
         assert (folder / "recordings" / made).stat().st_size > 0
 

@@ -11,7 +11,7 @@ from scipy.ndimage import median_filter
 
 from analysis.responses.frf import DOTS, Frf
 from rig.escaping import drawn
-from rig.figure_style import caption, colour, decades, drawing, frequency_axis, heading
+from rig.figure_style import colour, decades, drawing, frequency_axis, heading, legend_below
 
 Array = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ def frf_figure(
         low, high = low / 1.2, high * 1.2
     shades = {frf.response: colour(index) for index, frf in reversed(list(enumerate(frfs)))}
     several = len(shades) > 1
-    with drawing(6.4) as figure:
+    with drawing(6.8) as figure:
         upper, middle, lower = figure.subplots(3, 1, height_ratios=[3.2, 1.3, 0.9])
         for curve in theory:
             shade = shades.get(curve.response, THEORY) if several else THEORY
@@ -80,8 +80,6 @@ def frf_figure(
         name = drawn(frfs[0].name)
         upper.set_ylabel(f"|{name}| / ({unit})" if "/" in unit else name)
         heading(upper, title)
-        if upper.get_legend_handles_labels()[0]:
-            upper.legend(loc="best")
         middle.set_ylabel("phase / °")
         middle.set_yticks([-270, -180, -90, 0, 90])
         middle.set_ylim(-285, 105)
@@ -94,7 +92,7 @@ def frf_figure(
                 ha="center", va="center", fontsize=8, color="#555555",
             )  # fmt: skip
         figure.align_ylabels([upper, middle, lower])
-        caption(figure, *_caption(frfs))
+        legend_below(figure, *_caption(frfs))
         return figure
 
 

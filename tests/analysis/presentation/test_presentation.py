@@ -141,7 +141,7 @@ def test_given_a_long_name_when_drawn_then_title_note_and_axis_keep_clear_of_eac
     figure = frf_figure(curves, "Receptance: " + "a scene of many words, " * 5)
     figure.canvas.draw()
     upper, _, lower = figure.axes
-    note, label = figure._supxlabel.get_window_extent(), lower.xaxis.label.get_window_extent()
+    note, label = figure.legends[0].get_window_extent(), lower.xaxis.label.get_window_extent()
     assert upper._left_title.get_window_extent().x1 < figure.bbox.x1
     assert note.y1 <= label.y0 and note.y0 >= 0.0
 
@@ -151,10 +151,10 @@ def drawn_frf(value, systematic, left_out=()):
     flat = np.ones(11)
     curve = Frf(
         np.linspace(10.0, 20.0, 11), value * flat.astype(complex), 0.01 * value * flat, flat, 38.0 * flat, "body3",
-        systematic={"sensors' sensitivity": systematic * flat}, left_out=np.array(left_out),
+        systematic={"sensors' sensitivity": systematic * flat}, left_out=np.array(left_out), label="a scene",
     )  # fmt: skip
     figure = frf_figure([curve], "Compliance")
-    return figure.axes[0], figure._supxlabel.get_text()
+    return figure.axes[0], figure.legends[0].get_title().get_text()
 
 
 def test_given_points_left_out_when_drawn_then_no_line_crosses_their_place():

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -48,14 +49,18 @@ def whole_periods(frequency: float, rate: float, at_least: float, periods: int =
 # A test stays at one frequency for a few kinds of windows, which may be long.
 @lru_cache(maxsize=8)
 def _solver(frequency: float, rate: float, samples: int) -> Array:
-    return _pseudo_inverse(2 * np.pi * np.fmod(frequency / rate * np.arange(samples), 1.0))
+    return _weights(2 * np.pi * np.fmod(frequency / rate * np.arange(samples), 1.0))
 
 
-def _pseudo_inverse(phase: Array) -> Array:
+def _weights(phase: Array) -> Array:
+    """Give the weights of the samples in both parts of the amplitude by least squares, shape (2, samples)."""
     # Integrated channels drift and dampers shift the mean: a cubic is fitted with the tone to take that up.
-    drift = np.vander(np.linspace(-1.0, 1.0, phase.size), 4)
-    model = np.column_stack([np.cos(phase), -np.sin(phase), drift])
-    return np.linalg.pinv(model)[:2].copy()
+    drift = legvander(np.linspace(-1.0, 1.0, phase.size), 3)
+    model = np.column_stack([np.cos(phase), -np.sin(phase), drift]).T
+    # Over two periods and more these are nearly orthogonal, so that the normal equations lose nothing. Sums by einsum:
+    # BLAS would have its threads wait over a matrix this small.
+    normal = np.einsum("in,jn->ij", model, model)
+    return np.einsum("ki,in->kn", np.linalg.inv(normal)[:2], model)
 
 
 def lock_in(samples: Array, frequency: float, rate: float, phase: float = 0.0) -> ComplexArray:
@@ -81,7 +86,7 @@ def lock_in(samples: Array, frequency: float, rate: float, phase: float = 0.0) -
     >>> f"{abs(amplitude[0]):.9f}", bool(abs(np.angle(amplitude[0])) < 1e-9)
     ('3.000000000', True)
     """
-    parts = samples @ _solver(frequency, rate, samples.shape[1]).T
+    parts = np.einsum("cn,kn->ck", samples, _solver(frequency, rate, samples.shape[1]))
     return (parts[:, 0] + 1j * parts[:, 1]) * np.exp(-1j * phase)
 
 
@@ -99,5 +104,5 @@ def track(samples: Array, phase: Array) -> ComplexArray:
     -------
     ndarray of complex, shape (channels,)
     """
-    parts = samples @ _pseudo_inverse(phase).T
+    parts = np.einsum("cn,kn->ck", samples, _weights(phase))
     return parts[:, 0] + 1j * parts[:, 1]

@@ -1,9 +1,14 @@
-"""A pytest plugin for trials: the first example that fails is enough, and without numba kernels run as plain Python.
+"""A pytest plugin for trials: the first example that fails is enough, as is a test that takes far too long.
+
+Without numba kernels run as plain Python.
 
 The kernels' products in vector registers are machine code from the start; here are the same sums in numpy.
 """
 
 from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -13,6 +18,8 @@ from numba import config
 from rig.numerics import simd
 
 Array = np.ndarray
+#: Time that a test may take, s.
+LONGEST = 60
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -22,6 +29,21 @@ def pytest_configure() -> None:
         "quickly", settings.get_profile("project"), phases=[Phase.explicit, Phase.generate]
     )
     settings.load_profile("quickly")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call() -> Iterator[None]:
+    """Let no test go on for ever: none that serves here takes a tenth of that."""
+    signal.signal(signal.SIGALRM, _too_long)
+    signal.alarm(LONGEST)
+    try:
+        return (yield)
+    finally:
+        signal.alarm(0)
+
+
+def _too_long(*_: object) -> None:
+    raise TimeoutError(f"more than {LONGEST} s")
 
 
 def _combine(matrix: Array, constant: Array, slot: int, vector: Array, columns: int, out: Array) -> None:

@@ -43,7 +43,7 @@ PLACES: dict[str, dict[str, str]] = {
     },
     "limits": {
         "daq/signal_chain/converter.py": f"{_CHAIN}/test_converter.py {_CHAIN}/test_bench.py",
-        "rig/scene/quantity_field.py": "tests/rig/scene",
+        "rig/scene/quantity_field.py": "tests/rig/scene/test_quantity_field.py tests/rig/scene",
         "rig/system/assembly.py": "tests/rig/system tests/rig/scene/test_unphysical.py",
     },
     "bounds": {

@@ -1,8 +1,7 @@
 """A pytest plugin for trials: the first example that fails is enough, as is a test that takes far too long.
 
-Without numba kernels run as plain Python.
-
-The kernels' products in vector registers are machine code from the start; here are the same sums in numpy.
+Without numba, kernels run as plain Python. Their products in vector registers are machine code from the start: here
+are the same sums in numpy.
 """
 
 from __future__ import annotations

@@ -1,0 +1,113 @@
+"""Numbers with a unit: what bounds let through, and what is said of what they do not."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import TypeAdapter
+from pydantic_core import PydanticCustomError
+
+from rig.scene.quantities import LENGTH, MASS
+from rig.scene.quantity_field import Quantity, got, printable, quantity_of
+
+NUMBERS = st.sampled_from([-3.0, -1.0, 0.0, 1.0, 2.0, 5.0, float("inf"), -float("inf")])
+
+
+@given(
+    value=NUMBERS,
+    above=st.none() | NUMBERS,
+    at_least=st.none() | NUMBERS,
+    below=st.none() | NUMBERS,
+    infinite=st.booleans(),
+)
+def test_given_bounds_when_a_number_is_read_then_it_is_taken_just_where_they_let_it(
+    value, above, at_least, below, infinite
+):
+    quantity = Quantity(LENGTH, above=above, at_least=at_least, below=below, infinite=infinite)
+    allowed = infinite or abs(value) < float("inf")
+    allowed = allowed and not (above is not None and value <= above)
+    allowed = allowed and not (at_least is not None and value < at_least)
+    allowed = allowed and not (below is not None and value >= below)
+    if allowed:
+        assert quantity.read(value) == value
+    else:
+        with pytest.raises(PydanticCustomError, match=r"got .*; expected a length such as"):
+            quantity.read(value)
+
+
+def test_given_bounds_when_told_then_each_is_named_with_what_a_bare_number_is():
+    quantity = Quantity(LENGTH, above=0.0, at_least=1e-3, below=2.5, infinite=False)
+    assert (
+        quantity.bounded
+        == f"{LENGTH.noun} such as {LENGTH.example}, above 0 and at least 0.001 and below 2.5 and finite"
+    )
+    assert quantity.offered == f"{quantity.bounded}; a bare number is in m"
+    either = Quantity(LENGTH, MASS, infinite=True)
+    assert either.bounded == f"{LENGTH.noun} or {MASS.noun} such as {LENGTH.example} or {MASS.example}"
+    assert either.offered.endswith("; a bare number is in m or kg")
+
+
+def test_given_two_kinds_when_read_then_the_first_that_fits_counts():
+    either = Quantity(LENGTH, MASS)
+    assert (either.read("2 mm"), either.read("2 g")) == (2e-3, 2e-3)
+    with pytest.raises(PydanticCustomError, match=r'got "2 Hz"; expected a length or a mass'):
+        either.read("2 Hz")
+
+
+def test_given_a_list_when_it_may_be_one_then_every_number_is_read_and_none_is_too_few():
+    listed = Quantity(LENGTH, above=0.0, listed=True)
+    assert listed.read(["1 mm", 2.0]) == (1e-3, 2.0)
+    assert listed.read("1 mm") == 1e-3
+    with pytest.raises(PydanticCustomError, match="at least one"):
+        listed.read([])
+    for wrong in ([1.0, -1.0], ["1 kg"]):
+        with pytest.raises(PydanticCustomError):
+            listed.read(wrong)
+    with pytest.raises(PydanticCustomError):
+        Quantity(LENGTH).read([1.0])
+
+
+def test_given_minus_zero_when_read_then_it_is_zero():
+    assert str(Quantity(LENGTH).read(-0.0)) == "0.0"
+
+
+def test_given_a_number_that_arithmetic_cannot_carry_when_read_then_the_range_is_told():
+    with pytest.raises(PydanticCustomError, match=r"expected a length .*"):
+        Quantity(LENGTH).read(1e200)
+
+
+def test_given_a_quantity_when_described_for_editors_then_bounds_and_lists_are_there():
+    def schema(**bounds):
+        return TypeAdapter(Annotated[float, Quantity(LENGTH, **bounds)]).json_schema()
+
+    number, text = schema(above=0.0, below=4.0)["anyOf"]
+    assert number == {"type": "number", "exclusiveMinimum": 0.0, "exclusiveMaximum": 4.0}
+    assert text == {"type": "string"}
+    number, text, many = schema(at_least=1.0, listed=True)["anyOf"]
+    assert number == {"type": "number", "minimum": 1.0}
+    assert many == {"type": "array", "items": {"anyOf": [number, text]}, "minItems": 1}
+
+
+def test_given_a_type_when_its_quantity_is_sought_then_it_is_found_inside_unions():
+    quantity = Quantity(LENGTH)
+    assert quantity_of(Annotated[float, quantity] | None) is quantity
+    assert quantity_of(tuple[Annotated[float, quantity], ...]) is quantity
+    assert quantity_of(float | None) is None
+
+
+def test_given_any_value_when_shown_then_it_is_short_and_says_what_it_is():
+    assert [got(each) for each in (None, {}, {"a": 1, "b": 2}, "x", 1.5)] == [
+        "nothing",
+        "no keys",
+        "keys a, b",
+        '"x"',
+        "1.5",
+    ]
+    assert got("x" * 58) == f'"{"x" * 58}"'
+    assert got("x" * 59) == f'"{"x" * 56}...'
+    assert printable("a b") == "a b"
+    with pytest.raises(PydanticCustomError, match=r"\\x1b.*a line of printable characters"):
+        printable("a\x1b[2J")

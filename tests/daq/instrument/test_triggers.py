@@ -44,7 +44,7 @@ def found(condition, samples, skip, cuts):
     ((_, finder),) = AnalogSource(((0, condition),)).finders()
     start = 0
     for part in np.split(np.array(samples), cuts):
-        at = finder.find(part, min(max(0, skip - start), part.size))
+        at = finder.find(part, min(skip - start, part.size)) if start < skip else finder.find(part)
         if at is not None:
             return start + at
         start += part.size

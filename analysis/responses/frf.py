@@ -110,7 +110,8 @@ class Frf(Result):
         height = f"{factor * abs(self.value[top]):.4g} {unit}"
         if bound > 0.0:
             height = bounded(factor * float(abs(self.value[top])), factor * bound, unit)
-        mostly = f"; most of that bound: {self.parts()[top]}" if bound > 0.0 else ""
+        what_of_it = "most of that bound" if np.isfinite(bound) else "what leaves it unbounded"
+        mostly = f"; {what_of_it}: {self.parts()[top]}" if bound > 0.0 else ""
         return (
             f"{what}, {self.frequency.min():.4g} to {self.frequency.max():.4g} Hz, highest {height} "
             f"at {self.frequency[top]:.4g} Hz{mostly}"

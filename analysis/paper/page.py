@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from string import Template
@@ -36,6 +36,17 @@ CAPTIONS = {
 }
 BEYOND = ("design", "optimum", "trust")
 COMMAND = "analysis paper"
+
+
+def _more_mass(both: Mapping[str, np.ndarray]) -> str:
+    """Say that there is no best mass ratio where the heaviest damper tried is the best."""
+    ratios = both["mass_ratios"]
+    if both["mass_ratio"] < ratios.max():
+        return ""
+    least = [f"{100 * r:.3g} % {1e6 * both['worst'][ratios == r].min():.0f}" for r in np.unique(ratios)]
+    return (
+        f" There is no best mass ratio within: more mass is better; worst peaks in µm/N: {', '.join(least)}."
+    )
 
 
 def write_pages(folder: Path, judged: Sequence[Claim], parts: Parts) -> list[Path]:
@@ -81,7 +92,7 @@ def beyond_the_paper(parts: Parts) -> list[Evidence]:
         Evidence(
             f"Clearance and mass ratio together, up to {100 * both['mass_ratios'].max():.0f} %: "
             f"{100 * float(both['mass_ratio']):.1f} % with {1e3 * float(both['best']):.2f} mm (worst peak "
-            f"{1e6 * float(both['peak']):.0f} µm/N, {len(both['worst'])} trials).",
+            f"{1e6 * float(both['peak']):.0f} µm/N, {len(both['worst'])} trials).{_more_mass(both)}",
             ("optimum",),
         ),
         Evidence(

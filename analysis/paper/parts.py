@@ -15,13 +15,26 @@ from analysis.paper.store import PaperPart
 from rig.scene.scene import Scene
 
 BAND = (45.0, 54.0)
-FORCES = np.array([2.0, 3.3, 4.0, 5.0, 7.5, 10.0, 15.0])
-CLEARANCES = 1e-3 * np.array([0.3, 0.4, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0])
+FORCES = np.array([2.0, 2.6, 3.3, 4.0, 5.0, 7.5, 10.0, 15.0])
+CLEARANCES = 1e-3 * np.array([0.3, 0.4, 0.5, 0.6, 0.7, 1.0, 1.4, 2.0, 3.0])
 MODE_BANDS = {1: (11.5, 14.0), 2: (31.0, 36.0), 3: (45.5, 51.5)}
 DAMPINGS = np.array([0.003, 0.005, 0.0075, 0.01, 0.015])
 NEAR_PAPER = 1e-3 * np.array([0.9, 0.98, 1.05, 1.1, 1.15, 1.2, 1.3])
 MASS_RATIOS = (0.03, 0.06, 0.10)
-WIDE_MASS_RATIOS = np.array([0.02, 0.04, 0.06, 0.08, 0.10])
+WIDE_MASS_RATIOS = np.array([0.02, 0.05, 0.1, 0.15, 0.2, 0.3])
+# What the paper leaves open for Fig 8: by how much each mode is damped, and at which level it is tested.
+OPEN_DAMPINGS = np.array([0.002, 0.005, 0.01, 0.02])
+OPEN_FORCES = np.array([0.65, 1.3, 2.6, 5.2])
+OPEN_MASS_RATIOS = np.array([0.05, 0.10])
+# Noise of the accelerometers in Fig 10a, ug/sqrt(Hz), and a grid that meets the peaks and the antiresonances of
+# bodies 1 and 2 with three dampers.
+NOISES = (20, 200, 2000)
+NOISE_GRID = np.concatenate(
+    [
+        np.linspace(low, high, 5)
+        for low, high in ((12.2, 13.0), (16.4, 17.2), (26.4, 26.8), (33.9, 34.7), (41.8, 42.6), (47.0, 49.0))
+    ]
+)
 # Third resonance, finer where the single damper peaks.
 RESONANCE = np.unique(np.concatenate([np.linspace(45.5, 53.0, 16), np.linspace(46.2, 50.4, 22)]))
 # Fig 8 covers all resonances: coarse in between, fine about them, with and without the dampers' masses.
@@ -42,13 +55,14 @@ SWEEP = np.unique(
 EFFORT = {
     "approx-peaks": 70.0, "rec-one": 32.0, "rec-two": 31.0, "rec-three": 30.0, "rec-bare": 27.0, "scan-three": 26.0,
     "optimum": 20.0, "rec-fig9": 14.0, "scan-single": 10.0, "best-03": 7.0, "best-06": 7.0, "best-10": 7.0,
-    "fig9-damping": 6.0, "sim-three": 5.0, "orbit-fig9": 3.0, "sim-fig5-three": 3.0,
+    "fig9-damping": 6.0, "least-affected": 25.0, "rec-noise-20": 5.0, "rec-noise-200": 5.0, "rec-noise-2000": 5.0,
+    "sim-three": 5.0, "orbit-fig9": 3.0, "sim-fig5-three": 3.0,
 }  # fmt: skip
 # Points of Fig 5 whose waveforms Fig 6 shows.
 WAVES = {
-    "a": ("fig5-single-damper", 48.5),
-    "b": ("fig5-three-dampers", 50.5),
-    "c": ("fig5-three-dampers", 52.65),
+    "a": ("fig5-single-damper", 48.25),
+    "b": ("fig5-three-dampers", 48.0),
+    "c": ("fig5-three-dampers", 49.75),
 }
 
 
@@ -120,6 +134,19 @@ def all_parts(folder: Path) -> list[PaperPart]:
                 paper_simulation.weightings, rig.load(f"fig8-{count}"), bands=MODE_BANDS,
             )
         )  # fmt: skip
+    parts.append(
+        _part(
+            "least-affected", "Fig 8 over damping, mass ratio and force", paper_scan.least_affected,
+            rig.load("fig8-three-dampers"), dampings=OPEN_DAMPINGS, mass_ratios=OPEN_MASS_RATIOS, forces=OPEN_FORCES,
+            bands=MODE_BANDS,
+        )
+    )  # fmt: skip
+    parts.append(
+        _part(
+            "sim-noise", "Fig 10a where noise tells", paper_simulation.simulated, rig.load("fig10a"),
+            frequencies=np.sort(NOISE_GRID),
+        )
+    )  # fmt: skip
     dense = np.linspace(*BAND, 109)
     for name, scene in (("sim-fig5-single", single), ("sim-fig5-three", three)):
         parts.append(_part(name, "simulation of Fig 5", paper_simulation.simulated, scene, frequencies=dense))
@@ -159,10 +186,26 @@ def _experiments() -> list[tuple[str, Scene, dict[str, Any]]]:
         )
         for name, scene in sweeps
     ]
+    for noise in NOISES:
+        few = {**test, "frequencies": np.sort(NOISE_GRID).tolist()}
+        noisy = _with_noise(rig.load("fig10a"), noise).replace(test=few, recording={"display": False})
+        jobs.append((f"rec-noise-{noise}", noisy, {"compute": paper_experiment.sweep}))
     jobs.append(("rec-fig9", rig.load("fig9"), {"compute": paper_experiment.damper_sweep, "body": 2}))
     jobs.append(("rec-hit-none", rig.load("fig10b-no-damper"), {"compute": paper_experiment.ring_down}))
     jobs.append(("rec-hit-three", rig.load("fig10b-three-dampers"), {"compute": paper_experiment.ring_down}))
     return jobs
+
+
+def _with_noise(scene: Scene, density: float) -> Scene:
+    """Give all accelerometers of a scene another noise density, ug/sqrt(Hz)."""
+    noise = f"{density:g} ug/sqrt(Hz)"
+    channels = [
+        channel.replace(accelerometer=channel.accelerometer.replace(noise=noise))
+        if channel.accelerometer
+        else channel
+        for channel in scene.channels or ()
+    ]
+    return scene.replace(channels=tuple(channels))
 
 
 def _recording(folder: Path, name: str, scene: Scene, extra: dict[str, Any]) -> PaperPart:

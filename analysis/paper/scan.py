@@ -15,6 +15,7 @@ from rig.damper_design.worst_peak import curve, resonance
 from rig.orbits.problem import OrbitProblem
 from rig.response.motion_type import overall
 from rig.scene.scene import Scene
+from rig.system.receptance import receptance
 
 Floats = NDArray[np.float64]
 
@@ -88,6 +89,38 @@ def stays_over_damping(
             third[row, column] = bool((response.damper_motion == "III").any())
             peak[row, column] = resonance(problem, response, body)[0]
     return {"damping": dampings, "clearance": clearances, "third": third, "peak": peak}
+
+
+def least_affected(
+    scene: Scene,
+    dampings: Floats,
+    mass_ratios: Floats,
+    forces: Floats,
+    bands: dict[int, tuple[float, float]],
+    body: int = 3,
+    points: int = 40,
+) -> Arrays:
+    """Peak about each mode with dampers over that without, for what the paper leaves open.
+
+    Returns
+    -------
+    dict
+        share (dampings, mass_ratios, forces, modes): largest compliance of the body about a mode, as a share of that of
+        the bare structure; dampings, mass_ratios, forces.
+    """
+    share = np.empty((len(dampings), len(mass_ratios), len(forces), len(bands)))
+    for i, damping in enumerate(dampings):
+        structure = scene.structure.replace(damping={"modal": float(damping)})
+        bare = scene.replace(structure=structure)
+        for k, band in enumerate(bands.values()):
+            frequency = np.linspace(*band, points)
+            alone = receptance(bare, np.linspace(*band, 50 * points))[body - 1]
+            for j, ratio in enumerate(mass_ratios):
+                problem = with_dampers(bare, np.inf, float(ratio))
+                for n, force in enumerate(forces):
+                    peak = resonance(problem, curve(problem, float(force), frequency), body)[0]
+                    share[i, j, n, k] = peak / abs(alone).max()
+    return {"share": share, "damping": dampings, "mass_ratio": mass_ratios, "force": forces}
 
 
 class _Worst:

@@ -276,7 +276,8 @@ def _converter(dice: Draw, settings: Settings, modes: list[float]) -> Settings:
     if converter.get("filter") is None and "preset" not in converter and dice.chance(0.2):
         converter["sampling"] = "point"
     if dice.chance(0.2):
-        converter["skew"] = dice.log(1e-6, 1e-4)
+        # All channels are sampled within an interval.
+        converter["skew"] = min(dice.log(1e-6, 1e-4), 0.9 / converter["rate"] / len(settings["channels"]))
     if dice.chance(0.15):
         converter["clock_error"] = dice.even(-5e-5, 5e-5)
     if dice.chance(_LOST):

@@ -8,12 +8,12 @@ import pytest
 
 import rig
 from analysis.paper.charts import holds_c2, short
-from analysis.paper.claims import Claim, Evidence
+from analysis.paper.claims import Claim, Evidence, differences
 from analysis.paper.experiment import damper_sweep
 from analysis.paper.page import CAPTIONS, write_pages
 from analysis.paper.parts import all_parts
 from analysis.paper.reproduce import FIGURES, compute, reproduce
-from analysis.paper.scan import LEVELS, best_damper, scan, stays_over_damping
+from analysis.paper.scan import LEVELS, best_damper, least_affected, scan, stays_over_damping
 from analysis.paper.simulation import approximated, exact_orbits, structure_numbers, waveforms
 from analysis.paper.store import Arrays, PaperPart, partial_name, remove_partial
 from rig.errors import SceneError
@@ -108,6 +108,9 @@ def test_given_a_recording_that_is_there_when_asked_again_then_it_is_not_made_an
 
 def test_given_a_cell_of_the_scan_when_simulated_otherwise_then_peak_and_type_are_the_same() -> None:
     scene = rig.load("fig5-single-damper")
+    scene = scene.replace(
+        dampers=[scene.dampers[0].replace(clearance=1e-3)], test=scene.test.replace(force=10.0)
+    )
     frequencies = np.array([47.5, 48.5, 49.5])
 
     cell = scan(scene, np.array([10.0]), np.array([1e-3]), frequencies, 0.10)
@@ -172,10 +175,38 @@ def test_given_types_when_shortened_then_what_is_no_type_of_the_paper_is_called_
 
 
 def test_given_scans_when_c2_is_judged_then_ratio_and_types_must_fit() -> None:
-    single = {"peak": np.array([[3.0, 3.0, 1.5]]), "types": np.array([["I III", "I II", "III"]])}
-    three = {"peak": np.ones((1, 3)), "types": np.array([["I II", "I II", "I II"]])}
+    single = {
+        "peak": np.array([[3.0, 3.0, 1.5, 3.0, 3.0]]),
+        "types": np.array([["I III", "I II", "III", "I III", "I III"]]),
+    }
+    three = {
+        "peak": np.ones((1, 5)),
+        "types": np.array([["I II", "I II", "I II", "I II III", "I II"]]),
+        "type_there": np.array([["I/II/riding", "I", "I", "I/III", "2 per 2/I"]]),
+    }
 
-    assert holds_c2({"scan-single": single, "scan-three": three}).tolist() == [[True, False, False]]
+    assert holds_c2({"scan-single": single, "scan-three": three}).tolist() == [
+        [True, False, False, False, False]
+    ]
+
+
+def test_given_recordings_that_differ_where_they_are_weak_when_compared_then_weak_and_strong_are_told_apart() -> (
+    None
+):
+    true = {"compliance": np.tile(np.array([1.0, 2.0, 3.0, 4.0, 10.0]), (2, 1))}
+    measured = {"compliance": true["compliance"] * np.array([1.5, 1.0, 1.0, 1.0, 1.01])}
+
+    assert differences(true, measured) == pytest.approx((0.5, 0.01))
+
+
+def test_given_a_heavier_damping_when_shares_of_peaks_are_scanned_then_dampers_take_less_of_them() -> None:
+    found = least_affected(
+        rig.load("fig8-one-damper"), np.array([0.005, 0.05]), np.array([0.1]), np.array([2.6]), {3: (46.0, 50.5)},
+        points=12,
+    )  # fmt: skip
+
+    # What is damped much already, a damper hardly helps.
+    assert 0.0 < found["share"][0, 0, 0, 0] < 0.8 < found["share"][1, 0, 0, 0] < 1.02
 
 
 def test_given_claims_when_the_page_is_written_then_it_shows_verdicts_evidence_and_figures(

@@ -174,7 +174,12 @@ def progress(title: str) -> Iterator[Callable[[float, str], None]]:
 def counting(title: str) -> Iterator[Callable[[int, int], None]]:
     """Show how many pieces of work are done: ``tell(done, total)``."""
     with progress(title) as tell:
-        yield lambda done, total: tell(done / total if total else 1.0, f"{done} of {total}")
+
+        def count(done: int, total: int) -> None:
+            # After the last piece come figures and files.
+            tell(done / total if total else 1.0, f"{done} of {total}{', writing' if done >= total else ''}")
+
+        yield count
 
 
 @contextmanager

@@ -93,10 +93,10 @@ def frequency_responses(
             out.append([source.frf(rec, name, reference, motion, estimator or "H1") for name in names])
         else:
             curves = []
-            for done, name in enumerate(names):
+            for done, name in enumerate(names, 1):
+                curves.append(source.frf(rec, name, reference, motion))
                 if progress is not None:
                     progress(done, len(names))
-                curves.append(source.frf(rec, name, reference, motion))
             out.append(curves)
     return out
 

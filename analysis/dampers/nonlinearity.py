@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -169,14 +169,16 @@ def describe_restitution(motions: list[DamperMotion]) -> list[str]:
     ]
 
 
-def describe_motion(motions: list[DamperMotion]) -> list[str]:
-    """One line for each range of frequencies in which the motion is of one kind."""
+def describe_motion(motions: list[DamperMotion], left_out: Sequence[float] = ()) -> list[str]:
+    """One line for each range of frequencies in which the motion is of one kind and none was left out."""
     out = []
     first = 0
     for index, one in enumerate(motions):
         kind = one.name.split(":")[0]
-        following = motions[index + 1].name.split(":")[0] if index + 1 < len(motions) else ""
-        if kind != following:
+        last = index + 1 == len(motions)
+        following = "" if last else motions[index + 1].name.split(":")[0]
+        between = (one.frequency, one.frequency if last else motions[index + 1].frequency)
+        if kind != following or any(min(between) < f < max(between) for f in left_out):
             ends = f"{motions[first].frequency:.4g}"
             if index > first:
                 ends += f" to {one.frequency:.4g}"

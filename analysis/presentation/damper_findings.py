@@ -103,7 +103,7 @@ def _motions(
             text.append(str(error))
             continue
         every.append(motions)
-        text += describe_motion(motions) + describe_restitution(motions)
+        text += describe_motion(motions, sweep.lines.left_out.tolist()) + describe_restitution(motions)
     return every, text
 
 

@@ -28,7 +28,11 @@ def opened(path: Path) -> Recording:
     import daq
 
     if not path.exists():
-        raise RecordingError(f"{path}: no such file; `daq record SCENE -o {path}` would make one")
+        where_made = "recordings" / Path(path.name)
+        hint = f"`daq record SCENE -o {path}` would make one"
+        raise RecordingError(
+            f"{path}: no such file; {f'did you mean {where_made}?' if where_made.exists() else hint}"
+        )
     return daq.open(path)
 
 

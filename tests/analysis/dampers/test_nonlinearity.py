@@ -111,6 +111,12 @@ def test_given_no_impacts_at_more_than_1_g_when_named_then_the_motion_is_not_cal
     assert "more than g" in describe_motion([motion])[0]
 
 
+def test_given_a_frequency_left_out_when_motions_are_described_then_no_range_runs_across_it() -> None:
+    motions = [DamperMotion(f, "body2", 0, 0, False, 1e-3, False) for f in (10.0, 11.0, 13.0, 14.0)]
+    said = [line.partition(":")[0] for line in describe_motion(motions, [12.0])]
+    assert said == ["body2, 10 to 11 Hz", "body2, 13 to 14 Hz"] and len(describe_motion(motions)) == 1
+
+
 def test_given_the_papers_fig_9_when_recorded_then_its_types_are_told_from_the_channels(fig9):
     with daq.open(fig9) as rec:
         [sweep] = sweeps(rec)

@@ -163,7 +163,7 @@ def _sensitive(rec: Recording, channel: str) -> ChannelInfo:
     for damper in rec.scene.dampers:
         if info.at == f"body {damper.body}" and _lasts(damper, info.rate):
             raise RecordingError(
-                f"{info.name}: the contact of the damper in body {damper.body} lasts (contact: in its scene), so that "
+                f"{info.name}: the contact of the damper in body {damper.body} lasts (see its scene), so that "
                 "its landings are no jumps of velocity and are not told from a channel; rig.frequency_response tells "
                 "its motion"
             )
@@ -188,6 +188,8 @@ def _blind(info: ChannelInfo) -> bool:
 
 def _lasts(damper: Damper, rate: float) -> bool:
     """Whether a landing is seen to last: only one named by a time well within a sample interval is not."""
+    if damper.grains is not None and not damper.locked:
+        return True
     contact = damper.contact
     walls = (contact.floor, contact.ceiling) if isinstance(contact, Walls) else (contact,)
     longest = (

@@ -138,11 +138,13 @@ def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
     """Energy truly lost in impacts in a period of each tone, J, where the truth was recorded.
 
     Each impact takes (1 - e²) of half the reduced mass of damper and body times the closing speed squared; a landing
-    that lasts is taken for one that nothing else disturbs.
+    that lasts is taken for one that nothing else disturbs. NaN where a bed is grains, whose impacts nobody lists.
     """
     from rig.system.assembly import assemble
     from rig.system.structure import damper_masses, structure_matrices
 
+    if any(damper.grains is not None for damper in rec.scene.dampers):
+        return np.full(len(sweep.lines.frequency), np.nan)
     mass, _, _ = structure_matrices(rec.scene.structure)
     bodies = np.array([damper.body - 1 for damper in rec.scene.dampers])
     rebound = np.array([damper.restitution for damper in rec.scene.dampers])

@@ -170,7 +170,11 @@ def _sudden_landings(rec: Recording, overloaded: Sequence[str]) -> str:
         scene = rec.scene
     except ShotrigError:
         return ""
-    sudden = [number for number, damper in enumerate(scene.dampers, 1) if damper.contact is None]
+    sudden = [
+        number
+        for number, damper in enumerate(scene.dampers, 1)
+        if damper.contact is None and damper.grains is None
+    ]
     limited = {
         each.name
         for each in scene.channels or ()

@@ -38,7 +38,7 @@ def about(recording: Recording, motion: RecordedMotion, view: RigView) -> str:
             clearance = "no ceiling" if math.isinf(damper.clearance) else f"{damper.clearance * 1e3:.4g} mm"
             lines.append(
                 f"| {place} | {damper.body} | {mass * 1e3:.4g} g | {clearance} | {damper.restitution:g} "
-                f"| {'instant' if damper.contact is None else 'lasts'} |"
+                f"| {'grains' if damper.grains else 'instant' if damper.contact is None else 'lasts'} |"
             )
     lines += ["", "## Channels", "| channel | at | quantity | unit | V per unit |", "|---|---|---|---|---|"]
     for name, info in recording.channels.items():

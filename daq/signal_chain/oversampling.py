@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from daq.signal_chain.converter import SampleClock
 from daq.signal_chain.decimation_filter import PASS, STOP
+from rig.grains.spheres import contact_time, spheres_of
 from rig.scene.presets import filled_in
 from rig.scene.scene import Scene
 from rig.system.assembly import assemble
@@ -63,6 +64,9 @@ def oversampling(scene: Scene, clock: SampleClock) -> int:
         # A landing may be over between two samples, and the sensor still has to feel all of it.
         fastest = max(fastest, system.fastest / (2 * np.pi))
     followed = fastest / clock.true_rate / FOLLOWED
+    for spheres in spheres_of(scene).values():
+        # A contact of grains is half a period of what they do, and their forces are the body's.
+        fastest = max(fastest, 0.5 / contact_time(spheres.settings))
     if filtered:
         seen = fastest / clock.true_rate + STOP
         band = max(fastest, BAND) / clock.true_rate

@@ -9,6 +9,7 @@ from typing import cast
 
 import numpy as np
 
+from rig.grains.spheres import spheres_of
 from rig.scene.loading import scene_of
 from rig.scene.scene import Scene
 from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, Shaker, TableShaker
@@ -96,6 +97,7 @@ def explain(scene: Scene | str) -> Explanation:
         "ceilings",
         "restitution",
         "contact that lasts",
+        "grains",
         "coil spring and table",
         "coil current",
     )
@@ -165,13 +167,22 @@ def _dampers(scene: Scene, system: HybridSystem) -> Iterable[Effect]:
         yield Effect("motion", "locked dampers", 0, f"{held}, part of their bodies' masses")
     if not system.dampers:
         return
-    places = ", ".join(str(row + 1) for row in system.damper_coordinate)
-    masses = ", ".join(f"{1e3 * mass:.4g} g" for mass in system.damper_mass)
+    for row, spheres in spheres_of(scene).items():
+        yield Effect(
+            "motion", "grains", 9 * spheres.count,
+            f"in body {scene.dampers[row].body}: {spheres.count} of {1e3 * spheres.settings.diameter:.4g} mm, "
+            f"{1e3 * spheres.mass:.4g} g; place, velocity, spin of each; step of {1e6 * spheres.longest_step():.3g} us",
+        )  # fmt: skip
+    whole = ~system.grains
+    if not whole.any():
+        return
+    places = ", ".join(str(row + 1) for row in system.damper_coordinate[whole])
+    masses = ", ".join(f"{1e3 * mass:.4g} g" for mass in system.damper_mass[whole])
     yield Effect(
-        "motion", "particle dampers", 2 * system.dampers,
+        "motion", "particle dampers", 2 * int(whole.sum()),
         f"in body {places}: {masses}; height and speed of each while it flies; gravity {system.gravity:.6g} m/s^2",
     )  # fmt: skip
-    ceilings = np.isfinite(system.clearance)
+    ceilings = np.isfinite(system.clearance) & whole
     if ceilings.any():
         heights = ", ".join(f"{1e3 * height:.4g} mm" for height in system.clearance[ceilings])
         yield Effect("motion", "ceilings", 0, f"at {heights}")

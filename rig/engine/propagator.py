@@ -21,7 +21,7 @@ from rig.engine.power_series import STALE, differentiate
 from rig.engine.state import CONFIGURATION, FLIGHT, FLOOR, SLOT, Log, State
 from rig.engine.trajectory import Array, Trajectory
 from rig.engine.workspace import Workspace, workspace_for
-from rig.errors import RunError
+from rig.errors import RunError, SceneError
 from rig.numerics.jit import compiled, inlined
 from rig.numerics.simd import LANES, padded, transpose, zeros
 from rig.scene.quantities import LENGTH
@@ -32,6 +32,8 @@ LOG_ROWS = 1024
 MOST_STEPS = 1e7
 #: Every segment begins with the drive set anew.
 EVERY = np.ones(1, dtype=bool)
+#: The row of the only segment.
+_FIRST = np.zeros(1, dtype=np.int64)
 
 
 class StateSamples(NamedTuple):
@@ -165,6 +167,12 @@ class Propagator:
     """
 
     def __init__(self, system: HybridSystem, drive: Drive, step: float) -> None:
+        if system.grains.any():
+            number = system.damper_number[system.grains][0]
+            raise SceneError(
+                f"dampers[{number}] is a bed of grains, which is followed in time alone, as rig simulate and "
+                "daq record do; expected no grains: here, where a bed moves as one mass"
+            )
         self.system, self.drive = system, drive
         self.tables = tables_for(system, drive, step)
         self._coupling = True if system.coupled else None
@@ -196,6 +204,7 @@ class Propagator:
         )
         self.workspace: Workspace = workspace_for(self.tables.flow, size)
         self.state.counters[CONFIGURATION] = system.at_rest
+        self._unseen = self.motion_samples(0)
         self._elapsed = 0.0
         self._find_table()
 
@@ -247,8 +256,30 @@ class Propagator:
     def through_samples(self, drive: Array, interval_steps: float) -> Trajectory:
         """Run through the sample intervals between the columns of a sampled drive (inputs, samples + 1)."""
         intervals = drive.shape[1] - 1
-        kept, unseen = self._kept(intervals), self.motion_samples(0)
+        kept, unseen = self.room(intervals), self.motion_samples(0)
         return self._run(np.array([interval_steps]), EVERY, drive, np.arange(intervals), kept, unseen)
+
+    def through_interval(self, drive: Array, interval_steps: Array, kept: StateSamples) -> Trajectory | None:
+        """Run through one sample interval, as one of very many: what may be made once is given.
+
+        Parameters
+        ----------
+        drive : float64 (inputs, 2)
+        interval_steps : float64 (1,)
+        kept : StateSamples
+            Of one sample, for the state at the end; see `room`.
+
+        Returns
+        -------
+        Trajectory or None
+            None if nothing happened.
+        """
+        pages = self._go(interval_steps, EVERY, drive, _FIRST, kept, self._unseen)
+        self._elapsed += float(interval_steps[0]) * self.tables.step
+        if not pages and not self.log.filled.any():
+            return None
+        pages.append(self._page())
+        return Trajectory(*kept, *(np.concatenate(parts) for parts in zip(*pages, strict=True)))
 
     def sample_motion(
         self, drive: Array, interval_steps: float, seen: MotionSamples, column: int
@@ -256,7 +287,7 @@ class Propagator:
         """Do the same, but instead of keeping states fill what is seen, from a column on."""
         seen.begin[0] = column
         rows = np.arange(column, column + drive.shape[1] - 1)
-        return self._run(np.array([interval_steps]), EVERY, drive, rows, self._kept(0), seen)
+        return self._run(np.array([interval_steps]), EVERY, drive, rows, self.room(0), seen)
 
     def motion_samples(self, samples: int) -> MotionSamples:
         """Room for what is seen at a number of samples."""
@@ -302,7 +333,7 @@ class Propagator:
         """
         # The tone's states (cos, sin) begin a period as a drive that does not change would.
         drive = np.full((1, len(steps) + 1), level)
-        kept = self._kept(int(sample_row.max(initial=-1)) + 1)
+        kept = self.room(int(sample_row.max(initial=-1)) + 1)
         return self._run(steps, new_period, drive, sample_row, kept, self.motion_samples(0))
 
     def accelerations(self, states: Array, slots: NDArray[np.int64]) -> Array:
@@ -313,7 +344,8 @@ class Propagator:
         behind = self.tables.size
         return np.ascontiguousarray(states[:, behind : behind + self.system.coordinates].T)
 
-    def _kept(self, samples: int) -> StateSamples:
+    def room(self, samples: int) -> StateSamples:
+        """Room for the states at a number of samples."""
         size, dampers = self.state.z.shape[0], self.system.dampers
         return StateSamples(
             state=np.zeros((samples, size)),
@@ -331,6 +363,25 @@ class Propagator:
         kept: StateSamples,
         seen: MotionSamples,
     ) -> Trajectory:
+        pages = self._go(steps, renew, drive, row, kept, seen)
+        self._need_bounded(steps, row, kept, seen)
+        self._elapsed += float(np.broadcast_to(steps, row.shape).sum()) * self.tables.step
+        last = self._page()
+        if not pages:
+            return Trajectory(*kept, *last)
+        pages.append(last)
+        return Trajectory(*kept, *(np.concatenate(parts) for parts in zip(*pages, strict=True)))
+
+    def _go(
+        self,
+        steps: Array,
+        renew: NDArray[np.bool_],
+        drive: Array,
+        row: NDArray[np.int64],
+        kept: StateSamples,
+        seen: MotionSamples,
+    ) -> list[tuple[Any, ...]]:
+        """Run; gives what the log held each time that it was full."""
         pages: list[tuple[Any, ...]] = []
         begin, left = 0, -1.0
         while True:
@@ -350,14 +401,7 @@ class Propagator:
                     "contradicted; report it with the scene"
                 )
             else:
-                break
-        self._need_bounded(steps, row, kept, seen)
-        self._elapsed += float(np.broadcast_to(steps, row.shape).sum()) * self.tables.step
-        last = self._page()
-        if not pages:
-            return Trajectory(*kept, *last)
-        pages.append(last)
-        return Trajectory(*kept, *(np.concatenate(parts) for parts in zip(*pages, strict=True)))
+                return pages
 
     def _need_bounded(
         self, steps: Array, row: NDArray[np.int64], kept: StateSamples, seen: MotionSamples

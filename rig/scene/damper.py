@@ -1,12 +1,12 @@
-"""A particle damper: the bed of shot in one cavity, and contact with floor and ceiling that lasts."""
+"""A particle damper: the bed of shot in one cavity, contact with its walls that lasts, and its single grains."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from typing import Annotated, ClassVar
 
-from rig.scene.quantities import DASHPOT, LENGTH, MASS, RATIO, STIFFNESS, TIME
-from rig.scene.quantity_field import Quantity
+from rig.scene.quantities import DASHPOT, DENSITY, LENGTH, MASS, MODULUS, RATIO, STIFFNESS, TIME
+from rig.scene.quantity_field import Quantity, expected
 from rig.scene.settings import Alternatives, Mistake, Settings, by_key
 from rig.scene.shaker import Body
 
@@ -42,6 +42,41 @@ class Walls(Settings):
 Contact = Annotated[Landing | SpringDamper | Walls, Alternatives(by_key)]
 
 
+class Grains(Settings):
+    """The bed as spheres in an upright cylinder, by the discrete element method; without this it moves as one mass.
+
+    Contact is Hertz's with a dashpot, Mindlin's along the surface up to Coulomb's limit, and the walls are of the same
+    stuff as the grains. What is not given is that of lead shot: density and Poisson's ratio from handbooks, the
+    restitution of lead balls from E. Hodgkinson (Report of the British Association, 1834).
+    """
+
+    diameter: Annotated[float, Quantity(LENGTH, above=0.0)]
+    """Diameter of the spheres [m]."""
+    spread: Annotated[float, Quantity(RATIO, at_least=0.0, below=0.5)] = 0.0
+    """Diameters lie evenly between this share below and above `diameter`, drawn with the scene's seed."""
+    density: Annotated[float, Quantity(DENSITY, above=0.0)] = 11340.0
+    """Density [kg/m^3]; it is changed by what makes the bed a whole number of grains."""
+    modulus: Annotated[float, Quantity(MODULUS, above=0.0)] = 1e7
+    """Young's modulus [Pa], far below that of lead, 16 GPa: steps of time are shorter the stiffer the grains are."""
+    poisson_ratio: Annotated[float, Quantity(RATIO, at_least=0.0, below=0.5)] = 0.44
+    """Poisson's ratio."""
+    restitution: Annotated[float, Quantity(RATIO, above=0.0, below=1.0)] = 0.2
+    """Ratio of separation to approach speed of two grains, or of a grain and a wall, head on."""
+    friction: Annotated[float, Quantity(RATIO, at_least=0.0)] = 0.4
+    """Coulomb's coefficient, of grains and walls; assumed: clean lead has more, graphited shot less."""
+    cavity: Annotated[float, Quantity(LENGTH, above=0.0)] = 40e-3
+    """Diameter of the cavity [m], that of Inoue et al. (2011)."""
+    time_step: Annotated[float, Quantity(TIME, above=0.0)] | None = None
+    """Longest step of time [s]; without it 0.03 of Rayleigh's time of the smallest grain."""
+
+    def relations(self) -> Iterable[Mistake]:
+        """Check that a grain has room."""
+        if self.diameter * (1.0 + self.spread) > self.cavity:
+            yield Mistake(
+                ("cavity",), expected(f"{self.cavity:g} m", "at least the largest grain's diameter")
+            )
+
+
 class Damper(Settings):
     """A particle damper: the bed as one mass that rides on, leaves and hits floor and ceiling of a cavity."""
 
@@ -58,11 +93,19 @@ class Damper(Settings):
     """Ratio of separation to approach speed in an impact, from 0 (perfectly plastic) to below 1."""
     contact: Contact | None = None
     """Floor and ceiling on which a landing lasts; without it a landing is instant."""
+    grains: Grains | None = None
+    """The bed as spheres (extra `grains`); without it the bed is one mass."""
     locked: bool = False
     """Whether the bed is glued to the floor."""
 
     def relations(self) -> Iterable[Mistake]:
-        """Check that the restitution is said once."""
+        """Check that the restitution is said once, and that a bed is one mass or grains."""
+        if self.grains is not None and self.restitution:
+            yield Mistake(("restitution",), "given beside grains; expected it among grains, for each of them")
+        if self.grains is not None and self.contact is not None:
+            yield Mistake(
+                ("contact",), "given beside grains, whose own contact lasts; expected one of the two"
+            )
         walls = (
             (self.contact.floor, self.contact.ceiling) if isinstance(self.contact, Walls) else (self.contact,)
         )

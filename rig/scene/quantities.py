@@ -26,6 +26,7 @@ milli- = 1e-3 = m-
 centi- = 1e-2 = c-
 kilo- = 1e3 = k-
 mega- = 1e6 = M-
+giga- = 1e9 = G-
 turn = [angle] = rev
 radian = 1/6.283185307179586 turn = rad
 degree = 1/360 turn = deg
@@ -105,6 +106,8 @@ FORCE_SENSITIVITY = Kind("a voltage per force", "V/N", "2.25 mV/N")
 ACCELERATION_NOISE = Kind("an acceleration noise density", "m/s^2/sqrt(Hz)", "20 ug/sqrt(Hz)")
 FORCE_NOISE = Kind("a force noise density", "N/sqrt(Hz)", "1 mN/sqrt(Hz)")
 VOLTAGE_NOISE = Kind("a voltage noise density", "V/sqrt(Hz)", "50 nV/sqrt(Hz)")
+DENSITY = Kind("a density", "kg/m^3", "11340 kg/m^3", 1.0, 1e5)
+MODULUS = Kind("a modulus", "Pa", "10 MPa", 1e3, 1e12)
 TEMPERATURE = Kind("a temperature difference", "K", "12 K")
 PER_KELVIN = Kind("a ratio per kelvin", "1/K", "0.05 %/K")
 

@@ -19,7 +19,7 @@ from rig.engine.trajectory import Trajectory
 from rig.numerics.bernstein import LENGTH
 from rig.scene.scene import Scene
 from rig.scene.shaker import ElectrodynamicShaker, TableShaker, at_shaker
-from rig.system.hybrid_system import HybridSystem
+from rig.system.hybrid_system import FORCE_OF_BED, HybridSystem
 
 Array = NDArray[np.float64]
 
@@ -45,6 +45,8 @@ class Energy:
         Lost in impacts.
     contacts : float
         Lost in contacts that last: in their dashpots, and what their springs still hold when a bed is released.
+    grains : float
+        Handed to beds of grains: what their motion holds, and what they lost.
     """
 
     work: float
@@ -53,11 +55,12 @@ class Energy:
     dissipated: float
     impacts: float
     contacts: float
+    grains: float
 
     @property
     def residual(self) -> float:
-        """Work - change of stored energy - dissipated - lost in impacts and contacts; zero but for rounding."""
-        lost = self.dissipated + self.impacts + self.contacts
+        """Work less what is stored, dissipated, lost in impacts and contacts, or with grains; zero but for rounding."""
+        lost = self.dissipated + self.impacts + self.contacts + self.grains
         return self.work - (self.stored - self.stored_before) - lost
 
 
@@ -68,10 +71,11 @@ class Forms:
     stored: Array
     dissipated: Array
     power: Array
+    to_grains: Array
 
 
 def forms(scene: Scene, system: HybridSystem, output: Array) -> Forms:
-    """Give stored energy, dissipation and power of the drive as quadratic forms.
+    """Give stored energy, dissipation and the powers of the drive and into beds of grains as quadratic forms.
 
     Parameters
     ----------
@@ -84,7 +88,10 @@ def forms(scene: Scene, system: HybridSystem, output: Array) -> Forms:
     stiffness = -system.force_state[:, :n]
     damping = -system.force_state[:, n : 2 * n]
     push = np.zeros((n, size))
-    push[:, ns:] = system.force_drive @ output
+    beds = np.array([name.startswith(f"{FORCE_OF_BED} ") for name in system.inputs], dtype=bool)
+    push[:, ns:] = system.force_drive[:, ~beds] @ output[~beds]
+    to_grains = np.zeros((size, size))
+    to_grains[n : 2 * n, ns:] = -system.force_drive[:, beds] @ output[beds]
     power = np.zeros((size, size))
     for number, shaker in enumerate(scene.shakers, 1):
         if isinstance(shaker, TableShaker):
@@ -112,7 +119,7 @@ def forms(scene: Scene, system: HybridSystem, output: Array) -> Forms:
             drive = output[system.inputs.index(at_shaker("shaker", number, len(scene.shakers)))]
             power[current, ns:] = shaker.amplifier.gain * drive
             current += 1
-    return Forms(0.5 * _symmetric(stored), _symmetric(dissipated), _symmetric(power))
+    return Forms(0.5 * _symmetric(stored), _symmetric(dissipated), _symmetric(power), _symmetric(to_grains))
 
 
 def _symmetric(matrix: Array) -> Array:
@@ -157,7 +164,7 @@ def ledger(
     """
     quadratic = forms(scene, tables.system, tables.drive.output)
     states, slots, lengths, _ = _stretches(tables, trajectory, begins, durations)
-    work, dissipated, dashpots = _integrals(tables, quadratic, states, slots, lengths)
+    work, dissipated, dashpots, to_grains = _integrals(tables, quadratic, states, slots, lengths)
     return Energy(
         work=work,
         stored=_stored(tables, quadratic, end),
@@ -165,6 +172,7 @@ def ledger(
         dissipated=dissipated,
         impacts=_impact_losses(tables.system, trajectory),
         contacts=dashpots + _relaxed(tables, trajectory),
+        grains=to_grains,
     )
 
 
@@ -212,11 +220,11 @@ def _stretches(
 
 def _integrals(
     tables: FlowTables, quadratic: Forms, states: Array, slots: NDArray[np.int64], lengths: Array
-) -> tuple[float, float, float]:
-    """Integrals of power, and of dissipation in the structure and in contacts, over stretches of any length."""
+) -> tuple[float, float, float, float]:
+    """Integrals of power, dissipation in the structure and in contacts, and power into grains, over any stretches."""
     h = tables.step
     # A stretch may be longer than a step: cut it, carrying the state along.
-    work = dissipated = dashpots = 0.0
+    work = dissipated = dashpots = to_grains = 0.0
     system = tables.system
     walls = _walls(tables)
     while len(states):
@@ -232,13 +240,15 @@ def _integrals(
                 share = weight * part[rows] * h
                 work += float(share @ _quadratic(quadratic.power, at_node))
                 dissipated += float(share @ _quadratic(quadratic.dissipated, at_node))
+                if quadratic.to_grains.any():
+                    to_grains += float(share @ _quadratic(quadratic.to_grains, at_node))
                 dashpots += float(
                     share @ (at_node[:, system.coordinates + system.bed[closed]] ** 2 @ damping)
                 )
             ends[rows] = _sum_series(terms, part[rows])
         more = lengths > h * (1.0 + 1e-12)
         states, slots, lengths = ends[more], slots[more], lengths[more] - h
-    return work, dissipated, dashpots
+    return work, dissipated, dashpots, to_grains
 
 
 def _walls(tables: FlowTables) -> NDArray[np.int64]:

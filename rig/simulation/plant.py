@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rig.engine.propagator import MotionSamples, sampled_propagator
+from rig.engine.propagator import MotionSamples, Propagator, sampled_propagator
 from rig.engine.trajectory import Array, Trajectory, event_table
 from rig.errors import RunError, SceneError
 from rig.scene.scene import Scene
 from rig.scene.shaker import at_shaker
 from rig.simulation.motion import Motion
 from rig.system.assembly import assemble
+from rig.system.hybrid_system import HybridSystem
+
+if TYPE_CHECKING:
+    from rig.grains.coupling import CoupledPropagator
 
 
 class Plant:
@@ -39,7 +45,7 @@ class Plant:
             self.system.drive_units,
             self.system.points,
         )
-        self._propagator, self._steps = sampled_propagator(self.system, 1.0 / self.rate)
+        self._propagator, self._steps = _propagator(scene, self.system, 1.0 / self.rate)
         self._limit = _drive_limits(scene, self.inputs)
         self._next = 0
         self._last = np.zeros((len(self.inputs), 1))
@@ -140,6 +146,18 @@ class Plant:
             .transpose(1, 0, 2),
             events=events,
         )
+
+
+def _propagator(
+    scene: Scene, system: HybridSystem, interval: float
+) -> tuple[Propagator | CoupledPropagator, float]:
+    """Make what moves the system on from sample to sample, and its number of steps in a sample interval."""
+    if not system.grains.any():
+        return sampled_propagator(system, interval)
+    from rig.grains.coupling import CoupledPropagator
+
+    coupled = CoupledPropagator(scene, interval)
+    return coupled, coupled.substeps
 
 
 def _drive_limits(scene: Scene, inputs: tuple[str, ...]) -> Array:

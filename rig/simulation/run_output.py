@@ -59,6 +59,7 @@ def summary(run: Run) -> str:
         f"dissipated in damping  {energy.dissipated:12.6g} J",
         f"lost in impacts        {energy.impacts:12.6g} J",
         f"lost in lasting contact {energy.contacts:11.6g} J",
+        *([f"handed to grains       {energy.grains:12.6g} J"] if energy.grains else []),
         f"still stored           {energy.stored - energy.stored_before:12.6g} J",
         f"unaccounted for        {energy.residual:12.2g} J",
     ]

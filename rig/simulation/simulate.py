@@ -147,6 +147,8 @@ def simulate(
     system = assemble(scene)
     _need_memory(system, duration * rate)
     samples = int(np.floor(duration * rate * (1.0 + 1e-12))) + 1
+    if system.grains.any():
+        return _grains_run(scene, system, drive, frequency, samples, rate)
     if drive is not None:
         return _sampled_run(scene, system, _checked_drive(drive, system), rate)
     tone = tone_drive(scene, system, frequency)
@@ -244,6 +246,68 @@ def _sampled_run(scene: Scene, system: HybridSystem, drive: Array, rate: float) 
         starts,
         lifted,
         books,
+    )
+
+
+def _grains_run(
+    scene: Scene,
+    system: HybridSystem,
+    given: ArrayLike | None,
+    frequency: float | None,
+    samples: int,
+    rate: float,
+) -> Run:
+    """Follow beds of grains; a tone is followed from step to step of theirs."""
+    from rig.grains.coupling import CoupledPropagator, between
+
+    coupled = CoupledPropagator(scene, 1.0 / rate)
+    tone = None if given is not None else tone_drive(scene, system, frequency)
+    if tone is not None:
+        # Turns are counted, not radians added up: a million periods keep their phase.
+        turns = np.arange((samples - 1) * coupled.substeps + 1) * (coupled.step * tone.frequency)
+        phase = 2.0 * np.pi * (turns - np.floor(turns))
+        drive = np.real(tone.amplitudes[:, None] * np.exp(1j * phase))
+    else:
+        sampled = (
+            sampled_drive(scene, system, samples, rate) if given is None else _checked_drive(given, system)
+        )
+        drive = between(sampled, coupled.substeps)
+    lifted = coupled.place(system.initial if tone is None else tone.state, drive[:, 0])
+    start, first = _whole(coupled.structure), coupled.structure.present()
+    seen = coupled.motion_samples((drive.shape[1] - 1) // coupled.substeps + 1)
+    coupled.sample_present(seen, 0)
+    trajectory, beds = coupled.march(drive)
+    coupled.show(seen, 1, trajectory, beds)
+    ports = np.vstack([drive, -beds.force.sum(axis=1)])
+    begins = np.concatenate([first.state, trajectory.state[:-1]])
+    ns = system.states
+    begins[:, ns : ns + len(ports)] = ports[:, :-1].T
+    begins[:, ns + len(ports) : ns + 2 * len(ports)] = np.diff(ports).T
+    durations = np.full(len(begins), coupled.step)
+    end = _whole(coupled.structure)
+    at_samples = coupled.at_samples(trajectory)
+    times = at_samples.event_segment / rate + at_samples.event_offset
+    zeros = np.zeros(len(lifted))
+    events = event_table(
+        np.concatenate([zeros, times]),
+        np.concatenate([lifted, at_samples.event_damper]),
+        np.concatenate([zeros.astype(np.int64), at_samples.event_kind]),
+        np.concatenate([zeros, at_samples.event_speed]),
+        system,
+    )
+    displacement, velocity, acceleration, gap = coupled.parts(seen)
+    return Run(
+        scene=scene,
+        points=system.points,
+        time=np.arange(seen.contact.shape[1]) / rate,
+        displacement=displacement,
+        velocity=velocity,
+        acceleration=acceleration,
+        gap=gap,
+        contact=seen.contact,
+        events=events.astype(np.dtype(EVENT.descr, metadata={"ambiguous": coupled.ambiguous})),
+        ambiguous=coupled.ambiguous,
+        _books=(scene, coupled.structure.tables, start, end, trajectory, begins, durations),
     )
 
 

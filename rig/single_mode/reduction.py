@@ -192,6 +192,11 @@ def single_mode(
         if damper.locked:
             mass[damper.body - 1, damper.body - 1] += md
             continue
+        if damper.grains is not None:
+            raise SceneError(
+                f"scene {scene.name!r}: damper in body {damper.body} is a bed of grains; the approximate method knows "
+                "it as one mass: expected no grains: here"
+            )
         if damper.restitution != 0:
             raise SceneError(
                 f"damper at body {damper.body}: restitution {damper.restitution}; the method has only 0"

@@ -72,6 +72,7 @@ def assemble(scene: Scene) -> HybridSystem:
         number=free + 1,
         bed=bed,
         walls=walls,
+        grains=np.array([scene.dampers[j].grains is not None for j in free], dtype=bool),
     )
     system.initial[:] = _start(scene, system)
     return system
@@ -133,6 +134,7 @@ class _Parts:
     def system(
         self, gravity: float, coordinate: NDArray[np.intp], masses: Array, clearance: Array,
         restitution: Array, number: NDArray[np.intp], bed: NDArray[np.intp], walls: tuple[Array, Array],
+        grains: NDArray[np.bool_],
     ) -> HybridSystem:  # fmt: skip
         """Put everything into first-order form."""
         n, extra = len(self.mass), len(self.coils)
@@ -167,6 +169,7 @@ class _Parts:
             bed=bed,
             wall_stiffness=walls[0],
             wall_damping=walls[1],
+            grains=grains,
             initial=np.zeros(2 * n + extra),
         )
 

@@ -8,6 +8,9 @@ import numpy as np
 
 from rig.system.landing import landing
 
+#: What an input is called, before the damper's number, that is the force of a bed of grains on its body.
+FORCE_OF_BED = "grains"
+
 
 @dataclass(frozen=True)
 class HybridSystem:
@@ -35,6 +38,8 @@ class HybridSystem:
         Coordinate of a damper whose contact lasts, behind those of the points: its gap. -1 where contact is instant.
     wall_stiffness, wall_damping : float64 (dampers, 2)
         Of floor and ceiling where contact lasts [N/m, N s/m].
+    grains : bool array (dampers,)
+        Whether a damper is a bed of grains. Here it is one mass, as which it rides; `rig.grains` follows its motion.
     fastest : float
         Bound on the fastest rate in any configuration, rad/s.
     """
@@ -57,6 +62,7 @@ class HybridSystem:
     bed: np.ndarray
     wall_stiffness: np.ndarray
     wall_damping: np.ndarray
+    grains: np.ndarray
     initial: np.ndarray = field(repr=False)
 
     @property

@@ -1,0 +1,191 @@
+"""The grains of one cavity, seen from the cavity: floor, ceiling and side at rest, the grains by LAMMPS.
+
+In the frame of the cavity nothing but the grains moves, whatever the body does: what the body's motion is to the grains
+is a change of their velocities, one for all, which `Bed.kick` makes. Forces and impulses are those of LAMMPS's
+velocity Verlet scheme; with the force F of the walls before and after a step h, the grains receive (F + F') h / 2.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.errors import RunError
+from rig.grains.library import new_lammps
+from rig.grains.rebound import told_restitution
+from rig.grains.spheres import Spheres
+from rig.scene.damper import Grains
+
+Array = NDArray[np.float64]
+
+#: Walls of a cavity, in the order in which forces are given.
+WALLS = ("floor", "ceiling", "side")
+FLOOR, CEILING = 0, 1
+#: LAMMPS's numbers for what belongs to atoms and is an array.
+_PER_ATOM, _ARRAY = 1, 2
+
+
+class Bed:
+    """Grains in a cavity.
+
+    Parameters
+    ----------
+    spheres : Spheres
+        Their settings.
+    positions : ndarray, shape (grains, 3)
+        Where they are, m: the axis of the cavity is z, its floor at 0.
+    ceiling : float
+        Height of the ceiling, m; may be infinite.
+    gravity : float
+        m/s^2.
+    step : float
+        Step of time, s.
+    """
+
+    def __init__(
+        self,
+        spheres: Spheres,
+        positions: Array,
+        ceiling: float,
+        gravity: float,
+        step: float,
+    ) -> None:
+        self.mass, self.gravity, self.step = spheres.mass, gravity, step
+        self._lammps = new_lammps()
+        diameters = spheres.diameters().tolist()
+        grains, heavy = spheres.settings, spheres.mass / spheres.count
+        radius = 0.5 * grains.diameter
+        at_wall = contact_law(grains, told_restitution(grains, heavy, radius, step))
+        of_two = contact_law(grains, told_restitution(grains, 0.5 * heavy, 0.5 * radius, step))
+        self._do(*_set_up(spheres, max(diameters), positions, of_two, gravity, step))
+        heights = {"floor": "0 0 0 0 0 1", "ceiling": f"0 0 {float(ceiling)!r} 0 0 -1"}
+        self.walls = tuple(name for name in WALLS if name != "ceiling" or math.isfinite(ceiling))
+        self._do("variable lid internal 0.0", "variable lowered equal v_lid")
+        for name in self.walls:
+            region = (
+                f"plane {heights[name]}" if name in heights else f"cylinder z 0 0 {_side(spheres)} INF INF"
+            )
+            moved = " move NULL NULL v_lowered" if name == "ceiling" else ""
+            self._do(f"region {name} {region}{moved}")
+            self._do(f"fix {name} all wall/gran/region granular {at_wall} region {name} contacts")
+        flat = np.ascontiguousarray(positions, dtype=np.float64).ravel()
+        self._call(self._lammps.create_atoms, len(positions), None, [1] * len(positions), flat.tolist())
+        for atom, diameter in enumerate(diameters, 1):
+            self._do(f"set atom {atom} diameter {diameter!r}")
+        self._do(f"set group all density {spheres.density()!r}", "run 0 post no")
+        count = len(positions)
+        self._position = self._per_atom("x", count)
+        self._velocity = self._per_atom("v", count)
+        self._masses = self._per_atom("rmass", count)
+        self._contacts = {
+            name: self._lammps.numpy.extract_fix(name, _PER_ATOM, _ARRAY) for name in self.walls
+        }
+        self._centre = self.centre
+
+    def advance(self) -> None:
+        """Go on by a step."""
+        self._do("run 1 pre no post no")
+
+    def slow(self, relaxation: float) -> None:
+        """Slow the grains down from here on, each with this time constant in s: for packing."""
+        self._do(f"fix slow all viscous {float(self._masses.mean()) / relaxation!r}", "run 0 post no")
+
+    def lower(self, depth: float) -> None:
+        """Have the ceiling, from the next step on, so far below where it was at first, m."""
+        self._call(self._lammps.set_internal_variable, "lid", -depth)
+
+    def kick(self, change: float) -> None:
+        """Change the vertical velocity of all grains, m/s."""
+        self._velocity[:, 2] += change
+
+    def forces(self) -> Array:
+        """Upward force of floor, ceiling and side on the grains, N; shape (3,)."""
+        return np.array(
+            [self._contacts[name][:, 3].sum() if name in self._contacts else 0.0 for name in WALLS]
+        )
+
+    @property
+    def momentum(self) -> float:
+        """Upward momentum of the grains in the cavity, kg m/s."""
+        return float(self._masses @ self._velocity[:, 2])
+
+    @property
+    def kinetic_energy(self) -> float:
+        """Energy of the grains' motion in the cavity without their spin, J."""
+        return 0.5 * float(self._masses @ (self._velocity**2).sum(axis=1))
+
+    @property
+    def centre(self) -> float:
+        """Height of the centre of mass, m."""
+        return float(self._masses @ self._position[:, 2]) / self.mass
+
+    @property
+    def lift(self) -> float:
+        """Height of the centre of mass above that at the start, m."""
+        return self.centre - self._centre
+
+    @property
+    def positions(self) -> Array:
+        """Copy of the positions in the order in which they were given, shape (grains, 3)."""
+        return self._position.copy()
+
+    def _per_atom(self, name: str, count: int) -> Any:
+        """View what LAMMPS holds of the grains: it lies still, as their number and their order do not change."""
+        return self._lammps.numpy.extract_atom(name)[:count]
+
+    def _do(self, *commands: str) -> None:
+        for command in commands:
+            self._call(self._lammps.command, command)
+
+    def _call(self, function: Callable[..., Any], *given: Any) -> None:
+        try:
+            function(*given)
+        except Exception as error:
+            what = str(error).strip().splitlines()[0][:200]
+            raise RunError(
+                f"LAMMPS ended the motion of the grains: {what}; a grain that has left the cavity calls for a shorter "
+                "grains: time_step or a larger grains: modulus"
+            ) from None
+
+
+def contact_law(grains: Grains, restitution: float) -> str:
+    """Say in LAMMPS's words: Hertz with the dashpot of the restitution, Mindlin up to Coulomb's limit."""
+    return (
+        f"hertz/material {grains.modulus!r} {restitution!r} {grains.poisson_ratio!r} "
+        f"tangential mindlin NULL 1.0 {grains.friction!r} damping coeff_restitution"
+    )
+
+
+def _side(spheres: Spheres) -> float:
+    return 0.5 * spheres.settings.cavity
+
+
+def _set_up(
+    spheres: Spheres, largest: float, positions: Array, law: str, gravity: float, step: float
+) -> tuple[str, ...]:
+    """Write the commands that come before the grains."""
+    side = 1.1 * _side(spheres) + largest
+    top = float(positions[:, 2].max()) + largest
+    return (
+        "units si",
+        "atom_style sphere",
+        # Grains keep their order: who looks at them need not look for them.
+        "atom_modify map array sort 0 0",
+        "boundary f f m",
+        "newton off",
+        "comm_modify vel yes",
+        f"region box block {-side!r} {side!r} {-side!r} {side!r} {-largest!r} {top!r}",
+        "create_box 1 box",
+        f"neighbor {0.25 * largest!r} bin",
+        "neigh_modify every 1 delay 0 check yes",
+        "pair_style granular",
+        f"pair_coeff * * {law}",
+        "fix move all nve/sphere",
+        f"fix weight all gravity {gravity!r} vector 0 0 -1",
+        f"timestep {step!r}",
+        "thermo 1000000000",
+    )

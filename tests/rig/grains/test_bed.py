@@ -1,0 +1,56 @@
+"""The grains of one cavity by themselves: weight, rebound, and how they are packed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig.grains import packing
+from rig.grains.bed import Bed
+from rig.grains.packing import settled
+from rig.grains.spheres import Spheres, spheres_of
+from rig.scene.damper import Grains
+from tests.rig.grains.scenes import with_grains
+
+
+@pytest.mark.parametrize("restitution", [0.2, 0.5, 0.9])
+@pytest.mark.parametrize("speed", [0.07, 0.6])
+def test_given_one_grain_when_it_meets_the_floor_then_it_rebounds_as_fast_as_its_restitution_says(
+    restitution: float, speed: float
+) -> None:
+    lead = Grains(diameter=2e-3, restitution=restitution)
+    spheres = Spheres(lead, 4.75e-5, np.inf, 1, 1)
+    bed = Bed(spheres, np.array([[0.0, 0.0, 1.13e-3]]), np.inf, 0.0, spheres.longest_step())
+    bed.kick(-speed)
+
+    while bed.momentum <= 0.0 or bed.forces().any():
+        bed.advance()
+
+    assert bed.momentum / bed.mass == pytest.approx(restitution * speed, rel=0.01)
+
+
+def test_given_a_settled_bed_then_its_weight_is_on_the_floor_and_its_packing_is_kept() -> None:
+    spheres = spheres_of(with_grains(grains={"spread": "10 %"}))[0]
+    positions = settled(spheres)
+
+    bed = Bed(spheres, positions, np.inf, 9.80665, spheres.longest_step())
+
+    assert bed.forces()[0] == pytest.approx(spheres.mass * 9.80665, rel=1e-3)
+    assert np.array_equal(settled(spheres), positions)
+    radii = 0.5 * spheres.diameters()
+    apart = np.linalg.norm(positions[:, None] - positions, axis=2) + np.diag(np.full(len(radii), np.inf))
+    assert (apart - radii[:, None] - radii).min() > -0.01 * radii.min()
+
+
+def test_given_a_kept_bed_that_is_damaged_when_it_is_wanted_then_it_is_packed_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(packing, "folder", lambda: tmp_path)
+    spheres = spheres_of(with_grains(mass="0.1 g", cavity="3 mm"))[0]
+    positions = settled(spheres)
+    (kept,) = tmp_path.iterdir()
+    kept.write_bytes(kept.read_bytes()[:-9])
+
+    assert np.array_equal(settled(spheres), positions)

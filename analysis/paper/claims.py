@@ -126,9 +126,26 @@ def _c2(parts: Parts) -> Claim:
                 "may still show it at some frequencies, beside Types I and II. The paper shows two of them, b and c.",
                 ("scan-single", "scan-three"),
             ),
+            Evidence(_enhanced(single), ("scan-single",)),
         ),
         verdict,
         ("fig5", "fig6", "c2-region"),
+    )
+
+
+def _enhanced(single: Arrays) -> str:
+    """How much higher peaks of Type III are than the others at the same force (the paper: it enhances the motion)."""
+    factors = []
+    for peak, kind in zip(single["peak"], single["type_there"], strict=True):
+        third = kind == "III"
+        if third.any() and not third.all():
+            factors.append(np.median(peak[third]) / np.median(peak[~third]))
+    if not factors:
+        return "No force shows peaks of Type III and others."
+    return (
+        "With one damper, at the same force, the median peak of Type III is "
+        f"{min(factors):.1f} to {max(factors):.1f} times that of the other motions: Type III "
+        f"{'enhances' if min(factors) > 1.0 else 'does not always enhance'} the motion, as the paper says."
     )
 
 

@@ -58,18 +58,20 @@ class Noise:
     ) -> None:
         self._deviation = density * np.sqrt(0.5 * rate)
         self._random = random
-        self._coloured = corner is not None
+        # Of the filter that colours it.
+        self.states = 0
         if corner is not None:
             loss, weight, self._gain = shape(corner, rate)
-            self._keep, self._weight, self._states = (zeros(padded(loss.size)) for _ in range(3))
+            self.states = loss.size
+            self._keep, self._weight, self._kept = (zeros(padded(loss.size)) for _ in range(3))
             self._keep[: loss.size], self._weight[: loss.size] = 1.0 - loss, weight
 
     def fill(self, samples: Array) -> None:
         """Fill in the next samples, V, shape (samples,)."""
         self._random.standard_normal(out=samples)
         samples *= self._deviation
-        if self._coloured:
-            _colour(samples, self._keep, self._weight, self._gain, self._states)
+        if self.states:
+            _colour(samples, self._keep, self._weight, self._gain, self._kept)
 
 
 class FastNoise:

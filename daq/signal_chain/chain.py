@@ -108,7 +108,10 @@ class Chain:
             channel.name, line, converter, clock, self._oversampling, delay, scene.seed, self._buffers
         )
         info = channel_info(channel.name, channel.at, line, settings, clock, delay)
-        return path, info, channel_effects(line, converter, delay)
+        effects = channel_effects(line, converter, delay)
+        if "1/f noise" in effects:
+            effects["1/f noise"] = path.noise_states
+        return path, info, effects
 
     def rewire(self, wiring: Sequence[Channel]) -> None:
         """Set couplings and supplies of the channels anew.

@@ -66,6 +66,7 @@ class SignalPath:
         filtered, self._oversampling, self._interval = converter.filter is not None, oversampling, 0
         self._reading = _reading(stages, circuit, gain, converter, clock, oversampling, late, buffers)
         entries, sources = _disturbances(stages, name, clock.true_rate, seed, filtered)
+        self.noise_states = sum(source.states for source in sources if isinstance(source, Noise))
         direct = np.array([0.0 if filtered else circuit.d[entry.section] for entry in entries])
         self._disturbances = Disturbances(sources, direct, [entry.degree for entry in entries], oversampling)
         self._tables = discretise(circuit, gain, rate, self._reading.integrals, entries)

@@ -36,7 +36,7 @@ EFFECTS: dict[str, tuple[str, int | None]] = {
     "channels.accelerometer.resonance": ("resonance", 2),
     "channels.accelerometer.low_cutoff": ("low cut-off", 1),
     "channels.accelerometer.noise": ("noise", 0),
-    "channels.accelerometer.noise_corner": ("1/f noise", 0),
+    "channels.accelerometer.noise_corner": ("1/f noise", None),
     "channels.accelerometer.bias": ("offset", 0),
     "channels.accelerometer.bias_settling": ("offset settling", 1),
     "channels.accelerometer.transverse": ("sensitivity deviation", 0),

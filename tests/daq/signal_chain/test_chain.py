@@ -175,6 +175,8 @@ def test_given_effects_named_or_not_when_the_chain_is_made_then_it_lists_just_th
         "c2": sensor | {"integration": 2, "point sampling": 0, "clipping": 0, "quantisation": 0},
     }
     everything = chain_of(scene_of(EVERYTHING, converter=EVERYTHING_CONVERTED))[0].effects["c1"]
+    # A first-order state for every few octaves over which it rises.
+    assert everything["1/f noise"] > 5
     assert {"1/f noise", "offset settling", "overload recovery", "decimation filter", "jitter"} <= set(
         everything
     )

@@ -39,6 +39,8 @@ def pole_errors(curves: Curves, model: Fit) -> tuple[Array, Array]:
     ----------
     .. [1] W. K. Newey, K. D. West, A simple, positive semi-definite, heteroskedasticity and autocorrelation
        consistent covariance matrix, Econometrica 55 (1987) 703-708.
+    .. [2] J. G. MacKinnon, H. White, Some heteroskedasticity-consistent covariance matrix estimators with improved
+       finite sample properties, Journal of Econometrics 29 (1985) 305-325.
     """
     count = model.poles.size
     decay, damped, size = -model.poles.real, model.poles.imag, abs(model.poles)
@@ -122,7 +124,8 @@ def _covariances(curves: Curves, model: Fit) -> tuple[Array, Array, Array]:
         middle += (1.0 - lag / lags) * (common + common.T)
     # The misfit has fewer degrees of freedom than numbers: the fit has taken its share.
     plain = np.asarray(normal * (model.misfit / degrees), dtype=float)
-    seen = np.asarray(normal @ middle @ normal * (curves.numbers / degrees), dtype=float)
+    # Of few numbers it has taken most of each, and what is left is the smaller still (MacKinnon and White's HC3).
+    seen = np.asarray(normal @ middle @ normal * (curves.numbers / degrees) ** 2, dtype=float)
     relative = np.min(1.0 / (curves.weight * abs(curves.value)), axis=0)
     scored = np.einsum("pmn,mn->pn", model.slope.conj(), curves.weight * curves.value) * relative
     return plain, seen, np.asarray(normal @ (scored @ scored.conj().T).real @ normal, dtype=float)

@@ -42,8 +42,8 @@ _NOT_TONES = (NONLINEAR, ONE_REALISATION, "before the motion had become periodic
 _ROUNDING = 1e-9
 # How much more force tells how a response depends on it, relative.
 _MORE_FORCE = 2e-3
-# A force as far off as this, relative, tells a response to some 1e-4 by that.
-_NEAR = 1e-2
+# A force no farther off than this, relative, tells a response to some 1e-5 by that.
+_NEAR = 2e-3
 
 
 @dataclass

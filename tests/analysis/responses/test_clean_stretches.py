@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analysis.responses.clean_stretches import Flaw, clean_stretches, flaws, told
+from analysis.responses.clean_stretches import Flaw, clean_stretches, cure, flaws, told
 from daq.recording.markers import Marker
 from daq.recording.recording import Gap
+from daq.signal_chain.channel import ChannelInfo
 
 CHANNELS = ("a1", "a2", "force")
 SPANS = st.tuples(st.integers(0, 30), st.integers(0, 8))
@@ -63,3 +65,29 @@ def test_given_flaws_when_told_then_each_kind_is_named_with_its_first_three_time
     assert told(rec, found) == "a1 overloaded (at 0 s, 1 s, 2 s), a2 lost (at 7 s)"
     found += [Flaw(80, 81, "a1", "overloaded"), Flaw(91, 92, "a1", "overloaded")]
     assert told(rec, found) == "a1 overloaded (at 0 s, 1 s, 2 s and 2 times more), a2 lost (at 7 s)"
+
+
+@pytest.mark.parametrize(
+    ("sensitivity", "volts", "limit", "named"),
+    [
+        # 5 V at 0.1 V per m/s² are 50 m/s²: a sensor that follows 49 stops first, one that follows 51 does not.
+        (0.1, 5.0, "49 m/s^2", True),
+        (0.1, 5.0, "51 m/s^2", False),
+        (0.1, None, "51 m/s^2", True),
+    ],
+)
+def test_given_an_overload_when_a_cure_is_named_then_it_is_that_of_the_limit_that_is_reached_first(
+    sensitivity, volts, limit, named
+):
+    info = ChannelInfo(
+        "a1",
+        "body 1",
+        "acceleration",
+        sensitivity,
+        1e3,
+        range=volts,
+        sensor={"accelerometer.saturation": limit},
+    )
+    rec = SimpleNamespace(channels={"a1": info})
+    assert (limit in cure(rec, [Flaw(3, 5, "a1", "overloaded")])) == named
+    assert limit not in cure(rec, [Flaw(3, 5, "a1", "lost")])

@@ -5,15 +5,18 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from tests.benchmarks import chain, engine, orbits, recordings
+from tests.benchmarks import chain, engine, orbits, recordings, waits
 
 
 def main() -> None:
     """Print them, part by part."""
-    for part in (engine, orbits, chain, recordings):
+    for part in (engine, orbits, chain, recordings, waits):
         print(f"\n== {(part.__doc__ or '').splitlines()[0]}", flush=True)
         if part is engine:
             engine.main()
+        elif part is waits:
+            Path("build").mkdir(exist_ok=True)
+            waits.main(["build/bench.json"])
         elif part is orbits:
             print(*orbits.measure(), sep="\n")
         elif part is chain:

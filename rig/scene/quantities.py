@@ -246,11 +246,37 @@ def _parse_text(written: str, kind: Kind) -> float:
         raise ValueError(f"{written!r} is too large") from None
 
 
+#: What Pint gives for the units that most scenes have: importing it takes longer than all else of loading a scene.
+USUAL = {
+    ("%", ""): Fraction(1, 100),
+    ("g", "kg"): Fraction(1, 1000),
+    ("mm", "m"): Fraction(1, 1000),
+    ("ms", "s"): Fraction(1, 1000),
+    ("kHz", "Hz"): Fraction(1000),
+    ("rad/s", "Hz"): 1 / Fraction("6.283185307179586"),
+    ("kN/m", "N/m"): Fraction(1000),
+    ("mV/g", "V/(m/s^2)"): Fraction(1, 1000) / Fraction("9.80665"),
+    ("mV/N", "V/N"): Fraction(1, 1000),
+    ("ug/sqrt(Hz)", "m/s^2/sqrt(Hz)"): Fraction("9.80665") / 1_000_000,
+}
+
+
 @lru_cache(maxsize=1024)
 def _factor(unit: str, kind: Kind) -> Fraction:
     """Size of a unit in SI, exactly as far as its definition goes."""
     if unit in ("", kind.si):
         return Fraction(1)
+    return USUAL.get((unit, kind.si)) or by_pint(unit, kind)
+
+
+def by_pint(unit: str, kind: Kind) -> Fraction:
+    """Look up the size of a unit in SI.
+
+    Raises
+    ------
+    ValueError
+        If it is unknown, or measures something else.
+    """
     plain = _spelled_out(unit)
     # g is the gram or standard gravity, whichever makes the quantity what it has to be (74 g, 100 mV/g).
     for reading in (plain, _GRAVITY.sub(r"\1gn", plain)):

@@ -28,11 +28,20 @@ from rig.scene.quantities import (
     STIFFNESS,
     TIME,
     TRANSCONDUCTANCE,
+    USUAL,
     VOLTAGE_NOISE,
     Kind,
+    by_pint,
     parse,
     text,
 )
+
+
+def test_given_the_units_written_out_when_looked_up_then_pint_says_the_same() -> None:
+    for (unit, si), factor in USUAL.items():
+        kind = next(kind for kind in KINDS if kind.si == si)
+        assert by_pint(unit, kind) == factor, unit
+
 
 KINDS = [value for value in vars(quantities).values() if isinstance(value, Kind)]
 

@@ -103,7 +103,7 @@ def frequency_axis(axes: Axes, low: float, high: float, labelled: bool) -> None:
         axes.tick_params(labelbottom=False)
 
 
-def decades(axes: Axes, values: Any, most: float = 6.0, least: float = 1.0) -> None:
+def decades(axes: Axes, values: Any, most: float = 7.0, least: float = 1.0) -> None:
     """Logarithmic vertical axis around positive values, at most so many decades deep."""
     values = np.concatenate([np.ravel(v) for v in values])
     values = values[np.isfinite(values) & (values > 0)]

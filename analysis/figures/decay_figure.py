@@ -52,9 +52,8 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
             level.plot(decay.time[keep], top[keep], color=shade, lw=1.2)
             lowest_shown = min(lowest_shown, float(top[keep].min()))
             level.plot(
-                decay.time[keep], decay.envelope.max() * 10.0 ** (decay.energy[keep] / 20.0),
-                color=shade, lw=1.6, ls="--",
-            )  # fmt: skip
+                decay.time[keep], top[0] * 10.0 ** (decay.energy[keep] / 20.0), color=shade, lw=1.6, ls="--"
+            )
         highest = max(float(decay.peak.max()) for decay in decays)
         trace.set_ylim(-1.1 * highest, 1.1 * highest)
         trace.set_xlim(0.0, shown)
@@ -65,11 +64,11 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
         heading(trace, title)
         if trace.get_legend_handles_labels()[0]:
             trace.legend(loc="upper right")
-        level.set_yscale("log")
+        plain_logarithmic(level.yaxis, 5)
         level.set_ylim(max(0.6 * lowest_shown, 1e-3 * highest), 1.6 * highest)
         level.axhline(gravity, color="#777777", lw=0.8, ls=":")
         level.set_ylabel("envelope / (m/s²)")
-        level.set_xlabel("time after the hit / s")
+        level.set_xlabel("time / s")
         caption(
             figure, "Envelopes are the largest acceleration within half a period of the lowest mode on either side.",
             "Dashed: root of the energy still to come (Schroeder), from the same start. Dotted: 1 g.",
@@ -110,7 +109,14 @@ def _damping_row(
         flat = np.concatenate(values) if values else np.array([1.0])
         flat = flat[flat > 0]
         if flat.size:
-            low, high = float(flat.min()) / 1.5, float(flat.max()) * 1.5
+            low, high = float(flat.min()), float(flat.max())
+            # Bands, too, as long as they leave the curves their place.
+            bounds = [200.0 * m.damping_error for members in columns for _, m in members if m.damping.size]
+            edges = np.concatenate(
+                [v + sign * b for v, b in zip(values, bounds, strict=True) for sign in (-1, 1)]
+            )
+            inside = edges[(edges > 0.1 * low) & (edges < 10.0 * high)]
+            low, high = min(low, *inside) / 1.3, max(high, *inside) * 1.3
             plain_logarithmic(first.yaxis, 6)
             first.set_ylim(low, high)
 

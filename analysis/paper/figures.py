@@ -172,7 +172,7 @@ def figure_9(parts: Parts) -> Figure:
         upper.yaxis.set_major_formatter(lambda value, _: f"{1e6 * value:g}")
         upper.set_ylabel("compliance of body 2 |X₂/F₁| / (µm/N)")
         upper.set_title("Fig 9: mass ratio 6 %, clearance 0.98 mm, force 3.3 N (thin: unstable)")
-        upper.legend(loc="upper right", ncols=2)
+        upper.legend(loc="upper right")
         for data, shade, keep in (
             (approximate, ORANGE, approximate["valid"]), (exact, BLUE, np.isin(exact["type"], ["I", "II", "III"]))
         ):  # fmt: skip

@@ -144,10 +144,12 @@ def present_decay(
         with opened(path) as rec:
             expect(rec, path, "decay")
             decays.append(relabelled(decay(rec, channel, hit), rec.scene.name, label))
+            struck = getattr(rec.scene.test, "kind", "") != "free"
         notes += _noted(path, decays[-1].warnings)
     stem = output_stem(paths, output, "decay")
     first = decays[0]
-    files = save(decay_figure(decays, f"Free decay of {first.channel} after hit {hit}"), stem)
+    title = f"Free decay of {first.channel}{f' after hit {hit}' if struck else ''}"
+    files = save(decay_figure(decays, title), stem)
     files.append(envelope_table(stem.with_name(stem.name + "-envelope.csv"), decays))
     files.append(damping_table(stem.with_name(stem.name + "-damping.csv"), decays))
     return Result(tuple(files), tuple(line for one in decays for line in describe_decay(one)), tuple(notes))
@@ -158,8 +160,8 @@ def describe_decay(one: Decay) -> list[str]:
     quiet = one.quiet_from
     until = "never within the recording" if np.isnan(quiet) else f"after {quiet:.3g} s"
     out = [
-        f"{one.label}, {one.channel}: below g {until}; energy falls by 6 dB every {one.halving:.3g} s at "
-        "first"
+        f"{one.label}, {one.channel}: below g {until}; the energy still to come falls by 6 dB "
+        f"within {one.halving:.3g} s at first"
     ]
     for mode in one.modes:
         if mode.damping.size:

@@ -106,6 +106,8 @@ def test_given_a_reference_that_may_be_smaller_when_divided_by_then_both_bounds_
     both = np.hypot(first, only(doubtful_reference_part(first, doubt)))
     assert both[:4] == pytest.approx(first[:4] / (1.0 - doubt[:4]))
     assert (both[4:] == np.inf).all()
+    # Where nothing bounds the response, a reference beyond doubt adds nothing.
+    assert only(doubtful_reference_part(np.array([np.inf]), np.array([0.0]))) == 0.0
 
 
 def test_given_gaussian_noise_of_some_counts_when_rounded_then_its_gain_is_off_by_the_bound_and_no_more():

@@ -110,7 +110,7 @@ def doubtful_reference_part(bound: Array, doubt: Array) -> dict[str, Array]:
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         more = np.sqrt(1.0 / np.maximum(1.0 - doubt, 0.0) ** 2 - 1.0)
-    return {REFERENCE: np.where(doubt < 1.0, np.where(more > 0.0, bound * more, 0.0), np.inf)}
+        return {REFERENCE: np.where(doubt < 1.0, np.where(more > 0.0, bound * more, 0.0), np.inf)}
 
 
 def rounding_part(

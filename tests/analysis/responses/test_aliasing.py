@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 import rig
 from analysis.responses.aliasing import aliasing_part
@@ -26,9 +27,9 @@ def images(info, cycles):
     return folded[1:].sum() / folded[0]
 
 
-def part(info, value, motion="acceleration"):
-    rec = SimpleNamespace(channels={info.name: info}, scene=rig.loads(SCENE, where="a test"))
-    shares = value[None], np.zeros((1, value.size))
+def part(info, value, motion="acceleration", scene=SCENE, lower=0.0):
+    rec = SimpleNamespace(channels={info.name: info}, scene=rig.loads(scene, where="a test"))
+    shares = value[None] * (1.0 - lower), np.full((1, value.size), lower)
     return aliasing_part(rec, [info.name], FREQUENCY, value, *shares, motion)
 
 
@@ -60,3 +61,15 @@ def test_given_a_structure_that_accelerates_less_beyond_a_peak_when_images_fold_
             next(iter(part(channel(at), value, motion).values())) for at in ("body 1", "drive")
         )
         np.testing.assert_allclose(body, elsewhere / peak.real)
+
+
+@pytest.mark.parametrize("lower", [0.0, 1.0])
+def test_given_a_table_when_images_of_its_drive_fold_back_then_the_bound_holds_what_its_servo_follows(lower):
+    scene = SCENE.replace("kind: force, body: 1", "kind: table, body: 1, spring: 6 kN/m, bandwidth: 700 Hz")
+    value = np.full(4, 0.5 + 0.2j)
+    [bound] = part(channel("table"), value, scene=scene, lower=lower).values()
+    for column, (frequency, cycles) in enumerate(zip(FREQUENCY, CYCLES, strict=True)):
+        # Twice differentiated an image is as large as the tone: what is left is a servo of second order.
+        servo = SimpleNamespace(response=lambda f: -((2 * np.pi * f) ** 2) / (1.0 + 1j * f / 700.0) ** 2)
+        true = images(servo, cycles) * abs(value[column])
+        assert true <= bound[column] <= 1.25 * true, frequency

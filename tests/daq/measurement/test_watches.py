@@ -78,6 +78,14 @@ def test_given_a_stretch_that_is_over_when_samples_go_on_then_it_is_marked_witho
     assert len(marked) == 1
 
 
+def test_given_samples_seconds_apart_when_joined_then_those_that_follow_one_another_are_one_stretch():
+    slow, marked = ChannelInfo("s", "body 1", "acceleration", 1.0, 0.5), []
+    stretches = Stretches("overload", [slow], lambda kind, *span, channel: marked.append(span))
+    stretches.add(0, np.array([[True, True, False, True]]))
+    stretches.add(4, np.array([[True, False]]))
+    assert marked == [(0, 2), (3, 5)]
+
+
 @given(st.lists(st.lists(st.integers(-6, 6).map(float), min_size=12, max_size=12), min_size=3, max_size=3))
 def test_given_any_readings_when_watched_then_the_first_beyond_an_abort_limit_trips_and_alarms_are_marked(
     readings,

@@ -190,6 +190,45 @@ def response(
 
 
 @app.command()
+def grains(
+    scene: SceneName,
+    changes: Changes = None,
+    first: Annotated[
+        str | None, typer.Option("--from", metavar="F", help="First frequency (default: the test's).")
+    ] = None,
+    last: Annotated[str | None, typer.Option("--to", metavar="F", help="Last frequency.")] = None,
+    points: Annotated[
+        int | None, typer.Option(min=2, max=MOST, metavar="N", help="How many frequencies.")
+    ] = None,
+    periods: Annotated[
+        int, typer.Option(min=1, max=MOST, metavar="N", help="Of the drive in a block that is averaged.")
+    ] = 20,
+    cluster: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="A Dask scheduler that computes, or 'local'.")
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--output", metavar="FILE.csv", help="Table to keep; what it has is not done again."
+        ),
+    ] = None,
+) -> None:
+    """Follow beds of grains at each frequency until they are steady, beside the same beds as one mass."""
+    from rig.bed_response.bed_response import bed_response, text
+    from rig.response.response_output import frequencies_of
+    from rig.scene.quantities import FREQUENCY
+
+    setting = loaded(scene, changes)
+    ends = (_quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to"))
+    frequencies, _ = frequencies_of(setting, *ends, points, None)
+    with counting("following the grains") as progress:
+        result = bed_response(setting, frequencies, periods, output, cluster, progress)
+    print(text(result))
+    if output is not None:
+        print(f"\nwritten: {output}")
+
+
+@app.command()
 def cost(
     scene: SceneName,
     changes: Changes = None,

@@ -170,8 +170,8 @@ class Propagator:
         if system.grains.any():
             number = system.damper_number[system.grains][0]
             raise SceneError(
-                f"dampers[{number}] is a bed of grains, which is followed in time alone, as rig simulate and "
-                "daq record do; expected no grains: here, where a bed moves as one mass"
+                f"dampers[{number}] is a bed of grains, which is followed in time alone, as rig simulate, rig grains "
+                "and daq record do; expected no grains: here, where a bed moves as one mass"
             )
         self.system, self.drive = system, drive
         self.tables = tables_for(system, drive, step)

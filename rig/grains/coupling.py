@@ -59,6 +59,8 @@ class CoupledPropagator:
     step : float
         s.
     beds : list of Bed
+    bodies : int array (beds,)
+        The coordinate that each is in.
     """
 
     def __init__(self, scene: Scene, interval: float) -> None:
@@ -66,8 +68,8 @@ class CoupledPropagator:
         spheres = spheres_of(scene)
         self.substeps = max(1, int(np.ceil(interval / min(each.longest_step() for each in spheres.values()))))
         self.step = interval / self.substeps
-        self._bodies = np.array([scene.dampers[row].body - 1 for row in spheres])
-        inner = _with_ports(scene, self.system, self._bodies)
+        self.bodies = np.array([scene.dampers[row].body - 1 for row in spheres])
+        inner = _with_ports(scene, self.system, self.bodies)
         self.structure, steps = sampled_propagator(inner, self.step)
         self._steps = np.array([steps])
         number = self.system.damper_number.tolist()
@@ -101,8 +103,8 @@ class CoupledPropagator:
         lifted = self.structure.place(state, np.concatenate([columns, np.zeros(len(columns))]))
         now = self.structure.present()
         n = self.system.coordinates
-        self._velocity = now.state[0, n + self._bodies]
-        self._acceleration = self.structure.accelerations(now.state, now.slot)[self._bodies, 0]
+        self._velocity = now.state[0, n + self.bodies]
+        self._acceleration = self.structure.accelerations(now.state, now.slot)[self.bodies, 0]
         self._begin = self.momentum
         return np.asarray(self._others[lifted], dtype=np.int64)
 
@@ -147,11 +149,11 @@ class CoupledPropagator:
 
     def _exchange(self, state: Array, foretold: Array) -> None:
         """Kick the grains by what is missing of the change of their bodies' velocities, and see the bodies' motion."""
-        velocity = state[self.system.coordinates + self._bodies]
+        velocity = state[self.system.coordinates + self.bodies]
         for bed, change in zip(self.beds, velocity - self._velocity - foretold, strict=True):
             bed.kick(-change)
         self._velocity = velocity
-        self._acceleration = state[self.structure.tables.size + self._bodies]
+        self._acceleration = state[self.structure.tables.size + self.bodies]
 
     def motion_samples(self, samples: int) -> MotionSamples:
         """Room for what is seen at a number of samples."""

@@ -1,0 +1,226 @@
+"""Beds of grains over frequency, beside the same beds as one mass; pieces by workers, kept in a table as they come."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.bed_response.steady_bed import SteadyBed, steady_grains, steady_mass
+from rig.errors import RunError, SceneError
+from rig.grains.library import new_lammps
+from rig.results import Result, styled
+from rig.scene.loading import scene_of
+from rig.scene.quantities import FREQUENCY, positives
+from rig.scene.scene import Scene
+from rig.system.assembly import assemble
+from rig.workers import Workers
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+#: Of a block in which a motion is averaged, and of the longest wait for a steady one.
+PERIODS, MOST_BLOCKS = 20, 20
+_HEADER = ["question", "frequency_hz", "grains", "mass"]
+
+
+class _Piece(NamedTuple):
+    scene: Scene
+    frequency: float
+    periods: int
+
+
+@dataclass(frozen=True, repr=False)
+class BedResponse(Result):
+    """Steady motion over frequency, of grains and of one mass.
+
+    Attributes
+    ----------
+    frequency : ndarray, shape (frequencies,)
+        Hz.
+    grains, mass : tuple of SteadyBed
+        At each frequency.
+    """
+
+    frequency: NDArray[np.float64]
+    grains: tuple[SteadyBed, ...]
+    mass: tuple[SteadyBed, ...]
+
+    def summary(self) -> str:
+        """Say how far the two are apart."""
+        apart = [
+            float(np.abs(np.abs(one.compliance) / np.abs(other.compliance) - 1.0).max())
+            for one, other in zip(self.grains, self.mass, strict=True)
+        ]
+        steady = sum(one.steady for one in self.grains)
+        return (
+            f"{len(apart)} frequencies, {steady} of them steady; the compliance of one mass is up to "
+            f"{100 * max(apart):.3g} % off that of grains"
+        )
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Everything of both, named with its unit and the number of body or bed."""
+        table: dict[str, NDArray[Any]] = {"frequency_Hz": self.frequency}
+        for who, motions in (("grains", self.grains), ("mass", self.mass)):
+            for name, attribute in (
+                ("compliance_m/N", "compliance"),
+                ("floor_impulse_N*s", "floor_impulse"),
+                ("ceiling_impulse_N*s", "ceiling_impulse"),
+                ("energy_J", "energy"),
+                ("landing_deg", "landing"),
+                ("flight_share", "flight"),
+                ("motion_type", "motion_type"),
+            ):
+                values = np.array([getattr(each, attribute) for each in motions])
+                for row in range(values.shape[1]):
+                    table[f"{who} {name} {row + 1}"] = values[:, row]
+            table[f"{who} steady"] = np.array([each.steady for each in motions])
+        return table
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Compliance of each body, of grains as points and of one mass as a line."""
+        for body in range(len(self.mass[0].compliance)):
+            mass = [1e6 * abs(each.compliance[body]) for each in self.mass]
+            (line,) = ax.semilogy(
+                self.frequency, mass, **styled(style, label=f"body {body + 1}, bed as one mass")
+            )
+            grains = [1e6 * abs(each.compliance[body]) for each in self.grains]
+            ax.plot(self.frequency, grains, "o", color=line.get_color(), label=f"body {body + 1}, grains")
+        ax.set(xlabel="frequency / Hz", ylabel="compliance / (µm/N)")
+
+
+def bed_response(
+    scene: Scene | str,
+    frequencies: Sequence[float] | Sequence[str],
+    periods: int = PERIODS,
+    table: Path | None = None,
+    cluster: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> BedResponse:
+    """Follow beds of grains at each frequency until their motion is steady, and the same beds as one mass.
+
+    Parameters
+    ----------
+    scene : Scene or str
+        With a bed of grains that can move, and a test that gives the level.
+    frequencies : sequence of float or str
+        Hz, or text with units.
+    periods : int
+        Of a block; the motion is steady once the compliances of two blocks agree within 1 %, and their mean is told.
+    table : Path, optional
+        CSV file with every frequency as soon as it is there; what stands in it of the same scene is not done again.
+    cluster : str, optional
+        See `rig.workers.Workers`.
+    progress : callable, optional
+        Called with frequencies done and of all.
+
+    Raises
+    ------
+    SceneError
+        If no damper is a bed of grains that can move, or LAMMPS is not installed.
+    RunError
+        If the table cannot be read or written.
+    """
+    scene = scene_of(scene)
+    asked = np.asarray(positives(frequencies, FREQUENCY, "frequencies"), dtype=np.float64)
+    if not assemble(scene).grains.any():
+        raise SceneError(
+            f"scene {scene.name!r} has no bed of grains that can move; expected dampers with grains: {{diameter: 2 mm}}"
+        )
+    new_lammps()
+    pieces = [_Piece(scene, float(frequency), periods) for frequency in asked]
+    known = {} if table is None else _read(table)
+    missing = [piece for piece in pieces if _digest(piece) not in known]
+    done = len(pieces) - len(missing)
+    if progress is not None:
+        progress(done, len(pieces))
+    if missing:
+        with Workers(cluster) as workers:
+            for number, both in workers.compute(_followed, missing):
+                known[_digest(missing[number])] = both
+                if table is not None:
+                    _keep(table, missing[number], both)
+                done += 1
+                if progress is not None:
+                    progress(done, len(pieces))
+    found = [known[_digest(piece)] for piece in pieces]
+    return BedResponse(asked, tuple(grains for grains, _ in found), tuple(mass for _, mass in found))
+
+
+def text(response: BedResponse) -> str:
+    """Write a response as lines of text: grains, and one mass below, for the first bed and its body that moves most."""
+    titles = ("floor N s", 12), ("ceiling N s", 12), ("J/period", 11), ("landing", 9), ("flies", 7)
+    lines = [f"{'Hz':>9}  {'bed':6}{'m/N':>11}{''.join(f'{title:>{wide}}' for title, wide in titles)}  type"]
+    for frequency, *both in zip(response.frequency, response.grains, response.mass, strict=True):
+        for name, motion in zip(("grains", "mass"), both, strict=True):
+            largest = np.abs(motion.compliance).max()
+            lines.append(
+                f"{frequency:9.4f}  {name:6}{largest:11.4g}{motion.floor_impulse[0]:12.4g}"
+                f"{motion.ceiling_impulse[0]:12.4g}{motion.energy[0]:11.4g}{motion.landing[0]:8.1f}°"
+                f"{100 * motion.flight[0]:6.1f}%  {motion.motion_type[0]}{'' if motion.steady else ', not steady'}"
+            )
+    return "\n".join([*lines, "", response.summary()])
+
+
+def _followed(piece: _Piece) -> tuple[SteadyBed, SteadyBed]:
+    scene, frequency, periods = piece
+    return steady_grains(scene, frequency, periods, MOST_BLOCKS), steady_mass(scene, frequency)
+
+
+def _digest(piece: _Piece) -> str:
+    """Name a piece by all that its result depends on."""
+    from importlib.metadata import version
+
+    told = (piece.scene.to_yaml(), piece.frequency, piece.periods, version("lammps"))
+    return hashlib.sha256(repr(told).encode()).hexdigest()[:16]
+
+
+def _read(path: Path) -> dict[str, tuple[SteadyBed, SteadyBed]]:
+    try:
+        if not path.exists():
+            with path.open("x", newline="", encoding="utf-8") as file:
+                csv.writer(file, lineterminator="\n").writerow(_HEADER)
+        with path.open(newline="", encoding="utf-8", errors="replace") as file:
+            rows = list(csv.reader(file))
+    except OSError as error:
+        raise RunError(f"cannot write {path}: {error.strerror}; choose another place with -o") from None
+    if rows[:1] != [_HEADER]:
+        raise RunError(f"{path}: is no table of beds; move it, or choose another place with -o")
+    known = {}
+    for row in rows[1:]:
+        try:
+            digest, _, grains, mass = row
+            known[digest] = _motion(grains), _motion(mass)
+        except (ValueError, KeyError, TypeError):
+            # The last line of a study that was killed may be torn.
+            continue
+    return known
+
+
+def _keep(path: Path, piece: _Piece, both: tuple[SteadyBed, SteadyBed]) -> None:
+    with path.open("r+", newline="", encoding="utf-8") as file:
+        content = file.read()
+        if not content.endswith("\n"):
+            file.write("\n")
+        row = [_digest(piece), repr(piece.frequency), *(json.dumps(_told(each)) for each in both)]
+        csv.writer(file, lineterminator="\n").writerow(row)
+
+
+def _told(motion: SteadyBed) -> dict[str, Any]:
+    told = {name: np.asarray(value).tolist() for name, value in vars(motion).items()}
+    told["compliance"] = [[value.real, value.imag] for value in motion.compliance]
+    return told
+
+
+def _motion(told: str) -> SteadyBed:
+    values = json.loads(told)
+    values["compliance"] = [complex(*pair) for pair in values["compliance"]]
+    lists = {name: np.array(value) for name, value in values.items() if isinstance(value, list)}
+    return SteadyBed(**(values | lists))

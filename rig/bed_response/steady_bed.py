@@ -1,0 +1,218 @@
+"""The steady motion of a bed under a tone: what it does to the structure, grain by grain and as one mass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.grains.bed import CEILING, FLOOR
+from rig.grains.coupling import CoupledPropagator
+from rig.response.frequency_response import frequency_response
+from rig.scene.scene import Scene
+from rig.simulation.simulate import simulate
+from rig.system.assembly import assemble, spring_force_row
+from rig.system.hybrid_system import HybridSystem
+from rig.system.open_loop_drive import tone_drive, with_ideal_force
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Sample intervals in a period.
+_MARKS = 50
+#: Two blocks of periods are one steady motion if their compliances agree as well as that.
+STEADY = 0.01
+#: Periods in which the mass is let settle, and those looked at then.
+_SETTLING, _WATCHED = 200, 20
+#: A bed flies, or is at the ceiling, from this share of a period or of its weight on.
+_SEEN = 0.01
+
+
+@dataclass(frozen=True)
+class SteadyBed:
+    """Steady motion at one frequency; per period of the drive where not said otherwise.
+
+    Attributes
+    ----------
+    compliance : complex ndarray, shape (bodies,)
+        First harmonic of each displacement over that of the force, m/N.
+    floor_impulse, ceiling_impulse : ndarray, shape (beds,)
+        Of the wall on the bed, N s.
+    energy : ndarray, shape (beds,)
+        Taken from the structure, J.
+    landing : ndarray, shape (beds,)
+        Phase of the drive at which the floor receives its impulse (mean over the impulse), degrees from the force's
+        rising zero.
+    flight : ndarray, shape (beds,)
+        Share of the time with neither wall touched.
+    motion_type : ndarray of str, shape (beds,)
+    spread : float
+        Relative difference of the last two blocks' compliances.
+    periods : int
+        Followed in all.
+    """
+
+    compliance: Complex
+    floor_impulse: Array
+    ceiling_impulse: Array
+    energy: Array
+    landing: Array
+    flight: Array
+    motion_type: NDArray[np.str_]
+    spread: float
+    periods: int
+
+    @property
+    def steady(self) -> bool:
+        """Whether the last two blocks agree."""
+        return self.spread < STEADY
+
+
+def as_one_mass(scene: Scene) -> Scene:
+    """Give the scene with its beds of grains as one mass each."""
+    return scene.replace(dampers=[damper.replace(grains=None) for damper in scene.dampers])
+
+
+def steady_grains(scene: Scene, frequency: float, block: int, most: int) -> SteadyBed:
+    """Follow beds of grains under a tone until two blocks of periods agree.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its test gives the level; a force that its test holds acts on the body itself.
+    frequency : float
+        Hz.
+    block : int
+        Periods in a block.
+    most : int
+        Blocks at most.
+    """
+    scene = with_ideal_force(scene)
+    coupled = CoupledPropagator(scene, 1.0 / (_MARKS * frequency))
+    system = coupled.system
+    tone = tone_drive(scene, system, frequency)
+    assert tone is not None
+    steps = block * _MARKS * coupled.substeps
+    turns = np.arange(steps + 1) / (_MARKS * coupled.substeps)
+    turn = np.exp(2j * np.pi * turns)
+    drive = np.real(tone.amplitudes[:, None] * turn)
+    coupled.place(_near_steady(scene, system, frequency, tone.state), drive[:, 0])
+    found: list[SteadyBed] = []
+    while len(found) < 2 or (not found[-1].steady and len(found) < most):
+        trajectory, beds = coupled.march(drive)
+        states, back = trajectory.state[:, : system.states], turn[1:].conj()
+        harmonics = 2.0 * (states.T @ back) / steps
+        # Forces at the ends of the steps, as the states are; a periodic motion has the same integrals over both.
+        force = beds.force[:, :, 1:]
+        on_body = -force.sum(axis=1)
+        velocity = states[:, system.coordinates + coupled.bodies].T
+        weight = (system.damper_mass * system.gravity)[system.grains]
+        compliance = harmonics[: scene.structure.bodies] / _force(scene, system, harmonics, tone.amplitudes)
+        found.append(
+            SteadyBed(
+                compliance=compliance,
+                floor_impulse=force[:, FLOOR].sum(axis=1) * coupled.step / block,
+                ceiling_impulse=-force[:, CEILING].sum(axis=1) * coupled.step / block,
+                energy=-(on_body * velocity).sum(axis=1) * coupled.step / block,
+                landing=_phase(force[:, FLOOR] @ turn[1:], tone.amplitudes),
+                flight=np.mean((force[:, FLOOR] == 0.0) & (force[:, CEILING] == 0.0), axis=1),
+                motion_type=_types(force, weight),
+                spread=_change(found[-1].compliance if found else None, compliance),
+                periods=block * (len(found) + 1),
+            )
+        )
+    return _mean(found[-2], found[-1])
+
+
+def steady_mass(scene: Scene, frequency: float) -> SteadyBed:
+    """Give the same with each bed of the scene as one mass."""
+    grains = assemble(scene).grains
+    scene = with_ideal_force(as_one_mass(scene))
+    response = frequency_response(scene, [frequency])
+    system = assemble(scene)
+    run = simulate(
+        scene, (_SETTLING + _WATCHED) / frequency, rate=8.0 * _MARKS * frequency, frequency=frequency
+    )
+    watched = slice(-_WATCHED * 8 * _MARKS, None)
+    turn = np.exp(2j * np.pi * frequency * run.time[watched])
+    tone = tone_drive(scene, system, frequency)
+    assert tone is not None
+    mobility = np.diag(np.linalg.inv(system.mass))
+    rows = np.flatnonzero(grains)
+    impulse, landed, energy = (
+        np.zeros((2, len(rows))),
+        np.zeros(len(rows), dtype=complex),
+        np.zeros(len(rows)),
+    )
+    flight = np.empty(len(rows))
+    begin = run.time[-1] - _WATCHED / frequency
+    for k, row in enumerate(rows):
+        body, mass = system.damper_coordinate[row], system.damper_mass[row]
+        reduced, rebound = 1.0 / (1.0 / mass + mobility[body]), system.restitution[row]
+        carried = mass * (run.acceleration[body, watched] + system.gravity) / (8.0 * _MARKS * frequency)
+        own = run.events[(run.events["damper"] == system.damper_number[row]) & (run.events["time"] >= begin)]
+        for wall, kind, sign in ((FLOOR, "floor", 1.0), (CEILING, "ceiling", -1.0)):
+            hits = own[own["kind"] == kind]
+            blows = (1.0 + rebound) * reduced * hits["speed"]
+            riding = np.where(run.contact[row, watched] == wall + 1, carried, 0.0)
+            impulse[wall, k] = (blows.sum() + sign * riding.sum()) / _WATCHED
+            energy[k] += 0.5 * reduced * (1.0 - rebound**2) * float((hits["speed"] ** 2).sum()) / _WATCHED
+            if wall == FLOOR:
+                landed[k] = blows @ np.exp(2j * np.pi * frequency * hits["time"]) + riding @ turn
+        flight[k] = np.mean(run.contact[row, watched] == 0)
+    return SteadyBed(
+        compliance=response.compliance[:, 0],
+        floor_impulse=impulse[FLOOR],
+        ceiling_impulse=impulse[CEILING],
+        energy=energy,
+        landing=_phase(landed, tone.amplitudes),
+        flight=flight,
+        motion_type=response.damper_motion[rows, 0],
+        spread=0.0 if response.converged[0] else np.inf,
+        periods=_SETTLING + _WATCHED,
+    )
+
+
+def _near_steady(scene: Scene, system: HybridSystem, frequency: float, state: Array) -> Array:
+    """Start where the structure would be if the beds were masses: what is to settle then is only the difference."""
+    compliance = frequency_response(as_one_mass(scene), [frequency])
+    bodies, n = scene.structure.bodies, system.coordinates
+    harmonic = -1j * compliance.force[0] * compliance.compliance[:, 0]
+    state = state.copy()
+    state[:bodies] += harmonic.real
+    state[n : n + bodies] += (2j * np.pi * frequency * harmonic).real
+    return state
+
+
+def _force(scene: Scene, system: HybridSystem, harmonics: Complex, amplitudes: Complex) -> complex:
+    """First harmonic of the force on the driven body: of its coil spring, or the drive itself."""
+    row = spring_force_row(scene, system)
+    return complex(row @ harmonics) if row.any() else complex(amplitudes[np.argmax(np.abs(amplitudes))])
+
+
+def _phase(moment: Complex, amplitudes: Complex) -> Array:
+    """Degrees after the rising zero of a drive A e^{i w t} at which something with such a moment e^{i w t} is."""
+    zero = amplitudes[np.argmax(np.abs(amplitudes))] * 1j
+    return np.asarray(np.degrees(np.angle(moment * zero)) % 360.0)
+
+
+def _types(force: Array, weight: Array) -> NDArray[np.str_]:
+    """Name the motion of beds from their walls' forces (beds, walls, steps), as that of a mass would be."""
+    ceiling = -force[:, CEILING].mean(axis=1) > _SEEN * weight
+    resting = np.mean(force[:, FLOOR] > _SEEN * weight[:, None], axis=1) > 1.0 - _SEEN
+    return np.where(ceiling, "II/III", np.where(resting, "riding", "I"))
+
+
+def _change(before: Complex | None, now: Complex) -> float:
+    if before is None:
+        return float("inf")
+    return float(np.abs(now - before).max() / np.abs(now).max())
+
+
+def _mean(first: SteadyBed, second: SteadyBed) -> SteadyBed:
+    """Average two blocks; types and what is counted are the later one's."""
+    told = {field.name: getattr(second, field.name) for field in fields(SteadyBed)}
+    for name in ("compliance", "floor_impulse", "ceiling_impulse", "energy", "flight"):
+        told[name] = 0.5 * (getattr(first, name) + getattr(second, name))
+    return SteadyBed(**told)

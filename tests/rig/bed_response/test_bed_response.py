@@ -1,0 +1,73 @@
+"""Steady motion of beds: what must hold of it whatever the grains do, and the table that keeps it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig.bed_response.bed_response import BedResponse, bed_response, text
+from rig.bed_response.steady_bed import steady_grains, steady_mass
+from rig.errors import RunError, SceneError
+from tests.rig.grains.scenes import with_grains, without_grains
+
+
+def test_given_a_force_too_small_to_lift_the_bed_then_grains_and_mass_ride_alike() -> None:
+    scene = with_grains(test={"kind": "sine", "frequency": 30.0, "force": 0.003})
+
+    grains, mass = steady_grains(scene, 30.0, 2, 10), steady_mass(scene, 30.0)
+
+    assert grains.steady
+    assert grains.compliance == pytest.approx(mass.compliance, rel=5e-3)
+    weight = scene.dampers[0].mass * scene.gravity / 30.0
+    assert (grains.motion_type[0], mass.motion_type[0]) == ("riding", "riding")
+    assert grains.floor_impulse[0] == pytest.approx(weight, rel=5e-3)
+    assert mass.floor_impulse[0] == pytest.approx(weight, rel=5e-3)
+    assert grains.ceiling_impulse[0] == 0.0
+
+
+@pytest.mark.thorough
+def test_given_a_bed_that_hits_the_ceiling_then_its_walls_carry_its_weight_and_it_takes_energy() -> None:
+    scene = with_grains()
+
+    for motion in (steady_grains(scene, 30.0, 5, 10), steady_mass(scene, 30.0)):
+        carried = motion.floor_impulse - motion.ceiling_impulse
+        assert carried == pytest.approx(scene.dampers[0].mass * scene.gravity / 30.0, rel=0.1)
+        assert motion.ceiling_impulse[0] > 0.0
+        assert motion.energy[0] > 0.0
+        assert 0.0 < motion.flight[0] < 1.0
+
+
+@pytest.mark.thorough
+def test_given_a_table_that_a_kill_tore_when_the_study_goes_on_then_only_what_is_missing_is_done(
+    tmp_path: Path,
+) -> None:
+    table, steps = tmp_path / "beds.csv", []
+    scene = with_grains(test={"kind": "sine", "frequency": 30.0, "force": 0.003})
+    first = bed_response(scene, [25.0, 30.0], periods=1, table=table)
+    lines = table.read_text().splitlines(keepends=True)
+    table.write_text("".join(lines[:-1]) + lines[-1][:-30])
+
+    again = bed_response(scene, [25.0, 30.0], periods=1, table=table, progress=lambda *at: steps.append(at))
+
+    assert steps == [(1, 2), (2, 2)]
+    for one, other in zip(first.columns().values(), again.columns().values(), strict=True):
+        assert np.array_equal(one, other)
+    assert len(text(again).splitlines()) == 7
+    assert isinstance(again, BedResponse)
+
+
+def test_given_a_file_that_is_no_table_when_it_is_to_be_kept_there_then_it_is_refused(tmp_path: Path) -> None:
+    other = tmp_path / "notes.csv"
+    other.write_text("mine\n")
+
+    with pytest.raises(RunError, match="is no table of beds"):
+        bed_response(with_grains(), [30.0], table=other)
+
+    assert other.read_text() == "mine\n"
+
+
+def test_given_a_scene_without_grains_then_it_says_what_it_expected() -> None:
+    with pytest.raises(SceneError, match="no bed of grains"):
+        bed_response(without_grains(with_grains()), [30.0])

@@ -16,6 +16,8 @@ from rig.system.structure import damper_masses
 #: Rayleigh's times of the smallest grain in a step of time. At ten times that motions are still stable; so short a step
 #: is what a rebound within 1 % of its restitution takes, from a restitution of 0.2 on.
 STEP = 0.03
+#: The most of them: beyond, a contact is over in a few steps, and nothing is right about it.
+LONGEST = 0.2
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,7 @@ def spheres_of(scene: Scene) -> dict[int, Spheres]:
     Raises
     ------
     SceneError
-        If a bed is lighter than half a grain.
+        If a bed is lighter than half a grain, or the step of time that is asked for is too long for its grains.
     """
     found = {}
     for row, (damper, mass) in enumerate(zip(scene.dampers, damper_masses(scene), strict=True)):
@@ -77,7 +79,14 @@ def spheres_of(scene: Scene) -> dict[int, Spheres]:
                 f"scene {scene.name!r}: dampers[{row + 1}] of {mass:.3g} kg has grains of {each:.3g} kg; expected at "
                 "least the mass of one grain"
             )
-        found[row] = Spheres(damper.grains, float(mass), damper.clearance, count, scene.seed + row)
+        spheres = Spheres(damper.grains, float(mass), damper.clearance, count, scene.seed + row)
+        longest = LONGEST * rayleigh_time(damper.grains, spheres.density())
+        if spheres.longest_step() > longest:
+            raise SceneError(
+                f"scene {scene.name!r}: dampers[{row + 1}].grains.time_step: got {spheres.longest_step():.3g} s; "
+                f"expected at most {longest:.3g} s, {LONGEST:g} of Rayleigh's time of the smallest grain"
+            )
+        found[row] = spheres
     return found
 
 

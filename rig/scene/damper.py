@@ -65,7 +65,7 @@ class Grains(Settings):
     friction: Annotated[float, Quantity(RATIO, at_least=0.0)] = 0.4
     """Coulomb's coefficient, of grains and walls; assumed: clean lead has more, graphited shot less."""
     cavity: Annotated[float, Quantity(LENGTH, above=0.0)] = 40e-3
-    """Diameter of the cavity [m], that of Inoue et al. (2011)."""
+    """Diameter of the cavity [m]; 40 mm in the paper's rig."""
     time_step: Annotated[float, Quantity(TIME, above=0.0)] | None = None
     """Longest step of time [s]; without it 0.03 of Rayleigh's time of the smallest grain."""
 

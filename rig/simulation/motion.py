@@ -24,7 +24,7 @@ class Motion:
     displacement, velocity, acceleration : ndarray, shape (points, samples)
         m, m/s and m/s^2; at a sample that coincides with a break, what holds after it.
     gap : ndarray, shape (dampers, samples)
-        Height of each damper above its floor, m.
+        Height of each damper above its floor, m; of a bed of grains as in `rig.simulation.simulate.Run`.
     contact : ndarray of int8, shape (dampers, samples)
         0 in flight, 1 on the floor, 2 at the ceiling.
     break_sample : ndarray of int64, shape (breaks,)

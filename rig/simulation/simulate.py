@@ -42,12 +42,13 @@ class Run(Result):
     displacement, velocity, acceleration : ndarray, shape (points, samples)
         SI; at a sample that coincides with an impact, what holds after it.
     gap : ndarray, shape (dampers that move, samples)
-        Height of each damper above its floor, m; outside the cavity by the overlap where contact lasts.
+        Height of each damper above its floor, m; outside the cavity by the overlap where contact lasts. Of a bed of
+        grains that of its centre of mass above where it lay at first.
     contact : ndarray of int8, shape (dampers that move, samples)
         0 in flight, 1 on the floor, 2 at the ceiling.
     events : structured ndarray
         `time` [s], `damper` (1-based position in the scene's list), `kind` ("separation", "floor", "ceiling"; where
-        contact lasts "touch" and "release"), `speed` (closing speed at an impact or touch, m/s).
+        contact lasts "touch" and "release"), `speed` (closing speed at an impact or touch, m/s). Grains list none.
         `events.dtype.metadata` holds `ambiguous`, too.
     ambiguous : int
         Number of contact decisions that lay within rounding; each was decided as no contact.

@@ -41,3 +41,19 @@ def test_given_settings_of_grains_that_contradict_when_loaded_then_the_mistake_i
     )
     with pytest.raises(SceneError, match=words):
         rig.loads(text)
+
+
+@pytest.mark.parametrize(
+    ("bed", "words"),
+    [
+        ("mass: 1 g, clearance: 1 mm, grains: {diameter: 2 mm, time_step: 0.1 ms}", "expected at most"),
+        ("mass: 1 mg, clearance: 1 mm, grains: {diameter: 2 mm}", "the mass of one grain"),
+    ],
+)
+def test_given_a_bed_that_cannot_be_grains_when_it_is_explained_then_it_says_why(
+    bed: str, words: str
+) -> None:
+    scene = rig.loads(f"{{structure: {{masses: [1 kg], springs: [1 kN/m]}}, dampers: [{{body: 1, {bed}}}]}}")
+
+    with pytest.raises(SceneError, match=words):
+        rig.explain(scene)

@@ -35,9 +35,9 @@ def summary(design: Design) -> str:
         + (f", {len(question.scenes)} structures" if len(question.scenes) > 1 else ""),
         "",
         f"best: {best.choice}",
-        f"worst peak {1e6 * best.peak.size:.4g} um/N (body {best.peak.body}, {best.peak.frequency:.2f} Hz, "
+        f"worst peak {1e6 * best.peak.size:.4g} µm/N (body {best.peak.body}, {best.peak.frequency:.2f} Hz, "
         f"{best.peak.level:.3g} N): {design.reduction(best.peak):.1f} dB below the bare structure's "
-        f"{1e6 * design.bare.size:.4g} um/N",
+        f"{1e6 * design.bare.size:.4g} µm/N",
         "",
         f"{'added mass, g':>14}{'reduction, dB':>15}  dampers",
     ]

@@ -180,13 +180,18 @@ def caption(figure: Figure, *sentences: str) -> None:
 
 def legend_below(figure: Figure, *sentences: str) -> None:
     """Put one legend of all axes below them, where no curve crosses it, with such sentences above it."""
-    if not any(axes.get_legend_handles_labels()[0] for axes in figure.axes):
+    entries: dict[str, Any] = {}
+    for axes in figure.axes:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            entries.setdefault(label, handle)
+    if not entries:
         caption(figure, *sentences)
         return
     title = _wrapped(figure, sentences) or None
     legend = figure.legend(
-        loc="outside lower left", ncols=2, title=title, title_fontsize=7.5, alignment="left"
-    )
+        list(entries.values()), list(entries), loc="outside lower left", ncols=2,
+        title=title, title_fontsize=7.5, alignment="left",
+    )  # fmt: skip
     legend.get_title().set_color("#555555")
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rig.figure_style import colour, decades, drawing, frequency_axis, heading
+from rig.figure_style import colour, decades, drawing, frequency_axis, heading, legend_below
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,7 +21,7 @@ MOST_ROWS, _ROW = 8, 2.4
 def fit_figure(found: Fit) -> Figure:
     """One row for each sweep or test: measured and fitted on the left, what is missed on the right."""
     rows = found.compared[:MOST_ROWS]
-    with drawing(_ROW * len(rows) + 0.4, 10.0) as figure:
+    with drawing(_ROW * len(rows) + 1.0, 10.0) as figure:
         axes = figure.subplots(len(rows), 2, squeeze=False)
         for one, (left, right) in zip(rows, axes, strict=True):
             _compared(left, one)
@@ -29,7 +29,11 @@ def fit_figure(found: Fit) -> Figure:
             last = one is rows[-1]
             for ax in (left, right):
                 frequency_axis(ax, one.curves.frequency.min(), one.curves.frequency.max(), last)
-        axes[0, 0].legend(loc="best")
+        legend_below(
+            figure,
+            "Dots: measured. Lines: the fitted scene at the same frequencies. Crosses: points left out of the fit. "
+            "Grey: two standard deviations.",
+        )
     return figure
 
 
@@ -43,7 +47,7 @@ def _compared(ax: Axes, one: Compared) -> None:
         ax.plot(frequency, factor * abs(one.predicted[k, order]), "-", lw=0.8, color=colour(k))
     decades(ax, [factor * abs(one.curves.value)])
     ax.set_ylabel(f"|x / {one.curves.reference}| / ({unit})")
-    heading(ax, f"{one.curves.label}: measured (dots) and fitted")
+    heading(ax, one.curves.label)
 
 
 def _missed(ax: Axes, one: Compared) -> None:
@@ -56,4 +60,5 @@ def _missed(ax: Axes, one: Compared) -> None:
     decades(ax, [one.misses], most=5.0)
     ax.axhline(2.0, color="#555555", lw=0.6)
     ax.set_ylabel("miss / std. deviation")
-    heading(ax, f"off by {one.relative:.2g} of the curve, rms; left out: {int((~used).sum())} points (x)")
+    left_out = f", {int((~used).sum())} points left out" if not used.all() else ""
+    heading(ax, f"Off by {100 * one.relative:.2g} % of the curve, rms{left_out}")

@@ -58,6 +58,7 @@ PLACES: dict[str, dict[str, str]] = {
 # Faults that change nothing a test could see, and why: {the line with the fault in it: reason}.
 EQUIVALENT = {
     "@dataclass(frozen=False)": "nothing assigns to the fields",
+    "_WINDOW = 1 << 19": "how much is read at a time changes nothing that is found",
     "if not TYPE_CHECKING:": "imports more than is needed",
     'if len(scene.shakers) != 1 and any(shaker.kind != "force" for shaker in scene.shakers):': "any of none is false",
 }

@@ -41,7 +41,9 @@ def main(first: str, second: str) -> None:
         runs: list[list[dict[str, float]]] = [[], []]
         try:
             for tree, commit in zip(trees, (first, second), strict=True):
-                subprocess.run(["git", "worktree", "add", "--detach", str(tree), commit], check=True)
+                subprocess.run(
+                    ["git", "worktree", "add", "--quiet", "--detach", str(tree), commit], check=True
+                )
             for number in range(ROUNDS):
                 for tree, found in zip(trees, runs, strict=True):
                     found.append(measured(tree, Path(folder) / "run.json"))

@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 
 from rig.bed_response.steady_bed import SteadyBed, steady_grains, steady_mass
 from rig.errors import RunError, SceneError
-from rig.grains.library import new_lammps
+from rig.grains.library import lammps_version
+from rig.grains.packing import settled
+from rig.grains.spheres import spheres_of
 from rig.results import Result, styled
 from rig.scene.loading import scene_of
 from rig.scene.quantities import FREQUENCY, positives
 from rig.scene.scene import Scene
-from rig.system.assembly import assemble
 from rig.workers import Workers
 
 if TYPE_CHECKING:
@@ -130,11 +131,10 @@ def bed_response(
     """
     scene = scene_of(scene)
     asked = np.asarray(positives(frequencies, FREQUENCY, "frequencies"), dtype=np.float64)
-    if not assemble(scene).grains.any():
+    if not spheres_of(scene):
         raise SceneError(
             f"scene {scene.name!r} has no bed of grains that can move; expected dampers with grains: {{diameter: 2 mm}}"
         )
-    new_lammps()
     pieces = [_Piece(scene, float(frequency), periods) for frequency in asked]
     known = {} if table is None else _read(table)
     missing = [piece for piece in pieces if _digest(piece) not in known]
@@ -142,6 +142,9 @@ def bed_response(
     if progress is not None:
         progress(done, len(pieces))
     if missing:
+        for spheres in spheres_of(scene).values():
+            # Packed here, once and kept, it is there for all workers.
+            settled(spheres)
         with Workers(cluster) as workers:
             for number, both in workers.compute(_followed, missing):
                 known[_digest(missing[number])] = both
@@ -176,9 +179,7 @@ def _followed(piece: _Piece) -> tuple[SteadyBed, SteadyBed]:
 
 def _digest(piece: _Piece) -> str:
     """Name a piece by all that its result depends on."""
-    from importlib.metadata import version
-
-    told = (piece.scene.to_yaml(), piece.frequency, piece.periods, version("lammps"))
+    told = (piece.scene.to_yaml(), piece.frequency, piece.periods, lammps_version())
     return hashlib.sha256(repr(told).encode()).hexdigest()[:16]
 
 

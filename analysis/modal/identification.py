@@ -133,7 +133,9 @@ def _measured(curves: Sequence[Frf]) -> tuple[Curves, Array]:
         if not np.any(abs(row) > 0):
             raise RecordingError(f"{curve.response} does not respond at all: choose other channels")
     sigma = sigma[:, known]
-    return Curves(frequency[known], value[:, known], 1.0 / sigma), sigma
+    return Curves(
+        frequency[known], value[:, known], 1.0 / sigma, max(curve.shared for curve in curves)
+    ), sigma
 
 
 def _explained(

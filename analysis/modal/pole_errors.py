@@ -118,14 +118,16 @@ def _covariances(curves: Curves, model: Fit) -> tuple[Array, Array, Array]:
     score = np.einsum("pmn,mn->pn", model.slope.conj(), model.rest).real
     middle = score @ score.T
     # Weights that fall to nothing within the correlation itself would miss half of it.
-    lags = int(np.clip(round(_REACH * correlation(model.rest)), 1, max(score.shape[1] // 4, 1)))
+    reach = max(correlation(model.rest), curves.shared)
+    lags = int(np.clip(round(_REACH * reach), 1, max(score.shape[1] // 4, 1)))
     for lag in range(1, lags):
-        common = score[:, lag:] @ score[:, :-lag].T
-        middle += (1.0 - lag / lags) * (common + common.T)
+        beside = score[:, lag:] @ score[:, :-lag].T
+        middle += (1.0 - lag / lags) * (beside + beside.T)
     # The misfit has fewer degrees of freedom than numbers: the fit has taken its share.
-    plain = np.asarray(normal * (model.misfit / degrees), dtype=float)
+    plain = np.asarray(normal * (model.misfit / degrees * curves.shared), dtype=float)
     # Of few numbers it has taken most of each, and what is left is the smaller still (MacKinnon and White's HC3).
     seen = np.asarray(normal @ middle @ normal * (curves.numbers / degrees) ** 2, dtype=float)
     relative = np.min(1.0 / (curves.weight * abs(curves.value)), axis=0)
     scored = np.einsum("pmn,mn->pn", model.slope.conj(), curves.weight * curves.value) * relative
-    return plain, seen, np.asarray(normal @ (scored @ scored.conj().T).real @ normal, dtype=float)
+    common = curves.shared * (scored @ scored.conj().T).real
+    return plain, seen, np.asarray(normal @ common @ normal, dtype=float)

@@ -27,11 +27,14 @@ class Curves:
         Receptances, m/N.
     weight : ndarray, shape (responses, n)
         Inverse standard deviations.
+    shared : float
+        How many neighbouring lines have one error.
     """
 
     frequency: Array
     value: ComplexArray
     weight: Array
+    shared: float = 1.0
 
     @property
     def numbers(self) -> int:

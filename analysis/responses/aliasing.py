@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.responses.frf import MOTIONS
-from analysis.responses.systematic import ALIASING
+from analysis.responses.systematic import ALIASING, over_a_doubtful_reference
 from rig.scene.shaker import ElectrodynamicShaker, TableShaker
 
 if TYPE_CHECKING:
@@ -56,7 +56,8 @@ def aliasing_part(
     shares = folded_shares(rec, names, frequency, value, lower, motion)
     if not shares.any():
         return {}
-    return {ALIASING: np.sum(shares * abs(upper - value * lower), axis=0)}
+    deviation = np.sum(shares * abs(upper - value * lower), axis=0)
+    return {ALIASING: over_a_doubtful_reference(deviation, np.sum(shares * abs(lower), axis=0))}
 
 
 def folded_shares(

@@ -66,6 +66,8 @@ class Frf(Result):
         What a reader of the curve must know, in full sentences.
     systematic : mapping of str to ndarray, shape (n,)
         Systematic parts by name: how far each can put the value off at most, however long one averages.
+    shared : float
+        How many neighbouring points rest on the same samples, so that their errors are one.
     left_out : ndarray, shape (m,)
         Hz: frequencies of the test that have no point, as something spoilt them.
     """
@@ -83,6 +85,7 @@ class Frf(Result):
     warnings: tuple[str, ...] = ()
     systematic: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
     unsteady: NDArray[np.bool_] | None = None
+    shared: float = 1.0
     left_out: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
     @property

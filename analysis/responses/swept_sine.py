@@ -13,6 +13,7 @@ from scipy import fft
 from analysis.recordings.slices import read_slices
 from analysis.responses.clean_stretches import cure, flaws, told
 from analysis.responses.frf import Frf
+from analysis.responses.local_rational import ORDER
 from analysis.responses.local_spectra import SIDE, LocalSpectra
 from analysis.responses.measurands import motion_of, reference_of
 from analysis.responses.systematic import UNSETTLED, in_counts, tone_gain
@@ -29,6 +30,8 @@ Array = NDArray[np.float64]
 # nonlinear structure to stay out of it, and until so many of its lines on either side are driven.
 _RATIO, _GROWTH = 1.35, 1.1
 _POINTS = 400
+# Lines of a spectrum that a fit turns into one value: those that it takes in, by its parameters.
+_PER_VALUE = (2 * SIDE + 1) / (3 * ORDER + 2)
 # Readings are told in counts from so many periods at least.
 _FEWEST_PERIODS = 3.0
 
@@ -42,6 +45,8 @@ class SweptTone:
     """How fast the tone passes each frequency, Hz/s; shape (lines,)."""
     label: str
     warnings: tuple[str, ...]
+    shared: float = 1.0
+    """How many neighbouring frequencies rest on the same lines of their spectra."""
 
     def frf(
         self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"
@@ -49,6 +54,7 @@ class SweptTone:
         """Frequency response with coherence, random and systematic errors."""
         above, below = motion_of(rec, response, motion), reference_of(rec, reference)
         found = self.spectra.frf(rec, above, below, reference, motion, self.label, self.warnings)
+        found = replace(found, shared=self.shared)
         if not dampers_move(rec):
             return found
         return replace(found, systematic={**found.systematic, UNSETTLED: self._lag(found)})
@@ -144,7 +150,9 @@ def tracked(
         tone_gain(in_counts(rec, names, squares[:, kept])),
     )
     speed = abs(np.gradient(frequency, [_passes(marker, f, rec.rate) / rec.rate for f in frequency]))
-    return SweptTone(spectra, speed[kept], rec.scene.name, tuple(notes))
+    lines = np.array([rec.rate / (end - begin) for begin, end in bounds])
+    shared = max(float(np.median(_PER_VALUE * lines / np.gradient(frequency))), 1.0)
+    return SweptTone(spectra, speed[kept], rec.scene.name, tuple(notes), shared)
 
 
 def _stretch(marker: Marker, frequency: float, rate: float, first: int, stop: int) -> tuple[int, int]:

@@ -80,11 +80,15 @@ def sensitivity_part(
     shares = np.array([(off := tolerance(rec.channels[name])) / max(1.0 - off, 1e-300) for name in names])
     if not shares.any():
         return {}
-    deviation = shares @ abs(upper - value * lower)
+    deviation: Array = np.asarray(shares @ abs(upper - value * lower), dtype=np.float64)
     # The reference itself may be smaller than it reads, all else larger by as much.
-    doubt = shares @ abs(lower)
+    return {SENSITIVITY: over_a_doubtful_reference(deviation, shares @ abs(lower))}
+
+
+def over_a_doubtful_reference(deviation: Array, doubt: Array) -> Array:
+    """Deviation of a quotient whose denominator may be smaller than it reads by some part of itself; from 1 on none."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        return {SENSITIVITY: np.where(doubt < 1.0, deviation / np.maximum(1.0 - doubt, 1e-300), np.inf)}
+        return np.asarray(np.where(doubt < 1.0, deviation / np.maximum(1.0 - doubt, 1e-300), np.inf))
 
 
 def reference_noise_part(value: ComplexArray, coherence: Array) -> dict[str, Array]:
@@ -179,6 +183,9 @@ def clock_part(rec: Recording, frequency: Array, value: ComplexArray) -> dict[st
     if not off or frequency.size < 3:
         return {}
     order = np.argsort(frequency, kind="stable")
+    # Between sparse points a peak is steeper than the mean of both sides.
+    apart = np.diff(frequency[order])
+    steps = np.divide(abs(np.diff(value[order])), apart, out=np.zeros(apart.size), where=apart > 0.0)
     slope = np.empty(frequency.size)
-    slope[order] = abs(np.gradient(value[order], frequency[order]))
+    slope[order] = np.maximum(np.append(steps, 0.0), np.append(0.0, steps))
     return {CLOCK: off * frequency * slope}

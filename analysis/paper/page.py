@@ -9,7 +9,7 @@ from string import Template
 
 import numpy as np
 
-from analysis.paper.claims import Claim, Evidence
+from analysis.paper.claim import Claim, Evidence
 from analysis.paper.figures import Parts
 from rig.escaping import html
 from rig.output_files import replacing

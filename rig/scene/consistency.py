@@ -13,7 +13,7 @@ from rig.scene.shaker import ForceShaker, at_shaker
 if TYPE_CHECKING:
     from rig.scene.damper import Damper
     from rig.scene.excitation import Test
-    from rig.scene.recording import RecordingSettings
+    from rig.scene.measurement_chain import RecordingSettings
     from rig.scene.shaker import Shaker
 
 

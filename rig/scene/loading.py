@@ -199,8 +199,7 @@ def _adapter(key: str) -> TypeAdapter[Any]:
 def _types() -> dict[str, Any]:
     from rig.scene.damper import Damper
     from rig.scene.excitation import Test
-    from rig.scene.measurement_chain import Channel, Converter
-    from rig.scene.recording import RecordingSettings
+    from rig.scene.measurement_chain import Channel, Converter, RecordingSettings
     from rig.scene.shaker import Shaker
     from rig.scene.structure import Structure
 

@@ -1,4 +1,4 @@
-"""Settings of the measurement chain: sensors, integrating amplifiers, converter.
+"""Settings of the measurement chain: sensors, integrating amplifiers, converter, and what a recording holds besides.
 
 What is not given is not modelled: an accelerometer without keys reads the acceleration as it is.
 """
@@ -316,3 +316,14 @@ class Converter(Settings):
             return found.inputs.rates.at_least(self.rate)
         except SceneError as error:
             raise SceneError(f"{error}, which is what {found.name} samples at") from None
+
+
+class RecordingSettings(Settings):
+    """What goes into the recording besides the channels."""
+
+    display: bool = True
+    """Channels thinned out for plots that need no configuration."""
+    truth: bool = False
+    """The true motion, under its own topics."""
+    samples: Literal["float64", "float32", "counts"] | None = None
+    """How samples are stored. None: counts where the converter has bits, else float64."""

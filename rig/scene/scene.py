@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field
 from rig.scene.consistency import mistakes_between
 from rig.scene.damper import Damper
 from rig.scene.excitation import Test
-from rig.scene.measurement_chain import Channel, Converter
+from rig.scene.measurement_chain import Channel, Converter, RecordingSettings
 from rig.scene.quantities import (
     ACCELERATION,
     FORCE,
@@ -19,7 +19,6 @@ from rig.scene.quantities import (
     Kind,
 )
 from rig.scene.quantity_field import Quantity, printable
-from rig.scene.recording import RecordingSettings
 from rig.scene.settings import Mistake, Place, Settings, at
 from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, Shaker, Shakers, TableShaker, at_shaker
 from rig.scene.structure import Structure

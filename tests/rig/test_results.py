@@ -60,7 +60,9 @@ def test_given_a_curve_when_tabulated_then_its_numbers_are_those_of_the_curve(re
     table = frf.to_dataframe()
     np.testing.assert_array_equal(table["value_m/N"], frf.value)
     np.testing.assert_array_equal(table.index, frf.frequency)
-    assert re.search(r"compliance, \d+ points, 8 to 58 Hz, highest \(\d+ ± \d+\) µm/N at 13\.\d+ Hz", repr(frf))
+    assert re.search(
+        r"compliance, \d+ points, 8 to 58 Hz, highest \(\d+ ± \d+\) µm/N at 13\.\d+ Hz", repr(frf)
+    )
 
 
 def test_given_an_orbit_when_tabulated_then_it_closes_within_its_cavity_and_moves_as_it_says(results) -> None:

@@ -8,7 +8,8 @@ import pytest
 
 import rig
 from analysis.paper.charts import holds_c2, short
-from analysis.paper.claims import Claim, Evidence, differences
+from analysis.paper.claim import Claim, Evidence
+from analysis.paper.claims import differences
 from analysis.paper.experiment import damper_sweep
 from analysis.paper.page import CAPTIONS, write_pages
 from analysis.paper.parts import all_parts

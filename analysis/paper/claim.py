@@ -1,0 +1,26 @@
+"""What a claim of the paper is, and the evidence for and against it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+
+class Evidence(NamedTuple):
+    """A sentence with numbers, and the parts of the reproduction that they come from."""
+
+    text: str
+    parts: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A claim and what became of it."""
+
+    name: str
+    """C1 to C7, or a title for what goes beyond the paper."""
+    text: str
+    evidence: tuple[Evidence, ...]
+    verdict: str
+    """"holds", "holds for these parameters", "holds in part" or "does not hold", with the reason."""
+    figures: tuple[str, ...]

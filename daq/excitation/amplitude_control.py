@@ -12,6 +12,8 @@ HELD, HELD_AT_WORST = 0.005, 0.02
 _FLATTEST, _STEEPEST = 0.3, 3.0
 # Drives that enclose the level this closely, as log ratio, yet miss it: the force jumps, or has changed.
 _CLOSEST = 2e-3
+# Where the drive has come down to this part of what it was and too much is read still, it is not the cause.
+_IN_VAIN = 1e-4
 
 
 class AmplitudeControl:
@@ -48,13 +50,20 @@ class AmplitudeControl:
         """Forget what was learned: the frequency has changed."""
         self._before: tuple[float, float] | None = None
         self._low, self._high = -math.inf, math.inf
+        self._first_cut = 0.0
 
     def holds(self, force: float, doubt: float = 0.0) -> bool:
         """Whether a force amplitude, known with a relative standard error `doubt`, is at the level."""
         return abs(force / self.level - 1.0) <= min(max(HELD, 2.0 * doubt), HELD_AT_WORST)
 
-    def cut(self, drive: float, force: float) -> float:
-        """Bring the drive down at once, without learning from a force that is still changing."""
+    def cut(self, drive: float, force: float) -> float | None:
+        """Bring the drive down at once, without learning from a force that is still changing.
+
+        None where a drive of far less than at first did not help: what is read does not come from the drive.
+        """
+        self._first_cut = max(self._first_cut, drive)
+        if drive < _IN_VAIN * self._first_cut:
+            return None
         return drive * max(math.exp(-self._longest), min(1.0, self.level / force))
 
     def next(self, drive: float, force: float) -> float:

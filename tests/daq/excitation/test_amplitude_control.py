@@ -71,3 +71,14 @@ def test_given_a_scattering_force_when_asked_then_the_level_holds_within_its_err
     assert not control.holds(101.0)
     assert control.holds(101.0, doubt=0.006)
     assert not control.holds(105.0, doubt=0.1)
+
+
+def test_given_a_force_that_does_not_come_from_the_drive_when_cut_again_and_again_then_it_ends_before_nothing_is_left():
+    control, drive = AmplitudeControl(LEVEL), 1.0
+    for _ in range(1000):
+        less = control.cut(drive, 100 * LEVEL)
+        if less is None:
+            break
+        assert 0.0 < less < drive
+        drive = less
+    assert 1e-5 < drive < 1e-4

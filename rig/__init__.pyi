@@ -3,8 +3,9 @@
 from .damper_design.design import Design, design
 from .effects.explanation import Explanation, explain
 from .motion_map.motion_map import MotionMap, map_motion
-from .orbits.branches import OrbitCurve, follow_orbits
+from .orbits.branches import follow_orbits
 from .orbits.orbit import Orbit
+from .orbits.orbit_curve import OrbitCurve
 from .orbits.periodic_orbit import periodic_orbit
 from .orbits.sweep import OrbitResponse, orbit_response
 from .response.frequency_response import Response, frequency_response

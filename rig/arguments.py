@@ -1,4 +1,4 @@
-"""How the commands of all three packages take a scene: its name or path, and `--set` for what is to differ."""
+"""What several commands take alike: a scene with `--set` for what is to differ, frequencies, a cluster."""
 
 from __future__ import annotations
 
@@ -33,6 +33,20 @@ Changes = Annotated[
         help="Change the scene, such as test.force=5N or dampers[2].clearance=0.5mm; may be repeated "
         "(rig help lists the keys).",
     ),
+]
+
+# More frequencies or periods than this are a mistake.
+MOST = 100_000
+First = Annotated[
+    str | None,
+    typer.Option("--from", metavar="F", help="First frequency, such as '8 Hz' (default: the test's)."),
+]
+Last = Annotated[str | None, typer.Option("--to", metavar="F", help="Last frequency (default: the test's).")]
+Points = Annotated[
+    int | None, typer.Option(min=2, max=MOST, metavar="N", help="How many frequencies (default: the test's).")
+]
+Cluster = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="A Dask scheduler that computes, or 'local'.")
 ]
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rig.arguments import Changes, SceneName, completions, loaded
+from rig.arguments import MOST, Changes, Cluster, First, Last, Points, SceneName, completions, loaded
 from rig.command_line import application, run
 from rig.console import counting, saying
 from rig.errors import SceneError
@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     from rig.scene.quantities import Kind
 
 app = application("The physics of the virtual vibration rig.")
-
-# More frequencies or periods than this are a mistake.
-MOST = 100_000
 
 
 @app.command()
@@ -158,13 +155,9 @@ def simulate(
 def response(
     scene: SceneName,
     changes: Changes = None,
-    first: Annotated[
-        str | None, typer.Option("--from", metavar="F", help="First frequency, such as '8 Hz'.")
-    ] = None,
-    last: Annotated[str | None, typer.Option("--to", metavar="F", help="Last frequency.")] = None,
-    points: Annotated[
-        int | None, typer.Option(min=2, max=MOST, metavar="N", help="How many frequencies.")
-    ] = None,
+    first: First = None,
+    last: Last = None,
+    points: Points = None,
     direction: Annotated[
         str | None, typer.Option(metavar="up|down|both", help="Order of the frequencies.")
     ] = None,
@@ -193,19 +186,13 @@ def response(
 def grains(
     scene: SceneName,
     changes: Changes = None,
-    first: Annotated[
-        str | None, typer.Option("--from", metavar="F", help="First frequency (default: the test's).")
-    ] = None,
-    last: Annotated[str | None, typer.Option("--to", metavar="F", help="Last frequency.")] = None,
-    points: Annotated[
-        int | None, typer.Option(min=2, max=MOST, metavar="N", help="How many frequencies.")
-    ] = None,
+    first: First = None,
+    last: Last = None,
+    points: Points = None,
     periods: Annotated[
         int, typer.Option(min=1, max=MOST, metavar="N", help="Of the drive in a block that is averaged.")
     ] = 20,
-    cluster: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="A Dask scheduler that computes, or 'local'.")
-    ] = None,
+    cluster: Cluster = None,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -277,10 +264,8 @@ def map_(
     rows: Annotated[
         int, typer.Option(min=2, max=1000, metavar="N", help="How many levels or clearances.")
     ] = 36,
-    first: Annotated[
-        str | None, typer.Option("--from", metavar="F", help="First frequency (default: the test's).")
-    ] = None,
-    last: Annotated[str | None, typer.Option("--to", metavar="F", help="Last frequency.")] = None,
+    first: First = None,
+    last: Last = None,
     points: Annotated[int, typer.Option(min=2, max=1000, metavar="N", help="How many frequencies.")] = 48,
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="DIR", help="Where to write the figure and the table.")
@@ -344,9 +329,7 @@ def design(
     stiffness_off: Annotated[
         str, typer.Option(metavar="SHARE", help="How far its stiffness may be off.")
     ] = "0 %",
-    cluster: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="A Dask scheduler that computes, or 'local'.")
-    ] = None,
+    cluster: Cluster = None,
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="DIR", help="Where scene, figures and table go.")
     ] = Path(),

@@ -112,10 +112,11 @@ def optimum(parts: Parts) -> Figure:
                 label=f"mass ratio {100 * data['mass_ratio']:.0f} %: best {1e3 * data['best']:.2f} mm",
             )  # fmt: skip
         both = parts["optimum"]
+        ratios = both["mass_ratios"]
         axes.plot(
             1e3 * both["best"], 1e6 * both["peak"], "*", color=BLACK, ms=11,
-            label=f"{'heaviest' if both['mass_ratio'] >= both['mass_ratios'].max() else 'best'} of 2 to 30 %: "
-            f"{100 * both['mass_ratio']:.0f} %, {1e3 * both['best']:.2f} mm",
+            label=f"{'heaviest' if both['mass_ratio'] >= ratios.max() else 'best'} of {100 * ratios.min():.0f} to "
+            f"{100 * ratios.max():.0f} %: {100 * both['mass_ratio']:.0f} %, {1e3 * both['best']:.2f} mm",
         )  # fmt: skip
         axes.axvline(0.98, color=GREY, ls=":", lw=0.9, label="paper: 0.98 mm")
         ticks = [0.3, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0]

@@ -10,7 +10,7 @@ from analysis.paper.charts import holds_c2, trust_error
 from analysis.paper.claim import Claim, Evidence
 from analysis.paper.fig9_claim import fig9_claim
 from analysis.paper.figures import Parts
-from analysis.paper.parts import NOISES
+from analysis.paper.parts import FIGURE_5, NOISES
 from rig.scene.scene import STANDARD_GRAVITY
 
 Arrays = Mapping[str, np.ndarray]
@@ -93,9 +93,10 @@ def _c2(parts: Parts) -> Claim:
                 ("scan-single", "scan-three"),
             ),
             Evidence(
-                f"All of the claim, with Types I and II alone at the peak that three dampers leave, holds for "
-                f"{', '.join(held) if held else 'no cell'}: a narrow region along which the clearance grows with the "
-                "force. Figs 5 and 6 are drawn in it.",
+                "All of the claim, with Types I and II alone at the peak that three dampers leave, holds for "
+                f"{', '.join(held) if held else 'no cell'}{_ridge(cells, single)}. Figs 5 and 6 are drawn "
+                f"{'there' if _cell(single, FIGURE_5) in np.argwhere(cells).tolist() else 'elsewhere'}, at "
+                f"{FIGURE_5[0]:g} N with {1e3 * FIGURE_5[1]:g} mm.",
                 ("scan-single", "scan-three"),
             ),
             Evidence(
@@ -123,8 +124,27 @@ def _enhanced(single: Arrays) -> str:
     return (
         "With one damper, at the same force, the median peak of Type III is "
         f"{min(factors):.1f} to {max(factors):.1f} times that of the other motions: Type III "
-        f"{'enhances' if min(factors) > 1.0 else 'does not always enhance'} the motion, as the paper says."
+        + (
+            "enhances the motion, as the paper says."
+            if min(factors) > 1.0
+            else "does not always enhance the motion."
+        )
     )
+
+
+def _ridge(cells: np.ndarray, data: Arrays) -> str:
+    """Say so if the clearances at which something holds grow with the force."""
+    middle = [np.median(data["clearance"][row]) for row in cells if row.any()]
+    return ": the clearance grows with the force" if len(middle) > 1 and (np.diff(middle) > 0).all() else ""
+
+
+def _cell(data: Arrays, setting: tuple[float, float]) -> list[int]:
+    """Row and column of the cell nearest to a force and a clearance."""
+    force, clearance = setting
+    return [
+        int(np.abs(data["force"] - force).argmin()),
+        int(np.abs(data["clearance"] - clearance).argmin()),
+    ]
 
 
 def _cells(cells: np.ndarray, data: Arrays) -> list[tuple[float, float]]:

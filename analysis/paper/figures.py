@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.decays.free_decay import outline
+from analysis.paper.parts import FIGURE_5
 from rig.figure_style import COLOURS, decades, drawing, frequency_axis, plain_logarithmic
 from rig.scene.scene import STANDARD_GRAVITY
 
@@ -88,7 +89,10 @@ def figure_5(parts: Parts) -> Figure:
         axes.set_xlabel("frequency / Hz")
         plain_logarithmic(axes.yaxis, factor=1e6)
         axes.set_ylabel("compliance of body 2 |X₂/F₁| / (µm/N)")
-        axes.set_title("Fig 5: third mode; mass ratio 10 %, clearance 0.5 mm, force 3.3 N (our choice)")
+        force, clearance = FIGURE_5
+        axes.set_title(
+            f"Fig 5: third mode; mass ratio 10 %, clearance {1e3 * clearance:g} mm, force {force:g} N (our choice)"
+        )
         axes.legend()
     return figure
 

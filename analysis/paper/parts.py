@@ -17,6 +17,8 @@ from rig.scene.scene import Scene
 BAND = (45.0, 54.0)
 FORCES = np.array([2.0, 2.6, 3.3, 4.0, 5.0, 7.5, 10.0, 15.0])
 CLEARANCES = 1e-3 * np.array([0.3, 0.4, 0.5, 0.6, 0.7, 1.0, 1.4, 2.0, 3.0])
+# Where the scenes of Figs 5 and 6 are: N and m.
+FIGURE_5 = (3.3, 0.5e-3)
 MODE_BANDS = {1: (11.5, 14.0), 2: (31.0, 36.0), 3: (45.5, 51.5)}
 DAMPINGS = np.array([0.003, 0.005, 0.0075, 0.01, 0.015])
 NEAR_PAPER = 1e-3 * np.array([0.9, 0.98, 1.05, 1.1, 1.15, 1.2, 1.3])

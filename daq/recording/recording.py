@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
@@ -16,6 +15,7 @@ from daq.mcap_file.metadata_checksum import is_intact
 from daq.mcap_file.reader import Container
 from daq.recording import layout
 from daq.recording.channel_series import Series
+from daq.recording.gap import Gap, gaps_of
 from daq.recording.markers import EVENT_TYPE, Marker, event_from_json
 from daq.recording.sample_block import SAMPLE_TYPE
 from daq.signal_chain.channel import UNITS, ChannelInfo
@@ -29,26 +29,6 @@ if TYPE_CHECKING:
     from mcap.records import Channel
 
     from rig.scene.scene import Scene
-
-
-@dataclass(frozen=True)
-class Gap:
-    """Samples that a recording lacks; they read as NaN.
-
-    Attributes
-    ----------
-    first_sample, last_sample : int
-        The range, both included.
-    channels : tuple of str
-        Names of the channels that lack them; of true motion, its topics.
-    reason : str
-        `never acquired`, or what became of them.
-    """
-
-    first_sample: int
-    last_sample: int
-    channels: tuple[str, ...]
-    reason: str
 
 
 def open(path: str | Path) -> Recording:
@@ -319,14 +299,10 @@ class Recording(Result):
         if layout.MARKERS not in self._topics:
             holes = [(*hole, name) for name, series in self._series.items() for hole in series.holes()]
             return [Gap(first, stop - 1, (name,), "missing") for first, stop, name in sorted(holes)]
-        return [self._gap(marker) for marker in self.markers if marker.kind in ("gap", "lost")]
-
-    def _gap(self, marker: Marker) -> Gap:
-        names = marker.fields.get("channels", list(self.channels))
-        if not isinstance(names, list):
-            raise RecordingError(f"{self.path}: a marker {marker.kind} names the channels {names!r}")
-        reason = str(marker.fields.get("reason", "never acquired"))
-        return Gap(marker.first_sample, marker.end, tuple(map(str, names)), reason)
+        try:
+            return gaps_of(self.markers, list(self.channels))
+        except RecordingError as error:
+            raise RecordingError(f"{self.path}: {error}") from error
 
     @property
     def overloads(self) -> list[Marker]:

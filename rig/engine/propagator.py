@@ -13,17 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.engine.contact import release_tensile
-from rig.engine.flow import REACH, Flow, Model, tables_for
+from rig.engine.flow_tables import REACH, tables_for
 from rig.engine.guards import fold_envelope
 from rig.engine.kernel import DONE, LOG_FULL, NEED_TABLE, STUCK, advance
-from rig.engine.lasting import gap_of
 from rig.engine.power_series import STALE, differentiate
-from rig.engine.state import CONFIGURATION, FLIGHT, FLOOR, SLOT, Log, State
+from rig.engine.samples import MotionSamples, StateSamples, keep_state, show_motion, show_motion_now
+from rig.engine.state import CONFIGURATION, SLOT, empty_log, state_at_rest
 from rig.engine.trajectory import Array, Trajectory
 from rig.engine.workspace import Workspace, workspace_for
 from rig.errors import RunError, SceneError
-from rig.numerics.jit import compiled, inlined
-from rig.numerics.simd import LANES, padded, transpose, zeros
+from rig.numerics.jit import compiled
+from rig.numerics.simd import LANES, padded, zeros
 from rig.scene.quantities import LENGTH
 from rig.system.hybrid_system import Drive, HybridSystem, sampled, tone
 
@@ -36,78 +36,35 @@ EVERY = np.ones(1, dtype=bool)
 _FIRST = np.zeros(1, dtype=np.int64)
 
 
-class StateSamples(NamedTuple):
-    """Whole states at samples, rows of a `Trajectory`; without rows nothing is kept."""
+class Segments(NamedTuple):
+    """A way through time between the columns of a drive.
 
-    state: Array
-    slot: NDArray[np.int64]
-    height: Array
-    mode: NDArray[np.int8]
-
-
-class MotionSamples(NamedTuple):
-    """What can be seen of the motion at samples, as in `rig.simulation.motion.Motion`; without columns nothing is.
-
-    rows (displacements, velocities, accelerations, gaps; samples); contact (dampers, samples); begin (1,), the first
-    column that is filled next; window (LANES, rows).
+    steps, renew: length in step lengths, and whether the segment begins with the drive and its change over the
+    segment as drive states; one entry, or one for each segment. drive (inputs, segments + 1). row (segments,): where
+    the motion at the end of each goes, or -1.
     """
 
-    rows: Array
-    contact: NDArray[np.int8]
-    begin: NDArray[np.int64]
-    window: Array
+    steps: Array
+    renew: NDArray[np.bool_]
+    drive: Array
+    row: NDArray[np.int64]
 
-
-@inlined
-def _keep(state: State, row: int, kept: StateSamples) -> None:
-    kept.slot[row] = state.counters[SLOT]
-    for i in range(kept.state.shape[1]):
-        kept.state[row, i] = state.z[i]
-    for j in range(kept.height.shape[1]):
-        kept.height[row, j] = state.height[j]
-        kept.mode[row, j] = state.mode[j]
-
-
-@inlined
-def _sample(flow: Flow, model: Model, state: State, seen: MotionSamples, column: int, last: bool) -> None:
-    """Show the present motion in a column: by way of a window, because the rows lie far apart in memory."""
-    row, points = column % LANES, model.first_velocity
-    behind = flow.rates_constant.shape[1]
-    for i in range(2 * points):
-        seen.window[row, i] = state.z[i]
-    for i in range(points):
-        seen.window[row, 2 * points + i] = state.z[behind + i]
-    for j in range(seen.contact.shape[0]):
-        mode = state.mode[j]
-        gap = 0.0 if mode == FLOOR else model.clearance[j]
-        if model.bed[j] >= 0:
-            gap = gap_of(model, state.z, j)
-        elif mode == FLIGHT:
-            gap = max(state.height[j] - state.z[model.position[j]], 0.0)
-        seen.contact[j, column] = mode
-        seen.window[row, 3 * points + j] = gap
-    first = column - row
-    if row == LANES - 1 and first >= seen.begin[0]:
-        transpose(seen.window, seen.rows, first)
-    elif row == LANES - 1 or last:
-        for there in range(max(first, seen.begin[0]), column + 1):
-            for i in range(seen.rows.shape[0]):
-                seen.rows[i, there] = seen.window[there % LANES, i]
+    def ends(self, step: float) -> Array:
+        """Time after the start at the end of each, s."""
+        ends: Array = np.cumsum(np.broadcast_to(self.steps, self.row.shape)) * step
+        return ends
 
 
 @compiled
 def _propagate(
-    flow: Any, model: Any, state: Any, workspace: Any, log: Any, steps: Array, renew: NDArray[np.bool_], drive: Array,
-    row: NDArray[np.int64], begin: int, left: float, kept: StateSamples, seen: MotionSamples,
-    coupling: bool | None, known: int,
+    flow: Any, model: Any, state: Any, workspace: Any, log: Any, way: Segments, begin: int, left: float,
+    kept: StateSamples, seen: MotionSamples, coupling: bool | None, known: int,
 ) -> tuple[int, int, float]:  # fmt: skip
-    """Segments of `steps` step lengths between the columns of a drive.
+    """March along a way, filling the rows (columns) of what is kept (seen).
 
-    A segment with `renew` begins with the drive and its change over the segment as drive states. `steps` and
-    `renew` have one entry, or one for each segment. The motion at the end of segment k goes to row (column) row[k]
-    of what is kept (seen) unless that is negative. Comes back with the segment and the steps left in it (negative:
-    not begun) if the kernel needs something.
+    Comes back with the segment and the steps left in it (negative: not begun) if the kernel needs something.
     """
+    steps, renew, drive, row = way
     inputs, segments = drive.shape[0], drive.shape[1] - 1
     first = flow.rates_constant.shape[1] - 2 * inputs
     stride = 1 if steps.shape[0] > 1 else 0
@@ -129,9 +86,9 @@ def _propagate(
             if known == STALE:
                 differentiate(flow, model, state.counters[SLOT], state.z, workspace.derivative, STALE)
             if kept.slot.shape[0] > 0:
-                _keep(state, row[k], kept)
+                keep_state(state, row[k], kept)
             if seen.rows.shape[1] > 0:
-                _sample(flow, model, state, seen, row[k], k == segments - 1)
+                show_motion(flow, model, state, seen, row[k], k == segments - 1)
         left = -1.0
     return DONE, segments, -1.0
 
@@ -145,12 +102,6 @@ def _accelerations(flow: Any, model: Any, states: Array, slots: NDArray[np.int64
 @compiled
 def _let_go(flow: Any, model: Any, state: Any, workspace: Any, log: Any, coupling: bool | None) -> None:
     release_tensile(flow, model, state, log, 0, 0.0, workspace.contact, coupling)
-
-
-@compiled
-def _sample_now(flow: Any, model: Any, state: Any, work: Array, column: int, seen: MotionSamples) -> None:
-    differentiate(flow, model, state.counters[SLOT], state.z, work, STALE)
-    _sample(flow, model, state, seen, column, True)
 
 
 #: Bodies farther from rest than this have run away, m: no length in a scene is larger.
@@ -177,31 +128,8 @@ class Propagator:
         self.tables = tables_for(system, drive, step)
         self._coupling = True if system.coupled else None
         dampers, size = system.dampers, padded(self.tables.size + 2 * system.coordinates)
-        self.state = State(
-            z=zeros(size),
-            height=np.zeros(dampers),
-            speed=np.zeros(dampers),
-            mode=np.full(dampers, FLOOR, dtype=np.int64),
-            multiplicity=np.zeros(dampers, dtype=np.int64),
-            recovering=np.zeros(dampers, dtype=np.int64),
-            counters=np.zeros(4, dtype=np.int64),
-        )
-        rows = max(LOG_ROWS, 16 * dampers)
-        self.log = Log(
-            filled=np.zeros(2, dtype=np.int64),
-            segment=np.zeros(rows, dtype=np.int64),
-            offset=np.zeros(rows),
-            damper=np.zeros(rows, dtype=np.int64),
-            kind=np.zeros(rows, dtype=np.int64),
-            closing=np.zeros(rows),
-            break_segment=np.zeros(rows, dtype=np.int64),
-            break_offset=np.zeros(rows),
-            before=np.zeros((rows, size)),
-            after=np.zeros((rows, size)),
-            speed_before=np.zeros((rows, dampers)),
-            speed_after=np.zeros((rows, dampers)),
-            configuration=np.zeros((rows, 2), dtype=np.int64),
-        )
+        self.state = state_at_rest(size, dampers)
+        self.log = empty_log(max(LOG_ROWS, 16 * dampers), size, dampers)
         self.workspace: Workspace = workspace_for(self.tables.flow, size)
         self.state.counters[CONFIGURATION] = system.at_rest
         self._unseen = self.motion_samples(0)
@@ -256,8 +184,8 @@ class Propagator:
     def through_samples(self, drive: Array, interval_steps: float) -> Trajectory:
         """Run through the sample intervals between the columns of a sampled drive (inputs, samples + 1)."""
         intervals = drive.shape[1] - 1
-        kept, unseen = self.room(intervals), self.motion_samples(0)
-        return self._run(np.array([interval_steps]), EVERY, drive, np.arange(intervals), kept, unseen)
+        way = Segments(np.array([interval_steps]), EVERY, drive, np.arange(intervals))
+        return self._run(way, self.room(intervals), self._unseen)
 
     def through_interval(self, drive: Array, interval_steps: Array, kept: StateSamples) -> Trajectory | None:
         """Run through one sample interval, as one of very many: what may be made once is given.
@@ -274,7 +202,7 @@ class Propagator:
         Trajectory or None
             None if nothing happened.
         """
-        pages = self._go(interval_steps, EVERY, drive, _FIRST, kept, self._unseen)
+        pages = self._go(Segments(interval_steps, EVERY, drive, _FIRST), kept, self._unseen)
         self._elapsed += float(interval_steps[0]) * self.tables.step
         if not pages and not self.log.filled.any():
             return None
@@ -287,7 +215,7 @@ class Propagator:
         """Do the same, but instead of keeping states fill what is seen, from a column on."""
         seen.begin[0] = column
         rows = np.arange(column, column + drive.shape[1] - 1)
-        return self._run(np.array([interval_steps]), EVERY, drive, rows, self.room(0), seen)
+        return self._run(Segments(np.array([interval_steps]), EVERY, drive, rows), self.room(0), seen)
 
     def motion_samples(self, samples: int) -> MotionSamples:
         """Room for what is seen at a number of samples."""
@@ -309,7 +237,7 @@ class Propagator:
     def sample_present(self, seen: MotionSamples, column: int) -> None:
         """Fill one column of what is seen with the present motion."""
         work = self.workspace.derivative
-        _sample_now(self.tables.flow, self.tables.model, self.state, work, column, seen)
+        show_motion_now(self.tables.flow, self.tables.model, self.state, work, column, seen)
 
     def through_marks(
         self,
@@ -334,7 +262,7 @@ class Propagator:
         # The tone's states (cos, sin) begin a period as a drive that does not change would.
         drive = np.full((1, len(steps) + 1), level)
         kept = self.room(int(sample_row.max(initial=-1)) + 1)
-        return self._run(steps, new_period, drive, sample_row, kept, self.motion_samples(0))
+        return self._run(Segments(steps, new_period, drive, sample_row), kept, self._unseen)
 
     def accelerations(self, states: Array, slots: NDArray[np.int64]) -> Array:
         """Acceleration of every coordinate for rows of a `Trajectory`, shape (coordinates, samples)."""
@@ -354,47 +282,31 @@ class Propagator:
             mode=np.zeros((samples, dampers), dtype=np.int8),
         )
 
-    def _run(
-        self,
-        steps: Array,
-        renew: NDArray[np.bool_],
-        drive: Array,
-        row: NDArray[np.int64],
-        kept: StateSamples,
-        seen: MotionSamples,
-    ) -> Trajectory:
-        pages = self._go(steps, renew, drive, row, kept, seen)
-        self._need_bounded(steps, row, kept, seen)
-        self._elapsed += float(np.broadcast_to(steps, row.shape).sum()) * self.tables.step
+    def _run(self, way: Segments, kept: StateSamples, seen: MotionSamples) -> Trajectory:
+        pages = self._go(way, kept, seen)
+        self._need_bounded(way, kept, seen)
+        self._elapsed += float(np.broadcast_to(way.steps, way.row.shape).sum()) * self.tables.step
         last = self._page()
         if not pages:
             return Trajectory(*kept, *last)
         pages.append(last)
         return Trajectory(*kept, *(np.concatenate(parts) for parts in zip(*pages, strict=True)))
 
-    def _go(
-        self,
-        steps: Array,
-        renew: NDArray[np.bool_],
-        drive: Array,
-        row: NDArray[np.int64],
-        kept: StateSamples,
-        seen: MotionSamples,
-    ) -> list[tuple[Any, ...]]:
+    def _go(self, way: Segments, kept: StateSamples, seen: MotionSamples) -> list[tuple[Any, ...]]:
         """Run; gives what the log held each time that it was full."""
         pages: list[tuple[Any, ...]] = []
         begin, left = 0, -1.0
         while True:
             status, begin, left = _propagate(
-                self.tables.flow, self.tables.model, self.state, self.workspace, self.log, steps, renew, drive, row,
-                begin, left, kept, seen, self._coupling, STALE,
+                self.tables.flow, self.tables.model, self.state, self.workspace, self.log, way, begin, left,
+                kept, seen, self._coupling, STALE,
             )  # fmt: skip
             if status == NEED_TABLE:
                 self._find_table()
             elif status == LOG_FULL:
                 pages.append(self._page())
             elif status == STUCK:
-                self._need_bounded(steps, row, kept, seen)
+                self._need_bounded(way, kept, seen)
                 damper = self.system.damper_number[self.log.damper[self.log.filled[0] - 1]]
                 raise RunError(
                     f"damper {damper} separates and lands again and again at one instant: the contact law is "
@@ -403,15 +315,13 @@ class Propagator:
             else:
                 return pages
 
-    def _need_bounded(
-        self, steps: Array, row: NDArray[np.int64], kept: StateSamples, seen: MotionSamples
-    ) -> None:
+    def _need_bounded(self, way: Segments, kept: StateSamples, seen: MotionSamples) -> None:
         """Refuse a motion that has run away, saying where it was first seen to."""
         n = self.system.coordinates
         if (np.abs(self.state.z[:n]) <= FARTHEST).all():
             return
         far = self.state.z[:n]
-        ends = self._elapsed + np.cumsum(np.broadcast_to(steps, row.shape)) * self.tables.step
+        row, ends = way.row, self._elapsed + way.ends(self.tables.step)
         time = ends[-1]
         for samples in (kept.state[:, :n], seen.rows[:n].T):
             shown = samples[row[row >= 0]] if len(samples) else samples

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from rig.engine.flow import Flow, Model
 from rig.numerics.jit import inlined
+from rig.numerics.simd import zeros
 
 Array = NDArray[np.float64]
 
@@ -57,6 +58,38 @@ class Log(NamedTuple):
     speed_before: np.ndarray
     speed_after: np.ndarray
     configuration: np.ndarray
+
+
+def state_at_rest(size: int, dampers: int) -> State:
+    """State of a system that lies still, every damper on its floor; size is padded."""
+    return State(
+        z=zeros(size),
+        height=np.zeros(dampers),
+        speed=np.zeros(dampers),
+        mode=np.full(dampers, FLOOR, dtype=np.int64),
+        multiplicity=np.zeros(dampers, dtype=np.int64),
+        recovering=np.zeros(dampers, dtype=np.int64),
+        counters=np.zeros(4, dtype=np.int64),
+    )
+
+
+def empty_log(rows: int, size: int, dampers: int) -> Log:
+    """Log with room for a number of rows."""
+    return Log(
+        filled=np.zeros(2, dtype=np.int64),
+        segment=np.zeros(rows, dtype=np.int64),
+        offset=np.zeros(rows),
+        damper=np.zeros(rows, dtype=np.int64),
+        kind=np.zeros(rows, dtype=np.int64),
+        closing=np.zeros(rows),
+        break_segment=np.zeros(rows, dtype=np.int64),
+        break_offset=np.zeros(rows),
+        before=np.zeros((rows, size)),
+        after=np.zeros((rows, size)),
+        speed_before=np.zeros((rows, dampers)),
+        speed_after=np.zeros((rows, dampers)),
+        configuration=np.zeros((rows, 2), dtype=np.int64),
+    )
 
 
 @inlined

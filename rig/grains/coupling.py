@@ -15,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.engine.propagator import MotionSamples, StateSamples, sampled_propagator
+from rig.engine.propagator import sampled_propagator
+from rig.engine.samples import MotionSamples, StateSamples
 from rig.engine.state import CEILING, FLIGHT, FLOOR
 from rig.engine.trajectory import Trajectory, gaps_and_contacts
 from rig.grains.bed import WALLS, Bed

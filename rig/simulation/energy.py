@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.engine.flow import FlowTables
+from rig.engine.flow_tables import FlowTables
 from rig.engine.state import CEILING, FLIGHT, FLOOR
 from rig.engine.trajectory import Trajectory
 from rig.numerics.bernstein import LENGTH

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rig.engine.propagator import MotionSamples, Propagator, sampled_propagator
+from rig.engine.propagator import Propagator, sampled_propagator
+from rig.engine.samples import MotionSamples
 from rig.engine.trajectory import Array, Trajectory, event_table
 from rig.errors import RunError, SceneError
 from rig.scene.scene import Scene

@@ -12,7 +12,7 @@ from analysis.paper.claim import Claim, Evidence
 from analysis.paper.claims import differences
 from analysis.paper.experiment import damper_sweep
 from analysis.paper.page import CAPTIONS, write_pages
-from analysis.paper.parts import all_parts
+from analysis.paper.parts import FIGURE_5, all_parts
 from analysis.paper.reproduce import FIGURES, compute, reproduce
 from analysis.paper.scan import LEVELS, best_damper, least_affected, scan, stays_over_damping
 from analysis.paper.simulation import approximated, exact_orbits, structure_numbers, waveforms
@@ -298,3 +298,12 @@ def test_given_files_left_half_written_when_started_again_then_they_are_removed(
 
 def test_given_the_figures_when_listed_then_each_has_a_caption() -> None:
     assert set(FIGURES) == set(CAPTIONS)
+
+
+@pytest.mark.parametrize("name", ["fig5-single-damper", "fig5-three-dampers"])
+def test_given_the_scenes_of_fig_5_when_loaded_then_they_are_where_the_claim_says_that_it_is_drawn(
+    name: str,
+) -> None:
+    scene = rig.load(name)
+    assert scene.test.force == FIGURE_5[0]
+    assert {damper.clearance for damper in scene.dampers} == {FIGURE_5[1]}

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
 import daq
+from daq.recording.gap import Gap
 from daq.recording.protobuf import message_class
 from daq.recording.recorder import Recorder
-from daq.recording.recording import Gap
 from daq.recording.sample_block import block_schema
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError, ShotrigError

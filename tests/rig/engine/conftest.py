@@ -6,15 +6,15 @@ from collections import OrderedDict
 
 import pytest
 
-from rig.engine import flow
+from rig.engine import flow_tables
 
 
 @pytest.fixture(params=["series and steps", "steps", "nothing"])
 def tabulated(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """What the engine keeps in tables: less of a structure the larger it is."""
-    monkeypatch.setattr(flow, "_RECENT", OrderedDict())
+    monkeypatch.setattr(flow_tables, "_RECENT", OrderedDict())
     if request.param != "series and steps":
-        monkeypatch.setattr(flow, "TABULATED_UP_TO", 0)
-        monkeypatch.setattr(flow, "TABULATED_WITH_FEW", 0)
+        monkeypatch.setattr(flow_tables, "TABULATED_UP_TO", 0)
+        monkeypatch.setattr(flow_tables, "TABULATED_WITH_FEW", 0)
     if request.param == "nothing":
-        monkeypatch.setattr(flow, "STEPS_UP_TO", 0)
+        monkeypatch.setattr(flow_tables, "STEPS_UP_TO", 0)

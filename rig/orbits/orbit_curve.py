@@ -1,0 +1,133 @@
+"""Curves of orbits over a parameter: what following them found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.numerics import continuation
+from rig.orbits.event_sequence import Plan
+from rig.orbits.orbit import Orbit
+from rig.orbits.problem import AXES, PARAMETERS, Parameter, column_name
+from rig.results import Result, joined, styled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, repr=False)
+class OrbitBranch(Result):
+    """Orbits with one sequence of events along a continuous curve.
+
+    Attributes
+    ----------
+    value : ndarray, shape (points,)
+        Of the parameter (Hz, N, m, or factor on the mass ratios); not monotonic where the curve folds.
+    orbits : tuple of Orbit, length points
+    ends : tuple of str
+        Why the curve ends before its first and after its last point.
+    folds, doublings, toruses : ndarray
+        Values of the parameter at which the curve turns back, at which a multiplier passes -1 (period
+        doubling), and at which a complex pair leaves the unit circle.
+    """
+
+    parameter: Parameter
+    value: Array
+    orbits: tuple[Orbit, ...]
+    ends: tuple[str, str]
+    folds: Array
+    doublings: Array
+    toruses: Array
+    plan: Plan = field(repr=False)
+    curve: continuation.Curve = field(repr=False)
+
+    @property
+    def motion_type(self) -> str:
+        """Types of the dampers."""
+        return self.orbits[0].motion_type
+
+    @property
+    def stable(self) -> NDArray[np.bool_]:
+        """Whether each orbit is stable."""
+        return np.array([orbit.stable for orbit in self.orbits])
+
+    @property
+    def compliance(self) -> NDArray[np.complex128]:
+        """First harmonics over the force [m/N], shape (bodies, points)."""
+        return np.array([orbit.compliance for orbit in self.orbits]).T
+
+    @property
+    def peak(self) -> Array:
+        """Half the ranges of the displacements [m], shape (bodies, points)."""
+        return np.array([orbit.peak for orbit in self.orbits]).T
+
+    def summary(self) -> str:
+        """Say which motion, from where to where, and how much of it is stable."""
+        unit = PARAMETERS[self.parameter].si
+        return (
+            f"{self.motion_type}, {self.value.size} orbits, {self.parameter} {self.value.min():.4g} to "
+            f"{self.value.max():.4g} {unit}, {self.stable.mean():.0%} stable, {self.folds.size} folds"
+        )
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Parameter, compliance of each body, type of motion, whether it is stable."""
+        return {
+            column_name(self.parameter): self.value,
+            **{f"body {j}_m/N": row for j, row in enumerate(self.compliance, 1)},
+            "motion_type": np.full(self.value.size, self.motion_type),
+            "stable": self.stable,
+        }
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Compliance of the body that moves most; dashed where the orbits are not stable."""
+        label, factor = AXES[self.parameter]
+        size = 1e6 * abs(self.compliance)
+        body = int(size.max(axis=1).argmax())
+        (line,) = ax.loglog(
+            factor * self.value,
+            np.where(self.stable, size[body], np.nan),
+            **styled(style, label=self.motion_type),
+        )
+        ax.plot(factor * self.value, size[body], "--", color=line.get_color(), lw=0.6 * line.get_linewidth())
+        ax.set(xlabel=label, ylabel=f"|compliance| of body {body + 1} / (µm/N)")
+
+
+@dataclass(frozen=True, repr=False)
+class OrbitCurve(Result):
+    """What was found over a range of a parameter.
+
+    Attributes
+    ----------
+    failures : tuple of str
+        Where a branch or what lies beyond a border was not found, why, and the last good point.
+    """
+
+    branches: tuple[OrbitBranch, ...]
+    failures: tuple[str, ...]
+
+    def summary(self) -> str:
+        """Say how many branches there are, and of which motions."""
+        kinds = ", ".join(dict.fromkeys(branch.motion_type for branch in self.branches))
+        return f"{len(self.branches)} branches: {kinds}; {len(self.failures)} not followed to their ends"
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Join the columns of all branches, with the number of each."""
+        return joined(
+            [
+                branch.columns() | {"branch": np.full(branch.value.size, number)}
+                for number, branch in enumerate(self.branches, 1)
+            ]
+        )
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Every branch, one colour for each type of motion; dashed where the orbits are not stable."""
+        kinds = list(dict.fromkeys(branch.motion_type for branch in self.branches))
+        for branch in self.branches:
+            first = branch.motion_type not in {line.get_label() for line in ax.lines}
+            colour = f"C{kinds.index(branch.motion_type)}"
+            branch.draw(ax, **styled(style, color=colour, label=branch.motion_type if first else "_again"))

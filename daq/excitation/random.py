@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import fftconvolve
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.signal.windows import hann
 
 from daq.excitation.spectrum_shaping import Lines, closed_loop, equalise, flat, generator, lines_between
@@ -48,16 +48,24 @@ def _run(station: Station, test: Random, lines: Lines, period: int, closed: bool
     block = min(total, station.samples(_BLOCK))
     gate = _gate(block, test.burst, station.samples(_EDGE))
     first, done, clipped = station.now, 0, 0
-    tail = fftconvolve(random.standard_normal(period), shape)[period:]
+    length = next_fast_len(2 * period - 1, real=True)
+    spectrum = rfft(shape, length)
+
+    def shaped_noise() -> Array:
+        return np.asarray(
+            irfft(rfft(random.standard_normal(period), length) * spectrum, length)[: 2 * period - 1]
+        )
+
+    tail = shaped_noise()[period:]
     while done < total:
         # Convolution adds up overlapping pieces, so that the noise goes on across windows without a seam.
-        piece = fftconvolve(random.standard_normal(period), shape)
+        piece = shaped_noise()
         piece[: tail.size] += tail
         wave, tail = piece[:period], piece[period:]
         size = min(period, total - done)
-        wave = wave[:size] * gate[np.arange(done, done + size) % block]
-        edges = np.minimum(np.arange(done, done + size), total - 1 - np.arange(done, done + size))
-        wave *= np.minimum(1.0, edges / station.samples(_EDGE))
+        places = np.arange(done, done + size)
+        wave = wave[:size] * gate[places % block]
+        wave *= np.minimum(1.0, np.minimum(places, total - 1 - places) / station.samples(_EDGE))
         clipped += int(np.sum(abs(wave) > station.drive_limit))
         yield station.drive(np.clip(wave, -station.drive_limit, station.drive_limit))
         done += size

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,7 +85,9 @@ class Settling:
 
     def __init__(self, tolerance: float) -> None:
         self.tolerance = tolerance
-        self._looks: list[ComplexArray] = []
+        # The looks since the last restart that are still needed, the latest one last.
+        self._looks: ComplexArray = np.zeros((0, 0), dtype=complex)
+        self.looks = 0
         self._forecasts: list[ComplexArray] = []
         self._law: Law | None = None
         self._steady_before = False
@@ -92,15 +95,10 @@ class Settling:
 
     def restart(self) -> None:
         """Forget all looks: the drive has been changed."""
-        self._looks.clear()
+        self.looks = 0
         self._forecasts.clear()
         self._law = None
         self._steady_before = self.settled = False
-
-    @property
-    def looks(self) -> int:
-        """Looks since the last restart."""
-        return len(self._looks)
 
     @property
     def latest(self) -> ComplexArray:
@@ -110,17 +108,19 @@ class Settling:
     @property
     def rising(self) -> bool:
         """Whether the first quantity grew from the look before to the latest."""
-        return len(self._looks) > 1 and bool(abs(self._looks[-1][0]) > abs(self._looks[-2][0]))
+        return self.looks > 1 and bool(abs(self._looks[-1, 0]) > abs(self._looks[-2, 0]))
 
     def add(self, amplitudes: ComplexArray) -> None:
         """Take the next look: complex amplitudes, shape (quantities,)."""
-        self._looks.append(amplitudes)
-        if len(self._looks) < FEWEST_LOOKS:
+        before = self._looks[len(self._looks) - min(self.looks, _NOISE_LOOKS) :]
+        self._looks, self.looks = np.array([*before, amplitudes]), self.looks + 1
+        if self.looks < FEWEST_LOOKS:
             self._forecasts.append(amplitudes)
             return
-        law = self._law = Law.of(np.array(self._looks[-_DIFFERENCES - 1 :]))
+        law = self._law = Law.of(self._looks[-_DIFFERENCES - 1 :])
         self._forecasts.append(self._forecast(law))
-        steady = bool(np.all(self._decayed(law) | self._within(law) | self._scattered(law)))
+        decayed = self._decayed(law)
+        steady = bool(decayed.all() or (decayed | self._within(law) | self._scattered(law)).all())
         # One look may pass by chance, where a beat turns back on itself.
         self.settled = steady and self._steady_before
         self._steady_before = steady
@@ -132,7 +132,7 @@ class Settling:
     def wavering(self) -> NDArray[np.float64]:
         """Change of `expected` over the last looks, relative to it; shape (quantities,)."""
         latest = np.array(self._forecasts[-3:])
-        return np.ptp(abs(latest), axis=0) / np.maximum(abs(latest[-1]), np.finfo(float).tiny)
+        return np.ptp(abs(latest), axis=0) / np.maximum(abs(latest[-1]), sys.float_info.min)
 
     def beat(self) -> NDArray[np.float64]:
         """Turn of the transient from look to look, rad, infinite where no law is seen; (quantities,)."""
@@ -149,13 +149,13 @@ class Settling:
 
     def doubt(self) -> NDArray[np.float64]:
         """Relative standard error of `expected`, by the scatter of the looks; shape (quantities,)."""
-        if len(self._looks) < _NOISE_LOOKS:
+        if self.looks < _NOISE_LOOKS:
             return np.zeros(self._looks[-1].size)
-        latest = np.array(self._looks[-_NOISE_LOOKS // 2 :])
+        latest = self._looks[-_NOISE_LOOKS // 2 :]
         return np.sqrt(np.mean(abs(latest - latest.mean(axis=0)) ** 2, axis=0) / len(latest)) / self._size()
 
     def _size(self) -> NDArray[np.float64]:
-        return np.maximum(abs(self._looks[-1]), np.finfo(float).tiny)
+        return np.maximum(abs(self._looks[-1]), sys.float_info.min)
 
     def _forecast(self, law: Law) -> ComplexArray:
         recent = np.mean(self._looks[-_NOISE_LOOKS // 2 :], axis=0)
@@ -170,9 +170,9 @@ class Settling:
         Several modes that beat at once show no common factor. The mean over half of these looks moves by a
         tenth or more of what a slow transient still has to go, unless that lasts for more than thirty looks.
         """
-        if len(self._looks) < _AGREEING:
+        if self.looks < _AGREEING:
             return np.zeros(self._looks[-1].size, dtype=bool)
-        latest = np.array(self._looks[-_AGREEING:])
+        latest = self._looks[-_AGREEING:]
         spread = abs(latest - latest.mean(axis=0)).max(axis=0)
         drift = abs(latest[_AGREEING // 2 :].mean(axis=0) - latest[: _AGREEING // 2].mean(axis=0))
         limit = self.tolerance * self._size()
@@ -188,9 +188,9 @@ class Settling:
         return ~law.seen & (many | self._noise(_NOISE_LOOKS // 2, _LITTLE_NOISE * self.tolerance))
 
     def _noise(self, looks: int, most: float) -> NDArray[np.bool_]:
-        if len(self._looks) < looks:
+        if self.looks < looks:
             return np.zeros(self._looks[-1].size, dtype=bool)
-        halves = np.array(self._looks[-looks:]).reshape(2, looks // 2, -1)
+        halves = self._looks[-looks:].reshape(2, looks // 2, -1)
         means = halves.mean(axis=1)
         early, late = np.sqrt(np.mean(abs(halves - means[:, None]) ** 2, axis=1))
         error = np.hypot(early, late) / np.sqrt(looks // 2)

@@ -21,8 +21,8 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 MAGIC = b"\x89MCAP0\r\n"
-# Samples with noise pack within half a percent as well as at zstd's usual level 3, in two thirds of the time.
-PACKING_LEVEL = 2
+# Samples with noise, and what is displayed of them, pack as well as at zstd's usual level 3, in 70 % of the time.
+PACKING_LEVEL = 1
 
 _RECORD = struct.Struct("<BQ")
 # Opcode, length, channel, sequence, log time, publish time.
@@ -269,7 +269,7 @@ def _encoded(messages: Messages) -> NDArray[Any]:
     encoded = np.empty(messages.data.shape[:-1], _record_of(size))
     encoded["opcode"], encoded["length"] = Opcode.MESSAGE, _MESSAGE_FIELDS + size
     encoded["channel"], encoded["sequence"] = messages.channel, messages.sequence
-    encoded["log_time"] = encoded["publish_time"] = messages.time
+    encoded["log_time"], encoded["publish_time"] = messages.log_time, messages.publish_time
     encoded["data"] = messages.data
     return encoded.ravel()
 
@@ -287,11 +287,12 @@ class Message(NamedTuple):
 class Messages(NamedTuple):
     """At least one message, all of one size, on their way into the file together, in the order of `data`.
 
-    They are logged when published. Numbers and times are broadcast to the messages, as numpy does.
+    Numbers and times are broadcast to the messages, as numpy does.
     """
 
     channel: NDArray[np.int64] | int
-    time: NDArray[np.uint64] | int  # Nanoseconds
+    log_time: NDArray[np.uint64] | int  # Nanoseconds
+    publish_time: NDArray[np.uint64] | int  # Nanoseconds
     data: NDArray[np.uint8]
     """Their content; uint8, shape (..., bytes)."""
     sequence: NDArray[np.int64] | int

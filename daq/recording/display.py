@@ -250,17 +250,18 @@ class Display:
         Parameters
         ----------
         blocks : iterable of (int, ndarray)
-            At least one: the number of its first sample, and its samples, (channels, samples).
+            At least one: the number of the first sample, and samples, (channels, blocks, samples).
         """
-        ends, found = [], []
+        ends: list[int] = []
+        found = []
         for first, samples in blocks:
-            count = samples.shape[1]
-            rms = np.sqrt(np.add.reduce(samples * samples, axis=1) / count)
-            found.append((rms, np.maximum.reduce(np.abs(samples), axis=1)))
-            ends.append(first + count)
-        data = encode_floats(np.array(found).transpose(0, 2, 1))
-        times, sequence = self._clock.times_ns(ends), self._sequence("level", len(ends))
-        return Messages(self._levels, times[:, None, None], data, sequence[:, None, None])
+            _, count, size = samples.shape
+            rms = np.sqrt(np.add.reduce(samples * samples, axis=2) / size)
+            found.append(np.array([rms, np.maximum.reduce(np.abs(samples), axis=2)]))
+            ends += range(first + size, first + size * count + 1, size)
+        data = encode_floats(np.concatenate(found, axis=2).transpose(2, 1, 0))
+        times, sequence = self._clock.times_ns(ends)[:, None, None], self._sequence("level", len(ends))
+        return Messages(self._levels, times, times, data, sequence[:, None, None])
 
     def waveforms(self, first: int, samples: NDArray[np.float64]) -> Iterator[Messages]:
         """Give waveforms and transforms as far as further samples, (channels, samples), make them known."""
@@ -277,14 +278,14 @@ class Display:
         if not places.size:
             return
         times = self._clock.times_ns(places.tolist())
-        yield Messages(self._waveforms, times, encode_floats(values), self._sequence("waveform", places.size))
+        sequence = self._sequence("waveform", places.size)
+        yield Messages(self._waveforms, times, times, encode_floats(values), sequence)
         moves = places // self._decimator.step % TRANSFORM_STEP == 0
         truth = None if self._truth is None else self._truth.positions(places[moves])
         moved = np.array([source.displacements(values, moves, truth) for source in self._sources])
-        rest = times[moves]
-        for data in self._robot.transforms(rest, moved):
-            now, rest = rest[: len(data)], rest[len(data) :]
-            yield Messages(self._transforms, now, data, self._sequence("transform", len(data)))
+        if moved.shape[1]:
+            now, sequence = times[moves], self._sequence("transform", moved.shape[1])
+            yield Messages(self._transforms, now, now, self._robot.transforms(now, moved), sequence)
 
 
 class _Source:

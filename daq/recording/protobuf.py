@@ -76,20 +76,11 @@ def varint(number: int) -> bytes:
     return bytes(digits)
 
 
-# Numbers from these on take one byte more.
-_LARGER = np.array([1 << 7 * size for size in range(1, 10)], np.uint64)
-
-
-def varint_sizes(numbers: NDArray[np.uint64]) -> NDArray[np.int64]:
-    """Count the bytes that `varint` takes for each number."""
-    return 1 + np.searchsorted(_LARGER, numbers, side="right")
-
-
 def varints(numbers: NDArray[np.uint64], size: int) -> NDArray[np.uint8]:
-    """Encode numbers that all take so many bytes, as `varint` does; shape (numbers, bytes).
+    """Encode numbers in so many bytes each, at least as many as `varint` takes; shape (numbers, bytes).
 
-    >>> varints(np.array([300, 301], np.uint64), 2).tolist()
-    [[172, 2], [173, 2]]
+    >>> varints(np.array([300, 1], np.uint64), 2).tolist()
+    [[172, 2], [129, 0]]
     """
     digits = (numbers[:, None] >> np.arange(0, 7 * size, 7, dtype=np.uint64)).astype(np.uint8)
     digits |= 0x80

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
@@ -306,17 +306,15 @@ class Recorder:
         self._need_disk_space()
         self._write_markers((number + 1) * self._group)
         if raw is not None:
+            blocks = self._blocks(raw)
             for row, topic in enumerate(self._topics):
-                self._send(self._blocks(raw, row, topic))
+                self._send(of_row(blocks, row, topic))
             self._written = raw.spans[-1][1]
         if self._truth is not None:
-            groups = self._truth.take(number)
+            streams = [[] if group is None else self._blocks(group) for group in self._truth.take(number)]
             for chunk in self._truth.chunks:
                 self._send(
-                    message
-                    for stream, row, topic in chunk
-                    if (group := groups[stream]) is not None
-                    for message in self._blocks(group, row, topic)
+                    each for stream, row, topic in chunk for each in of_row(streams[stream], row, topic)
                 )
             self._send(self._truth.events_before((number + 1) * self._group))
         if self._display is not None and raw is not None:
@@ -332,12 +330,16 @@ class Recorder:
             seconds = self._written / self.clock.rate
             raise RunError(f"the disk is full: {self._disk.path} holds the first {seconds:.2f} s")
 
-    def _blocks(self, group: Group, row: int, topic: int) -> Iterable[Message]:
+    def _blocks(self, group: Group) -> list[Messages]:
+        """Encode the blocks of a group, all rows together: their topics are still missing."""
+        encoded = []
         for first, samples in group.blocks(self._block):
-            stop = first + samples.shape[1]
-            data = encode(self.clock, first, samples[row])
-            times = self.clock.time_ns(stop), self.clock.time_ns(first)
-            yield Message(topic, *times, data, first // self._block % 2**32)
+            _, blocks, size = samples.shape
+            starts = np.arange(blocks) * size + first
+            times = self.clock.times_ns([*starts.tolist(), first + blocks * size])
+            sequence = starts // self._block % 2**32
+            encoded.append(Messages(0, times[1:], times[:-1], encode(self.clock, first, samples), sequence))
+        return encoded
 
     def _shown(self, raw: Group) -> Iterable[Messages]:
         assert self._display is not None
@@ -363,6 +365,11 @@ class Recorder:
     def _send(self, messages: Iterable[Message | Messages]) -> None:
         """Write messages as a chunk of their own, so that readers of other topics need not decode them."""
         self._chunks += self._file.add_chunk(messages)
+
+
+def of_row(blocks: Iterable[Messages], row: int, topic: int) -> Iterator[Messages]:
+    """Give the messages of one row of a group its topic."""
+    return (each._replace(channel=topic, data=each.data[row]) for each in blocks)
 
 
 def stored_as(scene: Scene, channels: Sequence[ChannelInfo]) -> str:

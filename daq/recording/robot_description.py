@@ -26,10 +26,10 @@ from daq.drawing.rig_view import (
     WALL,
     WIDTH,
 )
-from daq.recording.protobuf import Schema, descriptors, varint, varint_sizes, varints
+from daq.recording.protobuf import Schema, descriptors, varint, varints
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
@@ -65,6 +65,10 @@ TRANSFORMS_SCHEMA = Schema(
     "protobuf",
 )
 _HEIGHT = 8
+# Field 1, a google.protobuf.Timestamp: seconds and nanoseconds in five bytes each, whatever they are, so that all
+# messages have one size.
+_WIDE = 5
+_STAMP = bytes([0x0A, 2 + 2 * _WIDE, 0x08, *bytes(_WIDE), 0x10, *bytes(_WIDE)])
 # Translation: x and y, and what stands before z.
 _ABOVE = b"\x22\x1b" + struct.pack("<BdBdB", 0x09, 0.0, 0x11, 0.0, 0x19)
 _UPRIGHT = b"\x2a\x09\x21" + struct.pack("<d", 1.0)
@@ -105,7 +109,8 @@ class RobotDescription:
         self._links: list[str] = []
         self._joints: list[str] = []
         self._rest: list[float] = []
-        self._frames: list[bytes] = []
+        # A message, and where in it the stamp and the height of each part are.
+        self._message, self._places = b"", list[tuple[int, int]]()
         points: list[str] = []
         self._link(WORLD, [((0, 0, -0.01), (0.62, 0.30, 0.02))], GROUND)
         hung = {shaker.body for _, shaker in scene.tables}
@@ -150,7 +155,10 @@ class RobotDescription:
             '<limit lower="-1" upper="1" effort="0" velocity="0"/></joint>'
         )
         self._rest.append(rest)
-        self._frames.append(_string(2, parent) + _string(3, child) + _ABOVE)
+        before = _STAMP + _string(2, parent) + _string(3, child) + _ABOVE
+        self._message += b"\x0a" + varint(len(before) + _HEIGHT + len(_UPRIGHT))
+        self._places.append((len(self._message), len(self._message) + len(before)))
+        self._message += before + bytes(_HEIGHT) + _UPRIGHT
 
     def urdf(self) -> str:
         """Give the description as URDF; the robot's name states the exaggeration."""
@@ -159,7 +167,7 @@ class RobotDescription:
 
     def transforms(
         self, times_ns: NDArray[np.uint64], displacements: NDArray[np.float64]
-    ) -> Iterator[NDArray[np.uint8]]:
+    ) -> NDArray[np.uint8]:
         """Encode messages foxglove.FrameTransforms.
 
         Parameters
@@ -169,33 +177,19 @@ class RobotDescription:
         displacements : ndarray, (points, messages)
             Of each of `points`, metres; for a damper its gap.
 
-        Yields
-        ------
-        ndarray of uint8, (some messages, bytes)
-            The messages in order, in runs of one size.
+        Returns
+        -------
+        ndarray of uint8, (messages, bytes)
         """
         heights = np.array(self._rest)[:, None] + self.exaggeration * displacements
-        if not times_ns.size:
-            return
         seconds, rest_ns = np.divmod(times_ns, np.uint64(10**9))
-        sizes = np.array([varint_sizes(seconds), varint_sizes(rest_ns)])
-        edges = np.flatnonzero(np.diff(sizes, axis=1).any(axis=0)) + 1
-        for run in np.split(np.arange(times_ns.size), edges):
-            stamps = _stamps(seconds[run], rest_ns[run], *sizes[:, run[0]].tolist())
-            yield self._stamped(stamps, heights[:, run])
-
-    def _stamped(self, stamps: NDArray[np.uint8], heights: NDArray[np.float64]) -> NDArray[np.uint8]:
-        """Encode messages whose stamps take the same number of bytes: the rest of them has fixed places."""
-        count, size = stamps.shape
-        places, message = [], b""
-        for frames in self._frames:
-            message += b"\x0a" + varint(size + len(frames) + _HEIGHT + len(_UPRIGHT))
-            places.append((len(message), len(message) + size + len(frames)))
-            message += bytes(size) + frames + bytes(_HEIGHT) + _UPRIGHT
-        messages = np.tile(np.frombuffer(message, np.uint8), (count, 1))
-        for (stamp, height), row in zip(places, np.ascontiguousarray(heights, "<f8"), strict=True):
-            messages[:, stamp : stamp + size] = stamps
-            messages[:, height : height + _HEIGHT] = row.view(np.uint8).reshape(count, _HEIGHT)
+        messages = np.empty((times_ns.size, len(self._message)), np.uint8)
+        messages[:] = np.frombuffer(self._message, np.uint8)
+        whole, rest = varints(seconds, _WIDE), varints(rest_ns, _WIDE)
+        for (stamp, height), row in zip(self._places, np.ascontiguousarray(heights, "<f8"), strict=True):
+            messages[:, stamp + 3 : stamp + 3 + _WIDE] = whole
+            messages[:, stamp + 4 + _WIDE : stamp + len(_STAMP)] = rest
+            messages[:, height : height + _HEIGHT] = row.view(np.uint8).reshape(-1, _HEIGHT)
         return messages
 
 
@@ -215,18 +209,6 @@ def _cavity(height: float, clearance: float) -> list[Box]:
 
 def _numbers(values: Sequence[float]) -> str:
     return " ".join(f"{value:g}" for value in values)
-
-
-def _stamps(
-    seconds: NDArray[np.uint64], rest_ns: NDArray[np.uint64], wide: int, rest_wide: int
-) -> NDArray[np.uint8]:
-    """Encode field 1 of so many messages, a google.protobuf.Timestamp; shape (messages, bytes)."""
-
-    def same(*content: int) -> NDArray[np.uint8]:
-        return np.tile(np.array(content, np.uint8), (len(seconds), 1))
-
-    head, between = same(0x0A, 2 + wide + rest_wide, 0x08), same(0x10)
-    return np.concatenate([head, varints(seconds, wide), between, varints(rest_ns, rest_wide)], axis=1)
 
 
 def _field(number: int, content: bytes) -> bytes:

@@ -51,30 +51,37 @@ def block_schema(schema: str) -> Schema:
     return Schema(schema, "protobuf", described, "protobuf")
 
 
-def encode(clock: Timebase, first_sample: int, samples: NDArray[Any]) -> bytes:
-    """Encode samples of one channel.
+def encode(clock: Timebase, first_sample: int, samples: NDArray[Any]) -> NDArray[np.uint8]:
+    """Encode blocks of samples that follow each other.
 
     Parameters
     ----------
     first_sample : int
         Number of the first of the samples.
-    samples : ndarray, (samples,)
+    samples : ndarray, (channels, blocks, samples)
         In one of the types of `SAMPLE_TYPE`.
 
     Returns
     -------
-    bytes
+    ndarray of uint8, (channels, blocks, bytes)
         {sfixed64 t0_ns = 1; fixed64 first_sample = 2; double sample_rate_hz = 3; repeated samples = 4}
 
     Examples
     --------
-    >>> data = encode(Timebase(5120.0), 512, np.array([1.5, 2.5]))
-    >>> decode(memoryview(data), "shotrig.BlockFloat64").samples
+    >>> data = encode(Timebase(5120.0), 512, np.array([[[1.5, 2.5]]]))
+    >>> decode(memoryview(data[0, 0]), "shotrig.BlockFloat64").samples
     array([1.5, 2.5])
     """
-    tag0, tag1, tag2, tag3 = _TAGS
-    head = _HEAD.pack(tag0, clock.time_ns(first_sample), tag1, first_sample, tag2, clock.rate, tag3)
-    return b"".join((head, varint(samples.nbytes), samples.tobytes()))
+    _, blocks, length = samples.shape
+    size, (tag0, tag1, tag2, tag3) = varint(length * samples.itemsize), _TAGS
+    firsts = [first_sample + block * length for block in range(blocks)]
+    heads = [
+        _HEAD.pack(tag0, clock.time_ns(first), tag1, first, tag2, clock.rate, tag3) + size for first in firsts
+    ]
+    messages = np.empty((len(samples), blocks, len(heads[0]) + length * samples.itemsize), np.uint8)
+    messages[..., : len(heads[0])] = np.frombuffer(b"".join(heads), np.uint8).reshape(blocks, -1)
+    messages[..., len(heads[0]) :] = np.ascontiguousarray(samples).view(np.uint8)
+    return messages
 
 
 def decode(data: memoryview, schema: str) -> SampleBlock:

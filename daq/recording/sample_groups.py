@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -31,11 +30,22 @@ class Group:
             yield start, self.samples[:, start - self.first : stop - self.first]
 
     def blocks(self, length: int) -> Iterator[tuple[int, NDArray[Any]]]:
-        """Yield the acquired samples in blocks that end on multiples of `length`, or where samples end."""
-        for start, stop in self.spans:
-            edges = [start, *range(start - start % length + length, stop, length), stop]
-            for begin, end in pairwise(edges):
-                yield begin, self.samples[:, begin - self.first : end - self.first]
+        """Yield the acquired samples in blocks that end on multiples of `length`, or where samples end.
+
+        As many of one size as follow each other come together, (rows, blocks, samples), with the number of the first.
+        """
+        for start, samples in self.acquired():
+            stop = start + samples.shape[1]
+            whole = min(start + -start % length, stop)
+            rest = max(whole, stop - stop % length)
+            for begin, end, size in (
+                (start, whole, whole - start),
+                (whole, rest, length),
+                (rest, stop, stop - rest),
+            ):
+                if begin < end:
+                    part = samples[:, begin - start : end - start]
+                    yield begin, part.reshape(len(part), (end - begin) // size, size)
 
 
 class Grouping:

@@ -186,7 +186,7 @@ def _late(data: bytes, times: list[int], shift: int) -> tuple[bytes, list[int]]:
     clock = Timebase(block.rate)
     first = block.first_sample + shift
     try:
-        return encode(clock, first, block.samples), [
+        return encode(clock, first, block.samples[None, None]).tobytes(), [
             clock.time_ns(first + block.samples.size),
             clock.time_ns(first),
         ]

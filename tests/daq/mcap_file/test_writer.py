@@ -69,10 +69,12 @@ def test_given_messages_of_one_size_when_written_together_then_the_bytes_are_tho
     times, sequence, channels = np.array([7, 9, 2**63], np.uint64), np.arange(3), np.array([2, 1])
     data = np.random.default_rng(0).integers(0, 256, (2, 3, 28)).astype(np.uint8)
     if channels_first:
-        together = Messages(channels[:, None], times, data, sequence)
+        together = Messages(channels[:, None], times, times, data, sequence)
         order = [(row, column) for row in range(2) for column in range(3)]
     else:
-        together = Messages(channels, times[:, None], data.transpose(1, 0, 2), sequence[:, None])
+        together = Messages(
+            channels, times[:, None], times[:, None], data.transpose(1, 0, 2), sequence[:, None]
+        )
         order = [(row, column) for column in range(3) for row in range(2)]
     alone = [
         Message(
@@ -80,7 +82,7 @@ def test_given_messages_of_one_size_when_written_together_then_the_bytes_are_tho
         )
         for row, column in order
     ]
-    before, after = Message(1, 2**63 + 5, 1, b"before", 0), Messages(3, 5, data[0, :1], 4)
+    before, after = Message(1, 2**63 + 5, 1, b"before", 0), Messages(3, 5, 5, data[0, :1], 4)
     written = []
     for chunk in ([before, together, after], [before, *alone, Message(3, 5, 5, data[0, 0].tobytes(), 4)]):
         stream = BytesIO()

@@ -49,7 +49,7 @@ def test_given_a_block_when_protobuf_reads_it_then_it_is_the_same_and_so_the_oth
     clock = Timebase(5120.0)
     message = message_class(block_schema(schema).data, schema)()
     if clock.time_ns(first) < 2**63:
-        data = encode(clock, first, samples)
+        data = encode(clock, first, samples[None, None]).tobytes()
         message.ParseFromString(data)
         assert (message.t0_ns, message.first_sample) == (clock.time_ns(first), first)
         assert message.sample_rate_hz == 5120.0
@@ -76,7 +76,7 @@ def test_given_random_bytes_when_decoded_as_a_block_then_there_is_a_block_or_a_c
 
 
 def test_given_a_block_cut_within_a_sample_when_decoded_then_the_error_says_so():
-    data = encode(Timebase(5120.0), 0, np.arange(4.0))
+    data = encode(Timebase(5120.0), 0, np.arange(4.0)[None, None]).tobytes()
     cut = data[:25] + bytes([7]) + data[26:34]
     with pytest.raises(RecordingError, match="no"):
         decode(memoryview(cut + b"xx"), "shotrig.BlockFloat64")

@@ -99,7 +99,7 @@ def rewritten(path: Path, checksums: bool = True, shift: int = 0) -> Path:
                 if shift and channel.topic.startswith("/raw/") and chunk >= len(summary.offsets) - 2:
                     block = decode(message.data, summary.schemas[channel.schema_id].name)
                     clock, first = Timebase(block.rate), block.first_sample + shift
-                    data = encode(clock, first, block.samples)
+                    data = encode(clock, first, block.samples[None, None]).tobytes()
                     times = clock.time_ns(first + block.samples.size), clock.time_ns(first)
                 moved.append(type(message)(message.channel, message.sequence, *times, memoryview(data)))
             copy.add_chunk(_as_written(message) for message in moved)

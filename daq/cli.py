@@ -281,6 +281,8 @@ def serve_a_rig(
         raise typer.BadParameter("--certificate and --key go together, and --client-ca needs both")
     if not 0 <= port < 65536:
         raise typer.BadParameter(f"port {port}: expected 0 to 65535")
+    if session_timeout <= 0.0:
+        raise typer.BadParameter(f"--session-timeout {session_timeout:g}: expected a time above 0 s")
     certificates = None
     if certificate is not None and key is not None:
         certificates = Certificates(certificate, key, client_ca)

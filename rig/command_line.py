@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 # What may end a command: Ctrl-C, and what a machine that goes down sends.
 ENDINGS = (signal.SIGINT, signal.SIGTERM)
+# No option means more, whatever its unit.
+LARGEST = 1e12
 
 
 def application(help_text: str) -> typer.Typer:
@@ -99,12 +101,27 @@ def _carry_out(module: str, words: Sequence[str]) -> int:
     if f"_{program.upper()}_COMPLETE" in os.environ:
         # The shell asks for words that complete what has been typed.
         command.main([], program)
+    for each in (command, *getattr(command, "commands", {}).values()):
+        for option in each.params:
+            option.callback = option.callback or _bounded
     try:
         with command.make_context(program, list(words)) as context:
             command.invoke(context)
     except typer.Exit as end:
         return end.exit_code
     return 0
+
+
+def _bounded(context: Any, option: Any, value: Any) -> Any:
+    """Refuse an option that is no number, or one beyond anything that is measured, before arithmetic meets it."""
+    import typer
+
+    for number in value if isinstance(value, list | tuple) else [value]:
+        if isinstance(number, float) and not abs(number) <= LARGEST:
+            raise typer.BadParameter(
+                f"got {number}; expected a number, at most {LARGEST:g}", ctx=context, param=option
+            )
+    return value
 
 
 def _tell(error: BaseException, debug: bool) -> int:

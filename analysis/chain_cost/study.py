@@ -21,10 +21,11 @@ from analysis.chain_cost.variants import Variant, plain, quiet, variants
 from analysis.responses.frequency_responses import frequency_responses
 from daq.measurement.run import record
 from daq.recording.recording import open as open_recording
-from rig.errors import RunError, SceneError, ShotrigError
+from rig.errors import RunError, ShotrigError
 from rig.motion_map.grid import columns
 from rig.response.frequency_response import frequency_response
 from rig.scene.excitation import Measure, Settle, SteppedSine
+from rig.scene.quantities import FREQUENCY, positives
 from rig.scene.scene import Scene
 from rig.system.assembly import assemble
 from rig.system.open_loop_drive import accelerations_per_level, drive_per_level, level_of, with_ideal_force
@@ -122,11 +123,11 @@ def chain_study(
     """
     base = plain(scene)
     level_of(base)
-    if frequencies is not None and not all(np.isfinite(f) and f > 0.0 for f in frequencies):
-        raise SceneError(
-            f"frequencies: got {', '.join(map(str, frequencies))}; expected them above 0 Hz and finite"
-        )
-    chosen = tuple(sorted(set(frequencies))) if frequencies else steady_frequencies(base)
+    chosen = (
+        tuple(np.unique(positives(frequencies, FREQUENCY, "frequencies")).tolist())
+        if frequencies
+        else steady_frequencies(base)
+    )
     base = base.replace(
         test=_test(base, chosen), recording=base.recording.replace(display=False, truth=False)
     )

@@ -13,6 +13,7 @@ from analysis.recordings.slices import Slice
 from analysis.responses.frf import Frf
 from daq.signal_chain.channel import UNITS
 from rig.errors import RunError, SceneError
+from rig.escaping import shown
 
 # A data set 58 in text takes 20 bytes a sample, and its writer holds a channel in memory as text.
 MOST_TEXT_SAMPLES = 1 << 24
@@ -49,9 +50,9 @@ def write_uff(stretch: Slice, path: Path) -> None:
         file.write_sets(
             {
                 "type": 58, "binary": 0, "func_type": 1, "func_id": number,
-                "id1": f"{info.name}: {info.quantity} at {info.at}"[:80],
-                "id2": f"from {recording.path.name}"[:80],
-                "id4": f"sample rate {recording.rate!r} Hz"[:80],
+                "id1": _line(f"{info.name}: {info.quantity} at {info.at}"),
+                "id2": _line(f"from {recording.path.name}"),
+                "id4": _line(f"sample rate {recording.rate!r} Hz"),
                 "rsp_ent_name": "NONE", "rsp_node": node(info.at), "rsp_dir": 3,
                 "ref_ent_name": "NONE", "ref_node": 0, "ref_dir": 0,
                 "abscissa_spacing": 1, "abscissa_spec_data_type": 17,
@@ -94,7 +95,7 @@ def write_frfs(frfs: Sequence[Frf], path: Path, nodes: Sequence[int], driven: in
         file.write_sets(
             {
                 "type": 58, "binary": 0, "func_type": 4, "func_id": number,
-                "id1": f"{curve.response}: {curve.name}"[:80], "id2": curve.label[:80] or "NONE",
+                "id1": _line(f"{curve.response}: {curve.name}"), "id2": _line(curve.label),
                 "rsp_ent_name": "NONE", "rsp_node": node, "rsp_dir": 3,
                 "ref_ent_name": "NONE", "ref_node": driven, "ref_dir": 3,
                 "abscissa_spacing": int(np.ptp(steps) < 1e-6 * steps.mean()) if steps.size else 0,
@@ -122,7 +123,7 @@ def write_modes(modes: Modes, path: Path, nodes: Sequence[int]) -> None:
         damping = 100.0 * modes.damping[number - 1]
         file.write_sets(
             {
-                "type": 55, "id1": modes.label[:80] or "NONE", "id2": f"nodes {', '.join(modes.responses)}"[:80],
+                "type": 55, "id1": _line(modes.label), "id2": _line(f"nodes {', '.join(modes.responses)}"),
                 "id4": f"mode {number}, {modes.frequency[number - 1]:.6g} Hz, damping ratio {damping:.4g} %",
                 "model_type": 1, "analysis_type": 3, "data_ch": 2, "spec_data_type": 8, "load_case": 1,
                 "mode_n": number, "eig": complex(pole), "modal_a": 0j, "modal_b": 0j,
@@ -138,6 +139,11 @@ def _file(path: Path) -> Any:
     except ImportError:
         raise RunError("UFF files need the package pyuff: pip install 'shotrig[export]'") from None
     return pyuff.UFF(str(path))
+
+
+def _line(text: str) -> str:
+    """Fit text into a line of a data set."""
+    return " ".join(shown(text).split())[:80] or "NONE"
 
 
 def node(place: str) -> int:

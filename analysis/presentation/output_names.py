@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -26,7 +27,7 @@ def output_stem(paths: Sequence[Path], output: Path | None, kind: str) -> Path:
         If the names are taken by files made from other recordings, or the folder cannot be written.
     """
     folder = output if output is not None else paths[0].parent
-    key = hashlib.sha256("\n".join(str(path.resolve()) for path in paths).encode()).hexdigest()
+    key = _digest("\n".join(str(path.resolve()) for path in paths))
     made = _made(folder)
     for name in (joined([path.stem for path in paths]), joined([_with_folder(path) for path in paths])):
         stem = f"{name}-{kind}"
@@ -53,7 +54,7 @@ def joined(names: Sequence[str]) -> str:
     if len(name) <= _LONGEST_NAME:
         return name
     # What is left out tells sets apart that begin alike.
-    rest = hashlib.sha256(name.encode()).hexdigest()[:4]
+    rest = _digest(name)[:4]
     return f"{names[0]}+{len(names) - 1}-more-{rest}" if len(names) > 1 else name
 
 
@@ -66,6 +67,11 @@ def with_ending(stem: Path, ending: str) -> Path:
     'a0.5-report.html'
     """
     return stem.with_name(f"{stem.name}.{ending}")
+
+
+def _digest(names: str) -> str:
+    # Names of files need not be UTF-8.
+    return hashlib.sha256(os.fsencode(names)).hexdigest()
 
 
 def _with_folder(path: Path) -> str:

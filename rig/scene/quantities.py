@@ -197,7 +197,7 @@ def number(value: float | str | None, kind: Kind, name: str) -> float | None:
 
 
 def positives(values: ArrayLike, kind: Kind, name: str) -> NDArray[np.float64]:
-    """Take an argument of one or several quantities, each as `number` does; all above zero and finite.
+    """Take an argument of one or several quantities, each as `number` does; all above zero, finite and in range.
 
     Raises
     ------
@@ -213,9 +213,11 @@ def positives(values: ArrayLike, kind: Kind, name: str) -> NDArray[np.float64]:
     if given.dtype.kind == "U":
         given = np.array([number(str(one), kind, name) for one in given.flat]).reshape(given.shape)
     found = np.asarray(given, dtype=np.float64)
-    if found.ndim != 1 or not found.size or not np.isfinite(found).all() or (found <= 0.0).any():
+    fits = (found >= kind.least) & (found <= kind.most)
+    if found.ndim != 1 or not found.size or not fits.all():
         raise SceneError(
-            f"{name}: expected a list of positive, finite numbers in {kind.si}, or of texts such as {kind.example}"
+            f"{name}: got {', '.join(map(str, found[~fits].tolist()[:3])) or 'none'}; expected a list of positive, "
+            f"finite numbers {kind.range}, or of texts such as {kind.example}"
         )
     return found
 

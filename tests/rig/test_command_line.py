@@ -27,7 +27,7 @@ def command(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Callable[[], 
 
     def carry_out(act: Callable[[], object]) -> int:
         app = application("For the tests.")
-        app.command("act")(lambda: act() and None)
+        app.command("act")(act)
         app.command("other")(lambda: None)
         module = types.ModuleType(MODULE)
         module.app = app  # type: ignore[attr-defined]
@@ -87,6 +87,19 @@ def test_given_an_unexpected_error_when_a_command_ends_in_it_then_a_file_has_the
         and "Traceback" not in told
     )
     assert "Traceback" in details.read_text() and "'act'" in details.read_text()
+
+
+@pytest.mark.parametrize("words", ["--at nan", "--at=-inf", "--each 1 --each 1e300"])
+def test_given_an_option_that_nothing_can_measure_when_a_command_gets_it_then_it_is_refused_by_name(
+    command, capsys, monkeypatch, words
+):
+    def act(at: float = 0.0, each: list[float] = []) -> None:  # noqa: B006
+        raise AssertionError("not reached")
+
+    monkeypatch.setattr(sys, "argv", ["rig", "act", *words.split()])
+    assert command(act) == 2
+    told = capsys.readouterr().err
+    assert words[:4] in told and "expected a number, at most 1e+12" in told
 
 
 def test_given_text_of_a_file_when_printed_then_what_a_terminal_would_obey_is_shown(command, capsys):

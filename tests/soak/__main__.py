@@ -15,7 +15,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -49,6 +49,17 @@ READING = (
     "analysis export r.mcap -o o.npz",
     "analysis export r.mcap -o o.uff",
     "analysis export r.mcap -o o.wav",
+    "analysis export r.mcap -o o.csv --from {odd} --to {odd}",
+    "analysis frf r.mcap --block {odd} --overlap {odd}",
+    "daq replay r.mcap --save x.rrd --from {odd} --speed {odd}",
+)
+# What a recording may be called.
+NAMES = (
+    "r.mcap",
+    "r.mcap",
+    os.fsdecode(b"\xff\xfe r.mcap"),
+    "a\nb$c.mcap",
+    scenes.MARKUP.replace("/", "") + ".mcap",
 )
 
 
@@ -161,7 +172,7 @@ def damage(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
     number, folder = chance.choice((0, 1, 3)), bench.clear()
     (folder / "r.mcap").write_bytes(recordings.damage(bench.whole[number].read_bytes(), chance))
     shutil.copy(bench.whole[number], folder / "f.mcap")
-    words = chance.choice((READING[0], READING[2], READING[2], READING[2], *READING[1:])).split()
+    words = _reading(chance, (READING[0], READING[2], READING[2], READING[2], *READING[1:]))
     ended = run(words, folder)
     wrong = bench.compare(folder / "f.mcap", number) if (folder / "f.mcap").exists() else ["file lost"]
     if words[1] == "info" and "--check" in words and ended.code == 0:
@@ -174,12 +185,8 @@ def fill_disk(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
     number, folder = chance.choice((0, 1, 3)), bench.clear()
     shutil.copy(bench.whole[number], folder / "r.mcap")
     size = int(10 ** chance.uniform(1, 6))
-    words = chance.choice(
-        (
-            ["daq", "record", str(bench.scenes[number]), "-o", "r.mcap", "--overwrite"],
-            *(each.split() for each in READING[2:]),
-        )
-    )
+    record = ["daq", "record", str(bench.scenes[number]), "-o", "r.mcap", "--overwrite"]
+    words = record if chance.random() < 0.1 else _reading(chance, READING[2:])
 
     def limit() -> None:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
@@ -200,8 +207,15 @@ def odd_scene(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
 def odd_recording(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
     """Give a command a recording that says odd things of itself, every checksum right."""
     folder = bench.clear()
-    recordings.hostile(bench.whole[chance.choice((0, 1, 3))], folder / "r.mcap", chance)
-    return run(chance.choice(READING).split(), folder), []
+    name = chance.choice(NAMES)
+    recordings.hostile(bench.whole[chance.choice((0, 1, 3))], folder / name, chance)
+    return run([name if word == "r.mcap" else word for word in _reading(chance)], folder), []
+
+
+def _reading(chance: random.Random, commands: Sequence[str] = READING) -> list[str]:
+    """Choose a command on a recording, with odd numbers where it takes some."""
+    odd = [chance.choice(scenes.ODD_NUMBERS) for _ in range(2)]
+    return [word.format(odd=odd.pop()) if "{" in word else word for word in chance.choice(commands).split()]
 
 
 def odd_import(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:

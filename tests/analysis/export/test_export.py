@@ -1,4 +1,6 @@
 import csv
+import os
+import shutil
 import wave
 from pathlib import Path
 
@@ -102,6 +104,14 @@ def test_given_a_recording_when_exported_as_uff_then_pyuff_reads_time_responses(
         assert one["data"] == pytest.approx(recording.read(name, 640, 3200), rel=1e-11)
         assert one["x"][0] == pytest.approx(0.25)
         assert np.diff(one["x"]) == pytest.approx(1 / RATE, rel=2e-6)
+
+
+def test_given_a_file_with_an_odd_name_when_exported_as_uff_then_it_stays_in_its_line(recording, tmp_path):
+    odd = tmp_path / os.fsdecode(b"a\nb\xff.mcap")
+    shutil.copy(recording.path, odd)
+    with daq.open(odd) as opened:
+        export(Slice.of(opened), tmp_path / "a.uff")
+    assert {one["id2"] for one in pyuff.UFF(str(tmp_path / "a.uff")).read_sets()} == {r"from a b\udcff.mcap"}
 
 
 def test_given_a_recording_when_asked_for_sep005_then_the_rules_of_sep005_hold(recording):

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import os
+
 import pytest
 
 from analysis.presentation.output_names import output_stem, with_ending
@@ -40,3 +42,9 @@ def test_given_many_recordings_that_begin_alike_when_named_then_the_sets_are_tol
     first = [tmp_path / f"{'long' * 8}-{number}.mcap" for number in (1, 2, 3)]
     second = [*first[:2], tmp_path / f"{'long' * 8}-4.mcap"]
     assert output_stem(first, None, "frf") != output_stem(second, None, "frf")
+
+
+def test_given_a_name_that_is_not_utf_8_when_outputs_are_named_then_they_keep_it(tmp_path):
+    path = tmp_path / os.fsdecode(b"a\xff.mcap")
+    names = [output_stem([path] * count, None, "frf").name for count in (1, 40)]
+    assert os.fsencode(names[0]) == b"a\xff-frf" and names[1].startswith(os.fsdecode(b"a\xff+39-more-"))

@@ -15,6 +15,7 @@ from daq.measurement.run import RunWarning
 from daq.measurement.run_report import summary
 from daq.recording.recording import open as open_recording
 from rig.console import progress
+from rig.escaping import shown
 from rig.scene.scene import Scene
 
 
@@ -24,10 +25,14 @@ def listing(files: Sequence[Path]) -> Iterator[str]:
         for path in files:
             yield f"# {path}; put the names of the scene's channels in the place of signal1, ..."
             for signal in signals_of(path, stack):
-                unit = f", unit: {json.dumps(signal.unit)}" if signal.unit else ""
+                unit = f", unit: {_quoted(signal.unit)}" if signal.unit else ""
                 rate = "" if signal.rate is None else f" at {signal.rate:.10g} Hz"
-                column = f"{{column: {json.dumps(signal.name)}{unit}}}"
+                column = f"{{column: {_quoted(signal.name)}{unit}}}"
                 yield f"signal{signal.number}: {column}  # {signal.samples} samples{rate}"
+
+
+def _quoted(text: str) -> str:
+    return shown(json.dumps(text, ensure_ascii=False))
 
 
 def import_and_report(

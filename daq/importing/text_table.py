@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from itertools import islice
@@ -12,7 +13,10 @@ from typing import IO, NamedTuple
 
 import numpy as np
 
+from daq.importing import labview_text
+from daq.importing.labview_text import LabviewHeading
 from daq.importing.signal import Array, Signal, even, rate_between
+from daq.measurement.run import RunWarning
 from rig.errors import RecordingError
 from rig.scene.quantities import TIME, parse
 
@@ -23,6 +27,8 @@ _TIME_NAMES = re.compile(r"(time|zeit|t|x_value)(stamp)?", re.IGNORECASE)
 _UNIT_BEHIND = re.compile(r"(.*?)\s*[\[(]([^\[\]()]*(?:\([^\[\]()]*\)[^\[\]()]*)?)[\])]\s*")
 # A unit behind an underscore, as our own tables have it.
 _SUFFIX = re.compile(r"(.+)_(m/s\^2|m/s²|m/s|m|N|V|g|s|ms)")
+# A rate that may be off by more than this part of it is told.
+_ROUGH = 2e-5
 # Lines from which the digits of times are told.
 _SAMPLED = 50
 
@@ -38,6 +44,8 @@ class Layout(NamedTuple):
     """Lines in front of the first line of numbers."""
     names: list[str]
     units: list[str]
+    cells: tuple[int, ...] | None = None
+    """Which cells of a line are read, where there are others beside them; None: all, and there are no others."""
 
 
 def text_signals(path: Path, stack: ExitStack) -> list[Signal]:
@@ -46,7 +54,10 @@ def text_signals(path: Path, stack: ExitStack) -> list[Signal]:
     A first column of times gives the clock. Names and units are those of the heading: ``acc1 [m/s^2]``,
     ``acc1 (g)``, or a line of names above a line of units.
     """
-    layout = _layout(path)
+    lines, encoding = _beginning(path)
+    if lines[0].startswith(labview_text.BEGIN):
+        return _labview_signals(path, labview_text.labview_heading(lines, str(path)), encoding, stack)
+    layout = _layout(path, lines, encoding)
     table = _Table(path, layout, stack)
     columns = list(zip(layout.names, layout.units, strict=True))
     rate, start = None, 0.0
@@ -60,6 +71,56 @@ def text_signals(path: Path, stack: ExitStack) -> list[Signal]:
         Signal(path.name, number, name, unit, table.rows, rate, table.column(first + number - 1), start)
         for number, (name, unit) in enumerate(columns[first:], 1)
     ]
+
+
+def _labview_signals(path: Path, heading: LabviewHeading, encoding: str, stack: ExitStack) -> list[Signal]:
+    """Do the same with the names, units and clocks of LabVIEW's heading; a column of times goes before its clock."""
+    channels = heading.channels
+    layout = Layout(
+        encoding,
+        heading.separator,
+        heading.decimal_comma,
+        heading.lines,
+        [*(["time"] if heading.times else []), *(channel.name for channel in channels)],
+        [""] * (len(channels) + heading.times),
+        (*([0] if heading.times else []), *(channel.cell for channel in channels)),
+    )
+    table = _Table(path, layout, stack)
+    clock = table.take_clock("s") if heading.times else None
+    longest = max(channel.samples for channel in channels)
+    if longest > table.rows:
+        _tell(f"{path}: its heading states {longest} samples, its table has {table.rows}; these are taken")
+    if 0 < longest < table.rows and not heading.times:
+        _tell(
+            f"{path}: its heading states segments of {longest} samples, its table has {table.rows} lines: they are "
+            "taken one after the other as if nothing lay between them"
+        )
+    rough = [one for one in channels if one.rate and one.rate_error > _ROUGH * one.rate and not heading.times]
+    if rough:
+        rate, error = rough[0].rate or 0.0, rough[0].rate_error
+        _tell(
+            f"{path}: its sample interval has so few digits that the rate may be {rate - error:.6g} to "
+            f"{rate + error:.6g} Hz; {rate:.6g} Hz is taken: say rate: in the table if it was another"
+        )
+    return [
+        Signal(
+            path.name,
+            number,
+            channel.name,
+            channel.unit,
+            # Lines are added to a file without a word in its heading; only a shorter channel is told from it.
+            table.rows if channel.samples in (-1, longest) else min(channel.samples, table.rows),
+            clock[0] if clock else channel.rate,
+            table.column(number - 1 + heading.times),
+            clock[1] if clock else channel.start_s,
+            channel.start_ns,
+        )
+        for number, channel in enumerate(channels, 1)
+    ]
+
+
+def _tell(text: str) -> None:
+    warnings.warn(text, RunWarning, stacklevel=3)
 
 
 class _Table:
@@ -135,14 +196,22 @@ class _Table:
         number = 0
         while line := self._file.readline(_LONGEST_LINE):
             number += 1
-            if number > self._layout.heading and line.strip():
-                yield number, line
+            if number <= self._layout.heading or not line.strip():
+                continue
+            if self._layout.cells is not None and line.startswith(labview_text.SEGMENT):
+                raise RecordingError(
+                    f"{self._path}, line {number}: another segment of measurement begins; expected one: split the "
+                    "file, or log to TDMS"
+                )
+            yield number, line
 
     def _parsed(self, lines: list[tuple[int, str]]) -> Array:
         texts = [line.replace(",", ".") if self._layout.decimal_comma else line for _, line in lines]
         width = len(self._layout.names)
         try:
-            values = np.loadtxt(texts, delimiter=self._layout.delimiter, comments=None, ndmin=2)
+            values = np.loadtxt(
+                texts, delimiter=self._layout.delimiter, comments=None, ndmin=2, usecols=self._layout.cells
+            )
             if values.shape == (len(lines), width):
                 return values
         except ValueError:
@@ -154,6 +223,8 @@ class _Table:
         cells = _cells(line, self._layout.delimiter)
         width = len(self._layout.names)
         where = f"{self._path}, line {number}" if number else f"{self._path}, its first or last line"
+        if self._layout.cells is not None and len(cells) > self._layout.cells[-1]:
+            cells = [cells[place] for place in self._layout.cells]
         if len(cells) != width:
             raise RecordingError(
                 f"{where}: {len(cells)} columns; expected {width}, as in the first line of numbers"
@@ -167,8 +238,8 @@ class _Table:
         return row
 
 
-def _layout(path: Path) -> Layout:
-    """Find out how a table is written from its beginning."""
+def _beginning(path: Path) -> tuple[list[str], str]:
+    """Give the first lines of a table, at least one, and its encoding."""
     with path.open("rb") as binary:
         begin = binary.read(1 << 18)
     if b"\0" in begin and not begin.startswith((b"\xff\xfe", b"\xfe\xff")):
@@ -180,7 +251,11 @@ def _layout(path: Path) -> Layout:
         # The end may be within a character.
         encoding = encoding if error.start > len(begin) - 4 else "cp1252"
         text = begin.decode(encoding, errors="replace")
-    lines = text.splitlines()[:_LONGEST_HEADING]
+    return text.splitlines()[:_LONGEST_HEADING] or [""], encoding
+
+
+def _layout(path: Path, lines: list[str], encoding: str) -> Layout:
+    """Find out how a table is written from its beginning."""
     for heading, line in enumerate(lines):
         for delimiter in ("\t", ";", ",", None):
             cells = _cells(line, delimiter)
@@ -206,10 +281,8 @@ def _heading(lines: list[str], delimiter: str | None, width: int) -> tuple[list[
         for line in lines
         if line.strip()
     ]
-    # LabVIEW heads a column of comments that its lines do not have.
-    fitting = (width, width + 1)
-    rows = [row[:width] for row in above[-2:] if len(row) in fitting]
-    if not rows or len(above[-1]) not in fitting:
+    rows = [[cell.strip(" ,;") for cell in row] for row in above[-2:] if len(row) == width]
+    if not rows or len(above[-1]) != width:
         return [f"column {number}" for number in range(1, width + 1)], [""] * width
     if (
         len(rows) == 2

@@ -194,17 +194,85 @@ def test_given_the_table_as_yaml_or_csv_when_imported_then_both_say_the_same(tmp
     np.testing.assert_allclose(read[0][1], -2.0 * (histories(600)[0] - 0.5), rtol=0, atol=1e-7)
 
 
-def test_given_labviews_text_when_imported_then_its_clock_and_names_are_found(tmp_path):
+LABVIEW = (
+    "LabVIEW Measurement\t\nWriter_Version\t2\nSeparator\t{name}\nDecimal_Separator\t{point}\n"
+    "X_Columns\t{columns}\n***End_of_Header***\t\n"
+)
+END_OF_HEADER = "***End_of_Header***\t\n"
+
+
+@pytest.mark.parametrize("columns", ["No", "One", "Multi"])
+@pytest.mark.parametrize(("separator", "point"), [("\t", "."), ("\t", ","), (",", ".")])
+def test_given_labviews_text_when_imported_then_names_units_and_clock_are_found(
+    columns, separator, point, tmp_path
+):
     rows = histories(400)
-    heading = "LabVIEW Measurement\t\nSeparator\tTab\n***End_of_Header***\t\t\t\t\nChannels\t3\t\t\t\n"
-    heading += "***End_of_Header***\t\t\t\t\nX_Value\tbody1\tbody2\tforce\tComment\n"
-    lines = ["\t".join(f"{value:.6f}" for value in (k / RATE, *row)) for k, row in enumerate(rows.T)]
-    (tmp_path / "a.lvm").write_text(heading + "\n".join(lines) + "\n")
-    table = {name: Column(name, unit="m/s^2" if name != "force" else "N") for name in NAMES}
-    recording, heard = imported(tmp_path / "a.lvm", bench(), tmp_path / "r.mcap", table=table)
+    name = "Tab" if separator == "\t" else "Comma"
+
+    def line(cells):
+        return separator.join(cells) + "\n"
+
+    def number(value):
+        return f"{value:.6f}".replace(".", point)
+
+    def spread(cells):
+        """Cells of the channels where each has a column of times of its own."""
+        return [each for cell in cells for each in (cell, "")] if columns == "Multi" else list(cells)
+
+    heading = LABVIEW.format(name=name, point=point, columns=columns).replace("\t", separator)
+    heading += line(["Channels", "3"])
+    interval = f"{1 / RATE:.6E}".replace(".", point)
+    for key, *cells in (
+        ("Samples", "400", "400", "400"),
+        ("Y_Unit_Label", "m/s^2", "g", "Newtons"),
+        ("X0", *[number(0.0)] * 3),
+        ("Delta_X", *[interval] * 3),
+    ):
+        heading += line([key, *spread(cells)])
+    times = columns == "Multi"
+    heading += END_OF_HEADER
+    heading += line(
+        ["X_Value", *(["body1", "X_Value", "body2", "X_Value", "force"] if times else NAMES), "Comment"]
+    )
+    lines = []
+    for k, row in enumerate(rows.T):
+        time = "" if columns == "No" else number(k / RATE)
+        cells = (
+            [each for value in row for each in (time, number(value))] if times else [time, *map(number, row)]
+        )
+        lines.append(line([*cells, "lost contact"] if k % 7 == 0 else cells))
+    (tmp_path / "a.lvm").write_text(heading + "".join(lines))
+    recording, heard = imported(tmp_path / "a.lvm", bench(), tmp_path / "r.mcap")
     with recording:
         assert recording.rate == RATE and not heard
         np.testing.assert_allclose(recording.read("force"), rows[2], rtol=0, atol=1e-6)
+        np.testing.assert_allclose(recording.read("body2"), 9.80665 * rows[1], rtol=0, atol=1e-5)
+
+
+def test_given_labviews_text_of_several_segments_when_imported_then_the_line_is_named(tmp_path):
+    heading = LABVIEW.format(name="Tab", point=".", columns="No")
+    segment = (
+        "Channels\t1\nY_Unit_Label\tg\nX0\t0\nDelta_X\t0.001\n"
+        + END_OF_HEADER
+        + "X_Value\tbody1\tComment\n\t1.0\n\t2.0\n\n"
+    )
+    (tmp_path / "a.lvm").write_text(heading + 2 * segment)
+    with pytest.raises(RecordingError, match=r"a.lvm, line 16: another segment"):
+        imported(tmp_path / "a.lvm", bench(), tmp_path / "r.mcap")
+
+
+def test_given_labviews_text_with_a_rough_clock_or_lines_lost_when_imported_then_it_is_told(tmp_path):
+    heading = LABVIEW.format(name="Tab", point=".", columns="No")
+    heading += (
+        "Channels\t1\nSamples\t9\nY_Unit_Label\tg\nX0\t0\nDelta_X\t0.000977\n"
+        + END_OF_HEADER
+        + "X_Value\tbody1\n"
+    )
+    (tmp_path / "a.lvm").write_text(heading + "".join(f"\t{value}\n" for value in (0.1, -0.1, 0.2)))
+    recording, heard = imported(tmp_path / "a.lvm", bench(), tmp_path / "r.mcap")
+    recording.close()
+    assert any("9 samples, its table has 3" in text for text in heard)
+    assert any("1023.02 to 1024.07 Hz" in text for text in heard)
 
 
 TABLES = {

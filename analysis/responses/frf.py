@@ -28,6 +28,8 @@ _NAMES = {
     ("acceleration", "table"): ("acceleration per table displacement", "1/s²"),
 }
 
+# Points whose bounds are larger than this part of their value are hardly known.
+_HARDLY_KNOWN = 0.5
 # The systematic part that comes of a sample clock that is off.
 CLOCK = "sample clock"
 
@@ -108,7 +110,10 @@ class Frf(Result):
         what = f"{self.label}, {self.response}: {self.name}, {self.frequency.size} points"
         if not np.isfinite(self.value).any():
             return what
-        top, (unit, factor) = int(np.nanargmax(abs(self.value))), self.shown_in
+        size, (unit, factor) = abs(self.value), self.shown_in
+        # What is hardly known is no peak, as at low frequencies, where noise is divided by their square.
+        known = ~(self.bound() > _HARDLY_KNOWN * size)
+        top = int(np.nanargmax(np.where(known, size, np.nan) if np.isfinite(size[known]).any() else size))
         bound = float(self.bound()[top])
         height = f"{factor * abs(self.value[top]):.4g} {unit}"
         if bound > 0.0:

@@ -29,6 +29,8 @@ ComplexArray = NDArray[np.complex128]
 REST = 0.2
 # At rest what changes within that time is less than this part of the response that follows.
 _STILL = 2e-3
+# Noise is taken for motion where it is so many times as much as by its chance.
+_SURE = 4.0
 # The largest force belongs to the hit; where its marker holds less than this part of it, it missed the hit.
 _MISSED = 0.5
 # A hammer that bounces hits again with at least this part of its first force, and so many times the noise.
@@ -105,20 +107,35 @@ class Hits:
         """
         return self.interval
 
-    def at_rest(self, rec: Recording, names: Sequence[str], start: int, stop: int) -> bool:
-        """Whether nothing moved and no reading drifted before the first hit of a stretch."""
+    def moving(self, rec: Recording, names: Sequence[str], start: int, stop: int) -> float:
+        """Size of what moved or drifted before the first hit of a stretch, as a part of the response that follows.
+
+        The largest of all channels; infinite if too little was recorded before the hit to say.
+        """
         begin = self.inside(start, stop)[0][0]
         first = max(start, begin - int(REST * rec.rate))
         if begin - first < 4 or any(other < begin for other, _ in self.arrivals):
-            return False
+            return np.inf
+        # A short look sees little of a slow motion.
+        largest, seen = 0.0, min(1.0, (begin - first) / (REST * rec.rate))
         for name in names:
             reading = rec.read(name, first, min(begin + self.interval, stop))
             before, after = reading[: begin - first], reading[begin - first :]
-            middle = before.size // 2
-            drift = abs(before[:middle].mean() - before[middle:].mean())
-            if drift > _STILL * float(abs(after - before.mean()).max()):
-                return False
-        return True
+            size = float(abs(after - before.mean()).max())
+            largest = max(largest, _amplitude(before) / (seen * size) if size else 0.0)
+        return largest
+
+    def at_rest(self, rec: Recording, names: Sequence[str], start: int, stop: int, samples: int) -> bool:
+        """Whether a stretch, among zeros up to so many samples, is taken as the response to its hits alone.
+
+        It is where hardly anything moved before them; and where one hit comes so soon that what moved before cannot be
+        told from the response to it by how they change from line to line.
+        """
+        moving = self.moving(rec, names, start, stop)
+        if moving < _STILL:
+            return True
+        inside = self.inside(start, stop)
+        return bool(np.isfinite(moving) and len(inside) == 1 and 2 * SIDE * (inside[0][0] - start) < samples)
 
     def alone(self, rec: Recording, names: Sequence[str], block: Array, start: int, rest: bool) -> Array:
         """Take the zero off all channels, and off the force all that is not a hit, high-passes included."""
@@ -233,3 +250,11 @@ class Hits:
 def first_of(inside: Sequence[tuple[int, int]]) -> int:
     """First sample of the first hit."""
     return inside[0][0]
+
+
+def _amplitude(reading: Array) -> float:
+    """Amplitude of what moves or drifts in a reading; noise differs from sample to sample, motion hardly does."""
+    noise = 0.5 * np.mean(np.diff(reading) ** 2)
+    middle, few = reading.size // 2, _SURE / np.sqrt(reading.size)
+    drift = abs(reading[:middle].mean() - reading[middle:].mean()) - 2.0 * few * np.sqrt(noise)
+    return float(max(drift, np.sqrt(2.0 * max(reading.var() - (1.0 + few * np.sqrt(2.0)) * noise, 0.0)), 0.0))

@@ -8,12 +8,13 @@ damping, a hammer that bounced is as good as one that did not, and what overload
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
+from scipy.signal import fftconvolve
 
 from analysis.responses.clean_stretches import clean_stretches, cure, flaws, told
 from analysis.responses.force_pulse import high_passes
@@ -35,6 +36,9 @@ _WORTH = 0.25
 # Nor is one that holds less than this part of a burst.
 _BURST = 0.5
 _MOST_LINES = 1000
+#: The systematic part that comes of what moved before a hit, and how much of it is told.
+MOTION_BEFORE = "motion before the hit"
+_MUCH = 0.01
 
 
 @dataclass(frozen=True)
@@ -89,7 +93,8 @@ class WholeStretches:
         spectra, noise = self.made[names], None
         if self.hits is not None:
             noise = self.hits.force_noise(rec, stretches, spectra.frequency[spectra.lines])
-        return spectra.frf(rec, above, below, reference, motion, self.label, (*self.warnings, *notes), noise)
+        frf = spectra.frf(rec, above, below, reference, motion, self.label, (*self.warnings, *notes), noise)
+        return frf if self.hits is None else _with_motion_before(frf, self.hits, rec, names, stretches)
 
     def _worth_fitting(
         self, rec: Recording, clean: Sequence[tuple[int, int]]
@@ -124,20 +129,18 @@ class WholeStretches:
     ) -> LocalSpectra:
         """Spectra of all stretches, each at the end of as many samples as the longest has."""
         lead = 0 if self.hits is None else self.hits.lead()
+        # As long whether or not hits come upon rest, so that all responses have the same lines.
+        size = fft.next_fast_len(max(stop - start for start, stop in stretches) + lead, real=True)
         blocks, rests = [], []
         for start, stop in stretches:
             block = np.stack([rec.read(name, start, stop) for name in names])
-            rest = self.hits is not None and self.hits.at_rest(rec, names, start, stop)
+            rest = self.hits is not None and self.hits.at_rest(rec, names, start, stop, size)
             if self.hits is not None:
                 block = self.hits.alone(rec, names, block, start, rest)
             else:
                 block = block - block.mean(axis=1, keepdims=True)
             blocks.append(block)
             rests.append(rest)
-        longest = max(
-            block.shape[1] + (lead if rest else 0) for block, rest in zip(blocks, rests, strict=True)
-        )
-        size = fft.next_fast_len(longest, real=True)
         samples, ends = [], []
         for block, rest in zip(blocks, rests, strict=True):
             zeros = size - block.shape[1]
@@ -187,6 +190,30 @@ class WholeStretches:
                 f"{self.high:.4g} Hz; record longer"
             )
         return np.arange(first, last + 1, -(-(last - first) // _MOST_LINES))
+
+
+def _with_motion_before(
+    frf: Frf, hits: Hits, rec: Recording, names: Sequence[str], stretches: Sequence[tuple[int, int]]
+) -> Frf:
+    """Add to a curve's bound what moved before the hits and is in it, and warn where that is much."""
+    moving = [hits.moving(rec, names, start, stop) for start, stop in stretches]
+    if not np.isfinite(moving).any():
+        return frf
+    most = max(part for part in moving if np.isfinite(part))
+    warning = (
+        f"{frf.response}: motion or drift of {most:.1%} of the response came before a hit, and is in the curve; begin "
+        "at rest and earlier, or record several hits in a row."
+    )
+    # A free decay's spectrum falls with the distance from its resonance, as that of the response to the hit does: every
+    # line is taken for a resonance that holds what it and its width are.
+    rate = (2.0 * np.pi * frf.frequency) ** {"displacement": 2, "velocity": 1, "acceleration": 0}[frf.motion]
+    reach = 1.0 / (np.pi * (np.abs(np.arange(1 - frf.value.size, frf.value.size)) + 1.0))
+    part = most * fftconvolve(reach, abs(frf.value) * rate, mode="valid") / rate
+    return replace(
+        frf,
+        systematic={**frf.systematic, MOTION_BEFORE: part},
+        warnings=(*frf.warnings, *([warning] if most > _MUCH else [])),
+    )
 
 
 def dampers_move(rec: Recording) -> tuple[str, ...]:

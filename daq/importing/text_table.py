@@ -93,7 +93,7 @@ def _labview_signals(path: Path, heading: LabviewHeading, encoding: str, stack: 
     if 0 < longest < table.rows and not heading.times:
         _tell(
             f"{path}: its heading states segments of {longest} samples, its table has {table.rows} lines: they are "
-            "taken one after the other as if nothing lay between them"
+            "taken one after the other as if nothing lay between them; import one by one with --from and --to"
         )
     rough = [one for one in channels if one.rate and one.rate_error > _ROUGH * one.rate and not heading.times]
     if rough:

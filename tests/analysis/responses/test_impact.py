@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ import analysis
 import daq
 import rig
 from analysis.responses.systematic import SENSITIVITY
+from daq.importing.channel_table import Column
 from daq.recording.markers import Marker
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError
@@ -93,6 +96,28 @@ def test_given_sensors_whose_bias_settles_when_hit_then_the_hammer_waits_and_bou
     assert first > 8.0 * rec.rate
     assert share > 0.9 and wrong < 0.12
     assert set(curves[0].systematic) >= {SENSITIVITY}
+
+
+@pytest.mark.parametrize(("interval", "told"), [(6.0, False), (2.0, True)])
+def test_given_a_record_that_begins_in_motion_just_before_a_hit_when_taken_whole_then_its_bound_knows(
+    interval, told, tmp_path
+):
+    where = {"cutoff": "", "converter": "{rate: 2560 Hz, range: 5 V, remove_delay: true}"}
+    scene = rig.loads(HIT.format(**where).replace("6 s", f"{interval} s"))
+    with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
+        again = [marker for marker in rec.markers if marker.kind == "hit"][1]
+        rows = {name: rec.read(name, again.first_sample - 125) for name in rec.channels}
+    np.savez(tmp_path / "cut.npz", **rows)
+    units = {name: Column(name, unit="N" if name == "hammer" else "m/s^2") for name in rows}
+    scene = rig.loads(HIT.format(**where).replace("repeats: 2", "repeats: 1"))
+    with warnings.catch_warnings(action="ignore"):
+        daq.import_files(tmp_path / "cut.npz", scene, tmp_path / "cut.mcap", table=units)
+    with daq.open(tmp_path / "cut.mcap") as rec:
+        [curves] = analysis.frequency_responses(rec)
+        share, wrong = coverage(rec, curves)
+    assert share > 0.9 and wrong < 0.2
+    assert told == any("came before a hit" in text for text in curves[0].warnings)
+    np.testing.assert_array_equal(curves[0].frequency, curves[1].frequency)
 
 
 def test_given_no_force_channel_when_averaged_then_it_says_what_to_add(tmp_path):

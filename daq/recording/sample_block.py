@@ -121,7 +121,8 @@ def decode(data: memoryview, schema: str) -> SampleBlock:
 def _size_prefix(message: int) -> bytes:
     """Give the encoded size of the samples in a message of so many bytes."""
     rest = message - _HEAD.size
-    return next((size for n in range(1, 6) if len(size := varint(max(0, rest - n))) == n), b"")
+    longest = len(varint(rest))
+    return next((size for n in (longest, longest - 1) if len(size := varint(max(0, rest - n))) == n), b"")
 
 
 def _decode_any(data: memoryview, schema: str) -> SampleBlock:

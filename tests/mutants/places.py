@@ -18,8 +18,8 @@ PLACES: dict[str, dict[str, str]] = {
         "rig/system/receptance.py": "tests/rig/system/test_receptance.py tests/rig/system/test_several_shakers.py",
         "rig/system/landing.py": "tests/rig/engine/test_lasting.py -k 'not ever_shorter_landings_when_simulated'",
     },
-    "guards": {"rig/engine/guards.py": _ENGINE},
-    "contact decisions": {"rig/engine/contact.py": _ENGINE},
+    "guards": {"rig/engine/guards.py": f"tests/rig/engine/test_guards.py {_ENGINE}"},
+    "contact decisions": {"rig/engine/contact.py": f"tests/rig/engine/test_contact.py {_ENGINE}"},
     "gap and overload marks": {
         "daq/recording/channel_series.py": "tests/daq/recording/test_recording.py",
         "daq/recording/sample_block.py": "tests/daq/recording/test_layout.py",
@@ -59,6 +59,12 @@ PLACES: dict[str, dict[str, str]] = {
 EQUIVALENT = {
     "@dataclass(frozen=False)": "nothing assigns to the fields",
     "_WINDOW = 1 << 19": "how much is read at a time changes nothing that is found",
+    "for c in range(model.inverse_mass.shape[ 1]):": "the matrix is square",
+    "lowest = min(gap, model.clearance[j] - gap) - 3 * ROUNDING * abs(height)": "what is looked at closely is more",
+    "nodes, weights = legendre.leggauss( 33)": "32 points are exact to rounding already",
+    "grid = np.concatenate([np.geomspace(10 * lowest, 0.5 * rate, 401), np.linspace(0.3, 0.5, 400) * rate])": (
+        "the fit rests on hundreds of points, not on where each is"
+    ),
     "if not TYPE_CHECKING:": "imports more than is needed",
     'if len(scene.shakers) != 1 and any(shaker.kind != "force" for shaker in scene.shakers):': "any of none is false",
 }

@@ -63,6 +63,7 @@ def test_given_power_switched_on_when_the_offset_settles_then_it_is_the_exponent
         (50.0, 5120.0, 3e-3, 3e-3),
         (3.0, 1e5, 3e-3, 3e-3),
         (100.0, 50.0, 0.03, 0.06),
+        (2e-3, 1e-3, 0.03, 0.06),
     ],
 )
 def test_given_a_corner_when_noise_is_shaped_then_its_density_rises_as_the_square_root_of_1_plus_corner_over_f(

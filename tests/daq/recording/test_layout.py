@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from daq.recording.display import FLOAT_SCHEMA, encode_floats, encode_text
 from daq.recording.layout import block_length, flush_length
 from daq.recording.markers import EVENT_SCHEMA, MARKER_SCHEMA, Marker, event_from_json, event_to_json
-from daq.recording.protobuf import message_class
+from daq.recording.protobuf import message_class, varint
 from daq.recording.robot_description import TRANSFORMS_SCHEMA
-from daq.recording.sample_block import SAMPLE_TYPE, SCHEMAS, block_schema, decode, encode
+from daq.recording.sample_block import _HEAD, SAMPLE_TYPE, SCHEMAS, _size_prefix, block_schema, decode, encode
 from daq.recording.timebase import Timebase
 from rig.errors import RecordingError
 
@@ -40,6 +40,14 @@ def test_given_any_sample_when_its_time_is_taken_then_the_nearest_sample_at_that
 def test_given_an_impossible_rate_when_a_clock_is_made_then_it_says_so(rate):
     with pytest.raises(RecordingError, match="positive"):
         Timebase(rate)
+
+
+@given(
+    count=st.one_of(st.integers(0, 300), st.integers(2**14 - 9, 2**14 + 9), st.integers(2**21 - 9, 2**21 + 9))
+)
+def test_given_a_message_when_its_length_is_known_then_so_is_what_stands_before_its_samples(count):
+    size = varint(count)
+    assert _size_prefix(_HEAD.size + len(size) + count) == size
 
 
 @pytest.mark.parametrize("schema", SAMPLE_TYPE)

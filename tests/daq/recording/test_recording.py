@@ -401,8 +401,42 @@ def test_given_a_block_that_claims_to_be_far_away_when_all_is_read_then_memory_i
     with daq.open(path) as recording:
         assert recording.samples == 2**33 + 2
         assert recording.read("a", 2**33 - 1, 2**33 + 2)[1:].tolist() == [1.0, 2.0]
-        with pytest.raises(RecordingError, match=r"holds .* at most"):
+        held = len(message) // 4
+        with pytest.raises(RecordingError, match=f"samples 0 to {2**33 + 1} it holds {held} at most: a void"):
             recording.read("a")
+
+
+@pytest.mark.parametrize("large", [1 << 22, 0])
+def test_given_next_to_nothing_in_a_range_when_read_then_only_a_sixteenth_of_a_large_one_is_enough(
+    tmp_path, monkeypatch, large
+):
+    message, end = block_message(10**9, [1.0, 2.0])
+    data = chunk(b"", message, len(message), zlib.crc32(message))
+    path = hostile(tmp_path / "far.mcap", data, chunk_index(DATA_BEGINS, len(data), len(message), end))
+    monkeypatch.setattr("daq.recording.channel_series.LARGE_RANGE", large) if not large else None
+    most = large or len(message) // 4 * 16
+    with daq.open(path) as recording:
+        assert np.isnan(recording.read("a", 0, most)).all()
+        with pytest.raises(RecordingError, match="a void"):
+            recording.read("a", 0, most + 1)
+
+
+@pytest.mark.parametrize("late_ns", [-5_100_000, -4_900_000, 4_900_000, 5_100_000])
+def test_given_a_block_logged_half_a_sample_off_when_read_then_it_strays_and_the_error_says_by_what(
+    tmp_path, late_ns
+):
+    message, end = block_message(5, [1.0, 2.0], log_time=70_000_000 + late_ns)
+    data = chunk(b"", message, len(message), zlib.crc32(message))
+    path = hostile(tmp_path / "late.mcap", data, chunk_index(DATA_BEGINS, len(data), len(message), end))
+    if abs(late_ns) < 5_000_000:
+        assert daq.open(path).read("a", 5, 7).tolist() == [1.0, 2.0]
+        return
+    with pytest.raises(
+        RecordingError,
+        match="/raw/a: the block at sample 5 does not follow the layout: at 100 Hz it should begin at 50000000 ns and "
+        f"be logged at its end, 70000000 ns; it says 100 Hz, 50000000 ns and {end} ns",
+    ):
+        daq.open(path).read("a", 5, 7)
 
 
 @pytest.mark.parametrize("second", [0, 1])
@@ -412,7 +446,7 @@ def test_given_blocks_that_overlap_when_read_then_there_is_an_error(tmp_path, se
     inside = first + other
     data = chunk(b"", inside, len(inside), zlib.crc32(inside))
     path = hostile(tmp_path / "o.mcap", data, chunk_index(DATA_BEGINS, len(data), len(inside), end))
-    with pytest.raises(RecordingError, match="the block at sample"):
+    with pytest.raises(RecordingError, match=f"the block at sample {second} follows sample 2$"):
         daq.open(path).read("a", 0, 2)
 
 

@@ -126,7 +126,7 @@ def test_given_three_bodies_when_two_dampers_are_placed_then_each_pair_is_a_plac
         ({"bodies": [7]}, "numbers of bodies, from 1 to 3"),
         ({"dampers": 4}, "expected 1 to 3"),
         ({"band": (2.0, 3.0)}, "nothing resonates"),
-        ({"levels": [-1.0]}, "levels: got -1.0; expected a list of positive"),
+        ({"levels": [-1.0]}, r"levels: got -1\.0; expected a list of positive"),
         ({"clearance": (2e-3, 1e-3)}, "the smaller one first"),
         ({"uncertain": (2.0, 0.0)}, "two shares"),
         ({"cluster": "nonsense://"}, "no Dask scheduler answers"),

@@ -78,5 +78,13 @@ def test_given_several_shakers_when_no_test_names_one_then_a_response_is_refused
     free = scene(COIL, FORCE)
     with pytest.raises(SceneError, match="2 shakers, and no test says which one to drive"):
         rig.frequency_response(free.replace(test=None), [20.0])
-    with pytest.raises(SceneError, match="load the structure as well"):
-        receptance(free, [20.0])
+    for loading in (free, scene(COIL, CURRENT), scene(FORCE, TABLE)):
+        with pytest.raises(SceneError, match="load the structure as well"):
+            receptance(loading, [20.0])
+
+
+def test_given_several_forces_when_a_test_names_one_then_the_receptance_is_to_that_one() -> None:
+    named = scene(
+        FORCE, "{kind: force, body: 2}", more="test: {kind: sine, frequency: 20 Hz, force: 2 N, shaker: 2}\n"
+    )
+    assert np.array_equal(receptance(named, [20.0]), receptance(scene("{kind: force, body: 2}"), [20.0]))

@@ -1,0 +1,236 @@
+"""Contact decided at one instant, against mechanics written out: who is struck, who lifts, and at what speed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import rig
+from rig.engine.contact import _forces, _stays, _touches, impact, release_tensile
+from rig.engine.propagator import Propagator
+from rig.engine.state import CEILING, FLIGHT, FLOOR, SEPARATION, State
+from rig.numerics.complementarity import ROUNDING
+from rig.system.assembly import assemble
+from rig.system.hybrid_system import tone
+from tests.rig.numerics.test_complementarity import by_trying
+
+CLEARANCE = 2e-3
+SIGN = {FLOOR: 1.0, CEILING: -1.0}
+
+
+def engine(coupling: float, restitution: float = 0.0, lasting: int = 0) -> Propagator:
+    """Three bodies, coupled through their masses or not, with a damper in each; the first ones' contacts last."""
+    contact = {"contact": {"duration": "2 ms"}}
+    dampers = [
+        {"body": body, "mass": 0.1 * body, "clearance": CLEARANCE, "restitution": restitution}
+        | (contact if body <= lasting else {})
+        for body in (1, 2, 3)
+    ]
+    mass = np.diag([1.0, 0.8, 0.6]) + coupling * (1 - np.eye(3))
+    scene = rig.Scene.model_validate(
+        {
+            "structure": {
+                "matrices": {
+                    "mass": mass.tolist(),
+                    "stiffness": (4e3 * np.array([[2.0, -1, 0], [-1, 2, -1], [0, -1, 1]])).tolist(),
+                }
+            },
+            "dampers": dampers,
+            "shaker": {"kind": "force", "body": 1},
+            "test": {"kind": "sine", "frequency": 10.0, "force": 1.0},
+        }
+    )
+    return Propagator(assemble(scene), tone(np.ones(1), 60.0), 2e-3)
+
+
+def scatter(run: Propagator, modes: list[int], seed: int) -> State:
+    """Put it in some motion with dampers in given modes, flying ones away from their walls."""
+    chance, state, model = np.random.default_rng(seed), run.state, run.tables.model
+    size = run.tables.size
+    state.z[:size] = 1e-3 * chance.standard_normal(size)
+    state.z[model.velocity] = chance.standard_normal(3)
+    state.mode[:] = modes
+    state.height[:] = state.z[model.position] + chance.uniform(0.2, 0.8, 3) * CLEARANCE
+    state.speed[:] = chance.standard_normal(3)
+    state.counters[0] = -1
+    return state
+
+
+MODES = st.lists(st.sampled_from([FLIGHT, FLOOR, CEILING]), min_size=3, max_size=3)
+
+
+@given(modes=MODES, lasting=st.integers(0, 3), seed=st.integers(0, 10_000))
+def test_given_contacts_that_last_beside_others_when_forces_are_summed_then_they_are_those_of_the_system(
+    modes: list[int], lasting: int, seed: int
+) -> None:
+    run = engine(0.1, lasting=lasting)
+    state, model, system = scatter(run, modes, seed), run.tables.model, run.system
+    bits = sum((mode != FLIGHT) << j | (mode == CEILING) << 3 + j for j, mode in enumerate(modes))
+    force, constant = system.contact_forces(bits)
+    z, drive = state.z[: system.states], state.z[system.states : run.tables.size]
+    wanted = (system.force_state + force) @ z + constant + system.force_constant
+    wanted += system.force_drive @ (run.drive.output @ drive)
+    work = run.workspace.contact
+    _forces(model, state, work.force)
+    np.testing.assert_allclose(work.force[: system.coordinates], wanted, rtol=1e-9, atol=1e-9)
+
+
+@given(
+    coupled=st.booleans(),
+    restitution=st.sampled_from([0.0, 0.4]),
+    wall=st.sampled_from([FLOOR, CEILING]),
+    modes=MODES,
+    struck=st.integers(0, 2),
+    seed=st.integers(0, 10_000),
+)
+@settings(deadline=None)
+def test_given_a_damper_at_a_wall_when_it_hits_then_momentum_goes_over_and_all_part_as_their_laws_say(
+    coupled: bool, restitution: float, wall: int, modes: list[int], struck: int, seed: int
+) -> None:
+    run = engine(0.15 if coupled else 0.0, restitution)
+    modes[struck] = FLIGHT
+    state, model = scatter(run, modes, seed), run.tables.model
+    position, body = state.z[model.position], state.z[model.velocity]
+    sign, own = SIGN[wall], np.where(state.mode == FLIGHT, state.speed, body)
+    state.height[struck] = at = position[struck] + (CLEARANCE if wall == CEILING else 0.0)
+    closing = 0.1 + abs(own[struck])
+    own[struck] = state.speed[struck] = body[struck] - sign * closing
+    impact(
+        run.tables.flow, model, state, run.log, 7, 0.25, struck, wall,
+        run.workspace.contact, True if coupled else None,
+    )  # fmt: skip
+    after = state.z[model.velocity]
+    own_after = np.where(state.mode == FLIGHT, state.speed, after)
+    impulse = model.mass * (own_after - own)
+    np.testing.assert_allclose(run.system.mass @ (after - body), -impulse, atol=1e-12)
+    walls = np.array([wall if j == struck else modes[j] for j in range(3)])
+    for j in range(3):
+        assert SIGN.get(walls[j], 0.0) * impulse[j] >= -1e-12
+        # Who flies elsewhere is not touched, nor is anybody where nothing couples the bodies.
+        assert j == struck or (coupled and walls[j] != FLIGHT) or impulse[j] == 0.0
+    assert sign * (own_after[struck] - after[struck]) == pytest.approx(restitution * closing, abs=1e-12)
+    assert state.height[struck] == at or not restitution
+    assert state.multiplicity[struck] == sign or not restitution
+    log, count = run.log, run.log.filled[0]
+    (hit,) = np.flatnonzero(log.kind[:count] != SEPARATION)
+    told = [int(each[hit]) for each in (log.segment, log.damper, log.kind)]
+    assert (
+        told == [7, struck, wall] and log.offset[hit] == 0.25 and log.closing[hit] == pytest.approx(closing)
+    )
+    left = [int(j) for j in log.damper[:count][log.kind[:count] == SEPARATION]]
+    bounced = {struck} if restitution else set()
+    assert {j for j in range(3) if walls[j] != FLIGHT and state.mode[j] == FLIGHT} - bounced == set(left)
+    for j in left:
+        # It goes on as fast as its wall was; or, let go of by a wall that pushed no more, as fast as that is.
+        behind = SIGN[walls[j]] * (own_after[j] - after[j])
+        assert own_after[j] == (after[j] if behind == 0.0 else body[j])
+        assert behind >= 0.0 and state.height[j] == position[j] + (CLEARANCE if walls[j] == CEILING else 0.0)
+
+
+@given(coupled=st.booleans(), modes=MODES, seed=st.integers(0, 10_000))
+@settings(deadline=None)
+def test_given_riding_dampers_when_those_that_would_be_pulled_are_let_go_then_trying_all_combinations_agrees(
+    coupled: bool, modes: list[int], seed: int
+) -> None:
+    run = engine(0.15 if coupled else 0.0)
+    state, model, system = scatter(run, modes, seed), run.tables.model, run.system
+    work = run.workspace.contact
+    _forces(model, state, work.force)
+    riding = np.flatnonzero(np.array(modes) != FLIGHT)
+    sign = np.array([SIGN[modes[j]] for j in riding])
+    inverse = np.linalg.inv(system.mass)
+    free = inverse @ work.force[:3]
+    right = sign * (-model.gravity - free[riding])
+    matrix = sign[:, None] * inverse[np.ix_(riding, riding)] * sign + np.diag(1.0 / model.mass[riding])
+    pressure = by_trying(matrix, right)
+    release_tensile(run.tables.flow, model, state, run.log, 1, 0.5, work, True if coupled else None)
+    lifted = riding[(pressure == 0.0) & (matrix @ pressure + right > 1e-9)]
+    assert set(np.flatnonzero(state.mode == FLIGHT)) - set(np.flatnonzero(np.array(modes) == FLIGHT)) == set(
+        lifted
+    )
+    assert run.log.damper[: run.log.filled[0]].tolist() == lifted.tolist()
+    for j in lifted:
+        floor = modes[j] == FLOOR
+        assert state.speed[j] == state.z[model.velocity[j]]
+        assert state.height[j] == state.z[model.position[j]] + (0.0 if floor else CLEARANCE)
+        assert state.multiplicity[j] == (2 if floor else -2)
+
+
+@pytest.mark.parametrize("wall", [FLOOR, CEILING])
+@pytest.mark.parametrize("coupled", [False, True])
+def test_given_a_rebound_when_it_rises_less_than_the_rounding_of_its_wall_then_it_stays_there(
+    wall: int, coupled: bool
+) -> None:
+    run = engine(0.2 if coupled else 0.0)
+    state, model, work = run.state, run.tables.model, run.workspace.contact
+    state.mode[1], row = wall, model.position[1]
+    state.z[row], size = -0.3, 2 * 0.3 + (CLEARANCE if wall == CEILING else 0.0)
+    force = np.array([3.0, -20.0 * SIGN[wall] - 10.0, 5.0])
+    if not coupled:
+        force[1] = 8.0 if wall == FLOOR else -25.0
+    inverse = np.linalg.inv(run.system.mass)[1]
+    pull = model.gravity + np.abs(inverse * force).sum()
+    if not coupled:
+        pull = SIGN[wall] * (model.gravity + inverse[1] * force[1])
+    lowest = np.sqrt(2 * pull * ROUNDING * size)
+    work.force[:3] = force
+    assert _stays(model, state, 1, 0.999 * lowest, work.force)
+    assert not _stays(model, state, 1, 1.001 * lowest, work.force)
+    if not coupled:
+        # Nothing presses it there.
+        work.force[1] = -100.0 * SIGN[wall]
+        assert not _stays(model, state, 1, 1e-30, work.force)
+
+
+@pytest.mark.parametrize(
+    ("gap", "closing", "known", "wall"),
+    [
+        (0.0, 1.0, 0, FLOOR),
+        (1e-17, 1.0, 0, FLOOR),
+        (1e-12, 1.0, 0, FLIGHT),
+        (0.0, -1.0, 0, FLIGHT),
+        (0.0, 0.0, 0, FLIGHT),
+        (0.0, 1.0, 1, FLIGHT),
+        (0.0, 1.0, -1, FLOOR),
+        (CLEARANCE, -1.0, 0, CEILING),
+        (CLEARANCE - 1e-17, -1.0, 0, CEILING),
+        (CLEARANCE - 1e-12, -1.0, 0, FLIGHT),
+        (CLEARANCE, 1.0, 0, FLIGHT),
+        (CLEARANCE, -1.0, -1, FLIGHT),
+        (CLEARANCE, -1.0, 1, CEILING),
+    ],
+)
+def test_given_a_flying_damper_when_it_is_at_a_wall_and_comes_nearer_then_it_touches(
+    gap: float, closing: float, known: int, wall: int
+) -> None:
+    run = engine(0.1)
+    state, model = run.state, run.tables.model
+    state.mode[1] = FLIGHT
+    state.z[model.position[1]], state.z[model.velocity[1]] = -1.0 / 64, 0.5
+    state.height[1], state.speed[1] = -1.0 / 64 + gap, 0.5 - closing
+    state.multiplicity[1] = known
+    assert _touches(model, state, 1) == wall
+
+
+def test_given_masses_coupled_by_less_than_rounding_when_run_then_events_are_those_without_coupling() -> None:
+    events = []
+    for coupling in (0.0, 4e-16):
+        scene = rig.Scene.model_validate(
+            {
+                "structure": {
+                    "matrices": {
+                        "mass": [[1.0, coupling], [coupling, 1.0]],
+                        "stiffness": [[4e3, 0.0], [0.0, 5e3]],
+                    }
+                },
+                "dampers": [{"body": body, "mass": 0.1, "clearance": CLEARANCE} for body in (1, 2)],
+                "shaker": {"kind": "force", "body": [1, 2]},
+                "test": {"kind": "sine", "frequency": 10.0, "force": 12.0},
+            }
+        )
+        events.append(rig.simulate(scene, 1.0, rate=200.0).events)
+    assert len(events[0]) > 30
+    assert events[0][["damper", "kind"]].tolist() == events[1][["damper", "kind"]].tolist()
+    np.testing.assert_allclose(events[0]["time"], events[1]["time"], atol=1e-9)

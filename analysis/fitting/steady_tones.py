@@ -13,10 +13,10 @@ from analysis.fitting.predicted import linear
 from rig.errors import RunError, SceneError
 from rig.orbits.admissibility import survey
 from rig.orbits.event_sequence import Plan
+from rig.orbits.newton import correct
 from rig.orbits.orbit import Following, Orbit
 from rig.orbits.periodic_orbit import enter, search, start_march
 from rig.orbits.problem import OperatingPoint, OrbitProblem
-from rig.orbits.shooting import correct
 from rig.scene.matrices import Matrices
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker

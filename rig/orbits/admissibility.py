@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.numerics.jit import stored
-from rig.orbits.shooting import (
+from rig.orbits.matrix_exponential import exponential
+from rig.orbits.orbit_equations import (
     CEILING,
     CEILING_BOUNCE,
     FLOOR,
@@ -23,9 +24,8 @@ from rig.orbits.shooting import (
     Array,
     Equations,
     Sequence,
-    Shot,
-    exponential,
 )
+from rig.orbits.shooting import Shot
 
 # Product of an interval with the fastest rate. The extremes of quintics are then good to 1e-9 of the motion, and
 # the harmonic to rounding.
@@ -76,6 +76,117 @@ def _turning(left: float, right: float, slopes: Array, curves: Array, step: floa
 
 
 @stored
+def _stretches(equations: Equations, sequence: Sequence, instants: Array) -> tuple[Array, Array, int]:
+    """Begin and length of the stretches, the last up to the first event after the period, and the points in each."""
+    events = sequence.kind.shape[0]
+    stretches = max(events, 1)
+    begin, length = np.zeros(stretches), np.full(stretches, equations.period)
+    longest = 0.0
+    for s in range(stretches):
+        if events > 0:
+            begin[s] = instants[s]
+            after = instants[s + 1] if s + 1 < events else equations.period + instants[0]
+            length[s] = after - begin[s]
+        longest = max(longest, abs(length[s]) * equations.rate[sequence.slot[min(s + 1, events)]])
+    return begin, length, max(8, min(MOST_POINTS, int(np.ceil(longest / INTERVAL))))
+
+
+@stored
+def _march(a: Array, flow: Array, start: Array, x: Array, rate: Array) -> None:
+    """States at even times, x (points + 1, states + 3) by the flow of one step, and their derivatives A x."""
+    x[0] = start
+    for i in range(x.shape[0]):
+        for m in range(x.shape[1]):
+            rate[i, m] = 0.0
+            for c in range(x.shape[1]):
+                rate[i, m] += a[m, c] * x[i, c]
+        if i + 1 < x.shape[0]:
+            for m in range(x.shape[1]):
+                x[i + 1, m] = 0.0
+                for c in range(x.shape[1]):
+                    x[i + 1, m] += flow[m, c] * x[i, c]
+
+
+@stored
+def _widen(reach: Array, x: Array, rate: Array, step: float) -> None:
+    """Widen the least and largest value of each coordinate to those of a stretch, turning points included."""
+    nq = reach.shape[0]
+    for i in range(x.shape[0]):
+        for q in range(nq):
+            here, speed = x[i, q], x[i, nq + q]
+            reach[q, 0], reach[q, 1] = min(reach[q, 0], here), max(reach[q, 1], here)
+            if i > 0 and x[i - 1, nq + q] * speed < 0.0:
+                slopes = np.array([x[i - 1, nq + q], speed])
+                bends = np.array([rate[i - 1, nq + q], rate[i, nq + q]])
+                there = _turning(x[i - 1, q], here, slopes, bends, step)
+                reach[q, 0], reach[q, 1] = min(reach[q, 0], there), max(reach[q, 1], there)
+
+
+@stored
+def _guard(
+    equations: Equations,
+    a: Array,
+    wall: int,
+    j: int,
+    begun: Array,
+    x: Array,
+    rate: Array,
+    step: float,
+    guard: Array,
+) -> None:
+    """Guard of a damper along a stretch with two derivatives: its height above the floor, or its weight on a wall."""
+    nq, nd = equations.inverse_mass.shape[1], equations.position.shape[0]
+    n, body, gravity = x.shape[1] - 3, equations.position[j], equations.gravity
+    if wall == 0:
+        height, speed = begun[n + j], begun[n + nd + j]
+        for i in range(x.shape[0]):
+            t = i * step
+            guard[i, 0] = height + (speed - 0.5 * gravity * t) * t - x[i, body]
+            guard[i, 1] = speed - gravity * t - x[i, nq + body]
+            guard[i, 2] = -gravity - rate[i, nq + body]
+        return
+    weight = np.zeros((3, n + 3))
+    weight[0] = a[nq + body]
+    weight[1] = weight[0] @ a
+    weight[2] = weight[1] @ a
+    for i in range(x.shape[0]):
+        guard[i, 0] = gravity
+        for m in range(n + 3):
+            for d in range(3):
+                guard[i, d] += weight[d, m] * x[i, m]
+
+
+@stored
+def _first_harmonic(a: Array, omega: float, times: Array, x: Array, step: float) -> NDArray[np.complex128]:
+    """Integrate exp(-i w t) x over a stretch by the trapezoidal rule with Euler's and Maclaurin's corrections."""
+    points, size = x.shape[0] - 1, x.shape[1]
+    total = np.zeros(size, dtype=np.complex128)
+    jump, turned = np.zeros(size, dtype=np.complex128), np.zeros(size, dtype=np.complex128)
+    for i in range(points + 1):
+        turn = np.exp(-1j * omega * times[i])
+        for m in range(size):
+            if i == 0:
+                jump[m] = -turn * x[i, m]
+                total[m] = 0.5 * turn * x[i, m]
+            elif i == points:
+                jump[m] += turn * x[i, m]
+                total[m] += 0.5 * turn * x[i, m]
+            else:
+                total[m] += turn * x[i, m]
+    # The derivatives of exp(-i w t) x are powers of (A - i w) times itself; only the odd ones count.
+    for order in range(2 * len(_ENDS) - 1):
+        for m in range(size):
+            turned[m] = -1j * omega * jump[m]
+            for c in range(size):
+                turned[m] += a[m, c] * jump[c]
+        for m in range(size):
+            jump[m] = turned[m] * step
+            if order % 2 == 0:
+                total[m] -= _ENDS[order // 2] * jump[m]
+    return step * total
+
+
+@stored
 def follow(equations: Equations, sequence: Sequence, instants: Array, states: Array) -> Track:
     """Follow an orbit between its events.
 
@@ -89,101 +200,30 @@ def follow(equations: Equations, sequence: Sequence, instants: Array, states: Ar
         As `shoot` returns them.
     """
     n = equations.generator.shape[1] - 3
-    nq, nd = equations.inverse_mass.shape[1], equations.position.shape[0]
-    events, omega = sequence.kind.shape[0], equations.omega
-    stretches = max(events, 1)
-    begin, length = np.zeros(stretches), np.full(stretches, equations.period)
-    longest = 0.0
-    for s in range(stretches):
-        if events > 0:
-            begin[s] = instants[s]
-            after = instants[s + 1] if s + 1 < events else equations.period + instants[0]
-            length[s] = after - begin[s]
-        longest = max(longest, abs(length[s]) * equations.rate[sequence.slot[min(s + 1, events)]])
-    points = max(8, min(MOST_POINTS, int(np.ceil(longest / INTERVAL))))
+    nq, nd, omega = equations.inverse_mass.shape[1], equations.position.shape[0], equations.omega
+    begin, length, points = _stretches(equations, sequence, instants)
+    stretches = begin.size
     times = np.zeros((stretches, points + 1))
     motion = np.zeros((stretches, points + 1, n))
     guards = np.zeros((stretches, points + 1, nd, 3))
     reach = np.empty((nq, 2))
     reach[:, 0], reach[:, 1] = np.inf, -np.inf
     harmonic = np.zeros(n, dtype=np.complex128)
-    x, end = np.ones(n + 3), np.ones(n + 3)
-    rate, last = np.zeros(n + 3), np.zeros(n + 3)
-    total = np.zeros(n + 3, dtype=np.complex128)
-    jump, turned = np.zeros(n + 3, dtype=np.complex128), np.zeros(n + 3, dtype=np.complex128)
+    start, x, rate = np.ones(n + 3), np.empty((points + 1, n + 3)), np.empty((points + 1, n + 3))
     for s in range(stretches):
-        k = s + 1 if events > 0 else 0
-        slot = sequence.slot[k]
+        k = s + 1 if sequence.kind.shape[0] > 0 else 0
+        slot, step = sequence.slot[k], length[s] / points
         a = equations.generator[slot]
-        step = length[s] / points
-        flow = exponential(a, step, equations.rate[slot])
-        forces = np.zeros((nd, 3, n + 3))
-        for j in range(nd):
-            forces[j, 0] = a[nq + equations.position[j]]
-            if sequence.wall[k, j] != 0:
-                forces[j, 1] = forces[j, 0] @ a
-                forces[j, 2] = forces[j, 1] @ a
-        x[:n], x[n + 2] = states[k, :n], 1.0
-        x[n], x[n + 1] = np.cos(omega * begin[s]), np.sin(omega * begin[s])
-        total[:] = 0.0
+        start[:n] = states[k, :n]
+        start[n], start[n + 1] = np.cos(omega * begin[s]), np.sin(omega * begin[s])
+        _march(a, exponential(a, step, equations.rate[slot]), start, x, rate)
         for i in range(points + 1):
             times[s, i] = begin[s] + i * step
-            motion[s, i] = x[:n]
-            for m in range(n + 3):
-                rate[m] = 0.0
-                for c in range(n + 3):
-                    rate[m] += a[m, c] * x[c]
-            for q in range(nq):
-                here, speed = x[q], x[nq + q]
-                reach[q, 0], reach[q, 1] = min(reach[q, 0], here), max(reach[q, 1], here)
-                if i > 0 and motion[s, i - 1, nq + q] * speed < 0.0:
-                    slopes = np.array([motion[s, i - 1, nq + q], speed])
-                    bends = np.array([last[nq + q], rate[nq + q]])
-                    there = _turning(motion[s, i - 1, q], here, slopes, bends, step)
-                    reach[q, 0], reach[q, 1] = min(reach[q, 0], there), max(reach[q, 1], there)
-            for j in range(nd):
-                body = equations.position[j]
-                if sequence.wall[k, j] == 0:
-                    t = i * step
-                    fallen = states[k, n + j] + (states[k, n + nd + j] - 0.5 * equations.gravity * t) * t
-                    guards[s, i, j, 0] = fallen - x[body]
-                    guards[s, i, j, 1] = states[k, n + nd + j] - equations.gravity * t - x[nq + body]
-                    guards[s, i, j, 2] = -equations.gravity - rate[nq + body]
-                else:
-                    guards[s, i, j, 0] = equations.gravity
-                    for m in range(n + 3):
-                        for d in range(3):
-                            guards[s, i, j, d] += forces[j, d, m] * x[m]
-            turn = np.exp(-1j * omega * times[s, i])
-            if i == 0:
-                for m in range(n + 3):
-                    jump[m] = -turn * x[m]
-                    total[m] = 0.5 * turn * x[m]
-            elif i == points:
-                for m in range(n + 3):
-                    jump[m] += turn * x[m]
-                    total[m] += 0.5 * turn * x[m]
-            else:
-                for m in range(n + 3):
-                    total[m] += turn * x[m]
-            last[:] = rate
-            for m in range(n + 3):
-                end[m] = 0.0
-                for c in range(n + 3):
-                    end[m] += flow[m, c] * x[c]
-            x[:] = end
-        # The derivatives of exp(-i w t) x are powers of (A - i w) times itself; only the odd ones count.
-        for order in range(2 * len(_ENDS) - 1):
-            for m in range(n + 3):
-                turned[m] = -1j * omega * jump[m]
-                for c in range(n + 3):
-                    turned[m] += a[m, c] * jump[c]
-            for m in range(n + 3):
-                jump[m] = turned[m] * step
-                if order % 2 == 0:
-                    total[m] -= _ENDS[order // 2] * jump[m]
-        for m in range(n):
-            harmonic[m] += step * total[m]
+            motion[s, i] = x[i, :n]
+        _widen(reach, x, rate, step)
+        for j in range(nd):
+            _guard(equations, a, sequence.wall[k, j], j, states[k], x, rate, step, guards[s, :, j])
+        harmonic += _first_harmonic(a, omega, times[s], x, step)[:n]
     return Track(times, motion, guards, reach, harmonic)
 
 

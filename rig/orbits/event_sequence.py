@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rig.engine.state import CEILING_IMPACT, FLOOR_IMPACT
 from rig.engine.trajectory import Trajectory
 from rig.errors import RunError
-from rig.orbits.shooting import (
+from rig.orbits.orbit_equations import (
     CEILING,
     CEILING_BOUNCE,
     FLOOR,

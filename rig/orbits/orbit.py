@@ -16,8 +16,8 @@ from rig.engine.trajectory import EVENT, KINDS
 from rig.errors import RunError
 from rig.orbits.admissibility import follow, survey
 from rig.orbits.event_sequence import Plan
-from rig.orbits.problem import OperatingPoint, OrbitProblem, Parameter, vary
-from rig.orbits.shooting import (
+from rig.orbits.newton import correct, monodromy
+from rig.orbits.orbit_equations import (
     CEILING,
     CEILING_BOUNCE,
     FLOOR,
@@ -26,11 +26,9 @@ from rig.orbits.shooting import (
     WITH_LAST,
     Change,
     Equations,
-    Shot,
-    correct,
-    monodromy,
-    shoot,
 )
+from rig.orbits.problem import OperatingPoint, OrbitProblem, Parameter, vary
+from rig.orbits.shooting import Shot, shoot
 from rig.response.motion_type import overall
 from rig.results import Result, styled
 from rig.scene.shaker import ForceShaker

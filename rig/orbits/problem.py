@@ -12,7 +12,7 @@ from scipy.linalg import matrix_balance
 
 from rig.errors import SceneError
 from rig.orbits.event_sequence import Plan
-from rig.orbits.shooting import Change, Equations
+from rig.orbits.orbit_equations import Change, Equations
 from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, RATIO, Kind, positives
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from rig.engine.propagator import Propagator
 from rig.errors import RunError
 from rig.numerics.jit import stored
+from rig.orbits.newton import correct, distance
 from rig.orbits.orbit import Following, Orbit
 from rig.orbits.periodic_orbit import enter, period_steps, search, start_march
 from rig.orbits.problem import (
@@ -30,7 +31,6 @@ from rig.orbits.problem import (
     parameter_values,
     vary,
 )
-from rig.orbits.shooting import correct, distance
 from rig.response.frequency_response import draw_compliance
 from rig.response.motion_type import motion_types, overall
 from rig.response.steady_state import MARKS, one_cycle

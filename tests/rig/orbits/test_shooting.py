@@ -5,10 +5,10 @@ import pytest
 from scipy.linalg import expm
 
 import rig
+from rig.orbits.matrix_exponential import exponential
 from rig.orbits.orbit import Following
 from rig.orbits.periodic_orbit import periodic_orbit
 from rig.orbits.problem import PARAMETERS, OperatingPoint, OrbitProblem, Parameter, vary
-from rig.orbits.shooting import exponential
 
 
 @pytest.mark.parametrize("parameter", PARAMETERS)

@@ -1,0 +1,61 @@
+"""What an orbit is the solution of: the equations of motion in each configuration, and the sequence of its events."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+# Kinds of events. A damper that bounces leaves the wall in the instant in which it hits it, with the common
+# velocity (osculating contact) or with its rebound; one that leaves `WITH_LAST` is thrown off by the event
+# before, at the same instant.
+SEPARATION, FLOOR, CEILING, FLOOR_BOUNCE, CEILING_BOUNCE, WITH_LAST = 0, 1, 2, 3, 4, 5
+
+
+class Equations(NamedTuple):
+    """The equations of motion in every configuration that an orbit visits, for one set of parameters."""
+
+    generator: Array
+    """shape (configurations, states + 3, states + 3)."""
+    rate: Array
+    """Bound on how fast each generator turns or grows what it acts on [1/s]; shape (configurations,)."""
+    inverse_mass: Array
+    """shape (configurations, coordinates, coordinates)."""
+    position: Whole
+    """Coordinate of each damper's body; int64, shape (dampers,)."""
+    mass: Array
+    clearance: Array
+    restitution: Array
+    """mass, clearance, restitution: shape (dampers,)."""
+    gravity: float
+    omega: float
+    period: float
+    """Length of the orbit, a multiple of the drive's period [s]."""
+
+
+class Change(NamedTuple):
+    """Derivatives of the fields of `Equations` with respect to the parameter that is followed."""
+
+    generator: Array
+    inverse_mass: Array
+    mass: Array
+    clearance: Array
+    omega: float
+    period: float
+
+
+class Sequence(NamedTuple):
+    """Which events happen, in order."""
+
+    kind: Whole
+    damper: Whole
+    """kind, damper: int64, shape (events,)."""
+    slot: Whole
+    """Configuration of each stretch: before the first event, between events, after the last; int64, shape
+    (events + 1,)."""
+    wall: Whole
+    """In each stretch: 0 in flight, 1 on the floor, 2 at the ceiling; int64, shape (events + 1, dampers)."""

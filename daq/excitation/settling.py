@@ -119,11 +119,15 @@ class Settling:
             return
         law = self._law = Law.of(self._looks[-_DIFFERENCES - 1 :])
         self._forecasts.append(self._forecast(law))
-        decayed = self._decayed(law)
-        steady = bool(decayed.all() or (decayed | self._within(law) | self._scattered(law)).all())
+        steady = self._decayed(law)
+        # The further questions take longer, and only where there is no law.
+        if not steady.all():
+            steady |= self._within(law)
+        if not steady.all() and not (law.seen & ~steady).any():
+            steady |= self._scattered(law)
         # One look may pass by chance, where a beat turns back on itself.
-        self.settled = steady and self._steady_before
-        self._steady_before = steady
+        self.settled = bool(steady.all()) and self._steady_before
+        self._steady_before = bool(steady.all())
 
     def expected(self) -> ComplexArray:
         """Amplitudes the quantities are heading for, as far as the looks tell; shape (quantities,)."""
@@ -158,8 +162,8 @@ class Settling:
         return np.maximum(abs(self._looks[-1]), sys.float_info.min)
 
     def _forecast(self, law: Law) -> ComplexArray:
-        recent = np.mean(self._looks[-_NOISE_LOOKS // 2 :], axis=0)
-        return np.where(law.seen & (abs(law.factor) < 0.995), self._looks[-1] + law.to_come(), recent)
+        known = law.seen & (abs(law.factor) < 0.995)
+        return np.where(known, self._looks[-1] + law.to_come(), _mean(self._looks[-_NOISE_LOOKS // 2 :]))
 
     def _decayed(self, law: Law) -> NDArray[np.bool_]:
         return law.seen & (law.left() < self.tolerance * self._size())
@@ -173,8 +177,8 @@ class Settling:
         if self.looks < _AGREEING:
             return np.zeros(self._looks[-1].size, dtype=bool)
         latest = self._looks[-_AGREEING:]
-        spread = abs(latest - latest.mean(axis=0)).max(axis=0)
-        drift = abs(latest[_AGREEING // 2 :].mean(axis=0) - latest[: _AGREEING // 2].mean(axis=0))
+        spread = abs(latest - _mean(latest)).max(axis=0)
+        drift = abs(_mean(latest[_AGREEING // 2 :]) - _mean(latest[: _AGREEING // 2]))
         limit = self.tolerance * self._size()
         return (~law.seen | (spread < 0.01 * limit)) & (spread < limit) & (drift < 0.1 * limit)
 
@@ -196,3 +200,8 @@ class Settling:
         error = np.hypot(early, late) / np.sqrt(looks // 2)
         agree = abs(means[1] - means[0]) < np.maximum(2.0 * error, self.tolerance * self._size())
         return agree & (late > _STILL_NOISE * early) & (np.maximum(early, late) < most * self._size())
+
+
+def _mean(looks: ComplexArray) -> ComplexArray:
+    """Average looks, shape (looks, quantities), without what numpy's own does besides, which takes as long again."""
+    return np.asarray(np.add.reduce(looks, axis=0) / len(looks))

@@ -25,7 +25,10 @@ from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
+from numba.core import types
 from numba.core.caching import FunctionCache
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
 from numba.core.serialize import dumps
 from numba.misc.appdirs import AppDirs
 
@@ -76,7 +79,7 @@ class KernelCache(FunctionCache):
         # The code of other functions needs nothing of what refreshing brings in, which takes longer than loading it.
         code = self._load_overload(sig, target_context)
         if code is None:
-            _say_once("compiling machine code for this processor, once: up to a minute or two")
+            _say_once("compiling machine code for this processor, once: up to a minute")
         return code
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -199,13 +202,53 @@ def _constants(code: CodeType) -> Iterator[Any]:
     return (constant for constant in code.co_consts if not isinstance(constant, CodeType))
 
 
+class _Inlined(JITCodeLibrary):
+    """Code that is only ever compiled into other functions: optimised and made machine code of there, not by itself."""
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        self._finalized = True
+
+
+class _Inliner(Compiler):
+    """Compiles functions for others, without a way in from Python, which would take longer than the function itself."""
+
+    def define_pipelines(self) -> Any:
+        state = self.state
+        state.flags.no_compile = state.flags.no_cpython_wrapper = state.flags.no_cfunc_wrapper = True
+        state.library = _Inlined(state.targetctx.codegen(), state.func_id.func_qualname)
+        return super().define_pipelines()
+
+
+def _callee(function: Callable[..., object], options: dict[str, Any]) -> Any:
+    """Make what compiles a function into its callers; each type of its arguments once, not each constant of them."""
+    dispatcher: Any = numba.njit(**options, pipeline_class=_Inliner)(function)
+
+    def add_overload(result: Any) -> None:
+        dispatcher.overloads[tuple(result.signature.args)] = result
+        result.target_context.insert_user_function(result.fndesc, result.fndesc, [result.library])
+
+    dispatcher.add_overload = add_overload
+    return dispatcher
+
+
 def _njit(function: F, **options: Any) -> F:
     dispatcher: Any = numba.njit(**options)(function)
+    callee = functools.cache(lambda: _callee(function, options))
+
+    def get_call_template(args: tuple[Any, ...], kws: dict[str, Any]) -> Any:
+        named = {name: types.unliteral(kind) for name, kind in kws.items()}
+        return callee().get_call_template(tuple(map(types.unliteral, args)), named)
+
+    dispatcher.get_call_template = get_call_template
+    dispatcher.get_overload = lambda args: callee().overloads[args].fndesc
     try:
         dispatcher._cache = KernelCache(function, options)  # noqa: SLF001 - what `cache=True` does with numba's own
     except OSError:
         _say_once(
-            "machine code is compiled at every start, which takes a minute or two: no folder can be written to that "
+            "machine code is compiled at every start, which takes up to a minute: no folder can be written to that "
             "would keep it; name one in NUMBA_CACHE_DIR"
         )
     return cast(F, dispatcher)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,19 +29,52 @@ ITERATIONS = 50
 SIDES = (FLIGHT, FLOOR, CEILING)
 
 
+class Course(NamedTuple):
+    """The drive, and the steps in which it is followed."""
+
+    cosine: Array
+    sine: Array
+    """cosine, sine: what the tone's parts add to the rates; shape (states,)."""
+    omega: float
+    step: float
+    steps: int
+    every: int
+    """Steps from sample to sample."""
+    start: Array
+
+
+class Cavities(NamedTuple):
+    """Where the dampers' walls are."""
+
+    gap: Array
+    closing: Array
+    """gap, closing: height above the floor and its rate as rows over the state; shape (dampers, states)."""
+    clearance: Array
+
+
+class Springs(NamedTuple):
+    """What stands for the walls in a penalty scheme; shape (dampers,)."""
+
+    stiffness: Array
+    dashpot: Array
+
+
 def penalty_runge_kutta(problem: FirstOrderForm, steps: int) -> Outcome:
     """Spring and dashpot at every wall; classical Runge-Kutta of fourth order, `steps` a period."""
     step = _step(problem, steps)
-    stiffness, dashpot = _penalty(problem, step)
+    springs = _penalty(problem, step)
     return _outcome(
         problem,
         step,
         *_runge_kutta(
-            problem.flight, problem.constant, problem.cosine, problem.sine, problem.omega, step,
-            *_marks(problem, steps), _settled(problem, stiffness), *_geometry(problem), problem.push, stiffness,
-            dashpot,
+            problem.flight,
+            problem.constant,
+            problem.push,
+            _course(problem, steps, problem.cosine, problem.sine, _settled(problem, springs)),
+            _cavities(problem),
+            springs,
         ),
-    )  # fmt: skip
+    )
 
 
 def penalty_newmark(problem: FirstOrderForm, steps: int) -> Outcome:
@@ -50,7 +84,8 @@ def penalty_newmark(problem: FirstOrderForm, steps: int) -> Outcome:
     a step are iterated until they agree with its end.
     """
     step = _step(problem, steps)
-    stiffness, dashpot = _penalty(problem, step)
+    springs = _penalty(problem, step)
+    stiffness, dashpot = springs
     size, dampers = problem.size, len(problem.rows)
     sets = list(product(SIDES, repeat=dampers))
     solve, explicit = np.zeros((len(sets), size, size)), np.zeros((len(sets), size, size))
@@ -71,10 +106,14 @@ def penalty_newmark(problem: FirstOrderForm, steps: int) -> Outcome:
         problem,
         step,
         *_newmark(
-            solve, explicit, constant, problem.cosine, problem.sine, problem.omega, step, *_marks(problem, steps),
-            _settled(problem, stiffness), *_geometry(problem), stiffness, dashpot,
+            solve,
+            explicit,
+            constant,
+            _course(problem, steps, problem.cosine, problem.sine, _settled(problem, springs)),
+            _cavities(problem),
+            springs,
         ),
-    )  # fmt: skip
+    )
 
 
 def moreau_jean(problem: FirstOrderForm, steps: int) -> Outcome:
@@ -88,25 +127,35 @@ def moreau_jean(problem: FirstOrderForm, steps: int) -> Outcome:
         problem,
         step,
         *_moreau(
-            advance, solve @ problem.constant * step, solve @ problem.cosine * 0.5 * step,
-            solve @ problem.sine * 0.5 * step, problem.omega, step, *_marks(problem, steps), problem.start,
-            *_geometry(problem), kicks, problem.closing @ kicks, restitution,
+            advance,
+            solve @ problem.constant * step,
+            kicks,
+            problem.closing @ kicks,
+            restitution,
+            _course(
+                problem,
+                steps,
+                solve @ problem.cosine * 0.5 * step,
+                solve @ problem.sine * 0.5 * step,
+                problem.start,
+            ),
+            _cavities(problem),
         ),
-    )  # fmt: skip
+    )
 
 
 def _step(problem: FirstOrderForm, steps: int) -> float:
     return 1.0 / (problem.tone.frequency * steps)
 
 
-def _marks(problem: FirstOrderForm, steps: int) -> tuple[int, int]:
-    """Count the steps in all, and those between samples."""
-    return problem.periods * steps, steps // PER_PERIOD
+def _course(problem: FirstOrderForm, steps: int, cosine: Array, sine: Array, start: Array) -> Course:
+    step = _step(problem, steps)
+    return Course(cosine, sine, problem.omega, step, problem.periods * steps, steps // PER_PERIOD, start)
 
 
-def _geometry(problem: FirstOrderForm) -> tuple[Array, Array, Array]:
-    system = problem.system
-    return _gap_rows(problem), problem.closing, np.asarray(system.clearance, dtype=np.float64)
+def _cavities(problem: FirstOrderForm) -> Cavities:
+    clearance = np.asarray(problem.system.clearance, dtype=np.float64)
+    return Cavities(_gap_rows(problem), problem.closing, clearance)
 
 
 def _gap_rows(problem: FirstOrderForm) -> Array:
@@ -116,7 +165,7 @@ def _gap_rows(problem: FirstOrderForm) -> Array:
     return rows
 
 
-def _penalty(problem: FirstOrderForm, step: float) -> tuple[Array, Array]:
+def _penalty(problem: FirstOrderForm, step: float) -> Springs:
     """Stiffness that the step can follow, and the dashpot that gives the restitution in a free impact.
 
     The dashpot acts as long as the wall is dented: were its pull cut off, plastic impacts would rebound by 13 %
@@ -127,13 +176,14 @@ def _penalty(problem: FirstOrderForm, step: float) -> tuple[Array, Array]:
     restitution = np.asarray(problem.system.restitution, dtype=np.float64)
     logs = np.log(np.maximum(restitution, 1e-300))
     ratio = np.where(restitution > 0.0, -logs / np.hypot(np.pi, logs), 1.0)
-    return mass * rate**2, 2.0 * ratio * mass * rate
+    return Springs(mass * rate**2, 2.0 * ratio * mass * rate)
 
 
-def _settled(problem: FirstOrderForm, stiffness: Array) -> Array:
+def _settled(problem: FirstOrderForm, springs: Springs) -> Array:
     """Start with every damper sunk into its floor by its weight."""
     start, system = problem.start.copy(), problem.system
-    start[system.states : system.states + system.dampers] -= system.damper_mass * system.gravity / stiffness
+    sunk = system.damper_mass * system.gravity / springs.stiffness
+    start[system.states : system.states + system.dampers] -= sunk
     return start
 
 
@@ -154,10 +204,9 @@ def _outcome(problem: FirstOrderForm, step: float, samples: Array, sides: NDArra
 
 
 @stored
-def _forces(
-    z: Array, gap: Array, closing: Array, clearance: Array, stiffness: Array, dashpot: Array, out: Array,
-    sides: NDArray[np.int8],
-) -> None:  # fmt: skip
+def _forces(z: Array, cavities: Cavities, springs: Springs, out: Array, sides: NDArray[np.int8]) -> None:
+    gap, closing, clearance = cavities
+    stiffness, dashpot = springs
     for j in range(gap.shape[0]):
         height = 0.0
         speed = 0.0
@@ -176,10 +225,10 @@ def _forces(
 
 @stored
 def _runge_kutta(
-    matrix: Array, constant: Array, cosine: Array, sine: Array, omega: float, step: float, steps: int, every: int,
-    start: Array, gap: Array, closing: Array, clearance: Array, push: Array, stiffness: Array, dashpot: Array,
-) -> tuple[Array, NDArray[np.int8]]:  # fmt: skip
-    size, dampers = start.shape[0], gap.shape[0]
+    matrix: Array, constant: Array, push: Array, course: Course, cavities: Cavities, springs: Springs
+) -> tuple[Array, NDArray[np.int8]]:
+    cosine, sine, omega, step, steps, every, start = course
+    size, dampers = start.shape[0], cavities.gap.shape[0]
     samples = np.zeros((steps // every + 1, size))
     history = np.zeros((steps + 1, dampers), dtype=np.int8)
     z, stage, total = start.copy(), np.zeros(size), np.zeros(size)
@@ -194,7 +243,7 @@ def _runge_kutta(
                 stage[i] = z[i] + share * step * slope[i] if part > 0 else z[i]
             phase = omega * (k + share) * step
             c, s = np.cos(phase), np.sin(phase)
-            _forces(stage, gap, closing, clearance, stiffness, dashpot, force, sides)
+            _forces(stage, cavities, springs, force, sides)
             for i in range(size):
                 rate = constant[i] + cosine[i] * c + sine[i] * s
                 for col in range(size):
@@ -205,7 +254,7 @@ def _runge_kutta(
                 total[i] += rate * (1.0 if part == 0 or part == 3 else 2.0)
         for i in range(size):
             z[i] += step / 6.0 * total[i]
-        _forces(z, gap, closing, clearance, stiffness, dashpot, force, sides)
+        _forces(z, cavities, springs, force, sides)
         history[k + 1] = sides
         if (k + 1) % every == 0:
             samples[(k + 1) // every] = z
@@ -214,11 +263,10 @@ def _runge_kutta(
 
 @stored
 def _newmark(
-    solve: Array, explicit: Array, constant: Array, cosine: Array, sine: Array, omega: float, step: float,
-    steps: int, every: int, start: Array, gap: Array, closing: Array, clearance: Array,
-    stiffness: Array, dashpot: Array,
-) -> tuple[Array, NDArray[np.int8]]:  # fmt: skip
-    size, dampers = start.shape[0], gap.shape[0]
+    solve: Array, explicit: Array, constant: Array, course: Course, cavities: Cavities, springs: Springs
+) -> tuple[Array, NDArray[np.int8]]:
+    cosine, sine, omega, step, steps, every, start = course
+    size, dampers = start.shape[0], cavities.gap.shape[0]
     samples = np.zeros((steps // every + 1, size))
     history = np.zeros((steps + 1, dampers), dtype=np.int8)
     z, new, right = start.copy(), np.zeros(size), np.zeros(size)
@@ -242,7 +290,7 @@ def _newmark(
                 for col in range(size):
                     value += solve[chosen, i, col] * right[col]
                 new[i] = value
-            _forces(new, gap, closing, clearance, stiffness, dashpot, force, sides)
+            _forces(new, cavities, springs, force, sides)
             found = 0
             for j in range(dampers):
                 found = 3 * found + sides[j]
@@ -259,9 +307,11 @@ def _newmark(
 
 @stored
 def _moreau(
-    advance: Array, constant: Array, cosine: Array, sine: Array, omega: float, step: float, steps: int, every: int,
-    start: Array, gap: Array, closing: Array, clearance: Array, kicks: Array, delassus: Array, restitution: Array,
+    advance: Array, constant: Array, kicks: Array, delassus: Array, restitution: Array, course: Course,
+    cavities: Cavities,
 ) -> tuple[Array, NDArray[np.int8]]:  # fmt: skip
+    cosine, sine, omega, step, steps, every, start = course
+    gap, closing, clearance = cavities
     size, dampers = start.shape[0], gap.shape[0]
     samples = np.zeros((steps // every + 1, size))
     history = np.zeros((steps + 1, dampers), dtype=np.int8)

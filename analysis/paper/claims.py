@@ -108,7 +108,7 @@ def _c2(parts: Parts) -> Claim:
             Evidence(_enhanced(single), ("scan-single",)),
         ),
         verdict,
-        ("fig5", "fig6", "c2-region"),
+        ("fig3", "fig5", "fig6", "c2-region"),
     )
 
 

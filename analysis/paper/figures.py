@@ -22,6 +22,7 @@ BLUE, RED, GREEN, PINK, SKY, ORANGE, GREY, BLACK = COLOURS
 TYPE_COLOURS = {"I": BLUE, "II": GREEN, "III": RED, "riding": GREY}
 # Of the first mode, Hz, which sets the envelope's window.
 LOWEST = 12.4
+_UNDER_WAVES = "time / ms     (solid: body and floor; dashed: damper; shaded: cavity)"
 COMPLIANCE = "compliance |X/F₁| / (µm/N)"
 
 
@@ -97,26 +98,40 @@ def figure_5(parts: Parts) -> Figure:
     return figure
 
 
+def figure_3(parts: Parts) -> Figure:
+    """Fig 3: the types of motion of one body with a damper."""
+    with drawing(6.6) as figure:
+        for axes, kind in zip(figure.subplots(3, 1, sharex=True), ("I", "II", "III"), strict=True):
+            _wave(axes, parts[f"type-{kind}"])
+            axes.set_title(f"Type {kind}: clearance {1e3 * parts[f'type-{kind}']['clearance'][0]:g} mm")
+        axes.set_xlabel(_UNDER_WAVES)
+    return figure
+
+
 def figure_6(parts: Parts) -> Figure:
     """Fig 6: waveforms at the points a, b and c of Fig 5."""
     with drawing(6.6) as figure:
-        rows = figure.subplots(3, 1)
-        for axes, letter in zip(rows, "abc", strict=True):
+        for axes, letter in zip(figure.subplots(3, 1), "abc", strict=True):
             wave = parts[f"wave-{letter}"]
-            t = 1e3 * wave["time"]
-            for k, body in enumerate(wave["at"]):
-                floor = 1e3 * wave["body"][body]
-                shade = COLOURS[int(body)]
-                axes.fill_between(t, floor, floor + 1e3 * wave["clearance"][k], color=shade, alpha=0.10, lw=0)
-                axes.plot(t, floor, color=shade, label=f"body {body + 1}: {wave['types'][k]}")
-                axes.plot(t, floor + 1e3 * wave["gap"][k], color=shade, lw=0.9, ls="--")
-            axes.set_title(f"({letter}) {float(wave['frequency']):.2f} Hz: Type {wave['type']}")
-            axes.set_ylabel("displacement / mm")
+            _wave(axes, wave)
             axes.legend(loc="upper right", ncols=3)
-            axes.set_xlim(0, t.max())
-            axes.margins(y=0.22)
-        rows[-1].set_xlabel("time / ms     (solid: body and floor; dashed: damper; shaded: cavity)")
+            axes.set_title(f"({letter}) {float(wave['frequency']):.2f} Hz: Type {wave['type']}")
+        axes.set_xlabel(_UNDER_WAVES)
     return figure
+
+
+def _wave(axes: Axes, wave: Mapping[str, np.ndarray]) -> None:
+    """Bodies and the masses in their cavities over time."""
+    t = 1e3 * wave["time"]
+    for k, body in enumerate(wave["at"]):
+        floor = 1e3 * wave["body"][body]
+        shade = COLOURS[int(body)]
+        axes.fill_between(t, floor, floor + 1e3 * wave["clearance"][k], color=shade, alpha=0.10, lw=0)
+        axes.plot(t, floor, color=shade, label=f"body {body + 1}: {wave['types'][k]}")
+        axes.plot(t, floor + 1e3 * wave["gap"][k], color=shade, lw=0.9, ls="--")
+    axes.set_ylabel("displacement / mm")
+    axes.set_xlim(0, t.max())
+    axes.margins(y=0.22)
 
 
 def figure_8(parts: Parts) -> Figure:
@@ -171,6 +186,17 @@ def figure_9(parts: Parts) -> Figure:
         )
         upper.plot(
             measured["frequency"], abs(measured["compliance"][1]), "o", color=BLACK, ms=2.4, label="recording"
+        )
+        down = parts["rec-fig9-down"]
+        upper.plot(
+            down["frequency"],
+            abs(down["compliance"][1]),
+            "o",
+            mfc="none",
+            color=RED,
+            ms=4.5,
+            mew=0.7,
+            label="recording, swept down",
         )
         upper.set_ylim(0, 2.4e-4)
         upper.yaxis.set_major_formatter(lambda value, _: f"{1e6 * value:g}")

@@ -22,6 +22,7 @@ INTRODUCTION = (
     "force. Damping of 0.5 % in each mode, sensors and converter are our assumptions: the text does not give them."
 )
 CAPTIONS = {
+    "fig3": "Fig 3",
     "fig4b": "Fig 4b",
     "fig5": "Fig 5",
     "fig6": "Fig 6",

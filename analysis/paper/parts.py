@@ -56,10 +56,12 @@ SWEEP = np.unique(
 # Seconds that parts took on one core; all others take less than a few.
 EFFORT = {
     "approx-peaks": 70.0, "rec-one": 32.0, "rec-two": 31.0, "rec-three": 30.0, "rec-bare": 27.0, "scan-three": 26.0,
-    "optimum": 20.0, "rec-fig9": 14.0, "scan-single": 10.0, "best-03": 7.0, "best-06": 7.0, "best-10": 7.0,
-    "fig9-damping": 6.0, "least-affected": 25.0, "rec-noise-20": 5.0, "rec-noise-200": 5.0, "rec-noise-2000": 5.0,
-    "sim-three": 5.0, "orbit-fig9": 3.0, "sim-fig5-three": 3.0,
+    "optimum": 20.0, "rec-fig9": 14.0, "rec-fig9-down": 14.0, "scan-single": 10.0, "best-03": 7.0, "best-06": 7.0,
+    "best-10": 7.0, "fig9-damping": 6.0, "least-affected": 25.0, "rec-noise-20": 5.0, "rec-noise-200": 5.0,
+    "rec-noise-2000": 5.0, "sim-three": 5.0, "orbit-fig9": 3.0, "sim-fig5-three": 3.0,
 }  # fmt: skip
+# Clearances at which a body on a spring shows each type of motion at one force and frequency, in Fig 3.
+TYPES = {"I": 0.98e-3, "II": 0.5e-3, "III": 0.25e-3}
 # Points of Fig 5 whose waveforms Fig 6 shows.
 WAVES = {
     "a": ("fig5-single-damper", 48.25),
@@ -129,6 +131,13 @@ def all_parts(folder: Path) -> list[PaperPart]:
             dampings=DAMPINGS, clearances=NEAR_PAPER, frequencies=RESONANCE,
         )
     )  # fmt: skip
+    for kind, clearance in TYPES.items():
+        parts.append(
+            _part(
+                f"type-{kind}", f"motion of Type {kind}", paper_simulation.waveforms, _one_body(clearance),
+                frequency=49.67,
+            )
+        )  # fmt: skip
     for count in ("one-damper", "two-dampers", "three-dampers"):
         parts.append(
             _part(
@@ -171,6 +180,15 @@ def all_parts(folder: Path) -> list[PaperPart]:
     return parts
 
 
+def _one_body(clearance: float) -> Scene:
+    """One body with a damper, as Fig 3 draws it: mass ratio 6 %, 3.3 N about its resonance at 50 Hz."""
+    return rig.loads(
+        "{name: one body, structure: {masses: [2 kg], springs: [200 kN/m], damping: {modal: 0.5 %}}, "
+        "shaker: {kind: force, body: 1}, test: {kind: stepped_sine, frequencies: [49.67 Hz], force: 3.3 N}, "
+        f"dampers: [{{body: 1, mass_ratio: 6 %, clearance: {clearance}}}]}}"
+    )
+
+
 def _experiments() -> list[tuple[str, Scene, dict[str, Any]]]:
     bare = rig.load("fig4-structure")
     sweeps = [
@@ -192,7 +210,9 @@ def _experiments() -> list[tuple[str, Scene, dict[str, Any]]]:
         few = {**test, "frequencies": np.sort(NOISE_GRID).tolist()}
         noisy = _with_noise(rig.load("fig10a"), noise).replace(test=few, recording={"display": False})
         jobs.append((f"rec-noise-{noise}", noisy, {"compute": paper_experiment.sweep}))
-    jobs.append(("rec-fig9", rig.load("fig9"), {"compute": paper_experiment.damper_sweep, "body": 2}))
+    for name, direction in (("rec-fig9", "up"), ("rec-fig9-down", "down")):
+        scene = rig.load("fig9", {"test.direction": direction})
+        jobs.append((name, scene, {"compute": paper_experiment.damper_sweep, "body": 2}))
     jobs.append(("rec-hit-none", rig.load("fig10b-no-damper"), {"compute": paper_experiment.ring_down}))
     jobs.append(("rec-hit-three", rig.load("fig10b-three-dampers"), {"compute": paper_experiment.ring_down}))
     return jobs

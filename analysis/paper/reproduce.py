@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FIGURES: dict[str, Callable[[paper_figures.Parts], Figure]] = {
+    "fig3": paper_figures.figure_3,
     "fig4b": paper_figures.figure_4,
     "fig5": paper_figures.figure_5,
     "fig6": paper_figures.figure_6,

@@ -11,8 +11,9 @@ from analysis.paper.charts import holds_c2, short
 from analysis.paper.claim import Claim, Evidence
 from analysis.paper.claims import differences
 from analysis.paper.experiment import damper_sweep
+from analysis.paper.fig9_claim import both_ways
 from analysis.paper.page import CAPTIONS, write_pages
-from analysis.paper.parts import FIGURE_5, all_parts
+from analysis.paper.parts import FIGURE_5, TYPES, all_parts
 from analysis.paper.reproduce import FIGURES, compute, reproduce
 from analysis.paper.scan import LEVELS, best_damper, least_affected, scan, stays_over_damping
 from analysis.paper.simulation import approximated, exact_orbits, structure_numbers, waveforms
@@ -307,3 +308,20 @@ def test_given_the_scenes_of_fig_5_when_loaded_then_they_are_where_the_claim_say
     scene = rig.load(name)
     assert scene.test.force == FIGURE_5[0]
     assert {damper.clearance for damper in scene.dampers} == {FIGURE_5[1]}
+
+
+@pytest.mark.parametrize("kind", TYPES)
+def test_given_the_settings_of_fig_3_when_followed_then_each_shows_the_type_that_it_stands_for(
+    kind: str,
+) -> None:
+    (part,) = (part for part in all_parts(Path()) if part.name == f"type-{kind}")
+    assert part.computed()["type"] == kind
+
+
+def test_given_sweeps_up_and_down_when_compared_then_it_is_said_where_the_direction_counts() -> None:
+    frequency, size = np.array([48.0, 49.0, 50.0]), np.array([[1.0] * 3, [1.0, 2.0, 1.0]])
+    up = {"frequency": frequency, "compliance": size}
+    alike = {"frequency": frequency[::-1], "compliance": 1.01 * size[:, ::-1]}
+    other = {"frequency": frequency[::-1], "compliance": np.array([[1.0] * 3, [1.0, 1.0, 1.0]])}
+    assert "at most 1.0 %: no branch depends on the direction" in both_ways(up, alike)
+    assert "more than 5 % at 49.00 Hz" in both_ways(up, other)

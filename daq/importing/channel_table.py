@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.errors import SceneError
+from rig.input_files import read_whole
 from rig.scene.quantities import FREQUENCY, TIME, parse
 from rig.scene.yaml_reader import read
 
@@ -63,7 +64,7 @@ def read_table(path: Path) -> dict[str, Column]:
         If the file cannot be read or says something that no import knows; all that is wrong is said at once.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_whole(path).decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from None
     rows = _from_csv(path, text) if path.suffix.lower() == ".csv" else _from_yaml(path, text)

@@ -20,6 +20,7 @@ from daq.server.bench_time import BenchTime
 from daq.server.live import LiveRecording, LiveView
 from daq.server.service import Limits, Server
 from rig.errors import SceneError
+from rig.input_files import read_whole
 from rig.scene.scene import Scene
 
 
@@ -54,7 +55,7 @@ class Certificates:
 
 def _read(path: Path) -> bytes:
     try:
-        return path.read_bytes()
+        return read_whole(path)
     except OSError as error:
         raise SceneError(f"cannot read {path}: {error.strerror}; expected a PEM file") from None
 

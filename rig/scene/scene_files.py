@@ -6,10 +6,10 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from rig.errors import SceneError
+from rig.input_files import read_whole
 
 SCENES = Path(__file__).parent / "data" / "scenes"
 SUFFIXES = (".yaml", ".yml")
-MOST_BYTES = 64_000_000
 
 
 def bundled() -> tuple[str, ...]:
@@ -63,14 +63,9 @@ def read_text(path: Path) -> str:
         If it cannot be read, or is no text.
     """
     try:
-        with path.open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
+        text = read_whole(path).decode("utf-8-sig")
     except OSError as error:
-        raise SceneError(f"{path} cannot be read: {error.strerror or error}") from None
-    if len(data) > MOST_BYTES:
-        raise SceneError(f"{path} is larger than {MOST_BYTES // 1_000_000} MB; expected a scene file")
-    try:
-        text = data.decode("utf-8-sig")
+        raise SceneError(f"{path} cannot be read: {error.strerror or error}; expected a scene file") from None
     except UnicodeDecodeError:
         text = "\0"
     if "\0" in text:

@@ -61,6 +61,7 @@ EQUIVALENT = {
     "_WINDOW = 1 << 19": "how much is read at a time changes nothing that is found",
     "for c in range(model.inverse_mass.shape[ 1]):": "the matrix is square",
     "lowest = min(gap, model.clearance[j] - gap) - 3 * ROUNDING * abs(height)": "what is looked at closely is more",
+    "state.multiplicity[j] = 1 if sign >= 0.0 else -1": "a sign is one or minus one",
     "nodes, weights = legendre.leggauss( 33)": "32 points are exact to rounding already",
     "grid = np.concatenate([np.geomspace(10 * lowest, 0.5 * rate, 401), np.linspace(0.3, 0.5, 400) * rate])": (
         "the fit rests on hundreds of points, not on where each is"

@@ -9,6 +9,7 @@ from typing import Any
 
 from daq.instrument.devices.names import Port
 from daq.instrument.errors import Code, DaqError
+from rig.input_files import read_whole
 
 # Bits of the basic TEDS, in the order in which they come, lowest bit first.
 _BASIC = (
@@ -121,7 +122,7 @@ class TedsMemory:
             self.sheet(port)
             return
         try:
-            data = Path(path).read_bytes()
+            data = read_whole(Path(path))
         except OSError as error:
             raise DaqError(f"{path}: {error.strerror}", Code.VIRTUAL_TEDS_FILE_NOT_FOUND) from None
         data = _unpacked(data)

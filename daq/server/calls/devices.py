@@ -8,6 +8,7 @@ from pathlib import Path
 from daq.instrument.devices.names import parse_port
 from daq.instrument.errors import Code, DaqError
 from daq.server.calls.call import Answer, Call
+from rig.input_files import read_whole
 
 
 def _on_device(call: Call) -> Answer:
@@ -41,7 +42,7 @@ def _teds(action: str) -> Callable[[Call], Answer]:
 
 def _file(path: str) -> bytes:
     try:
-        return Path(path).read_bytes()
+        return read_whole(Path(path))
     except OSError as error:
         raise DaqError(f"{path}: {error.strerror}", Code.VIRTUAL_TEDS_FILE_NOT_FOUND) from None
 

@@ -112,6 +112,8 @@ def test_given_a_damper_at_a_wall_when_it_hits_then_momentum_goes_over_and_all_p
         assert j == struck or (coupled and walls[j] != FLIGHT) or impulse[j] == 0.0
     assert sign * (own_after[struck] - after[struck]) == pytest.approx(restitution * closing, abs=1e-12)
     assert state.height[struck] == at or not restitution
+    if state.mode[struck] == wall:
+        assert state.multiplicity[struck] == 0
     assert state.multiplicity[struck] == sign or not restitution
     log, count = run.log, run.log.filled[0]
     (hit,) = np.flatnonzero(log.kind[:count] != SEPARATION)

@@ -1,0 +1,41 @@
+"""Files that a person names are read whole, or refused at once."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from daq.importing.channel_table import read_table
+from daq.server.serve import Certificates
+from rig import input_files
+from rig.errors import SceneError
+from rig.input_files import read_whole
+
+
+def test_given_a_file_when_read_then_all_of_it_comes_up_to_the_largest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a"
+    path.write_bytes(b"12345")
+    monkeypatch.setattr(input_files, "MOST_BYTES", 5)
+    assert read_whole(path) == b"12345"
+    path.write_bytes(b"123456")
+    with pytest.raises(OSError, match="larger than"):
+        read_whole(path)
+    with pytest.raises(FileNotFoundError):
+        read_whole(tmp_path / "b")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes with names")
+def test_given_a_pipe_or_a_device_when_named_as_a_file_then_it_is_refused_without_waiting(
+    tmp_path: Path,
+) -> None:
+    pipe, endless = tmp_path / "pipe.yaml", tmp_path / "zero.yaml"
+    os.mkfifo(pipe)
+    endless.symlink_to("/dev/zero")
+    for path in (pipe, endless, tmp_path):
+        for read in (read_table, lambda path: Certificates(path, path).credentials()):
+            with pytest.raises(SceneError, match=f"cannot read {path}: no ordinary file"):
+                read(path)

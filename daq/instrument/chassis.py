@@ -28,6 +28,7 @@ from daq.instrument.engines.generation import Generation, OutputBuffer, OutputPl
 from daq.instrument.engines.input_engine import InputEngine
 from daq.instrument.engines.triggers import OtherTask
 from daq.instrument.errors import Code, DaqError
+from daq.instrument.sleepers import Sleepers
 
 if TYPE_CHECKING:
     from daq.instrument.bench.sample_source import SampleSource
@@ -85,6 +86,8 @@ class Chassis:
         Ticks that have passed since the bench was switched on.
     changed : threading.Condition
         Notified when samples have passed; its lock guards everything here.
+    sleepers : Sleepers
+        Who waits for samples to pass.
     listeners : list of callable
         Called with every block of the bench at its own sample rate: the scope, a recording.
     """
@@ -92,7 +95,8 @@ class Chassis:
     def __init__(self, modules: Sequence[Module], source: SampleSource, clock: Clock) -> None:
         self.devices, self.source = DeviceList(modules), source
         self.clock = clock
-        self.changed = threading.Condition(threading.RLock())
+        lock = threading.RLock()
+        self.changed, self.sleepers = threading.Condition(lock), Sleepers(lock)
         self.listeners: list[Callable[[SampleSource, Any], None]] = []
         self.inputs: dict[Runner, InputEngine] = {}
         self.outputs: dict[Runner, Generation] = {}
@@ -211,7 +215,7 @@ class Chassis:
         with self.changed:
             self.inputs.pop(task, None)
             self.outputs.pop(task, None)
-            self.changed.notify_all()
+            self._stir()
 
     def wake(self, task: Runner) -> None:
         """Let time pass from now on, for as long as this task is open."""
@@ -279,6 +283,7 @@ class Chassis:
         for listener in self.listeners if own.samples.size else ():
             listener(source, own)
         self.changed.notify_all()
+        self.sleepers.wake(self.position)
         curious = [task for task in (*self.inputs, *self.outputs) if task.passed()]
         if curious and not self.clock.runs_free:
             self.changed.wait_for(lambda: all(task.answered for task in curious), _ANSWER_S)
@@ -349,9 +354,14 @@ class Chassis:
                 engine.acquisition.stop(error)
             for generation in self.outputs.values():
                 generation.stop(error)
-            self.changed.notify_all()
+            self._stir()
             for task in (*self.inputs, *self.outputs):
                 task.passed()
+
+    def _stir(self) -> None:
+        """Wake all that wait: it may not be for time alone."""
+        self.changed.notify_all()
+        self.sleepers.wake()
 
     def lag(self, seconds: float) -> bool:
         """Hear how far the bench is behind the wall clock; too far, and its buffers have overflown."""

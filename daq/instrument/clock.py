@@ -22,6 +22,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from daq.instrument.errors import bad
+from daq.instrument.sleepers import Sleepers
 from rig.errors import SceneError
 
 
@@ -57,6 +58,10 @@ class Timeline(Protocol):
     @property
     def changed(self) -> threading.Condition:
         """Condition notified whenever samples have passed; its lock guards the bench."""
+
+    @property
+    def sleepers(self) -> Sleepers:
+        """Who waits for samples to pass; woken whenever enough have, and whenever a task ends."""
 
     @property
     def live(self) -> bool:
@@ -192,6 +197,8 @@ class RealClock:
     TICK = 0.004
     # It moves by no more than this at once, s: others have to come by.
     MOST = 0.04
+    # Who waits looks up this often, s.
+    NAP = 0.02
 
     def __init__(self) -> None:
         self._moving: weakref.WeakSet[Timeline] = weakref.WeakSet()
@@ -220,7 +227,10 @@ class RealClock:
         self.start(bench)
         end = math.inf if timeout < 0 else bench.position + timeout * bench.rate
         # In bench time, which falls behind the wall clock while something is compiled.
-        bench.changed.wait_for(lambda: ready() or bench.position >= end or bench not in self._moving)
+        while not ready() and bench.position < end and bench in self._moving:
+            # What is waited for may also end early.
+            nap = min(max(1, wanted()), math.ceil(self.NAP * bench.rate), end - bench.position)
+            bench.sleepers.sleep(bench.position + math.ceil(nap))
         return ready()
 
 
@@ -240,6 +250,7 @@ def _follow(reference: weakref.ref[Timeline], moving: weakref.WeakSet[Timeline])
         with bench.changed:
             if not bench.live:
                 moving.discard(bench)
+                bench.sleepers.wake()
                 return
             now = time.monotonic_ns()
             if origin is None or origin[2] != bench.rate or bench.position < origin[1]:

@@ -6,6 +6,7 @@ from nidaqmx.constants import AcquisitionType
 from nidaqmx.errors import DaqError, DaqReadError
 
 from daq.instrument.clock import FastClock, ManualClock, RealClock, clock
+from daq.instrument.sleepers import Sleepers
 from rig.errors import SceneError
 from tests.daq.client import Task, connect
 
@@ -17,7 +18,8 @@ class Counter:
 
     def __init__(self):
         self.position = 0
-        self.changed = threading.Condition(threading.RLock())
+        lock = threading.RLock()
+        self.changed, self.sleepers = threading.Condition(lock), Sleepers(lock)
         self.live = True
         self.late = []
 
@@ -25,6 +27,7 @@ class Counter:
         with self.changed:
             self.position += samples
             self.changed.notify_all()
+            self.sleepers.wake(self.position)
 
     def anchor(self):
         pass
@@ -69,6 +72,29 @@ def test_given_a_real_clock_when_a_bench_waits_then_a_thread_moves_it_until_nobo
     stopped = bench.position
     assert not any(thread.name == "bench" for thread in threading.enumerate())
     assert bench.position == stopped
+
+
+def test_given_several_that_wait_for_their_positions_when_time_passes_then_each_is_woken_for_its_own():
+    lock, woken = threading.RLock(), []
+    sleepers = Sleepers(lock)
+    asleep = threading.Semaphore(0)
+
+    def wait(until):
+        with lock:
+            asleep.release()
+            sleepers.sleep(until)
+            woken.append(until)
+
+    threads = [threading.Thread(target=wait, args=(until,)) for until in (10, 20, 30)]
+    for thread in threads:
+        thread.start()
+    for _ in threads:
+        asleep.acquire()
+    for position, thread in ((15, threads[0]), (25, threads[1]), (None, threads[2])):
+        with lock:
+            sleepers.wake(position)
+        thread.join(10.0)
+    assert woken == [10, 20, 30]
 
 
 def test_given_a_real_clock_when_the_bench_fails_then_those_who_wait_are_told(monkeypatch, capsys):

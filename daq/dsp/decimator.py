@@ -32,7 +32,7 @@ class Decimator:
         self._buffers = buffers
         # The last moments of the block before; in a block, they come first.
         self._last = zeros(length * self._oversampling + late - 1, moments)
-        self._moments = buffers.rows(0)
+        self._moments = self._last
         self._interval = 0
         self._samples = zeros(0)
 

@@ -62,6 +62,13 @@ EQUIVALENT = {
     "for c in range(model.inverse_mass.shape[ 1]):": "the matrix is square",
     "lowest = min(gap, model.clearance[j] - gap) - 3 * ROUNDING * abs(height)": "what is looked at closely is more",
     "state.multiplicity[j] = 1 if sign >= 0.0 else -1": "a sign is one or minus one",
+    "if mode > FLIGHT:": "no mode is below flight",
+    "dampers, points = model.mass.shape[ -1], model.first_velocity": "the array has one dimension",
+    "pause = max(1, round(_PAUSE * self._channels[ -1].rate))": "rows of one array have one rate",
+    "messages = np.empty((len(samples), blocks, len(heads[ -1]) + length * samples.itemsize), np.uint8)": (
+        "all heads are of one length"
+    ),
+    "self._moments[kept + count : end] = -1.0": "nothing weighs them",
     "nodes, weights = legendre.leggauss( 33)": "32 points are exact to rounding already",
     "grid = np.concatenate([np.geomspace(10 * lowest, 0.5 * rate, 401), np.linspace(0.3, 0.5, 400) * rate])": (
         "the fit rests on hundreds of points, not on where each is"

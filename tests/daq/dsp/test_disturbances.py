@@ -77,6 +77,8 @@ def test_given_a_corner_when_noise_is_shaped_then_its_density_rises_as_the_squar
     assert off[frequency < 0.45 * rate].max() < near and off.max() < at_the_end
     # Far above its corner noise is white, and states are stable.
     assert ((loss > 0.0) & (loss <= 1.0)).all()
+    # One state for every factor of four in frequency is enough.
+    assert loss.size <= 2 + np.log(0.25 * rate / (0.1 * frequency[0])) / np.log(4.0)
 
 
 def test_given_a_shaped_source_when_white_numbers_pass_then_each_state_follows_as_designed():
@@ -96,8 +98,8 @@ def test_given_a_shaped_source_when_white_numbers_pass_then_each_state_follows_a
 def test_given_noise_within_an_interval_when_drawn_then_it_has_the_power_that_its_polynomial_takes_of_the_density(
     degree,
 ):
-    density, rate, samples = 2e-6, 1000.0, np.empty(200_000)
-    for corner, more in ((None, 1.0), (100.0, 1.2)):
+    density, samples = 2e-6, np.empty(200_000)
+    for corner, rate, more in ((None, 1.0, 1.0), (100.0, 1000.0, 1.2)):
         FastNoise(density, corner, rate, generator(5, "c", "fast"), degree).fill(samples)
         # White noise projected on P_d: a variance of 2 d + 1 times that of its average, density^2 rate / 2.
         expected = density * np.sqrt(more * (2 * degree + 1) * 0.5 * rate)

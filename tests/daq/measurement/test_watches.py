@@ -129,9 +129,10 @@ def test_given_no_limits_when_watched_then_nothing_is_looked_at():
     ],
 )
 def test_given_an_overload_that_lasts_when_a_force_is_held_then_channels_it_is_read_from_end_the_test(
-    changes, rows
+    changes, rows, monkeypatch
 ):
-    held = scene(**changes)
+    held, asked = scene(**changes), []
+    monkeypatch.setattr("daq.measurement.limits.bias_overload", lambda *question: asked.append(question))
     for row, info in enumerate(INFOS):
         clipped, clean = np.zeros((2, 3, 4), dtype=bool)
         clipped[row, 2] = True
@@ -142,5 +143,6 @@ def test_given_an_overload_that_lasts_when_a_force_is_held_then_channels_it_is_r
         assert (said[2] is not None) == (row in rows)
         if row in rows:
             assert f"input {info.name} has been overloaded since 2.00 s" in said[2]
+            assert asked.pop() == (held, row, 3.5)
             assert loss.watch(28, clean) is None
             assert [loss.watch(first, clipped) for first in (32, 36)] == [None, None]

@@ -2,27 +2,38 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import BPoly
 
 import rig
-from rig.engine.guards import _margin, above_margins, bound_by_series, draw_envelope, fold_envelope
-from rig.engine.propagator import Propagator
+from rig.engine.guards import (
+    _margin,
+    above_margins,
+    bound_by_series,
+    bound_by_tables,
+    draw_envelope,
+    first_event,
+    fold_envelope,
+)
+from rig.engine.propagator import Propagator, sampled_propagator
 from rig.engine.state import CEILING, FLIGHT, FLOOR
-from rig.numerics.bernstein import LENGTH
+from rig.numerics.bernstein import LENGTH, NONE
 from rig.system.assembly import assemble
-from rig.system.hybrid_system import tone
 
 TAU = np.linspace(0.0, 1.0, 201)[1:]
 VALUES = st.floats(-3.0, 3.0)
 CLEARANCE = 1e-3
 
 
-def engine(**of_dampers: object) -> Propagator:
-    """Three bodies with a damper each, at rest."""
+@cache
+def engine(contact: str = "") -> Propagator:
+    """Three bodies with a damper each, whose contacts last so long; tests put it where they need it."""
+    of_dampers = {"contact": {"duration": contact}} if contact else {}
     scene = rig.Scene.model_validate(
         {
             "structure": {"masses": [1.0, 0.8, 0.6], "springs": [4e3] * 3, "damping": {"modal": 0.01}},
@@ -33,7 +44,7 @@ def engine(**of_dampers: object) -> Propagator:
             "test": {"kind": "sine", "frequency": 10.0, "force": 1.0},
         }
     )
-    return Propagator(assemble(scene), tone(np.ones(1), 60.0), 2e-3)
+    return sampled_propagator(assemble(scene), 4e-3)[0]
 
 
 @given(start=VALUES, slope=VALUES, end=VALUES, slope_end=VALUES, error=st.floats(0.0, 500.0))
@@ -92,12 +103,118 @@ def test_given_a_power_series_when_guards_are_bounded_then_its_ends_and_its_boun
 
 
 def test_given_a_contact_that_lasts_when_bounded_by_its_series_then_there_is_no_bound() -> None:
-    run = engine(contact={"duration": "2 ms"})
+    run = engine("2 ms")
     model, work = run.tables.model, run.workspace
     bound_by_series(
         model, run.state.mode, work.tableau, 1.0, run.state.z, work.new, run.tables.size, work.bound
     )
     assert (work.bound[:3] == np.inf).all()
+
+
+class Course:
+    """A step from some state, summed from its power series: every guard at any part of it."""
+
+    def __init__(self, run: Propagator, modes: list[int], seed: int) -> None:
+        self.run, chance, model = run, np.random.default_rng(seed), run.tables.model
+        lasting, state = run.system.lasting, run.state
+        z = np.zeros(run.tables.size)
+        z[model.position] = 3e-3 * chance.standard_normal(3)
+        z[model.velocity] = 0.4 * chance.standard_normal(3)
+        for j in np.flatnonzero(lasting):
+            # A gap within the cavity, or within the wall.
+            inside = chance.uniform(0.0, 1.0) * CLEARANCE
+            z[model.bed[j]] = [inside, -0.1 * inside, CLEARANCE + 0.1 * inside][modes[j]]
+            z[model.first_velocity + model.bed[j]] = 0.3 * chance.standard_normal()
+        z[run.system.states :] = 5.0 * chance.standard_normal(2)
+        self.bits = sum((mode != FLIGHT) << j for j, mode in enumerate(modes))
+        self.bits |= sum((modes[j] == CEILING) << 3 + int(j) for j in np.flatnonzero(lasting))
+        self.matrix, self.offset = (part.astype(float) for part in run.tables.generator(self.bits))
+        upward = (self.matrix @ z + self.offset)[model.velocity] + model.gravity
+        # A damper without lasting contact rides on the wall that presses it.
+        self.modes = [
+            mode if last or mode == FLIGHT else (FLOOR if up > 0.0 else CEILING)
+            for mode, last, up in zip(modes, lasting, upward, strict=True)
+        ]
+        state.mode[:] = self.modes
+        state.height[:] = z[model.position] + chance.uniform(0.02, 0.98, 3) * CLEARANCE
+        state.speed[:] = 0.4 * chance.standard_normal(3)
+        scaled, term = self.matrix * model.step, (self.matrix @ z + self.offset) * model.step
+        self.terms = [z]
+        for k in range(1, 25):
+            self.terms.append(term / k)
+            term = scaled @ term / k
+
+    def guards(self, tau: np.ndarray) -> list[np.ndarray]:
+        """Every guard, (3, parts of the step): value, first and fourth derivative with respect to the step."""
+        run, model, state, found = self.run, self.run.tables.model, self.run.state, []
+        force, constant = run.system.contact_forces(self.bits)
+        for j, mode in enumerate(self.modes):
+            sign = -1.0 if mode == CEILING else 1.0
+            row, offset, own = np.zeros(run.tables.size), 0.0, np.zeros(3)
+            if run.system.lasting[j] and mode != FLIGHT:
+                row[: run.system.states], offset = sign * force[model.bed[j]], sign * constant[model.bed[j]]
+            elif run.system.lasting[j]:
+                row[model.bed[j]] = 1.0
+            elif mode != FLIGHT:
+                row = sign * self.matrix[model.velocity[j]]
+                offset = sign * (self.offset[model.velocity[j]] + model.gravity)
+            else:
+                row[model.position[j]] = -1.0
+                own[:] = state.height[j], state.speed[j] * model.step, -model.gravity * model.step**2 / 2
+            series = np.polynomial.Polynomial([row @ term for term in self.terms])
+            series = series + np.polynomial.Polynomial([offset, 0.0, 0.0]) + np.polynomial.Polynomial(own)
+            both = [series, CLEARANCE - series] if mode == FLIGHT else [series]
+            found += [np.array([one(tau), one.deriv()(tau), one.deriv(4)(tau)]) for one in both]
+        return found
+
+
+@pytest.mark.parametrize("contact", ["", "10 ms"])
+@given(
+    modes=st.lists(st.sampled_from([FLIGHT, FLOOR, CEILING]), min_size=3, max_size=3),
+    seed=st.integers(0, 100_000),
+    length=st.sampled_from([1.0, 0.4]),
+)
+@settings(max_examples=100, deadline=None)
+def test_given_any_state_when_a_step_is_looked_at_then_the_first_guard_to_fall_is_found_and_others_are_left_alone(
+    contact: str, modes: list[int], seed: int, length: float
+) -> None:
+    run = engine(contact)
+    course = Course(run, modes, seed)
+    slot, model, state, work, size = (
+        run.tables.slot(course.bits), run.tables.model, run.state, run.workspace, run.tables.size,
+    )  # fmt: skip
+    flow = run.tables.flow
+    for z, tau in ((state.z, 0.0), (work.new, length)):
+        z[:size] = sum(term * tau**k for k, term in enumerate(course.terms))
+        rate = course.matrix @ z[:size] + course.offset
+        accelerations = slice(model.first_velocity, 2 * model.first_velocity)
+        behind = np.concatenate([rate[accelerations], model.step * (course.matrix @ rate)[accelerations]])
+        z[size : size + len(behind)] = behind
+    bound_by_tables(flow, slot, state.z, work)
+    wanted = flow.bound_constant[slot] + np.abs(state.z[:size]) @ flow.bound[slot][:size]
+    np.testing.assert_allclose(work.bound, wanted, rtol=1e-12)
+    parts = np.linspace(0.0, length, 400)
+    guards = course.guards(parts)
+    which = [j for j, mode in enumerate(course.modes) for _ in range(2 if mode == FLIGHT else 1)]
+    margins = []
+    for j, guard in zip(which, guards, strict=True):
+        assert (np.abs(guard[2]) <= work.bound[j] * (1 + 1e-6) + 1e-12).all()
+        ends = guard[0, 0], guard[1, 0] * length, guard[0, -1], guard[1, -1] * length
+        margins.append(_margin(*ends, work.bound[j] * length**4, 0))
+    assume(all(guard[0, 0] > 0.0 for guard in guards) and min(map(abs, margins)) > 1e-12)
+    work.tableau[:] = np.inf
+    tau, j, _ = first_event(flow, model, state, work, slot, length, length * model.step, False)
+    assert np.isinf(work.tableau).all() == (min(margins) > 0.0)
+    before = parts < (length if tau == NONE else tau * length) - 1e-9
+    assert all((guard[0, before] > 0.0).all() for guard in guards)
+    if tau != NONE:
+        hit = [
+            guard[:2, 0]
+            for guard, of in zip(course.guards(np.array([tau * length])), which, strict=True)
+            if of == j
+        ]
+        value, slope = min(hit, key=lambda guard: abs(guard[0]))
+        assert abs(value) < 1e-9 * np.abs(guards[which.index(j)][0]).max() and slope < 0.0
 
 
 @given(

@@ -150,7 +150,8 @@ def kill(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
     ]
     ended = run(words, folder, end=strike)
     wrong = []
-    if ended.code == -signal.SIGKILL:
+    # Until the command line answers signals, it ends by them as any process does.
+    if ended.code == -how:
         ended = Ended(ended.command, 0, ended.output, ended.silence, ended.seconds, ended.memory)
     for path in sorted(folder.iterdir()):
         if path.name == "r.mcap" and (overwrite or "interrupted" in ended.output):

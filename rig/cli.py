@@ -267,6 +267,7 @@ def map_(
     first: First = None,
     last: Last = None,
     points: Annotated[int, typer.Option(min=2, max=1000, metavar="N", help="How many frequencies.")] = 48,
+    cluster: Cluster = None,
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="DIR", help="Where to write the figure and the table.")
     ] = Path(),
@@ -287,7 +288,7 @@ def map_(
     values = rows_of(setting, over, frequencies, *ends, rows)
     make_ready(output)
     with counting("following the motion") as progress:
-        found = rig.map_motion(setting, over, values, frequencies, progress)
+        found = rig.map_motion(setting, over, values, frequencies, progress, cluster)
     files = write(found, output)
     print(summary(found))
     print("\nwritten:", *files)

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, contextmanager
 from multiprocessing import active_children, get_context, parent_process
 from threading import Thread
 from types import TracebackType
@@ -73,7 +74,8 @@ class Workers:
         """
         left = dict(enumerate(pieces))
         for life in range(LIVES + 1):
-            jobs = {self._pool.submit(function, piece): number for number, piece in left.items()}
+            with _script_left_alone():
+                jobs = {self._pool.submit(function, piece): number for number, piece in left.items()}
             try:
                 for job in as_completed(jobs):
                     result = job.result()
@@ -109,6 +111,18 @@ def _processes(until: ExitStack) -> Executor:
 
     until.callback(end)
     return pool
+
+
+@contextmanager
+def _script_left_alone() -> Iterator[None]:
+    """Keep processes that start from running the user's script again: nothing in it is needed there."""
+    script: dict[str, Any] = vars(sys.modules["__main__"])
+    kept: dict[str, Any] = {name: script.pop(name) for name in ("__file__", "__spec__") if name in script}
+    script["__spec__"] = None
+    try:
+        yield
+    finally:
+        script.update(kept)
 
 
 def _begin() -> None:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +19,7 @@ from rig.scene.quantities import FREQUENCY, positives
 from rig.scene.scene import Scene
 from rig.system.open_loop_drive import with_ideal_force
 from rig.system.structure import natural_modes, structure_matrices
+from rig.workers import Workers
 
 if TYPE_CHECKING:
     import xarray
@@ -120,6 +120,7 @@ def map_motion(
     values: ArrayLike | None = None,
     frequencies: ArrayLike | None = None,
     progress: Callable[[int, int], None] | None = None,
+    cluster: str | None = None,
 ) -> MotionMap:
     """Follow the steady motion over a grid of levels, or of clearances, and frequencies.
 
@@ -138,6 +139,8 @@ def map_motion(
         Hz, or texts with units; None: the test's range, closer around the natural frequencies.
     progress : callable, optional
         Called with the number of points done and of all.
+    cluster : str, optional
+        As for `rig.design`.
 
     Raises
     ------
@@ -149,12 +152,16 @@ def map_motion(
     scene = with_ideal_force(scene)
     asked = frequencies if frequencies is not None else columns(scene)
     frequency = np.unique(positives(asked, FREQUENCY, "frequencies"))
-    rows = values if values is not None else rows_of(scene, over, frequency)
-    value = np.unique(positives(rows, KIND_OF_UNIT[unit], "values"))
+    levels = values if values is not None else rows_of(scene, over, frequency)
+    value = np.unique(positives(levels, KIND_OF_UNIT[unit], "values"))
     longest = _longest(scene, frequency)
-    found = _follow_rows(
-        [_with(scene, over, float(each)) for each in value], frequency, longest, progress or _silent
-    )
+    rows = [_Row(_with(scene, over, float(each)), frequency, longest) for each in value]
+    found: list[list[tuple[SteadyPoint, float]]] = [[] for _ in rows]
+    with Workers(cluster) as workers:
+        for done, (number, row) in enumerate(workers.compute(_followed, rows), 1):
+            found[number] = row
+            if progress is not None:
+                progress(done * frequency.size, value.size * frequency.size)
     types = [[point.types for point, _ in row] for row in found]
     points = [[point for point, _ in row] for row in found]
     return MotionMap(
@@ -193,45 +200,23 @@ def _longest(scene: Scene, frequency: Array) -> int:
     return int(np.clip(periods, FEWEST, MOST))
 
 
-def _silent(done: int, total: int) -> None:
-    pass
+class _Row(NamedTuple):
+    """A row to follow upwards in frequency."""
+
+    scene: Scene
+    frequency: Array
+    longest: int
 
 
-Row = list[tuple[SteadyPoint, float]]
-
-
-def _follow_rows(
-    scenes: list[Scene], frequency: Array, longest: int, progress: Callable[[int, int], None]
-) -> list[Row]:
-    """Follow each scene upwards in frequency, two at a time; every point with the CPU time it took."""
+def _followed(row: _Row) -> list[tuple[SteadyPoint, float]]:
+    """Every point of a row with the CPU time it took."""
     # What is compiled or loaded from disk at first use is no part of the cost.
-    Follower(scenes[0], TOLERANCE, 1).point(float(frequency[0]), None)
-    done, stopped = 0, False
-
-    def row(scene: Scene) -> Row:
-        nonlocal done, stopped
-        found: Row = []
-        points = Follower(scene, TOLERANCE, longest).follow(frequency)
-        try:
-            for _ in range(0 if stopped else len(frequency)):
-                begun = time.thread_time()
-                found.append((next(points), time.thread_time() - begun))
-                done += 1
-                progress(done, len(scenes) * len(frequency))
-                if stopped:
-                    break
-        except BaseException:
-            stopped = True
-            raise
-        return found
-
-    with ThreadPoolExecutor(2) as pool:
-        try:
-            return list(pool.map(row, scenes))
-        except BaseException:
-            # Leaving the pool waits for the rows that have begun: do not let them go on.
-            stopped = True
-            raise
+    Follower(row.scene, TOLERANCE, 1).point(float(row.frequency[0]), None)
+    found, points = [], Follower(row.scene, TOLERANCE, row.longest).follow(row.frequency)
+    for _ in row.frequency:
+        begun = time.thread_time()
+        found.append((next(points), time.thread_time() - begun))
+    return found
 
 
 def _kind(damper_motion: str) -> int:

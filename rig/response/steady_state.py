@@ -10,10 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.engine.propagator import Propagator
 from rig.engine.state import FLIGHT
 from rig.engine.trajectory import Array, Trajectory
+from rig.numerics.jit import stored
 
 #: Longest repetition looked for, in periods of the drive.
 LONGEST_REPETITION = 8
@@ -82,25 +84,38 @@ def _distances(propagator: Propagator, trajectory: Trajectory) -> tuple[Array, A
     vectors = _vectors(propagator, trajectory)
     scale = max(float(np.abs(vectors).max()), 1e-300)
     present, left = [], []
-    for p in range(1, LONGEST_REPETITION + 1):
-        if not np.array_equal(trajectory.mode[-1], trajectory.mode[-1 - p]):
-            present.append(np.inf)
-            left.append(np.inf)
-            continue
-        changes = np.abs(vectors[p:] - vectors[:-p]).max(axis=1) / scale
-        change = float(changes[-p:].max())
-        # The ratio over half a look, per repetition: a slow decay hides behind quick ones near by.
-        earlier = float(changes[-LOOK // 2 - p : -LOOK // 2].max())
+    for p, (change, earlier) in enumerate(_changes(vectors, trajectory.mode) / scale, 1):
         present.append(change)
         if change < ROUNDING:
             left.append(change)
-        elif earlier <= change:
+        elif not earlier > change:
             left.append(np.inf)
         else:
             fall = np.log(change / earlier) * p / (LOOK // 2)
             # By expm1, because a ratio just below 1 rounds to 1.
             left.append(max(change, change * np.exp(fall) / -np.expm1(fall)))
     return np.array(present), np.array(left)
+
+
+@stored
+def _changes(vectors: Array, modes: NDArray[np.int8]) -> Array:
+    """Largest change over 1, 2, ... periods at the end, and half a look before; infinite where contacts differ.
+
+    The ratio of both tells of a slow decay, which hides behind quick ones from period to period.
+    """
+    changes = np.zeros((LONGEST_REPETITION, 2))
+    rows = vectors.shape[0]
+    for p in range(1, LONGEST_REPETITION + 1):
+        for when in range(2):
+            end = rows - when * (LOOK // 2)
+            for row in range(end - p, end):
+                for column in range(vectors.shape[1]):
+                    change = abs(vectors[row, column] - vectors[row - p, column])
+                    changes[p - 1, when] = max(changes[p - 1, when], change)
+        for j in range(modes.shape[1]):
+            if modes[rows - 1, j] != modes[rows - 1 - p, j]:
+                changes[p - 1] = np.inf
+    return changes
 
 
 def _vectors(propagator: Propagator, trajectory: Trajectory) -> Array:

@@ -188,10 +188,15 @@ def fourier(
     part = lengths / tables.step
     for slot in np.unique(slots):
         rows = slots == slot
-        terms = _series(tables, int(slot), states[rows])
+        # What each term of the series adds, summed over the nodes first: the terms are many, their weights few.
+        weights = np.zeros((LENGTH + 1, rows.sum()), dtype=np.complex128)
         for node, weight in zip(*_GAUSS, strict=True):
             turn = np.exp(-1j * omega * (starts[rows] + node * lengths[rows]))
-            total += (weight * lengths[rows] * turn) @ _sum_series(terms, part[rows] * node)
+            share, tau = weight * lengths[rows] * turn, part[rows] * node
+            for each in weights:
+                each += share
+                share *= tau
+        total += np.einsum("ks,ksr->r", weights, _series(tables, int(slot), states[rows]), optimize=True)
     return total
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -37,6 +39,16 @@ def test_given_pieces_when_computed_then_each_comes_once_with_its_number() -> No
     assert sorted(found) == [(k, k * k) for k in range(20)]
     assert again == [(0, 49)]
     assert not multiprocessing.active_children()
+
+
+def test_given_a_plain_script_when_it_computes_then_it_is_not_run_again_by_workers(tmp_path: Path) -> None:
+    script = tmp_path / "study.py"
+    script.write_text(
+        "from rig.workers import Workers\nprint('begun')\n"
+        "with Workers() as workers:\n    print(sorted(workers.compute(len, ['a', 'bb'])))\n"
+    )
+    found = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True)
+    assert found.stdout.splitlines() == ["begun", "[(0, 1), (1, 2)]"]
 
 
 def test_given_a_piece_that_fails_when_computed_then_its_error_is_raised_and_no_process_is_left() -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rig.arguments import Changes, SceneName, loaded
+from rig.arguments import Changes, Cluster, SceneName, loaded
 from rig.command_line import application, run
 from rig.console import counting
 
@@ -266,11 +266,12 @@ def paper(
         Path, typer.Option("--output", "-o", metavar="DIR", help="Where data, figures and the page go.")
     ] = Path("recordings/paper"),
     fresh: Annotated[list[str] | None, typer.Option(help="Compute this part again; may be repeated.")] = None,
+    cluster: Cluster = None,
 ) -> None:
     """Reproduce the paper's figures and judge its claims; goes on where it stopped."""
     from analysis.paper.reproduce import reproduce
 
-    reproduce(output, lambda line: print(line, flush=True), fresh or ())
+    reproduce(output, lambda line: print(line, flush=True), fresh or (), cluster)
 
 
 def _show(result: Result) -> None:

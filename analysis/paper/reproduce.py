@@ -36,7 +36,9 @@ FIGURES: dict[str, Callable[[paper_figures.Parts], Figure]] = {
 }
 
 
-def reproduce(folder: Path, say: Callable[[str], None], fresh: Sequence[str] = ()) -> list[Path]:
+def reproduce(
+    folder: Path, say: Callable[[str], None], fresh: Sequence[str] = (), cluster: str | None = None
+) -> list[Path]:
     """Compute what is not there yet, draw all figures, and write the page.
 
     Parameters
@@ -48,6 +50,8 @@ def reproduce(folder: Path, say: Callable[[str], None], fresh: Sequence[str] = (
         Takes one line of text at a time.
     fresh : sequence of str
         Names of parts to compute again.
+    cluster : str, optional
+        As for `rig.design`; its workers must reach the folder by the same name.
 
     Returns
     -------
@@ -62,7 +66,8 @@ def reproduce(folder: Path, say: Callable[[str], None], fresh: Sequence[str] = (
         If the folder cannot be written.
     """
     began = time.monotonic()
-    parts = all_parts(folder)
+    # Workers elsewhere have another working folder.
+    parts = all_parts(folder.resolve() if cluster else folder)
     unknown = set(fresh) - {part.name for part in parts}
     if unknown:
         raise SceneError(
@@ -84,7 +89,7 @@ def reproduce(folder: Path, say: Callable[[str], None], fresh: Sequence[str] = (
     )
     if missing:
         progress = _Progress(missing, say)
-        for part, arrays in compute(missing, folder):
+        for part, arrays in compute(missing, folder, cluster):
             stored[part.name] = arrays
             progress.add(part)
     files: list[Path] = []
@@ -98,10 +103,12 @@ def reproduce(folder: Path, say: Callable[[str], None], fresh: Sequence[str] = (
     return files
 
 
-def compute(parts: Sequence[PaperPart], folder: Path) -> Iterator[tuple[PaperPart, Arrays]]:
-    """Compute parts on all cores, longest first, and store each as soon as it is there."""
+def compute(
+    parts: Sequence[PaperPart], folder: Path, cluster: str | None = None
+) -> Iterator[tuple[PaperPart, Arrays]]:
+    """Compute parts on all cores, or on a cluster, longest first, and store each as soon as it is there."""
     waiting = sorted(parts, key=lambda part: -part.effort)
-    with Workers() as workers:
+    with Workers(cluster) as workers:
         for number, arrays in workers.compute(PaperPart.computed, waiting):
             waiting[number].store(folder, arrays)
             yield waiting[number], arrays

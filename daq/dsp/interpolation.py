@@ -66,9 +66,9 @@ class MotionInterpolator:
         Before sample 0 everything is at rest at the initial position: an initial velocity is an impulse
         there.
         """
-        acceleration, velocity, displacement = (
-            rows[self._row] for rows in (motion.acceleration, motion.velocity, motion.displacement)
-        )
+        row = self._row
+        acceleration, velocity = motion.acceleration[row], motion.velocity[row]
+        displacement = motion.displacement[row]
         smooth = np.empty((4, acceleration.size))
         if acceleration.size == 0:
             return CubicInput(smooth, *no_parts(0))

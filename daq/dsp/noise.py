@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from itertools import pairwise
 from zlib import crc32
 
@@ -102,6 +103,8 @@ class FastNoise:
         samples *= self._size
 
 
+# Sensors of one kind have one.
+@lru_cache(maxsize=16)
 def shape(corner: float, rate: float) -> tuple[Array, Array, float]:
     """Find the filter that turns white noise into noise of density ``sqrt(1 + corner / f)`` times as much.
 

@@ -118,13 +118,16 @@ class ChunkedFile:
         for each in messages:
             if isinstance(each, Messages):
                 encoded = _encoded(each)
-                log_times, channels = encoded["log_time"], encoded["channel"]
-                times += int(log_times.min()), int(log_times.max())
-                index = np.empty(encoded.size, _ENTRIES)
-                index["log_time"] = log_times
-                index["place"] = np.arange(place, place + encoded.nbytes, encoded.itemsize)
-                for channel in dict.fromkeys(np.ravel(each.channel).tolist()):
-                    entries[channel].append(index[channels == channel].tobytes())
+                index = np.empty(encoded.shape, _ENTRIES)
+                index["log_time"] = each.log_time
+                starts = np.arange(place, place + encoded.nbytes, encoded.itemsize)
+                index["place"] = starts.reshape(index.shape)
+                if isinstance(each.channel, int):
+                    entries[each.channel].append(index.tobytes())
+                else:
+                    for channel in dict.fromkeys(each.channel.ravel().tolist()):
+                        entries[channel].append(index[encoded["channel"] == channel].tobytes())
+                times += np.ravel(each.log_time).tolist()
                 parts.append(encoded.tobytes())
                 place += encoded.nbytes
                 continue
@@ -271,7 +274,7 @@ def _encoded(messages: Messages) -> NDArray[Any]:
     encoded["channel"], encoded["sequence"] = messages.channel, messages.sequence
     encoded["log_time"], encoded["publish_time"] = messages.log_time, messages.publish_time
     encoded["data"] = messages.data
-    return encoded.ravel()
+    return encoded
 
 
 class Message(NamedTuple):

@@ -49,9 +49,9 @@ class Overloads:
     def read(self, ends: slice) -> NDArray[np.bool_]:
         """Give the flags of the samples that end at some of these intervals."""
         reached = self._reached[1:]
-        places = np.flatnonzero(reached)
-        if not places.size and self._lasts <= 0:
+        if self._lasts <= 0 and not reached.any():
             return np.zeros(reached[ends].size, dtype=bool)
+        places = np.flatnonzero(reached)
         shift = np.maximum((reached[places] - 1.0) / _OVER, 1.0)
         until = np.zeros(reached.size + 1, dtype=np.int64)
         until[0] = self._lasts

@@ -132,7 +132,7 @@ class Propagator:
         self.log = empty_log(max(LOG_ROWS, 16 * dampers), size, dampers)
         self.workspace: Workspace = workspace_for(self.tables.flow, size)
         self.state.counters[CONFIGURATION] = system.at_rest
-        self._unseen = self.motion_samples(0)
+        self._unseen, self._unkept = self.motion_samples(0), self.room(0)
         self._elapsed = 0.0
         self._find_table()
 
@@ -215,7 +215,7 @@ class Propagator:
         """Do the same, but instead of keeping states fill what is seen, from a column on."""
         seen.begin[0] = column
         rows = np.arange(column, column + drive.shape[1] - 1)
-        return self._run(Segments(np.array([interval_steps]), EVERY, drive, rows), self.room(0), seen)
+        return self._run(Segments(np.array([interval_steps]), EVERY, drive, rows), self._unkept, seen)
 
     def motion_samples(self, samples: int) -> MotionSamples:
         """Room for what is seen at a number of samples."""
@@ -285,7 +285,7 @@ class Propagator:
     def _run(self, way: Segments, kept: StateSamples, seen: MotionSamples) -> Trajectory:
         pages = self._go(way, kept, seen)
         self._need_bounded(way, kept, seen)
-        self._elapsed += float(np.broadcast_to(way.steps, way.row.shape).sum()) * self.tables.step
+        self._elapsed += float(way.steps.sum()) * (way.row.size // way.steps.size) * self.tables.step
         last = self._page()
         if not pages:
             return Trajectory(*kept, *last)

@@ -1,7 +1,8 @@
 """What people wait for, each beside a peer: `python -m tests.benchmarks.waits FILE.json`.
 
 Processor time throughout, of children too: a machine that others use as well tells nothing by the clock. A peer is real
-time, a Python that only imports numpy, or what the study is to take. With `--quick` the studies are left out.
+time, a Python that only imports numpy, or what the study is to take. With `--quick` the studies are left out, and what
+a first run has to compile.
 """
 
 from __future__ import annotations
@@ -60,12 +61,12 @@ class Wait(NamedTuple):
         )
 
 
-def spent(*words: str, repeats: int = 1, folder: Path | None = None) -> float:
+def spent(*words: str, repeats: int = 1, folder: Path | None = None, **environment: str) -> float:
     """Give the least processor time that a command takes, s."""
-    times = []
+    times, there = [], os.environ | environment
     for _ in range(repeats):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        subprocess.run([sys.executable, *words], check=True, capture_output=True, cwd=folder)
+        subprocess.run([sys.executable, *words], check=True, capture_output=True, cwd=folder, env=there)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         times.append(after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime)
     return min(times)
@@ -157,11 +158,28 @@ def studies() -> Iterator[Wait]:
             yield Wait(words, spent("-m", program, *rest, folder=Path(folder)), "what it is to take", asked)
 
 
+def first_runs() -> Iterator[Wait]:
+    """Measure a first simulation and a first recording, with all that has to be compiled."""
+    with tempfile.TemporaryDirectory() as folder:
+        sweep = ("fig8-three-dampers", "--set", "test.points=2", "-o", f"{folder}/sweep.mcap")
+        both = (
+            spent("-m", *words, NUMBA_CACHE_DIR=folder)
+            for words in (("rig", "simulate", "reference-A"), ("daq", "record", *sweep))
+        )
+        yield Wait("first rig simulate and daq record", sum(both), "what it is to take", 30.0)
+
+
 def main(words: list[str]) -> None:
     """Print the figures, and write them into a file of JSON."""
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(Path.cwd()), os.environ.get("PYTHONPATH")]))
     found = {}
-    for part in (commands, periods, whole_tests, analyses, *(() if "--quick" in words else (studies,))):
+    for part in (
+        commands,
+        periods,
+        whole_tests,
+        analyses,
+        *(() if "--quick" in words else (first_runs, studies)),
+    ):
         for wait in part():
             print(wait, flush=True)
             found[wait.name] = wait.seconds

@@ -119,10 +119,10 @@ def decode(data: memoryview, schema: str) -> SampleBlock:
 
 @lru_cache(maxsize=64)
 def _size_prefix(message: int) -> bytes:
-    """Give the encoded size of the samples in a message of so many bytes."""
+    """Give the encoded size of the samples in a message of so many bytes, more than its head."""
     rest = message - _HEAD.size
     longest = len(varint(rest))
-    return next((size for n in (longest, longest - 1) if len(size := varint(max(0, rest - n))) == n), b"")
+    return next((size for n in (longest, longest - 1) if len(size := varint(rest - n)) == n), b"")
 
 
 def _decode_any(data: memoryview, schema: str) -> SampleBlock:

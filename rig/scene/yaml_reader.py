@@ -58,6 +58,11 @@ def read(text: str) -> Document:
         if len(text) > MOST_CHARACTERS:
             raise _Unreadable(1, f"{len(text)} characters; expected a scene, at most {MOST_CHARACTERS}")
         _Reader(text, document).run()
+    except UnicodeEncodeError as error:
+        line = text.count("\n", 0, error.start) + 1
+        document.mistakes.append(
+            (line, Mistake((), "no valid YAML: half a character, or bytes that are no UTF-8"))
+        )
     except _Unreadable as error:
         document.mistakes.append((error.line, Mistake((), str(error))))
     except yaml.MarkedYAMLError as error:

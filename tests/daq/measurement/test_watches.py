@@ -144,5 +144,10 @@ def test_given_an_overload_that_lasts_when_a_force_is_held_then_channels_it_is_r
         if row in rows:
             assert f"input {info.name} has been overloaded since 2.00 s" in said[2]
             assert asked.pop() == (held, row, 3.5)
+            # Of several that are clipped the first is told of.
+            clipped[sorted(rows)] = True
+            loss.watch(40, clean)
+            said = [loss.watch(first, clipped) for first in (44, 52, 60)]
+            assert INFOS[min(rows)].name in said[2] and asked.pop()[1] == min(rows)
             assert loss.watch(28, clean) is None
             assert [loss.watch(first, clipped) for first in (32, 36)] == [None, None]

@@ -63,6 +63,7 @@ def test_given_a_block_when_protobuf_reads_it_then_it_is_the_same_and_so_the_oth
         assert message.sample_rate_hz == 5120.0
         assert np.array_equal(message.samples, samples)
         block = decode(memoryview(data), schema)
+        assert block.samples.size == 0 or np.shares_memory(block.samples, np.frombuffer(data, np.uint8))
         assert (block.t0_ns, block.first_sample, block.rate) == (clock.time_ns(first), first, 5120.0)
         assert np.array_equal(block.samples, samples)
 

@@ -57,6 +57,7 @@ def test_given_an_alias_when_one_of_its_places_is_changed_then_the_other_stays(f
         ("dampers[0].mass=1kg", "lists count from 1"),
         ("test..force=1N", "no key"),
         ("gravity", "expected KEY=VALUE such as test.force=5N"),
+        ("name=\udcff", "bytes that are no UTF-8"),
         ("structure.masses=[1 kg", "expected KEY=VALUE"),
     ],
 )

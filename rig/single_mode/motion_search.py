@@ -63,11 +63,9 @@ def eliminate(kind: MotionType, instants: Array, setting: MotionParameters) -> t
         What remains: the ceiling contact (Type III), the ceiling's height over the gap there (II and III)
         and, last, half the logarithm of the squared force that the motion needs over the one that acts.
     """
-    batch = instants.shape[1]
-    zero = np.concatenate([np.zeros((4, batch)), instants])
-    trials = np.repeat(zero[:, None], 5, axis=1)
-    trials[np.arange(4), np.arange(1, 5)] = 1.0
-    values = PeriodicMotion(kind, trials, setting).affine_conditions()
+    # None of the four, and each by itself, at the same instants.
+    trials = np.concatenate([np.zeros((4, 1, 1)), np.eye(4)[:, :, None]], axis=1)
+    values = PeriodicMotion(kind, [*trials, *instants], setting).affine_conditions()
     matrix = np.moveaxis(values[:4, 1:] - values[:4, :1], 2, 0)
     with np.errstate(all="ignore"):
         amplitudes = _solve(matrix, -values[:4, 0].T)

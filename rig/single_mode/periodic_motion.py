@@ -26,6 +26,7 @@ stay as they are, because the reduced ones hold for Type II alone.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
@@ -85,16 +86,18 @@ class PeriodicMotion:
     ----------
     kind : {'I', 'II', 'III'}
         Motion type.
-    unknowns : array, shape (4 + instants, ...)
-        q_0, q'_0, a, b and the instants.
+    unknowns : array, shape (4 + instants, ...), or so many arrays
+        q_0, q'_0, a, b and the instants; they broadcast against each other.
     setting : MotionParameters
         Parameters; broadcast against unknowns[0].
     """
 
-    def __init__(self, kind: MotionType, unknowns: Array, setting: MotionParameters) -> None:
+    def __init__(
+        self, kind: MotionType, unknowns: Array | Sequence[Array], setting: MotionParameters
+    ) -> None:
         self.kind = kind
         self.setting = setting
-        q, u, self.a, self.b = unknowns[:4]
+        q, u, self.a, self.b = (np.asarray(each) for each in unknowns[:4])
         self.instants = unknowns[4:]
         leave = self.instants[0]
         floor = MotionPhase(True, np.zeros_like(leave), leave, ModeState(q, u, q, u), 0.0)

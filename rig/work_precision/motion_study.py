@@ -211,8 +211,6 @@ def _adaptive(problem: FirstOrderForm, period: float) -> Methods:
         for rtol in tolerances:
             leg = scipy_leg(method, rtol, np.inf)
             yield f"scipy {method}", f"rtol {rtol:.0e}", partial(follow, problem, leg, 0.0, LIMIT)
-    leg = scipy_leg("DOP853", 1e-12, CAREFUL * period)
-    yield "scipy DOP853", "rtol 1e-12, step T/40, blind", partial(follow, problem, leg, BLIND, LIMIT)
     if importlib.util.find_spec("sksundae") is None:
         return
     for rtol in (1e-4, 1e-6, 1e-9, 1e-12):

@@ -68,7 +68,7 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
     """
     if count is not None and count < 1:
         raise SceneError(f"{count} modes asked for: expected at least 1")
-    curves = thinned([frf.to("displacement").sorted() for frf in frfs])
+    curves = _bounded(thinned([frf.to("displacement").sorted() for frf in frfs]))
     measured, sigma = _measured(curves)
     charts = [
         chart(measured.frequency, measured.value, weight)
@@ -110,7 +110,20 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
         label=curves[0].label,
         warnings=(),
     )
-    return _with_warnings(result, curves, count, dropped)
+    left_out = [frf.response for frf in frfs if frf.response not in result.responses]
+    return _with_warnings(result, curves, count, dropped, left_out)
+
+
+def _bounded(curves: Sequence[Frf]) -> list[Frf]:
+    """Leave out responses that nothing bounds: they would weigh nothing."""
+    found = [curve for curve in curves if np.isfinite(_sigma([curve])).any()]
+    if not found:
+        raise RecordingError(
+            f"nothing bounds the responses at {', '.join(curve.response for curve in curves)}, so that they hold no "
+            "modes: their readings are a few counts, or their reference may be nothing at all; record again with a "
+            "converter range and sensors that suit the level"
+        )
+    return found
 
 
 def _measured(curves: Sequence[Frf]) -> tuple[Curves, Array]:
@@ -202,8 +215,10 @@ def _sigma(curves: Sequence[Frf]) -> Array:
     return np.hypot(error, LEAST_RELATIVE_ERROR * np.maximum(size, 1e-6 * top))
 
 
-def _with_warnings(modes: Modes, curves: Sequence[Frf], count: int | None, dropped: list[float]) -> Modes:
-    notes: list[str] = []
+def _with_warnings(
+    modes: Modes, curves: Sequence[Frf], count: int | None, dropped: list[float], left_out: list[str]
+) -> Modes:
+    notes = [f"{name} left out: nothing bounds its response." for name in left_out]
     if modes.model_error:
         notes.append(
             f"The curves are not those of a linear structure: the best one misses them by {modes.model_error:.2g} "

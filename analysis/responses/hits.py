@@ -41,6 +41,8 @@ _FAINT = 1e-2
 # Counts that a coarser converter takes for one, and how much larger the mean square then is of what it changes than
 # that of rounding to counts, a twelfth.
 _COARSER = ((2.0, 6.0), (3.0, 8.0))
+# Of fewer counts a coarser converter leaves next to nothing, unless noise of this variance, in counts, is read as well.
+_FEWEST_COUNTS, _DITHER = 6.0, 0.25
 
 
 @dataclass(frozen=True)
@@ -191,7 +193,7 @@ class Hits:
         soon after it passes for response: of what has decayed to half a count nothing is read, and a tone of few counts
         has harmonics. Coarser converters show how much: what readings differ by when they are rounded once more, to
         every second and every third count. Noise of s counts lets ``exp(-2 pi^2 s^2)`` of this through (Widrow and
-        Kollár, as in `noise_gain`).
+        Kollár, as in `noise_gain`). Readings of too few counts to be rounded once more tell nothing: infinite.
 
         Parameters
         ----------
@@ -208,11 +210,12 @@ class Hits:
         # What is nearer to a hit than this, low polynomials cannot tell from the response to it.
         near = int(size * (ORDER + 1) / side)
         power = np.sum([abs(each) ** 2 for each in spectra], axis=0)
-        off, noise = np.zeros((len(_COARSER), *power.shape)), []
+        off, noise, most = np.zeros((len(_COARSER), *power.shape)), [], np.zeros(count.shape)
         for block, (start, stop) in zip(blocks, stretches, strict=True):
             for begin, _ in self.inside(start, stop):
                 first = begin - (stop - block.shape[1])
                 read = np.rint(block[:, first : first + near] / step)
+                most = np.maximum(most, abs(read).max(axis=1, keepdims=True))
                 for each, (times, more) in zip(off, _COARSER, strict=True):
                     each += abs(fft.rfft(times * np.rint(read / times) - read, size, axis=1)) ** 2 / more
                 quiet = [rec.read(name, max(start, begin - int(REST * rec.rate)), begin) for name in names]
@@ -228,7 +231,10 @@ class Hits:
             # Of a normal error with two components the square is in 95 % of cases below three times its mean.
             gain = (step * np.sqrt(3.0 * off / around))[:, lines]
         through = np.exp(-2.0 * np.pi**2 * variance)
-        return np.asarray(np.where(count > 0.0, through * np.nan_to_num(gain, nan=np.inf), 0.0))
+        gain = np.where((most < _FEWEST_COUNTS) & (variance < _DITHER), np.inf, gain)
+        return np.asarray(
+            np.where(count > 0.0, through * np.nan_to_num(gain, nan=np.inf, posinf=np.inf), 0.0)
+        )
 
     def lowest_frequency(self, rec: Recording) -> float:
         """Frequency in Hz below which the time between hits resolves nothing."""

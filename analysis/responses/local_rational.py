@@ -65,6 +65,9 @@ class LocalFit:
     missed: Array
     """How far the polynomials miss the curve around each line: root mean square of what one order more changes,
     beyond the noise by which two such fits differ [2]_; shape (lines,)."""
+    through: Array
+    """Variance of either quadrature component for noise in the reference of power one at each line. In a peak narrower
+    than what a fit takes in, poles follow that noise, and what is left over knows nothing of it; shape (lines,)."""
 
 
 def local_fit(
@@ -116,7 +119,7 @@ def local_fit(
     beyond = abs(more.value - best.value) ** 2 - 2.0 * np.maximum(more.variance - best.variance, 0.0)
     near = max(1, side // max(1, int(np.median(np.diff(lines)))) if lines.size > 1 else 1)
     missed = np.sqrt(np.maximum(ndimage.uniform_filter1d(beyond, near, mode="nearest"), 0.0))
-    return LocalFit(best.value, best.variance, best.coherence, best.degrees, missed)
+    return LocalFit(best.value, best.variance, best.coherence, best.degrees, missed, best.through)
 
 
 class _Fits(NamedTuple):
@@ -126,6 +129,7 @@ class _Fits(NamedTuple):
     variance: Array
     coherence: Array
     degrees: Array
+    through: Array
     criterion: Array
     """Schwarz's, for orders to be compared [3]_."""
 
@@ -149,13 +153,13 @@ def _fits(
         _fit(reading, reference, ends, begins, lines[first : first + step], side, order, poles)
         for first in range(0, lines.size, step)
     ]
-    value, variance, coherence, left = (np.concatenate(each) for each in zip(*parts, strict=True))
+    value, variance, coherence, left, through = (np.concatenate(each) for each in zip(*parts, strict=True))
     # Zeros in front of a stretch make neighbouring lines depend on each other: they count for less.
     free = max(used * equations - unknowns, 0.5)
     criterion = used * equations * np.log(np.maximum(left, _NOTHING)) + unknowns * np.log(
         2 * used * equations
     )
-    return _Fits(value, variance / free, coherence, np.full(lines.size, 2.0 * free), criterion)
+    return _Fits(value, variance / free, coherence, np.full(lines.size, 2.0 * free), through, criterion)
 
 
 def _fit(
@@ -167,14 +171,15 @@ def _fit(
     side: int,
     order: int,
     poles: int,
-) -> tuple[ComplexArray, Array, Array, Array]:
-    """Value, sum of squares over the variance, coherence and what is left over relative to what was read."""
+) -> tuple[ComplexArray, Array, Array, Array, Array]:
+    """Value, sum of squares over the variance, coherence, what is left over as a share of what was read, `through`."""
     stretches, width = len(reference), 2 * side + 1
     first = np.clip(lines - side, 0, reference.shape[1] - width)
     near = first[:, None] + np.arange(width)
     at = ((near - lines[:, None]) / side)[:, None, :]
     x, f, e = (np.moveaxis(each[:, near], 1, 0) for each in (reading.spectra, reference, ends))
-    f = f * reading.response[near][:, None, :]
+    told_by = reading.response[near][:, None, :]
+    f = f * told_by
     size, drive = (np.maximum(_rms(each), _NOTHING) for each in (x, f))
     x, f = x / size, f / drive
     columns = [f * at**k for k in range(order + 1)]
@@ -194,22 +199,28 @@ def _fit(
     right = x.reshape(lines.size, -1)
     # Multiplied by the denominator the problem is linear, but what is noise is weighted, too, and fitted by poles of
     # its own: a step of Gauss and Newton sets both right.
-    unknown, inverse = _solved(np.concatenate([above, -right[..., None] * powers], axis=2), right)
+    unknown, influence = _solved(np.concatenate([above, -right[..., None] * powers], axis=2), right)
     left = right - _quotient(above, powers, unknown)[0]
     if poles:
         model, below = _quotient(above, powers, unknown)
         slope = np.concatenate([above, -model[..., None] * powers], axis=2) / below[..., None]
-        change, inverse = _solved(slope, left)
+        change, influence = _solved(slope, left)
         changed = right - _quotient(above, powers, unknown + change)[0]
         better = _power(changed) < _power(left)
         unknown, left = unknown + change * better[:, None], np.where(better[:, None], changed, left)
     noise = _power(left)
-    # Column 0 is the numerator's constant: the response at the line itself, where the denominator is one.
-    variance = noise * np.sum(abs(inverse[:, 0]) ** 2, axis=1) / 2.0
+    variance = noise * _power(influence) / 2.0
+    # The response at all lines of the fit: its model of a reference of one.
+    ones = [np.broadcast_to(at**k, x.shape).reshape(right.shape) for k in range(order + 1)]
+    curve = _quotient(
+        np.stack(ones, axis=-1), powers, np.delete(unknown, np.s_[order + 1 : above.shape[2]], axis=1)
+    )[0]
+    through = _power(influence * curve * np.broadcast_to(told_by, x.shape).reshape(right.shape)) / 2.0
     told = abs(unknown[:, 0]) ** 2 * np.sum(abs(f) ** 2, axis=(1, 2))
     coherence = told / np.maximum(told + noise, _NOTHING)
-    factor = np.where(drive > _NOTHING, size / drive, np.nan)[:, 0, 0]
-    return unknown[:, 0] * factor, variance * factor**2, coherence, noise
+    driven = np.where(drive > _NOTHING, drive, np.nan)[:, 0, 0]
+    factor = size[:, 0, 0] / driven
+    return unknown[:, 0] * factor, variance * factor**2, coherence, noise, through * (factor / driven) ** 2
 
 
 def _quotient(above: ComplexArray, powers: Array, unknown: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
@@ -222,7 +233,9 @@ def _quotient(above: ComplexArray, powers: Array, unknown: ComplexArray) -> tupl
 
 
 def _solved(system: ComplexArray, right: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Solve by least squares; and the inverse of the triangular factor, whose rows give the covariance.
+    """Solve by least squares; and how much each equation's right side weighs in the first unknown.
+
+    That is the numerator's constant: the response at the line itself, where the denominator is one.
 
     Where lower orders do, denominator, numerator and transient have a factor in common, which could be anything: a
     faint wish for small coefficients settles it, and leaves the response at the line as it is.
@@ -230,9 +243,10 @@ def _solved(system: ComplexArray, right: ComplexArray) -> tuple[ComplexArray, Co
     lines, equations, unknowns = system.shape
     wish = np.broadcast_to(_FAINT * np.eye(unknowns), (lines, unknowns, unknowns))
     q, r = np.linalg.qr(np.concatenate([system, wish], axis=1))
-    projected = np.conj(np.swapaxes(q[:, :equations], 1, 2)) @ right[..., None]
-    inverse = np.linalg.solve(r, np.broadcast_to(np.eye(unknowns), r.shape))
-    return (inverse @ projected)[..., 0], inverse
+    adjoint = np.conj(np.swapaxes(q[:, :equations], 1, 2))
+    first = np.broadcast_to(np.eye(unknowns, 1), (lines, unknowns, 1))
+    row = np.swapaxes(np.linalg.solve(np.swapaxes(r, 1, 2), first), 1, 2)
+    return np.linalg.solve(r, adjoint @ right[..., None])[..., 0], (row @ adjoint)[:, 0]
 
 
 def _power(each: ComplexArray) -> Array:

@@ -51,13 +51,21 @@ class LocalSpectra:
     """Share of the samples behind the spectra that was measured, as in `local_fit`."""
     gain: Array
     """How far rounding can change each channel's gain, as in `rounding_part`; shape (channels, lines)."""
+    noise: Array
+    """Power of each channel's noise at each line, as far as known; shape (channels, lines)."""
     fits: dict[tuple[str, Measurand], LocalFit] = field(default_factory=dict)
     """Made so far, of a channel to a reference: responses share the channels of their reference."""
 
     def only(self, names: Sequence[str]) -> LocalSpectra:
         """Keep some channels."""
         rows = [self.channels.index(name) for name in names]
-        return replace(self, channels=tuple(names), samples=self.samples[:, rows], gain=self.gain[rows])
+        return replace(
+            self,
+            channels=tuple(names),
+            samples=self.samples[:, rows],
+            gain=self.gain[rows],
+            noise=self.noise[rows],
+        )
 
     def frf(
         self,
@@ -108,10 +116,12 @@ class LocalSpectra:
             reads[index] = fit.value * told_by[self.lines]
             if name == above.channels[0]:
                 of_response = fit
+        scale = abs(np.sum(upper * reads, axis=0)) / np.maximum(abs(of_response.value), 1e-300)
+        # Whatever is left over by a fit, its value follows what noise the reference brings.
+        noise = np.einsum("cn,cn->n", abs(lower) ** 2, self.noise)
+        variance = np.maximum(of_response.variance, of_response.through * noise) * scale**2
         upper, lower = upper * reads, lower * reads
         value = upper.sum(axis=0)
-        scale = abs(value) / np.maximum(abs(of_response.value), 1e-300)
-        variance = of_response.variance * scale**2
         shares = value, upper, lower
         systematic = (
             sensitivity_part(rec, names, *shares)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
+from scipy import fft, ndimage
 
 from analysis.recordings.slices import read_slices
 from analysis.responses.clean_stretches import cure, flaws, told
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
 # A stretch lasts at least while the tone passes this ratio of frequencies, short enough for the harmonics of a
 # nonlinear structure to stay out of it, and until so many of its lines on either side are driven.
@@ -124,6 +125,8 @@ def tracked(
     samples = np.empty((_POINTS, len(names), around.size), dtype=complex)
     at = np.empty((_POINTS, around.size))
     squares = np.empty((len(names), _POINTS))
+    ahead = 1 if marker.fields["to"] > marker.fields["from"] else -1
+    quiet = []
     blocks = read_slices(rec, names, [bounds[index] for index in order])
     for done, (index, block) in enumerate(zip(order, blocks, strict=True), 1):
         if progress is not None:
@@ -133,12 +136,18 @@ def tracked(
         # Turned so that the frequency falls on a line.
         shift = frequency[index] - line * rec.rate / size
         turn = np.exp(-2j * np.pi * shift / rec.rate * np.arange(size))
-        samples[index] = fft.fft((block - block.mean(axis=1, keepdims=True)) * turn, axis=1)[:, line + around]
+        spectrum = fft.fft((block - block.mean(axis=1, keepdims=True)) * turn, axis=1)
+        samples[index] = spectrum[:, line + around]
         at[index] = frequency[index] + around * rec.rate / size
         begin, width = bounds[index][0], SIDE * rec.rate / size
         near = [first + _passes(marker, frequency[index] + off, rec.rate) - begin for off in (-width, width)]
         squares[:, index] = _near(block, near, rec.rate / frequency[index]).var(axis=1)
-    kept = np.array(sorted(order))
+        place = line + ahead * _beyond(line)
+        if SIDE < place < size // 2 - SIDE:
+            quiet.append(
+                (at[index, SIDE] + (place - line) * rec.rate / size, *_noise(spectrum, place) / size)
+            )
+    kept, lengths = np.array(sorted(order)), np.array([end - begin for begin, end in bounds])
     spectra = LocalSpectra(
         names,
         np.moveaxis(samples[kept], 0, 1).reshape(1, len(names), -1),
@@ -148,10 +157,10 @@ def tracked(
         SIDE,
         1.0,
         tone_gain(in_counts(rec, names, squares[:, kept])),
+        _interpolated(quiet, frequency[kept], len(names)) * lengths[kept],
     )
     speed = abs(np.gradient(frequency, [_passes(marker, f, rec.rate) / rec.rate for f in frequency]))
-    lines = np.array([rec.rate / (end - begin) for begin, end in bounds])
-    shared = max(float(np.median(_PER_VALUE * lines / np.gradient(frequency))), 1.0)
+    shared = max(float(np.median(_PER_VALUE * rec.rate / lengths / np.gradient(frequency))), 1.0)
     return SweptTone(spectra, speed[kept], rec.scene.name, tuple(notes), shared)
 
 
@@ -167,6 +176,28 @@ def _stretch(marker: Marker, frequency: float, rate: float, first: int, stop: in
         if driven >= SIDE or (begin == first and end == stop):
             return begin, end
         ratio *= _GROWTH
+
+
+def _beyond(line: int) -> int:
+    """Lines from that of a stretch's frequency to where its tone has not yet been, nor what a window smears of it."""
+    return int(_GROWTH * max((_RATIO**0.5 - 1.0) * line, SIDE)) + 2 * SIDE
+
+
+def _noise(spectrum: ComplexArray, line: int) -> Array:
+    """Power of each channel around a line that nothing drives, without leakage of what is driven elsewhere."""
+    near = spectrum[:, line - SIDE - 1 : line + SIDE + 2]
+    windowed = 0.5 * near[:, 1:-1] - 0.25 * (near[:, :-2] + near[:, 2:])
+    # Hann's window leaves three eighths of the power, whose median is ln 2 of its mean; a hum is no noise.
+    return np.asarray(np.median(abs(windowed) ** 2, axis=1) / (0.375 * np.log(2.0)))
+
+
+def _interpolated(quiet: Sequence[tuple[float, ...]], frequency: Array, channels: int) -> Array:
+    """Noise of each channel between the frequencies at which it was told, and as there beyond them."""
+    if not quiet:
+        return np.zeros((channels, frequency.size))
+    at, *power = np.array(sorted(quiet)).T
+    smooth = [ndimage.uniform_filter1d(row, 2 * SIDE + 1, mode="nearest") for row in power]
+    return np.array([np.interp(frequency, at, row) for row in smooth])
 
 
 def _near(block: Array, ends: Sequence[float], period: float) -> Array:

@@ -179,6 +179,7 @@ class WholeStretches:
             side,
             used,
             gain,
+            np.zeros(gain.shape),
         )
 
     def _lines(self, rec: Recording, size: int) -> NDArray[np.int64]:

@@ -120,6 +120,25 @@ def test_given_a_record_that_begins_in_motion_just_before_a_hit_when_taken_whole
     np.testing.assert_array_equal(curves[0].frequency, curves[1].frequency)
 
 
+def test_given_a_channel_that_reads_few_counts_when_hit_then_nothing_bounds_it_and_modes_rest_on_the_others(
+    tmp_path,
+):
+    scene = rig.loads(HIT.format(cutoff="", converter="{rate: 2 kHz, bits: 12, range: 5 V}"))
+    channels = [
+        scene.channels[0].model_dump(),
+        {**scene.channels[1].model_dump(), "accelerometer": {"sensitivity": 2e-4}},
+    ]
+    scene = scene.replace(channels=(*channels, scene.channels[2].model_dump()))
+    with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
+        [both] = analysis.frequency_responses(rec)
+    assert [np.isfinite(frf.bound(0.95)).any() for frf in both] == [True, False]
+    modes = analysis.identify(both)
+    assert modes.responses == ("a1",)
+    assert "a2 left out: nothing bounds its response." in modes.warnings
+    with pytest.raises(RecordingError, match="nothing bounds the responses at a2"):
+        analysis.identify(both[1:])
+
+
 def test_given_no_force_channel_when_averaged_then_it_says_what_to_add(tmp_path):
     path = synthetic.impulses(tmp_path / "a.mcap", hammer=False, interval=1.0)
     with daq.open(path) as rec, pytest.raises(RecordingError, match=r"add \{name: hammer, at: hammer\}"):

@@ -80,6 +80,21 @@ def test_given_noise_when_fitted_then_errors_scatter_as_stated_and_coherence_is_
     assert np.mean(coherences) == pytest.approx(4.0 / (4.0 + noise**2), abs=0.01)
 
 
+def test_given_noise_in_the_reference_when_a_narrow_peak_is_fitted_then_it_scatters_as_that_noise_goes_through():
+    random = np.random.default_rng(14)
+    noise, middle, off = 0.02, np.array([200]), []
+    for _ in range(60):
+        force = gaussian(random, 1, BINS)
+        reading = Reading(resonance(1.5) * force, np.ones(BINS), np.zeros((0, BINS)))
+        read = force + noise * gaussian(random, 1, BINS)
+        fit = local_fit(reading, read, np.zeros((1, BINS)), middle, 12)
+        off.append([abs(fit.value[0] - 1.0) ** 2 / 2.0, fit.variance[0], noise**2 * fit.through[0]])
+    seen, left_over, stated = np.median(off, axis=0)
+    # The median of half the square is ln 2 of its mean. Poles follow the noise: what is left over knows little of it.
+    assert stated * np.log(2.0) == pytest.approx(seen, rel=0.5)
+    assert left_over < 0.5 * stated
+
+
 def test_given_zeros_in_front_of_stretches_when_fitted_then_lines_count_for_less():
     random = np.random.default_rng(10)
     force = gaussian(random, 3, BINS)

@@ -11,7 +11,15 @@ from typing import Any
 import numpy as np
 
 from daq.importing.matlab_file import matlab_arrays
-from daq.importing.signal import Array, Signal, clock_of_times, held, rate_of_interval
+from daq.importing.signal import (
+    Array,
+    Signal,
+    clock_of_times,
+    held,
+    looks_like_times,
+    rate_of_interval,
+    tell_times,
+)
 from rig.errors import RecordingError
 
 # What programs call the sample rate, the sample interval and the times.
@@ -81,7 +89,12 @@ def _signals(path: Path, arrays: Mapping[str, Any]) -> list[Signal]:
         else:
             # Samples of a channel are more than there are channels, whichever way they lie.
             across = array if array.shape[0] <= array.shape[1] else array.T
-            for number, row in enumerate(across, 1):
+            times = across[0].astype(float)
+            timed = len(across) > 1 and looks_like_times(times, float(times[-1]), times.size)
+            if timed:
+                tell_times(f"{where}: its first row or column", times[1] - times[0])
+                clocks[f"{name}(1)"] = clock_of_times(times, 0.0, where)
+            for number, row in enumerate(across[int(timed) :], 1 + timed):
                 rows[f"{name}({number})"] = held(row, str(path), len(rows) + 1, f"{name}({number})")
     if not rows:
         raise RecordingError(f"{path} holds no array of samples; it holds {_listed(arrays)}")
@@ -103,6 +116,9 @@ def _clock(
     path: Path, name: str, scalars: Mapping[str, float], clocks: Mapping[str, tuple[float, float]]
 ) -> tuple[float | None, float]:
     """Find the rate and the first time of a signal: what stands in its own structure goes before what is for all."""
+    of_array = f"{name.partition('(')[0]}(1)"
+    if of_array in clocks:
+        return clocks[of_array]
     own = name.split(".", 1)[0] if "." in name else ""
 
     def nearest(pattern: re.Pattern[str], among: Mapping[str, Any]) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
@@ -10,6 +11,7 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.measurement.run import RunWarning
 from rig.errors import RecordingError
 
 Array = NDArray[np.float64]
@@ -128,9 +130,40 @@ def clock_of_times(times: Array, resolution: float, where: str) -> tuple[float, 
     """
     if times.size < 2:
         raise RecordingError(f"{where}: {times.size} samples; expected at least 2")
-    rate = rate_between(float(times[0]), float(times[-1]), times.size, resolution, where)
+    first, last = float(times[0]), float(times[-1])
+    # How far they are off an even grid tells to how many digits they were rounded.
+    off = float(abs(times - np.linspace(first, last, times.size)).max())
+    rate = rate_between(first, last, times.size, max(resolution, 2.0 * off), where)
     even(times, 0, float(times[0]), rate, resolution, where)
     return rate, float(times[0])
+
+
+def looks_like_times(begin: Array, last: float, samples: int) -> bool:
+    """Whether unnamed numbers can only be times: they rise evenly, and are no count.
+
+    Parameters
+    ----------
+    begin : ndarray
+        The first ones, at least two.
+    last : float
+        The last one.
+    samples : int
+        How many there are in all.
+
+    Examples
+    --------
+    >>> looks_like_times(np.array([0.0, 0.01, 0.02]), 0.09, 10), looks_like_times(np.array([1.0, 2.0]), 10.0, 10)
+    (True, False)
+    """
+    step = (last - begin[0]) / max(samples - 1, 1)
+    if not (np.isfinite(step) and step > 0.0) or step == 1.0:
+        return False
+    return bool((abs(begin - begin[0] - step * np.arange(begin.size)) < 0.1 * step).all())
+
+
+def tell_times(what: str, step: float) -> None:
+    """Warn that numbers which nobody named are taken for times."""
+    warnings.warn(f"{what} rises evenly, by {step:.6g}: taken for times in s", RunWarning, stacklevel=3)
 
 
 def rate_between(first: float, last: float, samples: int, resolution: float, where: str) -> float:

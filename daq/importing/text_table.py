@@ -15,7 +15,7 @@ import numpy as np
 
 from daq.importing import labview_text
 from daq.importing.labview_text import LabviewHeading
-from daq.importing.signal import Array, Signal, even, rate_between
+from daq.importing.signal import Array, Signal, even, looks_like_times, rate_between, tell_times
 from daq.measurement.run import RunWarning
 from rig.errors import RecordingError
 from rig.scene.quantities import TIME, parse
@@ -29,6 +29,8 @@ _UNIT_BEHIND = re.compile(r"(.*?)\s*[\[(]([^\[\]()]*(?:\([^\[\]()]*\)[^\[\]()]*)
 _SUFFIX = re.compile(r"(.+)_(m/s\^2|m/s²|m/s|m|N|V|g|s|ms)")
 # A rate that may be off by more than this part of it is told.
 _ROUGH = 2e-5
+# What a column is called that has no name.
+UNNAMED = "column {}"
 # Lines from which the digits of times are told.
 _SAMPLED = 50
 
@@ -62,7 +64,7 @@ def text_signals(path: Path, stack: ExitStack) -> list[Signal]:
     columns = list(zip(layout.names, layout.units, strict=True))
     rate, start = None, 0.0
     first = 0
-    if _TIME_NAMES.fullmatch(columns[0][0]) and len(columns) > 1:
+    if len(columns) > 1 and (_TIME_NAMES.fullmatch(columns[0][0]) or table.begins_with_times()):
         first = 1
         rate, start = table.take_clock(columns[0][1])
     if not table.rows:
@@ -144,6 +146,16 @@ class _Table:
         self._reading = self._lines()
         self._position = 0
         self._held: tuple[int, int, Array] = (-1, -1, np.empty((0, 0)))
+
+    def begins_with_times(self) -> bool:
+        """Whether the first column of a table without heading can only be times, which is then told."""
+        if self._layout.names[0] != UNNAMED.format(1) or self.rows < 2:
+            return False
+        begin = np.array([self._row(0, line)[0] for line in self._ends[:-1]])
+        if not looks_like_times(begin, self._row(0, self._ends[-1])[0], self.rows):
+            return False
+        tell_times(f"{self._path} has no heading; its first column", (begin[1] - begin[0]))
+        return True
 
     def take_clock(self, unit: str) -> tuple[float, float]:
         """Take the first column for times in a unit; give the rate in Hz and the first time in s."""
@@ -283,19 +295,19 @@ def _heading(lines: list[str], delimiter: str | None, width: int) -> tuple[list[
     ]
     rows = [[cell.strip(" ,;") for cell in row] for row in above[-2:] if len(row) == width]
     if not rows or len(above[-1]) != width:
-        return [f"column {number}" for number in range(1, width + 1)], [""] * width
+        return [UNNAMED.format(number) for number in range(1, width + 1)], [""] * width
     if (
         len(rows) == 2
         and all(_UNIT_BEHIND.fullmatch(cell) is None for cell in rows[0])
         and _are_units(rows[1])
     ):
-        return [cell or f"column {k}" for k, cell in enumerate(rows[0], 1)], [
+        return [cell or UNNAMED.format(k) for k, cell in enumerate(rows[0], 1)], [
             cell.strip("[]()") for cell in rows[1]
         ]
     names, units = [], []
     for number, cell in enumerate(rows[-1], 1):
         found = _UNIT_BEHIND.fullmatch(cell) or _SUFFIX.fullmatch(cell)
-        names.append((found[1] if found else cell) or f"column {number}")
+        names.append((found[1] if found else cell) or UNNAMED.format(number))
         units.append(found[2].strip() if found else "")
     return names, units
 

@@ -249,6 +249,33 @@ def test_given_labviews_text_when_imported_then_names_units_and_clock_are_found(
         np.testing.assert_allclose(recording.read("body2"), 9.80665 * rows[1], rtol=0, atol=1e-5)
 
 
+@pytest.mark.parametrize("form", ["text", "array"])
+def test_given_numbers_without_names_when_imported_then_an_even_first_column_is_the_clock_and_it_is_told(
+    form, tmp_path
+):
+    rows = np.vstack([np.arange(400) / RATE - 0.01, histories(400)])
+    if form == "text":
+        np.savetxt(tmp_path / "a.txt", rows.T, fmt="%.9e")
+    else:
+        np.savez(tmp_path / "a.npz", measured=rows.T)
+    file = next(tmp_path.glob("a.*"))
+    table = {
+        name: Column(str(k), unit="m/s^2" if name != "force" else "N") for k, name in enumerate(NAMES, 1)
+    }
+    recording, heard = imported(file, bench(), tmp_path / "r.mcap", table=table)
+    with recording:
+        assert recording.rate == RATE
+        np.testing.assert_allclose(recording.read("body1"), rows[1], rtol=1e-6)
+    assert any("rises evenly" in text and "taken for times" in text for text in heard)
+
+
+def test_given_counted_lines_without_names_when_imported_then_the_count_is_no_clock(tmp_path):
+    np.savetxt(tmp_path / "a.txt", np.vstack([np.arange(1, 401), histories(400)]).T)
+    table = {"body1": Column("2", unit="m/s^2")}
+    with pytest.raises(SceneError, match="nothing says how fast"):
+        imported(tmp_path / "a.txt", bench(), tmp_path / "r.mcap", table=table)
+
+
 def test_given_labviews_text_of_several_segments_when_imported_then_the_line_is_named(tmp_path):
     heading = LABVIEW.format(name="Tab", point=".", columns="No")
     segment = (

@@ -53,9 +53,9 @@ fits: $(STAMP)
 matrix: $(STAMP)
 	$(BIN)/python -m tests.matrix
 
-# Kills, damage, full disks and odd inputs by the hundred.
+# Kills, damage, full disks and odd inputs by the hundred: make soak SEED=1000.
 soak: $(STAMP)
-	$(BIN)/python -m tests.soak
+	$(BIN)/python -m tests.soak --seed $(SEED)
 
 # Small faults put into the product, and whether its tests notice: make mutants SEED=2.
 mutants: $(STAMP)

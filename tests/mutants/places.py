@@ -62,6 +62,7 @@ EQUIVALENT = {
     "for c in range(model.inverse_mass.shape[ 1]):": "the matrix is square",
     "lowest = min(gap, model.clearance[j] - gap) - 3 * ROUNDING * abs(height)": "what is looked at closely is more",
     "state.multiplicity[j] = 1 if sign >= 0.0 else -1": "a sign is one or minus one",
+    "for i in range(workspace.size.shape[ -1]):": "the array has one dimension",
     "if mode > FLIGHT:": "no mode is below flight",
     "dampers, points = model.mass.shape[ -1], model.first_velocity": "the array has one dimension",
     "pause = max(1, round(_PAUSE * self._channels[ -1].rate))": "rows of one array have one rate",

@@ -147,8 +147,7 @@ def _in_words(error: BaseException) -> tuple[int, str]:
     match error:
         case SystemExit(code=int() | None):
             return int(error.code or 0), ""
-        # Python 3.11 wraps what interrupts it while it makes a class, as in an import.
-        case KeyboardInterrupt() | RuntimeError(__cause__=KeyboardInterrupt()):
+        case KeyboardInterrupt():
             return 130, "interrupted"
         case ShotrigError():
             notes = getattr(error, "__notes__", ())
@@ -169,9 +168,18 @@ def _in_words(error: BaseException) -> tuple[int, str]:
         context = getattr(error, "ctx", None)
         usage = "" if context is None else f"{context.get_usage()}\n"
         return 2, f"{usage}error: {error.format_message()}"
+    if _comes_of_interruption(error):
+        return 130, "interrupted"
     if isinstance(error, ImportError | AttributeError) and (found := shadowed(Path(sys.path[0]))):
         return 1, "\n".join(f"error: {text}" for text in found)
     return 1, _unexpected(error)
+
+
+def _comes_of_interruption(error: BaseException | None) -> bool:
+    """Whether it took the place of Ctrl-C, as it does while a class or a module of another language is made."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def _unexpected(error: BaseException) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
+from scipy.integrate import quad, trapezoid
 
 from daq.dsp.block_buffers import BlockBuffers
 from daq.dsp.decimator import Decimator
@@ -64,6 +64,12 @@ def test_given_the_standard_filter_when_a_polynomial_is_weighed_then_it_is_the_i
 
         expected = quad(weighed, end, end + 1 / oversampling)[0] * (2 * k + 1) / total
         assert taps[p, k, j] == pytest.approx(expected, rel=1e-6, abs=1e-9)
+
+
+def test_given_the_standard_filter_when_its_kernel_is_summed_then_a_steady_value_passes_as_it_is():
+    time = np.linspace(-DELAY, DELAY, 100 * DELAY + 1)
+    kernel = Decimation.standard(5120.0).impulse_response(time)
+    assert trapezoid(kernel, time) == pytest.approx(1.0, abs=1e-5)
 
 
 def test_given_the_standard_filter_when_its_response_is_asked_for_then_it_is_the_kernels_fourier_integral():

@@ -22,6 +22,8 @@ SCENE_FILE = "scene.yaml"
 BLOCK_S = 0.1
 SHORTEST_BLOCK = 256
 FLUSH_S = 0.5
+# Groups that are displayed together: most of the time goes into what is done once, whatever the number of messages.
+SHOWN_GROUPS = 4
 
 
 def block_length(rate: float) -> int:

@@ -86,7 +86,10 @@ class Recorder:
         self._block, self._group = layout.block_length(rate), layout.flush_length(rate)
         self._stored = stored_as(scene, self.channels)
         self._scale = np.array([scale_of(info, self._stored) for info in self.channels])[:, None]
-        self._raw = Grouping(len(self.channels), self._group, SCHEMAS[self._stored][2])
+        kind = SCHEMAS[self._stored][2]
+        self._raw = Grouping(len(self.channels), self._group, kind)
+        # The same once more, for the display.
+        self._shown = Grouping(len(self.channels), layout.SHOWN_GROUPS * self._group, kind)
         self._marks: list[tuple[int, Marker]] = []
         self._marked = self._chunks = self._written = 0
         self._full = False
@@ -131,6 +134,8 @@ class Recorder:
         if self._stored != "counts" and counts:
             samples = samples * np.array([[info.volts_per_count or 1.0] for info in self.channels])
         self._raw.add(samples)
+        if self._display is not None:
+            self._shown.add(samples)
         self._emit()
 
     def gap(self, lost_samples: int) -> None:
@@ -140,6 +145,7 @@ class Recorder:
             raise ValueError(f"expected a number of lost samples, at least 1, got {lost_samples}")
         first = self._raw.position
         self._raw.skip(lost_samples)
+        self._shown.skip(lost_samples)
         self.mark("gap", first, first + lost_samples - 1)
         self._emit()
 
@@ -279,6 +285,8 @@ class Recorder:
             if self._truth is not None:
                 self._send(self._truth.events_before(None))
             if self._display is not None:
+                self._shown.close_group()
+                self._show(None)
                 self._send(self._display.finish())
         self._write_markers(None)
         outcome = {"status": status, "reason": reason, "samples": str(self._written)}
@@ -304,6 +312,8 @@ class Recorder:
     def _write_group(self, number: int) -> None:
         raw = self._raw.complete.pop(number, None)
         self._need_disk_space()
+        if self._display is not None:
+            self._show(number // layout.SHOWN_GROUPS)
         self._write_markers((number + 1) * self._group)
         if raw is not None:
             blocks = self._blocks(raw)
@@ -317,8 +327,6 @@ class Recorder:
                     each for stream, row, topic in chunk for each in of_row(streams[stream], row, topic)
                 )
             self._send(self._truth.events_before((number + 1) * self._group))
-        if self._display is not None and raw is not None:
-            self._send(self._shown(raw))
         self._disk.commit()
 
     def _need_disk_space(self) -> None:
@@ -341,11 +349,17 @@ class Recorder:
             encoded.append(Messages(0, times[1:], times[:-1], encode(self.clock, first, samples), sequence))
         return encoded
 
-    def _shown(self, raw: Group) -> Iterable[Messages]:
+    def _show(self, stop: int | None) -> None:
+        """Write the display's groups before one; None: all that are left."""
+        for number in sorted(self._shown.complete):
+            if stop is None or number < stop:
+                self._send(self._pictures(self._shown.complete.pop(number)))
+
+    def _pictures(self, group: Group) -> Iterable[Messages]:
         assert self._display is not None
         read = [
             Group(first, samples * self._scale, [(first, first + samples.shape[1])])
-            for first, samples in raw.acquired()
+            for first, samples in group.acquired()
         ]
         for part in read:
             yield from self._display.waveforms(part.first, part.samples)

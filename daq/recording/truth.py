@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.mcap_file.writer import Message
-from daq.recording.layout import EVENTS, TRUTH
+from daq.recording.layout import EVENTS, SHOWN_GROUPS, TRUTH
 from daq.recording.markers import EVENT_SCHEMA, event_to_json
 from daq.recording.protobuf import Schema
 from daq.recording.sample_block import SCHEMAS, block_schema
@@ -123,7 +123,8 @@ class Truth:
         """Give the groups of a cell of the grid, and forget them but for `positions`."""
         real, whole = (stream.complete.pop(number, None) for stream in self.streams)
         if real is not None:
-            self._recent = {n: group for n, group in self._recent.items() if n == number - 1} | {number: real}
+            self._recent = {n: each for n, each in self._recent.items() if n >= number - SHOWN_GROUPS}
+            self._recent[number] = real
         return real, whole
 
     def events_before(self, stop: int | None) -> list[Message]:
@@ -146,7 +147,8 @@ class Truth:
     def positions(self, samples: NDArray[np.int64]) -> NDArray[np.float64]:
         """Give the positions of all that is `drawn`, (drawn, samples), metres, at further samples.
 
-        They are known in the last two groups taken. Elsewhere everything stays where it was.
+        They are known in the last groups taken, those that are displayed together and one more. Elsewhere everything
+        stays where it was.
         """
         positions = np.empty((len(self.drawn), 1 + samples.size))
         positions[:, 0] = self._last

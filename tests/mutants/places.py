@@ -63,6 +63,10 @@ EQUIVALENT = {
     "lowest = min(gap, model.clearance[j] - gap) - 3 * ROUNDING * abs(height)": "what is looked at closely is more",
     "state.multiplicity[j] = 1 if sign >= 0.0 else -1": "a sign is one or minus one",
     "for i in range(workspace.size.shape[ -1]):": "the array has one dimension",
+    "always = [k for k, damper in enumerate(scene.dampers) if damper.locked or damper.clearance <= 0.0]": (
+        "no clearance is negative"
+    ),
+    "reached = -1": "no sample has a number below zero",
     "if mode > FLIGHT:": "no mode is below flight",
     "dampers, points = model.mass.shape[ -1], model.first_velocity": "the array has one dimension",
     "pause = max(1, round(_PAUSE * self._channels[ -1].rate))": "rows of one array have one rate",

@@ -151,3 +151,15 @@ def test_given_an_overload_that_lasts_when_a_force_is_held_then_channels_it_is_r
             assert INFOS[min(rows)].name in said[2] and asked.pop()[1] == min(rows)
             assert loss.watch(28, clean) is None
             assert [loss.watch(first, clipped) for first in (32, 36)] == [None, None]
+
+
+@pytest.mark.parametrize(("limits", "given"), [("", False), (", alarm: 3", True), (", abort: 3", True)])
+def test_given_alarms_or_aborts_alone_when_watched_then_either_is_looked_at(limits, given):
+    text = f"structure: {{masses: [1 kg], springs: [4 kN/m]}}\nchannels: [{{name: a, at: body 1{limits}}}]\n"
+    marks = []
+    watch = Limits(rig.loads(text), INFOS[1:2], lambda *mark, **fields: marks.append(mark))
+    assert watch.given == given
+    trip = watch.watch(0, np.array([[1.0, 4.0, 1.0]]))
+    watch.close()
+    assert (trip is not None) == ("abort" in limits)
+    assert marks == ([("alarm", 1, 2)] if "alarm" in limits else [])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.linalg import expm
 
 import rig
 from rig.system.assembly import assemble
@@ -85,6 +86,17 @@ def test_given_a_duration_and_a_restitution_when_made_a_spring_and_a_dashpot_the
 ) -> None:
     found = landing(*spring_damper(duration, restitution, mass), mass)
     np.testing.assert_allclose(found, (duration, restitution), rtol=1e-11)
+
+
+@pytest.mark.parametrize("ratio", [0.05, 0.3, 0.499, 0.7, 1.0, 4.0])
+def test_given_a_contact_when_landed_on_then_its_largest_force_is_that_of_the_motion(ratio: float) -> None:
+    mass, stiffness, speed = 0.07, 3e4, 1.7
+    rate = math.sqrt(stiffness / mass)
+    damping = 2.0 * ratio * mass * rate
+    motion = np.array([[0.0, 1.0], [-stiffness / mass, -damping / mass]])
+    states = [expm(motion * time / rate) @ (0.0, speed) for time in np.linspace(0.0, 2.0, 2001)]
+    largest = (np.array(states) @ (stiffness, damping)).max()
+    assert peak_force(stiffness, damping, mass, speed) == pytest.approx(largest, rel=1e-6)
 
 
 def test_given_ever_shorter_landings_without_restitution_when_made_then_they_give_ever_less_back() -> None:

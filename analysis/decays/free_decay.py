@@ -17,6 +17,7 @@ from analysis.responses.measurands import motion_channel, responses
 from rig.errors import RecordingError, SceneError
 from rig.results import Result, styled
 from rig.scene.scene import STANDARD_GRAVITY
+from rig.system.structure import natural_modes, structure_matrices
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,8 +26,16 @@ if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
 
 Array = NDArray[np.float64]
+# Where modes are looked for, Hz; higher, too, where the scene's structure has higher ones.
 LOWEST_MODE = 2.0
 HIGHEST_MODE = 200.0
+# Samples that a decay has at least.
+_FEWEST = 256
+# A motion that keeps more than this part of its energy for the last tenth of the record, and does not fall there, is
+# no decay.
+_STILL_MUCH = 0.02
+# Levels of the energy between which its first fall is told, dB.
+_FIRST_FALL = -1.0, -11.0
 # A decay that is clipped for more than this part has no amplitudes worth reporting.
 _MOST_CLIPPED = 0.1
 
@@ -119,7 +128,7 @@ class Decay(Result):
     @property
     def halving(self) -> float:
         """Time in s in which the energy falls by 6 dB at first, fitted to its curve between -1 and -11 dB."""
-        inside = (self.energy <= -1.0) & (self.energy >= -11.0)
+        inside = (self.energy <= _FIRST_FALL[0]) & (self.energy >= _FIRST_FALL[1])
         if np.sum(inside) < 8:
             return float("nan")
         return float(-20.0 * np.log10(2.0) / np.polyfit(self.time[inside], self.energy[inside], 1)[0])
@@ -188,15 +197,19 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
             f"{info.name} was overloaded for {clipped:.2%} of the decay; amplitudes at its beginning are too low."
         )
     most = modes if modes is not None else rec.scene.structure.bodies
-    high = min(0.4 * rec.rate, 4.0 * HIGHEST_MODE)
-    acceleration = corrected(info, samples, "acceleration", LOWEST_MODE, high)[: stop - before]
+    lowest, highest = max(LOWEST_MODE, rec.rate / (stop - begin)), _highest_mode(rec)
+    high = min(0.4 * rec.rate, 4.0 * highest)
+    acceleration = corrected(info, samples, "acceleration", lowest, high)[: stop - before]
     free = begin - before
-    found = spectral_peaks(acceleration[free:], rec.rate, most, LOWEST_MODE, min(HIGHEST_MODE, high))
+    found = spectral_peaks(acceleration[free:], rec.rate, most, lowest, min(highest, high))
     parts = tuple(
         modal_decay(acceleration, rec.rate, float(f), band_width(found, i), free) for i, f in enumerate(found)
     )
     if len(parts) < most:
-        notes.append(f"Only {len(parts)} of {most} modes stand out in the decay of {info.name}.")
+        notes.append(
+            f"Only {len(parts)} of {most} modes stand out in the decay of {info.name} between {lowest:.3g} and "
+            f"{min(highest, high):.4g} Hz."
+        )
     cycle = int(rec.rate / found[0]) if found.size else int(rec.rate / 10.0)
     # What comes after the end would tell the envelope of the last cycle: it is left out.
     last = acceleration.size - min(cycle, (acceleration.size - free) // 10)
@@ -204,7 +217,15 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     # Mirrored, so that the transform finds no step anywhere: one lifts its neighbourhood by its logarithm.
     envelope = abs(signal.hilbert(np.concatenate([acceleration, acceleration[::-1]])))[free:last]
     where, _ = signal.find_peaks(abs(shown), distance=max(cycle, 1))
-    power = np.cumsum(shown[::-1] ** 2)[::-1] + _energy_after(shown)
+    power = np.cumsum(shown[::-1] ** 2)[::-1]
+    after = _energy_after(shown)
+    if np.isinf(after):
+        notes.append(
+            f"The motion of {info.name} does not fall by the end of the record: nothing tells its decay."
+        )
+    energy = (
+        np.zeros(shown.size) if np.isinf(after) else 10.0 * np.log10((power + after) / (power[0] + after))
+    )
     return Decay(
         channel=info.name,
         label=rec.scene.name,
@@ -214,18 +235,30 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
         envelope=envelope,
         peak_time=where / rec.rate,
         peak=abs(shown)[where],
-        energy=10.0 * np.log10(np.maximum(power / power[0], 1e-300)),
+        energy=energy,
         modes=parts,
         gravity=rec.scene.gravity or STANDARD_GRAVITY,
         warnings=tuple(notes),
     )
 
 
+def _highest_mode(rec: Recording) -> float:
+    """Frequency up to which modes are looked for, Hz: an octave above the highest of the scene's structure."""
+    mass, _, stiffness = structure_matrices(rec.scene.structure)
+    frequencies, _ = natural_modes(mass, stiffness)
+    return max(HIGHEST_MODE, float(frequencies.max()) / np.pi)
+
+
 def _energy_after(shown: Array) -> float:
-    """Energy after the end of a decay that goes on as in its last two tenths; none if it does not fall there."""
+    """Energy after the end of a decay that goes on as in its last two tenths.
+
+    What no longer falls there is noise after a decay, of which nothing counts; infinite where it is no small part.
+    """
     tenth = max(1, shown.size // 10)
     before, last = (float(np.sum(each**2)) for each in (shown[-2 * tenth : -tenth], shown[-tenth:]))
-    return last * last / (before - last) if before > last else 0.0
+    if before > last:
+        return last * last / (before - last)
+    return np.inf if last > _STILL_MUCH * float(np.sum(shown**2)) else 0.0
 
 
 def _clipped(rec: Recording, channel: str, begin: int, stop: int) -> float:
@@ -248,11 +281,9 @@ def _stretch(rec: Recording, info: ChannelInfo, hit: int) -> tuple[int, int, int
     begin = last + 1
     # Enough before the hit for the band-pass to see the structure at rest.
     before = max(first - int(0.5 * rec.rate), marked[hit - 2][1] + 1 if hit > 1 else 0, 0)
-    length = (stop - begin) / rec.rate
-    if length < 0.5:
+    if stop - begin < _FEWEST:
         raise RecordingError(
-            f"only {max(length, 0.0):.3g} s follow hit {hit}: too short for a decay; record at least 0.5 s "
-            "after a hit "
-            "(test: interval)"
+            f"only {max(stop - begin, 0)} samples follow hit {hit}: too short for a decay; record at least {_FEWEST} "
+            "after a hit (test: interval)"
         )
     return before, begin, stop, end

@@ -35,7 +35,9 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
     columns = _columns(decays)
     gravity = decays[0].gravity
     with drawing(8.2) as figure:
-        rows = figure.add_gridspec(3, max(len(columns), 1), height_ratios=[1.25, 1.0, 1.0])
+        rows = figure.add_gridspec(
+            3, max(len(columns), 1), height_ratios=[1.25, 1.0, 1.0 if columns else 0.02]
+        )
         trace = figure.add_subplot(rows[0, :])
         level = figure.add_subplot(rows[1, :], sharex=trace)
         shown, lowest_shown = max(_interesting(decay) for decay in decays), decays[0].gravity
@@ -86,13 +88,10 @@ def _damping_row(
         axes = figure.add_subplot(rows[2, column], sharey=first)  # type: ignore[index]
         first = first or axes
         for index, mode in members:
-            if mode.amplitude.size:
-                shade, percent = colour(index), 100.0 * mode.damping
-                half = 200.0 * mode.damping_error
-                axes.fill_between(
-                    mode.amplitude, percent - half, percent + half, color=shade, alpha=0.25, lw=0
-                )
-                axes.plot(mode.amplitude, percent, "o-", color=shade)
+            shade, percent = colour(index), 100.0 * mode.damping
+            half = 200.0 * mode.damping_error
+            axes.fill_between(mode.amplitude, percent - half, percent + half, color=shade, alpha=0.25, lw=0)
+            axes.plot(mode.amplitude, percent, "o-", color=shade)
         every = np.concatenate([mode.amplitude for _, mode in members] + [np.array([gravity])])
         low, high = 0.8 * float(every.min()), 1.25 * float(every.max())
         axes.set_xlim(low, high)
@@ -105,13 +104,13 @@ def _damping_row(
         else:
             axes.tick_params(labelleft=False)
     if first is not None:
-        values = [100.0 * m.damping for members in columns for _, m in members if m.damping.size]
-        flat = np.concatenate(values) if values else np.array([1.0])
+        values = [100.0 * m.damping for members in columns for _, m in members]
+        flat = np.concatenate(values)
         flat = flat[flat > 0]
         if flat.size:
             low, high = float(flat.min()), float(flat.max())
             # Bands, too, as long as they leave the curves their place.
-            bounds = [200.0 * m.damping_error for members in columns for _, m in members if m.damping.size]
+            bounds = [200.0 * m.damping_error for members in columns for _, m in members]
             edges = np.concatenate(
                 [v + sign * b for v, b in zip(values, bounds, strict=True) for sign in (-1, 1)]
             )
@@ -122,9 +121,9 @@ def _damping_row(
 
 
 def _columns(decays: Sequence[Decay]) -> list[list[tuple[int, ModalDecay]]]:
-    """Group the modes of all decays by frequency, each with the index of its decay."""
+    """Group the modes of all decays whose damping could be told by frequency, each with the index of its decay."""
     every = sorted(
-        ((index, mode) for index, decay in enumerate(decays) for mode in decay.modes),
+        ((index, mode) for index, decay in enumerate(decays) for mode in decay.modes if mode.damping.size),
         key=lambda pair: pair[1].frequency,
     )
     groups: list[list[tuple[int, ModalDecay]]] = []

@@ -159,10 +159,12 @@ def describe_decay(one: Decay) -> list[str]:
     """Tell when a decay is over for the dampers, and what each mode's damping was."""
     quiet = one.quiet_from
     until = "never within the recording" if np.isnan(quiet) else f"after {quiet:.3g} s"
-    out = [
-        f"{one.label}, {one.channel}: below g {until}; the energy still to come falls by 6 dB "
-        f"within {one.halving:.3g} s at first"
-    ]
+    falls = (
+        "does not fall by 11 dB within the recording"
+        if np.isnan(one.halving)
+        else f"falls by 6 dB within {one.halving:.3g} s at first"
+    )
+    out = [f"{one.label}, {one.channel}: below g {until}; the energy still to come {falls}"]
     for mode in one.modes:
         if mode.damping.size:
             ends = ", ".join(_damping_at(mode, index) for index in (0, -1))

@@ -2,10 +2,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import analysis
 import daq
 import rig
+from analysis.cli import app
 from analysis.decays.modal_decay import band_width, modal_decay
 from analysis.decays.sensor_correction import corrected
 from analysis.recordings.slices import hits
@@ -207,3 +209,35 @@ def test_given_a_filter_that_delays_when_a_decay_is_followed_by_a_hit_then_it_en
         assert 1.8 < decay.time[-1] < 2.0
         off = abs(decay.acceleration - true[begin : begin + decay.time.size])[decay.time > 0.05]
         assert off.max() < 0.02 * abs(decay.acceleration).max()
+
+
+STIFF = """
+structure: {{masses: [1 kg], springs: [{stiffness} N/m], damping: {{modal: 0.5 %}}}}
+test: {{kind: free, displacement: [1 um], duration: {duration} s}}
+channels: [{{name: a, at: body 1, accelerometer: {{sensitivity: 100 mV/g}}}}]
+converter: {{rate: 25.6 kHz}}
+recording: {{display: false}}
+"""
+
+
+def test_given_a_mode_far_up_in_a_short_record_when_analysed_then_its_damping_is_told(tmp_path):
+    scene = rig.loads(STIFF.format(stiffness=(2 * np.pi * 900.0) ** 2, duration=0.2))
+    with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
+        decay = analysis.decay(rec)
+    (mode,) = decay.modes
+    assert abs(mode.frequency - 900.0) < 0.1
+    np.testing.assert_allclose(mode.damping, 0.005, rtol=0.01)
+    assert decay.halving == pytest.approx(np.log(2.0) / (2 * np.pi * 900.0 * 0.005), rel=0.02)
+
+
+def test_given_a_motion_that_goes_on_when_analysed_as_a_decay_then_none_is_told_and_a_figure_is_drawn(
+    tmp_path,
+):
+    scene = rig.loads(STIFF.format(stiffness=(2 * np.pi * 300.0) ** 2, duration=0.5).replace("0.5 %", "0 %"))
+    path = daq.record(scene, tmp_path / "a.mcap")
+    with daq.open(path) as rec:
+        decay = analysis.decay(rec)
+    assert np.isnan(decay.halving) and "does not fall" in " ".join(decay.warnings)
+    result = CliRunner().invoke(app, ["decay", str(path), "-o", str(tmp_path)])
+    assert result.exit_code == 0 and "does not fall by 11 dB" in result.output
+    assert (tmp_path / "a-decay.png").stat().st_size

@@ -33,7 +33,7 @@ CASES = [
         "all clipped", IMPULSE, 3, np.sin(np.arange(9000)), [("hit", 900, 910, {}), *overloads(8999)], "decay",
         "was overloaded for 100% of hit 1's decay",
     ),
-    ("short", IMPULSE, 3, np.ones(1000), [("hit", 900, 910, {})], "decay", "record at least 0.5 s"),
+    ("short", IMPULSE, 3, np.ones(1000), [("hit", 900, 910, {})], "decay", "record at least 256"),
     (
         "short random", RANDOM, 4, np.ones(30), [("measure", 0, 29, {"from": 8.0, "to": 60.0})], "frf",
         "too short to average; record longer",

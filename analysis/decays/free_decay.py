@@ -219,13 +219,14 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     where, _ = signal.find_peaks(abs(shown), distance=max(cycle, 1))
     power = np.cumsum(shown[::-1] ** 2)[::-1]
     after = _energy_after(shown)
-    if np.isinf(after):
-        notes.append(
-            f"The motion of {info.name} does not fall by the end of the record: nothing tells its decay."
-        )
     energy = (
         np.zeros(shown.size) if np.isinf(after) else 10.0 * np.log10((power + after) / (power[0] + after))
     )
+    if energy.min() > _FIRST_FALL[1]:
+        notes.append(
+            f"The energy of {info.name}'s motion does not fall by {-_FIRST_FALL[1]:.0f} dB within the record: nothing "
+            "tells its decay."
+        )
     return Decay(
         channel=info.name,
         label=rec.scene.name,

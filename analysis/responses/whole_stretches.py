@@ -20,7 +20,7 @@ from analysis.responses.clean_stretches import clean_stretches, cure, flaws, tol
 from analysis.responses.force_pulse import high_passes
 from analysis.responses.frf import Frf
 from analysis.responses.local_spectra import SIDE, LocalSpectra
-from analysis.responses.measurands import motion_of, reference_of
+from analysis.responses.measurands import motion_of, reference_of, responses
 from analysis.responses.systematic import in_counts, noise_gain
 from rig.errors import RecordingError
 
@@ -85,6 +85,10 @@ class WholeStretches:
             notes.insert(0, f"{1 - kept:.0%} of the test left out: {told(rec, found)}.")
         if not stretches:
             advice = f"{cure(rec, found)}, and record again"
+            spoilt = {flaw.channel for flaw in found}
+            others = [name for name in responses(rec) if name in self.channels and name not in spoilt]
+            if others and not spoilt & set(below.channels):
+                advice += f"; or take the others alone: --response {' --response '.join(others)}"
             if not found:
                 advice = "the test is too short to average; record longer"
             raise RecordingError(f"{' '.join(notes)} Nothing is left to tell a response from: {advice}")

@@ -83,6 +83,18 @@ def test_given_an_overload_when_taken_whole_then_it_is_cut_out_and_said(tmp_path
     assert share > 0.9 and cut_share > 0.9 and wrong < 0.01
 
 
+def test_given_one_channel_that_is_always_overloaded_when_analysed_then_the_others_are_offered_alone(
+    tmp_path,
+):
+    path = hit(tmp_path / "a.mcap", {"cutoff": "", "converter": "{rate: 2560 Hz, range: 5 V}"})
+    with daq.open(path) as rec:
+        rec.markers.append(Marker("overload", 0, rec.samples - 1, {"channel": "a1"}))
+        with pytest.raises(RecordingError, match="or take the others alone: --response a2$"):
+            analysis.frequency_responses(rec)
+        [[frf]] = analysis.frequency_responses(rec, ["a2"])
+    assert not frf.warnings
+
+
 def test_given_sensors_whose_bias_settles_when_hit_then_the_hammer_waits_and_bounds_hold(tmp_path):
     scene = rig.loads(
         HIT.format(cutoff="", converter="{preset: NI 9234, rate: 2560 Hz}")

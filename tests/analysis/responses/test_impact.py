@@ -89,7 +89,7 @@ def test_given_one_channel_that_is_always_overloaded_when_analysed_then_the_othe
     path = hit(tmp_path / "a.mcap", {"cutoff": "", "converter": "{rate: 2560 Hz, range: 5 V}"})
     with daq.open(path) as rec:
         rec.markers.append(Marker("overload", 0, rec.samples - 1, {"channel": "a1"}))
-        with pytest.raises(RecordingError, match="or take the others alone: --response a2$"):
+        with pytest.raises(RecordingError, match=r"or take the others alone: --response a2$"):
             analysis.frequency_responses(rec)
         [[frf]] = analysis.frequency_responses(rec, ["a2"])
     assert not frf.warnings

@@ -48,12 +48,9 @@ def whole_periods(frequency: float, rate: float, at_least: float, periods: int =
 
 # A test stays at one frequency for a few kinds of windows, which may be long.
 @lru_cache(maxsize=8)
-def _solver(frequency: float, rate: float, samples: int) -> Array:
-    return _weights(2 * np.pi * np.fmod(frequency / rate * np.arange(samples), 1.0))
-
-
-def _weights(phase: Array) -> Array:
+def _weights(frequency: float, rate: float, samples: int) -> Array:
     """Give the weights of the samples in both parts of the amplitude by least squares, shape (2, samples)."""
+    phase = 2 * np.pi * np.fmod(frequency / rate * np.arange(samples), 1.0)
     # Integrated channels drift and dampers shift the mean: a cubic is fitted with the tone to take that up.
     drift = legvander(np.linspace(-1.0, 1.0, phase.size), 3)
     model = np.column_stack([np.cos(phase), -np.sin(phase), drift]).T
@@ -86,23 +83,5 @@ def lock_in(samples: Array, frequency: float, rate: float, phase: float = 0.0) -
     >>> f"{abs(amplitude[0]):.9f}", bool(abs(np.angle(amplitude[0])) < 1e-9)
     ('3.000000000', True)
     """
-    parts = np.einsum("cn,kn->ck", samples, _solver(frequency, rate, samples.shape[1]))
+    parts = np.einsum("cn,kn->ck", samples, _weights(frequency, rate, samples.shape[1]))
     return (parts[:, 0] + 1j * parts[:, 1]) * np.exp(-1j * phase)
-
-
-def track(samples: Array, phase: Array) -> ComplexArray:
-    """Complex amplitudes X in x = Re(X e^{i phase}) + slow drift, for any phase, as in a sweep.
-
-    Parameters
-    ----------
-    samples : ndarray, shape (channels, samples)
-        The window.
-    phase : ndarray, shape (samples,)
-        Phase of the reference at every sample, rad.
-
-    Returns
-    -------
-    ndarray of complex, shape (channels,)
-    """
-    parts = np.einsum("cn,kn->ck", samples, _weights(phase))
-    return parts[:, 0] + 1j * parts[:, 1]

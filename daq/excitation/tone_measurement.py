@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.excitation.lock_in import lock_in, track
+from daq.excitation.lock_in import lock_in
 from daq.excitation.station import Station
 
 Array = NDArray[np.float64]
@@ -36,10 +36,6 @@ class Gauge:
     def steady(self, samples: Array, frequency: float, phase: float) -> ComplexArray:
         """Amplitudes in a window of a steady tone; shape (quantities,)."""
         return self._of(frequency) @ lock_in(samples, frequency, self._station.rate, phase)
-
-    def sweeping(self, samples: Array, frequency: float, phase: Array) -> ComplexArray:
-        """Amplitudes in a window of a sweep that passes `frequency`; `phase` in rad at every sample."""
-        return self._of(frequency) @ track(samples, phase)
 
     def _of(self, frequency: float) -> ComplexArray:
         if frequency != self._at:

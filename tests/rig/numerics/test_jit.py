@@ -34,6 +34,25 @@ from rig.numerics.jit import compiled
 def outer(pair: Pair) -> float:
     return inner(pair.x) + CONSTANT + pair.y
 """
+TWICE = """
+from rig.numerics.jit import compiled
+
+@compiled
+def inner(x: float, factor: int) -> float:
+    return factor * x
+
+@compiled
+def outer(x: float) -> float:
+    return inner(x, 2) + inner(x, 3)
+"""
+COMPILING = """
+from kernels.twice import inner, outer
+from numba.core.event import install_recorder
+
+with install_recorder("numba:compile") as recorder:
+    print(outer(1.0), inner(1.0, 4))
+print(*(event.data["dispatcher"].py_func.__name__ for _, event in recorder.buffer if event.is_start))
+"""
 PAIR = """
 from typing import NamedTuple
 
@@ -112,6 +131,13 @@ def test_given_code_on_disk_when_only_other_files_change_then_it_is_used_as_it_i
     (kernels / "constant.py").write_text("CONSTANT = 10.0  # to be sure\nOTHER = 3.0\n")
     assert call(kernels) == 112.0
     assert machine_code(kernels) == written
+
+
+def test_given_two_constants_when_a_function_is_compiled_into_another_then_once_and_python_has_its_own(
+    kernels: Path,
+) -> None:
+    (kernels / "twice.py").write_text(TWICE)
+    assert said_by(kernels, COMPILING).stdout.splitlines() == ["5.0 4.0", "outer inner inner"]
 
 
 def test_given_code_of_another_checkout_when_called_then_it_is_used_as_it_is(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+import shutil
 import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -17,7 +18,7 @@ from analysis.export.mat import write_mat
 from analysis.export.uff import write_uff
 from analysis.export.wav import write_wav
 from analysis.recordings.slices import Slice
-from rig.errors import SceneError
+from rig.errors import RunError, SceneError
 from rig.output_files import replacing
 
 if TYPE_CHECKING:
@@ -165,7 +166,7 @@ def export(
     RecordingError
         If samples were lost that the format cannot do without, or the recording is damaged.
     RunError
-        If the file cannot be written.
+        If the file cannot be written, or would not fit on its disk.
     """
     kind = path.suffix.lower()
     if kind not in WRITERS:
@@ -175,6 +176,13 @@ def export(
     if progress is not None:
         stretch = replace(stretch, told=_counted(stretch, _PASSES.get(kind, 1), progress))
     with replacing(path, overwrite) as part:
+        needed, free = expected_bytes(stretch, kind), shutil.disk_usage(part.parent).free
+        # Where numbers are short, a table takes a quarter of it.
+        if needed > 4 * free:
+            raise RunError(
+                f"{path} would take about {needed / 1e6:.3g} MB, and its disk has {free / 1e6:.3g} MB left; choose "
+                "another disk (-o), a stretch (--from, --to) or fewer channels"
+            )
         if kind == ".wav":
             full = write_wav(stretch, part, speed)
             notes = [

@@ -46,6 +46,8 @@ class Slice:
         ------
         SceneError
             If there is no such channel, or no sample between the times.
+        RecordingError
+            If there is next to nothing between them for so long a time.
         """
         names = tuple(recording.channels if channels is None else channels)
         for name in names:
@@ -57,6 +59,7 @@ class Slice:
         if start >= stop:
             end = recording.samples / recording.rate
             raise SceneError(f"nothing to export: {recording.path} lasts from 0 s to {end:.6g} s")
+        recording.refuse_void(start, stop)
         return cls(recording, names, start, stop)
 
     @property

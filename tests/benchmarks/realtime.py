@@ -26,7 +26,7 @@ READS_PER_SECOND = 10
 
 def memory() -> float:
     """Give the memory this process holds now, MB."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    pages = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 

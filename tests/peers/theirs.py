@@ -96,7 +96,7 @@ def uff(ours: dict[str, np.ndarray], path: Path) -> Iterator[Row]:
 
 def sets(path: Path) -> Iterator[tuple[str, float, np.ndarray]]:
     """Read data sets 58: eleven records of eighty columns, then the values."""
-    lines = path.read_text().splitlines()
+    lines = path.read_text(encoding="utf-8").splitlines()
     at = 0
     while at < len(lines):
         if lines[at].strip() != "-1" or lines[at + 1].strip() != "58":

@@ -89,7 +89,9 @@ def test_given_an_unexpected_error_when_a_command_ends_in_it_then_a_file_has_the
         and "\x1b" not in told
         and "Traceback" not in told
     )
-    assert "Traceback" in details.read_text() and "'act'" in details.read_text()
+    assert "Traceback" in details.read_text(encoding="utf-8") and "'act'" in details.read_text(
+        encoding="utf-8"
+    )
 
 
 @pytest.mark.parametrize("words", ["--at nan", "--at=-inf", "--each 1 --each 1e300"])

@@ -17,7 +17,7 @@ def test_given_an_old_file_when_writing_fails_then_it_is_as_it_was(tmp_path: Pat
     with pytest.raises(ZeroDivisionError), replacing(path) as part:
         part.write_text("half")
         raise ZeroDivisionError
-    assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
+    assert path.read_text(encoding="utf-8") == "old" and list(tmp_path.iterdir()) == [path]
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
@@ -26,7 +26,7 @@ def test_given_a_name_when_written_then_the_file_is_there_alone(tmp_path: Path, 
     with replacing(path, overwrite) as part:
         part.write_text("new")
         assert not path.exists() and part.suffix == ".csv"
-    assert path.read_text() == "new" and list(tmp_path.iterdir()) == [path]
+    assert path.read_text(encoding="utf-8") == "new" and list(tmp_path.iterdir()) == [path]
 
 
 def test_given_a_file_that_is_to_stay_when_it_comes_into_being_meanwhile_then_it_stays(
@@ -36,7 +36,7 @@ def test_given_a_file_that_is_to_stay_when_it_comes_into_being_meanwhile_then_it
     with pytest.raises(SceneError, match="meanwhile"), replacing(path, overwrite=False) as part:
         part.write_text("new")
         path.write_text("another's")
-    assert path.read_text() == "another's" and list(tmp_path.iterdir()) == [path]
+    assert path.read_text(encoding="utf-8") == "another's" and list(tmp_path.iterdir()) == [path]
 
 
 def test_given_a_link_when_overwritten_then_what_it_points_to_is_replaced(tmp_path: Path) -> None:
@@ -46,7 +46,11 @@ def test_given_a_link_when_overwritten_then_what_it_points_to_is_replaced(tmp_pa
     link.symlink_to(target)
     with replacing(link) as part:
         part.write_text("new")
-    assert link.is_symlink() and target.read_text() == "new" and target.stat().st_mode & 0o777 == 0o640
+    assert (
+        link.is_symlink()
+        and target.read_text(encoding="utf-8") == "new"
+        and target.stat().st_mode & 0o777 == 0o640
+    )
 
 
 @pytest.mark.parametrize("kind", ["folder", "fifo", "device", "file", "nowhere"])

@@ -90,5 +90,5 @@ def test_given_the_same_structure_twice_when_compared_then_nothing_has_changed(t
     other = synthetic.stepped_sine(tmp_path / "b.mcap", frequencies + 0.01)
     said = CliRunner().invoke(app, ["compare", str(path), str(other)])
     assert said.exit_code == 0 and said.output.count(" dB (") == 9
-    assert (tmp_path / "a+b-compare.csv").read_text().count("\n") == 10
+    assert (tmp_path / "a+b-compare.csv").read_text(encoding="utf-8").count("\n") == 10
     assert CliRunner().invoke(app, ["compare", str(path)]).exit_code != 0

@@ -3,6 +3,7 @@ import os
 import shutil
 import wave
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,8 +19,9 @@ from analysis.export.results import export_results
 from analysis.recordings.slices import Slice
 from daq.recording.recorder import Recorder
 from daq.signal_chain.channel import ChannelInfo
-from rig.errors import RecordingError, SceneError
+from rig.errors import RecordingError, RunError, SceneError
 from tests.daq.recording.recordings import RATE, channels, scene, signal, write
+from tests.daq.recording.test_suspicion import rewritten
 
 SAMPLES = 5000
 
@@ -205,6 +207,27 @@ def test_given_what_cannot_be_exported_when_tried_then_the_error_says_why_and_no
     assert list(tmp_path.iterdir()) == []
 
 
+def test_given_more_than_the_disk_holds_when_exported_then_it_is_said_before_anything_is_written(
+    recording, tmp_path, monkeypatch
+):
+    stretch = Slice.of(recording)
+    free = SimpleNamespace(free=int(expected_bytes(stretch, ".csv") / 4) - 1)
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: free)
+    with pytest.raises(RunError, match=r"would take about .* MB, and its disk has .* MB left"):
+        export(stretch, tmp_path / "a.csv")
+    assert list(tmp_path.iterdir()) == []
+    free.free += 1
+    export(stretch, tmp_path / "a.csv")
+
+
+def test_given_a_void_of_years_in_a_recording_when_exported_then_it_is_told_and_not_walked(tmp_path):
+    path = rewritten(write(tmp_path / "a.mcap", signal(SAMPLES)), shift=2**40)
+    with daq.open(path) as recording:
+        with pytest.raises(RecordingError, match="a void"):
+            Slice.of(recording)
+        assert Slice.of(recording, to_s=0.5).stop == round(0.5 * RATE)
+
+
 def test_given_one_sample_when_exported_as_uff_then_the_format_refuses(recording, tmp_path):
     with pytest.raises(SceneError, match="2 at least"):
         export(Slice.of(recording, to_s=1e-4), tmp_path / "a.uff")
@@ -215,7 +238,7 @@ def test_given_an_existing_file_when_exported_then_it_is_replaced_only_if_asked(
     path.write_text("precious")
     with pytest.raises(SceneError, match="exists"):
         export(Slice.of(recording), path)
-    assert path.read_text() == "precious"
+    assert path.read_text(encoding="utf-8") == "precious"
     export(Slice.of(recording), path, overwrite=True)
     assert len(pyuff.UFF(str(path)).read_sets()) == 2
 
@@ -243,7 +266,7 @@ def test_given_the_command_when_run_then_the_file_is_there_and_named(recording, 
     )
     assert result.exit_code == 0
     assert f"wrote {path}" in result.output
-    assert len(path.read_text().splitlines()) == 257
+    assert len(path.read_text(encoding="utf-8").splitlines()) == 257
 
 
 def test_given_a_recording_when_exported_for_matlab_and_imported_then_it_is_the_same(recording, tmp_path):

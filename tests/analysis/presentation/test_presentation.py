@@ -55,7 +55,7 @@ def test_given_two_recordings_when_drawn_then_each_response_has_one_figure_with_
     result = present_frf([folder / "one.mcap", folder / "two.mcap"], tmp_path, channels=["body3", "body1"])
     names = [path.name for path in result.files]
     assert names[0] == "one+two-frf-body3.png" and names[-1] == "one+two-frf.csv"
-    drawn = (tmp_path / "one+two-frf-body3.svg").read_text()
+    drawn = (tmp_path / "one+two-frf-body3.svg").read_text(encoding="utf-8")
     assert "first scene" in drawn and "second scene" in drawn
 
 
@@ -67,7 +67,7 @@ def test_given_scenes_of_one_name_when_overlaid_then_their_files_tell_them_apart
         f"one+again-frf-body{body}.png" for body in (1, 2, 3)
     ]
     for body in (1, 2, 3):
-        drawn = (tmp_path / f"one+again-frf-body{body}.svg").read_text()
+        drawn = (tmp_path / f"one+again-frf-body{body}.svg").read_text(encoding="utf-8")
         assert drawn.count("first scene (one)") == drawn.count("first scene (again)") == 1
     assert {row["scene"] for row in table(result.files[-1])} == {"first scene (one)", "first scene (again)"}
     assert sum(line.startswith("first scene (again), body") for line in result.lines) == 3
@@ -76,7 +76,7 @@ def test_given_scenes_of_one_name_when_overlaid_then_their_files_tell_them_apart
 def test_given_decays_of_scenes_of_one_name_when_overlaid_then_their_files_tell_them_apart(folder, tmp_path):
     synthetic.impulses(tmp_path / "again.mcap", interval=3.0, name="hit scene")
     result = present_decay([folder / "hit.mcap", tmp_path / "again.mcap"], tmp_path)
-    drawn = next(path for path in result.files if path.suffix == ".svg").read_text()
+    drawn = next(path for path in result.files if path.suffix == ".svg").read_text(encoding="utf-8")
     assert "hit scene (hit)" in drawn and "hit scene (again)" in drawn
     assert {row["scene"] for row in table(result.files[-1])} == {"hit scene (hit)", "hit scene (again)"}
     assert sum(line.startswith("hit scene (again), body3") for line in result.lines) == 1
@@ -102,7 +102,7 @@ def test_given_the_same_recording_when_drawn_twice_then_every_byte_is_the_same(f
 def test_given_recordings_when_reported_then_one_page_holds_everything(folder, tmp_path):
     paths = [folder / "one.mcap", folder / "hit.mcap"]
     [page] = write_report(paths, tmp_path).files
-    text = page.read_text()
+    text = page.read_text(encoding="utf-8")
     assert [path.name for path in tmp_path.iterdir() if not path.name.startswith(".")] == [page.name]
     for piece in (
         "first scene",

@@ -149,7 +149,7 @@ def test_given_a_wav_that_states_more_than_there_is_when_imported_then_it_is_sai
 
 def test_given_universal_files_without_time_responses_when_imported_then_the_way_is_shown(tmp_path):
     uff(tmp_path / "a.uff", histories(50))
-    text = (tmp_path / "a.uff").read_text()
+    text = (tmp_path / "a.uff").read_text(encoding="utf-8")
     (tmp_path / "b.uff").write_text(text.replace("    58", "    82"))
     assert "holds no data set 58" in refused(tmp_path / "b.uff", tmp_path)
     lines = text.splitlines(keepends=True)

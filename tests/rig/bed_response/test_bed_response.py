@@ -46,7 +46,7 @@ def test_given_a_table_that_a_kill_tore_when_the_study_goes_on_then_only_what_is
     table, steps = tmp_path / "beds.csv", []
     scene = with_grains(test={"kind": "sine", "frequency": 30.0, "force": 0.003})
     first = bed_response(scene, [25.0, 30.0], periods=1, table=table)
-    lines = table.read_text().splitlines(keepends=True)
+    lines = table.read_text(encoding="utf-8").splitlines(keepends=True)
     table.write_text("".join(lines[:-1]) + lines[-1][:-30])
 
     again = bed_response(scene, [25.0, 30.0], periods=1, table=table, progress=lambda *at: steps.append(at))
@@ -65,7 +65,7 @@ def test_given_a_file_that_is_no_table_when_it_is_to_be_kept_there_then_it_is_re
     with pytest.raises(RunError, match="is no table of beds"):
         bed_response(with_grains(), [30.0], table=other)
 
-    assert other.read_text() == "mine\n"
+    assert other.read_text(encoding="utf-8") == "mine\n"
 
 
 def test_given_a_scene_without_grains_then_it_says_what_it_expected() -> None:

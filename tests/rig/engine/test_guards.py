@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from itertools import cycle
 
 import numpy as np
 import pytest
@@ -118,7 +119,7 @@ class Course:
         self.run, self.modes, model, system, state = run, modes, run.tables.model, run.system, run.state
         size, count, dampers = run.tables.size, system.coordinates, system.dampers
         z = np.concatenate(
-            [3e-3 * drawn[:count], 0.4 * drawn[count : 2 * count], 5.0 * drawn[2 * count : size]]
+            [3e-3 * drawn[:count], 0.1 * drawn[count : 2 * count], 5.0 * drawn[2 * count : size]]
         )
         place, speed = drawn[size : size + dampers], drawn[size + dampers :]
         for j in np.flatnonzero(system.lasting):
@@ -130,7 +131,7 @@ class Course:
         self.matrix, self.offset = (part.astype(float) for part in run.tables.generator(self.bits))
         state.mode[:] = modes
         state.height[:] = z[model.position] + (0.5 + 0.48 * np.sin(place)) * CLEARANCE
-        state.speed[:] = 0.4 * speed
+        state.speed[:] = 0.1 * speed
         scaled, term = self.matrix * model.step, (self.matrix @ z + self.offset) * model.step
         self.terms = [z]
         for k in range(1, 25):
@@ -164,13 +165,13 @@ class Course:
                 found.append((j, np.array([one(tau), one.deriv()(tau), one.deriv(4)(tau)])))
         return found
 
-    def margin(self, length: float) -> float:
-        """The least that a guard is proven to stay above zero."""
-        ends = np.array([0.0, length])
-        return min(
-            _margin(at[0, 0], at[1, 0] * length, at[0, 1], at[1, 1] * length, self.bound[j] * length**4, 0)
-            for j, at in self.guards(ends)
-        )
+    def margins(self, length: float) -> np.ndarray:
+        """How far the Bernstein coefficients of every guard's cubic lie above its error, (guards, 4)."""
+        found = []
+        for j, (value, slope, _) in self.guards(np.array([0.0, length])):
+            inner = value[0] + slope[0] * length / 3, value[1] - slope[1] * length / 3
+            found.append(np.array([value[0], *inner, value[1]]) - self.bound[j] * length**4 / 384)
+        return np.array(found)
 
     def look(self, length: float) -> tuple[bool, float, int]:
         """Let the engine look at the step: whether it examined anything closely, what it found, and of whom."""
@@ -231,16 +232,21 @@ def test_given_a_guard_when_it_is_only_just_proven_to_stay_above_zero_then_it_is
     chance = np.random.default_rng(8)
     for clearance in (CLEARANCE, np.inf) if mode == FLIGHT else (CLEARANCE,):
         run = engine(contact, (2,), clearance)
-        for _ in range(6):
-            # Between a state from which it is proven and one from which it is not, there is one with nothing to spare.
-            proven, other = draw(run, chance), draw(run, chance)
-            while Course(run, [mode], proven).margin(length) <= 0.0:
-                proven = draw(run, chance)
-            while Course(run, [mode], other).margin(length) > 0.0:
-                other = draw(run, chance)
+        draws = [draw(run, chance) * chance.uniform(0.0, 1.0) for _ in range(120)]
+        margins = [Course(run, [mode], each).margins(length) for each in draws]
+        proven_at = [each for each, found in zip(draws, margins, strict=True) if found.min() > 0.0]
+        # One state for each coefficient of each guard that is the one to spoil it.
+        spoilt = {
+            int(found.argmin()): each
+            for each, found in zip(draws, margins, strict=True)
+            if found.min() <= 0.0
+        }
+        assert spoilt and proven_at
+        for proven, other in zip(cycle(proven_at), spoilt.values()):
+            # On the way from one to the other there is a state with nothing to spare.
             for _ in range(24):
                 between = (proven + other) / 2
-                if Course(run, [mode], between).margin(length) > 0.0:
+                if Course(run, [mode], between).margins(length).min() > 0.0:
                     proven = between
                 else:
                     other = between
@@ -282,6 +288,7 @@ def test_given_states_when_an_envelope_is_drawn_then_it_holds_them_all_until_it_
     flow, work, columns = run.tables.flow, run.workspace, run.tables.size
     states = np.zeros((5, len(work.size)))
     states[:, :columns] = np.random.default_rng(2).standard_normal((5, columns))
+    draw_envelope(flow, 0, np.ones(len(work.size)), work)
     fold_envelope(flow, work)
     assert (work.envelope[:columns] == 0.0).all()
     for z in states:

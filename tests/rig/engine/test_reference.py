@@ -43,7 +43,10 @@ def single(**test: object) -> rig.Scene:
 def proven_events() -> list[tuple[mpf, int, str]]:
     """Events of case A: 40-digit time, damper from 1, kind."""
     data = Path(__file__).parent / "data" / "reference-A-events.json"
-    return [(mpf(time), damper + 1, KINDS[kind]) for time, damper, kind in json.loads(data.read_text())]
+    return [
+        (mpf(time), damper + 1, KINDS[kind])
+        for time, damper, kind in json.loads(data.read_text(encoding="utf-8"))
+    ]
 
 
 @pytest.mark.usefixtures("tabulated")

@@ -13,7 +13,7 @@ from analysis.modal.lscf import chart, columns
 from analysis.modal.modes import Modes
 from analysis.modal.order_selection import MOST_MODES, in_band, select
 from analysis.modal.pole_errors import pole_errors, systematic_pole_errors
-from analysis.modal.pole_residue import Curves, Fit, fit
+from analysis.modal.pole_residue import Curves, Fit, fit, residual_terms
 from analysis.responses.frf import Frf
 from analysis.responses.systematic import MODEL, RESOLUTION, UNSETTLED
 from rig.errors import RecordingError, SceneError
@@ -162,7 +162,7 @@ def _explained(
         if model.misfit < _NOT_NOISE * curves.degrees(model.poles.size):
             break
     missed = float(error * np.sqrt(model.misfit / curves.degrees(model.poles.size)))
-    # Modes far outside the band bend a curve by a little more than their two residual terms: that is as linear.
+    # Modes far outside the band bend a curve by a little more than their residual terms: that is as linear.
     return curves, model, missed if missed > LEAST_RELATIVE_ERROR else 0.0
 
 
@@ -188,14 +188,16 @@ def _told(curves: Curves, model: Fit) -> tuple[Curves, Fit, list[float]]:
 
 
 def _residuals(model: Fit, inside: NDArray[np.bool_], frequency: Array) -> tuple[Array, Array]:
-    """Add up what modes outside the band do inside, fitted ones too: lower / s² + upper, m/N."""
+    """Add up what modes outside the band do inside, fitted ones too."""
     s = 2j * np.pi * frequency
     rest = np.zeros((model.residue.shape[0], s.size), dtype=complex)
     for p, residue in zip(model.poles[~inside], model.residue[:, ~inside].T, strict=True):
         rest += residue[:, None] / (s - p) + residue.conj()[:, None] / (s - p.conjugate())
-    columns_ = np.stack([1.0 / s**2, np.ones_like(s)], axis=1).real
-    lower, upper = np.linalg.lstsq(columns_, rest.real.T, rcond=None)[0]
-    return model.lower + lower, model.upper + upper
+    terms = np.stack(residual_terms(s), axis=1)
+    size = abs(terms).max(axis=0)
+    columns_, wanted = (np.concatenate([each.real, each.imag]) for each in (terms / size, rest.T))
+    more = np.linalg.lstsq(columns_, wanted, rcond=None)[0].T / size
+    return model.lower + more[:, 0], model.upper + more[:, 1:]
 
 
 def _sigma(curves: Sequence[Frf]) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.modal.lscf import ChartPole
+from analysis.modal.pole_residue import residual_terms
 from rig.results import Result, styled
 
 if TYPE_CHECKING:
@@ -34,8 +35,10 @@ class Modes(Result):
         Channels.
     chart : tuple of ChartPole
         Stabilisation chart.
-    lower, upper : ndarray, shape (responses,)
-        What modes below and above the band add: lower / s² + upper, m/N.
+    lower : ndarray, shape (responses,)
+        What modes below the band add: lower / s², m/N.
+    upper : ndarray, shape (responses, 3)
+        What modes above the band add: upper[0] + upper[1] s + upper[2] s², m/N.
     model_error : float
         How far the modal model misses the curves beyond their error bars, as a share of the peaks around; 0 where it
         explains them.
@@ -90,7 +93,7 @@ class Modes(Result):
         s = 2j * np.pi * np.asarray(frequency, dtype=float)
         omega = 2 * np.pi * self.frequency
         poles = omega * (-self.damping + 1j * np.sqrt(1.0 - self.damping**2))
-        out = self.lower[:, None] / s**2 + self.upper[:, None]
+        out = np.column_stack([self.lower, self.upper]) @ np.stack(residual_terms(s))
         for p, residue in zip(poles, self.residue.T, strict=True):
             out = out + residue[:, None] / (s - p) + residue.conj()[:, None] / (s - p.conjugate())
         return np.asarray(out, dtype=complex)

@@ -186,7 +186,7 @@ def _at_largest_rest(curves: Curves, model: Fit) -> ComplexArray:
 
 
 def _outside(curves: Curves) -> ComplexArray:
-    """Poles below and above the band, which bend the curves inside more than the two residual terms can."""
+    """Poles below and above the band, which bend the curves inside more than residual terms can."""
     low, high = curves.frequency[0], curves.frequency[-1]
     places = np.array([0.5 * low, 0.8 * low, 0.95 * low, 1.05 * high, 1.25 * high, 2.0 * high])
     return np.asarray(2 * np.pi * places * (-0.01 + 1j), dtype=complex)

@@ -113,7 +113,8 @@ def _covariances(curves: Curves, model: Fit) -> tuple[Array, Array, Array]:
     """
     parameters = model.slope.shape[0]
     slope = model.slope.reshape(parameters, -1)
-    normal = np.linalg.pinv((slope @ slope.conj().T).real)
+    information = (slope @ slope.conj().T).real
+    normal = np.linalg.pinv(information)
     degrees = curves.degrees(model.poles.size)
     score = np.einsum("pmn,mn->pn", model.slope.conj(), model.rest).real
     middle = score @ score.T
@@ -125,6 +126,10 @@ def _covariances(curves: Curves, model: Fit) -> tuple[Array, Array, Array]:
         middle += (1.0 - lag / lags) * (beside + beside.T)
     # The misfit has fewer degrees of freedom than numbers: the fit has taken its share.
     plain = np.asarray(normal * (model.misfit / degrees * curves.shared), dtype=float)
+    # Of what no line tells, as the width of a pole far narrower than their spacing, a pseudoinverse has nothing.
+    with np.errstate(divide="ignore"):
+        least = model.misfit / degrees * curves.shared / np.diag(information)
+    np.fill_diagonal(plain, np.maximum(np.diag(plain), least))
     # Of few numbers it has taken most of each, and what is left is the smaller still (MacKinnon and White's HC3).
     seen = np.asarray(normal @ middle @ normal * (curves.numbers / degrees) ** 2, dtype=float)
     relative = np.min(1.0 / (curves.weight * abs(curves.value)), axis=0)

@@ -13,6 +13,8 @@ ComplexArray = NDArray[np.complex128]
 
 # Evaluations within which a fit from a good start has settled; one from a bad start is not worth more.
 _EVALUATIONS = 25
+# Terms of the series that stands for modes above the band.
+ABOVE = 3
 
 
 @dataclass(frozen=True)
@@ -42,8 +44,8 @@ class Curves:
         return 2 * self.value.size
 
     def unknowns(self, poles: int) -> int:
-        """Real numbers that a model with so many poles has: poles, residues, and the two residual terms."""
-        return 2 * poles + self.value.shape[0] * (2 * poles + 2)
+        """Real numbers that a model with so many poles has: poles, residues, and the residual terms."""
+        return 2 * poles + self.value.shape[0] * (2 * poles + 1 + ABOVE)
 
     def degrees(self, poles: int) -> int:
         """Degrees of freedom that are left to the misfit of a model with so many poles."""
@@ -60,8 +62,10 @@ class Fit:
         rad/s, by rising frequency.
     residue : ndarray of complex, shape (responses, modes)
         m/(N s).
-    lower, upper : ndarray, shape (responses,)
-        lower / s² + upper stands for modes below and above the band.
+    lower : ndarray, shape (responses,)
+        lower / s² stands for modes below the band.
+    upper : ndarray, shape (responses, 3)
+        upper[0] + upper[1] s + upper[2] s² stands for modes above the band.
     misfit : float
         Sum of squared weighted differences.
     rest : ndarray of complex, shape (responses, n)
@@ -100,9 +104,18 @@ def fit(curves: Curves, start: ComplexArray) -> Fit:
         slope = rows[:, :, 0] + 1j * rows[:, :, 1]
     halves = rest.reshape(shape[0], 2, shape[1])
     return Fit(
-        poles[order], residue[:, order], unknown[:, -2], unknown[:, -1], float(np.sum(rest**2)),
+        poles[order], residue[:, order], unknown[:, 2 * count], unknown[:, 2 * count + 1 :], float(np.sum(rest**2)),
         halves[:, 0] + 1j * halves[:, 1], slope,
     )  # fmt: skip
+
+
+def residual_terms(s: NDArray[np.complexfloating]) -> list[NDArray[np.complexfloating]]:
+    """Tell what modes outside the band do inside, each with a real factor: first terms of series in 1/s or s.
+
+    Above the band ``R / (s² + 2 ζ w s + w²)`` bends over its width by ``(s/w)²`` of itself, and its damping turns it by
+    ``2 ζ s/w``. Of a peak that is measured on its flank only, or behind noise, less would be taken for its damping.
+    """
+    return [1.0 / s**2, *(s**power for power in range(ABOVE))]
 
 
 def linear_misfit(curves: Curves, poles: ComplexArray) -> float:
@@ -135,12 +148,12 @@ class _Projection:
         )
 
     def columns(self, poles: ComplexArray) -> ComplexArray:
-        """Basis for real unknowns: Re R, Im R of each mode, then lower and upper residual."""
+        """Basis for real unknowns: Re R, Im R of each mode, then lower and upper residuals."""
         out = []
         for p in poles:
             direct, mirror = 1.0 / (self.s - p), 1.0 / (self.s - p.conjugate())
             out += [direct + mirror, 1j * (direct - mirror)]
-        return np.stack([*out, 1.0 / self.s**2, np.ones_like(self.s)], axis=1)
+        return np.stack([*out, *residual_terms(self.s)], axis=1)
 
     def solve(self, x: Array) -> tuple[Array, Array, Array]:
         """Best unknowns of every response, weighted misfit, and an orthonormal basis for each response."""

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from analysis.responses.frf import MOTIONS
 from analysis.responses.systematic import ALIASING, over_a_doubtful_reference
 from rig.scene.shaker import ElectrodynamicShaker, TableShaker
+from rig.system.structure import structure_matrices
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
+    from rig import Scene
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -70,8 +72,9 @@ def folded_shares(
 ) -> Array:
     """Give what folds back into each channel at most, as a share of what it reads: shape (channels, lines)."""
     shares = np.zeros(lower.shape)
-    # Beyond the modes a structure is accelerated as at the top of the band, or less.
-    acceleration = abs(value) * frequency ** (2 - MOTIONS.index(motion))
+    # Beyond the modes a structure is accelerated as at the top of the band, or less, but where it is driven: there by
+    # the force over the mass, of which a band below further modes shows nothing.
+    acceleration = abs(value) * (2.0 * np.pi * frequency) ** (2 - MOTIONS.index(motion))
     top = np.median(acceleration[frequency >= _TOP * frequency.max()])
     beyond = np.minimum(top / np.maximum(acceleration, 1e-300), 1.0)
     for row, name in enumerate(names):
@@ -92,10 +95,21 @@ def folded_shares(
             continue
         shares[row] = _TAIL * np.sum((frequency / images) ** 2 * let_through, axis=0)
         if info.at.startswith("body"):
-            shares[row] *= beyond
+            body = int(info.at.split()[1])
+            free = _free_acceleration(rec.scene, body) / np.maximum(acceleration, 1e-300)
+            shares[row] *= np.maximum(beyond, free)
         # Where neither is known to be less.
         shares[row] = np.maximum(shares[row], _IMAGES * (frequency / info.rate) ** 2)
     return shares
+
+
+def _free_acceleration(scene: Scene, body: int) -> float:
+    """Acceleration of a body for each newton of a shaker's force beyond all modes, 1/kg: 0 where none drives it."""
+    shaker = scene.driven_shaker
+    if shaker is None or body not in shaker.bodies:
+        return 0.0
+    mass, _, _ = structure_matrices(scene.structure)
+    return float(np.linalg.solve(mass, np.eye(len(mass))[body - 1])[body - 1])
 
 
 def _moved(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from analysis.responses.aliasing import aliasing_part
 from analysis.responses.force_pulse import slow_and_fast
@@ -17,6 +18,7 @@ from analysis.responses.measurands import Measurand, driven
 from analysis.responses.systematic import (
     MODEL,
     clock_part,
+    doubtful_reference_part,
     reference_noise_part,
     rounding_part,
     sensitivity_part,
@@ -28,6 +30,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+# The power of noise in a line is in 95 % of lines below so many times its mean.
+_AMPLITUDE = 3.0
 # Resolved lines to either side that a fit takes in.
 SIDE = 12
 
@@ -130,6 +134,11 @@ class LocalSpectra:
             | clock_part(rec, at, value)
             | {MODEL: of_response.missed * scale}
         )
+        if noise.any():
+            power = ndimage.uniform_filter1d(np.mean(abs(force) ** 2, axis=0), 3)[self.lines]
+            doubt = np.sqrt(_AMPLITUDE * noise / np.maximum(power, 1e-300))
+            bound = np.linalg.norm([1.96 * np.sqrt(variance), *systematic.values()], axis=0)
+            systematic |= doubtful_reference_part(bound, doubt)
         if reference_noise is None:
             systematic |= reference_noise_part(value, of_response.coherence)
         else:

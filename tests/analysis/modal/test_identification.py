@@ -194,3 +194,22 @@ def test_given_a_force_that_is_a_difference_of_readings_when_identified_then_its
     assert np.all(abs(modes.frequency - natural) < 2.0 * modes.frequency_error)
     assert np.all(modes.frequency_error < 3e-3 * natural)
     assert np.max(abs(modes.frequency / natural - 1.0)) > 1e-4
+
+
+def test_given_a_gap_where_the_peak_is_and_modes_far_above_when_identified_then_damping_lies_within_its_error():
+    # What far modes bend over the band is below the noise of each line, and more than damping adds on the flanks.
+    frequency = np.concatenate([np.linspace(8.4, 10.5, 140), np.linspace(14.8, 15.7, 40)])
+    s = 2j * np.pi * frequency
+    omega, zeta = 2 * np.pi * np.array([[12.85], [41.1], [56.9]]), 0.0117
+    value = np.array([[0.6, -0.4, 0.3], [0.9, 0.2, -0.7]]) @ (
+        1.0 / (s**2 + 2.0 * zeta * omega * s + omega**2)
+    )
+    frfs = curves(frequency, value, 1.0)
+    modes = analysis.identify(
+        [
+            replace(frf, error=part * abs(frf.value), shared=15.0)
+            for frf, part in zip(frfs, (1e-3, 1e-2), strict=True)
+        ]
+    )
+    assert modes.damping == pytest.approx([zeta], abs=2.0 * modes.damping_error[0])
+    assert modes.damping_error[0] < 0.2 * zeta

@@ -14,7 +14,7 @@ from daq.signal_chain.channel import ChannelInfo
 RATE, SAMPLES, FINE = 5120.0, 512, 64
 CYCLES = np.array([4, 32, 128, 200])
 FREQUENCY = CYCLES * RATE / SAMPLES
-SCENE = "{structure: {masses: [1 kg], springs: [4 kN/m]}, shaker: {kind: force, body: 1}}"
+SCENE = "{structure: {masses: [2 kg], springs: [4 kN/m]}, shaker: {kind: force, body: 1}}"
 
 
 def images(info, cycles):
@@ -61,6 +61,13 @@ def test_given_a_structure_that_accelerates_less_beyond_a_peak_when_images_fold_
             next(iter(part(channel(at), value, motion).values())) for at in ("body 1", "drive")
         )
         np.testing.assert_allclose(body, elsewhere / peak.real)
+
+
+def test_given_a_driven_body_whose_band_lies_below_further_modes_when_images_fold_back_then_they_move_its_mass():
+    value = np.full(4, 0.005 + 0.002j)
+    [bound] = part(channel(), value).values()
+    true = np.array([images(channel(), cycles) for cycles in CYCLES]) / 2.0
+    assert (bound >= true).all() and (bound <= 1.25 * true).all()
 
 
 @pytest.mark.parametrize("lower", [0.0, 1.0])

@@ -182,7 +182,18 @@ def test_given_five_modes_when_drawn_then_their_titles_do_not_touch():
     chart = tuple(ChartPole(order, f, 0.01, True) for f in natural for order in range(5, 25))
     nothing = np.zeros(5)
     modes = Modes(
-        natural, nothing, many, nothing, -1e-3j * np.ones((5, 5)), names, chart, nothing, nothing, 0.0, "", ()
+        natural,
+        nothing,
+        many,
+        nothing,
+        -1e-3j * np.ones((5, 5)),
+        names,
+        chart,
+        nothing,
+        np.zeros((5, 3)),
+        0.0,
+        "",
+        (),
     )
     flat = np.ones(frequency.size)
     curves = [

@@ -13,8 +13,8 @@ ComplexArray = NDArray[np.complex128]
 
 # Evaluations within which a fit from a good start has settled; one from a bad start is not worth more.
 _EVALUATIONS = 25
-# Terms of the series that stands for modes above the band.
-ABOVE = 3
+# Terms of the series that stands for modes above the band: of fewer lines than these, only the first can be told.
+ABOVE, _LINES = 3, 20
 
 
 @dataclass(frozen=True)
@@ -43,9 +43,14 @@ class Curves:
         """Real numbers measured."""
         return 2 * self.value.size
 
+    @property
+    def above(self) -> int:
+        """Terms of the series for modes above the band that so many lines can tell."""
+        return ABOVE if self.frequency.size >= _LINES else 1
+
     def unknowns(self, poles: int) -> int:
         """Real numbers that a model with so many poles has: poles, residues, and the residual terms."""
-        return 2 * poles + self.value.shape[0] * (2 * poles + 1 + ABOVE)
+        return 2 * poles + self.value.shape[0] * (2 * poles + 1 + self.above)
 
     def degrees(self, poles: int) -> int:
         """Degrees of freedom that are left to the misfit of a model with so many poles."""
@@ -96,6 +101,8 @@ def fit(curves: Curves, start: ComplexArray) -> Fit:
     unknown, rest, _ = problem.solve(x)
     order = np.argsort(poles.imag)
     count, shape = start.size, curves.value.shape
+    upper = np.zeros((shape[0], ABOVE))
+    upper[:, : curves.above] = unknown[:, 2 * count + 1 :]
     residue = unknown[:, 0 : 2 * count : 2] + 1j * unknown[:, 1 : 2 * count : 2]
     slope = np.empty((0, *shape), dtype=complex)
     if count:
@@ -104,7 +111,7 @@ def fit(curves: Curves, start: ComplexArray) -> Fit:
         slope = rows[:, :, 0] + 1j * rows[:, :, 1]
     halves = rest.reshape(shape[0], 2, shape[1])
     return Fit(
-        poles[order], residue[:, order], unknown[:, 2 * count], unknown[:, 2 * count + 1 :], float(np.sum(rest**2)),
+        poles[order], residue[:, order], unknown[:, 2 * count], upper, float(np.sum(rest**2)),
         halves[:, 0] + 1j * halves[:, 1], slope,
     )  # fmt: skip
 
@@ -136,6 +143,7 @@ class _Projection:
     def __init__(self, curves: Curves, start: ComplexArray) -> None:
         self.s = 2j * np.pi * curves.frequency
         self.value, self.weight, self.start = curves.value, curves.weight, start
+        self.above = curves.above
         self.scale = -start.real
         self._solved: tuple[Array, Array, Array, Array] | None = None
 
@@ -153,7 +161,7 @@ class _Projection:
         for p in poles:
             direct, mirror = 1.0 / (self.s - p), 1.0 / (self.s - p.conjugate())
             out += [direct + mirror, 1j * (direct - mirror)]
-        return np.stack([*out, *residual_terms(self.s)], axis=1)
+        return np.stack([*out, *residual_terms(self.s)[: 1 + self.above]], axis=1)
 
     def solve(self, x: Array) -> tuple[Array, Array, Array]:
         """Best unknowns of every response, weighted misfit, and an orthonormal basis for each response."""

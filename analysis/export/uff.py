@@ -47,7 +47,8 @@ def write_uff(stretch: Slice, path: Path) -> None:
     file = _file(path)
     for number, info in enumerate(stretch.infos, start=1):
         data = stretch.whole(info.name)
-        file.write_sets(
+        _write(
+            file,
             {
                 "type": 58, "binary": 0, "func_type": 1, "func_id": number,
                 "id1": _line(f"{info.name}: {info.quantity} at {info.at}"),
@@ -62,7 +63,6 @@ def write_uff(stretch: Slice, path: Path) -> None:
                 "orddenom_spec_data_type": 0, "z_axis_spec_data_type": 0,
                 "data": data, "x": np.arange(stretch.start, stretch.stop) / recording.rate,
             },
-            mode="add",
         )  # fmt: skip
 
 
@@ -92,7 +92,8 @@ def write_frfs(frfs: Sequence[Frf], path: Path, nodes: Sequence[int], driven: in
                 f"{curve.response}: a response to the {curve.reference}; UFF 58 is written of forces"
             )
         steps = np.diff(curve.frequency)
-        file.write_sets(
+        _write(
+            file,
             {
                 "type": 58, "binary": 0, "func_type": 4, "func_id": number,
                 "id1": _line(f"{curve.response}: {curve.name}"), "id2": _line(curve.label),
@@ -106,7 +107,6 @@ def write_frfs(frfs: Sequence[Frf], path: Path, nodes: Sequence[int], driven: in
                 "orddenom_axis_units_lab": "N", "z_axis_spec_data_type": 0,
                 "data": curve.value, "x": curve.frequency,
             },
-            mode="add",
         )  # fmt: skip
 
 
@@ -121,7 +121,8 @@ def write_modes(modes: Modes, path: Path, nodes: Sequence[int]) -> None:
     for number, (pole, shape) in enumerate(zip(poles, modes.shapes.T, strict=True), start=1):
         nothing = np.zeros(shape.size, dtype=complex)
         damping = 100.0 * modes.damping[number - 1]
-        file.write_sets(
+        _write(
+            file,
             {
                 "type": 55, "id1": _line(modes.label), "id2": _line(f"nodes {', '.join(modes.responses)}"),
                 "id4": f"mode {number}, {modes.frequency[number - 1]:.6g} Hz, damping ratio {damping:.4g} %",
@@ -129,7 +130,6 @@ def write_modes(modes: Modes, path: Path, nodes: Sequence[int]) -> None:
                 "mode_n": number, "eig": complex(pole), "modal_a": 0j, "modal_b": 0j,
                 "node_nums": list(nodes), "r1": nothing, "r2": nothing, "r3": shape,
             },
-            mode="add",
         )  # fmt: skip
 
 
@@ -139,6 +139,16 @@ def _file(path: Path) -> Any:
     except ImportError:
         raise RunError("UFF files need the package pyuff: pip install 'shotrig[export]'") from None
     return pyuff.UFF(str(path))
+
+
+def _write(file: Any, data: dict[str, Any]) -> None:
+    try:
+        file.write_sets(data, mode="add")
+    except Exception as error:
+        # pyuff hides what the disk said.
+        if isinstance(error.__context__, OSError):
+            raise error.__context__ from None
+        raise
 
 
 def _line(text: str) -> str:

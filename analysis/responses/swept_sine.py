@@ -140,7 +140,9 @@ def tracked(
         samples[index] = spectrum[:, line + around]
         at[index] = frequency[index] + around * rec.rate / size
         begin, width = bounds[index][0], SIDE * rec.rate / size
-        near = [first + _passes(marker, frequency[index] + off, rec.rate) - begin for off in (-width, width)]
+        # A logarithmic sweep passes no frequency of zero or less.
+        ends = [max(frequency[index] + off, 1e-6 * frequency[index]) for off in (-width, width)]
+        near = [first + _passes(marker, end, rec.rate) - begin for end in ends]
         squares[:, index] = _near(block, near, rec.rate / frequency[index]).var(axis=1)
         place = line + ahead * _beyond(line)
         if SIDE < place < size // 2 - SIDE:

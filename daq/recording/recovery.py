@@ -22,6 +22,7 @@ from daq.recording.markers import Marker
 from daq.recording.sample_block import SAMPLE_TYPE, decode
 from daq.recording.timebase import Timebase
 from rig.errors import RecordingError
+from rig.escaping import shown
 
 if TYPE_CHECKING:
     from mcap.records import Attachment, Channel, Metadata, Schema
@@ -318,7 +319,7 @@ class _Salvage:
             samples = str(max(span[-1][1] for span in self._spans.values() if span))
             told = {
                 "status": "recovered",
-                "reason": f"recovered from {self._source.name}",
+                "reason": f"recovered from {shown(self._source.name)}",
                 "samples": samples,
             }
             outcome = checked({**before, **told, "report": json.dumps(list(salvage.report()))})

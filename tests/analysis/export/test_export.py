@@ -16,6 +16,7 @@ import daq
 from analysis.cli import app
 from analysis.export.export import expected_bytes, export
 from analysis.export.results import export_results
+from analysis.export.uff import write_uff
 from analysis.recordings.slices import Slice
 from daq.recording.recorder import Recorder
 from daq.signal_chain.channel import ChannelInfo
@@ -218,6 +219,11 @@ def test_given_more_than_the_disk_holds_when_exported_then_it_is_said_before_any
     assert list(tmp_path.iterdir()) == []
     free.free += 1
     export(stretch, tmp_path / "a.csv")
+
+
+def test_given_a_disk_that_refuses_when_exported_as_uff_then_the_error_is_the_disks(recording, tmp_path):
+    with pytest.raises(FileNotFoundError):
+        write_uff(Slice.of(recording), tmp_path / "missing" / "a.uff")
 
 
 def test_given_a_void_of_years_in_a_recording_when_exported_then_it_is_told_and_not_walked(tmp_path):

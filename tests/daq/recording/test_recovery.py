@@ -1,3 +1,4 @@
+import os
 import random
 import signal as signals
 import subprocess
@@ -75,7 +76,7 @@ def test_given_100_random_truncations_when_recovered_then_every_whole_chunk_is_t
     whole, tmp_path
 ):
     data, chunks, rng = whole.read_bytes(), chunks_of(whole), random.Random(5)
-    torn, fixed = tmp_path / "torn.mcap", tmp_path / "fixed.mcap"
+    torn, fixed = tmp_path / os.fsdecode(b"torn\xff.mcap"), tmp_path / "fixed.mcap"
     first = min(begin for begin, _, topics in chunks if "/raw/body1" in topics)
     # Behind its last record before the summary a file has nothing to lose.
     ends = data.rindex(b"crc32") + len("crc32") + 4 + 8

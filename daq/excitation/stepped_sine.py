@@ -58,14 +58,16 @@ def _run(station: Station, test: SteppedSine, gauge: Gauge, controlled: bool) ->
         reached: list[tuple[float, float]] = []
         tone.frequency = steps[0]
         for frequency, direction in zip(steps, names, strict=True):
-            station.report(done / total, f"{frequency:.2f} Hz {direction}, level {level:g}")
+            # A drive is in the unit of its shaker.
+            at_level = f"{level:g} N" if control is not None else f"level {level:g}"
+            station.report(done / total, f"{frequency:.2f} Hz {direction}, {at_level}")
             if control is not None and reached:
                 drive = min(extrapolated(reached, frequency), station.drive_limit)
             settled = yield from _point(
                 station, tone, gauge, control, frequency, drive, level, direction, test
             )
             if not settled:
-                unsettled.append(f"{frequency:.4g} Hz {direction} at {level:g}")
+                unsettled.append(f"{frequency:.4g} Hz {direction} at {at_level}")
             drive = tone.amplitude
             reached = [*reached[-2:], (frequency, drive)]
             done += 1

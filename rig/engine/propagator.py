@@ -22,6 +22,7 @@ from rig.engine.state import CONFIGURATION, SLOT, empty_log, state_at_rest
 from rig.engine.trajectory import Array, Trajectory
 from rig.engine.workspace import Workspace, workspace_for
 from rig.errors import RunError, SceneError
+from rig.numerics.bernstein import LENGTH as TERMS
 from rig.numerics.jit import compiled
 from rig.numerics.simd import LANES, padded, zeros
 from rig.scene.quantities import LENGTH
@@ -140,6 +141,12 @@ class Propagator:
     def ambiguous(self) -> int:
         """Number of decisions that lay within rounding so far."""
         return int(self.state.counters[3])
+
+    @property
+    def work(self) -> int:
+        """Count the multiplications of a step, about."""
+        flow = self.tables.flow
+        return self.tables.size**2 if flow.stepping else flow.column.size * TERMS
 
     def place(self, state: Array, drive: Array) -> NDArray[np.int64]:
         """Put the system at a state with every damper on its floor; dampers whose contact would pull lift off.

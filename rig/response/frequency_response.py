@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from threading import Event
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rig.engine.propagator import Propagator, tone_propagator
 from rig.engine.trajectory import STRIKES, Array
-from rig.errors import RunError, SceneError
+from rig.errors import SceneError
 from rig.response.motion_type import motion_types, overall
 from rig.response.steady_state import MARKS, Steady, one_cycle, settle
 from rig.results import Result, styled
@@ -198,7 +199,7 @@ def frequency_response(
                 points = _in_two_halves(pool, follower, follow, tasks[0])
         except BaseException:
             # Leaving the pool waits for the other stretch: do not let it go on.
-            counter.stop()
+            follower.stopped.set()
             raise
     return _response(points, follower.system)
 
@@ -229,22 +230,16 @@ def _same(one: SteadyPoint, other: SteadyPoint) -> bool:
 
 
 class _Counter:
-    """Counts the points done; once stopped, it ends whoever reports another."""
+    """Counts the points done."""
 
     def __init__(self, report: Callable[[int, int], None] | None, total: int) -> None:
         self.report, self.total, self.done = report, total, 0
-        self.stopped = False
 
     def add(self) -> bool:
-        if self.stopped:
-            raise RunError("stopped")
         self.done += 1
         if self.report is not None:
             self.report(min(self.done, self.total), self.total)
         return True
-
-    def stop(self) -> None:
-        self.stopped = True
 
 
 class Follower:
@@ -259,6 +254,8 @@ class Follower:
     def __init__(self, scene: Scene, tolerance: float, longest: int) -> None:
         self.scene, self.system = scene, assemble(scene)
         self.tolerance, self.longest = tolerance, longest
+        #: Set when nobody wants points any more.
+        self.stopped = Event()
         self.holds_spring_force = not isinstance(scene.driven_shaker, ForceShaker) and (
             getattr(scene.test, "force", None) is not None
         )
@@ -315,7 +312,7 @@ class Follower:
     ) -> SteadyPoint:
         system, n = self.system, self.system.coordinates
         propagator.start_period(level)
-        steady = settle(propagator, steps, level, tolerance, self.longest)
+        steady = settle(propagator, steps, level, tolerance, self.longest, self.stopped.is_set)
         repetition = steady.repetition or 16
         trajectory, begins = one_cycle(propagator, steps, level, repetition)
         end = propagator.snapshot()

@@ -7,7 +7,9 @@ steady when that is below the tolerance, relative to the motion. What never repe
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +17,7 @@ from numpy.typing import NDArray
 from rig.engine.propagator import Propagator
 from rig.engine.state import FLIGHT
 from rig.engine.trajectory import Array, Trajectory
+from rig.errors import RunError
 from rig.numerics.jit import stored
 
 #: Longest repetition looked for, in periods of the drive.
@@ -27,6 +30,8 @@ MOST_SKIPPED = 400
 SETTLING = 1e4
 #: Changes below this are rounding.
 ROUNDING = 2e-14
+#: Multiplications of one call: about a tenth of a second.
+_HEARD = 1e8
 #: States kept in one period for its first harmonic and its peak.
 MARKS = 256
 
@@ -43,7 +48,14 @@ class Steady:
     periods: int  # Periods that were followed
 
 
-def settle(propagator: Propagator, steps: float, level: float, tolerance: float, longest: int) -> Steady:
+def settle(
+    propagator: Propagator,
+    steps: float,
+    level: float,
+    tolerance: float,
+    longest: int,
+    stopped: Callable[[], bool] = lambda: False,
+) -> Steady:
     """Follow the motion from the start of a period until it is steady.
 
     Parameters
@@ -58,18 +70,22 @@ def settle(propagator: Propagator, steps: float, level: float, tolerance: float,
         Largest distance from the steady state, relative to the motion.
     longest : int
         Periods after which to give up.
+    stopped : callable
+        Asked now and then whether nobody wants the motion any more.
+
+    Raises
+    ------
+    RunError
+        If so.
     """
     done = 0
     while True:
         # Looking costs as much as many periods of motion: look at growing intervals.
         skipped = min(done // 4, MOST_SKIPPED)
         count = skipped + LOOK
-        rows = np.arange(count) - skipped
-        trajectory = propagator.through_marks(
-            np.full(count, steps), np.maximum(rows, -1), np.ones(count, dtype=bool), level
-        )
+        looked = _follow(propagator, steps, level, skipped, stopped)
         done += count
-        changes, left = _distances(propagator, trajectory)
+        changes, left = _distances(propagator, looked)
         steady = np.flatnonzero(left < tolerance)
         # A motion that has nearly settled to a shorter repetition passes for a longer one first.
         settling = np.flatnonzero(changes < SETTLING * tolerance)
@@ -79,12 +95,38 @@ def settle(propagator: Propagator, steps: float, level: float, tolerance: float,
             return Steady(False, 0, float(changes.min()), done)
 
 
-def _distances(propagator: Propagator, trajectory: Trajectory) -> tuple[Array, Array]:
+class _Look(NamedTuple):
+    """Motion at the ends of periods; shape (periods, ...)."""
+
+    state: Array
+    height: Array
+    mode: NDArray[np.int8]
+
+
+def _follow(
+    propagator: Propagator, steps: float, level: float, skipped: int, stopped: Callable[[], bool]
+) -> _Look:
+    """Go on for some periods unseen and for a look, in calls short enough for an interrupt to be heard between them."""
+    at_once = max(1, int(_HEARD / (steps * propagator.work)))
+    seen: list[_Look] = []
+    for periods, shown in ((skipped, False), (LOOK, True)):
+        for begin in range(0, periods, at_once):
+            if stopped():
+                raise RunError("stopped")
+            count = min(at_once, periods - begin)
+            rows = np.arange(count) if shown else np.full(count, -1)
+            found = propagator.through_marks(np.full(count, steps), rows, np.ones(count, dtype=bool), level)
+            if shown:
+                seen.append(_Look(found.state, found.height, found.mode))
+    return seen[0] if len(seen) == 1 else _Look(*(np.concatenate(parts) for parts in zip(*seen, strict=True)))
+
+
+def _distances(propagator: Propagator, look: _Look) -> tuple[Array, Array]:
     """Change over 1, 2, ... periods, and estimated distance from a motion that repeats so, relative to the motion."""
-    vectors = _vectors(propagator, trajectory)
+    vectors = _vectors(propagator, look)
     scale = max(float(np.abs(vectors).max()), 1e-300)
     present, left = [], []
-    for p, (change, earlier) in enumerate(_changes(vectors, trajectory.mode) / scale, 1):
+    for p, (change, earlier) in enumerate(_changes(vectors, look.mode) / scale, 1):
         present.append(change)
         if change < ROUNDING:
             left.append(change)
@@ -118,18 +160,17 @@ def _changes(vectors: Array, modes: NDArray[np.int8]) -> Array:
     return changes
 
 
-def _vectors(propagator: Propagator, trajectory: Trajectory) -> Array:
+def _vectors(propagator: Propagator, look: _Look) -> Array:
     """States at the starts of periods in comparable units: metres, velocities over the fastest rate."""
     system = propagator.system
     n, ns = system.coordinates, system.states
-    parts = trajectory.state[:, :ns].copy()
+    parts = look.state[:, :ns].copy()
     parts[:, n : 2 * n] *= propagator.tables.step
     if ns > 2 * n:
         # The coil's current, as the armature's motion that its force makes over a step.
         force = np.abs(system.force_state[:, 2 * n :]).max(axis=0) / np.diag(system.mass).min()
         parts[:, 2 * n :] *= force * propagator.tables.step**2
-    flying = trajectory.mode == FLIGHT
-    heights = np.where(flying, trajectory.height, 0.0)
+    heights = np.where(look.mode == FLIGHT, look.height, 0.0)
     return np.hstack([parts, heights])
 
 

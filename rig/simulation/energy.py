@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 #: Gauss-Legendre nodes and weights on [0, 1]; within a step 8 of them integrate a product of two solutions to
 #: rounding.
 _GAUSS = tuple(0.5 * part for part in np.polynomial.legendre.leggauss(8) + np.array([[1.0], [0.0]]))
+# Numbers of a power series in memory at a time.
+_NUMBERS = 1 << 21
 
 
 @dataclass(frozen=True)
@@ -185,18 +187,20 @@ def fourier(
     """
     states, slots, lengths, starts = _stretches(tables, trajectory, begins, durations)
     total = np.zeros(tables.size, dtype=np.complex128)
-    part = lengths / tables.step
+    part, most = lengths / tables.step, max(1, _NUMBERS // (tables.size * (LENGTH + 1)))
     for slot in np.unique(slots):
-        rows = slots == slot
-        # What each term of the series adds, summed over the nodes first: the terms are many, their weights few.
-        weights = np.zeros((LENGTH + 1, rows.sum()), dtype=np.complex128)
-        for node, weight in zip(*_GAUSS, strict=True):
-            turn = np.exp(-1j * omega * (starts[rows] + node * lengths[rows]))
-            share, tau = weight * lengths[rows] * turn, part[rows] * node
-            for each in weights:
-                each += share
-                share *= tau
-        total += np.einsum("ks,ksr->r", weights, _series(tables, int(slot), states[rows]), optimize=True)
+        every = np.flatnonzero(slots == slot)
+        for rows in np.split(every, range(most, every.size, most)):
+            # What each term of the series adds, summed over the nodes first: the terms are many, their weights few.
+            weights = np.zeros((LENGTH + 1, rows.size), dtype=np.complex128)
+            for node, weight in zip(*_GAUSS, strict=True):
+                turn = np.exp(-1j * omega * (starts[rows] + node * lengths[rows]))
+                share, tau = weight * lengths[rows] * turn, part[rows] * node
+                for each in weights:
+                    each += share
+                    share *= tau
+            for each, term in zip(weights, _series(tables, int(slot), states[rows]), strict=True):
+                total += each @ term
     return total
 
 

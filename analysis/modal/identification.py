@@ -101,6 +101,7 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
         frequency_error=f_error,
         damping=-poles.real / abs(poles),
         damping_error=z_error,
+        shape_error=_shape_errors(curves, poles, model.residue[:, inside]),
         residue=model.residue[:, inside],
         responses=tuple(curve.response for curve in curves),
         chart=tuple(charts[0]),
@@ -112,6 +113,26 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
     )
     left_out = [frf.response for frf in frfs if frf.response not in result.responses]
     return _with_warnings(result, curves, count, dropped, left_out)
+
+
+def _shape_errors(curves: Sequence[Frf], poles: ComplexArray, residue: ComplexArray) -> Array:
+    """Find standard deviations of shapes with largest element one, from the curves' bounds at each resonance."""
+    error = np.zeros(residue.shape)
+    for mode, pole in enumerate(poles):
+        top = int(np.argmax(abs(residue[:, mode])))
+        bound = np.array([_nearest(curve, abs(pole) / (2 * np.pi))[1] for curve in curves])
+        largest = _nearest(curves[top], abs(pole) / (2 * np.pi))[0]
+        share = abs(residue[:, mode]) / abs(residue[top, mode])
+        error[:, mode] = 0.5 * np.hypot(bound, share * bound[top]) / largest
+        error[top, mode] = 0.0
+    return error
+
+
+def _nearest(curve: Frf, frequency: float) -> tuple[float, float]:
+    """Size of a curve and its bound at the measured frequency nearest to another."""
+    known = np.flatnonzero(np.isfinite(curve.value))
+    at = known[np.argmin(abs(curve.frequency[known] - frequency))]
+    return float(abs(curve.value[at])), float(curve.bound()[at])
 
 
 def _bounded(curves: Sequence[Frf]) -> list[Frf]:

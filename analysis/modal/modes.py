@@ -29,6 +29,9 @@ class Modes(Result):
         Undamped natural frequency abs(p)/2 pi and its standard deviation, Hz.
     damping, damping_error : ndarray, shape (modes,)
         Damping ratio and its standard deviation.
+    shape_error : ndarray, shape (responses, modes)
+        Standard deviation of each element of `shapes`, as far as the curves at the resonance are known, sensors'
+        tolerances included.
     residue : ndarray of complex, shape (responses, modes)
         R in R/(s - p) + conj(R)/(s - conj(p)), receptance, m/(N s).
     responses : tuple of str
@@ -52,6 +55,7 @@ class Modes(Result):
     frequency_error: Array
     damping: Array
     damping_error: Array
+    shape_error: Array
     residue: ComplexArray
     responses: tuple[str, ...]
     chart: tuple[ChartPole, ...]
@@ -67,13 +71,14 @@ class Modes(Result):
         return f"{self.label}: {', '.join(f'{f:.4g} Hz ({100 * zeta:.3g} %)' for f, zeta in found)}"
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Frequency, damping ratio, their standard deviations, and the shape at each response."""
+        """Frequency, damping ratio, and the shape at each response, with their standard deviations."""
         return {
             "frequency_Hz": self.frequency,
             "frequency_std_Hz": self.frequency_error,
             "damping_ratio": self.damping,
             "damping_ratio_std": self.damping_error,
             **{f"shape_{name}": row for name, row in zip(self.responses, self.shapes, strict=True)},
+            **{f"shape_{name}_std": row for name, row in zip(self.responses, self.shape_error, strict=True)},
         }
 
     def draw(self, ax: Axes, **style: Any) -> None:

@@ -21,7 +21,7 @@ from analysis.responses.frf import Frf
 from analysis.responses.frf_files import is_frf_file, read_frfs
 from analysis.responses.systematic import SENSITIVITY, tolerance
 from rig.errors import RecordingError
-from rig.results import bounded
+from rig.results import bounded, rounded
 from rig.scene.presets import origin
 
 if TYPE_CHECKING:
@@ -249,7 +249,8 @@ def describe_modes(modes: Modes, theory: np.ndarray | None = None) -> list[str]:
     """List frequency, damping and shape of each mode, and how near it comes to the shapes of theory."""
     out = [f"{modes.label}: {modes.frequency.size} modes"]
     for i, frequency in enumerate(modes.frequency):
-        shape = ", ".join(f"{value:.3f}" for value in modes.shapes[:, i].real)
+        known = zip(modes.shapes[:, i].real, 2.0 * modes.shape_error[:, i], strict=True)
+        shape = ", ".join(_element(value, bound) for value, bound in known)
         line = (
             f"  {bounded(frequency, 2 * modes.frequency_error[i], 'Hz')}, damping ratio "
             f"{bounded(100 * modes.damping[i], 200 * modes.damping_error[i], '%')}, shape ({shape})"
@@ -258,6 +259,17 @@ def describe_modes(modes: Modes, theory: np.ndarray | None = None) -> list[str]:
             line += f", MAC with theory {float(np.max(mac(modes.shapes[:, [i]], theory))):.4f}"
         out.append(line)
     return out
+
+
+def _element(value: float, bound: float) -> str:
+    """Write an element of a shape with its bound, the largest one, by which all are scaled, without."""
+    if not bound:
+        return f"{value:.3g}"
+    return (
+        f"{rounded(value, bound)} ± {rounded(bound, bound)}"
+        if np.isfinite(bound)
+        else f"{value:.3f} (no bound)"
+    )
 
 
 def theoretical_shapes(rec: Recording, modes: Modes) -> np.ndarray | None:

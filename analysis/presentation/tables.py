@@ -104,7 +104,7 @@ def modes_table(path: Path, found: Sequence[Modes]) -> Path:
     heading = [
         "scene", "mode", "frequency_Hz", "frequency_std_Hz", "omega_rad_s", "damping_ratio",
         "damping_ratio_std",
-        *(f"shape {name}" for name in channels), "phase_collinearity",
+        *(f"shape {name}" for name in channels), *(f"shape {name} std" for name in channels), "phase_collinearity",
     ]  # fmt: skip
     return write_table(path, heading, _mode_rows(found, channels))
 
@@ -113,8 +113,10 @@ def _mode_rows(found: Sequence[Modes], channels: Sequence[str]) -> Iterator[Row]
     for modes in found:
         for i, frequency in enumerate(modes.frequency):
             shape = dict(zip(modes.responses, modes.shapes[:, i].real, strict=True))
+            error = dict(zip(modes.responses, modes.shape_error[:, i], strict=True))
             yield (
                 modes.label, i + 1, frequency, modes.frequency_error[i], 2 * np.pi * frequency,
                 modes.damping[i], modes.damping_error[i], *(shape.get(name, np.nan) for name in channels),
+                *(error.get(name, np.nan) for name in channels),
                 modes.collinearity[i],
             )  # fmt: skip

@@ -213,3 +213,19 @@ def test_given_a_gap_where_the_peak_is_and_modes_far_above_when_identified_then_
     )
     assert modes.damping == pytest.approx([zeta], abs=2.0 * modes.damping_error[0])
     assert modes.damping_error[0] < 0.2 * zeta
+
+
+def test_given_a_sensor_of_wide_tolerance_when_modes_are_identified_then_its_part_of_each_shape_is_as_uncertain(
+    tmp_path,
+):
+    with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))) as rec:
+        [curves] = analysis.frequency_responses(rec)
+    poor = replace(curves[1], systematic={SENSITIVITY: 0.2 * abs(curves[1].value)})
+    modes = analysis.identify([curves[0], poor, curves[2]])
+    share = modes.shape_error / abs(modes.shapes)
+    top = abs(modes.shapes).argmax(axis=0)
+    for mode in range(3):
+        for response in range(3):
+            # Where the poor sensor has the largest part, all others are told in its measure.
+            wide = response != top[mode] and 1 in (response, top[mode])
+            assert (0.09 < share[response, mode] < 0.15) if wide else share[response, mode] < 0.01

@@ -186,6 +186,7 @@ def test_given_five_modes_when_drawn_then_their_titles_do_not_touch():
         nothing,
         many,
         nothing,
+        np.zeros((5, 5)),
         -1e-3j * np.ones((5, 5)),
         names,
         chart,

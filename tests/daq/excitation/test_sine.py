@@ -93,7 +93,9 @@ def test_given_too_little_time_when_stepped_then_the_point_is_measured_and_marke
     }  # fmt: skip
     done = run(scene_with(test))
     assert done.marked("measure")[0][2]["settled"] is False
-    assert done.warnings == ["1 of 1 steps found no steady state at the level within 2 s: 13.04 Hz up at 2.6 N"]
+    assert done.warnings == [
+        "1 of 1 steps found no steady state at the level within 2 s: 13.04 Hz up at 2.6 N"
+    ]
 
 
 def test_given_an_amplifier_at_its_limit_when_stepped_then_the_drive_stays_there_and_it_is_said() -> None:

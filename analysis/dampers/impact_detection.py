@@ -31,6 +31,8 @@ Indices = NDArray[np.int64]
 _CERTAINTY = 3.0
 # So much smaller than the largest one, a jump is not told from what the model of a channel leaves out.
 _RANGE = 3e-3
+# Where less than this part of a stretch can be searched, nothing is told of it.
+_LEAST_SEARCHED = 0.5
 # A landing of no more than this part of a sample interval is a jump.
 _INSTANT = 0.25
 # Acceleration at an impact: from so much time on either side, s, less so many decay times of the sensor's
@@ -64,6 +66,8 @@ class Impacts:
     """How long the channel rings about an impact, s: there one smaller than `LEFT_OVER` of it may be missed."""
     searched: float
     """Length of what was searched, s: the stretch without its ends, lost samples and overloads."""
+    left_out: Array
+    """Where samples were lost or overloaded, and impacts go unseen: begin and end of each stretch, s; shape (m, 2)."""
 
     @property
     def threshold(self) -> float:
@@ -112,10 +116,10 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
         )
     samples = next(read_slices(rec, [info.name], [(start, stop)]))[0]
     good = _good(rec, info.name, samples, start, choices[0].ring)
-    if np.sum(good) < least:
+    if np.sum(good) < max(least, _LEAST_SEARCHED * good.size):
         raise RecordingError(
-            f"all but {np.sum(good)} samples of {info.name} in this stretch are lost or overloaded: choose "
-            "another stretch, or record with a lower level or a larger converter range"
+            f"all but {np.sum(good)} of {good.size} samples of {info.name} in this stretch are lost or overloaded: "
+            "choose another stretch, or record with a lower level, a larger converter range, or contacts that last"
         )
     scale = float(abs(samples[good]).max())
     # Rounding in the converter is noise too, even where a steady reading hides it.
@@ -144,6 +148,7 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
         RESOLVED / rec.rate,
         (search.signature.reach + search.signature.ring) / rec.rate,
         float(search.open.sum()) / rec.rate,
+        _runs(~good) / rec.rate + start / rec.rate,
     )
 
 
@@ -178,6 +183,12 @@ def _good(rec: Recording, name: str, samples: Array, start: int, ring: int) -> N
             # What follows is ringing whose beginning is not known.
             good[max(marker.first_sample - start, 0) : max(marker.end + 1 + ring - start, 0)] = False
     return good
+
+
+def _runs(of: NDArray[np.bool_]) -> Array:
+    """First and one-past-last place of every run that is true, shape (runs, 2)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], of, [False]]).astype(np.int8)))
+    return edges.reshape(-1, 2).astype(float)
 
 
 def _blind(info: ChannelInfo) -> bool:

@@ -7,6 +7,7 @@ import daq
 import rig
 from analysis.dampers.impact_detection import impacts, score
 from analysis.dampers.jump_search import SIGMAS
+from daq.recording.markers import Marker
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError
 from tests.analysis.responses import synthetic
@@ -184,3 +185,22 @@ def test_given_times_when_scored_then_each_is_matched_once():
     f1, found, true = score(np.array([1.0, 1.01, 2.0]), np.array([1.0, 2.5]), 0.1)
     assert found.tolist() == [True, False, False] and true.tolist() == [True, False]
     assert f1 == pytest.approx(2 / 5)
+
+
+def test_given_a_channel_that_is_overloaded_for_most_of_a_stretch_when_searched_then_nothing_is_told(
+    tmp_path,
+):
+    scene = rig.load(
+        "fig9", {"test": {"kind": "sine", "frequency": "49 Hz", "force": "3.3 N", "duration": "1 s"}}
+    )
+    with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
+        whole = impacts(rec, "body2")
+        end = int(0.2 * rec.samples)
+        rec.markers.append(Marker("overload", 0, end, {"channel": "body2"}))
+        part = impacts(rec, "body2")
+        rec.markers.append(Marker("overload", 0, int(0.7 * rec.samples), {"channel": "body2"}))
+        with pytest.raises(RecordingError, match="lost or overloaded"):
+            impacts(rec, "body2")
+    assert whole.left_out.shape == (0, 2)
+    assert part.left_out[0, 0] == 0.0 and part.left_out[0, 1] > end / rec.rate
+    assert not ((part.time > 0.0) & (part.time < end / rec.rate)).any()

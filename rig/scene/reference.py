@@ -223,8 +223,9 @@ def _told(key: Key, plain: str) -> Iterator[str]:
 
 
 def _line(key: Key, name: str) -> str:
-    first = re.split(r"[.;:](?:\s|$)", key.about)[0]
-    return f"  {name:{18}} {first}{_of(key)}"
+    # A full stop may be a name's, and what follows a colon is what the key means.
+    first = re.split(r"(?<=[\w\])%`])[.;](?:\s|$)", key.about)[0]
+    return fill(f"{first}{_of(key)}", _WIDTH, initial_indent=f"  {name:{18}} ", subsequent_indent=" " * 21)
 
 
 def _of(key: Key) -> str:

@@ -16,6 +16,7 @@ from analysis.recordings.slices import read_slices
 from analysis.responses.frf import MOTIONS
 from analysis.responses.measurands import named
 from rig.errors import RecordingError
+from rig.numerics.runs import runs_of
 from rig.scene.damper import Landing, Walls
 
 if TYPE_CHECKING:
@@ -148,7 +149,7 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
         RESOLVED / rec.rate,
         (search.signature.reach + search.signature.ring) / rec.rate,
         float(search.open.sum()) / rec.rate,
-        _runs(~good) / rec.rate + start / rec.rate,
+        (start + np.array(runs_of(~good), dtype=float).reshape(-1, 2)) / rec.rate,
     )
 
 
@@ -183,12 +184,6 @@ def _good(rec: Recording, name: str, samples: Array, start: int, ring: int) -> N
             # What follows is ringing whose beginning is not known.
             good[max(marker.first_sample - start, 0) : max(marker.end + 1 + ring - start, 0)] = False
     return good
-
-
-def _runs(of: NDArray[np.bool_]) -> Array:
-    """First and one-past-last place of every run that is true, shape (runs, 2)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], of, [False]]).astype(np.int8)))
-    return edges.reshape(-1, 2).astype(float)
 
 
 def _blind(info: ChannelInfo) -> bool:

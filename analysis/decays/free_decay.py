@@ -34,8 +34,8 @@ _FEWEST = 256
 # A motion that keeps more than this part of its energy for the last tenth of the record, and does not fall there, is
 # no decay.
 _STILL_MUCH = 0.02
-# Levels of the energy between which its first fall is told, dB.
-_FIRST_FALL = -1.0, -11.0
+#: Levels of the energy between which its first fall is told, dB.
+FIRST_FALL = -1.0, -11.0
 # A decay that is clipped for more than this part has no amplitudes worth reporting.
 _MOST_CLIPPED = 0.1
 
@@ -128,7 +128,7 @@ class Decay(Result):
     @property
     def halving(self) -> float:
         """Time in s in which the energy falls by 6 dB at first, fitted to its curve between -1 and -11 dB."""
-        inside = (self.energy <= _FIRST_FALL[0]) & (self.energy >= _FIRST_FALL[1])
+        inside = (self.energy <= FIRST_FALL[0]) & (self.energy >= FIRST_FALL[1])
         if np.sum(inside) < 8:
             return float("nan")
         return float(-20.0 * np.log10(2.0) / np.polyfit(self.time[inside], self.energy[inside], 1)[0])
@@ -222,9 +222,9 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     energy = (
         np.zeros(shown.size) if np.isinf(after) else 10.0 * np.log10((power + after) / (power[0] + after))
     )
-    if energy.min() > _FIRST_FALL[1]:
+    if energy.min() > FIRST_FALL[1]:
         notes.append(
-            f"The energy of {info.name}'s motion does not fall by {-_FIRST_FALL[1]:.0f} dB within the record: nothing "
+            f"The energy of {info.name}'s motion does not fall by {-FIRST_FALL[1]:.0f} dB within the record: nothing "
             "tells its decay."
         )
     return Decay(

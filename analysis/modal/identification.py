@@ -117,22 +117,22 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
 
 def _shape_errors(curves: Sequence[Frf], poles: ComplexArray, residue: ComplexArray) -> Array:
     """Find standard deviations of shapes with largest element one, from the curves' bounds at each resonance."""
-    error = np.zeros(residue.shape)
-    for mode, pole in enumerate(poles):
-        top = int(np.argmax(abs(residue[:, mode])))
-        bound = np.array([_nearest(curve, abs(pole) / (2 * np.pi))[1] for curve in curves])
-        largest = _nearest(curves[top], abs(pole) / (2 * np.pi))[0]
-        share = abs(residue[:, mode]) / abs(residue[top, mode])
-        error[:, mode] = 0.5 * np.hypot(bound, share * bound[top]) / largest
-        error[top, mode] = 0.0
+    frequency: Array = np.asarray(abs(poles) / (2 * np.pi), dtype=float)
+    size, bound = (
+        np.array(each) for each in zip(*(_nearest(curve, frequency) for curve in curves), strict=True)
+    )
+    top, modes = np.argmax(abs(residue), axis=0), np.arange(poles.size)
+    share = abs(residue) / abs(residue[top, modes])
+    error: Array = 0.5 * np.hypot(bound, share * bound[top, modes]) / size[top, modes]
+    error[top, modes] = 0.0
     return error
 
 
-def _nearest(curve: Frf, frequency: float) -> tuple[float, float]:
-    """Size of a curve and its bound at the measured frequency nearest to another."""
+def _nearest(curve: Frf, frequency: Array) -> tuple[Array, Array]:
+    """Size of a curve and its bound at the measured frequencies nearest to others."""
     known = np.flatnonzero(np.isfinite(curve.value))
-    at = known[np.argmin(abs(curve.frequency[known] - frequency))]
-    return float(abs(curve.value[at])), float(curve.bound()[at])
+    at = known[np.argmin(abs(curve.frequency[known] - frequency[:, None]), axis=1)]
+    return abs(curve.value[at]), curve.bound()[at]
 
 
 def _bounded(curves: Sequence[Frf]) -> list[Frf]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.dampers.nonlinearity import jumps
-from analysis.decays.free_decay import Decay, decay
+from analysis.decays.free_decay import FIRST_FALL, Decay, decay
 from analysis.modal.identification import identify
 from analysis.modal.modes import Modes, mac
 from analysis.presentation.expectations import expect
@@ -160,7 +160,7 @@ def describe_decay(one: Decay) -> list[str]:
     quiet = one.quiet_from
     until = "never within the recording" if np.isnan(quiet) else f"after {quiet:.3g} s"
     falls = (
-        "does not fall by 11 dB within the recording"
+        f"does not fall by {-FIRST_FALL[1]:.0f} dB within the recording"
         if np.isnan(one.halving)
         else f"falls by 6 dB within {one.halving:.3g} s at first"
     )

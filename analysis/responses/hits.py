@@ -127,13 +127,12 @@ class Hits:
             largest = max(largest, _amplitude(before) / (seen * size) if size else 0.0)
         return largest
 
-    def at_rest(self, rec: Recording, names: Sequence[str], start: int, stop: int, samples: int) -> bool:
+    def at_rest(self, moving: float, start: int, stop: int, samples: int) -> bool:
         """Whether a stretch, among zeros up to so many samples, is taken as the response to its hits alone.
 
         It is where hardly anything moved before them; and where one hit comes so soon that what moved before cannot be
         told from the response to it by how they change from line to line.
         """
-        moving = self.moving(rec, names, start, stop)
         if moving < _STILL:
             return True
         inside = self.inside(start, stop)

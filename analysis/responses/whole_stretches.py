@@ -64,8 +64,8 @@ class WholeStretches:
     """For legends."""
     warnings: tuple[str, ...] = ()
     """In full sentences."""
-    made: dict[tuple[str, ...], LocalSpectra] = field(default_factory=dict)
-    """Spectra made so far, by the channels they are of."""
+    made: dict[tuple[str, ...], tuple[LocalSpectra, list[float]]] = field(default_factory=dict)
+    """Spectra made so far, by the channels they are of, and what moved before the hits of each stretch."""
 
     def frf(
         self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"
@@ -93,12 +93,13 @@ class WholeStretches:
                 advice = "the test is too short to average; record longer"
             raise RecordingError(f"{' '.join(notes)} Nothing is left to tell a response from: {advice}")
         if names not in self.made:
-            self.made[names] = self._spectra(rec, names, stretches)
-        spectra, noise = self.made[names], None
+            before = [] if self.hits is None else [self.hits.moving(rec, names, *each) for each in stretches]
+            self.made[names] = self._spectra(rec, names, stretches, before), before
+        (spectra, moving), noise = self.made[names], None
         if self.hits is not None:
             noise = self.hits.force_noise(rec, stretches, spectra.frequency[spectra.lines])
         frf = spectra.frf(rec, above, below, reference, motion, self.label, (*self.warnings, *notes), noise)
-        return frf if self.hits is None else _with_motion_before(frf, self.hits, rec, names, stretches)
+        return _with_motion_before(frf, moving)
 
     def _worth_fitting(
         self, rec: Recording, clean: Sequence[tuple[int, int]]
@@ -129,16 +130,20 @@ class WholeStretches:
         return int(np.sum((np.arange(start, stop) - self.first) % size < on))
 
     def _spectra(
-        self, rec: Recording, names: Sequence[str], stretches: Sequence[tuple[int, int]]
+        self,
+        rec: Recording,
+        names: Sequence[str],
+        stretches: Sequence[tuple[int, int]],
+        moving: Sequence[float],
     ) -> LocalSpectra:
         """Spectra of all stretches, each at the end of as many samples as the longest has."""
         lead = 0 if self.hits is None else self.hits.lead()
         # As long whether or not hits come upon rest, so that all responses have the same lines.
         size = fft.next_fast_len(max(stop - start for start, stop in stretches) + lead, real=True)
         blocks, rests = [], []
-        for start, stop in stretches:
+        for number, (start, stop) in enumerate(stretches):
             block = np.stack([rec.read(name, start, stop) for name in names])
-            rest = self.hits is not None and self.hits.at_rest(rec, names, start, stop, size)
+            rest = self.hits is not None and self.hits.at_rest(moving[number], start, stop, size)
             if self.hits is not None:
                 block = self.hits.alone(rec, names, block, start, rest)
             else:
@@ -197,14 +202,12 @@ class WholeStretches:
         return np.arange(first, last + 1, -(-(last - first) // _MOST_LINES))
 
 
-def _with_motion_before(
-    frf: Frf, hits: Hits, rec: Recording, names: Sequence[str], stretches: Sequence[tuple[int, int]]
-) -> Frf:
+def _with_motion_before(frf: Frf, moving: Sequence[float]) -> Frf:
     """Add to a curve's bound what moved before the hits and is in it, and warn where that is much."""
-    moving = [hits.moving(rec, names, start, stop) for start, stop in stretches]
-    if not np.isfinite(moving).any():
+    known = [part for part in moving if np.isfinite(part)]
+    if not known:
         return frf
-    most = max(part for part in moving if np.isfinite(part))
+    most = max(known)
     warning = (
         f"{frf.response}: motion or drift of {most:.1%} of the response came before a hit, and is in the curve; begin "
         "at rest and earlier, or record several hits in a row."

@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.importing.overloads import joined, runs_of
+from daq.importing.overloads import joined
 from daq.importing.signal import Array
+from rig.numerics.runs import runs_of
 
 # A pulse stands out of the force at rest by this part of the largest force; a hit has this part of it at least.
 _OUT, _HIT = 0.05, 0.1

@@ -15,11 +15,12 @@ from daq.importing.assignment import Assigned, Choice, assign, choose
 from daq.importing.channel_table import Column, read_table
 from daq.importing.files import signals_of
 from daq.importing.force_pulses import ForcePulses
-from daq.importing.overloads import Overloads, joined, runs_of
+from daq.importing.overloads import Overloads, joined
 from daq.importing.signal import Array, Signal
 from daq.measurement.run import RunWarning
 from daq.recording.recorder import Recorder
 from rig.errors import RecordingError, SceneError
+from rig.numerics.runs import runs_of
 from rig.output_files import destination, replacing
 from rig.scene.excitation import Free, Impulse, Multisine, Random, Sine, SteppedSine, SweptSine
 from rig.scene.loading import load

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.importing.signal import Array
+from rig.numerics.runs import runs_of
 
 # So many equal samples in a row at the largest value are no peak, if the signal came to it by more than a few counts.
 _FLAT, _COUNTS = 3, 4.0
@@ -127,16 +127,6 @@ class Overloads:
         ]
         over = [] if self.beyond_limit else self._over
         return joined([*flat, *over])
-
-
-def runs_of(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Find where flags are set, as [first, stop).
-
-    >>> runs_of(np.array([True, True, False, True]))
-    [(0, 2), (3, 4)]
-    """
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def joined(spans: Sequence[tuple[int, int]], pause: int = 0) -> list[tuple[int, int]]:

@@ -161,9 +161,14 @@ def looks_like_times(begin: Array, last: float, samples: int) -> bool:
     return bool((abs(begin - begin[0] - step * np.arange(begin.size)) < 0.1 * step).all())
 
 
+def tell(text: str) -> None:
+    """Warn of what is doubtful in a file."""
+    warnings.warn(text, RunWarning, stacklevel=3)
+
+
 def tell_times(what: str, step: float) -> None:
     """Warn that numbers which nobody named are taken for times."""
-    warnings.warn(f"{what} rises evenly, by {step:.6g}: taken for times in s", RunWarning, stacklevel=3)
+    tell(f"{what} rises evenly, by {step:.6g}: taken for times in s")
 
 
 def rate_between(first: float, last: float, samples: int, resolution: float, where: str) -> float:

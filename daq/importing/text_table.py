@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import re
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from itertools import islice
@@ -15,8 +14,7 @@ import numpy as np
 
 from daq.importing import labview_text
 from daq.importing.labview_text import LabviewHeading
-from daq.importing.signal import Array, Signal, even, looks_like_times, rate_between, tell_times
-from daq.measurement.run import RunWarning
+from daq.importing.signal import Array, Signal, even, looks_like_times, rate_between, tell, tell_times
 from rig.errors import RecordingError
 from rig.scene.quantities import TIME, parse
 
@@ -91,16 +89,16 @@ def _labview_signals(path: Path, heading: LabviewHeading, encoding: str, stack: 
     clock = table.take_clock("s") if heading.times else None
     longest = max(channel.samples for channel in channels)
     if longest > table.rows:
-        _tell(f"{path}: its heading states {longest} samples, its table has {table.rows}; these are taken")
+        tell(f"{path}: its heading states {longest} samples, its table has {table.rows}; these are taken")
     if 0 < longest < table.rows and not heading.times:
-        _tell(
+        tell(
             f"{path}: its heading states segments of {longest} samples, its table has {table.rows} lines: they are "
             "taken one after the other as if nothing lay between them; import one by one with --from and --to"
         )
     rough = [one for one in channels if one.rate and one.rate_error > _ROUGH * one.rate and not heading.times]
     if rough:
         rate, error = rough[0].rate or 0.0, rough[0].rate_error
-        _tell(
+        tell(
             f"{path}: its sample interval has so few digits that the rate may be {rate - error:.6g} to "
             f"{rate + error:.6g} Hz; {rate:.6g} Hz is taken: say rate: in the table if it was another"
         )
@@ -119,10 +117,6 @@ def _labview_signals(path: Path, heading: LabviewHeading, encoding: str, stack: 
         )
         for number, channel in enumerate(channels, 1)
     ]
-
-
-def _tell(text: str) -> None:
-    warnings.warn(text, RunWarning, stacklevel=3)
 
 
 class _Table:
@@ -154,7 +148,7 @@ class _Table:
         begin = np.array([self._row(0, line)[0] for line in self._ends[:-1]])
         if not looks_like_times(begin, self._row(0, self._ends[-1])[0], self.rows):
             return False
-        tell_times(f"{self._path} has no heading; its first column", (begin[1] - begin[0]))
+        tell_times(f"{self._path} has no heading; its first column", begin[1] - begin[0])
         return True
 
     def take_clock(self, unit: str) -> tuple[float, float]:

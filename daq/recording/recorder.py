@@ -145,7 +145,8 @@ class Recorder:
             raise ValueError(f"expected a number of lost samples, at least 1, got {lost_samples}")
         first = self._raw.position
         self._raw.skip(lost_samples)
-        self._shown.skip(lost_samples)
+        if self._display is not None:
+            self._shown.skip(lost_samples)
         self.mark("gap", first, first + lost_samples - 1)
         self._emit()
 

@@ -118,7 +118,7 @@ def _follow(
             found = propagator.through_marks(np.full(count, steps), rows, np.ones(count, dtype=bool), level)
             if shown:
                 seen.append(_Look(found.state, found.height, found.mode))
-    return seen[0] if len(seen) == 1 else _Look(*(np.concatenate(parts) for parts in zip(*seen, strict=True)))
+    return _Look(*(np.concatenate(parts) for parts in zip(*seen, strict=True)))
 
 
 def _distances(propagator: Propagator, look: _Look) -> tuple[Array, Array]:

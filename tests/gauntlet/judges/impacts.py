@@ -44,7 +44,7 @@ def judge(case: Case, kind: str) -> list[Verdict]:
 
 
 def _inside(time: NDArray[np.float64], stretches: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Whether each impact came where the result says that none can be seen, or within two samples of it."""
+    """Whether each impact came where the result says that none can be seen, or within a millisecond of it."""
     near = 1e-3
     return ((time[:, None] > stretches[:, 0] - near) & (time[:, None] < stretches[:, 1] + near)).any(axis=1)
 

@@ -49,6 +49,9 @@ Array = NDArray[np.float64]
 HALVINGS = 6
 # Corrections allowed where the orbit is predicted, and how far, relative to the way gone, a prediction may be off.
 CORRECTIONS, MISS = 6, 0.3
+# A prediction that moves an unknown by more than so many times its size is none: points close together foretell
+# nothing far away, and to propagate to instants millions of periods ahead would never end.
+FARTHEST = 10.0
 # Points that a prediction is based on.
 POINTS = 4
 # Periods that the motion is followed for before it counts as irregular.
@@ -270,9 +273,10 @@ class _Follower:
         """Predict the orbit at a value and correct it; None if that leads nowhere or to another orbit."""
         following, last = self.following, self.known[-1]
         assert following is not None
-        guess = self._predicted(value)
+        guess, scale = self._predicted(value), following.scale[:-1]
+        if not distance(guess, last.unknowns, scale) < FARTHEST:
+            return None
         equations, change = following.tables(value)
-        scale = following.scale[:-1]
         try:
             x, slope, shot, _, count = correct(
                 equations, change, following.plan.sequence, guess, scale, following.rows, CORRECTIONS

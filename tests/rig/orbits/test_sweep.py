@@ -92,6 +92,17 @@ def test_given_another_parameter_when_swept_then_each_orbit_is_that_of_the_chang
         assert np.abs(orbit.compliance - compliance).max() < 1e-10 * np.abs(compliance).max()
 
 
+def test_given_points_close_together_when_swept_far_beyond_them_then_the_motion_there_is_the_same_and_soon_told() -> (
+    None
+):
+    scene = with_ideal_force(rig.load("fig9"))
+
+    swept = rig.orbit_response(scene, [49.2, 49.2003, 49.2006, 49.2009, 49.8])
+
+    orbit = rig.periodic_orbit(scene, 49.8)
+    assert np.abs(orbit.compliance - swept.compliance[:, -1]).max() < 1e-10 * np.abs(orbit.compliance).max()
+
+
 def test_given_values_that_make_no_sense_when_swept_then_it_says_what_is_expected() -> None:
     scene = rig.load("fig9")
     with pytest.raises(SceneError, match="expected a list of positive, finite numbers"):

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator
 
 from daq.recording.recording import Recording
-from rig.errors import ShotrigError
+from rig.errors import RecordingError, ShotrigError
 
 MOST_LINES = 10
 _SAMPLING = {
@@ -45,7 +45,7 @@ def describe(recording: Recording) -> Iterator[str]:
     counts = Counter(marker.kind for marker in recording.markers)
     yield f"  markers   {', '.join(f'{count} {kind}' for kind, count in counts.items()) or 'none'}"
     gaps = recording.gaps
-    yield f"  lost      {_stretches(len(gaps))}"
+    yield f"  lost      {_stretches(len(gaps))}{_void(recording)}"
     for gap in gaps[:MOST_LINES]:
         first, last = gap.first_sample / recording.rate, (gap.last_sample + 1) / recording.rate
         yield f"            {first:.6g} s to {last:.6g} s of {', '.join(gap.channels)}: {gap.reason}"
@@ -57,6 +57,14 @@ def _stretches(count: int) -> str:
     if count == 0:
         return "none noted"
     return "1 stretch of samples" if count == 1 else f"{count} stretches of samples"
+
+
+def _void(recording: Recording) -> str:
+    try:
+        recording.refuse_void(0, recording.samples)
+    except RecordingError as error:
+        return f"; but {error}"
+    return ""
 
 
 def _duration(recording: Recording) -> str:

@@ -364,21 +364,36 @@ class Recording(Result):
             raise RecordingError(f"{self.path}: {layout.SCENE_FILE} is no text: {error}") from error
 
     def check(self) -> None:
-        """Read the whole file and verify every checksum in it.
+        """Read the whole file and verify every checksum in it, and that what it lacks is noted.
 
         Raises
         ------
         RecordingError
-            At the first damage.
+            At the first damage, or the first samples that are missing without a word.
         """
         self._container.check()
-        for series in (
-            *self._series.values(),
-            *(each for of in self._truth.values() for each in of.values()),
-        ):
+        _ = self.metadata, self.markers, self.events
+        for series in (each for of in self._truth.values() for each in of.values()):
             for _ in series.blocks(0, series.stop):
                 pass
-        _ = self.metadata, self.markers, self.events
+        for name in self._series:
+            for first, stop in self._unnoted(name):
+                if self._is_ours:
+                    raise RecordingError(
+                        f"{self.path} lacks the samples {first} to {stop - 1} of {name}, of which none of its "
+                        "markers tells: they were taken out, or what follows was moved; what there is can be read"
+                    )
+
+    def _unnoted(self, name: str) -> Iterator[tuple[int, int]]:
+        """Yield the ranges [first, stop) that a channel lacks and that are no part of `gaps`."""
+        noted = [(gap.first_sample, gap.last_sample + 1) for gap in self.gaps if name in gap.channels]
+        place = 0
+        for first, stop in self._series[name].holes():
+            while first < stop and place < len(noted) and noted[place][0] <= first:
+                first = max(first, noted[place][1])
+                place += noted[place][1] <= stop
+            if first < stop:
+                yield first, stop
 
     def close(self) -> None:
         """Close the file."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 import tempfile
+import threading
 import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
@@ -36,9 +38,8 @@ WITHOUT_DISPLAY = "use --web to look with a browser, --screenshot FILE.png for a
 BYTES_A_VALUE = 20
 LAST = "complete"
 LIGHT_GB = 2.0
-# Longest wait for a viewer or a file to take a block, and the room that a block may need.
+# Longest wait for a viewer or a file to take a block.
 SINK_S = 60.0
-ROOM_BYTES = 64_000_000
 
 
 def save(replay: Replay, file: Path, progress: Progress | None = None) -> None:
@@ -53,18 +54,56 @@ def save(replay: Replay, file: Path, progress: Progress | None = None) -> None:
     """
     _need_suffix(file, ".rrd", "--save")
 
-    def drain() -> None:
-        # Asked beforehand: rerun's own writer may wait for ever once the disk is full.
-        if shutil.disk_usage(file.parent).free < ROOM_BYTES:
-            raise RunError(f"cannot write {file}: the disk is full")
-        stream.flush(timeout_sec=SINK_S)
+    with replacing(file) as part, _stream_into(part) as (stream, check):
 
-    with replacing(file) as part, recording_stream() as stream:
-        try:
-            stream.save(part)
-        except (OSError, RuntimeError) as error:
-            raise RunError(f"cannot write {file}: {error}") from error
+        def drain() -> None:
+            stream.flush(timeout_sec=SINK_S)
+            check()
+
         _fill(replay, stream, drain, progress)
+
+
+@contextmanager
+def _stream_into(file: Path) -> Iterator[tuple[rr.RecordingStream, Callable[[], None]]]:
+    """Make a stream that a file takes, and what raises `OSError` once the file cannot.
+
+    Rerun's own writer waits for ever when a disk takes no more, so it writes into a pipe.
+    """
+    if sys.platform == "win32":
+        # Here a pipe has no path.
+        with recording_stream() as stream:
+            stream.save(file)
+            yield stream, lambda: None
+        return
+    reading, writing = os.pipe()
+    failures: list[OSError] = []
+
+    def copy() -> None:
+        with open(reading, "rb", buffering=0) as sent:  # noqa: PTH123
+            try:
+                with file.open("wb") as written:
+                    shutil.copyfileobj(sent, written)
+            except OSError as error:
+                failures.append(error)
+                while sent.read(1 << 20):
+                    pass
+
+    def check() -> None:
+        if failures:
+            raise failures[0]
+
+    thread = threading.Thread(target=copy, name="rrd")
+    thread.start()
+    try:
+        with recording_stream() as stream:
+            try:
+                stream.save(f"/dev/fd/{writing}")
+            finally:
+                os.close(writing)
+            yield stream, check
+    finally:
+        thread.join()
+    check()
 
 
 def photograph(

@@ -114,6 +114,7 @@ class Bench:
         """Hold a recording against the whole one: what it has must be right and in its place."""
         try:
             with daq.open(path) as found, daq.open(self.whole[number]) as true:
+                found.check()
                 # Who interrupts a test has its drive taken back, which the whole one has not.
                 aborted = any(mark.kind == "abort" for mark in found.markers)
                 stop = found.samples - (round(_RAMP * found.rate) if aborted else 0)

@@ -15,6 +15,7 @@ import daq
 from daq.mcap_file.chunk import Damage, messages_in, unpack_chunk
 from daq.mcap_file.reader import Container
 from daq.mcap_file.writer import ChunkedFile
+from daq.recording.info import describe
 from daq.recording.markers import Marker, event_from_json
 from daq.recording.sample_block import decode, encode
 from daq.recording.timebase import Timebase
@@ -144,6 +145,17 @@ def test_given_a_void_when_the_whole_is_read_then_it_is_told_at_once(sound: Path
         for act in (lambda: recording.read("body1"), lambda: list(recording.blocks())):
             with pytest.raises(RecordingError, match="a void"):
                 act()
+        assert any("lost" in line and "a void" in line for line in describe(recording))
+
+
+@pytest.mark.parametrize("shift", [1, 2**27, 2**40])
+def test_given_samples_missing_without_a_marker_when_checked_then_it_is_told(sound: Path, shift: int) -> None:
+    with daq.open(rewritten(sound, shift=shift)) as recording:
+        first, stop = 3 * GROUP, 3 * GROUP + shift
+        with pytest.raises(
+            RecordingError, match=f"lacks the samples {first} to {stop - 1} of body1, of which none"
+        ):
+            recording.check()
 
 
 def test_given_a_chunk_that_packs_too_well_when_read_then_it_is_refused() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -191,6 +193,25 @@ def test_given_a_name_that_is_no_rrd_when_saved_then_nothing_is_overwritten(reco
     with pytest.raises(SceneError, match=r"ends in \.rrd"):
         save(Replay(recording), recorded)
     assert recorded.read_bytes() == before
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no limits to the size of a file")
+@pytest.mark.parametrize("most", [10, 30_000])
+def test_given_a_disk_that_takes_no_more_when_saved_then_it_says_so_and_leaves_what_was_there(
+    recording, tmp_path, most, capfd
+):
+    import resource
+
+    (tmp_path / "x.rrd").write_text("before")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (most, before[1]))
+    try:
+        with pytest.raises(RunError, match=r"cannot write .*x\.rrd: File too large"):
+            save(Replay(recording), tmp_path / "x.rrd")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert [(each.name, each.read_text()) for each in tmp_path.iterdir()] == [("x.rrd", "before")]
+    assert capfd.readouterr().err == ""
 
 
 def test_given_no_folder_when_saved_then_the_error_names_it(recording, tmp_path):

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.dampers.impact_detection import impacts
-from analysis.dampers.restitution import Restitution, restitution
+from analysis.dampers.restitution import Restitution, band, restitution
+from analysis.decays.sensor_correction import corrected
+from analysis.recordings.slices import read_slices
 from analysis.responses.frf import Frf
+from analysis.responses.systematic import tolerance
 
 if TYPE_CHECKING:
     from analysis.responses.stepped_sine import Sweep
@@ -27,8 +29,6 @@ _ERRORS = 5.0
 _ONCE = 0.15
 # A restitution of so many standard deviations is one.
 _SURE = 3.0
-# Where so many periods pass without a blow on the floor, one in between is missing.
-_MISSING = 1.5
 
 
 def jumps(frf: Frf) -> list[tuple[float, str]]:
@@ -86,24 +86,23 @@ class DamperMotion:
     below -g, unless its impacts show that it rebounds."""
     threshold: float
     """Smallest velocity jump that would have been seen for certain, m/s."""
-    lifts: bool
-    """Whether the body's acceleration exceeds g, so that the damper cannot ride all the time."""
+    rides: bool
+    """Whether the body's acceleration stays above -g by all that the channel may be off, so that no damper lifts."""
     restitution: Restitution | None = None
     """Of the body's only damper, where its impacts tell it."""
-    longest: float = 1.0
-    """Longest time between blows on the floor, periods."""
+    regular: bool = True
+    """Whether blows on each wall come a period apart, to within the channel's resolution."""
 
     @property
     def name(self) -> str:
         """Kind of motion, in the paper's terms where they apply."""
         if self.floor == 0 and self.ceiling == 0:
-            return "unseen" if self.lifts else "riding"
-        once = abs(self.floor - 1.0) < _ONCE and self.longest < _MISSING
-        if once and self.ceiling < _ONCE:
-            return "I"
-        if once and abs(self.ceiling - 1.0) < _ONCE:
-            return "III" if self.stays else "II"
-        return f"other: {self.floor:.3g} floor and {self.ceiling:.3g} ceiling impacts a period"
+            return "riding" if self.rides else "unseen"
+        once = abs(self.floor - 1.0) < _ONCE and (self.ceiling == 0 or abs(self.ceiling - 1.0) < _ONCE)
+        if once and self.regular:
+            return "I" if self.ceiling == 0 else "III" if self.stays else "II"
+        uneven = ", unevenly" if once else ""
+        return f"other: {self.floor:.3g} floor and {self.ceiling:.3g} ceiling impacts a period{uneven}"
 
 
 def damper_motion(
@@ -113,18 +112,20 @@ def damper_motion(
 
     A body may hold several dampers: their impacts are then counted together. `progress` is called with (windows
     searched, in all).
+
+    A type is named where blows come a period apart, and riding where the body's least acceleration proves it: flights
+    too short to see would else pass for it.
     """
     gravity = rec.scene.gravity
-    lifts = _acceleration(rec, sweep, channel) > gravity
     place = rec.channels[channel].at
     alone = [damper for damper in rec.scene.dampers if not damper.locked and f"body {damper.body}" == place]
     out = []
-    for frequency, lift, (first, stop) in zip(sweep.lines.frequency, lifts, sweep.windows, strict=True):
+    for frequency, (first, stop) in zip(sweep.lines.frequency, sweep.windows, strict=True):
         found = impacts(rec, channel, int(first), int(stop))
         # The search leaves out the ends of its stretch.
         inner = found.searched * float(frequency)
         struck = found.kind == "ceiling"
-        between = np.diff(found.time[~struck]) * float(frequency)
+        uneven = [abs(np.diff(found.time[each]) - 1.0 / frequency) for each in (struck, ~struck)]
         then = found.acceleration[struck & np.isfinite(found.acceleration)]
         told = restitution(rec, found, alone[0], int(first), int(stop)) if len(alone) == 1 else None
         rebounds = told is not None and told.value > _SURE * told.error
@@ -136,9 +137,9 @@ def damper_motion(
                 float(np.sum(struck)) / inner,
                 bool(then.size and np.median(then) < -gravity and not rebounds),
                 found.threshold,
-                bool(lift),
+                _least_acceleration(rec, channel, frequency, int(first), int(stop)) > -gravity,
                 told,
-                float(between.max(initial=0.0)),
+                bool(np.concatenate(uneven).max(initial=0.0) < found.resolution),
             )
         )
         if progress is not None:
@@ -146,12 +147,14 @@ def damper_motion(
     return out
 
 
-def _acceleration(rec: Recording, sweep: Sweep, channel: str) -> NDArray[np.float64]:
-    """Amplitude of the acceleration under a channel at the frequencies of a sweep, shape (n,)."""
-    info, frequency = rec.channels[channel], sweep.lines.frequency
-    integrations = {"acceleration": 0, "velocity": 1, "displacement": 2}[info.quantity]
-    read = np.abs(sweep.lines.mean[sweep.lines.channels.index(channel)] / info.response(frequency))
-    return np.asarray(read * (2 * np.pi * frequency) ** integrations, dtype=np.float64)
+def _least_acceleration(rec: Recording, channel: str, frequency: float, first: int, stop: int) -> float:
+    """Least acceleration of a body that its channel allows, m/s²: noise and tolerance count as motion."""
+    info, period = rec.channels[channel], int(np.ceil(rec.rate / frequency))
+    samples = next(read_slices(rec, [channel], [(first, stop)]))[0]
+    read = corrected(info, samples, "acceleration", *band(rec.rate))
+    # At its ends a stretch is taken to go on as its mirror image.
+    edge = min(period, samples.size // 4)
+    return float(read[edge:-edge].min() / max(1.0 - tolerance(info), 1e-300))
 
 
 def describe_restitution(motions: list[DamperMotion]) -> list[str]:
@@ -188,8 +191,8 @@ def describe_motion(motions: list[DamperMotion], left_out: Sequence[float] = ())
                 text = f"riding: no jump of velocity above {least:.2g} m/s"
             if kind == "unseen":
                 text = (
-                    f"more than g, so the damper flies, but no jump of velocity above {least:.2g} m/s; a higher rate "
-                    "or less noise would show smaller ones"
+                    f"g or nearly so, so that the damper may fly, but no jump of velocity above {least:.2g} m/s; a "
+                    "higher rate or less noise would show smaller ones"
                 )
             out.append(f"{one.channel}, {ends} Hz: {text}")
             first = index + 1

@@ -77,11 +77,16 @@ def restitution(rec: Recording, found: Impacts, damper: Damper, start: int, stop
     return Restitution(float(value), float(2.0 * spread / (1.0 + every) ** 2))
 
 
+def band(rate: float) -> tuple[float, float]:
+    """Frequencies between which a body's motion is told at a sample rate, Hz."""
+    return _LOW, _HIGH * rate
+
+
 def _velocity(rec: Recording, found: Impacts, start: int, stop: int) -> Array | None:
     """Mean of the body's velocities before and after each impact: what a band-limited reading passes through."""
     info = rec.channels[found.channel]
     samples = next(read_slices(rec, [found.channel], [(start, stop)]))[0]
     if not np.isfinite(samples).all():
         return None
-    smooth = corrected(info, samples, "velocity", _LOW, _HIGH * rec.rate)
+    smooth = corrected(info, samples, "velocity", *band(rec.rate))
     return np.interp(found.time * rec.rate - start, np.arange(smooth.size), smooth)

@@ -24,7 +24,7 @@ _KINDS = {
     "II": "type II: hits floor and ceiling once a period",
     "III": "type III: as II, staying at the ceiling",
     "other": "other pattern of impacts",
-    "unseen": "flies, impacts too small to be seen",
+    "unseen": "may fly, impacts too small to be seen",
 }
 _SHADES = dict(zip(_KINDS, ("#cccccc", *COLOURS[:4], "#8c8c8c"), strict=True))
 

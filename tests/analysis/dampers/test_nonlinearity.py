@@ -17,6 +17,7 @@ from analysis.dampers.nonlinearity import DamperMotion, damper_motion, describe_
 from analysis.dampers.performance import energy_per_cycle, impact_energy_per_cycle
 from analysis.presentation.damper_findings import present_dampers
 from analysis.responses.stepped_sine import sweeps
+from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError
 from tests.analysis.responses import synthetic
 
@@ -75,7 +76,7 @@ def test_given_a_curve_with_a_resonance_only_when_searched_then_no_jump_is_claim
     ],
 )
 def test_given_impacts_a_period_when_named_then_the_papers_types_are_used(floor, ceiling, stays, name):
-    assert DamperMotion(30.0, "body2", floor, ceiling, stays, 1e-3, False).name == name
+    assert DamperMotion(30.0, "body2", floor, ceiling, stays, 1e-3, True).name == name
 
 
 @pytest.fixture(scope="module")
@@ -105,14 +106,49 @@ def true_types(rec, sweep):
     return out
 
 
-def test_given_no_impacts_at_more_than_1_g_when_named_then_the_motion_is_not_called_riding() -> None:
-    motion = DamperMotion(30.0, "body2", 0, 0, False, 0.2, True)
+def test_given_no_impacts_but_perhaps_more_than_1_g_when_named_then_the_motion_is_not_called_riding() -> None:
+    motion = DamperMotion(30.0, "body2", 0, 0, False, 0.2, False)
     assert motion.name == "unseen"
-    assert "more than g" in describe_motion([motion])[0]
+    assert "may fly" in describe_motion([motion])[0]
+
+
+@pytest.mark.parametrize(("floor", "ceiling"), [(1.1, 0), (1, 1)])
+def test_given_blows_that_come_unevenly_when_named_then_they_make_none_of_the_papers_types(
+    floor, ceiling
+) -> None:
+    name = DamperMotion(30.0, "body2", floor, ceiling, False, 1e-3, False, regular=False).name
+    assert name == f"other: {floor} floor and {ceiling} ceiling impacts a period, unevenly"
+
+
+@pytest.mark.parametrize(
+    ("first", "third", "tolerance", "name"),
+    [
+        (0.95, 0.0, 0.0, "riding"),
+        (0.9, 0.15, 0.0, "unseen"),
+        (0.95, 0.0, 0.1, "unseen"),
+        (0.8, 0.0, 0.1, "riding"),
+    ],
+)
+def test_given_no_impacts_when_named_then_riding_needs_an_acceleration_that_surely_stays_above_minus_g(
+    tmp_path, first, third, tolerance, name
+):
+    """The peak counts, not the fundamental alone, and by what the sensor may be off."""
+    sensor = {"accelerometer.sensitivity_tolerance": str(tolerance)}
+    infos = [ChannelInfo("body1", "body 1", "acceleration", 1.0, synthetic.RATE, average=True, sensor=sensor)]
+    turn = 2 * np.pi * 40.0 / synthetic.RATE * np.arange(20 * 64)
+    row = 9.80665 * (first * np.cos(turn) + third * np.cos(3 * turn))
+    marks = [("measure", 0, row.size - 1, {"frequency": 40.0, "level": 1.0, "direction": "up"})]
+    path = synthetic.write(
+        tmp_path / "a.mcap", synthetic.scene().replace(gravity=9.80665), infos, row[None], marks
+    )
+    with daq.open(path) as rec:
+        [sweep] = sweeps(rec)
+        [motion] = damper_motion(rec, sweep, "body1")
+    assert motion.name == name
 
 
 def test_given_a_frequency_left_out_when_motions_are_described_then_no_range_runs_across_it() -> None:
-    motions = [DamperMotion(f, "body2", 0, 0, False, 1e-3, False) for f in (10.0, 11.0, 13.0, 14.0)]
+    motions = [DamperMotion(f, "body2", 0, 0, False, 1e-3, True) for f in (10.0, 11.0, 13.0, 14.0)]
     said = [line.partition(":")[0] for line in describe_motion(motions, [12.0])]
     assert said == ["body2, 10 to 11 Hz", "body2, 13 to 14 Hz"] and len(describe_motion(motions)) == 1
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.dampers.impact_detection import impacts
 from analysis.dampers.nonlinearity import damper_motion
@@ -12,9 +13,7 @@ from tests.gauntlet.judges.impacts import seen_for_itself, true_impacts
 from tests.gauntlet.verdict import Case, Verdict
 
 NAMED = ("riding", "I", "II", "III")
-# Of the points where a type is named, so many must be right.
-FEWEST_RIGHT = 0.8
-# Impacts per period that may be missing at the ends of a window.
+# So far from a period, relative, may be what lies between blows that come once a period.
 _ONCE = 0.1
 
 
@@ -22,36 +21,48 @@ def judge(case: Case, kind: str) -> list[Verdict]:
     """Compare the types of all dampers; the points are those where one is named."""
     if kind != STEPS:
         return []
-    right, points, notes = 0, 0, []
+    right, points, nameable, notes = 0, 0, 0, []
     for sweep in sweeps(case.recording):
         for number, damper in enumerate(case.scene.dampers, 1):
             motions = damper_motion(case.recording, sweep, f"a{damper.body}")
             for motion, window in zip(motions, sweep.windows, strict=True):
-                if motion.name not in NAMED:
-                    continue
                 true = _true_type(case, number, motion.frequency, *map(int, window))
-                points += 1
-                right += motion.name == true
-                if motion.name != true:
-                    notes.append(f"a{damper.body} at {motion.frequency:.4g} Hz: {motion.name}, is {true}")
-    outcome = "right" if right >= FEWEST_RIGHT * points else "wrong"
-    return [Verdict("motion_types", kind, outcome, right, points, note="; ".join(notes))] if points else []
+                nameable += true in NAMED
+                if motion.name in NAMED:
+                    points += 1
+                    right += motion.name == true
+                    if motion.name != true:
+                        notes.append(f"a{damper.body} at {motion.frequency:.4g} Hz: {motion.name}, is {true}")
+    outcome = "right" if right == points else "wrong"
+    notes.append(f"{points} of {nameable} named")
+    return [Verdict("motion_types", kind, outcome, right, points, note="; ".join(notes))]
 
 
 def _true_type(case: Case, number: int, frequency: float, first: int, stop: int) -> str:
-    """Type by what struck in a window; impacts that are too small, or too near to a larger one, do not count."""
+    """Type by what the damper did in a window.
+
+    It rides where nothing happens at all. Else impacts that are too small, or too near to a larger one, do not count.
+    """
     rec = case.recording
+    events = rec.events[rec.events["damper"] == number]
+    riding = rec.truth("contact")[number - 1, first] == 1
+    if riding and not ((events["time"] >= first / rec.rate) & (events["time"] < stop / rec.rate)).any():
+        return "riding"
     time, jump = true_impacts(case, number)
     inside = (time >= first / rec.rate) & (time < stop / rec.rate)
     found = impacts(rec, f"a{case.scene.dampers[number - 1].body}", first, stop)
     inside &= seen_for_itself(time, jump, found)
+    floor, ceiling = time[inside & (jump < 0.0)], time[inside & (jump > 0.0)]
     periods = (stop - first) / rec.rate * frequency
-    floor, ceiling = np.sum(jump[inside] < 0.0) / periods, np.sum(jump[inside] > 0.0) / periods
-    if floor == ceiling == 0.0:
-        return "riding"
-    if abs(floor - 1.0) < _ONCE and ceiling < _ONCE:
+    if _once(floor, frequency, periods) and not ceiling.size:
         return "I"
-    if abs(floor - 1.0) < _ONCE and abs(ceiling - 1.0) < _ONCE:
+    if _once(floor, frequency, periods) and _once(ceiling, frequency, periods):
         stays = np.any(rec.truth("contact")[number - 1, first:stop] == 2)
         return "III" if stays else "II"
-    return f"{floor:.2f} floor, {ceiling:.2f} ceiling"
+    return f"{floor.size / periods:.2f} floor, {ceiling.size / periods:.2f} ceiling"
+
+
+def _once(time: NDArray[np.float64], frequency: float, periods: float) -> bool:
+    """Whether blows come a period apart, through all of a window."""
+    between = np.diff(time) * frequency
+    return time.size > periods - 1.0 and bool(np.all(abs(between - 1.0) < _ONCE))

@@ -16,7 +16,7 @@ from analysis.responses.clean_stretches import Flaw
 from analysis.responses.force_pulse import pulse_alone
 from analysis.responses.local_rational import ORDER
 from analysis.responses.local_spectra import SIDE
-from analysis.responses.systematic import counts_of
+from analysis.responses.systematic import counts_of, scattered
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -41,8 +41,9 @@ _FAINT = 1e-2
 # Counts that a coarser converter takes for one, and how much larger the mean square then is of what it changes than
 # that of rounding to counts, a twelfth.
 _COARSER = ((2.0, 6.0), (3.0, 8.0))
-# Of fewer counts a coarser converter leaves next to nothing, unless noise of this variance, in counts, is read as well.
-_FEWEST_COUNTS, _DITHER = 6.0, 0.25
+# Of fewer counts a coarser converter leaves next to nothing, unless noise, of half a count and more, lets no more than
+# this share of rounding be the same each time.
+_FEWEST_COUNTS, _SAME = 6.0, 0.007
 
 
 @dataclass(frozen=True)
@@ -220,8 +221,7 @@ class Hits:
                 quiet = [rec.read(name, max(start, begin - int(REST * rec.rate)), begin) for name in names]
                 if quiet[0].size > 2:
                     noise.append(np.mean(np.diff(quiet, axis=1) ** 2, axis=1, keepdims=True) / 2.0)
-        # Rounding itself leaves a twelfth of a count squared.
-        variance = np.maximum(np.mean(noise, axis=0) / step**2 - 1.0 / 12.0, 0.0) if noise else 0.0
+        through = scattered(np.mean(noise, axis=0) / step**2 if noise else np.zeros(count.shape))
         # From tooth to tooth of the comb that several hits leave, and no farther: peaks say nothing of valleys.
         teeth = 2 * -(-side // SIDE) + 1
         around = ndimage.uniform_filter1d(power, teeth, axis=1, mode="nearest")
@@ -229,8 +229,7 @@ class Hits:
         with np.errstate(divide="ignore", invalid="ignore"):
             # Of a normal error with two components the square is in 95 % of cases below three times its mean.
             gain = (step * np.sqrt(3.0 * off / around))[:, lines]
-        through = np.exp(-2.0 * np.pi**2 * variance)
-        gain = np.where((most < _FEWEST_COUNTS) & (variance < _DITHER), np.inf, gain)
+        gain = np.where((most < _FEWEST_COUNTS) & (through > _SAME), np.inf, gain)
         return np.asarray(
             np.where(count > 0.0, through * np.nan_to_num(gain, nan=np.inf, posinf=np.inf), 0.0)
         )

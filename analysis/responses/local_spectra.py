@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from analysis.responses.aliasing import aliasing_part
 from analysis.responses.force_pulse import slow_and_fast
@@ -128,17 +127,16 @@ class LocalSpectra:
         value = upper.sum(axis=0)
         shares = value, upper, lower
         systematic = (
-            sensitivity_part(rec, names, *shares)
-            | aliasing_part(rec, names, at, *shares, motion)
+            aliasing_part(rec, names, at, *shares, motion)
             | rounding_part(self.gain, *shares)
-            | clock_part(rec, at, value)
             | {MODEL: of_response.missed * scale}
         )
         if noise.any():
-            power = ndimage.uniform_filter1d(np.mean(abs(force) ** 2, axis=0), 3)[self.lines]
-            doubt = np.sqrt(_AMPLITUDE * noise / np.maximum(power, 1e-300))
+            # By how much of itself the fit follows noise in the reference: so far off is, to it, the reference.
+            follows = 2.0 * of_response.through * noise / np.maximum(abs(of_response.value), 1e-300) ** 2
             bound = np.linalg.norm([1.96 * np.sqrt(variance), *systematic.values()], axis=0)
-            systematic |= doubtful_reference_part(bound, doubt)
+            systematic |= doubtful_reference_part(bound, np.sqrt(_AMPLITUDE * follows))
+        systematic |= sensitivity_part(rec, names, *shares) | clock_part(rec, at, value)
         if reference_noise is None:
             systematic |= reference_noise_part(value, of_response.coherence)
         else:

@@ -15,7 +15,7 @@ from analysis.responses.clean_stretches import flaws, told
 from analysis.responses.frf import Frf
 from analysis.responses.measurands import reference_of
 from analysis.responses.spectral_lines import Lines, remainder
-from analysis.responses.systematic import counts_of, in_counts, tone_gain
+from analysis.responses.systematic import counts_of, in_counts, scattered, tone_gain
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ def best_linear_approximation(
     # this. Where noise of s counts comes with it, only so much of it is the same in every period, which no scatter
     # tells of.
     scatter = np.mean([one.scatter for one in kept], axis=0) / np.where(counts > 0.0, counts, 1.0) ** 2
-    same = np.exp(-2.0 * np.pi**2 * np.maximum(scatter - 1.0 / 12.0, 0.0))
+    same = scattered(scatter)
     # Of the amplitudes at all lines; at worst a resonance makes a tone of them.
     gain = np.minimum(tone_gain(in_counts(rec, names, np.sum(abs(centre) ** 2, axis=1) / 2.0)), 0.5)
     rounding = same[:, None] * (counts[:, None] / np.sqrt(samples) + gain[:, None] * abs(centre))

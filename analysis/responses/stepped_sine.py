@@ -13,7 +13,7 @@ from analysis.recordings.slices import read_slices
 from analysis.responses.clean_stretches import flaws, told
 from analysis.responses.lock_in import LockIn, ToneFit, parts_of_whole_periods
 from analysis.responses.spectral_lines import Lines, remainder
-from analysis.responses.systematic import counts_of
+from analysis.responses.systematic import counts_of, scattered
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -219,8 +219,7 @@ def _resolution(rec: Recording, names: Sequence[str], tone: ToneFit) -> NDArray[
     """How far rounding to counts may put each amplitude of a tone off, shape (channels,).
 
     A tone of less than half a count reads nothing. A larger one, of amplitude a in counts, is off by no more than
-    ``2 / pi^2 / sqrt(a)`` (first term of the quantiser's series in Bessel functions); noise of s counts, where there
-    is any, lets ``exp(-2 pi^2 s^2)`` of that through [1]_.
+    ``2 / pi^2 / sqrt(a)`` (first term of the quantiser's series in Bessel functions [1]_); noise lets less through.
 
     References
     ----------
@@ -229,8 +228,6 @@ def _resolution(rec: Recording, names: Sequence[str], tone: ToneFit) -> NDArray[
     count = counts_of(rec, names)
     step = np.where(count > 0.0, count, 1.0)
     size = np.maximum(abs(tone.amplitude[:, 0]) / step, 1e-300)
-    # Rounding itself leaves a twelfth of a count squared.
-    noise = np.maximum((tone.residual / step) ** 2 - 1.0 / 12.0, 0.0)
-    off = np.minimum(2.0 / np.pi**2 / np.sqrt(size), 0.5) * np.exp(-2.0 * np.pi**2 * np.minimum(noise, 30.0))
+    off = np.minimum(2.0 / np.pi**2 / np.sqrt(size), 0.5) * scattered((tone.residual / step) ** 2)
     # All terms of the series, not the first alone.
     return np.asarray(count * np.minimum(2.0 * off, 0.5))

@@ -16,7 +16,7 @@ from analysis.responses.frf import Frf
 from analysis.responses.local_rational import ORDER
 from analysis.responses.local_spectra import SIDE, LocalSpectra
 from analysis.responses.measurands import motion_of, reference_of
-from analysis.responses.systematic import UNSETTLED, in_counts, tone_gain
+from analysis.responses.systematic import UNSETTLED, in_counts, scattered, tone_gain
 from analysis.responses.whole_stretches import dampers_move
 from rig.errors import RecordingError
 
@@ -150,6 +150,10 @@ def tracked(
                 (at[index, SIDE] + (place - line) * rec.rate / size, *_noise(spectrum, place) / size)
             )
     kept, lengths = np.array(sorted(order)), np.array([end - begin for begin, end in bounds])
+    noise = _interpolated(quiet, frequency[kept], len(names))
+    # What noise there is at least, at all frequencies, lets rounding scatter.
+    counts = in_counts(rec, names, noise.min(axis=1))
+    gain = scattered(counts)[:, None] * tone_gain(in_counts(rec, names, squares[:, kept]))
     spectra = LocalSpectra(
         names,
         np.moveaxis(samples[kept], 0, 1).reshape(1, len(names), -1),
@@ -158,8 +162,8 @@ def tracked(
         np.arange(kept.size) * around.size + SIDE,
         SIDE,
         1.0,
-        tone_gain(in_counts(rec, names, squares[:, kept])),
-        _interpolated(quiet, frequency[kept], len(names)) * lengths[kept],
+        gain,
+        noise * lengths[kept],
     )
     speed = abs(np.gradient(frequency, [_passes(marker, f, rec.rate) / rec.rate for f in frequency]))
     shared = max(float(np.median(_PER_VALUE * rec.rate / lengths / np.gradient(frequency))), 1.0)

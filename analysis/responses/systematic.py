@@ -164,6 +164,23 @@ def tone_gain(power: Array) -> Array:
         return np.asarray(np.where(size > 0.5, 4.0 / np.pi**2 * size**-1.5, np.inf))
 
 
+def scattered(power: Array) -> Array:
+    """Share of what rounding does to a tone that noise beside it leaves the same from period to period.
+
+    Noise of s counts takes the quantiser's first term down by ``exp(-2 pi^2 s^2)``, and all others by more [1]_.
+
+    Parameters
+    ----------
+    power : ndarray
+        Mean square of the noise in counts, which rounding itself adds a twelfth to.
+
+    References
+    ----------
+    .. [1] B. Widrow, I. Kollár, Quantization Noise, Cambridge University Press 2008, sections 4 and 11.
+    """
+    return np.asarray(np.exp(-2.0 * np.pi**2 * np.maximum(power - 1.0 / 12.0, 0.0)))
+
+
 def in_counts(rec: Recording, names: Sequence[str], squares: Array) -> Array:
     """Mean squares of readings, shape (channels, ...), in counts; infinite where a channel does not count."""
     counts = counts_of(rec, names).reshape(-1, *[1] * (squares.ndim - 1))

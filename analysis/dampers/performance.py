@@ -127,7 +127,7 @@ def _bound(
     ]
     tolerances = np.array([tolerance(rec.channels[name]) for name in lines.channels])
     parts.append(abs(np.array(gains)) @ (tolerances / np.maximum(1.0 - tolerances, 1e-300)))
-    folded = folded_shares(rec, lines.channels, lines.frequency, compliance, of_force, "displacement")
+    _, folded = folded_shares(rec, lines.channels, lines.frequency, compliance, of_force, "displacement")
     for each, share in ((turns, folded), (along, lines.remainder), (along, lines.resolution)):
         if share is not None:
             parts.append(np.sum(np.transpose(each) * share, axis=0))

@@ -88,13 +88,23 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
             "the curves hold no resonance that their noise and resolution can show; measure more densely around "
             "the resonances, longer, or over a band that holds some"
         )
-    f_error, z_error = (error[inside] for error in pole_errors(weighted, model))
-    poles = model.poles[inside]
     # A bound holds 95 %: two standard deviations.
     f_error, z_error = (
         np.hypot(error, 0.5 * part)
-        for error, part in zip((f_error, z_error), systematic_pole_errors(curves, poles), strict=True)
+        for error, part in zip(
+            pole_errors(weighted, model), systematic_pole_errors(curves, model.poles), strict=True
+        )
     )
+    # Where nothing bounds the curves, they may well have their poles elsewhere.
+    anywhere = inside & (2.0 * f_error >= abs(model.poles) / (2 * np.pi))
+    inside &= ~anywhere
+    loose: Array = np.asarray(abs(model.poles[anywhere]) / (2 * np.pi), dtype=float)
+    if not inside.any():
+        raise RecordingError(
+            f"the curves hold poles ({', '.join(f'{f:.4g}' for f in loose)} Hz) only where next to nothing bounds "
+            "them; see `analysis frf` for what their bounds are made of"
+        )
+    poles, f_error, z_error = model.poles[inside], f_error[inside], z_error[inside]
     lower, upper = _residuals(model, inside, measured.frequency)
     result = Modes(
         frequency=np.asarray(abs(poles) / (2 * np.pi), dtype=float),
@@ -112,7 +122,7 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
         warnings=(),
     )
     left_out = [frf.response for frf in frfs if frf.response not in result.responses]
-    return _with_warnings(result, curves, count, dropped, left_out)
+    return _with_warnings(result, curves, count, dropped, loose, left_out)
 
 
 def _shape_errors(curves: Sequence[Frf], poles: ComplexArray, residue: ComplexArray) -> Array:
@@ -239,7 +249,12 @@ def _sigma(curves: Sequence[Frf]) -> Array:
 
 
 def _with_warnings(
-    modes: Modes, curves: Sequence[Frf], count: int | None, dropped: list[float], left_out: list[str]
+    modes: Modes,
+    curves: Sequence[Frf],
+    count: int | None,
+    dropped: list[float],
+    loose: Array,
+    left_out: list[str],
 ) -> Modes:
     notes = [f"{name} left out: nothing bounds its response." for name in left_out]
     if modes.model_error:
@@ -253,6 +268,11 @@ def _with_warnings(
         notes.append(
             f"No mode at {', '.join(f'{f:.4g}' for f in sorted(dropped))} Hz, where a pole was stable: its "
             "damping cannot be told from these curves (dampers that strike make peaks without poles)."
+        )
+    if loose.size:
+        notes.append(
+            f"No mode at {', '.join(f'{f:.4g}' for f in loose)} Hz, where a pole was stable: next to nothing bounds "
+            "the curves there."
         )
     frequency = curves[0].frequency
     if count is not None and len(modes.frequency) < count:

@@ -17,7 +17,7 @@ ComplexArray = NDArray[np.complex128]
 
 # Systematic parts that move a pole as a stiffness does, told from so many half-widths around it, and those that may be
 # its width.
-_STIFFENS, _WIDENS = (SENSITIVITY, CLOCK), (ALIASING, RESOLUTION, MODEL, REFERENCE_NOISE)
+_STIFFENS, _WIDENS = (SENSITIVITY, CLOCK, ALIASING), (ALIASING, RESOLUTION, MODEL, REFERENCE_NOISE)
 _FLANKS = 10.0
 # Neighbours within so many times the correlation of the misfit may share errors.
 _REACH = 3.0

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.responses.frf import MOTIONS
-from analysis.responses.systematic import ALIASING, over_a_doubtful_reference
+from analysis.responses.systematic import ALIASING, of_reading, off_by_gains
 from rig.scene.shaker import ElectrodynamicShaker, TableShaker
 from rig.system.structure import structure_matrices
 
@@ -55,11 +55,8 @@ def aliasing_part(
     motion : str
         What `value` is a response of: displacement, velocity or acceleration.
     """
-    shares = folded_shares(rec, names, frequency, value, lower, motion)
-    if not shares.any():
-        return {}
-    deviation = np.sum(shares * abs(upper - value * lower), axis=0)
-    return {ALIASING: over_a_doubtful_reference(deviation, np.sum(shares * abs(lower), axis=0))}
+    share, far = folded_shares(rec, names, frequency, value, lower, motion)
+    return {ALIASING: off_by_gains(share, far, value, upper, lower)} if far.any() else {}
 
 
 def folded_shares(
@@ -69,9 +66,12 @@ def folded_shares(
     value: ComplexArray,
     lower: ComplexArray,
     motion: str,
-) -> Array:
-    """Give what folds back into each channel at most, as a share of what it reads: shape (channels, lines)."""
-    shares = np.zeros(lower.shape)
+) -> tuple[Array, Array]:
+    """Give what folds back into each channel at most, as a share of what it should read and of what it reads.
+
+    Both of shape (channels, lines).
+    """
+    share, far = np.zeros(lower.shape), np.zeros(lower.shape)
     # Beyond the modes a structure is accelerated as at the top of the band, or less, but where it is driven: there by
     # the force over the mass, of which a band below further modes shows nothing.
     acceleration = abs(value) * (2.0 * np.pi * frequency) ** (2 - MOTIONS.index(motion))
@@ -89,18 +89,20 @@ def folded_shares(
         shaker = rec.scene.driven_shaker
         if info.at == "table" and isinstance(shaker, TableShaker | ElectrodynamicShaker):
             # Without a share in the force, what responds is the driven body itself.
-            share = np.where(lower[row] == 0.0, 1.0 + shaker.spring * value, lower[row])
-            moved = _moved(shaker, frequency, images, share)
-            shares[row] = _TAIL * np.sum(let_through * moved, axis=0)
+            of_force = np.where(lower[row] == 0.0, 1.0 + shaker.spring * value, lower[row])
+            moved = _moved(shaker, frequency, images, of_force)
+            share[row] = _TAIL * np.sum(let_through * moved, axis=0)
+            far[row] = of_reading(share[row])
             continue
-        shares[row] = _TAIL * np.sum((frequency / images) ** 2 * let_through, axis=0)
+        far[row] = _TAIL * np.sum((frequency / images) ** 2 * let_through, axis=0)
         if info.at.startswith("body"):
             body = int(info.at.split()[1])
             free = _free_acceleration(rec.scene, body) / np.maximum(acceleration, 1e-300)
-            shares[row] *= np.maximum(beyond, free)
+            far[row] *= np.maximum(beyond, free)
         # Where neither is known to be less.
-        shares[row] = np.maximum(shares[row], _IMAGES * (frequency / info.rate) ** 2)
-    return shares
+        far[row] = np.maximum(far[row], _IMAGES * (frequency / info.rate) ** 2)
+        share[row] = of_reading(far[row])
+    return share, far
 
 
 def _free_acceleration(scene: Scene, body: int) -> float:

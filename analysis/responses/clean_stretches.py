@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
 
 
+#: What is wrong with a channel while its sensor's bias has not settled.
+SETTLING = "settling"
+
+
 @dataclass(frozen=True)
 class Flaw:
     """Samples ``[first, stop)`` that tell nothing of the motion, and why."""
@@ -73,7 +77,8 @@ def told(rec: Recording, found: Sequence[Flaw]) -> str:
 
 
 def cure(rec: Recording, found: Sequence[Flaw]) -> str:
-    """Say what keeps channels from being overloaded: the level, the converter's range, or another sensor."""
+    """Say what keeps channels from being spoilt: another level, range or sensor, or sensors that have settled."""
+    kinds = {flaw.what for flaw in found}
     limits = [
         f"{name} follows {text}"
         for name in dict.fromkeys(flaw.channel for flaw in found if flaw.what == "overloaded")
@@ -81,7 +86,10 @@ def cure(rec: Recording, found: Sequence[Flaw]) -> str:
         if key.endswith(".saturation") and _reached_first(rec.channels[name], text)
     ]
     other = f", or take a sensor that follows more ({', '.join(limits)})" if limits else ""
-    return f"lower the level, widen the range (converter: range){other}"
+    cures = [f"lower the level, widen the range (converter: range){other}"] if kinds != {SETTLING} else []
+    if SETTLING in kinds:
+        cures.append("switch the sensors on long before the test")
+    return ", and ".join(cures)
 
 
 def _reached_first(info: ChannelInfo, limit: str) -> bool:

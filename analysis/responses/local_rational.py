@@ -156,6 +156,8 @@ def _fits(
     value, variance, coherence, left, through = (np.concatenate(each) for each in zip(*parts, strict=True))
     # Zeros in front of a stretch make neighbouring lines depend on each other: they count for less.
     free = max(used * equations - unknowns, 0.5)
+    # What is left over is less than the noise by what the unknowns took of it.
+    coherence = coherence / (coherence + (1.0 - coherence) * max(used * equations / free, 1.0))
     criterion = used * equations * np.log(np.maximum(left, _NOTHING)) + unknowns * np.log(
         2 * used * equations
     )

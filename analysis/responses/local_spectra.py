@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import permutations
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from analysis.responses.aliasing import aliasing_part
 from analysis.responses.force_pulse import slow_and_fast
@@ -21,6 +23,7 @@ from analysis.responses.systematic import (
     reference_noise_part,
     rounding_part,
     sensitivity_part,
+    shared_noise_part,
 )
 
 if TYPE_CHECKING:
@@ -97,7 +100,7 @@ class LocalSpectra:
                 rec, above, below, reference, motion, label, warnings, reference_noise
             )
         at = self.frequency[self.lines]
-        force = np.einsum("cn,scn->sn", below.row(rec, names, self.frequency), self.samples)
+        force = self._spectrum(rec, below)
         driven(reference, force)
         upper, lower = above.row(rec, names, at), below.row(rec, names, at)
         # Of every channel, how much it reads per unit of the reference.
@@ -106,26 +109,16 @@ class LocalSpectra:
             if below.channels == (name,):
                 reads[index] = 1.0 / lower[index]
                 continue
-            info = rec.channels[name]
-            told_by = info.response(self.frequency)
-            slow = [1.0 / (2j * np.pi * self.frequency - pole) for pole in slow_and_fast(info)[0]]
-            reading = Reading(
-                self.samples[:, index], told_by, np.array(slow).reshape(-1, self.frequency.size)
-            )
-            side = min(self.side, (self.frequency.size - 1) // 2)
-            if (name, below) not in self.fits:
-                self.fits[name, below] = local_fit(reading, force, self.ends, self.lines, side, self.used)
-            fit = self.fits[name, below]
-            reads[index] = fit.value * told_by[self.lines]
+            fit = self._fit(rec, name, below)
+            reads[index] = fit.value * rec.channels[name].response(at)
             if name == above.channels[0]:
                 of_response = fit
         scale = abs(np.sum(upper * reads, axis=0)) / np.maximum(abs(of_response.value), 1e-300)
         # Whatever is left over by a fit, its value follows what noise the reference brings.
         noise = np.einsum("cn,cn->n", abs(lower) ** 2, self.noise)
         variance = np.maximum(of_response.variance, of_response.through * noise) * scale**2
-        upper, lower = upper * reads, lower * reads
-        value = upper.sum(axis=0)
-        shares = value, upper, lower
+        value = np.sum(upper * reads, axis=0)
+        shares = value, upper * reads, lower * reads
         systematic = (
             aliasing_part(rec, names, at, *shares, motion)
             | rounding_part(self.gain, *shares)
@@ -138,7 +131,13 @@ class LocalSpectra:
             systematic |= doubtful_reference_part(bound, np.sqrt(_AMPLITUDE * follows))
         systematic |= sensitivity_part(rec, names, *shares) | clock_part(rec, at, value)
         if reference_noise is None:
-            systematic |= reference_noise_part(value, of_response.coherence)
+            systematic |= (
+                reference_noise_part(value, of_response.coherence)
+                if len(below.channels) == 1
+                else shared_noise_part(
+                    self._reference_noise(rec, below), upper - value * lower, lower, self._power(force)
+                )
+            )
         else:
             variance = variance + abs(value) ** 2 * reference_noise
         return Frf(
@@ -154,3 +153,46 @@ class LocalSpectra:
             systematic=systematic,
             warnings=tuple(warnings),
         )
+
+    def _spectrum(self, rec: Recording, measurand: Measurand) -> ComplexArray:
+        """Spectra of a measurand, shape (stretches, bins)."""
+        return np.asarray(
+            np.einsum("cn,scn->sn", measurand.row(rec, self.channels, self.frequency), self.samples)
+        )
+
+    def _power(self, spectra: ComplexArray) -> Array:
+        """Mean square of spectra at the lines that each fit takes in; shape (lines,)."""
+        return np.asarray(
+            ndimage.uniform_filter1d(np.mean(abs(spectra) ** 2, axis=0), 2 * self.side + 1)[self.lines]
+        )
+
+    def _fit(self, rec: Recording, name: str, to: Measurand) -> LocalFit:
+        """Response of what a channel measures to a measurand."""
+        if (name, to) not in self.fits:
+            info = rec.channels[name]
+            slow = [1.0 / (2j * np.pi * self.frequency - pole) for pole in slow_and_fast(info)[0]]
+            reading = Reading(
+                self.samples[:, self.channels.index(name)],
+                info.response(self.frequency),
+                np.array(slow).reshape(-1, self.frequency.size),
+            )
+            side = min(self.side, (self.frequency.size - 1) // 2)
+            spectrum = self._spectrum(rec, to)
+            self.fits[name, to] = local_fit(reading, spectrum, self.ends, self.lines, side, self.used)
+        return self.fits[name, to]
+
+    def _reference_noise(self, rec: Recording, below: Measurand) -> Array:
+        """Power of noise at each line that the channels of a spring's force hold, or can hold at most.
+
+        Of two readings of one motion neither holds more noise than what it has not in common with the other.
+        """
+        if self.noise.any():
+            return self.noise
+        most = np.zeros(self.noise.shape)
+        for name, other in permutations(below.channels):
+            motion = Measurand((other,), (1.0,), "displacement")
+            fit = self._fit(rec, name, motion)
+            told_by = rec.channels[name].response(self.frequency[self.lines])
+            read = abs(fit.value * told_by) ** 2 * self._power(self._spectrum(rec, motion))
+            most[self.channels.index(name)] = read * (1.0 / np.maximum(fit.coherence, 1e-300) - 1.0)
+        return most

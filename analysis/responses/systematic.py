@@ -76,19 +76,60 @@ def sensitivity_part(
         Empty where no data sheet states a tolerance. Infinite where the reference, a small difference of two large
         readings, can be nothing at all.
     """
-    # A sensor that reads too little is farther off what it reads than its data sheet says of what is there.
-    shares = np.array([(off := tolerance(rec.channels[name])) / max(1.0 - off, 1e-300) for name in names])
-    if not shares.any():
-        return {}
-    deviation: Array = np.asarray(shares @ abs(upper - value * lower), dtype=np.float64)
-    # The reference itself may be smaller than it reads, all else larger by as much.
-    return {SENSITIVITY: over_a_doubtful_reference(deviation, shares @ abs(lower))}
+    share = np.array([[tolerance(rec.channels[name])] for name in names])
+    return {SENSITIVITY: off_by_gains(share, of_reading(share), value, upper, lower)} if share.any() else {}
 
 
-def over_a_doubtful_reference(deviation: Array, doubt: Array) -> Array:
-    """Deviation of a quotient whose denominator may be smaller than it reads by some part of itself; from 1 on none."""
+def of_reading(share: Array) -> Array:
+    """Turn largest deviations as shares of what should be read into shares of what is read: from 1 on infinite.
+
+    A sensor that reads too little is farther off what it reads than its data sheet says of what is there.
+    """
+    return np.asarray(np.where(share < 1.0, share / np.maximum(1.0 - share, 1e-300), np.inf))
+
+
+def off_by_gains(
+    share: Array, far: Array, value: ComplexArray, upper: ComplexArray, lower: ComplexArray
+) -> Array:
+    """How far a quotient of readings is off when each reads 1 + e times what it should.
+
+    Of readings that add up to u over l the true quotient is off by ``sum (u - l u/l) e/(1+e)`` over ``sum l/(1+e)``.
+    That is bounded as it stands, and with the gain of any one channel taken out of both, which leaves e alone of a
+    channel that is the whole denominator; the least of these bounds holds.
+
+    Parameters
+    ----------
+    share, far : ndarray, shape (channels, lines) or (channels, 1)
+        Most that ``abs(e)`` and ``abs(e / (1 + e))`` can be.
+    value, upper, lower
+        As in `sensitivity_part`.
+
+    Returns
+    -------
+    ndarray, shape (lines,)
+        Infinite where the denominator, a small difference of two large readings, can be nothing at all.
+    """
+    parts: Array = np.asarray(abs(upper - value * lower), dtype=float)
+    in_reference: Array = np.asarray(abs(lower), dtype=float)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(np.where(doubt < 1.0, deviation / np.maximum(1.0 - doubt, 1e-300), np.inf))
+        bounds = [_quotient(np.sum(_times(parts, far), axis=0), np.sum(_times(in_reference, far), axis=0))]
+        for one, own in enumerate(share):
+            others = np.arange(len(share)) != one
+            more = far[others] * (1.0 + own)
+            apart = (own + share[others]) * (1.0 + far[others])
+            deviation = parts[one] * own + np.sum(_times(parts[others], more), axis=0)
+            bounds.append(_quotient(deviation, np.sum(_times(in_reference[others], apart), axis=0)))
+    return np.asarray(np.nanmin(bounds, axis=0))
+
+
+def _times(part: Array, far: Array) -> Array:
+    """Multiply, where nothing times whatever is nothing."""
+    return np.asarray(np.where(part > 0.0, part * far, 0.0))
+
+
+def _quotient(deviation: Array, doubt: Array) -> Array:
+    """Deviation over a denominator that may be smaller by some part of itself; from 1 on nothing bounds."""
+    return np.asarray(np.where(doubt < 1.0, deviation / np.maximum(1.0 - doubt, 1e-300), np.inf))
 
 
 def reference_noise_part(value: ComplexArray, coherence: Array) -> dict[str, Array]:
@@ -97,6 +138,30 @@ def reference_noise_part(value: ComplexArray, coherence: Array) -> dict[str, Arr
     H1 and H2 = H1 / coherence lie on either side of the truth (Bendat and Piersol, section 6.1.4).
     """
     return {REFERENCE_NOISE: abs(value) * (1.0 / np.maximum(coherence, 1e-6) - 1.0)}
+
+
+def shared_noise_part(noise: Array, off: ComplexArray, lower: ComplexArray, power: Array) -> dict[str, Array]:
+    """How far H1 may be off by noise of channels that a reference is made of, and perhaps the response, too.
+
+    Noise of power N in a channel with the weights u in the response and l in the reference adds ``u l* N`` to their
+    cross-spectrum and ``|l|^2 N`` to the reference's power: H1 is off by ``(u - H1 l) l* N`` over what of that power is
+    no noise. A coherence tells nothing of it, as what both share looks like a response.
+
+    Parameters
+    ----------
+    noise : ndarray, shape (channels, lines)
+        At most.
+    off : ndarray of complex, shape (channels, lines)
+        ``u - H1 l``.
+    lower : ndarray of complex, shape (channels, lines)
+        ``l``.
+    power : ndarray, shape (lines,)
+        Of the reference.
+    """
+    left = power - np.sum(abs(lower) ** 2 * noise, axis=0)
+    bias = np.sum(abs(off * lower) * noise, axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return {REFERENCE_NOISE: np.where(left > 0.0, bias / left, np.inf)}
 
 
 def doubtful_reference_part(bound: Array, doubt: Array) -> dict[str, Array]:

@@ -21,6 +21,7 @@ from analysis.responses.force_pulse import high_passes
 from analysis.responses.frf import Frf
 from analysis.responses.local_spectra import SIDE, LocalSpectra
 from analysis.responses.measurands import motion_of, reference_of, responses
+from analysis.responses.sensor_settling import settling
 from analysis.responses.systematic import in_counts, noise_gain
 from rig.errors import RecordingError
 
@@ -77,8 +78,12 @@ class WholeStretches:
             self.channels if self.hits is None else tuple(dict.fromkeys([*above.channels, *below.channels]))
         )
         found = flaws(rec, self.channels, self.first, self.stop)
-        if self.hits is not None:
-            found = sorted([*found, *self.hits.missed], key=lambda flaw: flaw.first)
+        more = (
+            settling(rec, self.channels, self.first, self.stop, self.low)
+            if self.hits is None
+            else self.hits.missed
+        )
+        found = sorted([*found, *more], key=lambda flaw: flaw.first)
         stretches, notes = self._worth_fitting(rec, clean_stretches(found, self.first, self.stop))
         if found:
             kept = sum(stop - start for start, stop in stretches) / (self.stop - self.first)

@@ -34,7 +34,7 @@ def test_given_sensors_within_their_tolerance_when_balanced_then_the_bound_holds
     tmp_path, monkeypatch
 ):
     # What points fold back comes on top.
-    monkeypatch.setattr(performance, "folded_shares", lambda *_: 0.0)
+    monkeypatch.setattr(performance, "folded_shares", lambda *_: (0.0, 0.0))
     infos = synthetic.channels(sensor={"accelerometer.sensitivity_tolerance": "1 %"})
     path = synthetic.stepped_sine(tmp_path / "a.mcap", [12.0, 13.04, 20.0, 34.8, 49.7], infos=infos)
     with daq.open(path) as rec:

@@ -14,6 +14,7 @@ from daq.signal_chain.channel import ChannelInfo
 RATE, SAMPLES, FINE = 5120.0, 512, 64
 CYCLES = np.array([4, 32, 128, 200])
 FREQUENCY = CYCLES * RATE / SAMPLES
+FILTER = {"rate": RATE, "delay": 38.0, "cutoff": 0.5, "beta": 11.0}
 SCENE = "{structure: {masses: [2 kg], springs: [4 kN/m]}, shaker: {kind: force, body: 1}}"
 
 
@@ -28,9 +29,16 @@ def images(info, cycles):
 
 
 def part(info, value, motion="acceleration", scene=SCENE, lower=0.0):
-    rec = SimpleNamespace(channels={info.name: info}, scene=rig.loads(scene, where="a test"))
-    shares = value[None] * (1.0 - lower), np.full((1, value.size), lower)
-    return aliasing_part(rec, [info.name], FREQUENCY, value, *shares, motion)
+    """The part of a channel that is the response, or the reference; the other is measured without images."""
+    other = ChannelInfo("b", "body 1", "acceleration", 1.0, RATE, filter=FILTER)
+    rec = SimpleNamespace(channels={info.name: info, "b": other}, scene=rig.loads(scene, where="a test"))
+    share = np.array([[1.0 - lower], [lower]]) * np.ones(value.size)
+    return aliasing_part(rec, [info.name, "b"], FREQUENCY, value, value * share, share[::-1], motion)
+
+
+def missing(share):
+    """What is missing of a reading from which images take a share, over what is left."""
+    return share / (1.0 - share)
 
 
 def channel(at="body 1", quantity="acceleration", **chain):
@@ -49,7 +57,7 @@ def test_given_a_flat_acceleration_when_images_fold_back_then_the_bound_holds_th
 
 
 def test_given_a_decimation_filter_when_asked_for_images_then_there_are_none():
-    filtered = channel(filter={"rate": RATE, "delay": 38.0, "cutoff": 0.5, "beta": 11.0})
+    filtered = channel(filter=FILTER)
     assert part(filtered, np.ones(4, dtype=complex)) == {}
 
 
@@ -79,6 +87,6 @@ def test_given_a_table_when_images_of_its_drive_fold_back_then_the_bound_holds_w
         # Twice differentiated an image is as large as the tone: what is left is a servo of second order.
         servo = SimpleNamespace(response=lambda f: -((2 * np.pi * f) ** 2) / (1.0 + 1j * f / 700.0) ** 2)
         share = images(servo, cycles)
-        # What reads too much in the reference is divided by.
-        true = share * abs(value[column]) / (1.0 - lower * share)
+        # A response lacks more of what it should read than it reads too much of it; a reference is divided by.
+        true = (share if lower else missing(share)) * abs(value[column])
         assert true <= bound[column] <= 1.25 * true, frequency

@@ -19,6 +19,7 @@ from analysis.responses.systematic import (
     reference_noise_part,
     rounding_part,
     sensitivity_part,
+    shared_noise_part,
     tolerance,
     tone_gain,
 )
@@ -83,15 +84,18 @@ def test_given_sensors_within_their_tolerances_when_a_quotient_is_taken_then_it_
 
 def test_given_one_sensor_that_reads_too_little_when_its_bound_is_told_then_it_is_reached():
     value = np.array([2.0 - 1.0j])
-    one, none = np.ones((1, 1)), np.zeros((1, 1))
-    rec = recording(*toleranced(0.2))
-    response = only(sensitivity_part(rec, "a", value, one * value, none))
-    reference = only(sensitivity_part(rec, "a", value, none, one))
-    assert response == pytest.approx(abs(value / 0.8 - value))
-    # What is there may be a quarter more than it reads, or all but nothing of a larger reading.
-    assert reference == pytest.approx(abs(value) * 0.25 / 0.75)
-    assert only(sensitivity_part(rec, "a", value, none, 4.0 * one)) == np.inf
-    assert sensitivity_part(recording(channel("a")), "a", value, one, none) == {}
+    first, second = np.array([[1.0], [0.0]]), np.array([[0.0], [1.0]])
+    rec = recording(*toleranced(0.2, 0.0))
+
+    def bound(upper, lower):
+        return only(sensitivity_part(rec, "ab", value, value * upper, lower))
+
+    assert bound(first, second) == pytest.approx(abs(value / 0.8 - value))
+    # A reference that reads a fifth too much is a fifth of the quotient too large; four times itself it is nothing.
+    assert bound(second, first) == pytest.approx(abs(value) * 0.2)
+    assert bound(second, 4.0 * first - 3.0 * second) == pytest.approx(abs(value) * 2.0)
+    assert bound(second, 6.0 * first - 5.0 * second) == np.inf
+    assert sensitivity_part(recording(channel("a"), channel("b")), "ab", value, first, second) == {}
 
 
 def test_given_noise_in_the_reference_when_h1_is_low_then_the_truth_lies_at_the_end_of_the_bound():
@@ -155,3 +159,17 @@ def test_given_a_clock_that_is_off_when_a_curve_slopes_then_it_is_off_by_as_much
     assert clock_part(off, frequency[:2], value[:2]) == {}
     assert len(clock_part(off, frequency[:3], value[:3])) == 1
     assert clock_part(recording(), frequency, value) == {}
+
+
+def test_given_noise_that_response_and_reference_share_when_h1_is_off_then_the_part_is_what_it_is_off_by():
+    random = np.random.default_rng(4)
+    truth = random.standard_normal(30) + 1j * random.standard_normal(30)
+    noise = np.abs(random.standard_normal((1, 30)))
+    up, low, power = 1.0 + 0j, -0.4 + 0.1j, 2.0
+    cross, total = truth * power + up * np.conj(low) * noise[0], power + abs(low) ** 2 * noise[0]
+    h1 = cross / total
+    part = only(shared_noise_part(noise, up - h1[None] * low, np.full((1, 30), low), total))
+    assert part == pytest.approx(abs(h1 - truth))
+    assert (
+        only(shared_noise_part(noise, up - h1[None] * low, np.full((1, 30), low), 0.1 * noise[0])) == np.inf
+    ).all()

@@ -1,0 +1,68 @@
+"""How long after the beginning of a test its sensors still settle: what drifts then looks like a force."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.recordings.slices import read_slices
+from analysis.responses.clean_stretches import SETTLING, Flaw
+
+if TYPE_CHECKING:
+    from daq.recording.recording import Recording
+
+Array = NDArray[np.float64]
+
+# Blocks of the second half that say how means scatter once sensors have settled; fewer say nothing.
+_LATER, _FEWEST = 32, 16
+# A block belongs to a drift if its mean lies farther off than so many standard deviations of later ones; the drift has
+# ended when so many blocks in a row do not.
+_OFF, _IN_A_ROW = 5.0, 3
+
+
+def settling(rec: Recording, names: Sequence[str], first: int, stop: int, lowest: float) -> list[Flaw]:
+    """Find the beginning of a test in which a channel's bias has not settled.
+
+    Over a period of the lowest frequency driven the motion averages out; a mean that lies apart from later ones is the
+    sensor's own. Of a response it would be a transient, which a fit takes in; of a reference it is a force that was
+    never there.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Channels.
+    first, stop : int
+        Samples between which the test ran.
+    lowest : float
+        Hz.
+    """
+    size = int(np.ceil(rec.rate / lowest))
+    count = (stop - first) // size
+    if count < _FEWEST:
+        return []
+    blocks = [(first + k * size, first + (k + 1) * size) for k in range(count)]
+    chosen = np.unique(np.linspace(count // 2, count - 1, _LATER).astype(int))
+    later = np.array([_means(block) for block in read_slices(rec, names, [blocks[k] for k in chosen])])
+    with np.errstate(invalid="ignore"):
+        middle, scatter = np.nanmean(later, axis=0), np.nanstd(later, axis=0)
+    ends, calm = np.zeros(len(names), dtype=int), np.zeros(len(names), dtype=int)
+    ended = np.zeros(len(names), dtype=bool)
+    for number, block in enumerate(read_slices(rec, names, blocks[: count // 2]), 1):
+        off = abs(_means(block) - middle) > _OFF * scatter
+        ends = np.where(off & ~ended, number, ends)
+        calm = np.where(off, 0, calm + 1)
+        ended |= calm >= _IN_A_ROW
+        if ended.all():
+            break
+    return [
+        Flaw(first, first + int(end) * size, name, SETTLING)
+        for name, end in zip(names, ends, strict=True)
+        if end
+    ]
+
+
+def _means(block: Array) -> Array:
+    return np.array([np.nanmean(row) if np.isfinite(row).any() else np.nan for row in block])

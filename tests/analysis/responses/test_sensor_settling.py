@@ -1,0 +1,63 @@
+"""How long sensors settle at the beginning of a test."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import analysis
+import daq
+import rig
+from analysis.responses.sensor_settling import settling
+from rig.system.receptance import receptance
+
+RATE, SECONDS, LOWEST = 200.0, 60.0, 5.0
+
+
+def recording(size, time_constant, seed=1):
+    """A channel whose bias decays beside a random motion."""
+    random = np.random.default_rng(seed)
+    time = np.arange(int(SECONDS * RATE)) / RATE
+    samples = random.standard_normal(time.size) + size * np.exp(-time / time_constant)
+    return SimpleNamespace(
+        rate=RATE, samples=time.size, read=lambda name, first, last: samples[first:last], channels={"a": None}
+    )
+
+
+@pytest.mark.parametrize(("size", "time_constant"), [(10.0, 0.5), (300.0, 2.0), (1e5, 1.0)])
+def test_given_a_bias_that_decays_when_looked_for_then_it_is_left_out_until_its_mean_is_lost_in_others(
+    size, time_constant
+):
+    [flaw] = settling(recording(size, time_constant), ["a"], 0, int(SECONDS * RATE), LOWEST)
+    # Means of 40 samples scatter by 0.16.
+    left = size * np.exp(-flaw.stop / RATE / time_constant)
+    assert flaw.first == 0 and 0.1 < left < 1.2
+
+
+def test_given_no_bias_when_looked_for_then_nothing_is_left_out():
+    for seed in range(20):
+        assert settling(recording(0.0, 1.0, seed), ["a"], 0, int(SECONDS * RATE), LOWEST) == []
+
+
+def test_given_a_drive_below_noise_when_the_force_is_that_of_a_spring_then_no_bound_is_broken(tmp_path):
+    scene = rig.loads(
+        """
+        structure: {masses: [1 kg], springs: [10 kN/m], damping: {modal: 0.02}}
+        shaker: {kind: table, body: 1, spring: 6 kN/m}
+        test: {kind: random, from: 8 Hz, to: 40 Hz, duration: 20 s, drive: 1 um}
+        channels:
+          - {name: a1, at: body 1, accelerometer: {noise: 2 mg/sqrt(Hz)}}
+          - {name: table, at: table, accelerometer: {noise: 2 mg/sqrt(Hz)}}
+        """,
+        where="a test",
+    )
+    path = tmp_path / "a.mcap"
+    daq.record(scene, path)
+    with daq.open(path) as rec:
+        [[frf]] = analysis.frequency_responses(rec)
+    off = abs(frf.value - receptance(scene, frf.frequency)[0])
+    # Noise that response and reference share looks like a response, of some -1 over the spring's stiffness.
+    assert np.median(off) > 0.3 * np.median(abs(receptance(scene, frf.frequency)[0]))
+    assert np.mean(off <= frf.bound()) > 0.9

@@ -13,7 +13,7 @@ from scipy import fft
 from analysis.recordings.slices import read_slices
 from analysis.responses.clean_stretches import flaws, told
 from analysis.responses.frf import Frf
-from analysis.responses.measurands import reference_of
+from analysis.responses.measurands import located, reference_of
 from analysis.responses.spectral_lines import Lines, remainder
 from analysis.responses.systematic import counts_of, in_counts, scattered, tone_gain
 from rig.errors import RecordingError
@@ -28,10 +28,6 @@ ComplexArray = NDArray[np.complex128]
 NONLINEAR = (
     "The structure is not linear: the curve is the best linear approximation for this level and kind of excitation, "
     "and its error bars hold for that; steady tones of another amplitude (stepped sine) give another curve."
-)
-NOT_YET = (
-    "No nonlinear distortion is seen at this level, but dampers can move: where steady tones bring about "
-    "larger motion (stepped sine), they give another curve."
 )
 ONE_REALISATION = (
     "One realisation: what dampers distort cannot be told from the response, and is in no error bar; "
@@ -134,8 +130,27 @@ def best_linear_approximation(
     if _distorted(total, base):
         total = replace(total, warnings=(*notes, NONLINEAR))
     elif free:
-        total = replace(total, warnings=(*notes, NOT_YET))
+        total = replace(total, warnings=(*notes, _not_yet(rec, total, reference)))
     return BestLinearApproximation(total, base, count)
+
+
+def _not_yet(rec: Recording, total: Lines, reference: str) -> str:
+    """Say that dampers did nothing, and from which force on a steady tone lifts one: its body then reaches g."""
+    least = [(np.inf, np.nan)]
+    for body in {damper.body for damper in rec.scene.dampers if not damper.locked}:
+        info = located(rec, f"body {body}")
+        if info is not None and reference == "force":
+            size = abs(total.frf(rec, info.name, motion="acceleration").value)
+            top = int(np.argmax(np.nan_to_num(size)))
+            least.append((rec.scene.gravity / size[top], total.frequency[top]))
+    force, frequency = min(least)
+    lifting = (
+        "that move its body more" if np.isinf(force) else f"of more than {force:.2g} N at {frequency:.4g} Hz"
+    )
+    return (
+        f"No nonlinear distortion is seen at this level, but dampers can move: steady tones (stepped sine) {lifting} "
+        "lift one, and give another curve."
+    )
 
 
 @dataclass(frozen=True)

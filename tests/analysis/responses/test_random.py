@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from scipy import signal
 
 import analysis
 import daq
+import rig
 from analysis.responses.estimators import estimate
 from analysis.responses.multisine import best_linear_approximation
 from rig.errors import RecordingError, SceneError
@@ -139,6 +142,29 @@ def test_given_a_linear_structure_when_realisations_are_compared_then_no_distort
         noise = np.median(best.noise.frf(rec, "body3").error)
         total = np.median(best.total.frf(rec, "body3").error)
     assert 0.7 < total / noise < 1.3
+
+
+def test_given_dampers_that_a_multisine_does_not_lift_when_averaged_then_it_says_which_steady_tones_do(
+    tmp_path,
+):
+    test = {"kind": "multisine", "from": 30.0, "to": 40.0, "period": 2.0, "realisations": 2, "force": 0.05}
+    scene = rig.load("fig8-three-dampers").replace(
+        shaker={"kind": "force", "body": 1},
+        test=test,
+        channels=[
+            *({"name": f"a{j}", "at": f"body {j}"} for j in (1, 2, 3)),
+            {"name": "force", "at": "shaker"},
+        ],
+        recording={"display": False},
+    )
+    with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
+        [curves] = analysis.frequency_responses(rec)
+    [said] = curves[0].warnings
+    force, frequency = re.search(r"of more than (\S+) N at (\S+) Hz lift one", said).groups()
+    at, tone = float(frequency), {"kind": "stepped_sine", "frequencies": [float(frequency)]}
+    below, above = (scene.replace(test=tone | {"force": share * float(force)}) for share in (0.9, 1.1))
+    assert rig.frequency_response(below, [at]).motion_type[0] == "riding"
+    assert rig.frequency_response(above, [at]).motion_type[0] != "riding"
 
 
 def sweep(path, duration, spacing="log"):

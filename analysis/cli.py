@@ -53,7 +53,9 @@ def frf(
         ),
     ] = None,
     block: Block = None,
-    overlap: Annotated[float, typer.Option(help="Part of a block that it shares with the next.")] = 0.5,
+    overlap: Annotated[
+        float | None, typer.Option(help="Part of a block that it shares with the next; default 0.5.")
+    ] = None,
     window: Annotated[
         str | None, typer.Option(help="Over blocks: hann, none, ...; default hann, none for hits.")
     ] = None,
@@ -214,8 +216,10 @@ def export(
     from daq.recording.recording import open as open_recording
 
     if what != "samples":
-        if channel or start is not None or stop is not None:
-            raise typer.BadParameter("--channel, --from and --to choose samples; they do not go with --what")
+        if channel or start is not None or stop is not None or speed != 1.0:
+            raise typer.BadParameter(
+                "--channel, --from, --to and --speed are of samples; they do not go with --what"
+            )
         with counting("analysing") as progress:
             lines = export_results(file, output, what, overwrite, progress)
         print(*lines, sep="\n")

@@ -91,6 +91,11 @@ def import_recording(
     from daq.importing.report import import_and_report, listing
 
     if scene is None:
+        if changes or overwrite or any(each is not None for each in (table, start, stop, output)):
+            raise typer.BadParameter(
+                "--set, --table, --from, --to, -o and --overwrite are of the recording to make: name what was on the "
+                "bench with --scene SCENE"
+            )
         for line in listing(files):
             print(line)
         return
@@ -123,6 +128,10 @@ def replay(
 
     if sum([save is not None, screenshot is not None, web]) > 1:
         raise typer.BadParameter("choose one of --save, --screenshot and --web")
+    if at is not None and screenshot is None:
+        raise typer.BadParameter("--at is the time of a picture: give --screenshot FILE.png too")
+    if speed != 1.0 and screenshot is not None:
+        raise typer.BadParameter("--speed is of a replay that plays; a picture stands still")
     with daq.open(file) as recording, progress(file.stem) as tell:
         part = Replay(recording, start, stop, speed)
         if save is not None:
@@ -279,6 +288,8 @@ def serve_a_rig(
 
     if (certificate is None) != (key is None) or (client_ca is not None and certificate is None):
         raise typer.BadParameter("--certificate and --key go together, and --client-ca needs both")
+    if overwrite and output is None:
+        raise typer.BadParameter("--overwrite replaces a recording: name it with -o FILE")
     if not 0 <= port < 65536:
         raise typer.BadParameter(f"port {port}: expected 0 to 65535")
     if session_timeout <= 0.0:

@@ -1,12 +1,16 @@
-"""Which command suits a recording: a wrong one is refused in words that name the right one."""
+"""Which command and which options suit a recording: wrong ones are refused in words that say what suits."""
 
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.errors import RecordingError
+from analysis.recordings.names import opened
+from analysis.responses.frequency_responses import BLOCK_OPTIONS, TAKEN, Blocks, kind_of
+from analysis.responses.frf_files import is_frf_file
+from rig.errors import RecordingError, SceneError
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -49,3 +53,32 @@ def expect(rec: Recording, path: Path, command: str) -> None:
                 f"{held}: what dampers do is told from held tones, test: {{kind: stepped_sine, ...}} or "
                 f"{{kind: sine, ...}}; `analysis {suits} {file}` shows what this recording tells"
             )
+
+
+def expect_all(
+    paths: Sequence[Path], command: str, blocks: Blocks, theory: bool = False, unit: str | None = None
+) -> list[str]:
+    """Refuse files that do not suit a command, and options that act on none of them.
+
+    Returns
+    -------
+    list of str
+        Of options that act on some of the files, on which they do not, and why.
+    """
+    asked = {**vars(blocks), "theory": theory or None, "unit": unit}
+    idle: dict[str, list[str]] = {name: [] for name, value in asked.items() if value is not None}
+    for path in paths:
+        acting: tuple[str, ...]
+        if is_frf_file(path):
+            acting, why = ("unit",), "it holds what another program has estimated"
+        else:
+            with opened(path) as rec:
+                expect(rec, path, command)
+                kind = kind_of(rec)
+            acting, why = ("theory", *BLOCK_OPTIONS.get(kind, ())), TAKEN.get(kind, "")
+        for name in idle.keys() - {*acting}:
+            idle[name].append(f"{path.name}: {why if name != 'unit' else 'a recording knows its units'}")
+    for name, where in idle.items():
+        if len(where) == len(paths):
+            raise SceneError(f"--{name} would change nothing; leave it out ({where[0]})")
+    return [f"--{name} changes nothing in {text}" for name, where in idle.items() for text in where]

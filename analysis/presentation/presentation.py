@@ -13,10 +13,10 @@ from analysis.dampers.nonlinearity import jumps
 from analysis.decays.free_decay import FIRST_FALL, Decay, decay
 from analysis.modal.identification import identify
 from analysis.modal.modes import Modes, mac
-from analysis.presentation.expectations import expect
+from analysis.presentation.expectations import expect, expect_all
 from analysis.presentation.output_names import output_stem, with_ending
 from analysis.recordings.names import opened, relabelled, scene_labels
-from analysis.responses.frequency_responses import frequency_responses
+from analysis.responses.frequency_responses import Blocks, frequency_responses, kind_of
 from analysis.responses.frf import Frf
 from analysis.responses.frf_files import is_frf_file, read_frfs
 from analysis.responses.systematic import SENSITIVITY, tolerance
@@ -51,7 +51,7 @@ def present_frf(
     block: float | None = None,
     theory: bool = False,
     progress: Progress | None = None,
-    overlap: float = 0.5,
+    overlap: float | None = None,
     window: str | None = None,
     unit: str | None = None,
 ) -> Result:
@@ -62,17 +62,16 @@ def present_frf(
 
     curves: list[Frf] = []
     exact: list[Frf] = []
-    notes: list[str] = []
+    blocks = Blocks(estimator, block, overlap, window)
+    notes = expect_all(paths, "frf", blocks, theory, unit)
     doubts: list[str] = []
     for path, label in zip(paths, _labels(paths), strict=True):
         if is_frf_file(path):
             curves += [replace(frf.to(motion), label=label) for frf in _read(path, reference, channels, unit)]
             continue
         with opened(path) as rec:
-            expect(rec, path, "frf")
-            groups = frequency_responses(
-                rec, channels, reference, motion, estimator, block, progress, overlap, window
-            )
+            acting = vars(blocks.acting_on(kind_of(rec)))
+            groups = frequency_responses(rec, channels, reference, motion, progress=progress, **acting)
             curves += [relabelled(frf, rec.scene.name, label) for group in groups for frf in group]
             notes += _noted(path, [note for group in groups for note in group[0].warnings])
             doubts += stated_tolerances(rec, [frf for group in groups for frf in group])
@@ -200,7 +199,7 @@ def present_modes(
     found: list[Modes] = []
     files: list[Path] = []
     lines: list[str] = []
-    notes: list[str] = []
+    notes = expect_all(paths, "modes", Blocks(block=block), unit=unit)
     for path, label in zip(paths, _labels(paths), strict=True):
         first = output_stem([path], output, "modes")
         if is_frf_file(path):
@@ -212,10 +211,9 @@ def present_modes(
             notes += _noted(path, modes.warnings)
             continue
         with opened(path) as rec:
-            expect(rec, path, "modes")
-            for number, group in enumerate(
-                frequency_responses(rec, None, reference, block=block, progress=progress)
-            ):
+            acting = vars(Blocks(block=block).acting_on(kind_of(rec)))
+            groups = frequency_responses(rec, None, reference, progress=progress, **acting)
+            for number, group in enumerate(groups):
                 modes = relabelled(identify(group, count), rec.scene.name, label)
                 found.append(modes)
                 stem = first if number == 0 else first.with_name(f"{first.name}-{number + 1}")

@@ -23,19 +23,50 @@ if TYPE_CHECKING:
 Progress = Callable[[int, int], None]
 
 
+# Which options of blocks can act on what a recording holds, and how it is taken where they cannot.
+BLOCK_OPTIONS = {
+    "random": ("estimator", "block", "overlap", "window"),
+    "hits": ("estimator", "block", "window"),
+}
+TAKEN = {
+    "multisine": "whole periods of a multisine are averaged",
+    "sweep": "a sweep is taken whole, by the local rational method",
+    "hits": "a block belongs to one hit",
+    "tones": "held tones are averaged over whole periods",
+}
+
+
 @dataclass(frozen=True)
 class Blocks:
     """How spectra of blocks are to be averaged, where that is asked for."""
 
     estimator: str | None = None
-    length: float | None = None
-    overlap: float = 0.5
+    block: float | None = None
+    overlap: float | None = None
     window: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.estimator is not None and self.estimator not in ESTIMATORS:
+            raise SceneError(f"unknown estimator {self.estimator!r}: expected {', '.join(ESTIMATORS)}")
 
     @property
     def wanted(self) -> bool:
         """Whether it is asked for."""
         return self != Blocks()
+
+    def acting_on(self, kind: str) -> Blocks:
+        """Leave out what cannot act on a kind of recording, see `kind_of`."""
+        return Blocks(**{name: getattr(self, name) for name in BLOCK_OPTIONS.get(kind, ())})
+
+
+def kind_of(rec: Recording) -> str:
+    """Tell what was measured, by what the test has marked: 'multisine', 'sweep', 'random', 'hits' or 'tones'."""
+    measured = [marker for marker in rec.markers if marker.kind == "measure"]
+    fields = measured[0].fields if measured else {}
+    for field, kind in (("realisation", "multisine"), ("spacing", "sweep"), ("from", "random")):
+        if field in fields:
+            return kind
+    return "hits" if not measured and any(marker.kind == "hit" for marker in rec.markers) else "tones"
 
 
 def frequency_responses(
@@ -46,7 +77,7 @@ def frequency_responses(
     estimator: str | None = None,
     block: float | None = None,
     progress: Progress | None = None,
-    overlap: float = 0.5,
+    overlap: float | None = None,
     window: str | None = None,
 ) -> list[list[Frf]]:
     """All frequency responses that a recording holds.
@@ -69,8 +100,8 @@ def frequency_responses(
         told otherwise.
     progress : callable, optional
         Called with (done, in all).
-    overlap : float
-        Part of a block that it shares with the next, for random.
+    overlap : float, optional
+        Part of a block that it shares with the next, for random; omitted, 0.5.
     window : str, optional
         Over each block, as `scipy.signal.get_window` names it; omitted, ``hann`` for random, none for hits.
 
@@ -78,17 +109,24 @@ def frequency_responses(
     -------
     list of list of Frf
         One list per sweep (level and direction), with one curve per response.
+
+    Raises
+    ------
+    SceneError
+        If something asked for is unknown, or cannot act on what the recording holds.
     """
-    if estimator is not None and estimator not in ESTIMATORS:
-        raise SceneError(f"unknown estimator {estimator!r}: expected {', '.join(ESTIMATORS)}")
+    blocks = Blocks(estimator, block, overlap, window)
     if motion not in MOTIONS:
         raise SceneError(f"unknown motion {motion!r}: expected {', '.join(MOTIONS)}")
     names = list(channels) if channels else responses(rec)
     if not names:
         raise RecordingError("no channel on a body: there is no response to divide")
+    kind = kind_of(rec)
+    if blocks.acting_on(kind) != blocks:
+        raise SceneError(f"blocks, H1, H2 and Hv are for random and hits; {rec.path}: {TAKEN[kind]}")
     out: list[list[Frf]] = []
     channels = concerned(rec, names, reference)
-    for source in _sources(rec, channels, reference, Blocks(estimator, block, overlap, window), progress):
+    for source in _sources(rec, kind, channels, reference, blocks, progress):
         if isinstance(source, Averages):
             out.append([source.frf(rec, name, reference, motion, estimator or "H1") for name in names])
         else:
@@ -103,42 +141,38 @@ def frequency_responses(
 
 def _sources(
     rec: Recording,
+    kind: str,
     channels: Sequence[str],
     reference: str,
     blocks: Blocks,
     progress: Progress | None,
 ) -> Sequence[Lines | Averages | BestLinearApproximation | WholeStretches | SweptTone]:
-    """Choose by what the test marked as measured: tones, periods, blocks of noise, a sweep, or hits."""
+    """Take what was measured: tones, periods, blocks of noise, a sweep, or hits."""
     measured = [marker for marker in rec.markers if marker.kind == "measure"]
-    fields = measured[0].fields if measured else {}
-    if "realisation" in fields:
+    if kind == "multisine":
         from analysis.responses.multisine import best_linear_approximation
 
         return [best_linear_approximation(rec, measured, channels, reference, progress)]
-    if "spacing" in fields:
+    if kind == "sweep":
         from analysis.responses.swept_sine import tracked
 
-        if blocks.wanted:
-            raise SceneError(
-                "blocks: a sweep is taken whole, by the local rational method; H1, H2 and Hv are for random and hits"
-            )
         return [tracked(rec, marker, channels, progress) for marker in measured]
-    if "from" in fields:
+    if kind == "random":
         from analysis.responses import random
 
         if not blocks.wanted:
             return [random.whole(rec, marker, channels) for marker in measured]
+        overlap = 0.5 if blocks.overlap is None else blocks.overlap
+        window = blocks.window or "hann"
         return [
-            random.averages(
-                rec, marker, channels, blocks.length, blocks.overlap, None, progress, blocks.window or "hann"
-            )
+            random.averages(rec, marker, channels, blocks.block, overlap, None, progress, window)
             for marker in measured
         ]
-    if not measured and any(marker.kind == "hit" for marker in rec.markers):
+    if kind == "hits":
         from analysis.responses import impact
 
         if blocks.wanted:
-            return [impact.averages(rec, channels, blocks.length, blocks.window or "none")]
+            return [impact.averages(rec, channels, blocks.block, blocks.window or "none")]
         return [impact.whole(rec, channels)]
     from analysis.responses.stepped_sine import sweeps
 

@@ -61,6 +61,9 @@ def test_given_a_recording_that_cannot_be_analysed_when_tried_then_it_says_what_
         (["frf", "--reference", "power"], "expected 'force' or 'table'"),
         (["frf", "--response", "bodi3"], "did you mean 'body3'"),
         (["modes", "--modes", "0"], "expected at least 1"),
+        (["frf", "--block", "2"], "--block would change nothing; leave it out (a.mcap: held tones"),
+        (["frf", "--overlap", "0.5"], "--overlap would change nothing"),
+        (["modes", "--unit", "g/N"], "a recording knows its units"),
         (["decay"], "analysis frf"),
         (["dampers"], "no dampers"),
     ],
@@ -70,3 +73,16 @@ def test_given_a_wrong_option_when_tried_then_the_right_ones_are_named(tmp_path,
     run = CliRunner().invoke(app, [options[0], str(path), *options[1:], "-o", str(tmp_path)])
     assert message in str(run.exception) + run.output
     assert getattr(run.exception, "exit_code", run.exit_code) == 2
+
+
+def test_given_an_option_that_acts_on_some_recordings_only_when_tried_then_it_says_on_which_it_does_not(
+    tmp_path,
+):
+    stepped = synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 40))
+    (tmp_path / "b.csv").write_text("f [Hz],x re [m/N],x im [m/N]\n10,1,0\n20,2,0\n")
+    words = ["frf", str(stepped), str(tmp_path / "b.csv"), "--unit", "mm/N", "-o", str(tmp_path)]
+    run = CliRunner().invoke(app, words)
+    assert run.exit_code == 0
+    assert "--unit changes nothing in a.mcap: a recording knows its units" in run.output
+    files = ["frf", str(tmp_path / "b.csv"), "--theory", "--block", "2"]
+    assert "would change nothing" in str(CliRunner().invoke(app, files).exception)

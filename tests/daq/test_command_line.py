@@ -1,0 +1,27 @@
+"""Options that could change nothing are refused before any work."""
+
+from __future__ import annotations
+
+import pytest
+from typer.testing import CliRunner
+
+from daq.cli import app
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("import run.csv --table channels.yaml", "with --scene"),
+        ("import run.csv --from 1", "with --scene"),
+        ("import run.csv -o run.mcap --overwrite", "with --scene"),
+        ("replay r.mcap --save x.rrd --at 1", "give --screenshot"),
+        ("replay r.mcap --at 1", "give --screenshot"),
+        ("replay r.mcap --screenshot x.png --speed 2", "stands still"),
+        ("serve fig9 --overwrite", "name it with -o"),
+        ("serve --set seed=1", "name the scene too"),
+    ],
+)
+def test_given_an_option_that_could_change_nothing_when_asked_for_then_what_it_needs_is_named(words, message):
+    ended = CliRunner().invoke(app, words.split())
+    assert ended.exit_code == 2
+    assert message in " ".join(ended.output.replace("│", " ").split())

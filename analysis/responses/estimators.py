@@ -105,6 +105,7 @@ class Averages:
             leakage[LEAKAGE] = np.asarray(
                 abs(value - np.interp(self.frequency, sharp.frequency, sharp.value)), dtype=float
             )
+        shares = value, upper * reads, lower * reads
         return Frf(
             frequency=self.frequency,
             value=value,
@@ -117,10 +118,10 @@ class Averages:
             label=self.label,
             resolution=self.resolution,
             warnings=self.warnings,
-            systematic=sensitivity_part(rec, self.channels, value, upper * reads, lower * reads)
-            | aliasing_part(rec, self.channels, self.frequency, value, upper * reads, lower * reads, motion)
+            systematic=sensitivity_part(rec, self.channels, *shares)
+            | aliasing_part(rec, self.channels, self.frequency, *shares, motion)
             | reference_noise_part(value, coherence)
-            | clock_part(rec, self.frequency, value)
+            | clock_part(rec, self.channels, self.frequency, *shares, motion)
             | leakage,
         )
 

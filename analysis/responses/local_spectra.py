@@ -129,7 +129,7 @@ class LocalSpectra:
             follows = 2.0 * of_response.through * noise / np.maximum(abs(of_response.value), 1e-300) ** 2
             bound = np.linalg.norm([1.96 * np.sqrt(variance), *systematic.values()], axis=0)
             systematic |= doubtful_reference_part(bound, np.sqrt(_AMPLITUDE * follows))
-        systematic |= sensitivity_part(rec, names, *shares) | clock_part(rec, at, value)
+        systematic |= sensitivity_part(rec, names, *shares) | clock_part(rec, names, at, *shares, motion)
         if reference_noise is None:
             systematic |= (
                 reference_noise_part(value, of_response.coherence)

@@ -97,7 +97,7 @@ class Lines:
             warnings=self.warnings,
             systematic=systematic
             | sensitivity_part(rec, names, *shares)
-            | clock_part(rec, self.frequency, value),
+            | clock_part(rec, names, self.frequency, *shares, motion),
             unsteady=self.unsteady,
             left_out=self.left_out,
         )

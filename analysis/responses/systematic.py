@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.responses.frf import CLOCK
+from analysis.responses.frf import CLOCK, MOTIONS
 from rig.scene.quantities import PER_KELVIN, RATIO, TEMPERATURE, Kind, parse
 
 if TYPE_CHECKING:
@@ -259,8 +259,28 @@ def counts_of(rec: Recording, names: Sequence[str]) -> Array:
     return np.array([0.0 if info.volts_per_count is None else info.unit_per_count for info in infos])
 
 
-def clock_part(rec: Recording, frequency: Array, value: ComplexArray) -> dict[str, Array]:
-    """How far a sample clock that is off puts every frequency, and with it the curve, off."""
+def clock_part(
+    rec: Recording,
+    names: Sequence[str],
+    frequency: Array,
+    value: ComplexArray,
+    upper: ComplexArray,
+    lower: ComplexArray,
+    motion: str,
+) -> dict[str, Array]:
+    """How far a sample clock that is off puts every frequency, and with it the curve, off.
+
+    Along its slope; and by the powers of frequency that make a displacement of an acceleration.
+
+    Parameters
+    ----------
+    rec, names, value, upper, lower
+        As in `sensitivity_part`.
+    frequency : ndarray, shape (lines,)
+        Hz.
+    motion : str
+        What `value` is a response of.
+    """
     off = abs(rec.scene.converter.clock_error or 0.0)
     if not off or frequency.size < 3:
         return {}
@@ -270,4 +290,7 @@ def clock_part(rec: Recording, frequency: Array, value: ComplexArray) -> dict[st
     steps = np.divide(abs(np.diff(value[order])), apart, out=np.zeros(apart.size), where=apart > 0.0)
     slope = np.empty(frequency.size)
     slope[order] = np.maximum(np.append(steps, 0.0), np.append(0.0, steps))
-    return {CLOCK: off * frequency * slope}
+    measured = [rec.channels[name].quantity for name in names]
+    powers = np.array([[MOTIONS.index(each) if each in MOTIONS else 0.0] for each in measured])
+    made = np.sum((powers - MOTIONS.index(motion)) * upper, axis=0) - value * np.sum(powers * lower, axis=0)
+    return {CLOCK: off * (frequency * slope + abs(made))}

@@ -151,14 +151,31 @@ def test_given_readings_in_counts_when_rounded_then_each_channel_adds_its_share(
     assert only(rounding_part(np.array([[np.inf], [0.0]]), value, 0 * upper, 0 * lower)) == np.inf
 
 
-def test_given_a_clock_that_is_off_when_a_curve_slopes_then_it_is_off_by_as_much_as_along_it():
+@pytest.mark.parametrize(("motion", "more"), [("acceleration", 0), ("velocity", 1), ("displacement", 2)])
+def test_given_a_clock_that_is_off_when_a_curve_is_told_then_it_is_off_along_it_and_by_its_integrations(
+    motion, more
+):
     frequency = np.array([30.0, 10.0, 20.0, 40.0])
     value = (3.0 - 4.0j) * frequency
-    off = recording(converter="rate: 5120 Hz, clock_error: -50 ppm")
-    assert only(clock_part(off, frequency, value)) == pytest.approx(abs(value * (1 - 50e-6) - value))
-    assert clock_part(off, frequency[:2], value[:2]) == {}
-    assert len(clock_part(off, frequency[:3], value[:3])) == 1
-    assert clock_part(recording(), frequency, value) == {}
+    force = ChannelInfo("f", "shaker", "force", sensitivity=0.5, rate=RATE)
+
+    def part(points, converter="rate: 5120 Hz, clock_error: -50 ppm"):
+        rec, share = recording(channel(), force, converter=converter), np.array([[1.0], [0.0]])
+        v = value[:points]
+        return clock_part(rec, ["a1", "f"], frequency[:points], v, v * share, share[::-1] + 0 * v, motion)
+
+    assert only(part(4)) == pytest.approx(abs(value) * 50e-6 * (1 + more))
+    assert part(2) == {}
+    assert len(part(3)) == 1
+    assert part(4, "rate: 5120 Hz") == {}
+
+
+def test_given_two_accelerations_when_a_clock_is_off_then_their_quotient_is_off_along_the_curve_alone():
+    value = np.full(4, 0.3 - 0.4j)
+    rec = recording(channel("a"), channel("b"), converter="rate: 5120 Hz, clock_error: 50 ppm")
+    share = np.array([[1.0], [0.0]])
+    shares = value, value * share, share[::-1] + 0 * value
+    assert only(clock_part(rec, "ab", np.arange(1.0, 5.0), *shares, "displacement")).max() < 1e-18
 
 
 def test_given_noise_that_response_and_reference_share_when_h1_is_off_then_the_part_is_what_it_is_off_by():

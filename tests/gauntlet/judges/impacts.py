@@ -61,7 +61,11 @@ def seen_for_itself(
     time: NDArray[np.float64], jump: NDArray[np.float64], found: Impacts
 ) -> NDArray[np.bool_]:
     """Whether each impact is larger than what the result states may be missed, alone or beside a larger one."""
-    apart, size = abs(time - time[:, None]), abs(jump)
+    # Bouncing ends in thousands of impacts that are too small and outshine none.
+    out = abs(jump) > found.threshold
+    time, size = time[out], abs(jump[out])
+    apart = abs(time - time[:, None])
     larger = (apart < found.resolution) & (size > size[:, None])
     outshone = (apart < found.ringing) & (LEFT_OVER * size > size[:, None])
-    return (size > found.threshold) & ~(larger | outshone).any(axis=1)
+    out[out] = ~(larger | outshone).any(axis=1)
+    return out

@@ -13,6 +13,7 @@ from analysis.responses.frf import Frf
 from analysis.responses.measurands import driven, motion_of, reference_of
 from analysis.responses.systematic import (
     LEAKAGE,
+    REFERENCE_NOISE,
     clock_part,
     reference_noise_part,
     sensitivity_part,
@@ -120,7 +121,7 @@ class Averages:
             warnings=self.warnings,
             systematic=sensitivity_part(rec, self.channels, *shares)
             | aliasing_part(rec, self.channels, self.frequency, *shares, motion)
-            | reference_noise_part(value, coherence)
+            | {REFERENCE_NOISE: reference_noise_part(value, coherence)}
             | clock_part(rec, self.channels, self.frequency, *shares, motion)
             | leakage,
         )

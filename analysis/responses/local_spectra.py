@@ -18,6 +18,7 @@ from analysis.responses.local_rational import LocalFit, Reading, local_fit
 from analysis.responses.measurands import Measurand, driven
 from analysis.responses.systematic import (
     MODEL,
+    REFERENCE_NOISE,
     clock_part,
     doubtful_reference_part,
     reference_noise_part,
@@ -131,13 +132,14 @@ class LocalSpectra:
             systematic |= doubtful_reference_part(bound, np.sqrt(_AMPLITUDE * follows))
         systematic |= sensitivity_part(rec, names, *shares) | clock_part(rec, names, at, *shares, motion)
         if reference_noise is None:
-            systematic |= (
-                reference_noise_part(value, of_response.coherence)
-                if len(below.channels) == 1
-                else shared_noise_part(
-                    self._reference_noise(rec, below), upper - value * lower, lower, self._power(force)
+            incoherent = reference_noise_part(value, of_response.coherence)
+            if len(below.channels) > 1:
+                power = np.minimum(self._power(force, 1), self._power(force, self.side))
+                noise = self._reference_noise(rec, below)
+                incoherent = np.maximum(
+                    incoherent, shared_noise_part(noise, upper - value * lower, lower, power)
                 )
-            )
+            systematic[REFERENCE_NOISE] = incoherent
         else:
             variance = variance + abs(value) ** 2 * reference_noise
         return Frf(
@@ -160,10 +162,10 @@ class LocalSpectra:
             np.einsum("cn,scn->sn", measurand.row(rec, self.channels, self.frequency), self.samples)
         )
 
-    def _power(self, spectra: ComplexArray) -> Array:
-        """Mean square of spectra at the lines that each fit takes in; shape (lines,)."""
+    def _power(self, spectra: ComplexArray, side: int) -> Array:
+        """Mean square of spectra at each line and so many to either side of it; shape (lines,)."""
         return np.asarray(
-            ndimage.uniform_filter1d(np.mean(abs(spectra) ** 2, axis=0), 2 * self.side + 1)[self.lines]
+            ndimage.uniform_filter1d(np.mean(abs(spectra) ** 2, axis=0), 2 * side + 1)[self.lines]
         )
 
     def _fit(self, rec: Recording, name: str, to: Measurand) -> LocalFit:
@@ -193,6 +195,6 @@ class LocalSpectra:
             motion = Measurand((other,), (1.0,), "displacement")
             fit = self._fit(rec, name, motion)
             told_by = rec.channels[name].response(self.frequency[self.lines])
-            read = abs(fit.value * told_by) ** 2 * self._power(self._spectrum(rec, motion))
+            read = abs(fit.value * told_by) ** 2 * self._power(self._spectrum(rec, motion), self.side)
             most[self.channels.index(name)] = read * (1.0 / np.maximum(fit.coherence, 1e-300) - 1.0)
         return most

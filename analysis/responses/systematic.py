@@ -132,15 +132,15 @@ def _quotient(deviation: Array, doubt: Array) -> Array:
     return np.asarray(np.where(doubt < 1.0, deviation / np.maximum(1.0 - doubt, 1e-300), np.inf))
 
 
-def reference_noise_part(value: ComplexArray, coherence: Array) -> dict[str, Array]:
+def reference_noise_part(value: ComplexArray, coherence: Array) -> Array:
     """How far H1 may be low: noise in the reference adds to its power, all of it where the response has none.
 
     H1 and H2 = H1 / coherence lie on either side of the truth (Bendat and Piersol, section 6.1.4).
     """
-    return {REFERENCE_NOISE: abs(value) * (1.0 / np.maximum(coherence, 1e-6) - 1.0)}
+    return np.asarray(abs(value) * (1.0 / np.maximum(coherence, 1e-6) - 1.0))
 
 
-def shared_noise_part(noise: Array, off: ComplexArray, lower: ComplexArray, power: Array) -> dict[str, Array]:
+def shared_noise_part(noise: Array, off: ComplexArray, lower: ComplexArray, power: Array) -> Array:
     """How far H1 may be off by noise of channels that a reference is made of, and perhaps the response, too.
 
     Noise of power N in a channel with the weights u in the response and l in the reference adds ``u l* N`` to their
@@ -161,7 +161,7 @@ def shared_noise_part(noise: Array, off: ComplexArray, lower: ComplexArray, powe
     left = power - np.sum(abs(lower) ** 2 * noise, axis=0)
     bias = np.sum(abs(off * lower) * noise, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return {REFERENCE_NOISE: np.where(left > 0.0, bias / left, np.inf)}
+        return np.asarray(np.where(left > 0.0, bias / left, np.inf))
 
 
 def doubtful_reference_part(bound: Array, doubt: Array) -> dict[str, Array]:

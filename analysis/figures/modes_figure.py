@@ -74,8 +74,7 @@ def modes_figure(frfs: Sequence[Frf], modes: Modes, title: str) -> Figure:
             names = ["ground", *modes.responses] if i == 0 else [""] * (places.size + 1)
             axes.set_yticks(np.append(0, places), names)
             axes.set_title(
-                f"{rounded(modes.frequency[i], 2 * modes.frequency_error[i])} Hz\n"
-                f"{rounded(100 * modes.damping[i], 200 * modes.damping_error[i])} %",
+                f"{rounded(modes.frequency[i], 2 * modes.frequency_error[i])} Hz\n{modes.damping_told(i)}",
                 fontsize=9,
                 fontweight="normal",
             )

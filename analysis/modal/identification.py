@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.modal.line_choice import scatter, thinned
+from analysis.modal.doubts import doubts
+from analysis.modal.line_choice import scatter, stands_out, thinned
 from analysis.modal.lscf import chart, columns
-from analysis.modal.modes import Modes
-from analysis.modal.order_selection import MOST_MODES, in_band, select
+from analysis.modal.modes import TOLD, Modes
+from analysis.modal.order_selection import MOST_MODES, hidden, in_band, select
 from analysis.modal.pole_errors import pole_errors, systematic_pole_errors
 from analysis.modal.pole_residue import Curves, Fit, fit, residual_terms
 from analysis.responses.frf import Frf
@@ -34,13 +35,8 @@ _NOT_NOISE = 4.0
 _DISTRUST = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4)
 # Up to so many times a frequency, and down from it, belongs to its neighbourhood.
 _AROUND = 1.15
-# A Hann window's leakage widens a resonance; fitted, its damping ratio comes out too high by some 0.16 of
-# (resolution over half the half-power width) squared: by 2 % at this ratio.
-SMEARED = 0.36
 # Systematic parts that differ from line to line.
 _ROUGH = (UNSETTLED, RESOLUTION, MODEL)
-# A damping ratio that is uncertain by more (one standard deviation) cannot be told.
-_TOLD = 0.5
 
 
 def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
@@ -122,7 +118,8 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
         warnings=(),
     )
     left_out = [frf.response for frf in frfs if frf.response not in result.responses]
-    return _with_warnings(result, curves, count, dropped, loose, left_out)
+    notes = doubts(result, curves, count, dropped, loose, left_out)
+    return replace(result, warnings=(*curves[0].warnings, *notes))
 
 
 def _shape_errors(curves: Sequence[Frf], poles: ComplexArray, residue: ComplexArray) -> Array:
@@ -177,9 +174,8 @@ def _measured(curves: Sequence[Frf]) -> tuple[Curves, Array]:
         if not np.any(abs(row) > 0):
             raise RecordingError(f"{curve.response} does not respond at all: choose other channels")
     sigma = sigma[:, known]
-    return Curves(
-        frequency[known], value[:, known], 1.0 / sigma, max(curve.shared for curve in curves)
-    ), sigma
+    shared, resolution = (max(getattr(curve, name) for curve in curves) for name in ("shared", "resolution"))
+    return Curves(frequency[known], value[:, known], 1.0 / sigma, shared, resolution), sigma
 
 
 def _explained(
@@ -187,14 +183,20 @@ def _explained(
 ) -> tuple[Curves, Fit, float]:
     """Best model, the curves with the weights it was fitted with, and its relative error beyond noise."""
     size = _neighbourhood(measured)
+    tried: list[tuple[Curves, Fit]] = []
     for error in _DISTRUST:
         curves = replace(measured, weight=1.0 / np.hypot(sigma, error * size))
-        model = select(curves, stable, every, most)
-        if model.misfit < _NOT_NOISE * curves.degrees(model.poles.size):
+        tried.append((curves, select(curves, stable, every, most)))
+        if tried[-1][1].misfit < _NOT_NOISE * curves.degrees(tried[-1][1].poles.size):
             break
-    missed = float(error * np.sqrt(model.misfit / curves.degrees(model.poles.size)))
+    # By the peaks around, a peak of a line or two explains itself: distrust may lose it.
+    narrow = [
+        int((in_band(curves, model.poles) & hidden(curves, model.poles)).sum()) for curves, model in tried
+    ]
+    curves, model = tried[int(np.argmax(narrow)) if max(narrow) > narrow[-1] else -1]
+    missed = np.linalg.norm(model.rest / curves.weight / size) / np.sqrt(curves.degrees(model.poles.size))
     # Modes far outside the band bend a curve by a little more than their residual terms: that is as linear.
-    return curves, model, missed if missed > LEAST_RELATIVE_ERROR else 0.0
+    return curves, model, float(missed) if len(tried) > 1 and missed > LEAST_RELATIVE_ERROR else 0.0
 
 
 def _neighbourhood(measured: Curves) -> Array:
@@ -205,13 +207,19 @@ def _neighbourhood(measured: Curves) -> Array:
 
 
 def _told(curves: Curves, model: Fit) -> tuple[Curves, Fit, list[float]]:
-    """Leave out poles whose damping cannot be told: they are no modes; say where they were, in Hz."""
+    """Leave out poles whose damping cannot be told: they are no modes; say where they were, in Hz.
+
+    A peak narrower than the resolution is a mode all the same: no curve of it could tell more.
+    """
     dropped: list[float] = []
     while model.poles.size:
         _, z_error = pole_errors(curves, model)
         doubt = np.where(in_band(curves, model.poles), z_error * abs(model.poles) / -model.poles.real, 0.0)
+        for k in np.flatnonzero(hidden(curves, model.poles)):
+            line = int(np.argmin(abs(curves.frequency - abs(model.poles[k]) / (2 * np.pi))))
+            doubt[k] = 0.0 if any(stands_out(abs(row), line) for row in curves.value) else np.inf
         worst = int(np.argmax(doubt))
-        if doubt[worst] < _TOLD:
+        if doubt[worst] < TOLD:
             break
         dropped.append(abs(model.poles[worst]) / (2 * np.pi))
         model = fit(curves, np.delete(model.poles, worst))
@@ -246,57 +254,3 @@ def _sigma(curves: Sequence[Frf]) -> Array:
     error = np.hypot(error, 0.5 * np.nan_to_num(np.linalg.norm(rough, axis=1), nan=np.inf, posinf=np.inf))
     top = np.nanmax(size, axis=1, keepdims=True)
     return np.hypot(error, LEAST_RELATIVE_ERROR * np.maximum(size, 1e-6 * top))
-
-
-def _with_warnings(
-    modes: Modes,
-    curves: Sequence[Frf],
-    count: int | None,
-    dropped: list[float],
-    loose: Array,
-    left_out: list[str],
-) -> Modes:
-    notes = [f"{name} left out: nothing bounds its response." for name in left_out]
-    if modes.model_error:
-        notes.append(
-            f"The curves are not those of a linear structure: the best one misses them by {modes.model_error:.2g} "
-            "of the peaks around, beyond their error bars. Where dampers work, or anything else that depends on "
-            "amplitude, these modes are those of the linear structure that comes nearest at this level, with the "
-            "width of its peaks as damping; at another level they are others. The stated errors hold for that fit."
-        )
-    if dropped:
-        notes.append(
-            f"No mode at {', '.join(f'{f:.4g}' for f in sorted(dropped))} Hz, where a pole was stable: its "
-            "damping cannot be told from these curves (dampers that strike make peaks without poles)."
-        )
-    if loose.size:
-        notes.append(
-            f"No mode at {', '.join(f'{f:.4g}' for f in loose)} Hz, where a pole was stable: next to nothing bounds "
-            "the curves there."
-        )
-    frequency = curves[0].frequency
-    if count is not None and len(modes.frequency) < count:
-        notes.append(f"Only {len(modes.frequency)} of {count} modes are in these curves.")
-    for f, zeta, error in zip(modes.frequency, modes.damping, modes.damping_error, strict=True):
-        half = zeta * f
-        inside = int(np.sum(abs(frequency - f) < 2.0 * half))
-        resolution = max(curve.resolution for curve in curves)
-        if resolution > SMEARED * half:
-            notes.append(
-                f"{f:.4g} Hz: the resolution of {resolution:.3g} Hz smears a half-power width of "
-                f"{2 * half:.3g} Hz, so that more than 2 % of the damping ratio {zeta:.3%} may be due to that; "
-                f"use blocks of at least {1.5 / (SMEARED * half):.3g} s, or burst "
-                "random, multisine or stepped sine."
-            )
-        elif inside < 2:
-            notes.append(
-                f"{f:.4g} Hz: {inside} measured points lie within one half-power width of {2 * half:.3g} "
-                "Hz, so the "
-                f"damping ratio rests on the flanks; measure every {half / 2:.2g} Hz there."
-            )
-        if error > 0.02 * zeta:
-            notes.append(
-                f"{f:.4g} Hz: damping ratio {zeta:.3%} is uncertain by {error / zeta:.0%} (one standard "
-                "deviation)."
-            )
-    return replace(modes, warnings=(*curves[0].warnings, *notes))

@@ -70,3 +70,9 @@ def scatter(value: NDArray[np.complex128]) -> Array:
     off = abs(np.convolve(known, [1.0, -3.0, 3.0, -1.0], "same")) / np.sqrt(20.0) / 1.177
     off[:2], off[-2:] = off[2], off[-3]
     return np.asarray(median_filter(off, min(_AROUND, value.size), mode="nearest"))
+
+
+def stands_out(size: Array, line: int) -> bool:
+    """Whether a line is higher than those around by the factor from which on a peak counts."""
+    around = size[max(line - _AROUND // 2, 0) : line + _AROUND // 2 + 1]
+    return bool(size[line] > _STANDS_OUT * np.median(around))

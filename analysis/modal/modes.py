@@ -10,13 +10,16 @@ from numpy.typing import NDArray
 
 from analysis.modal.lscf import ChartPole
 from analysis.modal.pole_residue import residual_terms
-from rig.results import Result, styled
+from rig.results import Result, bounded, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+
+# A damping ratio that is uncertain by more of itself (one standard deviation) is told by its upper limit alone.
+TOLD = 0.5
 
 
 @dataclass(frozen=True, repr=False)
@@ -28,7 +31,8 @@ class Modes(Result):
     frequency, frequency_error : ndarray, shape (modes,)
         Undamped natural frequency abs(p)/2 pi and its standard deviation, Hz.
     damping, damping_error : ndarray, shape (modes,)
-        Damping ratio and its standard deviation.
+        Damping ratio and its standard deviation; where that is more than half of it, all that is known is the limit
+        ``damping + 2 damping_error``.
     shape_error : ndarray, shape (responses, modes)
         Standard deviation of each element of `shapes`, as far as the curves at the resonance are known, sensors'
         tolerances included.
@@ -67,8 +71,13 @@ class Modes(Result):
 
     def summary(self) -> str:
         """List frequency and damping ratio of each mode."""
-        found = zip(self.frequency, self.damping, strict=True)
-        return f"{self.label}: {', '.join(f'{f:.4g} Hz ({100 * zeta:.3g} %)' for f, zeta in found)}"
+        found = (f"{f:.4g} Hz, damping ratio {self.damping_told(k)}" for k, f in enumerate(self.frequency))
+        return f"{self.label}: {'; '.join(found)}"
+
+    def damping_told(self, mode: int) -> str:
+        """Tell a damping ratio with its 95 % bound, or an upper limit where the curves tell no more."""
+        ratio, bound = 100.0 * self.damping[mode], 200.0 * self.damping_error[mode]
+        return bounded(ratio, bound, "%") if bound < 2.0 * TOLD * ratio else f"below {ratio + bound:.2g} %"
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Frequency, damping ratio, and the shape at each response, with their standard deviations."""

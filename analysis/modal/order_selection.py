@@ -22,6 +22,8 @@ APART = 0.4
 # Poles nearer than so many widths must together explain the curve down to so many times its noise (in power):
 # two poles bend to anything, a lopsided peak of a nonlinear structure included.
 _NEAR, _EXPLAINED = 4.0, 4.0
+# A window makes of a narrow peak two or three, a line apart: nearer than so many times the resolution, they are one.
+_LINES_OF_ONE = 1.5
 # Poles kept for a closer look at each step.
 _FINALISTS = 4
 
@@ -35,6 +37,11 @@ def in_band(curves: Curves, poles: ComplexArray) -> NDArray[np.bool_]:
     """Whether poles lie where was measured."""
     f = poles.imag / (2 * np.pi)
     return np.asarray((f > curves.frequency[0]) & (f < curves.frequency[-1]))
+
+
+def hidden(curves: Curves, poles: ComplexArray) -> NDArray[np.bool_]:
+    """Whether peaks are narrower than the resolution: nothing tells their widths."""
+    return np.asarray(2.0 * half_width(poles) < curves.resolution)
 
 
 def select(curves: Curves, stable: ComplexArray, candidates: ComplexArray, most: int = MOST_MODES) -> Fit:
@@ -136,8 +143,12 @@ def doubtful(curves: Curves, model: Fit) -> NDArray[np.intp]:
     for low, high in pairwise(order):
         apart = (poles[high].imag - poles[low].imag) / (2 * np.pi)
         mean = width[low] + width[high]
-        if apart < APART * mean or (
-            apart < _NEAR * mean and _local_misfit(curves, model, poles[[low, high]]) > _EXPLAINED
+        # What a window makes of a narrow peak is no wider than this.
+        alike = mean < 2.0 * curves.resolution and apart < _LINES_OF_ONE * curves.resolution
+        if (
+            alike
+            or apart < APART * mean
+            or (apart < _NEAR * mean and _local_misfit(curves, model, poles[[low, high]]) > _EXPLAINED)
         ):
             out |= {low, high}
     return np.array(sorted(out), dtype=np.intp)

@@ -31,12 +31,15 @@ class Curves:
         Inverse standard deviations.
     shared : float
         How many neighbouring lines have one error.
+    resolution : float
+        Hz: width over which leakage smears each line.
     """
 
     frequency: Array
     value: ComplexArray
     weight: Array
     shared: float = 1.0
+    resolution: float = 0.0
 
     @property
     def numbers(self) -> int:

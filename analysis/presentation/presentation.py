@@ -251,7 +251,7 @@ def describe_modes(modes: Modes, theory: np.ndarray | None = None) -> list[str]:
         shape = ", ".join(_element(value, bound) for value, bound in known)
         line = (
             f"  {bounded(frequency, 2 * modes.frequency_error[i], 'Hz')}, damping ratio "
-            f"{bounded(100 * modes.damping[i], 200 * modes.damping_error[i], '%')}, shape ({shape})"
+            f"{modes.damping_told(i)}, shape ({shape})"
         )
         if theory is not None:
             line += f", MAC with theory {float(np.max(mac(modes.shapes[:, [i]], theory))):.4f}"

@@ -61,7 +61,8 @@ class Frf(Result):
     label : str
         Scene and setting, for legends.
     resolution : float
-        Width in Hz over which leakage smears each point: 0 for steady tones, the window's for random.
+        Width in Hz over which leakage smears each point: 0 for steady tones, the window's for random, Hann's
+        where another program leaves it open.
     unsteady : ndarray of bool, shape (n,), or None
         Where the motion had not become steady; None where that is no question.
     warnings : tuple of str

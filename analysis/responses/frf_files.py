@@ -27,6 +27,9 @@ _PART = re.compile(
     r"[\s_.]*(deg|rad|degrees|°)?",
     re.IGNORECASE,
 )
+# Lines that are evenly spaced, but for a table's few digits, are those of a transform, whose window no file tells: as
+# most programs take it, Hann's, of so many lines' noise bandwidth.
+_EVEN, _HANN = 0.05, 1.5
 _KINDS = {"r": "real", "i": "imag", "m": "size", "a": "size", "p": "phase"}
 
 
@@ -250,6 +253,8 @@ def _curve(
     if not keep.any():
         raise RecordingError(f"{path}: {name} has no number at a frequency above 0")
     nothing = np.full(int(keep.sum()), np.nan)
+    steps = np.diff(frequency[keep])
+    evenly = steps.size > 0 and np.ptp(steps) < _EVEN * abs(steps.mean())
     known = coherence is not None and coherence.size == keep.size
     return Frf(
         frequency=frequency[keep],
@@ -260,4 +265,5 @@ def _curve(
         response=name,
         motion=motion,
         label=path.stem,
+        resolution=_HANN * float(abs(steps.mean())) if evenly else 0.0,
     )

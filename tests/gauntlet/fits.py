@@ -128,7 +128,7 @@ def try_out(seed: int, number: int) -> Trial:
     guess = with_values(
         scene, {one.place: one.start * by for one, by in zip(parameters, shift.tolist(), strict=True)}
     ).replace(shaker=None, test=None, channels=None)
-    begun = time.perf_counter()
+    begun = time.process_time()
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore", daq.RunWarning)
         try:
@@ -137,15 +137,15 @@ def try_out(seed: int, number: int) -> Trial:
                 if name == "bare" or scene.dampers:
                     paths.append(Path(folder) / f"{name}.mcap")
                     daq.record(one, paths[-1])
-            begun = time.perf_counter()
+            begun = time.process_time()
             found = analysis.fit(paths, guess)
         except ShotrigError as error:
-            return Trial(scene.name, (), time.perf_counter() - begun, f"refused: {error}")
+            return Trial(scene.name, (), time.process_time() - begun, f"refused: {error}")
         except Exception:
             return Trial(
-                scene.name, (), time.perf_counter() - begun, f"wrong: {traceback.format_exc(limit=-3)}"
+                scene.name, (), time.process_time() - begun, f"wrong: {traceback.format_exc(limit=-3)}"
             )
-    seconds = time.perf_counter() - begun
+    seconds = time.process_time() - begun
     if found.misfit:
         return Trial(scene.name, (), seconds, f"misfit: {found.misfit}")
     values = [

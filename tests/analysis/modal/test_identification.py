@@ -65,7 +65,7 @@ def test_given_few_points_in_a_resonance_when_identified_then_it_warns_that_damp
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 60))) as rec:
         [curves] = analysis.frequency_responses(rec)
         warnings = " ".join(analysis.identify(curves).warnings)
-    assert "damping ratio rests on the flanks" in warnings
+    assert "damping ratios rest on the flanks" in warnings
 
 
 def test_given_too_few_points_when_identified_then_it_says_how_many_are_needed(tmp_path):
@@ -154,6 +154,32 @@ def test_given_leakage_when_identified_then_it_warns_just_where_damping_is_off_b
     assert any("smears" in warning for warning in modes.warnings) == warned
     assert (modes.damping[0] / zeta - 1.0 > 0.02) == warned
     assert modes.damping[0] / zeta - 1.0 == pytest.approx(0.16 * ratio**2, rel=0.25)
+
+
+@pytest.mark.parametrize("windowed", [False, True])
+def test_given_curves_of_another_program_with_peaks_narrower_than_a_line_when_identified_then_bounds_say_so(
+    windowed, tmp_path
+):
+    # One hit, cut off long before the motion has died away, or random seen through Hann windows.
+    random, spacing = np.random.default_rng(5), 0.25
+    natural, half = np.array([31.4, 71.23]), np.array([0.04, 0.2]) * spacing
+    frequency = spacing * np.arange(60, 400)
+    away = np.linspace(-20.0, 20.0, 401) if windowed else np.zeros(1)
+    window = (np.sinc(away) + 0.5 * np.sinc(away - 1.0) + 0.5 * np.sinc(away + 1.0)) ** 2
+    s = 2j * np.pi * (frequency[:, None] - spacing * away)
+    pole = 2 * np.pi * (-half + 1j * natural)
+    value = sum(1.0 / ((s - p) * (s - p.conjugate())) for p in pole) @ (window / window.sum())
+    value += 1e-2 * np.median(abs(value)) * (random.standard_normal((2, 340)).T @ [1.0, 1j])
+    table = np.column_stack([frequency, value.real, value.imag])
+    np.savetxt(tmp_path / "a.csv", table, delimiter=",", header="f [Hz],a re [m/N],a im [m/N]", comments="")
+    modes = analysis.identify(analysis.read_frfs(tmp_path / "a.csv"))
+    assert modes.frequency.size == 2
+    assert np.all(abs(modes.frequency - natural) < 2.0 * modes.frequency_error)
+    assert np.all(modes.frequency_error < spacing)
+    assert np.all(abs(modes.damping - half / natural) < 2.0 * modes.damping_error)
+    assert np.all(modes.damping + 2.0 * modes.damping_error < 2.0 * spacing / natural)
+    assert modes.damping_told(0).startswith("below")
+    assert sum("narrower than the resolution" in warning for warning in modes.warnings) == 1
 
 
 @pytest.mark.thorough

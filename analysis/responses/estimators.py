@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,7 @@ from analysis.responses.systematic import (
     clock_part,
     reference_noise_part,
     sensitivity_part,
+    shared_noise_part,
 )
 from rig.errors import SceneError
 
@@ -86,7 +88,8 @@ class Averages:
         """Frequency response with coherence; error bars after Bendat and Piersol, eq. 9.90."""
         above = motion_of(rec, response, motion)
         upper = above.row(rec, self.channels, self.frequency)
-        lower = reference_of(rec, reference).row(rec, self.channels, self.frequency)
+        below = reference_of(rec, reference)
+        lower = below.row(rec, self.channels, self.frequency)
         sxx = np.einsum("in,nij,jn->n", upper, self.cross, upper.conj()).real
         sff = np.einsum("in,nij,jn->n", lower, self.cross, lower.conj()).real
         sxf = np.einsum("in,nij,jn->n", upper, self.cross, lower.conj())
@@ -107,6 +110,10 @@ class Averages:
                 abs(value - np.interp(self.frequency, sharp.frequency, sharp.value)), dtype=float
             )
         shares = value, upper * reads, lower * reads
+        incoherent = reference_noise_part(value, coherence)
+        if len(below.channels) > 1:
+            noise = self._noise_of_two(below.channels)
+            incoherent = np.maximum(incoherent, shared_noise_part(noise, upper - value * lower, lower, sff))
         return Frf(
             frequency=self.frequency,
             value=value,
@@ -121,10 +128,21 @@ class Averages:
             warnings=self.warnings,
             systematic=sensitivity_part(rec, self.channels, *shares)
             | aliasing_part(rec, self.channels, self.frequency, *shares, motion)
-            | {REFERENCE_NOISE: reference_noise_part(value, coherence)}
+            | {REFERENCE_NOISE: incoherent}
             | clock_part(rec, self.channels, self.frequency, *shares, motion)
             | leakage,
         )
+
+    def _noise_of_two(self, names: Sequence[str]) -> Array:
+        """Power of noise that the channels of a spring's force can hold at most: what they have not in common."""
+        one, other = (self.channels.index(name) for name in names)
+        own, second = self.cross[:, one, one].real, self.cross[:, other, other].real
+        common = abs(self.cross[:, one, other]) ** 2
+        noise = np.zeros((len(self.channels), self.frequency.size))
+        noise[one] = own - common / np.maximum(second, 1e-300)
+        noise[other] = second - common / np.maximum(own, 1e-300)
+        # Few blocks have more in common by chance.
+        return np.asarray(np.maximum(noise, 0.0) * self.averages / max(self.averages - 1.0, 1e-300))
 
 
 def independent_blocks(window: Array, step: int, blocks: int) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 from analysis.responses.block_spectra import bins_of, cross_spectra, window_of
 from analysis.responses.clean_stretches import cure, told
 from analysis.responses.estimators import Averages
+from analysis.responses.sensor_settling import settling
 from analysis.responses.whole_stretches import WholeStretches, dampers_move
 from rig.errors import RecordingError, SceneError
 
@@ -85,6 +86,9 @@ def averages(
         size = round(wanted * rec.rate)
         step = max(1, round(size * (1.0 - overlap)))
         weights = window_of(window, max(size, 1))
+    low, high = float(marker.fields["from"]), float(marker.fields["to"])
+    spoilt = settling(rec, channels, first, stop, low)
+    first += -(-max((flaw.stop - first for flaw in spoilt), default=0) // step) * step
     count = (stop - first - size) // step + 1
     if size < 16 or count < 2:
         raise RecordingError(
@@ -92,11 +96,10 @@ def averages(
             f"{size / rec.rate:.3g} s: "
             "too short to average; record longer or choose shorter blocks (--block)"
         )
-    low, high = float(marker.fields["from"]), float(marker.fields["to"])
     starts = [first + i * step for i in range(count)]
     summed = cross_spectra(rec, channels, starts, weights, low, high, forgetting, progress)
     found, left = summed.flaws, summed.left
-    notes = []
+    notes = [f"The beginning left out: {told(rec, spoilt)}."] if spoilt else []
     if summed.used < count:
         notes.append(f"{count - summed.used} of {count} blocks left out: {told(rec, found)}.")
     if summed.used < 2:

@@ -41,7 +41,10 @@ def test_given_no_bias_when_looked_for_then_nothing_is_left_out():
         assert settling(recording(0.0, 1.0, seed), ["a"], 0, int(SECONDS * RATE), LOWEST) == []
 
 
-def test_given_a_drive_below_noise_when_the_force_is_that_of_a_spring_then_no_bound_is_broken(tmp_path):
+@pytest.mark.parametrize("options", [{}, {"estimator": "H1", "block": 1.0}])
+def test_given_a_drive_below_noise_when_the_force_is_that_of_a_spring_then_no_bound_is_broken(
+    options, tmp_path
+):
     scene = rig.loads(
         """
         structure: {masses: [1 kg], springs: [10 kN/m], damping: {modal: 0.02}}
@@ -56,7 +59,7 @@ def test_given_a_drive_below_noise_when_the_force_is_that_of_a_spring_then_no_bo
     path = tmp_path / "a.mcap"
     daq.record(scene, path)
     with daq.open(path) as rec:
-        [[frf]] = analysis.frequency_responses(rec)
+        [[frf]] = analysis.frequency_responses(rec, **options)
     off = abs(frf.value - receptance(scene, frf.frequency)[0])
     # Noise that response and reference share looks like a response, of some -1 over the spring's stiffness.
     assert np.median(off) > 0.3 * np.median(abs(receptance(scene, frf.frequency)[0]))

@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from typing import IO, Any
+from typing import IO, Any, ClassVar
 
 from rig.escaping import shown
 
@@ -89,9 +89,10 @@ def take_streams(put_back: ExitStack) -> None:
 
 
 class _Work:
-    """What a command is doing; None while it waits for its user."""
+    """What a command is doing, None while it waits for its user; and what holds it up even then, and since when."""
 
     doing: str | None = ""
+    held_up: ClassVar[list[tuple[float, str]]] = []
 
 
 def say_now_and_then(put_back: ExitStack) -> None:
@@ -106,10 +107,21 @@ def _speak(over: threading.Event, to: Any) -> None:
     start = time.monotonic()
     _Shown.last = start
     while not over.wait(1.0):
-        if _Work.doing is not None and time.monotonic() - _Shown.last > SILENCE:
+        since, doing = next(iter(_Work.held_up), (start, _Work.doing))
+        if doing is not None and time.monotonic() - _Shown.last > SILENCE:
             with suppress(OSError, ValueError):
-                doing = _Work.doing and f": {_Work.doing}"
-                print(f"at work for {time.monotonic() - start:.0f} s{doing}", file=to, flush=True)
+                doing = doing and f": {doing}"
+                print(f"at work for {time.monotonic() - since:.0f} s{doing}", file=to, flush=True)
+
+
+def held_up(doing: str) -> None:
+    """Say from time to time what everybody has to wait for, a script that was handed over to as well, until `go_on`."""
+    _Work.held_up.append((time.monotonic(), doing))
+
+
+def go_on() -> None:
+    """End what `held_up` began."""
+    _Work.held_up.pop()
 
 
 @contextmanager

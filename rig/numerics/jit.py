@@ -29,8 +29,11 @@ from numba.core import types
 from numba.core.caching import FunctionCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
+from numba.core.event import Event, Listener, register
 from numba.core.serialize import dumps
 from numba.misc.appdirs import AppDirs
+
+from rig import console
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -148,6 +151,21 @@ class CodeFiles:
         """Forget all that was saved."""
         for path in self._folder.glob(f"{self._name}.*.nbc"):
             path.unlink(missing_ok=True)
+
+
+class _Compiling(Listener):
+    """Lets a command say that it still compiles, wherever it does: `daq serve` otherwise waits in silence."""
+
+    def on_start(self, event: Event) -> None:
+        """Take note that numba begins to compile a function; those that it calls come within."""
+        console.held_up("compiling machine code for this processor, once")
+
+    def on_end(self, event: Event) -> None:
+        """Take note that it is done, or has failed."""
+        console.go_on()
+
+
+register("numba:compile", _Compiling())
 
 
 @functools.cache

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import types
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -129,6 +130,26 @@ def test_given_long_silence_when_at_work_then_it_says_so(command, capsys, monkey
 
     assert command(wait_for_a_word) == 0
     assert "a long test, 50 %, 20 Hz" in "".join(told)
+
+
+def test_given_a_compilation_when_a_script_has_the_terminal_then_it_is_said_until_it_is_over(
+    command, capsys, monkeypatch
+):
+    from numba.core.event import trigger_event
+
+    import rig.numerics.jit  # noqa: F401 - listens
+
+    monkeypatch.setattr(console, "SILENCE", -1.0)
+    told = []
+
+    def wait_for_a_word() -> None:
+        with console.handed_over(), suppress(ValueError), trigger_event("numba:compile"):
+            while "s: compiling machine code" not in "".join(told):
+                told.append(capsys.readouterr().err)
+            raise ValueError
+
+    assert command(wait_for_a_word) == 0
+    assert "once" in "".join(told) and not console._Work.held_up
 
 
 def outcome(code: str, **how: object) -> tuple[int, str]:

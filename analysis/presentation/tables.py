@@ -11,6 +11,7 @@ import numpy as np
 from analysis.decays.free_decay import Decay
 from analysis.modal.modes import Modes
 from analysis.responses.frf import Frf
+from rig.escaping import shown
 from rig.output_files import make_ready, replacing
 
 Row = Sequence[str | float | int]
@@ -32,7 +33,8 @@ def write_table(path: Path, heading: Sequence[str], rows: Iterable[Row]) -> Path
 
 def _cell(value: str | float | int) -> str:
     if isinstance(value, str):
-        return value
+        # Recordings of one scene are named after their files, whose names may be no UTF-8.
+        return shown(value)
     if isinstance(value, int | np.integer):
         return str(value)
     return "" if np.isnan(value) else f"{value:.9g}"

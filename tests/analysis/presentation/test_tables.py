@@ -1,0 +1,22 @@
+"""Tables hold any text that a file says of itself, as text."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from analysis.presentation.tables import write_table
+from rig.escaping import shown
+
+
+@settings(max_examples=25)
+@given(st.text(st.characters(codec=None), max_size=20))
+def test_given_any_text_when_it_stands_in_a_table_then_it_is_read_back_as_it_is_shown(text: str) -> None:
+    with TemporaryDirectory() as folder:
+        path = write_table(Path(folder) / "a.csv", ["label", "x"], [(text, 1.0)])
+        with path.open(newline="", encoding="utf-8") as file:
+            assert list(csv.reader(file)) == [["label", "x"], [shown(text), "1"]]

@@ -14,7 +14,7 @@ from scipy import ndimage
 from analysis.responses.aliasing import aliasing_part
 from analysis.responses.force_pulse import slow_and_fast
 from analysis.responses.frf import Frf
-from analysis.responses.local_rational import LocalFit, Reading, local_fit
+from analysis.responses.local_rational import LARGEST, LocalFit, Reading, local_fit
 from analysis.responses.measurands import Measurand, driven
 from analysis.responses.systematic import (
     MODEL,
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# The power of noise in a line is in 95 % of lines below so many times its mean.
-_AMPLITUDE = 3.0
 # Resolved lines to either side that a fit takes in.
 SIDE = 12
 
@@ -129,7 +127,7 @@ class LocalSpectra:
             # By how much of itself the fit follows noise in the reference: so far off is, to it, the reference.
             follows = 2.0 * of_response.through * noise / np.maximum(abs(of_response.value), 1e-300) ** 2
             bound = np.linalg.norm([1.96 * np.sqrt(variance), *systematic.values()], axis=0)
-            systematic |= doubtful_reference_part(bound, np.sqrt(_AMPLITUDE * follows))
+            systematic |= doubtful_reference_part(bound, np.sqrt(LARGEST * follows))
         systematic |= sensitivity_part(rec, names, *shares) | clock_part(rec, names, at, *shares, motion)
         if reference_noise is None:
             incoherent = reference_noise_part(value, of_response.coherence)

@@ -86,6 +86,9 @@ class Series:
     @cached_property
     def _ends(self) -> NDArray[np.int64]:
         """For each chunk the sample by which the blocks in it have ended."""
+        if not self._chunks.size:
+            # All was lost, and with it perhaps the clock.
+            return np.empty(0, np.int64)
         return self.clock.samples_at(self._container.summary.ends[self._chunks])
 
     def _decoded(self, chunk: int, clock: Timebase | None) -> list[SampleBlock]:

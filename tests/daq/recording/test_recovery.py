@@ -193,6 +193,20 @@ def test_given_lost_truth_when_recovered_then_it_is_listed_under_its_topic(tmp_p
         assert recording.gaps[0].channels == ("/truth/damper_1/gap", "/truth/damper_1/contact")
 
 
+def test_given_all_truth_of_dampers_lost_when_recovered_then_the_rest_is_whole_and_it_reads_as_nan(tmp_path):
+    path = write(tmp_path / "a.mcap", signal(3 * GROUP), scene(recording={"truth": True}, **DAMPERS))
+    data = bytearray(path.read_bytes())
+    for begin, end, topics in chunks_of(path):
+        if "/truth/damper_1/gap" in topics:
+            data[(begin + end) // 2] ^= 1
+    path.write_bytes(data)
+    daq.recover(path, tmp_path / "fixed.mcap")
+    with daq.open(tmp_path / "fixed.mcap") as recording:
+        recording.check()
+        assert np.isnan(recording.truth("gap")[0]).all()
+        assert np.isfinite(recording.read("body1")).all()
+
+
 def test_given_samples_never_acquired_when_recovered_then_they_are_not_called_lost(tmp_path):
     with Recorder(tmp_path / "a.mcap", scene(), channels(), RATE) as recorder:
         recorder.write(signal(2000))

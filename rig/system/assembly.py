@@ -268,8 +268,7 @@ def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
     if not load.any():
         return np.zeros(n)
     stiffness = -(system.force_state + system.contact_forces(system.at_rest)[0])[:, :n]
-    scale = np.abs(stiffness).max(initial=0.0)
-    if scale == 0.0 or np.linalg.cond(stiffness) > 1e13:
+    if not stiffness.any() or np.linalg.cond(stiffness) > 1e13:
         raise SceneError(
             f"scene {scene.name!r}: the structure is not held, so there is no static equilibrium to start from "
             "under the dampers' weight; expected springs to ground, gravity: 0, or test: {start: empty}"

@@ -82,6 +82,10 @@ EQUIVALENT = {
     "grid = np.concatenate([np.geomspace(10 * lowest, 0.5 * rate, 401), np.linspace(0.3, 0.5, 400) * rate])": (
         "the fit rests on hundreds of points, not on where each is"
     ),
+    "head = self._read(begin, CHUNK_HEAD.size * 12)": "what is read beyond the name and the size is not looked at",
+    "counts = counts_of(rec, names).reshape(~1, *[1] * (squares.ndim - 1))": (
+        "numpy takes any negative size for the one that is to be found"
+    ),
     "if not TYPE_CHECKING:": "imports more than is needed",
     'if len(scene.shakers) != 1 and any(shaker.kind != "force" for shaker in scene.shakers):': "any of none is false",
 }

@@ -90,3 +90,41 @@ def test_given_a_table_when_images_of_its_drive_fold_back_then_the_bound_holds_w
         # A response lacks more of what it should read than it reads too much of it; a reference is divided by.
         true = (share if lower else missing(share)) * abs(value[column])
         assert true <= bound[column] <= 1.25 * true, frequency
+
+
+def coil_drive(frequency, mode, displacement, pull):
+    """Drive that a moving coil takes for a motion against a pull, by its equations of motion solved at once."""
+    mass, damping, stiffness, resistance, inductance, factor = 0.3, 60.0, 9e3, 3.0, 4e-3, 12.0
+    s = 2j * np.pi * frequency
+    # Unknowns: current and drive. First the armature, then the coil or what feeds it.
+    motion = (mass * s**2 + damping * s + stiffness) * displacement + pull
+    source = [resistance + s * inductance, -1.0] if mode == "voltage" else [1.0, -1.0]
+    induced = -factor * s * displacement if mode == "voltage" else 0.0
+    return np.linalg.solve(np.array([[factor, 0.0], source]), np.array([motion, induced]))[1]
+
+
+@pytest.mark.parametrize("mode", ["voltage", "current"])
+def test_given_a_moving_coil_when_images_of_its_drive_fold_back_then_the_bound_holds_them_at_the_worst_phase(
+    mode,
+):
+    armature = "mass: 0.3 kg, damping: 60 N s/m, stiffness: 9 kN/m"
+    coil = "resistance: 3 ohm, inductance: 4 mH, force_factor: 12 N/A"
+    parts = f"armature: {{{armature}}}, coil: {{{coil}}}, amplifier: {{mode: {mode}}}"
+    scene = SCENE.replace("kind: force", f"kind: electrodynamic, spring: 6 kN/m, {parts}")
+    value = np.full(4, 0.5 + 0.2j)
+    [bound] = part(channel("table"), value, scene=scene, lower=1.0).values()
+    spring = 6e3
+
+    def accelerated(frequency):
+        """Acceleration for a drive, while the structure stands still; at rest none."""
+        drives = [coil_drive(max(abs(f), 1e-6), mode, 1.0, spring) for f in np.ravel(frequency)]
+        return -np.reshape((2 * np.pi * np.ravel(frequency)) ** 2 / drives, np.shape(frequency))
+
+    for column, (frequency, cycles) in enumerate(zip(FREQUENCY, CYCLES, strict=True)):
+        # The pull on the table is its spring's, of whatever phase the structure gives it.
+        phases = np.exp(2j * np.pi * np.arange(64) / 64)
+        drives = abs(np.array([coil_drive(frequency, mode, 1.0, spring * phase) for phase in phases]))
+        true = images(SimpleNamespace(response=accelerated), cycles) * drives.max() / drives[0]
+        assert 0.99 * true * abs(value[column]) <= bound[column] <= 1.25 * true * abs(value[column]), (
+            frequency
+        )

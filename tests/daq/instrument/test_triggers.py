@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from itertools import combinations
 from math import ceil
 
 import numpy as np
@@ -74,6 +75,12 @@ def test_given_any_signal_in_any_parts_when_watched_then_triggers_find_what_is_s
     assert found(window(WindowCondition.ENTERING, low, top), samples, skip, cuts) == entering
     leaving = watched(samples, skip, lambda x: not low <= x <= top, lambda x: low <= x <= top)
     assert found(window(WindowCondition.LEAVING, low, top), samples, skip, cuts) == leaving
+
+
+@pytest.mark.parametrize("cuts", [cuts for n in range(5) for cuts in combinations(range(1, 5), n)])
+def test_given_a_crossing_that_does_not_count_when_watched_in_any_parts_then_it_disarms_all_the_same(cuts):
+    assert found(edge(Slope.RISING, 0.0, 0.0), [-1.0, 1.0, 1.0, -1.0, 1.0], 2, cuts) == 4
+    assert found(edge(Slope.RISING, 0.0, 0.0), [-1.0, 1.0, 1.0, 1.0, 1.0], 2, cuts) is None
 
 
 @given(

@@ -10,7 +10,7 @@ import pytest
 import zstandard
 
 from daq.mcap_file import chunk as module
-from daq.mcap_file.chunk import Damage, Stored, messages_in, records_in, unpack_chunk
+from daq.mcap_file.chunk import CHUNK_HEAD, Damage, Stored, messages_in, records_in, unpack_chunk
 from daq.mcap_file.damaged_file import DamagedFile, Intact, Unreadable
 from daq.mcap_file.metadata_checksum import checked
 
@@ -226,6 +226,19 @@ def test_given_a_chunk_that_packs_as_well_as_is_believed_when_unpacked_then_a_be
 def test_given_a_chunk_of_another_size_than_it_claims_when_unpacked_then_it_is_refused(compression, size):
     with pytest.raises(Damage, match="unpack"):
         unpack_chunk(memoryview(chunk(compression, INSIDE[0], size=size)))
+
+
+@pytest.mark.parametrize("more", [-20, -1, 1, 20])
+@pytest.mark.parametrize("compression", PACKERS)
+def test_given_a_chunk_with_other_bytes_than_it_claims_when_unpacked_then_both_counts_are_told(
+    compression, more
+):
+    whole = chunk(compression, INSIDE[0])
+    begin = CHUNK_HEAD.size + len(compression) + 8
+    packed = len(whole) - begin
+    content = whole + bytes(more) if more > 0 else whole[:more]
+    with pytest.raises(Damage, match=f"claims {packed} bytes of records in {packed + more}$"):
+        unpack_chunk(memoryview(content))
 
 
 def test_given_the_records_of_a_chunk_when_read_then_messages_are_had_and_what_does_not_fit_is_refused():

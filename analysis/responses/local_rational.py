@@ -61,7 +61,8 @@ class LocalFit:
     variance: Array
     """Of either quadrature component; shape (lines,)."""
     coherence: Array
-    """Share of the response's power that the fit gives to the reference; shape (lines,)."""
+    """Share of the response's power that the fit gives to the reference, of what it does not give to transients; shape
+    (lines,)."""
     degrees: Array
     """Degrees of freedom behind the variance; shape (lines,)."""
     missed: Array
@@ -70,6 +71,11 @@ class LocalFit:
     through: Array
     """Variance of either quadrature component for noise in the reference of power one at each line. In a peak narrower
     than what a fit takes in, poles follow that noise, and what is left over knows nothing of it; shape (lines,)."""
+    apart: Array
+    """Share of the reference's power that nothing else in the fit could explain: a tone that passes evenly looks much
+    like a transient, and noise does not; shape (lines,)."""
+    noise: Array
+    """Power of what is left over at a line, in the square of what is read; shape (lines,)."""
 
 
 def local_fit(
@@ -123,7 +129,9 @@ def local_fit(
     around = ndimage.uniform_filter1d(change - noise, near, mode="nearest")
     # A peak of a line or two is missed there and nowhere else; noise changes a line by more than that in 5 % of lines.
     missed = np.sqrt(np.maximum(np.maximum(around, change - LARGEST * noise), 0.0))
-    return LocalFit(best.value, best.variance, best.coherence, best.degrees, missed, best.through)
+    return LocalFit(
+        best.value, best.variance, best.coherence, best.degrees, missed, best.through, best.apart, best.noise
+    )
 
 
 class _Fits(NamedTuple):
@@ -134,6 +142,8 @@ class _Fits(NamedTuple):
     coherence: Array
     degrees: Array
     through: Array
+    apart: Array
+    noise: Array
     criterion: Array
     """Schwarz's, for orders to be compared [3]_."""
 
@@ -157,15 +167,18 @@ def _fits(
         _fit(reading, reference, ends, begins, lines[first : first + step], side, order, poles)
         for first in range(0, lines.size, step)
     ]
-    value, variance, coherence, left, through = (np.concatenate(each) for each in zip(*parts, strict=True))
+    value, variance, coherence, left, through, apart, size = (
+        np.concatenate(each) for each in zip(*parts, strict=True)
+    )
     # Zeros in front of a stretch make neighbouring lines depend on each other: they count for less.
     free = max(used * equations - unknowns, 0.5)
-    # What is left over is less than the noise by what the unknowns took of it.
-    coherence = coherence / (coherence + (1.0 - coherence) * max(used * equations / free, 1.0))
     criterion = used * equations * np.log(np.maximum(left, _NOTHING)) + unknowns * np.log(
         2 * used * equations
     )
-    return _Fits(value, variance / free, coherence, np.full(lines.size, 2.0 * free), through, criterion)
+    return _Fits(
+        value, variance / free, coherence, np.full(lines.size, 2.0 * free), through, apart,
+        left * size**2 / free, criterion,
+    )  # fmt: skip
 
 
 def _fit(
@@ -177,8 +190,11 @@ def _fit(
     side: int,
     order: int,
     poles: int,
-) -> tuple[ComplexArray, Array, Array, Array, Array]:
-    """Value, sum of squares over the variance, coherence, what is left over as a share of what was read, `through`."""
+) -> tuple[ComplexArray, Array, Array, Array, Array, Array, Array]:
+    """Value, sum of squares over the variance, coherence, what is left over, `through`, `apart`, size of what was read.
+
+    What is left over is a sum of squares in that size.
+    """
     stretches, width = len(reference), 2 * side + 1
     first = np.clip(lines - side, 0, reference.shape[1] - width)
     near = first[:, None] + np.arange(width)
@@ -222,11 +238,19 @@ def _fit(
         np.stack(ones, axis=-1), powers, np.delete(unknown, np.s_[order + 1 : above.shape[2]], axis=1)
     )[0]
     through = _power(influence * curve * np.broadcast_to(told_by, x.shape).reshape(right.shape)) / 2.0
-    told = abs(unknown[:, 0]) ** 2 * np.sum(abs(f) ** 2, axis=(1, 2))
+    # Of the reference's power, a mean square of one at each line, that part is independent of all columns which are
+    # not its own: with these alone the constant would scatter as that of a polynomial.
+    own = np.stack([at[:, 0] ** k for k in range(order + 1)], axis=-1)
+    scatter = np.linalg.inv(np.swapaxes(own, 1, 2) @ own)[:, 0, 0] / stretches
+    equations = float(stretches * width)
+    alone = np.minimum(scatter / np.maximum(_power(influence), _NOTHING), 1.0) * equations
+    told = abs(unknown[:, 0]) ** 2 * alone
     coherence = told / np.maximum(told + noise, _NOTHING)
     driven = np.where(drive > _NOTHING, drive, np.nan)[:, 0, 0]
     factor = size[:, 0, 0] / driven
-    return unknown[:, 0] * factor, variance * factor**2, coherence, noise, through * (factor / driven) ** 2
+    through = through * (factor / driven) ** 2
+    apart = alone / equations
+    return unknown[:, 0] * factor, variance * factor**2, coherence, noise, through, apart, size[:, 0, 0]
 
 
 def _quotient(above: ComplexArray, powers: Array, unknown: ComplexArray) -> tuple[ComplexArray, ComplexArray]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
+from scipy import ndimage, stats
 
 from analysis.responses.aliasing import aliasing_part
 from analysis.responses.force_pulse import slow_and_fast
@@ -132,7 +132,7 @@ class LocalSpectra:
         if reference_noise is None:
             incoherent = reference_noise_part(value, of_response.coherence)
             if len(below.channels) > 1:
-                power = np.minimum(self._power(force, 1), self._power(force, self.side))
+                power = np.minimum(self._power(force, 1), self._power(force, self.side)) * of_response.apart
                 noise = self._reference_noise(rec, below)
                 incoherent = np.maximum(
                     incoherent, shared_noise_part(noise, upper - value * lower, lower, power)
@@ -182,17 +182,14 @@ class LocalSpectra:
         return self.fits[name, to]
 
     def _reference_noise(self, rec: Recording, below: Measurand) -> Array:
-        """Power of noise at each line that the channels of a spring's force hold, or can hold at most.
+        """Power of noise at each line that the channels of a spring's force can hold at most.
 
         Of two readings of one motion neither holds more noise than what it has not in common with the other.
         """
-        if self.noise.any():
-            return self.noise
-        most = np.zeros(self.noise.shape)
+        most = self.noise.copy()
         for name, other in permutations(below.channels):
-            motion = Measurand((other,), (1.0,), "displacement")
-            fit = self._fit(rec, name, motion)
-            told_by = rec.channels[name].response(self.frequency[self.lines])
-            read = abs(fit.value * told_by) ** 2 * self._power(self._spectrum(rec, motion), self.side)
-            most[self.channels.index(name)] = read * (1.0 / np.maximum(fit.coherence, 1e-300) - 1.0)
+            row = self.channels.index(name)
+            fit = self._fit(rec, name, Measurand((other,), (1.0,), "displacement"))
+            # The least that so few degrees of freedom show of a noise in 95 % of lines.
+            most[row] = np.maximum(most[row], fit.noise * fit.degrees / stats.chi2.ppf(0.05, fit.degrees))
         return most

@@ -145,3 +145,18 @@ def test_given_nothing_driven_when_fitted_then_there_is_no_value():
     reading = Reading(gaussian(random, 2, BINS), np.ones(BINS), np.zeros((0, BINS)))
     fit = local_fit(reading, np.zeros((2, BINS), dtype=complex), np.zeros((2, BINS)), np.array([50, 60]), 8)
     assert np.isnan(fit.value).all()
+
+
+def test_given_a_reference_that_bends_as_a_transient_does_when_fitted_then_only_its_noise_stands_apart():
+    random = np.random.default_rng(21)
+    smooth, ends = 1.0 + 2e-3 * np.arange(BINS)[None] ** 1.5, np.ones((1, BINS))
+    for noise in (1e-3, 1e-1):
+        read = smooth * (1.0 + 0j) + noise * smooth * gaussian(random, 1, BINS)
+        reading = Reading(2.0 * smooth * (1.0 + 0j), np.ones(BINS), np.zeros((0, BINS)))
+        fit = local_fit(reading, read, ends, np.arange(100, 300, 10), 12)
+        assert np.median(fit.apart) < 2.0 * noise**2
+        # Noise that is all of what stands apart takes the response away, and no coherence tells.
+        assert np.median(abs(fit.value)) < 0.2
+    plain = gaussian(random, 1, BINS)
+    reading = Reading(2.0 * plain, np.ones(BINS), np.zeros((0, BINS)))
+    assert np.median(local_fit(reading, plain, ends, np.arange(100, 300, 10), 12).apart) > 0.5

@@ -164,9 +164,9 @@ def describe_restitution(motions: list[DamperMotion]) -> list[str]:
         return []
     value, weight = np.array([one.value for one in told]), np.array([one.error**-2.0 for one in told])
     mean = float(np.sum(weight * value) / weight.sum())
-    # No better than the scatter from frequency to frequency says.
+    # What a sensor or the fit of jumps puts off, it does so at all frequencies; and no better than their scatter says.
     scatter = float(np.sqrt(np.sum(weight * (value - mean) ** 2) / weight.sum() / max(len(told) - 1, 1)))
-    error = max(float(weight.sum() ** -0.5), scatter)
+    error = max(float(weight.mean() ** -0.5), scatter)
     return [
         f"{motions[0].channel}: restitution {mean:.2f} ± {2.0 * error:.1g}, told at {len(told)} frequencies"
     ]

@@ -1,16 +1,18 @@
-"""Restitution of a damper, from the jumps of its body's velocity: what impacts take out against how hard they are."""
+"""Restitution of a damper, from the jumps of its body's velocity and its free flights between them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.dampers.impact_detection import Impacts
+from analysis.dampers.jump_search import LEFT_OVER
 from analysis.decays.sensor_correction import corrected
 from analysis.recordings.slices import read_slices
+from analysis.responses.systematic import tolerance
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -20,12 +22,15 @@ Array = NDArray[np.float64]
 
 # Below the lowest frequency of interest, Hz; up to this share of the sample rate.
 _LOW, _HIGH = 2.0, 0.4
-# Parts whose scatter gives the standard deviation.
-_PARTS = 8
-# Fewer impacts say nothing.
-_FEWEST = 16
-# The impulses of impacts must carry the damper's weight to this part: what is missing was ridden, or not seen.
-_CARRIED = 0.1
+# Ends of the stretch that are left out: there its motion is taken to go on as its mirror image.
+_ENDS = 0.05
+# Fewer flights say nothing, and neither do those of fewer than this part of the impacts.
+_FEWEST, _LEAST_PART = 6, 0.25
+# A flight explains what is seen where it ends so near to the wall, in its own height; and tells the restitution where
+# it leaves less in doubt than this.
+_MISSED, _AGREE = 0.05, 0.1
+# Standard deviation of a normal error over its median deviation, times that of a median over that of a mean.
+_OF_MEDIAN = 1.4826 * 1.2533
 
 
 @dataclass(frozen=True)
@@ -36,57 +41,129 @@ class Restitution:
     error: float
 
 
+class _Touch(NamedTuple):
+    """A damper leaves or meets a wall: when, and how far above the floor that wall is, where, and how fast; SI."""
+
+    time: float
+    wall: float
+    place: float
+    speed: float
+
+    @property
+    def away(self) -> float:
+        """Direction from the wall into the cavity."""
+        return 1.0 if self.wall == 0.0 else -1.0
+
+
 def restitution(rec: Recording, found: Impacts, damper: Damper, start: int, stop: int) -> Restitution | None:
-    """Tell the restitution of the only damper on a body from the impacts in a steady stretch of its channel.
+    """Tell the restitution of the only damper on a body from the impacts in a stretch of its channel.
 
-    An impulse J between body and damper takes out J²/(2 m) (1 - e)/(1 + e), m the reduced mass of both. As the
-    damper's energy stays the same from period to period, that is what the body puts in: J times the mean of its
-    velocities before and after. Both follow from the jumps of the body's velocity; the gain of the sensor cancels.
+    Between two impacts the damper falls freely, in a cavity whose motion is measured. That it leaves one wall and meets
+    the other at those times tells how fast it does both: its closing speed w, whether it lay at rest and left as its
+    body fell away (then it must meet the wall when it does), or rebounded. The jump of its body's velocity is
+    ``(1 + e) w m / (m + M)`` with the masses of both.
 
-    None where the impacts seen do not carry the damper's weight: it rides part of the time, or strikes more often
-    than can be seen.
+    A rebound that ends before it can be told from its impact makes of ``1 + e`` at most ``(1 + e) / (1 - e)``: the
+    value is the middle between, and the error holds both, and every rebound that may hide in what the channel resolves.
+
+    None where too few flights explain what is seen.
     """
     from rig.system.structure import structure_matrices
 
     mass, _, _ = structure_matrices(rec.scene.structure)
-    body = float(mass[damper.body - 1, damper.body - 1])
-    own = damper.mass if damper.mass is not None else (damper.mass_ratio or 0.0) * body
-    if found.time.size < _FEWEST or not own > 0:
+    place = damper.body - 1
+    own = damper.mass if damper.mass is not None else (damper.mass_ratio or 0.0) * float(mass[place, place])
+    body = 1.0 / float(np.linalg.inv(mass)[place, place])
+    info = rec.channels[found.channel]
+    samples = next(read_slices(rec, [found.channel], [(start, stop)]))[0]
+    if not own > 0 or not np.isfinite(samples).all() or found.time.size < _FEWEST:
         return None
-    impulse = -body * found.jump
-    weight = own * rec.scene.gravity * found.searched
-    if not abs(impulse.sum() - weight) < _CARRIED * weight:
+    way, speed = (corrected(info, samples, what, *band(rec.rate)) for what in ("displacement", "velocity"))
+    cavity = _Cavity(way, speed, rec.rate, rec.scene.gravity, tolerance(info))
+    # Closing speeds if nothing rebounded; and rebounds that end within the channel's resolution.
+    hard = abs(found.jump) * (own + body) / own
+    weight = -np.sign(found.jump) * (found.acceleration + rec.scene.gravity)
+    hidden = 0.5 * found.resolution * np.maximum(weight, 0.0)
+    wall = np.where(found.jump < 0.0, 0.0, damper.clearance)
+    time, length = found.time - start / rec.rate, samples.size / rec.rate
+    inside = np.flatnonzero((time[:-1] > _ENDS * length) & (time[1:] < (1.0 - _ENDS) * length))
+    told = []
+    for k in inside[np.isfinite(wall[inside]) & np.isfinite(wall[inside + 1])]:
+        left = cavity.touch(time[k], wall[k], 0.5 * found.jump[k])
+        met = cavity.touch(time[k + 1], wall[k + 1], -0.5 * found.jump[k + 1])
+        told.append(
+            cavity.after_rest(left, met, hard[k + 1], hidden[k + 1])
+            or cavity.after_rebound(left, met, hard[k : k + 2])
+        )
+    known = np.array([one for one in told if one is not None]).reshape(-1, 2)
+    if len(known) < max(_FEWEST, _LEAST_PART * inside.size):
         return None
-    carried = float(impulse.sum() / weight)
-    velocity = _velocity(rec, found, start, stop)
-    if velocity is None:
-        return None
-    # J = m (1 + e) w at closing speed w, so that what J takes out, per J², is (1 - e) / (1 + e) over 2 m.
-    factor = 2.0 * own * body / (own + body)
-    put_in, hard = impulse * velocity, impulse**2
-    parts = np.array_split(np.arange(impulse.size), _PARTS)
-    every = factor * put_in.sum() / hard.sum()
-    # What each part leaves out of the whole (jackknife).
-    without = np.array(
-        [factor * (put_in.sum() - put_in[part].sum()) / (hard.sum() - hard[part].sum()) for part in parts]
-    )
-    scatter = float(np.sqrt((_PARTS - 1) / _PARTS * np.sum((without - without.mean()) ** 2)))
-    # Weight that was not seen to be carried may have been carried in impacts like these, or ridden.
-    spread = float(np.hypot(scatter, abs(carried - 1.0) * abs(every)))
-    value = (1.0 - every) / (1.0 + every)
-    return Restitution(float(value), float(2.0 * spread / (1.0 + every) ** 2))
+    value, doubt = np.median(known, axis=0)
+    scatter = _OF_MEDIAN * float(np.median(abs(known[:, 0] - value))) / np.sqrt(len(known))
+    # No jump is known better than to what fitting it leaves over: that is a bound, of two standard deviations.
+    size = 0.5 * LEFT_OVER * (1.0 + value)
+    return Restitution(float(value), float(np.sqrt(scatter**2 + doubt**2 + size**2)))
+
+
+@dataclass(frozen=True)
+class _Cavity:
+    """Motion of a body between impacts, at a rate, and how far its sensor may be off."""
+
+    place: Array
+    speed: Array
+    rate: float
+    gravity: float
+    tolerance: float
+
+    def touch(self, time: float, wall: float, later: float) -> _Touch:
+        """Tell of a wall at an impact: what is band-limited passes through the middle of the velocity's jump."""
+        number = np.arange(self.place.size)
+        place, speed = (float(np.interp(time * self.rate, number, row)) for row in (self.place, self.speed))
+        return _Touch(time, wall, place + wall, speed + later)
+
+    def flight(self, left: _Touch, met: _Touch) -> tuple[float, float, float]:
+        """Duration of a flight that begins as fast as its wall, how far above the other wall it ends, closing speed."""
+        time = met.time - left.time
+        above = left.place + left.speed * time - 0.5 * self.gravity * time**2 - met.place
+        return time, above, -met.away * (left.speed - self.gravity * time - met.speed)
+
+    def after_rest(self, left: _Touch, met: _Touch, hard: float, hidden: float) -> tuple[float, float] | None:
+        """Restitution and doubt from a flight that began where the body fell away from a damper at rest on its wall."""
+        inside = np.arange(int(left.time * self.rate) + 2, int(met.time * self.rate) - 1)
+        if inside.size < 3:
+            return None
+        weight = left.away * (np.gradient(self.speed[inside]) * self.rate + self.gravity)
+        best, off = None, _MISSED
+        for begin in inside[:-1][(weight[:-1] > 0.0) & (weight[1:] <= 0.0)]:
+            time, above, closing = self.flight(self.touch(begin / self.rate, left.wall, 0.0), met)
+            missed = abs(above) / max(closing * time / 4.0, 1e-300)
+            if missed < off:
+                best, off = (closing, time), missed
+        if best is None:
+            return None
+        closing, time = best
+        most = hard / closing - 1.0
+        least = most / (2.0 + most) if most > 0.0 else most
+        # A landing later by d misses by w d, and closes faster by twice its share in the flight.
+        off = 0.5 * off + self.tolerance * self.gravity * time / closing
+        doubt = 0.5 * float(np.maximum(most - least, hidden / closing)) + off * (1.0 + most)
+        return (0.5 * (least + most), doubt) if doubt < _AGREE else None
+
+    def after_rebound(self, left: _Touch, met: _Touch, hard: Array) -> tuple[float, float] | None:
+        """Restitution and doubt from a flight that began with an impact: its rebound, and the next closing speed."""
+        time, above, closing = self.flight(left, met)
+        rebound = -above / time
+        closing, share = closing - met.away * rebound, left.away * rebound / hard[0]
+        if closing <= 0.0 or share >= 1.0:
+            return None
+        from_jump, from_rebound = hard[1] / closing - 1.0, share / (1.0 - share)
+        apart = abs(from_jump - from_rebound)
+        if apart > _AGREE:
+            return None
+        off = self.tolerance * self.gravity * time / closing * (1.0 + from_jump)
+        return 0.5 * (from_jump + from_rebound), 0.5 * apart + off
 
 
 def band(rate: float) -> tuple[float, float]:
     """Frequencies between which a body's motion is told at a sample rate, Hz."""
     return _LOW, _HIGH * rate
-
-
-def _velocity(rec: Recording, found: Impacts, start: int, stop: int) -> Array | None:
-    """Mean of the body's velocities before and after each impact: what a band-limited reading passes through."""
-    info = rec.channels[found.channel]
-    samples = next(read_slices(rec, [found.channel], [(start, stop)]))[0]
-    if not np.isfinite(samples).all():
-        return None
-    smooth = corrected(info, samples, "velocity", *band(rec.rate))
-    return np.interp(found.time * rec.rate - start, np.arange(smooth.size), smooth)

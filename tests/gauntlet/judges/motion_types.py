@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.dampers.impact_detection import impacts
+from analysis.dampers.impact_detection import impacts, score
 from analysis.dampers.nonlinearity import damper_motion
 from analysis.responses.stepped_sine import sweeps
 from tests.gauntlet.cavities import STEPS
-from tests.gauntlet.judges.impacts import seen_for_itself, true_impacts
+from tests.gauntlet.judges.impacts import APART, seen_for_itself, true_impacts
 from tests.gauntlet.verdict import Case, Verdict
 
 NAMED = ("riding", "I", "II", "III")
@@ -41,7 +41,8 @@ def judge(case: Case, kind: str) -> list[Verdict]:
 def _true_type(case: Case, number: int, frequency: float, first: int, stop: int) -> str:
     """Type by what the damper did in a window.
 
-    It rides where nothing happens at all. Else impacts that are too small, or too near to a larger one, do not count.
+    It rides where nothing happens at all. Impacts that are too small, or too near to a larger one, count where they
+    are found only.
     """
     rec = case.recording
     events = rec.events[rec.events["damper"] == number]
@@ -51,7 +52,7 @@ def _true_type(case: Case, number: int, frequency: float, first: int, stop: int)
     time, jump = true_impacts(case, number)
     inside = (time >= first / rec.rate) & (time < stop / rec.rate)
     found = impacts(rec, f"a{case.scene.dampers[number - 1].body}", first, stop)
-    inside &= seen_for_itself(time, jump, found)
+    inside &= seen_for_itself(time, jump, found) | score(found.time, time, APART / rec.rate)[2]
     floor, ceiling = time[inside & (jump < 0.0)], time[inside & (jump > 0.0)]
     periods = (stop - first) / rec.rate * frequency
     if _once(floor, frequency, periods) and not ceiling.size:

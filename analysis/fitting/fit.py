@@ -38,6 +38,8 @@ CONFIDENCE = 1.96
 _UNTOLD = 0.5
 # Misses of so many variances are not noise; of so much of the curves they are those of another structure.
 NOT_NOISE, ANOTHER = 4.0, 0.02
+# A sensor that had to be off by so many of its tolerances is not what its data sheet says.
+_BEYOND = 2.0
 # Share of the points with dampers that may have been in a motion that the model does not have.
 _MOST_LEFT_OUT = 0.25
 
@@ -98,7 +100,8 @@ class Compared:
     misses : ndarray, shape (responses, n)
         Distance in standard deviations.
     relative : float
-        Root mean square of what is missed, relative to that of the curve; the largest of all responses.
+        Root mean square of what is missed, relative to that of the curve, both over their errors; the largest of all
+        responses.
     """
 
     curves: Curves
@@ -249,7 +252,7 @@ def _result(problem: Problem, found: Estimate, told: Progress) -> Fit:
     x, scene = found.x, problem.scene(found.x)
     compared = tuple(_compared(problem, x, scene, number) for number in range(len(problem.groups)))
     warnings = [f"{one.curves.label}: {note}" for one in compared for note in one.curves.warnings]
-    misfit = _misfit(found, compared)
+    misfit = _misfit(found, compared) or _beyond(problem, x)
     if misfit:
         told("looking for the cause")
         misfit = " ".join([misfit, *causes(problem)])
@@ -307,7 +310,11 @@ def _compared(problem: Problem, x: Array, scene: Scene, number: int) -> Compared
     off = predicted - curves.value
     misses = abs(np.einsum("nij,jn->in", curves.whiten, off))
     used = group.used & np.isfinite(misses).all(axis=0)
-    square = np.mean(abs(off[:, used]) ** 2, axis=1) / np.mean(abs(curves.value[:, used]) ** 2, axis=1)
+    # By their errors, so that lines that are mostly noise do not count.
+    weight = abs(np.einsum("nii->in", curves.whiten))[:, used]
+    square = np.sum(abs(weight * off[:, used]) ** 2, axis=1) / np.sum(
+        abs(weight * curves.value[:, used]) ** 2, axis=1
+    )
     return Compared(curves, predicted, used, misses, float(np.sqrt(square.max())) if used.any() else np.inf)
 
 
@@ -326,6 +333,20 @@ def _misfit(found: Estimate, compared: Sequence[Compared]) -> str:
             f"square), {np.sqrt(found.variance):.3g} times their stated errors."
         )
     return ""
+
+
+def _beyond(problem: Problem, x: Array) -> str:
+    """Say which sensors would have to be off by far more than their data sheets allow."""
+    off = [(sensor, problem.deviation(x, sensor)) for sensor in problem.sensors]
+    beyond = [
+        f"{sensor.name} would have to be off by {100.0 * value:.3g} %, where its data sheet allows "
+        f"{100.0 * sensor.tolerance:.3g} %"
+        for sensor, value in off
+        if abs(value) > _BEYOND * sensor.tolerance
+    ]
+    return (
+        f"The curves fit only with sensors that are not as stated: {', and '.join(beyond)}." if beyond else ""
+    )
 
 
 def _modes(problem: Problem, found: Estimate) -> tuple[Mode, ...]:

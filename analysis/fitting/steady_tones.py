@@ -71,6 +71,8 @@ class SteadyTones:
             raise SceneError(f"{curves.label}: several shakers beside dampers; expected one shaker")
         self.curves = curves
         self.known: list[Known | None] = [None] * curves.frequency.size
+        # What was known last, where a trial has led out of it: the next may lead back.
+        self._last = list(self.known)
         self.given_up: set[int] = set()
 
     def at(self, bench: Scene, level: Array, frequency: Array, settle: bool = True) -> ComplexArray:
@@ -98,6 +100,7 @@ class SteadyTones:
             answer = None if here is None else rig.corrected(here, frequency[k], level[k], checked=settle)
             if settle:
                 answer = answer or self._anew(rig, frequency, level, k)
+                self._last[k] = here or self._last[k]
                 self.known[k] = None if answer is None else answer[0]
             found[:, k] = np.nan if answer is None else answer[1]
         if settle:
@@ -118,9 +121,10 @@ class SteadyTones:
             yield answer
 
     def _anew(self, rig: _Rig, frequency: Array, level: Array, k: int) -> Answer | None:
-        """Motion with the events of a neighbour's, else the one that riding leads to."""
-        for near in (k - 1, k + 1):
-            if 0 <= near < len(self.known) and (known := self.known[near]) is not None:
+        """Motion with the events that it had, or of a neighbour's, else the one that riding leads to."""
+        beside = [self.known[near] for near in (k - 1, k + 1) if 0 <= near < len(self.known)]
+        for known in (self._last[k], *beside):
+            if known is not None:
                 answer = rig.corrected(known, frequency[k], level[k], checked=True)
                 if answer is not None:
                     return answer

@@ -1,0 +1,27 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import daq
+from analysis.fitting.measured import measured
+from analysis.fitting.predicted import on_the_bench
+from analysis.fitting.steady_tones import SteadyTones
+
+DAMPED = Path(__file__).parents[3] / "recordings" / "demo-sweep-three-dampers.mcap"
+
+
+def test_given_a_trial_with_no_steady_motion_when_led_back_then_the_motion_of_before_is_found_again():
+    with daq.open(DAMPED) as recording:
+        [curves] = measured(recording, "demo")
+    point = [int(np.argmin(abs(curves.frequency - 49.66)))]
+    assert curves.level is not None
+    frequency, level = curves.frequency[point], curves.level[point]
+    tones = SteadyTones(replace(curves, frequency=frequency, level=level))
+    bench = on_the_bench(curves.scene, curves)
+    before = tones.at(bench, level, frequency)
+    assert np.isfinite(before).all() and tones.known[0] is not None
+    assert np.isnan(tones.at(bench, 10.0 * level, frequency)).all()
+    np.testing.assert_allclose(tones.at(bench, level, frequency), before, rtol=1e-9)

@@ -36,7 +36,7 @@ def doubts(
     count : int or None
         Modes asked for.
     dropped : sequence of float
-        Hz: poles left out, as their damping cannot be told.
+        Hz: poles left out, as their damping or their height cannot be told.
     loose : ndarray
         Hz: poles left out, as next to nothing bounds the curves there.
     left_out : sequence of str
@@ -54,8 +54,8 @@ def doubts(
         )
     if dropped:
         yield (
-            f"No mode at {_listed(np.sort(dropped))} Hz, where a pole was stable: its "
-            "damping cannot be told from these curves (dampers that strike make peaks without poles)."
+            f"No mode at {_listed(np.sort(dropped))} Hz, where a pole was stable: its damping cannot be told from "
+            "these curves (dampers that strike make peaks without poles), or they may be off by as much as it is high."
         )
     if loose.size:
         yield (

@@ -77,7 +77,7 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
     weighted, model, error = _explained(
         measured, sigma, stable[:_STARTS], every[:_TRIED], MOST_MODES if count is None else count
     )
-    weighted, model, dropped = _told(weighted, model)
+    weighted, model, dropped = _told(weighted, model, curves)
     inside = in_band(weighted, model.poles)
     if not inside.any():
         raise RecordingError(
@@ -125,9 +125,9 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
 def _shape_errors(curves: Sequence[Frf], poles: ComplexArray, residue: ComplexArray) -> Array:
     """Find standard deviations of shapes with largest element one, from the curves' bounds at each resonance."""
     frequency: Array = np.asarray(abs(poles) / (2 * np.pi), dtype=float)
-    size, bound = (
-        np.array(each) for each in zip(*(_nearest(curve, frequency) for curve in curves), strict=True)
-    )
+    at = [_nearest(curve, frequency, np.isfinite(curve.value)) for curve in curves]
+    size = np.array([abs(curve.value[lines]) for curve, lines in zip(curves, at, strict=True)])
+    bound = np.array([curve.bound()[lines] for curve, lines in zip(curves, at, strict=True)])
     top, modes = np.argmax(abs(residue), axis=0), np.arange(poles.size)
     share = abs(residue) / abs(residue[top, modes])
     error: Array = 0.5 * np.hypot(bound, share * bound[top, modes]) / size[top, modes]
@@ -135,11 +135,10 @@ def _shape_errors(curves: Sequence[Frf], poles: ComplexArray, residue: ComplexAr
     return error
 
 
-def _nearest(curve: Frf, frequency: Array) -> tuple[Array, Array]:
-    """Size of a curve and its bound at the measured frequencies nearest to others."""
-    known = np.flatnonzero(np.isfinite(curve.value))
-    at = known[np.argmin(abs(curve.frequency[known] - frequency[:, None]), axis=1)]
-    return abs(curve.value[at]), curve.bound()[at]
+def _nearest(curve: Frf, frequency: Array, among: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Which of some lines of a curve are nearest to other frequencies."""
+    lines = np.flatnonzero(among)
+    return np.asarray(lines[np.argmin(abs(curve.frequency[lines] - frequency[:, None]), axis=1)])
 
 
 def _bounded(curves: Sequence[Frf]) -> list[Frf]:
@@ -206,15 +205,18 @@ def _neighbourhood(measured: Curves) -> Array:
     return np.stack([size[:, a:b].max(axis=1) for a, b in zip(low, high, strict=True)], axis=1)
 
 
-def _told(curves: Curves, model: Fit) -> tuple[Curves, Fit, list[float]]:
-    """Leave out poles whose damping cannot be told: they are no modes; say where they were, in Hz.
+def _told(curves: Curves, model: Fit, frfs: Sequence[Frf]) -> tuple[Curves, Fit, list[float]]:
+    """Leave out poles that are no modes; say where they were, in Hz.
 
-    A peak narrower than the resolution is a mode all the same: no curve of it could tell more.
+    Those whose damping cannot be told; and those that stand out of no curve by more than it may be off by what does not
+    scatter, as remaining transients make such bumps. A peak narrower than the resolution is a mode all the same: no
+    curve of it could tell more.
     """
     dropped: list[float] = []
     while model.poles.size:
         _, z_error = pole_errors(curves, model)
-        doubt = np.where(in_band(curves, model.poles), z_error * abs(model.poles) / -model.poles.real, 0.0)
+        damping = z_error * abs(model.poles) / -model.poles.real
+        doubt = np.where(in_band(curves, model.poles), np.maximum(damping, TOLD * _buried(model, frfs)), 0.0)
         for k in np.flatnonzero(hidden(curves, model.poles)):
             line = int(np.argmin(abs(curves.frequency - abs(model.poles[k]) / (2 * np.pi))))
             doubt[k] = 0.0 if any(stands_out(abs(row), line) for row in curves.value) else np.inf
@@ -224,6 +226,17 @@ def _told(curves: Curves, model: Fit) -> tuple[Curves, Fit, list[float]]:
         dropped.append(abs(model.poles[worst]) / (2 * np.pi))
         model = fit(curves, np.delete(model.poles, worst))
     return curves, model, dropped
+
+
+def _buried(model: Fit, frfs: Sequence[Frf]) -> Array:
+    """How far a curve may be off at each pole over the height of its peak, in the curve where that is least."""
+    frequency: Array = np.asarray(abs(model.poles) / (2 * np.pi), dtype=float)
+    off = [
+        rough[_nearest(frf, frequency, np.isfinite(frf.value + rough))]
+        for frf, rough in zip(frfs, _rough(frfs), strict=True)
+    ]
+    height = abs(model.residue) / -model.poles.real
+    return np.asarray(np.min(off / np.maximum(height, 1e-300), axis=0))
 
 
 def _residuals(model: Fit, inside: NDArray[np.bool_], frequency: Array) -> tuple[Array, Array]:
@@ -246,11 +259,12 @@ def _sigma(curves: Sequence[Frf]) -> Array:
         if not np.isfinite(row).all():
             row[~np.isfinite(row)] = scatter(curve.value)[~np.isfinite(row)]
     # What differs from line to line bends a curve as noise does; what is smooth looks like no mode.
-    rough = [
-        [curve.systematic.get(name, 0.0 * row) for name in _ROUGH]
-        for curve, row in zip(curves, size, strict=True)
-    ]
-    # Where a part is not known, a line says nothing.
-    error = np.hypot(error, 0.5 * np.nan_to_num(np.linalg.norm(rough, axis=1), nan=np.inf, posinf=np.inf))
+    error = np.hypot(error, 0.5 * _rough(curves))
     top = np.nanmax(size, axis=1, keepdims=True)
     return np.hypot(error, LEAST_RELATIVE_ERROR * np.maximum(size, 1e-6 * top))
+
+
+def _rough(curves: Sequence[Frf]) -> Array:
+    """How far each line may be off by parts that differ from line to line; infinite where one is not known."""
+    parts = [[curve.systematic.get(name, np.zeros(curve.value.size)) for name in _ROUGH] for curve in curves]
+    return np.asarray(np.nan_to_num(np.linalg.norm(parts, axis=1), nan=np.inf, posinf=np.inf))

@@ -9,7 +9,7 @@ import pytest
 import analysis
 import daq
 from analysis.responses.frf import Frf
-from analysis.responses.systematic import SENSITIVITY
+from analysis.responses.systematic import SENSITIVITY, UNSETTLED
 from rig.errors import RecordingError
 from rig.system.structure import natural_modes, structure_matrices
 from tests.analysis.responses import synthetic
@@ -255,3 +255,18 @@ def test_given_a_sensor_of_wide_tolerance_when_modes_are_identified_then_its_par
             # Where the poor sensor has the largest part, all others are told in its measure.
             wide = response != top[mode] and 1 in (response, top[mode])
             assert (0.09 < share[response, mode] < 0.15) if wide else share[response, mode] < 0.01
+
+
+@pytest.mark.parametrize(("unsettled", "told"), [(1.5, False), (0.5, True)])
+def test_given_a_bump_when_the_curve_may_be_off_there_by_as_much_then_it_is_no_mode(unsettled, told):
+    frequency = np.linspace(10.0, 60.0, 400)
+
+    def peak(natural, zeta, height):
+        return height * 2 * zeta * natural**2 / (natural**2 - frequency**2 + 2j * zeta * natural * frequency)
+
+    # The flanks show a pole that its own height does not.
+    off = np.where(abs(frequency - 40.0) < 0.5, unsettled * 0.02, 2e-4)
+    [curve] = curves(frequency, (peak(20.0, 0.012, 1.0) + peak(40.0, 0.05, 0.02))[None], np.full(400, 1e-5))
+    modes = analysis.identify([replace(curve, systematic={UNSETTLED: off})])
+    np.testing.assert_allclose(modes.frequency, [20.0, 40.0] if told else [20.0], rtol=1e-4)
+    assert any("may be off by as much" in text for text in modes.warnings) != told

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.dampers.impact_detection import impacts
 from analysis.dampers.restitution import Restitution, band, restitution
 from analysis.decays.sensor_correction import corrected
 from analysis.recordings.slices import read_slices
-from analysis.responses.frf import Frf
+from analysis.responses.frf import MOTIONS, Frf
 from analysis.responses.systematic import tolerance
 
 if TYPE_CHECKING:
@@ -81,9 +82,9 @@ class DamperMotion:
     floor: float
     ceiling: float
     """Impacts a period."""
-    stays: bool
-    """Whether the damper stays at the ceiling after it struck: it does so while the body's acceleration is
-    below -g, unless its impacts show that it rebounds."""
+    stays: bool | None
+    """Whether the damper stays at the ceiling after it struck: it does so while the body's acceleration is below -g.
+    None where that is not told: it comes to -g within a sample interval, or the damper rebounds."""
     threshold: float
     """Smallest velocity jump that would have been seen for certain, m/s."""
     rides: bool
@@ -99,10 +100,12 @@ class DamperMotion:
         if self.floor == 0 and self.ceiling == 0:
             return "riding" if self.rides else "unseen"
         once = abs(self.floor - 1.0) < _ONCE and (self.ceiling == 0 or abs(self.ceiling - 1.0) < _ONCE)
-        if once and self.regular:
-            return "I" if self.ceiling == 0 else "III" if self.stays else "II"
-        uneven = ", unevenly" if once else ""
-        return f"other: {self.floor:.3g} floor and {self.ceiling:.3g} ceiling impacts a period{uneven}"
+        if once and self.regular and self.ceiling == 0:
+            return "I"
+        if once and self.regular and self.stays is not None:
+            return "III" if self.stays else "II"
+        why = "" if not once else ", staying or not" if self.regular else ", unevenly"
+        return f"other: {self.floor:.3g} floor and {self.ceiling:.3g} ceiling impacts a period{why}"
 
 
 def damper_motion(
@@ -120,13 +123,13 @@ def damper_motion(
     place = rec.channels[channel].at
     alone = [damper for damper in rec.scene.dampers if not damper.locked and f"body {damper.body}" == place]
     out = []
-    for frequency, (first, stop) in zip(sweep.lines.frequency, sweep.windows, strict=True):
+    sizes = _acceleration(rec, sweep, channel)
+    for frequency, size, (first, stop) in zip(sweep.lines.frequency, sizes, sweep.windows, strict=True):
         found = impacts(rec, channel, int(first), int(stop))
         # The search leaves out the ends of its stretch.
         inner = found.searched * float(frequency)
         struck = found.kind == "ceiling"
         uneven = [abs(np.diff(found.time[each]) - 1.0 / frequency) for each in (struck, ~struck)]
-        then = found.acceleration[struck & np.isfinite(found.acceleration)]
         told = restitution(rec, found, alone[0], int(first), int(stop)) if len(alone) == 1 else None
         rebounds = told is not None and told.value > _SURE * told.error
         out.append(
@@ -135,7 +138,9 @@ def damper_motion(
                 found.channel,
                 float(np.sum(found.kind == "floor")) / inner,
                 float(np.sum(struck)) / inner,
-                bool(then.size and np.median(then) < -gravity and not rebounds),
+                _stays(
+                    found.acceleration[struck] + gravity, 2 * np.pi * frequency / rec.rate * size, rebounds
+                ),
                 found.threshold,
                 _least_acceleration(rec, channel, frequency, int(first), int(stop)) > -gravity,
                 told,
@@ -145,6 +150,20 @@ def damper_motion(
         if progress is not None:
             progress(len(out), sweep.lines.frequency.size)
     return out
+
+
+def _stays(weight: NDArray[np.float64], change: float, rebounds: bool) -> bool | None:
+    """Whether a damper stays at the ceiling, by its body's acceleration above -g as it strikes, known to `change`."""
+    known = weight[np.isfinite(weight)]
+    middle = float(np.median(known)) if known.size else 0.0
+    return None if abs(middle) <= change or (rebounds and middle < 0.0) else middle < 0.0
+
+
+def _acceleration(rec: Recording, sweep: Sweep, channel: str) -> NDArray[np.float64]:
+    """Amplitude of the acceleration under a channel at the frequencies of a sweep, shape (n,)."""
+    info, frequency = rec.channels[channel], sweep.lines.frequency
+    read = np.abs(sweep.lines.mean[sweep.lines.channels.index(channel)] / info.response(frequency))
+    return np.asarray(read * (2 * np.pi * frequency) ** (2 - MOTIONS.index(info.quantity)), dtype=np.float64)
 
 
 def _least_acceleration(rec: Recording, channel: str, frequency: float, first: int, stop: int) -> float:

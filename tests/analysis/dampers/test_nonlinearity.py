@@ -71,6 +71,7 @@ def test_given_a_curve_with_a_resonance_only_when_searched_then_no_jump_is_claim
         (1, 0, False, "I"),
         (1, 1, False, "II"),
         (1, 1, True, "III"),
+        (1, 1, None, "other: 1 floor and 1 ceiling impacts a period, staying or not"),
         (0.5, 0, False, "other: 0.5 floor and 0 ceiling impacts a period"),
         (2, 1, False, "other: 2 floor and 1 ceiling impacts a period"),
     ],

@@ -58,7 +58,7 @@ def read_frfs(path: str | Path, reference: str | None = None, unit: str | None =
     RecordingError
         If the file cannot be read or holds no frequency responses of motion to force.
     SceneError
-        If there are several references and none is chosen, or a unit is missing or wrong.
+        If there are several references and none is chosen, or none to choose from, or a unit is missing or wrong.
     RunError
         If a package is missing.
 
@@ -78,6 +78,8 @@ def read_frfs(path: str | Path, reference: str | None = None, unit: str | None =
     if file.suffix.lower() in (".uff", ".unv"):
         return FrfSet(_from_uff(file, reference, unit))
     if file.suffix.lower() in ENDINGS:
+        if reference is not None:
+            raise SceneError(f"{file}: a table names no references to choose among; leave out {reference!r}")
         return FrfSet(_from_long_table(file, unit) or _from_table(file, unit))
     raise RecordingError(f"{file}: expected a file whose name ends in one of {', '.join(ENDINGS)}")
 

@@ -84,5 +84,6 @@ def test_given_an_option_that_acts_on_some_recordings_only_when_tried_then_it_sa
     run = CliRunner().invoke(app, words)
     assert run.exit_code == 0
     assert "--unit changes nothing in a.mcap: a recording knows its units" in run.output
-    files = ["frf", str(tmp_path / "b.csv"), "--theory", "--block", "2"]
-    assert "would change nothing" in str(CliRunner().invoke(app, files).exception)
+    for options in (["--theory"], ["--block", "2"], ["--reference", "table"]):
+        ended = CliRunner().invoke(app, ["frf", str(tmp_path / "b.csv"), *options])
+        assert "leave" in str(ended.exception) and "out" in str(ended.exception)

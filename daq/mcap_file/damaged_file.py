@@ -189,7 +189,7 @@ class DamagedFile:
             for match in _BEGIN.finditer(window):
                 if self._agrees(place + match.start()):
                     return place + match.start()
-            place += max(1, _WINDOW - RECORD_HEAD.size)
+            place += _WINDOW - RECORD_HEAD.size
         return self.size
 
 

@@ -86,6 +86,7 @@ EQUIVALENT = {
     "counts = counts_of(rec, names).reshape(~1, *[1] * (squares.ndim - 1))": (
         "numpy takes any negative size for the one that is to be found"
     ),
+    "step = max( 2, _AT_ONCE // (equations * unknowns))": "how many lines are fitted at a time changes no fit",
     "if not TYPE_CHECKING:": "imports more than is needed",
     'if len(scene.shakers) != 1 and any(shaker.kind != "force" for shaker in scene.shakers):': "any of none is false",
 }

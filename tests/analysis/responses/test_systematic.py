@@ -18,6 +18,7 @@ from analysis.responses.systematic import (
     noise_gain,
     reference_noise_part,
     rounding_part,
+    scattered,
     sensitivity_part,
     shared_noise_part,
     tolerance,
@@ -188,3 +189,12 @@ def test_given_noise_that_response_and_reference_share_when_h1_is_off_then_the_p
     lower = np.full((1, 30), low)
     assert shared_noise_part(noise, up - h1[None] * low, lower, total) == pytest.approx(abs(h1 - truth))
     assert (shared_noise_part(noise, up - h1[None] * low, lower, 0.1 * noise[0]) == np.inf).all()
+
+
+def test_given_noise_before_rounding_when_asked_what_it_leaves_then_it_is_what_a_wave_of_a_count_keeps_on_average():
+    counts = np.linspace(-8.0, 8.0, 20_001)
+    for spread in (0.05, 0.2, 0.5, 1.0):
+        weights = np.exp(-0.5 * (counts / spread) ** 2)
+        kept = np.sum(weights * np.cos(2.0 * np.pi * counts)) / weights.sum()
+        assert scattered(np.array(spread**2 + 1.0 / 12.0)) == pytest.approx(kept, rel=1e-3, abs=1e-12)
+    assert scattered(np.array([0.0, 1.0 / 12.0])).tolist() == [1.0, 1.0]

@@ -78,6 +78,15 @@ def held(part):
     return getattr(content, "metadata", None) or bytes(content.data)
 
 
+# Where the length of a chunk stands: in front of it, and of what is packed in it.
+LENGTHS = {
+    first + byte
+    for (opcode, content), (begin, _) in zip(CONTENTS, SPANS, strict=True)
+    if opcode == 6
+    for first in (begin + 1, begin + 9 + CHUNK_HEAD.size + CHUNK_HEAD.unpack_from(content)[4])
+    for byte in range(8)
+}
+
 TRUE = [INSIDE[0], None, checked({"seed": "1", "rate": "5120"}), INSIDE[1], b"structure: {}", INSIDE[2]]
 
 
@@ -111,6 +120,7 @@ def test_given_any_byte_damaged_when_walked_then_the_other_records_are_had_and_n
         spoilt = [part for part in parts if isinstance(part, Unreadable)]
         assert len(spoilt) <= 1
         missing = [each for each in TRUE if each is not None and each not in had]
+        assert not (missing and at in LENGTHS)
         if missing:
             [span] = [span for true, span in zip(TRUE, SPANS, strict=True) if true == missing[0]]
             assert (spoilt[0].begin, spoilt[0].end) == span

@@ -31,6 +31,7 @@ _FACTORS = {
     1.0 / 4.44822: "newtons for pounds",
 }
 _NEAR = 0.06
+_NO_UNIT = " (no unit is mistaken by that factor: the structure may as well be another one than the scene's)"
 # How much looser a suspected sensor is held, and the scale of all masses from which on it is suspect.
 _FREED, _SCALE_OFF = 1e4, 2.5
 _MOST_PAIRS = 15
@@ -51,9 +52,8 @@ def causes(problem: Problem) -> list[str]:
         trial, after = _variance(problem, curves)
         if after < max(4.0, _EXPLAINED * before):
             factor = 1.0 if sensor is None else 1.0 + trial[0].deviation(trial[1], sensor)
-            found.append(
-                (after, text if sensor is None else f"{text} {factor:.4g} times what fits{_meaning(factor)}")
-            )
+            meaning = _meaning(factor) or _NO_UNIT
+            found.append((after, text if sensor is None else f"{text} {factor:.4g} times what fits{meaning}"))
     if not found:
         return [
             "No single channel and no swap of two explains it: the structure is another one, a chain of other bodies "

@@ -277,6 +277,8 @@ def _result(problem: Problem, found: Estimate, told: Progress) -> Fit:
         _fitted(one, x[k], deviation[k], bool(misfit) or found.variance > NOT_NOISE)
         for k, one in enumerate(problem.parameters)
     )
+    if not misfit and all(one.told == "not told" for one in each):
+        misfit = "The recordings tell none of the values that are free: `analysis frf` says what bounds their curves."
     damping = () if misfit else damping_by_level(problem, found)
     return Fit(
         scene=scene,

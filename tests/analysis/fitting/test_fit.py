@@ -95,6 +95,21 @@ def test_given_a_channel_that_reads_g_as_metres_when_fitted_then_it_is_named_wit
     assert "body2 reads 0.10" in found.misfit and "(g read as m/s²)" in found.misfit
 
 
+@pytest.mark.thorough
+def test_given_a_sensor_off_by_many_tolerances_when_fitted_then_it_is_named_and_another_structure_as_well(
+    tmp_path,
+):
+    sheet = {"accelerometer.sensitivity_tolerance": "0.01"}
+    infos = [replace(info, sensor=sheet) for info in synthetic.channels()]
+    path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7, infos=infos)
+    with daq.open(path) as recording:
+        read = recording.channels["body2"]
+        recording.channels["body2"] = replace(read, gain=read.gain / 1.3)
+        found = analysis.fit(recording, guess())
+    assert "would have to be off by" in found.misfit and "its data sheet allows 1 %" in found.misfit
+    assert "body2 reads 1.29" in found.misfit and "may as well be another one" in found.misfit
+
+
 def test_given_dampers_and_hits_when_fitted_then_it_is_refused_in_words(tmp_path):
     path = synthetic.impulses(tmp_path / "a.mcap")
     with daq.open(path) as recording:

@@ -206,7 +206,7 @@ def frfs(
     Raises
     ------
     SceneError
-        If not exactly one sweep fits; the message lists those there are.
+        If not exactly one sweep fits; the message lists those there are. If there are none to choose among.
 
     Examples
     --------
@@ -219,7 +219,9 @@ def frfs(
     from analysis.responses.stepped_sine import sweeps
 
     names = list(channels) if channels else responses(rec)
-    if not any(marker.kind == "measure" and "frequency" in marker.fields for marker in rec.markers):
+    if kind_of(rec) != "tones":
+        if level is not None or direction is not None:
+            raise SceneError(f"level and direction choose among sweeps of held tones; {rec.path} holds none")
         (group,) = frequency_responses(rec, names, reference, motion)
         return FrfSet(group)
     wanted = number(level, FORCE, "level")

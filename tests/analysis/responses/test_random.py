@@ -106,6 +106,12 @@ def test_given_a_block_longer_than_the_recording_when_averaged_then_too_short_is
         analysis.frequency_responses(rec, block=100.0)
 
 
+@pytest.mark.parametrize("choice", [{"level": "1 N"}, {"direction": "up"}])
+def test_given_no_tones_when_one_sweep_is_asked_for_then_it_is_said_that_there_is_none(random_file, choice):
+    with daq.open(random_file) as rec, pytest.raises(SceneError, match="level and direction choose among"):
+        analysis.frfs(rec, **choice)
+
+
 def multisine(path, periods=4, realisations=4, noise=0.01, cubic=0.0):
     period = 8.0
     waves, marks, first = [], [], 0

@@ -33,7 +33,15 @@ from tests.soak.command import Ended, run
 matplotlib.use("agg")
 
 # How many cases of each kind, unless told.
-CASES = {"kills": 200, "damage": 400, "disks": 100, "scenes": 150, "recordings": 150, "imports": 150}
+CASES = {
+    "kills": 200,
+    "damage": 400,
+    "disks": 100,
+    "scenes": 150,
+    "commands": 60,
+    "recordings": 150,
+    "imports": 150,
+}
 READING = (
     "daq info r.mcap --check",
     "daq info r.mcap",
@@ -53,6 +61,17 @@ READING = (
     "analysis frf r.mcap --block {odd} --overlap {odd}",
     "daq replay r.mcap --save x.rrd --from {odd} --speed {odd}",
 )
+# A client of the instrument.
+CLIENT = """
+import nidaqmx
+with nidaqmx.Task() as task:
+    task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0")
+    task.timing.cfg_samp_clk_timing(1000.0, samps_per_chan=100)
+    try:
+        task.read(100)
+    except nidaqmx.DaqError as error:
+        print("refused:", error.error_code)
+"""
 # What a recording may be called.
 NAMES = (
     "r.mcap",
@@ -206,6 +225,23 @@ def odd_scene(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
     return run(scenes.command("s.yaml", chance), folder), []
 
 
+def rarer_command(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
+    """Give a command that is not for every day odd options, and in half of the cases an odd scene."""
+    folder = bench.clear()
+    (folder / "s.yaml").write_text((scenes.scene if chance.random() < 0.5 else scenes.sound)(chance))
+    shutil.copy(bench.whole[0], folder / "r.mcap")
+    (folder / "x.csv").write_bytes(next(data for (end, _), data in bench.foreign.items() if end == ".csv"))
+    (folder / "c.py").write_text(CLIENT)
+    words = scenes.rarer_command("s.yaml", chance)
+
+    def strike(process: int, seconds: float) -> None:
+        # What serves and shows goes on until it is told to end.
+        if words[1] in ("serve", "scope") and 15.0 < seconds < 15.1:
+            os.kill(process, signal.SIGTERM)
+
+    return run(words, folder, end=strike), []
+
+
 def odd_recording(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
     """Give a command a recording that says odd things of itself, every checksum right."""
     folder = bench.clear()
@@ -244,6 +280,7 @@ KINDS: dict[str, Callable[[Bench, random.Random], tuple[Ended, list[str]]]] = {
     "damage": damage,
     "disks": fill_disk,
     "scenes": odd_scene,
+    "commands": rarer_command,
     "recordings": odd_recording,
     "imports": odd_import,
 }

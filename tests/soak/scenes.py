@@ -154,6 +154,11 @@ BASES = (
 )
 
 
+def sound(chance: random.Random) -> str:
+    """Write a scene with nothing wrong in it."""
+    return yaml.safe_dump(chance.choice(BASES), sort_keys=False)
+
+
 def scene(chance: random.Random) -> str:
     """Write a scene with one to three things wrong in it, or rather odd."""
     content = _copy(chance.choice(BASES))
@@ -304,3 +309,30 @@ def command(path: str, chance: random.Random) -> list[str]:
         ],
     }
     return kinds[chance.choices(list(kinds), (2, 3, 2, 1, 4))[0]]
+
+
+def rarer_command(path: str, chance: random.Random) -> list[str]:
+    """Give one of the commands that take longer, on a scene `path`, beside it r.mcap, x.csv and c.py."""
+    odd, text = chance.choice(ODD_NUMBERS), chance.choice(ODD_TEXTS).replace("\0", "")
+    kinds = (
+        f"rig cost {path} --periods 2",
+        f"rig cost {path} --frequency {odd}Hz",
+        f"rig design {path} --levels {odd}N,1N",
+        f"rig design {path} --budget {odd}kg --dampers 2",
+        f"rig design {path} --budget {odd}kg --bodies {odd} --band 20Hz,{odd}Hz",
+        f"rig design {path} --clearance {odd}m,1mm --damping-off {odd}",
+        f"rig simulate {path} --duration 0.05s --set seed={odd} --set structure.masses[1]={odd}kg",
+        f"rig grains {path} --points 2 --periods 1",
+        f"analysis cost {path} --frequency {odd}",
+        f"analysis fit r.mcap {path} --overwrite",
+        f"analysis fit r.mcap {path} --free structure.masses[{odd}]",
+        f"daq run --scene {path} --clock fast --seconds 1 c.py",
+        f"daq run --scene {path} --clock fast --seconds {odd} c.py",
+        f"daq import x.csv --scene {path} --from {odd} -o i.mcap",
+        f"daq serve {path} --port {odd}",
+        f"daq scope {path} -F {odd} -o i.mcap",
+    )
+    words = chance.choice(kinds).split()
+    if chance.random() < 0.1:
+        words = [*chance.choice((("rig", "help"), ("rig", "presets"), ("rig", "scenes", "--show"))), text]
+    return words

@@ -167,18 +167,43 @@ def _fits(
         _fit(reading, reference, ends, begins, lines[first : first + step], side, order, poles)
         for first in range(0, lines.size, step)
     ]
-    value, variance, coherence, left, through, apart, size = (
-        np.concatenate(each) for each in zip(*parts, strict=True)
-    )
+    found = _Solution(*(np.concatenate(each) for each in zip(*parts, strict=True)))
     # Zeros in front of a stretch make neighbouring lines depend on each other: they count for less.
     free = max(used * equations - unknowns, 0.5)
-    criterion = used * equations * np.log(np.maximum(left, _NOTHING)) + unknowns * np.log(
+    noise = found.left / free
+    # Noise makes even a response that is none some size.
+    told = np.maximum(found.power - noise * found.spread, 0.0) * found.apart * equations
+    criterion = used * equations * np.log(np.maximum(found.left, _NOTHING)) + unknowns * np.log(
         2 * used * equations
     )
     return _Fits(
-        value, variance / free, coherence, np.full(lines.size, 2.0 * free), through, apart,
-        left * size**2 / free, criterion,
-    )  # fmt: skip
+        value=found.value,
+        variance=0.5 * noise * found.spread * found.scale**2,
+        coherence=told / np.maximum(told + found.left, _NOTHING),
+        degrees=np.full(lines.size, 2.0 * free),
+        through=found.through,
+        apart=found.apart,
+        noise=noise * found.size**2,
+        criterion=criterion,
+    )
+
+
+class _Solution(NamedTuple):
+    """Least squares of readings and references that both have a mean square of one, at some lines."""
+
+    value: ComplexArray
+    scale: Array
+    """Of the reading over that of the reference: the unit of the value."""
+    power: Array
+    """Square of the value without that scale."""
+    spread: Array
+    """Variance of the value without that scale, for noise of one."""
+    left: Array
+    """Sum of squares of what is left over of the reading."""
+    through: Array
+    apart: Array
+    size: Array
+    """Root of the mean square of what was read."""
 
 
 def _fit(
@@ -190,11 +215,7 @@ def _fit(
     side: int,
     order: int,
     poles: int,
-) -> tuple[ComplexArray, Array, Array, Array, Array, Array, Array]:
-    """Value, sum of squares over the variance, coherence, what is left over, `through`, `apart`, size of what was read.
-
-    What is left over is a sum of squares in that size.
-    """
+) -> _Solution:
     stretches, width = len(reference), 2 * side + 1
     first = np.clip(lines - side, 0, reference.shape[1] - width)
     near = first[:, None] + np.arange(width)
@@ -230,8 +251,6 @@ def _fit(
         changed = right - _quotient(above, powers, unknown + change)[0]
         better = _power(changed) < _power(left)
         unknown, left = unknown + change * better[:, None], np.where(better[:, None], changed, left)
-    noise = _power(left)
-    variance = noise * _power(influence) / 2.0
     # The response at all lines of the fit: its model of a reference of one.
     ones = [np.broadcast_to(at**k, x.shape).reshape(right.shape) for k in range(order + 1)]
     curve = _quotient(
@@ -242,15 +261,19 @@ def _fit(
     # not its own: with these alone the constant would scatter as that of a polynomial.
     own = np.stack([at[:, 0] ** k for k in range(order + 1)], axis=-1)
     scatter = np.linalg.inv(np.swapaxes(own, 1, 2) @ own)[:, 0, 0] / stretches
-    equations = float(stretches * width)
-    alone = np.minimum(scatter / np.maximum(_power(influence), _NOTHING), 1.0) * equations
-    told = abs(unknown[:, 0]) ** 2 * alone
-    coherence = told / np.maximum(told + noise, _NOTHING)
+    spread = _power(influence)
     driven = np.where(drive > _NOTHING, drive, np.nan)[:, 0, 0]
-    factor = size[:, 0, 0] / driven
-    through = through * (factor / driven) ** 2
-    apart = alone / equations
-    return unknown[:, 0] * factor, variance * factor**2, coherence, noise, through, apart, size[:, 0, 0]
+    scale = size[:, 0, 0] / driven
+    return _Solution(
+        value=unknown[:, 0] * scale,
+        scale=scale,
+        power=np.square(abs(unknown[:, 0])),
+        spread=spread,
+        left=_power(left),
+        through=through * (scale / driven) ** 2,
+        apart=np.minimum(scatter / np.maximum(spread, _NOTHING), 1.0),
+        size=size[:, 0, 0],
+    )
 
 
 def _quotient(above: ComplexArray, powers: Array, unknown: ComplexArray) -> tuple[ComplexArray, ComplexArray]:

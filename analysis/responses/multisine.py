@@ -13,6 +13,7 @@ from scipy import fft
 from analysis.recordings.slices import read_slices
 from analysis.responses.clean_stretches import flaws, told
 from analysis.responses.frf import Frf
+from analysis.responses.local_spectra import SIDE
 from analysis.responses.measurands import located, reference_of
 from analysis.responses.spectral_lines import Lines, remainder
 from analysis.responses.systematic import counts_of, in_counts, scattered, tone_gain
@@ -117,7 +118,7 @@ def best_linear_approximation(
     rounding = same[:, None] * (counts[:, None] / np.sqrt(samples) + gain[:, None] * abs(centre))
     base = Lines(
         tuple(names), frequency, centre, noise, averages, rec.scene.name, tuple(notes), unsettled,
-        resolution=rounding,
+        around=SIDE, turned=count, resolution=rounding,
     )  # fmt: skip
     free = any(not damper.locked and damper.clearance > 0.0 for damper in rec.scene.dampers)
     if count == 1:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
+from scipy import ndimage, signal
 
 from analysis.responses.aliasing import aliasing_part
 from analysis.responses.frf import Frf, radius
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 # Lines whose transients are taken to decay alike; how fast where two periods do not tell; and how slowly at most.
 _TOGETHER, _UNKNOWN_DECAY, _SLOWEST_DECAY = 5, 0.5, 0.99
+# A reference is told from noise with this confidence.
+_SURE = 0.999
 # Parts that tell how a transient decays.
 _FEW = 4
 
@@ -53,6 +55,10 @@ class Lines:
     """Where the motion had not become steady; shape (n,)."""
     left_out: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     """Frequencies that were measured but spoilt, Hz."""
+    around: int = 0
+    """Lines to either side whose noise is alike, where each has so few averages that its own says little."""
+    turned: int = 1
+    """Parts of the mean, each of them turned by the phase that its own reference reads: even noise adds up in these."""
     resolution: NDArray[np.float64] | None = None
     """How far each mean may be off because the converter rounds to counts, at most; shape (channels, n)."""
 
@@ -73,8 +79,7 @@ class Lines:
         shares = value, upper * self.mean / f, lower * self.mean / f
         error, degrees = np.sqrt(variance / 2.0), 2.0 * np.maximum(self.averages - 1.0, 0.0)
         systematic = aliasing_part(rec, names, self.frequency, *shares, motion)
-        sway = np.einsum("in,nij,jn->n", lower / f, self.covariance, (lower / f).conj()).real
-        doubts = [np.sqrt(np.nan_to_num(sway) / 2.0) * radius(0.95, degrees)]
+        doubts = [self._sway(lower, degrees) / abs(f)]
         # What is left of transients, and of rounding, adds up in the worst case.
         for name, each in ((RESOLUTION, self.resolution), (UNSETTLED, self.remainder)):
             if each is not None:
@@ -101,6 +106,17 @@ class Lines:
             unsteady=self.unsteady,
             left_out=self.left_out,
         )
+
+    def _sway(self, lower: NDArray[np.complex128], degrees: NDArray[np.float64]) -> NDArray[np.float64]:
+        """How far noise can put the reference off at each line; shape (n,).
+
+        In all but one of a thousand lines: where nothing is driven all others are left out, and what is left must not
+        be noise that passed for a reference.
+        """
+        width = 2 * self.around + 1
+        noise = ndimage.uniform_filter1d(self.covariance, width, axis=0, mode="nearest")
+        variance = np.nan_to_num(np.einsum("in,nij,jn->n", lower, noise, lower.conj()).real)
+        return np.asarray(np.sqrt(self.turned * variance / 2.0) * radius(_SURE, degrees * width))
 
 
 def remainder(successive: NDArray[np.complex128]) -> NDArray[np.float64]:

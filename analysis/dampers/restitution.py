@@ -61,7 +61,7 @@ def restitution(rec: Recording, found: Impacts, damper: Damper, start: int, stop
     Between two impacts the damper falls freely, in a cavity whose motion is measured. That it leaves one wall and meets
     the other at those times tells how fast it does both: its closing speed w, whether it lay at rest and left as its
     body fell away (then it must meet the wall when it does), or rebounded. The jump of its body's velocity is
-    ``(1 + e) w m / (m + M)`` with the masses of both.
+    ``(1 + e) w m / (m + M)`` with the masses of both. Masses and clearance are the scene's.
 
     A rebound that ends before it can be told from its impact makes of ``1 + e`` at most ``(1 + e) / (1 - e)``: the
     value is the middle between, and the error holds both, and every rebound that may hide in what the channel resolves.
@@ -117,8 +117,11 @@ class _Cavity:
 
     def touch(self, time: float, wall: float, later: float) -> _Touch:
         """Tell of a wall at an impact: what is band-limited passes through the middle of the velocity's jump."""
-        number = np.arange(self.place.size)
-        place, speed = (float(np.interp(time * self.rate, number, row)) for row in (self.place, self.speed))
+        whole = min(int(time * self.rate), self.place.size - 2)
+        part = time * self.rate - whole
+        place, speed = (
+            float(row[whole] + part * (row[whole + 1] - row[whole])) for row in (self.place, self.speed)
+        )
         return _Touch(time, wall, place + wall, speed + later)
 
     def flight(self, left: _Touch, met: _Touch) -> tuple[float, float, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from analysis.dampers.jump_search import RESOLVED, SIGMAS, JumpSearch
 from analysis.dampers.jump_signature import Signature, signature
+from analysis.decays.sensor_correction import corrected
 from analysis.recordings.slices import read_slices
 from analysis.responses.frf import MOTIONS
 from analysis.responses.measurands import named
@@ -36,6 +37,8 @@ _RANGE = 3e-3
 _LEAST_SEARCHED = 0.5
 # A landing of no more than this part of a sample interval is a jump.
 _INSTANT = 0.25
+# Below the lowest frequency of interest, Hz; up to this share of the sample rate.
+_LOW, _HIGH = 2.0, 0.4
 # Acceleration at an impact: from so much time on either side, s, less so many decay times of the sensor's
 # resonance, by a polynomial of this order.
 _AROUND, _FEWEST_AROUND, _RUNG_OUT, _BENDS = 2e-3, 8, 4.0, 3
@@ -122,6 +125,7 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
             f"all but {np.sum(good)} of {good.size} samples of {info.name} in this stretch are lost or overloaded: "
             "choose another stretch, or record with a lower level, a larger converter range, or contacts that last"
         )
+    filled = np.interp(np.arange(samples.size), np.flatnonzero(good), samples[good])
     scale = float(abs(samples[good]).max())
     # Rounding in the converter is noise too, even where a steady reading hides it.
     floor = max(0.0 if info.volts_per_count is None else info.unit_per_count / 12.0**0.5, 1e-14 * scale)
@@ -144,13 +148,18 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
         info.name,
         (start + place[clear]) / rec.rate - info.delay,
         jump[clear],
-        _acceleration(samples, place[clear], info),
+        _acceleration(_without_high_pass(filled, info), place[clear], info),
         noise,
         RESOLVED / rec.rate,
         (search.signature.reach + search.signature.ring) / rec.rate,
         float(search.open.sum()) / rec.rate,
         (start + np.array(runs_of(~good), dtype=float).reshape(-1, 2)) / rec.rate,
     )
+
+
+def band(rate: float) -> tuple[float, float]:
+    """Frequencies between which the motion of a damper's body is told at a sample rate, Hz."""
+    return _LOW, _HIGH * rate
 
 
 def _sensitive(rec: Recording, channel: str) -> ChannelInfo:
@@ -204,6 +213,15 @@ def _lasts(damper: Damper, rate: float) -> bool:
         else 0.0
     )
     return not damper.locked and longest * rate > _INSTANT
+
+
+def _without_high_pass(samples: Array, info: ChannelInfo) -> Array:
+    """Undo the high passes that integrators need: they turn slow motion. What is fast stays as read, and short."""
+    zeros, poles = (
+        tuple(root for root in roots if abs(root) < info.rate) for roots in (info.zeros, info.poles)
+    )
+    slow = replace(info, zeros=zeros, poles=poles, gain=1.0, average=False, filter={}, delay=0.0)
+    return corrected(slow, samples, info.quantity, band(info.rate)[0], info.rate)
 
 
 def _acceleration(samples: Array, places: Array, info: ChannelInfo) -> Array:

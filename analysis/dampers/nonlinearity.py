@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.dampers.impact_detection import impacts
-from analysis.dampers.restitution import Restitution, band, restitution
+from analysis.dampers.impact_detection import band, impacts
+from analysis.dampers.restitution import Restitution, restitution
 from analysis.decays.sensor_correction import corrected
 from analysis.recordings.slices import read_slices
 from analysis.responses.frf import MOTIONS, Frf
@@ -84,7 +84,7 @@ class DamperMotion:
     """Impacts a period."""
     stays: bool | None
     """Whether the damper stays at the ceiling after it struck: it does so while the body's acceleration is below -g.
-    None where that is not told: it comes to -g within a sample interval, or the damper rebounds."""
+    None where that is not told: it is at -g within half a sample interval, or the damper rebounds."""
     threshold: float
     """Smallest velocity jump that would have been seen for certain, m/s."""
     rides: bool
@@ -138,9 +138,7 @@ def damper_motion(
                 found.channel,
                 float(np.sum(found.kind == "floor")) / inner,
                 float(np.sum(struck)) / inner,
-                _stays(
-                    found.acceleration[struck] + gravity, 2 * np.pi * frequency / rec.rate * size, rebounds
-                ),
+                _stays(found.acceleration[struck] + gravity, np.pi * frequency / rec.rate * size, rebounds),
                 found.threshold,
                 _least_acceleration(rec, channel, frequency, int(first), int(stop)) > -gravity,
                 told,

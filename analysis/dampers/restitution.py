@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.dampers.impact_detection import Impacts
+from analysis.dampers.impact_detection import Impacts, band
 from analysis.dampers.jump_search import LEFT_OVER
 from analysis.decays.sensor_correction import corrected
 from analysis.recordings.slices import read_slices
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Below the lowest frequency of interest, Hz; up to this share of the sample rate.
-_LOW, _HIGH = 2.0, 0.4
 # Ends of the stretch that are left out: there its motion is taken to go on as its mirror image.
 _ENDS = 0.05
 # Fewer flights say nothing, and neither do those of fewer than this part of the impacts.
@@ -165,8 +163,3 @@ class _Cavity:
             return None
         off = self.tolerance * self.gravity * time / closing * (1.0 + from_jump)
         return 0.5 * (from_jump + from_rebound), 0.5 * apart + off
-
-
-def band(rate: float) -> tuple[float, float]:
-    """Frequencies between which a body's motion is told at a sample rate, Hz."""
-    return _LOW, _HIGH * rate

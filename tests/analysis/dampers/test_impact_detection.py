@@ -131,6 +131,28 @@ def test_given_a_delta_sigma_filter_when_detected_then_all_impacts_are_found_and
     assert np.mean(abs(-found.jump[nearest] / jumps[seen & clear] - 1.0) < 0.02) > 0.95
 
 
+def test_given_an_integrator_whose_high_pass_turns_the_motion_when_detected_then_accelerations_are_the_bodys(
+    tmp_path,
+):
+    high_pass = {"integrator": {"order": 2, "corner": 4.0, "gain": 1000.0}}
+    scene = rig.load("fig8-three-dampers").replace(
+        shaker={"kind": "force", "body": 1},
+        test={"kind": "sine", "frequency": 34.7, "force": 2.6, "duration": 1.0},
+        channels=[
+            {"name": "bare", "at": "body 3", "accelerometer": SENSOR},
+            {"name": "integrated", "at": "body 3", "accelerometer": SENSOR, **high_pass},
+            {"name": "force", "at": "shaker"},
+        ],
+        recording={"display": False},
+    )
+    with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
+        bare, integrated = (impacts(rec, name, rec.samples // 2) for name in ("bare", "integrated"))
+    _, one, other = score(bare.time, integrated.time, 1.0 / RATE)
+    assert one.sum() > 10
+    off = bare.acceleration[one] - integrated.acceleration[other]
+    assert np.nanmedian(abs(off)) < 0.03 * np.nanmax(abs(bare.acceleration))
+
+
 def test_given_two_levels_of_sensor_noise_when_detected_then_the_threshold_is_proportional(tmp_path):
     thresholds = []
     for noise in (2e-3, 2e-2):

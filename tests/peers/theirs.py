@@ -56,16 +56,22 @@ def poles(ours: dict[str, np.ndarray]) -> Iterator[Row]:
 
     keep = ours["hit_frequency"] <= 70.0
     frequency, frf = ours["hit_frequency"][keep], ours["accelerance"][:, keep]
-    peer = Model(frf, frequency, lower=8.0, upper=60.0, pol_order_high=20, frf_form="accelerance")
+    # It takes the first line for that of 0 Hz, which ours is not: frequencies count from there.
+    shift = float(frequency[0])
+    frequency = frequency - shift
+    peer = Model(
+        frf, frequency, lower=8.0 - shift, upper=60.0 - shift, pol_order_high=20, frf_form="accelerance"
+    )
     peer.get_poles(show_progress=False)
     # Of its stabilisation chart the highest order, and in that the poles nearest to ours.
     order = len(peer.pole_freq) - 1
     chosen = [
-        int(np.argmin(abs(peer.pole_freq[order] - f) + 1e3 * (peer.pole_xi[order] <= 0)))
+        int(np.argmin(abs(peer.pole_freq[order] + shift - f) + 1e3 * (peer.pole_xi[order] <= 0)))
         for f in ours["pole_Hz"]
     ]
     peer.pole_ind = [[order, one] for one in chosen]
     found, damping = peer.pole_freq[order][chosen], peer.pole_xi[order][chosen]
+    damping, found = damping * found / (found + shift), found + shift
     # The exponential window of the hits is in the curves that both were given; ours has been taken off.
     for mode in range(found.size):
         yield (

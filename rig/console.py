@@ -15,6 +15,8 @@ from rig.escaping import shown
 
 # After so long without a word a command says that it is still at work, s.
 SILENCE = 12.0
+# What holds a command up again so soon is the same matter, s.
+_AT_ONCE = 5.0
 
 
 class Unwritable(OSError):
@@ -89,10 +91,14 @@ def take_streams(put_back: ExitStack) -> None:
 
 
 class _Work:
-    """What a command is doing, None while it waits for its user; and what holds it up even then, and since when."""
+    """What a command is doing, None while it waits for its user; and what holds it up even then, and from when to when.
+
+    Function after function is compiled: what follows at once goes on from where that before it began.
+    """
 
     doing: str | None = ""
-    held_up: ClassVar[list[tuple[float, str]]] = []
+    held_up: ClassVar[list[str]] = []
+    since = until = float("-inf")
 
 
 def say_now_and_then(put_back: ExitStack) -> None:
@@ -107,7 +113,8 @@ def _speak(over: threading.Event, to: Any) -> None:
     start = time.monotonic()
     _Shown.last = start
     while not over.wait(1.0):
-        since, doing = next(iter(_Work.held_up), (start, _Work.doing))
+        holding = next(iter(_Work.held_up), None)
+        since, doing = (start, _Work.doing) if holding is None else (_Work.since, holding)
         if doing is not None and time.monotonic() - _Shown.last > SILENCE:
             with suppress(OSError, ValueError):
                 doing = doing and f": {doing}"
@@ -116,12 +123,16 @@ def _speak(over: threading.Event, to: Any) -> None:
 
 def held_up(doing: str) -> None:
     """Say from time to time what everybody has to wait for, a script that was handed over to as well, until `go_on`."""
-    _Work.held_up.append((time.monotonic(), doing))
+    now = time.monotonic()
+    if not _Work.held_up and now - _Work.until > _AT_ONCE:
+        _Work.since = now
+    _Work.held_up.append(doing)
 
 
 def go_on() -> None:
     """End what `held_up` began."""
     _Work.held_up.pop()
+    _Work.until = time.monotonic()
 
 
 @contextmanager

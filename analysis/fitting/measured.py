@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.responses.frequency_responses import frequency_responses
-from analysis.responses.frf import CLOCK, Frf
+from analysis.responses.frf import CLOCK, SENSITIVITY, Frf
 from analysis.responses.measurands import Measurand, concerned, motion_of, reference_of, responses
 from analysis.responses.stepped_sine import sweeps
-from analysis.responses.systematic import SENSITIVITY, tolerance
+from analysis.responses.systematic import tolerance
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from analysis.modal.order_selection import correlation, half_width
 from analysis.modal.pole_residue import Curves, Fit
-from analysis.responses.frf import CLOCK, Frf
-from analysis.responses.systematic import ALIASING, MODEL, REFERENCE_NOISE, RESOLUTION, SENSITIVITY
+from analysis.responses.frf import CLOCK, SENSITIVITY, Frf
+from analysis.responses.systematic import ALIASING, MODEL, REFERENCE_NOISE, RESOLUTION
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

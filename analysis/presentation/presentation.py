@@ -17,9 +17,9 @@ from analysis.presentation.expectations import expect, expect_all
 from analysis.presentation.output_names import output_stem, with_ending
 from analysis.recordings.names import opened, relabelled, scene_labels
 from analysis.responses.frequency_responses import Blocks, frequency_responses, kind_of
-from analysis.responses.frf import Frf
+from analysis.responses.frf import SENSITIVITY, Frf
 from analysis.responses.frf_files import is_frf_file, read_frfs
-from analysis.responses.systematic import SENSITIVITY, tolerance
+from analysis.responses.systematic import tolerance
 from rig.errors import RecordingError
 from rig.results import bounded, rounded
 from rig.scene.presets import origin

@@ -30,8 +30,8 @@ _NAMES = {
 
 # Points whose bounds are larger than this part of their value are hardly known.
 _HARDLY_KNOWN = 0.5
-# The systematic part that comes of a sample clock that is off.
-CLOCK = "sample clock"
+#: Systematic parts of what a data sheet allows a sample clock and sensors to be off by, one figure for a whole test.
+CLOCK, SENSITIVITY = "sample clock", "sensors' sensitivity"
 
 # Units in which engineers read a curve: a name, and how many of them make one in SI.
 _SHOWN = {"m/N": ("µm/N", 1e6), "m/(N s)": ("mm/(N s)", 1e3)}
@@ -185,22 +185,23 @@ class Frf(Result):
     def bound(self, confidence: float = 0.95) -> NDArray[np.float64]:
         """Radius of the circle in the complex plane that holds the true value with the given confidence.
 
-        The random radius and the systematic parts have nothing to do with each other: their squares add up, but for
-        the sample clock's. Infinite where a part is: there nothing is claimed.
+        The random radius and the systematic parts have nothing to do with each other: their squares add up. What data
+        sheets allow comes on top, as clock and sensors of a test may well be off by all of it. Infinite where a part
+        is: there nothing is claimed.
         """
-        return np.hypot(self.random_bound(confidence), self._uncertain()) + self._clock()
+        return np.hypot(self.random_bound(confidence), self._uncertain()) + self._allowed()
 
     def systematic_bound(self) -> NDArray[np.float64]:
-        """Root of the sum of squares of the systematic parts, each of which has a cause of its own, and the clock's."""
-        return self._uncertain() + self._clock()
+        """Root of the sum of squares of the parts, each of which has a cause of its own, and what data sheets allow."""
+        return self._uncertain() + self._allowed()
 
     def _uncertain(self) -> NDArray[np.float64]:
-        parts = [part for name, part in self.systematic.items() if name != CLOCK]
+        parts = [part for name, part in self.systematic.items() if name not in (CLOCK, SENSITIVITY)]
         return np.asarray(np.linalg.norm([np.zeros(self.value.size), *parts], axis=0))
 
-    def _clock(self) -> NDArray[np.float64]:
-        """Part of the sample clock, which is off by all that is said of it: nothing else makes it less likely."""
-        return self.systematic.get(CLOCK, np.zeros(self.value.size))
+    def _allowed(self) -> NDArray[np.float64]:
+        parts = [self.systematic[name] for name in (CLOCK, SENSITIVITY) if name in self.systematic]
+        return np.asarray(np.sum([np.zeros(self.value.size), *parts], axis=0))
 
     def random_bound(self, confidence: float = 0.95) -> NDArray[np.float64]:
         """Radius of the circle that holds the mean of many such measurements with the given confidence.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.responses.frf import CLOCK, MOTIONS
+from analysis.responses.frf import CLOCK, MOTIONS, SENSITIVITY
 from rig.scene.quantities import PER_KELVIN, RATIO, TEMPERATURE, Kind, parse
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-SENSITIVITY = "sensors' sensitivity"
 REFERENCE_NOISE, LEAKAGE, UNSETTLED = "noise in the reference", "leakage", "not yet steady"
 ALIASING, RESOLUTION, MODEL = "aliasing", "converter's resolution", "local model"
 REFERENCE = "doubtful reference"

@@ -8,8 +8,8 @@ import pytest
 
 import analysis
 import daq
-from analysis.responses.frf import Frf
-from analysis.responses.systematic import SENSITIVITY, UNSETTLED
+from analysis.responses.frf import SENSITIVITY, Frf
+from analysis.responses.systematic import UNSETTLED
 from rig.errors import RecordingError
 from rig.system.structure import natural_modes, structure_matrices
 from tests.analysis.responses import synthetic

@@ -8,7 +8,7 @@ import pytest
 import analysis
 import daq
 import rig
-from analysis.responses.systematic import SENSITIVITY
+from analysis.responses.frf import SENSITIVITY
 from daq.importing.channel_table import Column
 from daq.recording.markers import Marker
 from daq.signal_chain.channel import ChannelInfo

@@ -16,9 +16,8 @@ from scipy import special
 
 import analysis
 import rig
-from analysis.responses.frf import CLOCK, MOTIONS, Frf
+from analysis.responses.frf import CLOCK, MOTIONS, SENSITIVITY, Frf
 from analysis.responses.multisine import NONLINEAR, ONE_REALISATION
-from analysis.responses.systematic import SENSITIVITY
 from daq.signal_chain.sensors import accelerometer, force_sensor
 from rig.scene.measurement_chain import Accelerometer, Hammer
 from rig.scene.presets import filled_in

@@ -90,7 +90,6 @@ EQUIVALENT = {
     "while place != self.size:": "no record is taken to end beyond the file",
     "if len(content) < CHUNK_HEAD.size + 7:": "what is one byte too short is refused by the next condition",
     "if name_length > 15 or len(content) < begin + 8:": "no compression has a name of 16 letters",
-    "FEW_RECORDS = 2 << 10": "how many records are taken freely is a choice",
     "if not TYPE_CHECKING:": "imports more than is needed",
     'if len(scene.shakers) != 1 and any(shaker.kind != "force" for shaker in scene.shakers):': "any of none is false",
 }

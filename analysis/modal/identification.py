@@ -16,7 +16,7 @@ from analysis.modal.order_selection import MOST_MODES, hidden, in_band, select
 from analysis.modal.pole_errors import pole_errors, systematic_pole_errors
 from analysis.modal.pole_residue import Curves, Fit, fit, residual_terms
 from analysis.responses.frf import Frf
-from analysis.responses.systematic import MODEL, RESOLUTION, UNSETTLED
+from analysis.responses.systematic import ALIASING, MODEL, RESOLUTION, UNSETTLED
 from rig.errors import RecordingError, SceneError
 
 Array = NDArray[np.float64]
@@ -209,8 +209,8 @@ def _told(curves: Curves, model: Fit, frfs: Sequence[Frf]) -> tuple[Curves, Fit,
     """Leave out poles that are no modes; say where they were, in Hz.
 
     Those whose damping cannot be told; and those that stand out of no curve by more than it may be off by what does not
-    scatter, as remaining transients make such bumps. A peak narrower than the resolution is a mode all the same: no
-    curve of it could tell more.
+    scatter, as remaining transients and images make such bumps. A peak narrower than the resolution is a mode
+    all the same: no curve of it could tell more.
     """
     dropped: list[float] = []
     while model.poles.size:
@@ -232,8 +232,8 @@ def _buried(model: Fit, frfs: Sequence[Frf]) -> Array:
     """How far a curve may be off at each pole over the height of its peak, in the curve where that is least."""
     frequency: Array = np.asarray(abs(model.poles) / (2 * np.pi), dtype=float)
     off = [
-        rough[_nearest(frf, frequency, np.isfinite(frf.value + rough))]
-        for frf, rough in zip(frfs, _rough(frfs), strict=True)
+        part[_nearest(frf, frequency, np.isfinite(frf.value + part))]
+        for frf, part in zip(frfs, _off(frfs, (*_ROUGH, ALIASING)), strict=True)
     ]
     height = abs(model.residue) / -model.poles.real
     return np.asarray(np.min(off / np.maximum(height, 1e-300), axis=0))
@@ -259,12 +259,12 @@ def _sigma(curves: Sequence[Frf]) -> Array:
         if not np.isfinite(row).all():
             row[~np.isfinite(row)] = scatter(curve.value)[~np.isfinite(row)]
     # What differs from line to line bends a curve as noise does; what is smooth looks like no mode.
-    error = np.hypot(error, 0.5 * _rough(curves))
+    error = np.hypot(error, 0.5 * _off(curves, _ROUGH))
     top = np.nanmax(size, axis=1, keepdims=True)
     return np.hypot(error, LEAST_RELATIVE_ERROR * np.maximum(size, 1e-6 * top))
 
 
-def _rough(curves: Sequence[Frf]) -> Array:
-    """How far each line may be off by parts that differ from line to line; infinite where one is not known."""
-    parts = [[curve.systematic.get(name, np.zeros(curve.value.size)) for name in _ROUGH] for curve in curves]
+def _off(curves: Sequence[Frf], names: Sequence[str]) -> Array:
+    """How far each line may be off by some systematic parts; infinite where one is not known."""
+    parts = [[curve.systematic.get(name, np.zeros(curve.value.size)) for name in names] for curve in curves]
     return np.asarray(np.nan_to_num(np.linalg.norm(parts, axis=1), nan=np.inf, posinf=np.inf))

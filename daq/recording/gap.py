@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from daq.recording.markers import Marker
@@ -40,3 +40,19 @@ def gaps_of(markers: Iterable[Marker], channels: Sequence[str]) -> list[Gap]:
             reason = str(marker.fields.get("reason", "never acquired"))
             gaps.append(Gap(marker.first_sample, marker.end, tuple(map(str, names)), reason))
     return gaps
+
+
+def unnoted(holes: Iterable[tuple[int, int]], noted: Sequence[Gap]) -> Iterator[tuple[int, int]]:
+    """Yield the ranges [first, stop) of samples that are missing and are no part of gaps, both in rising order.
+
+    >>> list(unnoted([(10, 20), (30, 40)], [Gap(12, 15, ("a1",), "lost"), Gap(30, 39, ("a1",), "lost")]))
+    [(10, 20)]
+    """
+    place = 0
+    for first, stop in holes:
+        while first < stop and place < len(noted) and noted[place].first_sample <= first:
+            end = noted[place].last_sample + 1
+            first = max(first, end)
+            place += end <= stop
+        if first < stop:
+            yield first, stop

@@ -15,7 +15,7 @@ from daq.mcap_file.metadata_checksum import is_intact
 from daq.mcap_file.reader import Container
 from daq.recording import layout
 from daq.recording.channel_series import Series
-from daq.recording.gap import Gap, gaps_of
+from daq.recording.gap import Gap, gaps_of, unnoted
 from daq.recording.markers import EVENT_TYPE, Marker, event_from_json
 from daq.recording.sample_block import SAMPLE_TYPE
 from daq.signal_chain.channel import UNITS, ChannelInfo
@@ -377,23 +377,13 @@ class Recording(Result):
             for _ in series.blocks(0, series.stop):
                 pass
         for name in self._series:
-            for first, stop in self._unnoted(name):
+            noted = [gap for gap in self.gaps if name in gap.channels]
+            for first, stop in unnoted(self._series[name].holes(), noted):
                 if self._is_ours:
                     raise RecordingError(
                         f"{self.path} lacks the samples {first} to {stop - 1} of {name}, of which none of its "
                         "markers tells: they were taken out, or what follows was moved; what there is can be read"
                     )
-
-    def _unnoted(self, name: str) -> Iterator[tuple[int, int]]:
-        """Yield the ranges [first, stop) that a channel lacks and that are no part of `gaps`."""
-        noted = [(gap.first_sample, gap.last_sample + 1) for gap in self.gaps if name in gap.channels]
-        place = 0
-        for first, stop in self._series[name].holes():
-            while first < stop and place < len(noted) and noted[place][0] <= first:
-                first = max(first, noted[place][1])
-                place += noted[place][1] <= stop
-            if first < stop:
-                yield first, stop
 
     def close(self) -> None:
         """Close the file."""

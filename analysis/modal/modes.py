@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# A damping ratio that is uncertain by more of itself (one standard deviation: it lies less than three of them from none)
+# A damping ratio that is uncertain by more of itself (one standard deviation: it lies less than three from none)
 # is told by its upper limit alone, and its pole is a mode only where a peak stands out.
 TOLD = 1.0 / 3.0
 

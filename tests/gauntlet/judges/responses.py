@@ -182,29 +182,34 @@ def _at_forces(
         known = truth(frequency)
         near = np.argmin(abs(frequency[:, None] - frequencies), axis=1)
         with np.errstate(invalid="ignore"):
-            off = forces[near] / abs(_force_reads(case, known)) / scene.test.force - 1.0
+            off = forces[near] / abs(_force_reads(case, frequency, known)) / scene.test.force - 1.0
             there = known + (more(frequency) - known) / _MORE_FORCE * off
             return np.asarray(np.where(abs(off) <= most, there, np.nan))
 
     return exact
 
 
-def _gain(case: Case, name: str) -> float:
-    """What a channel reads of what it says it reads: as its sensor, a little off its data sheet, was drawn."""
+def _gain(case: Case, name: str, frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """What is told by a channel of what is there, at nominal frequencies: by its sensor and the clock as drawn."""
     channel = next(channel for channel in case.scene.channels or () if channel.name == name)
+    clock, info = 1.0 + (case.scene.converter.clock_error or 0.0), case.recording.channels[name]
+    # Told by the data sheet's response at the nominal frequency, read with that at the true one.
+    off = info.response(frequency * clock) / info.response(frequency)
     if channel.measures_force:
-        return 1.0 + force_sensor(filled_in(channel.hammer or Hammer()), case.scene.seed, name).deviation
+        deviation = force_sensor(filled_in(channel.hammer or Hammer()), case.scene.seed, name).deviation
+        return np.asarray((1.0 + deviation) * off)
     sensor = accelerometer(filled_in(channel.accelerometer or Accelerometer()), case.scene.seed, name)
-    clock = 1.0 + (case.scene.converter.clock_error or 0.0)
-    return float((1.0 + sensor.deviation) * clock ** MOTIONS.index(case.recording.channels[name].quantity))
+    return np.asarray((1.0 + sensor.deviation) * off * clock ** MOTIONS.index(info.quantity))
 
 
-def _force_reads(case: Case, exact: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """What the channels read of the force for each newton that is there, by the receptances of all bodies."""
+def _force_reads(
+    case: Case, frequency: NDArray[np.float64], exact: NDArray[np.complex128]
+) -> NDArray[np.complex128]:
+    """What the channels tell of the force for each newton that is there, by the receptances of all bodies."""
     channels = case.scene.channels or ()
     force = next((channel.name for channel in channels if channel.measures_force), None)
     if force is not None:
-        return np.full(exact.shape[1], _gain(case, force), dtype=complex)
+        return _gain(case, force, frequency)
     table = next(channel.name for channel in channels if channel.at == "table")
     number = case.scene.shaker.bodies[0]
     driven = next(channel.name for channel in channels if channel.at == f"body {number}")
@@ -212,7 +217,8 @@ def _force_reads(case: Case, exact: NDArray[np.complex128]) -> NDArray[np.comple
     spring = case.scene.shaker.spring * exact[number - 1]
     # Not a number where the truth is none; such lines are judged nowhere.
     with np.errstate(invalid="ignore"):
-        return np.asarray(_gain(case, table) * (1.0 + spring) - _gain(case, driven) * spring)
+        reads = _gain(case, table, frequency) * (1.0 + spring) - _gain(case, driven, frequency) * spring
+    return np.asarray(reads)
 
 
 def _as_built(
@@ -223,4 +229,5 @@ def _as_built(
     exact = truth(frf.frequency * (1.0 + (case.scene.converter.clock_error or 0.0)))
     body = int(case.recording.channels[frf.response].at.split()[1])
     with np.errstate(invalid="ignore"):
-        return np.asarray(exact[body - 1] * _gain(case, frf.response) / _force_reads(case, exact))
+        told = exact[body - 1] * _gain(case, frf.response, frf.frequency)
+        return np.asarray(told / _force_reads(case, frf.frequency, exact))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.dampers.jump_search import RESOLVED, SIGMAS, JumpSearch
+from analysis.dampers.jump_search import RANGE, RESOLVED, SIGMAS, JumpSearch, least_sure
 from analysis.dampers.jump_signature import Signature, signature
 from analysis.decays.sensor_correction import corrected
 from analysis.recordings.slices import read_slices
@@ -28,11 +28,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-# A jump larger than the least that counts by so many standard deviations is found for certain, as noise may take
-# off three.
-_CERTAINTY = 3.0
-# So much smaller than the largest one, a jump is not told from what the model of a channel leaves out.
-_RANGE = 3e-3
 # Where less than this part of a stretch can be searched, nothing is told of it.
 _LEAST_SEARCHED = 0.5
 # A landing of no more than this part of a sample interval is a jump.
@@ -69,9 +64,10 @@ class Impacts:
     ringing: float
     """How long the channel rings about an impact, s: there one smaller than `LEFT_OVER` of it may be missed."""
     searched: float
-    """Length of what was searched, s: the stretch without its ends, lost samples and overloads."""
+    """Length of what was searched, s: the stretch without its ends and without `left_out`."""
     left_out: Array
-    """Where samples were lost or overloaded, and impacts go unseen: begin and end of each stretch, s; shape (m, 2)."""
+    """Where no impact is told, begin and end of each stretch, s; shape (m, 2): samples were lost or overloaded, or
+    impacts are so near to each other that no set of them explains what is seen."""
 
     @property
     def threshold(self) -> float:
@@ -79,7 +75,7 @@ class Impacts:
 
         Beside a larger one, while that rings, it is more: see `ringing`.
         """
-        return max((SIGMAS + _CERTAINTY) * self.noise, _RANGE * float(abs(self.jump).max(initial=0.0)))
+        return least_sure(self.noise, float(abs(self.jump).max(initial=0.0)))
 
     @property
     def kind(self) -> NDArray[np.str_]:
@@ -143,17 +139,21 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
     search = searches[taken]
     place, jump = search.run()
     noise = float(np.percentile(search.noise()[2], 95.0)) * search.signature.gain
-    clear = abs(jump) > max(SIGMAS * noise, _RANGE * float(abs(jump).max(initial=0.0)))
+    clear = abs(jump) > max(SIGMAS * noise, RANGE * float(abs(jump).max(initial=0.0)))
+    unread = (start + np.array(runs_of(~good), dtype=float).reshape(-1, 2)) / rec.rate
+    entangled = search.entangled()
+    untold = ((place[:, None] >= entangled[:, 0]) & (place[:, None] < entangled[:, 1])).any(axis=1)
+    place, jump = place[clear & ~untold], jump[clear & ~untold]
     return Impacts(
         info.name,
-        (start + place[clear]) / rec.rate - info.delay,
-        jump[clear],
-        _acceleration(_without_high_pass(filled, info), place[clear], info),
+        (start + place) / rec.rate - info.delay,
+        jump,
+        _acceleration(_without_high_pass(filled, info), place, info),
         noise,
         RESOLVED / rec.rate,
         (search.signature.reach + search.signature.ring) / rec.rate,
-        float(search.open.sum()) / rec.rate,
-        (start + np.array(runs_of(~good), dtype=float).reshape(-1, 2)) / rec.rate,
+        float(search.open.sum() - np.sum(entangled[:, 1] - entangled[:, 0])) / rec.rate,
+        np.concatenate([unread, (start + entangled) / rec.rate - info.delay]),
     )
 
 

@@ -68,12 +68,25 @@ def fit_together(
     """
     first = int(min(one.place for one in group)) + of.window_start - of.difference + SHIFT
     last = int(max(one.place for one in group)) + of.window_start - of.difference + of.window - SHIFT
-    first, last = max(first, 0), min(last, rest.size)
+    return fit_within(rest, of, group, (max(first, 0), min(last, rest.size)), noise, typical)
+
+
+def fit_within(
+    rest: Array,
+    of: Signature,
+    group: list[Jump],
+    within: tuple[int, int],
+    noise: float,
+    typical: tuple[float, float],
+    rounds: int = _ROUNDS,
+) -> tuple[list[Jump], float]:
+    """Fit jumps as `fit_together` does, to the differences from one to before another; where they are in one round."""
+    first, last = within
     smooth = _smooth(last - first, of.background(last - first))
     seen = _readings(rest[None, first:last], of.difference, smooth)[0]
     ridge = np.tile([0.0, noise / typical[0], noise / typical[1], 0.0], len(group))
     places, sizes = np.array([one.place for one in group]), np.zeros((len(group), 3))
-    for turn in range(_ROUNDS):
+    for turn in range(rounds):
         columns = np.zeros((4 * len(group), last - first))
         for k, place in enumerate(places):
             begin, parts, slopes = shape(of, place)
@@ -89,7 +102,7 @@ def fit_together(
         normal = matrix.T @ matrix + np.diag((ridge / scale) ** 2 + _ROUNDING)
         solution = np.linalg.solve(normal, matrix.T @ seen) / scale
         sizes = solution.reshape(-1, 4)[:, :3]
-        if turn and turn < _ROUNDS - 1:
+        if turn and turn < rounds - 1:
             moved = places + np.clip(solution[3::4], -_STRIDE, _STRIDE)
             places = np.where(abs(moved - [one.place for one in group]) < _FARTHEST, moved, places)
     error = noise * np.sqrt(np.diag(np.linalg.inv(normal))) / scale
@@ -105,6 +118,11 @@ def fit_together(
         for k, one in enumerate(group)
     ]
     return fitted, left
+
+
+def readings(windows: Array, of: Signature, length: int) -> Array:
+    """Sum windows of so many differences up to readings and take off what is smooth; shape (windows, length)."""
+    return _readings(windows, of.difference, _smooth(length, of.background(length)))
 
 
 def _lay(row: Array, begin: int, part: Array) -> None:

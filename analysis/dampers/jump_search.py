@@ -7,14 +7,21 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.dampers.joint_fit import Jump, fit_together, put
+from analysis.dampers.entangled_jumps import cost, grow
+from analysis.dampers.joint_fit import Jump, fit_together, fit_within, put, readings
 from analysis.dampers.jump_signature import SHIFT, Signature
+from rig.numerics.runs import runs_of
 
 Array = NDArray[np.float64]
 
 # A jump counts when it exceeds the standard deviation of its estimate by this factor: one false alarm in
 # some 1e9 samples of Gaussian noise.
 SIGMAS = 6.0
+# A jump larger than the least that counts by so many standard deviations is found for certain, as noise may take
+# off three.
+CERTAINTY = 3.0
+# So much smaller than the largest one, a jump is not told from what the model of a channel leaves out.
+RANGE = 3e-3
 # What is left of a jump after it was taken out; smaller ones in its ringing are not told from that.
 LEFT_OVER = 0.02
 # An impact on a neighbour kinks the acceleration of a body, and the kink is bent a little; the bend passes for
@@ -24,6 +31,10 @@ _BEND = 1.0
 _ROUNDS, _PASSES = 12, 4
 # Jumps nearer to each other than so many samples are taken for one; told apart for certain from so many on.
 _APART, RESOLVED = 4, 6
+# What jumps leave unexplained is searched anew from so many times what is not missed on, over at most so many windows.
+# Where so many times of it are left after that, and such a part of the largest jump there, no jump is told.
+_UNTOLD, _MISFIT = 10.0, 0.5
+_TANGLED, _LONGEST, _LEAVES = 3.0, 4, 0.1
 # So many are fitted together at a time; what is left of one that was fitted alone misleads by so many samples.
 _TOGETHER, _STARTS, _BESIDE = 5, (0.0, -2.5, 2.5, -5.0, 5.0), 10.0
 # Steps of the acceleration are such a part of what it goes through, smoothed over so many samples; kinks bring
@@ -33,6 +44,11 @@ _PART, _CALM, _QUICK = 0.2, 8, 100.0
 # what normal deviates are below in as many.
 _STEADY = 8
 _QUANTILE, _OF_NORMAL = 0.5, 0.6745
+
+
+def least_sure(noise: float, largest: float) -> float:
+    """Smallest jump that is not missed: the noise taken `SIGMAS` + 3 times, or a part of the largest one, m/s."""
+    return max((SIGMAS + CERTAINTY) * noise, RANGE * largest)
 
 
 class JumpSearch:
@@ -80,6 +96,9 @@ class JumpSearch:
         for one in sorted(self.found, key=lambda one: abs(one.sizes[0])):
             now = min(self.found, key=lambda other: abs(other.place - one.place))
             self.settle(now, noise)
+        sure = self.threshold
+        for first, last in self.unexplained(_TANGLED * sure):
+            self.untangle(first, last, sure)
         self.found.sort(key=lambda one: one.place)
         real = [
             one
@@ -121,6 +140,68 @@ class JumpSearch:
         self.found = [other for other in self.found if all(other is not old for old in group)] + best
         for new in best:
             put(self.rest, of, new, -1.0)
+
+    @property
+    def threshold(self) -> float:
+        """Smallest jump that is not missed, m/s, but beside a larger one."""
+        noise = float(np.percentile(self.noise()[2], 95.0)) * self.signature.gain
+        return least_sure(noise, max((abs(one.sizes[0]) for one in self.found), default=0.0))
+
+    def unexplained(self, least: float) -> list[tuple[int, int]]:
+        """First and last window of each stretch in which as much is left as a jump of so many m/s would leave."""
+        of = self.signature
+        first = np.flatnonzero(self.open)
+        first = first[first % (of.window // 2) == 0]
+        windows = np.lib.stride_tricks.sliding_window_view(self.rest, of.window)[first]
+        left = np.sqrt(np.sum(readings(windows, of, of.window) ** 2, axis=1))
+        return [
+            (int(first[begin]), int(first[end - 1])) for begin, end in runs_of(left > least * self.unit())
+        ]
+
+    def entangled(self) -> Array:
+        """Between which places far more is left than a jump would leave that is not missed, samples; shape (n, 2)."""
+        of, out = self.signature, []
+        for first, last in self.unexplained(_UNTOLD * self.threshold):
+            ends = first + self.zero - of.window / 2, last + self.zero + of.window / 2
+            largest = max(
+                (abs(one.sizes[0]) for one in self.found if ends[0] <= one.place < ends[1]), default=0.0
+            )
+            left = readings(self.rest[None, first : last + of.window], of, last - first + of.window)
+            if np.linalg.norm(left) > _MISFIT * largest * self.unit():
+                out.append(ends)
+        return np.array(out).reshape(-1, 2)
+
+    def unit(self) -> float:
+        """Root of the squares of a jump of 1 m/s in the middle of a window."""
+        of = self.signature
+        row = np.zeros(of.window)
+        put(row, of, Jump(self.zero + 0.5, np.array([1.0, 0.0, 0.0]), 1.0, 0.0), 1.0)
+        return float(np.linalg.norm(readings(row[None], of, of.window)))
+
+    def untangle(self, first: int, last: int, sure: float) -> None:
+        """Search anew between two windows, for all jumps there at once; what explains more of it is kept.
+
+        What is left need not be less than a part of what a jump of `sure` m/s would leave.
+        """
+        of = self.signature
+        half = of.window // 2
+        if last - first > _LONGEST * of.window:
+            return
+        within = max(first - half, 0), min(last + of.window + half, self.rest.size)
+        places = float(within[0] + self.zero), float(within[1] - of.window + self.zero)
+        old = [one for one in self.found if places[0] <= one.place <= places[1]]
+        for one in old:
+            put(self.rest, of, one, 1.0)
+        enough = _LEAVES * (sure * self.unit()) ** 2
+        # As noise counts what may be left: steps and kinks are else free to explain what is far above the noise.
+        noise = max(float(self.noise()[2, first]), (enough / of.window) ** 0.5)
+        new, left = grow(self.rest, of, within, places, RESOLVED, enough, noise, self.usual)
+        if old:
+            before = fit_within(self.rest, of, old, within, noise, self.usual)
+            new = min((new, left), before, key=lambda fit: cost(*fit))[0]
+        self.found = [one for one in self.found if all(one is not other for other in old)] + new
+        for one in new:
+            put(self.rest, of, one, -1.0)
 
     def typical(self, samples: Array) -> tuple[float, float]:
         """Size of steps and kinks: a part of what the motion itself goes through."""

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.dampers.impact_detection import band, impacts
-from analysis.dampers.restitution import Restitution, restitution
+from analysis.dampers.impact_detection import Impacts, band, impacts
+from analysis.dampers.restitution import Restitution, hard_speeds, restitution
 from analysis.decays.sensor_correction import corrected
 from analysis.recordings.slices import read_slices
 from analysis.responses.frf import MOTIONS, Frf
@@ -19,6 +19,7 @@ from analysis.responses.systematic import tolerance
 if TYPE_CHECKING:
     from analysis.responses.stepped_sine import Sweep
     from daq.recording.recording import Recording
+    from rig.scene.damper import Damper
 
 # A step of the curve counts as a jump when it is this large (in nepers or radians) and this many times the
 # steps on either side of it, and stands out of the error bars.
@@ -84,7 +85,7 @@ class DamperMotion:
     """Impacts a period."""
     stays: bool | None
     """Whether the damper stays at the ceiling after it struck: it does so while the body's acceleration is below -g.
-    None where that is not told: it is at -g within half a sample interval, or the damper rebounds."""
+    None where that is not told: it is at -g within half a sample interval, or a rebound may last too long for that."""
     threshold: float
     """Smallest velocity jump that would have been seen for certain, m/s."""
     rides: bool
@@ -121,7 +122,7 @@ def damper_motion(
     """
     gravity = rec.scene.gravity
     place = rec.channels[channel].at
-    alone = [damper for damper in rec.scene.dampers if not damper.locked and f"body {damper.body}" == place]
+    inside = [damper for damper in rec.scene.dampers if not damper.locked and f"body {damper.body}" == place]
     out = []
     sizes = _acceleration(rec, sweep, channel)
     for frequency, size, (first, stop) in zip(sweep.lines.frequency, sizes, sweep.windows, strict=True):
@@ -130,15 +131,19 @@ def damper_motion(
         inner = found.searched * float(frequency)
         struck = found.kind == "ceiling"
         uneven = [abs(np.diff(found.time[each]) - 1.0 / frequency) for each in (struck, ~struck)]
-        told = restitution(rec, found, alone[0], int(first), int(stop)) if len(alone) == 1 else None
-        rebounds = told is not None and told.value > _SURE * told.error
+        told = restitution(rec, found, inside[0], int(first), int(stop)) if len(inside) == 1 else None
         out.append(
             DamperMotion(
                 float(frequency),
                 found.channel,
                 float(np.sum(found.kind == "floor")) / inner,
                 float(np.sum(struck)) / inner,
-                _stays(found.acceleration[struck] + gravity, np.pi * frequency / rec.rate * size, rebounds),
+                _stays(
+                    found.acceleration[struck] + gravity,
+                    np.pi * frequency / rec.rate * size,
+                    _longest_rebound(rec, found, inside, told),
+                    _pushed(found.acceleration[struck], size, gravity, frequency),
+                ),
                 found.threshold,
                 _least_acceleration(rec, channel, frequency, int(first), int(stop)) > -gravity,
                 told,
@@ -150,11 +155,41 @@ def damper_motion(
     return out
 
 
-def _stays(weight: NDArray[np.float64], change: float, rebounds: bool) -> bool | None:
-    """Whether a damper stays at the ceiling, by its body's acceleration above -g as it strikes, known to `change`."""
+def _stays(weight: NDArray[np.float64], change: float, rebound: float, pushed: float) -> bool | None:
+    """Whether a damper stays at the ceiling, by its body's acceleration above -g as it strikes, known to `change`.
+
+    One that rebounds, at `rebound` m/s or less, stays only if it surely comes back within the time for which the
+    ceiling pushes it, s: under an acceleration that falls from a to zero in a time t, one slower than a t / 3 does.
+    """
     known = weight[np.isfinite(weight)]
     middle = float(np.median(known)) if known.size else 0.0
-    return None if abs(middle) <= change or (rebounds and middle < 0.0) else middle < 0.0
+    if abs(middle) <= change:
+        return None
+    if middle > 0.0:
+        return False
+    return True if rebound <= -middle * pushed / 3.0 else None
+
+
+def _longest_rebound(rec: Recording, found: Impacts, inside: list[Damper], told: Restitution | None) -> float:
+    """Give the largest speed at which a damper may leave the ceiling after it struck it, all its bounces together, m/s.
+
+    By what its flights tell; where they tell nothing, or no more than that it may be none, by the scene's word.
+    """
+    struck = replace(found, jump=found.jump[found.kind == "ceiling"])
+    share = max((damper.restitution for damper in inside), default=0.0)
+    if told is not None and (share > 0.0 or told.value > _SURE * told.error):
+        share = min(told.value + 2.0 * told.error, 1.0)
+    hard = np.concatenate([np.zeros(1), *(hard_speeds(rec, struck, damper) for damper in inside)])
+    # Bounces last as long as one whose speed is their sum: a geometric series.
+    return float(hard.max() * share / (1.0 + share) / max(1.0 - share, 1e-9)) if share > 0.0 else 0.0
+
+
+def _pushed(acceleration: NDArray[np.float64], size: float, gravity: float, frequency: float) -> float:
+    """Give the least time for which the ceiling pushes, s: of a tone of acceleration that rises as it strikes."""
+    known = acceleration[np.isfinite(acceleration)]
+    struck = float(np.median(known)) if known.size else 0.0
+    ends = np.arcsin(np.clip([struck / size, -gravity / size], -1.0, 1.0))
+    return max(float(ends[1] - ends[0]), 0.0) / (2 * np.pi * frequency)
 
 
 def _acceleration(rec: Recording, sweep: Sweep, channel: str) -> NDArray[np.float64]:

@@ -66,20 +66,14 @@ def restitution(rec: Recording, found: Impacts, damper: Damper, start: int, stop
 
     None where too few flights explain what is seen.
     """
-    from rig.system.structure import structure_matrices
-
-    mass, _, _ = structure_matrices(rec.scene.structure)
-    place = damper.body - 1
-    own = damper.mass if damper.mass is not None else (damper.mass_ratio or 0.0) * float(mass[place, place])
-    body = 1.0 / float(np.linalg.inv(mass)[place, place])
     info = rec.channels[found.channel]
     samples = next(read_slices(rec, [found.channel], [(start, stop)]))[0]
-    if not own > 0 or not np.isfinite(samples).all() or found.time.size < _FEWEST:
+    hard = hard_speeds(rec, found, damper)
+    if not np.isfinite([*samples, *hard]).all() or found.time.size < _FEWEST:
         return None
     way, speed = (corrected(info, samples, what, *band(rec.rate)) for what in ("displacement", "velocity"))
     cavity = _Cavity(way, speed, rec.rate, rec.scene.gravity, tolerance(info))
-    # Closing speeds if nothing rebounded; and rebounds that end within the channel's resolution.
-    hard = abs(found.jump) * (own + body) / own
+    # Rebounds that end within the channel's resolution.
     weight = -np.sign(found.jump) * (found.acceleration + rec.scene.gravity)
     hidden = 0.5 * found.resolution * np.maximum(weight, 0.0)
     wall = np.where(found.jump < 0.0, 0.0, damper.clearance)
@@ -101,6 +95,18 @@ def restitution(rec: Recording, found: Impacts, damper: Damper, start: int, stop
     # No jump is known better than to what fitting it leaves over: that is a bound, of two standard deviations.
     size = 0.5 * LEFT_OVER * (1.0 + value)
     return Restitution(float(value), float(np.sqrt(scatter**2 + doubt**2 + size**2)))
+
+
+def hard_speeds(rec: Recording, found: Impacts, damper: Damper) -> Array:
+    """Give closing speeds of the only damper on a body if nothing rebounded, m/s; not finite where it has no mass."""
+    from rig.system.structure import structure_matrices
+
+    mass, _, _ = structure_matrices(rec.scene.structure)
+    place = damper.body - 1
+    own = damper.mass if damper.mass is not None else (damper.mass_ratio or 0.0) * float(mass[place, place])
+    body = 1.0 / float(np.linalg.inv(mass)[place, place])
+    with np.errstate(divide="ignore"):
+        return np.asarray(abs(found.jump) * (1.0 + np.float64(body) / own))
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,11 @@ from scipy import fft, ndimage
 
 from analysis.recordings.slices import read_slices
 from analysis.responses.clean_stretches import cure, flaws, told
-from analysis.responses.frf import Frf
+from analysis.responses.frf import MOTIONS, Frf
 from analysis.responses.local_rational import ORDER
 from analysis.responses.local_spectra import SIDE, LocalSpectra
 from analysis.responses.measurands import motion_of, reference_of
-from analysis.responses.systematic import UNSETTLED, in_counts, scattered, tone_gain
+from analysis.responses.systematic import UNSETTLED, in_counts, scattered, tolerance, tone_gain
 from analysis.responses.whole_stretches import dampers_move
 from rig.errors import RecordingError
 
@@ -33,6 +33,8 @@ _RATIO, _GROWTH = 1.35, 1.1
 _POINTS = 400
 # Lines of a spectrum that a fit turns into one value: those that it takes in, by its parameters.
 _PER_VALUE = (2 * SIDE + 1) / (3 * ORDER + 2)
+# A damper lifts where its body falls faster than g: surely none does below this part of it.
+_RIDES = 0.7
 # Readings are told in counts from so many periods at least.
 _FEWEST_PERIODS = 3.0
 
@@ -46,6 +48,8 @@ class SweptTone:
     """How fast the tone passes each frequency, Hz/s; shape (lines,)."""
     label: str
     warnings: tuple[str, ...]
+    riding: NDArray[np.bool_]
+    """Where no damper lifts, so that the structure is linear; shape (lines,)."""
     shared: float = 1.0
     """How many neighbouring frequencies rest on the same lines of their spectra."""
 
@@ -58,7 +62,8 @@ class SweptTone:
         found = replace(found, shared=self.shared)
         if not dampers_move(rec):
             return found
-        return replace(found, systematic={**found.systematic, UNSETTLED: self._lag(found)})
+        lag = np.where(self.riding, 0.0, self._lag(found))
+        return replace(found, systematic={**found.systematic, UNSETTLED: lag})
 
     def _lag(self, found: Frf) -> Array:
         """How far a passing tone puts a response off that is not linear.
@@ -167,7 +172,29 @@ def tracked(
     )
     speed = abs(np.gradient(frequency, [_passes(marker, f, rec.rate) / rec.rate for f in frequency]))
     shared = max(float(np.median(_PER_VALUE * rec.rate / lengths / np.gradient(frequency))), 1.0)
-    return SweptTone(spectra, speed[kept], rec.scene.name, tuple(notes), shared)
+    riding = _riding(rec, names, frequency[kept], squares[:, kept])
+    return SweptTone(spectra, speed[kept], rec.scene.name, tuple(notes), riding, shared)
+
+
+def _riding(rec: Recording, names: Sequence[str], frequency: Array, squares: Array) -> NDArray[np.bool_]:
+    """Where a tone is so small that no damper lifts, by the mean squares of the channels on their bodies."""
+    riding = np.ones(frequency.size, dtype=bool)
+    for damper in rec.scene.dampers:
+        infos = [rec.channels[name] for name in names]
+        seen = [
+            k for k, info in enumerate(infos) if info.at == f"body {damper.body}" and info.quantity in MOTIONS
+        ]
+        largest = np.full(frequency.size, np.inf)
+        for k in seen:
+            order = 2 - MOTIONS.index(infos[k].quantity)
+            size = (
+                (2.0 * squares[k]) ** 0.5
+                / abs(infos[k].response(frequency))
+                * (2 * np.pi * frequency) ** order
+            )
+            largest = np.minimum(largest, size * (1.0 + tolerance(infos[k])))
+        riding &= damper.locked | (largest < _RIDES * rec.scene.gravity)
+    return riding
 
 
 def _stretch(marker: Marker, frequency: float, rate: float, first: int, stop: int) -> tuple[int, int]:

@@ -65,7 +65,7 @@ def estimate(problem: Problem, told: Told) -> Estimate:
                 break
             told("all")
             x = solved(problem, x, problem.groups, _DISTRUST[-2] if turn == 0 else _BARELY, most=8)
-        x = solved(problem, x, problem.groups, 0.0, most=12)
+            x = solved(problem, x, problem.groups, 0.0, most=12)
     return Estimate(x, *_certainty(problem, x))
 
 

@@ -29,22 +29,31 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 # Newton's corrections from a motion near by, and periods that a motion is followed for where that leads nowhere.
-_CORRECTIONS, _LONGEST = 8, 300
+_CORRECTIONS, _LONGEST = 8, 1500
 # Steps in which a motion is led to a neighbour's setting, and corrections of the level in each.
 _LEADS, _HOLDS = 8, 2
-# Corrections of a drive, and how near it has to bring the reference to its level.
-_DRIVES, _LEVEL = 8, 1e-10
+# Corrections of a drive, each by this share of it at least, and how near they have to bring the reference to its
+# level: the rest is interpolated.
+_DRIVES, _STEP, _LEVEL = 8, 1e-6, 1e-5
 # Drives at which a motion is looked for, each nearer to the level.
 _SEARCHES = 5
 
 
 @dataclass(frozen=True)
 class Known:
-    """A periodic motion: its events, the unknowns of its equations, and the level of the drive that causes it."""
+    """A periodic motion: its events, the unknowns of its equations, and the level of the drive that causes it.
+
+    Attributes
+    ----------
+    slope : ndarray of complex, shape (bodies,), or None
+        What the level of the reference changes of the displacement over the reference, where the reference is not
+        what is driven.
+    """
 
     plan: Plan
     unknowns: Array
     drive: float
+    slope: ComplexArray | None = None
 
 
 Answer = tuple[Known, ComplexArray]
@@ -97,8 +106,11 @@ class SteadyTones:
         rig = _Rig(bench)
         for k in np.flatnonzero(pull > bench.gravity if settle else flying).tolist():
             here = self.known[k]
-            answer = None if here is None else rig.corrected(here, frequency[k], level[k], checked=settle)
-            if settle:
+            if not settle:
+                assert here is not None
+                answer = rig.followed(here, frequency[k], level[k])
+            else:
+                answer = None if here is None else rig.corrected(here, frequency[k], level[k])
                 answer = answer or self._anew(rig, frequency, level, k)
                 self._last[k] = here or self._last[k]
                 self.known[k] = None if answer is None else answer[0]
@@ -109,28 +121,29 @@ class SteadyTones:
         return found
 
     def others(self, bench: Scene, level: Array, frequency: Array, k: int) -> Iterator[Answer]:
-        """Give the stable motions at a point that those at its neighbours lead to, and the one found from riding."""
+        """Give the stable motions at a point that its neighbours', riding, and rest lead to."""
         rig = _Rig(bench)
         for near in (k - 1, k + 1):
             if 0 <= near < frequency.size and (known := self.known[near]) is not None:
                 answer = rig.led(known, frequency[[near, k]], level[[near, k]])
                 if answer is not None:
                     yield answer
-        answer = rig.searched(frequency[k], level[k])
-        if answer is not None:
-            yield answer
+        for moving in (True, False):
+            answer = rig.searched(frequency[k], level[k], moving)
+            if answer is not None:
+                yield answer
 
     def _anew(self, rig: _Rig, frequency: Array, level: Array, k: int) -> Answer | None:
         """Motion with the events that it had, or of a neighbour's, else the one that riding leads to."""
         beside = [self.known[near] for near in (k - 1, k + 1) if 0 <= near < len(self.known)]
         for known in (self._last[k], *beside):
             if known is not None:
-                answer = rig.corrected(known, frequency[k], level[k], checked=True)
+                answer = rig.corrected(known, frequency[k], level[k])
                 if answer is not None:
                     return answer
         if k in self.given_up:
             return None
-        answer = rig.searched(frequency[k], level[k])
+        answer = rig.searched(frequency[k], level[k], moving=True)
         if answer is None:
             self.given_up.add(k)
         return answer
@@ -161,8 +174,8 @@ class _Rig:
         if shaker.kind == "electrodynamic":
             self.table = self.problem.system.points.index("table")
 
-    def searched(self, frequency: float, level: float) -> Answer | None:
-        """Motion that the one with all dampers riding leads to."""
+    def searched(self, frequency: float, level: float, moving: bool) -> Answer | None:
+        """Motion that the one with all dampers riding leads to or, unless `moving`, rest."""
         drive = level * (self.spring or 1.0)
         if self.table is not None:
             per_volt = riding_response(self.problem.system, "shaker", 2.0 * np.pi * frequency)[self.table]
@@ -170,7 +183,7 @@ class _Rig:
         orbit: Orbit | None = None
         for _ in range(_SEARCHES if self.table is not None else 1):
             setting = OperatingPoint(float(frequency), float(drive))
-            propagator = start_march(self.problem, setting, moving=orbit is None)[0]
+            propagator = start_march(self.problem, setting, moving)[0]
             if orbit is not None:
                 enter(propagator, orbit)
             try:
@@ -178,36 +191,47 @@ class _Rig:
             except (RunError, np.linalg.LinAlgError):
                 return None
             known = Known(orbit.plan, orbit.unknowns, drive)
-            answer = self.corrected(known, frequency, level, checked=True)
+            answer = self.corrected(known, frequency, level)
             if answer is not None or self.table is None:
                 return answer
-            if self._at_drive(known, frequency, drive, checked=False) is None:
+            there = self._at_drive(known, frequency, drive)
+            if there is None:
                 return None
-            drive *= float(np.clip(level / self._reference, 0.5, 2.0))
+            drive *= float(np.clip(level / there[2], 0.5, 2.0))
         return None
 
-    def corrected(self, near: Known, frequency: float, level: float, checked: bool) -> Answer | None:
+    def followed(self, near: Known, frequency: float, level: float) -> Answer | None:
+        """Follow a motion, possible or not, to a setting as near as derivatives need it; None if it leads nowhere."""
+        there = self._at_drive(near, frequency, near.drive if self.table is not None else self._drive(level))
+        if there is None:
+            return None
+        known, ratio, moved = there
+        return known, ratio if near.slope is None else ratio + near.slope * (level - moved)
+
+    def corrected(self, near: Known, frequency: float, level: float, checked: bool = True) -> Answer | None:
         """Correct a motion to a setting; None if it leads nowhere or, `checked`, to an impossible or unstable one."""
         if self.table is None:
-            return self._at_drive(near, frequency, level * (self.spring or 1.0), checked)
-        drive, tried = near.drive, [(0.0, 0.0)]
+            there = self._at_drive(near, frequency, self._drive(level), checked)
+            return None if there is None else there[:2]
+        drive, before = near.drive, None
         for _ in range(_DRIVES):
-            answer = self._at_drive(near, frequency, drive, False)
-            if answer is None:
+            there = self._at_drive(near, frequency, drive)
+            if there is None:
                 return None
-            near, moved = answer[0], self._reference
-            if abs(moved / level - 1.0) < _LEVEL:
-                return self._at_drive(near, frequency, drive, checked)
-            tried = [*tried[-1:], (drive, moved)]
-            (before, moved_before), (now, _) = tried
-            slope = (moved - moved_before) / (now - before) if now != before else moved / now
-            drive = (
-                float(np.clip(drive + (level - moved) / slope, 0.5 * drive, 2.0 * drive))
-                if slope > 0.0
-                else 0.0
-            )
-            if drive <= 0.0:
+            near, ratio, moved = there
+            rise = moved / drive
+            if before is not None:
+                rise = (moved - before[1]) / (drive - before[0])
+                slope = (ratio - before[2]) / (moved - before[1])
+                if abs(moved / level - 1.0) < _LEVEL:
+                    if checked and self._at_drive(near, frequency, drive, checked) is None:
+                        return None
+                    return replace(near, slope=slope), ratio + slope * (level - moved)
+            if not rise > 0.0:
                 return None
+            before = drive, moved, ratio
+            step = (level - moved) / rise / drive
+            drive *= 1.0 + float(np.copysign(np.clip(abs(step), _STEP, 0.5), step))
         return None
 
     def led(self, known: Known, frequency: Array, level: Array) -> Answer | None:
@@ -229,7 +253,14 @@ class _Rig:
         """Force for one unit of the reference, but for a factor."""
         return float(abs(1.0 - ratio[self.driven])) if self.spring else 1.0
 
-    def _at_drive(self, near: Known, frequency: float, drive: float, checked: bool) -> Answer | None:
+    def _drive(self, level: float) -> float:
+        """Force that a level of the reference is."""
+        return float(level * (self.spring or 1.0))
+
+    def _at_drive(
+        self, near: Known, frequency: float, drive: float, checked: bool = False
+    ) -> tuple[Known, ComplexArray, float] | None:
+        """Motion at a drive, displacement over the reference, and the reference's level."""
         setting = OperatingPoint(float(frequency), float(drive))
         curve = Following(self.problem, near.plan, setting, "frequency", near.unknowns)
         equations, change = curve.tables(setting.frequency)
@@ -250,5 +281,8 @@ class _Rig:
         harmonic = 2.0 / equations.period * survey(equations, sequence, shot, instants)[1]
         driven = -1j * setting.force / (self.spring or 1.0)
         reference = complex(driven if self.table is None else harmonic[self.table])
-        self._reference = abs(reference)
-        return replace(near, unknowns=x, drive=float(drive)), harmonic[: self.bodies] / reference
+        return (
+            replace(near, unknowns=x, drive=float(drive)),
+            harmonic[: self.bodies] / reference,
+            abs(reference),
+        )

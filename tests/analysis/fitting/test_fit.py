@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,10 +9,14 @@ import pytest
 import analysis
 import daq
 import rig
+from analysis.fitting.estimate import Estimate
+from analysis.fitting.fit import Compared, _misfit
+from analysis.fitting.measured import measured
 from analysis.fitting.parameters import free_parameters, spelt_out, with_values
 from rig.errors import RecordingError, SceneError
 from tests.analysis.responses import synthetic
 
+DEMO = Path(__file__).parents[3] / "recordings" / "demo-sweep-three-dampers.mcap"
 FREQUENCIES = np.geomspace(9.0, 60.0, 60)
 
 
@@ -140,3 +145,20 @@ def test_given_values_when_put_into_a_scene_then_they_and_no_others_change():
     assert changed.dampers[0].clearance == 2.0 * scene.dampers[0].clearance
     assert changed.structure.damping == scene.structure.damping
     assert changed.shaker == scene.shaker
+
+
+@pytest.mark.parametrize(("irregular", "elsewhere", "refused"), [(9, 2, False), (0, 6, True), (12, 0, True)])
+def test_given_points_left_out_when_judged_then_those_where_the_model_is_irregular_are_no_misfit(
+    irregular, elsewhere, refused
+):
+    with daq.open(DEMO) as recording:
+        [curves] = measured(recording, "demo")
+    predicted, used = np.ones((3, 20), dtype=complex), np.ones(20, dtype=bool)
+    predicted[:, :irregular], used[: irregular + elsewhere] = np.nan, False
+    compared = Compared(curves, predicted, used, np.zeros((3, 20)), 0.0)
+    said = _misfit(Estimate(np.zeros(1), np.eye(1), 1.0), [compared])
+    assert said == (
+        f"demo: the scene has no motion like the measured one at {irregular + elsewhere} of 20 points."
+        if refused
+        else ""
+    )

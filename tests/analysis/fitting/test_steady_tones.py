@@ -25,3 +25,22 @@ def test_given_a_trial_with_no_steady_motion_when_led_back_then_the_motion_of_be
     assert np.isfinite(before).all() and tones.known[0] is not None
     assert np.isnan(tones.at(bench, 10.0 * level, frequency)).all()
     np.testing.assert_allclose(tones.at(bench, level, frequency), before, rtol=1e-9)
+
+
+def test_given_a_shaken_table_when_motions_are_followed_then_they_change_as_those_that_are_corrected():
+    with daq.open(DAMPED) as recording:
+        [curves] = measured(recording, "demo")
+    assert curves.level is not None
+    point = [int(np.argmin(abs(curves.frequency - f))) for f in (34.4, 48.0, 50.5)]
+    frequency, level = curves.frequency[point], curves.level[point]
+    shaken = curves.scene.replace(shaker={"kind": "electrodynamic", "body": 1, "spring": 6600.0})
+    tones = SteadyTones(replace(curves, scene=shaken, frequency=frequency, level=level))
+    bench = on_the_bench(shaken, tones.curves)
+    here, step = tones.at(bench, level, frequency), 1e-5
+    for on_level, on_frequency in ((step, 0.0), (0.0, step)):
+        there = level * (1.0 + on_level), frequency * (1.0 + on_frequency)
+        followed = tones.at(bench, *there, settle=False) - here
+        known = list(tones.known)
+        corrected = tones.at(bench, *there) - here
+        tones.known = known
+        assert np.isfinite(corrected).all() and abs(followed - corrected).max() < 0.01 * abs(corrected).max()

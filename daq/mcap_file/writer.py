@@ -10,7 +10,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
 from typing import Any, NamedTuple, Protocol
 
@@ -125,8 +125,8 @@ class ChunkedFile:
                 if isinstance(each.channel, int):
                     entries[each.channel].append(index.tobytes())
                 else:
-                    for channel in dict.fromkeys(each.channel.ravel().tolist()):
-                        entries[channel].append(index[encoded["channel"] == channel].tobytes())
+                    for channel, entry in _by_channel(encoded["channel"], index):
+                        entries[channel].append(entry)
                 times += np.ravel(each.log_time).tolist()
                 parts.append(encoded.tobytes())
                 place += encoded.nbytes
@@ -275,6 +275,16 @@ def _encoded(messages: Messages) -> NDArray[Any]:
     encoded["log_time"], encoded["publish_time"] = messages.log_time, messages.publish_time
     encoded["data"] = messages.data
     return encoded
+
+
+def _by_channel(channels: NDArray[Any], index: NDArray[Any]) -> Iterator[tuple[int, bytes]]:
+    """Sort the index of messages by their channels, in the order in which these first come."""
+    channels, index = channels.ravel(), index.ravel()
+    order = np.argsort(channels, kind="stable")
+    starts = np.flatnonzero(np.diff(channels[order], prepend=-1))
+    pieces = np.split(index[order], starts[1:])
+    for place in np.argsort(order[starts]).tolist():
+        yield int(channels[order[starts[place]]]), pieces[place].tobytes()
 
 
 class Message(NamedTuple):

@@ -10,14 +10,19 @@ from daq.recording.layout import block_length, flush_length
 from rig.errors import SceneError
 from rig.numerics.memory import need
 from rig.scene.excitation import Impulse, Multisine, SteppedSine
+from rig.scene.presets import filled_in
 from rig.scene.scene import Scene
 
 # More samples are no test any more, but a mistake.
 MOST_SAMPLES = 1e12
 # Bytes that a sample takes in a recording with display, about; and as little as it ever packs to.
 BYTES, FEWEST_BYTES = 8.0, 0.05
-# Copies of a stretch that are in memory at a time, from the structure's motion to the packed chunk.
-COPIES = 12.0
+# What a recording process holds, bytes, measured: libraries and kernels; of each channel the state of its devices, with
+# and without a decimation filter.
+PROGRAM, CHANNEL, FILTERED_CHANNEL = 0.33e9, 0.15e6, 0.4e6
+# Copies of the stretch that is being recorded: of a channel, of the motion, of motion that is recorded, too; and
+# those of a multisine's period.
+COPIES, MOTION_COPIES, TRUTH_COPIES, PERIOD_COPIES = 5.0, 2.0, 7.0, 12.0
 WORTH_SAYING_S = 60.0
 
 
@@ -67,10 +72,12 @@ def estimate(scene: Scene) -> Estimate:
     seconds = _shortest(scene)
     samples = seconds * rate
     stretch = flush_length(rate) + 2 * block_length(rate)
-    held: float = stretch * (channels + 3 * scene.structure.bodies)
+    state = CHANNEL if filled_in(scene.converter).filter is None else FILTERED_CHANNEL
+    motion = 3 * scene.structure.bodies * (TRUTH_COPIES if scene.recording.truth else MOTION_COPIES)
+    memory = PROGRAM + channels * state + 8.0 * stretch * (COPIES * channels + motion)
     if isinstance(scene.test, Multisine):
-        held += _period(scene.test) * rate
-    return Estimate(seconds, samples, BYTES * samples * channels, 8.0 * COPIES * held)
+        memory += 8.0 * PERIOD_COPIES * _period(scene.test) * rate
+    return Estimate(seconds, samples, BYTES * samples * channels, memory)
 
 
 def refuse_too_much(what: Estimate, path: Path) -> None:
@@ -88,7 +95,7 @@ def refuse_too_much(what: Estimate, path: Path) -> None:
             f"the test would take {_duration(what.seconds)} and {what.samples:.3g} samples of each channel; at most "
             f"{MOST_SAMPLES:.0e} are taken: choose a shorter test or a lower rate"
         )
-    need(what.memory, "half a second of all channels, as a recording holds it before it is written,")
+    need(what.memory, "the test with half a second of all its channels, as held before it is written,")
     folder = next(folder for folder in path.absolute().parents if folder.is_dir())
     free = shutil.disk_usage(folder).free
     if what.disk * FEWEST_BYTES / BYTES > free:

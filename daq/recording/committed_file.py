@@ -15,6 +15,9 @@ from typing import IO
 from rig.errors import RecordingError, RunError
 from rig.output_files import destination, put_in_place
 
+# Pieces that are put together for the disk: all at once, those of thousands of channels would be in memory twice.
+_AT_ONCE = 256
+
 
 class Disk:
     """What the MCAP writer writes into: bytes wait here until `commit` puts them into the file together.
@@ -78,11 +81,12 @@ class Disk:
         RunError
             If the disk is full or fails. The file is cut back to the commit before.
         """
-        rest = memoryview(b"".join(self._waiting))
-        self._waiting.clear()
+        waiting, self._waiting = self._waiting, []
         try:
-            while rest:
-                rest = rest[self._file.write(rest) :]
+            for first in range(0, len(waiting), _AT_ONCE):
+                rest = memoryview(b"".join(waiting[first : first + _AT_ONCE]))
+                while rest:
+                    rest = rest[self._file.write(rest) :]
         except OSError as error:
             self.failed = True
             os.ftruncate(self._file.fileno(), self._committed)

@@ -30,6 +30,8 @@ TRANSFORM_STEP = 2
 HALF_LENGTH = 8
 KAISER_BETA = 6.8
 CUTOFF = 0.385
+# Signals that are filtered at a time: products of thousands at once would take several times their memory.
+_ROWS = 64
 
 _RULE = "=" * 80
 FLOAT_SCHEMA = Schema(
@@ -151,10 +153,12 @@ class DisplayDecimator:
         begin, end = int(places[0]) - self._half - self._first, int(places[-1]) + self._half + 1 - self._first
         values = self._held[:, begin:end]
         if self.step > 1:
-            values = _filtered(values, self._taps, self.step)
+            parts = (values[row : row + _ROWS] for row in range(0, len(values), _ROWS))
+            values = np.concatenate([_filtered(part, self._taps, self.step) for part in parts])
         self._next = last + 1
         forget = max(0, self._next * self.step - self._half - self._first)
-        self._held, self._first = self._held[:, forget:], self._first + forget
+        # A copy of the little that is kept: a view would hold on to all of it.
+        self._held, self._first = self._held[:, forget:].copy(), self._first + forget
         return places, np.asarray(values)
 
 
@@ -257,7 +261,8 @@ class Display:
         for first, samples in blocks:
             _, count, size = samples.shape
             rms = np.sqrt(np.add.reduce(samples * samples, axis=2) / size)
-            found.append(np.array([rms, np.maximum.reduce(np.abs(samples), axis=2)]))
+            peak = np.maximum(np.maximum.reduce(samples, axis=2), -np.minimum.reduce(samples, axis=2))
+            found.append(np.array([rms, peak]))
             ends += range(first + size, first + size * count + 1, size)
         data = encode_floats(np.concatenate(found, axis=2).transpose(2, 1, 0))
         times, sequence = self._clock.times_ns(ends)[:, None, None], self._sequence("level", len(ends))

@@ -22,8 +22,19 @@ SCENE_FILE = "scene.yaml"
 BLOCK_S = 0.1
 SHORTEST_BLOCK = 256
 FLUSH_S = 0.5
-# Groups that are displayed together: most of the time goes into what is done once, whatever the number of messages.
+# Most groups that are displayed together: with few channels, most of the time goes into what is done once, whatever
+# the number of messages; with many, memory goes into samples that wait.
 SHOWN_GROUPS = 4
+_SHOWN_CHANNELS = 64
+
+
+def shown_groups(channels: int) -> int:
+    """Give the number of groups that are displayed together.
+
+    >>> shown_groups(3), shown_groups(32), shown_groups(2000)
+    (4, 2, 1)
+    """
+    return min(SHOWN_GROUPS, max(1, _SHOWN_CHANNELS // channels))
 
 
 def block_length(rate: float) -> int:

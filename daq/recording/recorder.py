@@ -89,7 +89,8 @@ class Recorder:
         kind = SCHEMAS[self._stored][2]
         self._raw = Grouping(len(self.channels), self._group, kind)
         # The same once more, for the display.
-        self._shown = Grouping(len(self.channels), layout.SHOWN_GROUPS * self._group, kind)
+        self._together = layout.shown_groups(len(self.channels))
+        self._shown = Grouping(len(self.channels), self._together * self._group, kind)
         self._marks: list[tuple[int, Marker]] = []
         self._marked = self._chunks = self._written = 0
         self._full = False
@@ -314,7 +315,7 @@ class Recorder:
         raw = self._raw.complete.pop(number, None)
         self._need_disk_space()
         if self._display is not None:
-            self._show(number // layout.SHOWN_GROUPS)
+            self._show(number // self._together)
         self._write_markers((number + 1) * self._group)
         if raw is not None:
             blocks = self._blocks(raw)

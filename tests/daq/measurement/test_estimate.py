@@ -1,0 +1,57 @@
+"""What a test takes is known before it begins, and held."""
+
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rig
+from daq.measurement.estimate import COPIES, estimate, refuse_too_much
+from daq.recording.layout import block_length, flush_length
+from daq.recording.recorder import Recorder
+from daq.signal_chain.channel import ChannelInfo
+from rig.errors import RunError
+
+RATE = 5120.0
+
+
+def scene_with(channels: int) -> rig.Scene:
+    scene = rig.load("bare-structure")
+    return scene.replace(
+        converter={"rate": RATE}, channels=[{"name": f"c{i}", "at": "body 1"} for i in range(channels)]
+    )
+
+
+def test_given_more_channels_when_estimated_then_memory_grows_by_each_and_too_many_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few, many, too_many = (estimate(scene_with(count)) for count in (10, 2000, 4000))
+    assert few.memory < 0.4e9
+    assert 0.25e6 < (many.memory - few.memory) / 1990 < 0.35e6
+    refuse_too_much(many, tmp_path / "a.mcap")
+    with pytest.raises(RunError, match=r"all its channels.* would take 1\.\d+ GB of memory"):
+        refuse_too_much(too_many, tmp_path / "a.mcap")
+    monkeypatch.setenv("SHOTRIG_MEMORY", "4GB")
+    refuse_too_much(too_many, tmp_path / "a.mcap")
+
+
+def test_given_hundreds_of_channels_when_recorded_with_display_then_the_recorder_holds_what_was_estimated(
+    tmp_path: Path,
+) -> None:
+    count, group = 300, flush_length(RATE)
+    infos = [ChannelInfo(f"c{i}", "body 1", "acceleration", 0.01, RATE) for i in range(count)]
+    scene = rig.load("bare-structure").replace(recording={"display": True, "truth": False})
+    samples = np.random.default_rng(0).standard_normal((count, group))
+    with Recorder(tmp_path / "a.mcap", scene, infos, RATE) as recorder:
+        recorder.write(samples)
+        tracemalloc.start()
+        try:
+            for _ in range(5):
+                recorder.write(samples)
+            peak = tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+    # The groups that begin, of the file and of the display, have room but take no memory yet.
+    begun = 2 * samples.nbytes
+    assert peak - begun < COPIES * 8.0 * (group + 2 * block_length(RATE)) * count

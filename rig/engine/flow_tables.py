@@ -99,6 +99,8 @@ class FlowTables:
 
     def slots_of(self, configurations: NDArray[np.int64]) -> NDArray[np.int64]:
         """Slots of many configurations, shape as given; new ones are made."""
+        if not configurations.size:
+            return configurations
         if self._direct is None:
             visited, place = np.unique(configurations, return_inverse=True)
             known = np.array([self.slot(int(configuration)) for configuration in visited], dtype=np.int64)

@@ -325,7 +325,7 @@ class Propagator:
     def _need_bounded(self, way: Segments, kept: StateSamples, seen: MotionSamples) -> None:
         """Refuse a motion that has run away, saying where it was first seen to."""
         n = self.system.coordinates
-        if (np.abs(self.state.z[:n]) <= FARTHEST).all():
+        if np.abs(self.state.z[:n]).max() <= FARTHEST:
             return
         far = self.state.z[:n]
         row, ends = way.row, self._elapsed + way.ends(self.tables.step)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import exp, expm1, log
 from typing import NamedTuple
 
 import numpy as np
@@ -78,14 +79,14 @@ def settle(
     RunError
         If so.
     """
-    done = 0
+    done, units = 0, _units(propagator)
     while True:
         # Looking costs as much as many periods of motion: look at growing intervals.
         skipped = min(done // 4, MOST_SKIPPED)
         count = skipped + LOOK
         looked = _follow(propagator, steps, level, skipped, stopped)
         done += count
-        changes, left = _distances(propagator, looked)
+        changes, left = _distances(looked, units)
         steady = np.flatnonzero(left < tolerance)
         # A motion that has nearly settled to a shorter repetition passes for a longer one first.
         settling = np.flatnonzero(changes < SETTLING * tolerance)
@@ -109,33 +110,31 @@ def _follow(
     """Go on for some periods unseen and for a look, in calls short enough for an interrupt to be heard between them."""
     at_once = max(1, int(_HEARD / (steps * propagator.work)))
     seen: list[_Look] = []
-    for periods, shown in ((skipped, False), (LOOK, True)):
-        for begin in range(0, periods, at_once):
-            if stopped():
-                raise RunError("stopped")
-            count = min(at_once, periods - begin)
-            rows = np.arange(count) if shown else np.full(count, -1)
-            found = propagator.through_marks(np.full(count, steps), rows, np.ones(count, dtype=bool), level)
-            if shown:
-                seen.append(_Look(found.state, found.height, found.mode))
+    for begin in range(0, skipped + LOOK, at_once):
+        if stopped():
+            raise RunError("stopped")
+        count = min(at_once, skipped + LOOK - begin)
+        rows = np.maximum(np.arange(count) + min(begin - skipped, 0), -1)
+        found = propagator.through_marks(np.full(count, steps), rows, np.ones(count, dtype=bool), level)
+        seen.append(_Look(found.state, found.height, found.mode))
     return _Look(*(np.concatenate(parts) for parts in zip(*seen, strict=True)))
 
 
-def _distances(propagator: Propagator, look: _Look) -> tuple[Array, Array]:
+def _distances(look: _Look, units: Array) -> tuple[Array, Array]:
     """Change over 1, 2, ... periods, and estimated distance from a motion that repeats so, relative to the motion."""
-    vectors = _vectors(propagator, look)
+    vectors = _vectors(look, units)
     scale = max(float(np.abs(vectors).max()), 1e-300)
     present, left = [], []
-    for p, (change, earlier) in enumerate(_changes(vectors, look.mode) / scale, 1):
+    for p, (change, earlier) in enumerate((_changes(vectors, look.mode) / scale).tolist(), 1):
         present.append(change)
         if change < ROUNDING:
             left.append(change)
         elif not earlier > change:
             left.append(np.inf)
         else:
-            fall = np.log(change / earlier) * p / (LOOK // 2)
+            fall = log(change / earlier) * p / (LOOK // 2)
             # By expm1, because a ratio just below 1 rounds to 1.
-            left.append(max(change, change * np.exp(fall) / -np.expm1(fall)))
+            left.append(max(change, change * exp(fall) / -expm1(fall)))
     return np.array(present), np.array(left)
 
 
@@ -160,18 +159,22 @@ def _changes(vectors: Array, modes: NDArray[np.int8]) -> Array:
     return changes
 
 
-def _vectors(propagator: Propagator, look: _Look) -> Array:
-    """States at the starts of periods in comparable units: metres, velocities over the fastest rate."""
-    system = propagator.system
-    n, ns = system.coordinates, system.states
-    parts = look.state[:, :ns].copy()
-    parts[:, n : 2 * n] *= propagator.tables.step
-    if ns > 2 * n:
+def _units(propagator: Propagator) -> Array:
+    """Give what makes the parts of a state comparable: metres, velocities over the fastest rate; shape (states,)."""
+    system, step = propagator.system, propagator.tables.step
+    n, units = system.coordinates, np.ones(system.states)
+    units[n : 2 * n] = step
+    if system.states > 2 * n:
         # The coil's current, as the armature's motion that its force makes over a step.
         force = np.abs(system.force_state[:, 2 * n :]).max(axis=0) / np.diag(system.mass).min()
-        parts[:, 2 * n :] *= force * propagator.tables.step**2
+        units[2 * n :] = force * step**2
+    return units
+
+
+def _vectors(look: _Look, units: Array) -> Array:
+    """States at the starts of periods in comparable units, and heights of dampers in flight."""
     heights = np.where(look.mode == FLIGHT, look.height, 0.0)
-    return np.hstack([parts, heights])
+    return np.concatenate([look.state[:, : units.size] * units, heights], axis=1)
 
 
 def one_cycle(

@@ -187,20 +187,19 @@ def fourier(
     """
     states, slots, lengths, starts = _stretches(tables, trajectory, begins, durations)
     total = np.zeros(tables.size, dtype=np.complex128)
+    nodes, at_nodes = _GAUSS
+    powers = np.vander(nodes, LENGTH + 1, increasing=True).T * at_nodes
     part, most = lengths / tables.step, max(1, _NUMBERS // (tables.size * (LENGTH + 1)))
     for slot in np.unique(slots):
         every = np.flatnonzero(slots == slot)
         for rows in np.split(every, range(most, every.size, most)):
             # What each term of the series adds, summed over the nodes first: the terms are many, their weights few.
-            weights = np.zeros((LENGTH + 1, rows.size), dtype=np.complex128)
-            for node, weight in zip(*_GAUSS, strict=True):
-                turn = np.exp(-1j * omega * (starts[rows] + node * lengths[rows]))
-                share, tau = weight * lengths[rows] * turn, part[rows] * node
-                for each in weights:
-                    each += share
-                    share *= tau
-            for each, term in zip(weights, _series(tables, int(slot), states[rows]), strict=True):
-                total += each @ term
+            turns = np.exp(-1j * omega * (starts[rows] + nodes[:, None] * lengths[rows]))
+            weights = (powers @ turns) * (
+                np.vander(part[rows], LENGTH + 1, increasing=True).T * lengths[rows]
+            )
+            both = np.stack([weights.real, weights.imag], axis=1) @ _series(tables, int(slot), states[rows])
+            total += [1.0, 1.0j] @ both.sum(axis=0)
     return total
 
 
@@ -297,7 +296,7 @@ def _series(tables: FlowTables, slot: int, states: Array) -> Array:
     if tables.tabulated:
         matrix = flow.series[slot].reshape(size, LENGTH + 1, -1)[:, :, :size]
         constant = flow.series_constant[slot].reshape(LENGTH + 1, -1)[:, :size]
-        return np.einsum("sc,ckr->ksr", states, matrix, optimize=True) + constant[:, None]
+        return np.tensordot(states, matrix, 1).transpose(1, 0, 2) + constant[:, None]
     from scipy.sparse import csr_array
 
     rates = csr_array((flow.rates[slot], flow.column, flow.pointer), shape=(size, size))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -153,7 +154,7 @@ class HybridSystem:
         """Poles while no damper is in contact, rad/s; shape (states,), complex."""
         return np.asarray(np.linalg.eigvals(self.matrix()), dtype=complex)
 
-    @property
+    @cached_property
     def fastest(self) -> float:
         """Fastest rate of the system, rad/s: riding dampers only slow it down, contacts that last make it faster."""
         configurations = {0}

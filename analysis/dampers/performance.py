@@ -138,12 +138,13 @@ def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
     """Energy truly lost in impacts in a period of each tone, J, where the truth was recorded.
 
     Each impact takes (1 - e²) of half the reduced mass of damper and body times the closing speed squared; a landing
-    that lasts is taken for one that nothing else disturbs. NaN where a bed is grains, whose impacts nobody lists.
+    that lasts is taken for one that nothing else disturbs. NaN where a bed is grains, whose impacts nobody lists, and
+    where impacts are felt by other dampers at once, in the same body or through a full mass matrix.
     """
     from rig.system.assembly import assemble
     from rig.system.structure import damper_masses, structure_matrices
 
-    if any(damper.grains is not None for damper in rec.scene.dampers):
+    if any(damper.grains is not None for damper in rec.scene.dampers) or assemble(rec.scene).coupled:
         return np.full(len(sweep.lines.frequency), np.nan)
     mass, _, _ = structure_matrices(rec.scene.structure)
     bodies = np.array([damper.body - 1 for damper in rec.scene.dampers])

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.drawing.cavities import DEPTH, HEADROOM, HOLLOW_HEIGHT, WALL, WIDTH, Cavity, cavities, walls
 from daq.drawing.palette import (
     DARK_STEEL,
     DRIVE,
@@ -33,11 +34,6 @@ if TYPE_CHECKING:
 
     from rig.scene.scene import Scene
 
-WIDTH = 0.16
-DEPTH = 0.10
-WALL = 0.012
-DAMPER_HEIGHT = 0.030
-HEADROOM = 0.100
 SOLID_HEIGHT = 0.060
 SPRING_LENGTH = 0.080
 COIL_LENGTH = 0.110
@@ -160,11 +156,10 @@ class RigView:
         self._unknown = unknown
         self._excursion = extremes.body * self.magnification
         self.bodies = scene.structure.bodies
-        self._damper_at = {damper.body: place for place, damper in enumerate(scene.dampers)}
-        self._height = [
-            WALL + DAMPER_HEIGHT + HEADROOM + WALL if body in self._damper_at else SOLID_HEIGHT
-            for body in range(1, self.bodies + 1)
+        self._cavities = [
+            cavities(scene.dampers, body, self.magnification) for body in range(1, self.bodies + 1)
         ]
+        self._height = [HOLLOW_HEIGHT if inside else SOLID_HEIGHT for inside in self._cavities]
         hung = [shaker.body for _, shaker in scene.tables]
         # A table under body 1 needs room for itself and its coil spring.
         first = PLINTH + PLATE + COIL_LENGTH if 1 in hung else SPRING_LENGTH
@@ -209,9 +204,11 @@ class RigView:
         masses = self.scene.structure.masses
         text = f"body {body}" + (f"  {masses[body - 1]:g} kg" if masses is not None else "")
         text += self._remark(f"body {body}")
-        if body in self._damper_at:
-            yield f"{name}/frame", boxes(self._cavity(body), colour)
-            yield from self._damper(body)
+        inside = self._cavities[body - 1]
+        if inside:
+            yield f"{name}/frame", boxes(walls(inside), colour)
+            for number in range(len(inside)):
+                yield from self._damper(body, number)
         else:
             yield f"{name}/frame", boxes([((0, 0, height / 2), (WIDTH, DEPTH, height))], colour)
         reach = max(
@@ -230,44 +227,28 @@ class RigView:
     def _remark(self, point: str) -> str:
         return ", not measured" if point in self._unknown else ""
 
-    def _cavity(self, body: int) -> list[tuple[Point, Point]]:
-        """Boxes (centre, size) of a body with a cavity, open to the front; the ceiling where in sight."""
-        height, inner = self._height[body - 1], WIDTH - 2 * WALL
-        parts: list[tuple[Point, Point]] = [
-            ((0, 0, WALL / 2), (WIDTH, DEPTH, WALL)),
-            ((-(WIDTH - WALL) / 2, 0, height / 2), (WALL, DEPTH, height)),
-            ((+(WIDTH - WALL) / 2, 0, height / 2), (WALL, DEPTH, height)),
-            ((0, (DEPTH - WALL) / 2, height / 2), (inner, WALL, height)),
-        ]
-        ceiling = self.ceiling(body)
-        if ceiling is not None:
-            parts.append(((0, 0, (ceiling + height) / 2), (inner, DEPTH, height - ceiling)))
-        return parts
+    def _path(self, place: int) -> str:
+        """Path of a damper: numbered where its body has several."""
+        body = self.scene.dampers[place].body
+        inside = [cavity.place for cavity in self._cavities[body - 1]]
+        return f"rig/body_{body}/damper" + (f"_{inside.index(place) + 1}" if len(inside) > 1 else "")
 
-    def ceiling(self, body: int) -> float | None:
-        """Height of the cavity's ceiling over the body's underside, None where it is beyond the drawing."""
-        clearance = self.scene.dampers[self._damper_at[body]].clearance * self.magnification
-        if clearance > HEADROOM:
-            return None
-        return WALL + DAMPER_HEIGHT + clearance
-
-    def _damper(self, body: int) -> Iterator[tuple[str, rr.AsComponents]]:
-        place = self._damper_at[body]
-        damper = self.scene.dampers[place]
-        text = f"damper {self.damper_masses[place] * 1e3:.3g} g"
+    def _damper(self, body: int, number: int) -> Iterator[tuple[str, rr.AsComponents]]:
+        cavity: Cavity = self._cavities[body - 1][number]
+        damper = self.scene.dampers[cavity.place]
+        text = f"damper {self.damper_masses[cavity.place] * 1e3:.3g} g"
         if damper.locked:
             text += ", locked"
         elif not self.gaps_known:
             text += ", not recorded"
-        elif math.isfinite(damper.clearance) and self.ceiling(body) is None:
+        elif math.isfinite(damper.clearance) and cavity.ceiling is None:
             text += ", ceiling out of sight"
-        size = (WIDTH - 2 * WALL - 0.006, DEPTH - WALL - 0.004, DAMPER_HEIGHT)
-        name = f"rig/body_{body}/damper"
         moves = self.gaps_known and not damper.locked
-        centre = (0, -WALL / 2, WALL + DAMPER_HEIGHT / 2)
-        yield name, boxes([(centre, size)], LEAD if moves else GLUED)
-        text_at = _beside(text, 0.45 * self._height[body - 1])
-        yield f"rig/body_{body}/damper_name", label(text_at, text, LEAD if moves else MARK)
+        name = self._path(cavity.place)
+        yield name, boxes([cavity.damper], LEAD if moves else GLUED)
+        # Names of several dampers stand below each other, beside their body.
+        text_at = _beside(text, (0.45 - 0.2 * number) * self._height[body - 1])
+        yield f"{name}_name", label(text_at, text, LEAD if moves else MARK)
 
     def _shaker(self, table: _Table) -> Iterator[tuple[str, rr.AsComponents]]:
         height = table.top - PLATE - 0.012
@@ -339,8 +320,8 @@ class RigView:
             stretch = (COIL_LENGTH + moved[table.body - 1] - rows) / COIL_LENGTH
             yield table.entity("coil_spring"), _along_z(table.top + rows), _stretched(stretch)
         if motion.gap is not None:
-            for place, damper in enumerate(self.scene.dampers):
-                yield f"rig/body_{damper.body}/damper", _along_z(motion.gap[place] * self.magnification), None
+            for place in range(len(self.scene.dampers)):
+                yield self._path(place), _along_z(motion.gap[place] * self.magnification), None
 
     def spring_length(self, body: int) -> float:
         """Length at rest of the spring under a body (from 1)."""

@@ -13,19 +13,9 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
+from daq.drawing.cavities import DEPTH, HEADROOM, HOLLOW_HEIGHT, WALL, WIDTH, Cavity, cavities, walls
 from daq.drawing.palette import DRIVE, GROUND, LEAD, Colour, body_colour
-from daq.drawing.rig_view import (
-    COIL_LENGTH,
-    DAMPER_HEIGHT,
-    DEPTH,
-    HEADROOM,
-    PLATE,
-    PLINTH,
-    SOLID_HEIGHT,
-    SPRING_LENGTH,
-    WALL,
-    WIDTH,
-)
+from daq.drawing.rig_view import COIL_LENGTH, PLATE, PLINTH, SOLID_HEIGHT, SPRING_LENGTH
 from daq.recording.protobuf import Schema, descriptors, varint, varints
 
 if TYPE_CHECKING:
@@ -114,16 +104,16 @@ class RobotDescription:
         points: list[str] = []
         self._link(WORLD, [((0, 0, -0.01), (0.62, 0.30, 0.02))], GROUND)
         hung = {shaker.body for _, shaker in scene.tables}
-        with_cavity = {damper.body: damper for damper in scene.dampers}
-        bottom, below = 0.0, {}
+        bottom, below, at = 0.0, dict[int, float](), dict[int, Cavity]()
         for body in range(1, scene.structure.bodies + 1):
             bottom += PLINTH + PLATE + COIL_LENGTH if body == 1 and body in hung else SPRING_LENGTH
             below[body] = bottom
             points.append(f"body {body}")
             height, boxes = SOLID_HEIGHT, [((0.0, 0.0, SOLID_HEIGHT / 2), (WIDTH, DEPTH, SOLID_HEIGHT))]
-            if body in with_cavity:
-                height = 2 * WALL + DAMPER_HEIGHT + HEADROOM
-                boxes = _cavity(height, with_cavity[body].clearance * self.exaggeration)
+            inside = cavities(scene.dampers, body, self.exaggeration)
+            if inside:
+                height, boxes = HOLLOW_HEIGHT, walls(inside)
+            at |= {cavity.place: cavity for cavity in inside}
             self._link(f"body_{body}", boxes, body_colour(body))
             self._joint(WORLD, f"body_{body}", bottom)
             bottom += height
@@ -134,8 +124,8 @@ class RobotDescription:
             self._joint(WORLD, name, below[shaker.body] - COIL_LENGTH)
         for number, damper in enumerate(scene.dampers if with_dampers else (), start=1):
             points.append(f"damper {number}")
-            size = (WIDTH - 2 * WALL - 0.006, DEPTH - WALL - 0.004, DAMPER_HEIGHT)
-            self._link(f"damper_{number}", [((0, -WALL / 2, DAMPER_HEIGHT / 2), size)], LEAD)
+            (x, y, z), size = at[number - 1].damper
+            self._link(f"damper_{number}", [((x, y, z - WALL), size)], LEAD)
             self._joint(f"body_{damper.body}", f"damper_{number}", WALL)
         self.points = tuple(points)
 
@@ -191,20 +181,6 @@ class RobotDescription:
             messages[:, stamp + 4 + _WIDE : stamp + len(_STAMP)] = rest
             messages[:, height : height + _HEIGHT] = row.view(np.uint8).reshape(-1, _HEIGHT)
         return messages
-
-
-def _cavity(height: float, clearance: float) -> list[Box]:
-    """Floor, sides and back of a body that is open to the front; the ceiling where it is in sight."""
-    boxes: list[Box] = [
-        ((0, 0, WALL / 2), (WIDTH, DEPTH, WALL)),
-        ((-(WIDTH - WALL) / 2, 0, height / 2), (WALL, DEPTH, height)),
-        (((WIDTH - WALL) / 2, 0, height / 2), (WALL, DEPTH, height)),
-        ((0, (DEPTH - WALL) / 2, height / 2), (WIDTH, WALL, height)),
-    ]
-    ceiling = WALL + DAMPER_HEIGHT + clearance
-    if ceiling < height:
-        boxes.append(((0, 0, (ceiling + height) / 2), (WIDTH, DEPTH, height - ceiling)))
-    return boxes
 
 
 def _numbers(values: Sequence[float]) -> str:

@@ -115,9 +115,9 @@ def motion_effects(scene: Scene) -> Iterable[Effect]:
     given = "by matrices" if scene.structure.matrices is not None else "on springs"
     yield Effect("motion", "structure", 2 * bodies, f"{bodies} {many} {given}, {_damping(scene)}")
     if system.coupled and system.dampers:
-        yield Effect(
-            "motion", "coupled impacts", 0, "full mass matrix: all contacts of an instant are solved together"
-        )
+        several = np.unique(system.damper_coordinate).size < system.dampers
+        why = "several dampers in a body" if several else "full mass matrix"
+        yield Effect("motion", "coupled impacts", 0, f"{why}: all contacts of an instant are solved together")
     for shaker in scene.shakers:
         yield from _shaker(shaker)
     yield from _dampers(scene, system)

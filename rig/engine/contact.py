@@ -1,8 +1,9 @@
 """Contact laws: landing, rebound, separation, and what they set off in neighbouring dampers.
 
 A damper is in `FLIGHT`, or rides on the `FLOOR` or at the `CEILING` of its cavity. Contact is unilateral: it
-pushes and never pulls. With a diagonal mass matrix each contact decides for itself; with a full one an impact
-may lift riding neighbours, and all contacts of the instant are solved together (`rig.numerics.complementarity`).
+pushes and never pulls. With a diagonal mass matrix and one damper in a body each contact decides for itself; with a
+full one, or several dampers in a body, an impact may lift riding neighbours, and all contacts of the instant are
+solved together (`rig.numerics.complementarity`).
 
 References
 ----------

@@ -105,7 +105,7 @@ def plan_from(
     ------
     RunError
         If a damper that rebounds comes to rest on a wall, after impacts without end; or one is thrown off its wall
-        by another's impact through a full mass matrix.
+        by another's impact, through a full mass matrix or the body of both.
     """
     kinds: list[int] = []
     dampers: list[int] = []
@@ -118,8 +118,8 @@ def plan_from(
         hit = [i for i in now if dampers[i] == damper and kinds[i] in (FLOOR, CEILING)]
         if system.coupled and any(dampers[i] != damper for i in now):
             raise RunError(
-                f"an impact throws a damper off its wall through the mass matrix (dampers {damper + 1} and "
-                f"{dampers[now[-1]] + 1}), for which orbits are not computed; a settled simulation "
+                f"an impact of a damper is felt by another at once (dampers {damper + 1} and {dampers[now[-1]] + 1}, "
+                "coupled by their body or the mass matrix), for which orbits are not computed; a settled simulation "
                 "(rig.frequency_response) covers it"
             )
         if kind in (FLOOR_IMPACT, CEILING_IMPACT):

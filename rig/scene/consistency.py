@@ -48,18 +48,8 @@ def _no_body(count: int | None, body: int | None, place: Place) -> Iterable[Mist
 
 
 def _dampers(count: int | None, dampers: Sequence[Damper | None]) -> Iterable[Mistake]:
-    first: dict[int, int] = {}
     for k, damper in enumerate(dampers):
-        if damper is None or damper.body is None:
-            continue
-        yield from _no_body(count, damper.body, ("dampers", k, "body"))
-        if damper.body in first:
-            other = first[damper.body] + 1
-            yield Mistake(
-                ("dampers", k, "body"),
-                f"body {damper.body} has a damper already, dampers[{other}]; expected one damper on a body",
-            )
-        first.setdefault(damper.body, k)
+        yield from _no_body(count, None if damper is None else damper.body, ("dampers", k, "body"))
 
 
 def _shakers(count: int | None, shakers: Sequence[Shaker | None], given: frozenset[str]) -> Iterable[Mistake]:

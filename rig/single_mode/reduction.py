@@ -201,7 +201,7 @@ def single_mode(
             raise SceneError(
                 f"damper at body {damper.body}: restitution {damper.restitution}; the method has only 0"
             )
-        free[damper.body] = float(md)
+        free[damper.body] = free.get(damper.body, 0.0) + float(md)
         clearances.add(damper.clearance)
     if len(clearances) > 1:
         listed = ", ".join(f"{1e3 * c:g} mm" for c in sorted(clearances))

@@ -83,9 +83,9 @@ class HybridSystem:
 
     @property
     def coupled(self) -> bool:
-        """Whether an impact at one damper's body is felt at once by another coordinate."""
+        """Whether an impact of one damper is felt at once by another, in the same body, or by another coordinate."""
         struck = self.damper_coordinate[~self.lasting]
-        return bool(np.count_nonzero(self.mass[struck]) > len(struck))
+        return bool(np.count_nonzero(self.mass[struck]) > np.unique(struck).size)
 
     @property
     def lasting(self) -> np.ndarray:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import rig
-from daq.drawing.rig_view import DAMPER_HEIGHT, HEADROOM, WALL, Extremes, RigPose, RigView, exaggeration
+from daq.drawing.cavities import DAMPER_HEIGHT, HEADROOM, WALL, WIDTH, cavities
+from daq.drawing.rig_view import Extremes, RigPose, RigView, exaggeration
 from rig.scene.scene_files import SCENES
 
 SCENE = rig.load("fig8-three-dampers")
@@ -74,13 +75,25 @@ def test_given_a_damper_at_its_ceiling_when_drawn_then_its_top_touches_the_drawn
     view, parts = drawn(scene, motion)
     floor_gap, ceiling_gap = parts["rig/body_2/damper"][0]
     assert floor_gap == 0.0
-    assert view.ceiling(2) == pytest.approx(WALL + DAMPER_HEIGHT + ceiling_gap)
+    [cavity] = cavities(scene.dampers, 2, view.magnification)
+    assert cavity.ceiling == pytest.approx(WALL + DAMPER_HEIGHT + ceiling_gap)
 
 
 def test_given_a_ceiling_far_beyond_the_motion_when_drawn_then_the_cavity_is_open():
     scene = SCENE.replace(dampers=[{"body": 2, "mass": "50 g", "clearance": "1 m"}])
     view, _ = drawn(scene, motion_of(scene, 1e-3))
-    assert view.ceiling(2) is None
+    [cavity] = cavities(scene.dampers, 2, view.magnification)
+    assert cavity.ceiling is None
+
+
+def test_given_two_dampers_in_a_body_when_drawn_then_each_moves_in_a_cavity_of_its_own():
+    pair = [{"body": 2, "mass": f"{mass} g", "clearance": "1 mm"} for mass in (30, 20)]
+    scene = SCENE.replace(dampers=[*pair, {"body": 3, "mass": "10 g", "clearance": "1 mm"}])
+    _, parts = drawn(scene, motion_of(scene, 1e-3))
+    assert {"rig/body_2/damper_1", "rig/body_2/damper_2", "rig/body_3/damper"} <= parts.keys()
+    left, right = cavities(scene.dampers, 2, 1.0)
+    assert left.x + left.width / 2 + WALL == pytest.approx(right.x - right.width / 2)
+    assert right.x + right.width / 2 + WALL == pytest.approx(WIDTH / 2)
 
 
 @pytest.mark.parametrize("path", sorted(SCENES.glob("*.yaml")), ids=lambda path: path.stem)

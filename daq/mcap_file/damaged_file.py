@@ -132,7 +132,7 @@ class DamagedFile:
             return None
         name_length = CHUNK_HEAD.unpack_from(head)[4]
         fixed = CHUNK_HEAD.size + name_length + 8
-        if head[CHUNK_HEAD.size : CHUNK_HEAD.size + name_length] not in _COMPRESSIONS or len(head) < fixed:
+        if len(head) < fixed:
             return None
         (packed,) = struct.unpack_from("<Q", head, fixed - 8)
         reason = ""

@@ -10,6 +10,7 @@ import pytest
 import zstandard
 
 from daq.mcap_file import chunk as module
+from daq.mcap_file import damaged_file as walk
 from daq.mcap_file.chunk import CHUNK_HEAD, Damage, Stored, messages_in, records_in, unpack_chunk
 from daq.mcap_file.damaged_file import DamagedFile, Intact, Unreadable
 from daq.mcap_file.metadata_checksum import checked
@@ -87,6 +88,9 @@ LENGTHS = {
     for byte in range(8)
 }
 
+LONG = {begin: end - begin for begin, end in SPANS}
+# So many bytes of each record tell that its length is right; an attachment must be there to its end.
+TELLING = [49, 15, 20, 53, LONG[SPANS[4][0]], 52]
 TRUE = [INSIDE[0], None, checked({"seed": "1", "rate": "5120"}), INSIDE[1], b"structure: {}", INSIDE[2]]
 
 
@@ -128,7 +132,7 @@ def test_given_any_byte_damaged_when_walked_then_the_other_records_are_had_and_n
 
 
 def test_given_a_file_cut_at_any_byte_when_walked_then_what_came_before_is_had_and_the_rest_is_told(tmp_path):
-    near = {at + beside for span in SPANS for at in span for beside in range(-10, 70, 3)}
+    near = {at + beside for span in SPANS for at in span for beside in (0, *range(-10, 70, 3))}
     for cut in sorted(each for each in near if len(HEAD) <= each <= SPANS[-1][1]):
         parts = parts_of(tmp_path / "a", WHOLE[:cut])
         before = [true for true, (_, end) in zip(TRUE, SPANS, strict=True) if end <= cut and true is not None]
@@ -136,6 +140,11 @@ def test_given_a_file_cut_at_any_byte_when_walked_then_what_came_before_is_had_a
         torn = [begin for begin, end in SPANS if begin < cut < end]
         told = [(part.begin, part.end) for part in parts if isinstance(part, Unreadable)]
         assert told == [(begin, cut) for begin in torn]
+        for begin, part in zip(torn, (each for each in parts if isinstance(each, Unreadable)), strict=True):
+            known = cut - begin < 9 or cut - begin >= TELLING[SPANS.index((begin, begin + LONG[begin]))]
+            assert part.reason == (
+                "the file ends within a record" if known else "no record is to be made out"
+            )
 
 
 @pytest.mark.parametrize("length", [1, 8, 9, 200, (1 << 20) - 9, (1 << 20) + 5])
@@ -147,6 +156,93 @@ def test_given_foreign_bytes_between_records_when_walked_then_the_next_record_is
         spans = [(part.begin, part.end) for part in parts if isinstance(part, Unreadable)]
         assert spans == [(begin, begin + length)]
         assert [held(part) for part in parts if isinstance(part, Intact)] == [TRUE[0], TRUE[3], TRUE[4]]
+
+
+@pytest.mark.parametrize("kind", range(len(RECORDS)))
+def test_given_foreign_bytes_when_walked_then_a_record_of_any_kind_is_found_behind_them(tmp_path, kind):
+    for tail in (RECORDS[3] + END, END, b""):
+        parts = parts_of(tmp_path / "a", HEAD + bytes(20) + RECORDS[kind] + tail)
+        assert (parts[0].begin, parts[0].end) == (len(HEAD), len(HEAD) + 20)
+        had = [TRUE[kind], TRUE[3] if tail.startswith(RECORDS[3]) else None]
+        assert [held(part) for part in parts[1:]] == [each for each in had if each is not None]
+    parts = parts_of(tmp_path / "a", HEAD + bytes(20) + END + RECORDS[kind])
+    assert [(part.begin, part.end) for part in parts] == [(len(HEAD), len(HEAD) + 20)]
+
+
+def unlike_itself():
+    """Give beginnings of records that disagree with themselves, by little."""
+    contents = [
+        *CONTENTS[:4],
+        (9, attachment(b"x")[:-1] + b"\0"),
+        (0x0F, bytes(4)),
+        (0x0C, metadata({"seed": "1"})),
+    ]
+    for opcode, content in contents:
+        # Of a chunk, no right checksum may follow, as that would vouch for it.
+        spoilt = content[:-1] + bytes([content[-1] ^ 1]) if opcode == 6 else content
+        for wrong in (-16, -1, 1, 3, 16, 256):
+            if len(content) + wrong >= 0:
+                yield struct.pack("<BQ", opcode, len(content) + wrong) + spoilt
+    yield record(7, struct.pack("<HI", 1, 8) + bytes(8))
+    yield record(7, struct.pack("<HI", 1, 17) + bytes(17))
+    # No compression of that name.
+    for name in (b"zst", b"zstdd", b"lz5", b"a"):
+        yield record(6, struct.pack("<QQQI", 1, 2, 9, 3) + text(name) + struct.pack("<Q", 9) + bytes(9))
+
+
+@pytest.mark.parametrize("before", [b"", bytes(20)])
+def test_given_what_resembles_a_record_when_walked_then_it_is_passed_over_with_what_is_about_it(
+    tmp_path, before
+):
+    for decoy in unlike_itself():
+        parts = parts_of(tmp_path / "a", HEAD + RECORDS[2] + before + decoy + RECORDS[3] + RECORDS[4] + END)
+        begin = len(HEAD) + len(RECORDS[2])
+        spans = [(part.begin, part.end) for part in parts if isinstance(part, Unreadable)]
+        assert spans == [(begin, begin + len(before) + len(decoy))], decoy
+        assert [held(part) for part in parts if isinstance(part, Intact)] == [TRUE[2], TRUE[3], TRUE[4]]
+
+
+@pytest.mark.parametrize(
+    ("kind", "told"), [(0, "a chunk: "), (3, "a chunk: "), (4, "an attachment"), (2, "a metadata")]
+)
+def test_given_a_damaged_record_of_right_length_when_walked_then_what_is_wrong_is_told_wherever_it_ends(
+    tmp_path, kind, told
+):
+    damaged = RECORDS[kind][:-1] + bytes([RECORDS[kind][-1] ^ 1])
+    for tail in (b"", END, *RECORDS):
+        parts = parts_of(tmp_path / "a", HEAD + damaged + tail)
+        assert (parts[0].begin, parts[0].end) == (len(HEAD), len(HEAD) + len(damaged))
+        assert parts[0].reason.startswith(told)
+    # Where nothing that agrees with itself follows, its length is not to be believed.
+    parts = parts_of(tmp_path / "a", HEAD + damaged + bytes(9) + RECORDS[0])
+    assert (parts[0].begin, parts[0].end) == (len(HEAD), len(HEAD) + len(damaged) + 9)
+    assert parts[0].reason == "no record is to be made out" and held(parts[1]) == TRUE[0]
+
+
+@pytest.mark.parametrize("kind", [2, 4])
+def test_given_a_record_of_the_largest_size_when_walked_then_it_is_taken_and_a_larger_one_is_not(
+    tmp_path, kind, monkeypatch
+):
+    size = len(CONTENTS[kind][1])
+    monkeypatch.setattr(walk, "LARGEST_RECORD", size)
+    assert held(parts_of(tmp_path / "a", HEAD + RECORDS[kind] + END)[0]) == TRUE[kind]
+    monkeypatch.setattr(walk, "LARGEST_RECORD", size - 1)
+    [part] = parts_of(tmp_path / "a", HEAD + RECORDS[kind] + END)
+    assert (part.begin, part.end) == (len(HEAD), len(HEAD) + len(RECORDS[kind]))
+
+
+@pytest.mark.parametrize("kind", [0, 3])
+def test_given_a_chunk_of_the_largest_size_when_walked_then_it_is_taken_and_a_larger_one_is_not_read(
+    tmp_path, kind, monkeypatch
+):
+    content = CONTENTS[kind][1]
+    packed = len(content) - CHUNK_HEAD.size - 8 - CHUNK_HEAD.unpack_from(content)[4]
+    monkeypatch.setattr(walk, "LARGEST_CHUNK", packed)
+    assert held(parts_of(tmp_path / "a", HEAD + RECORDS[kind] + END)[0]) == TRUE[kind]
+    monkeypatch.setattr(walk, "LARGEST_CHUNK", packed - 1)
+    [part] = parts_of(tmp_path / "a", HEAD + RECORDS[kind] + END)
+    assert (part.begin, part.end) == (len(HEAD), len(HEAD) + len(RECORDS[kind]))
+    assert part.reason == "a chunk that is too large"
 
 
 def test_given_a_file_that_begins_in_another_way_when_walked_then_it_is_told_and_records_are_sought(tmp_path):
@@ -231,6 +327,27 @@ def test_given_a_chunk_that_packs_as_well_as_is_believed_when_unpacked_then_a_be
         unpack_chunk(memoryview(content))
 
 
+def test_given_sizes_at_the_bounds_that_are_told_when_unpacked_then_only_what_lies_beyond_is_not_believed():
+    small, large = (len(chunk(b"zstd", each)) for each in (b"", bytes(range(256)) * 9))
+    for inside, size, why in (
+        (b"", 2**21 + 1000 * small, "instead of"),
+        (b"", 2**21 + 1000 * small + 1, "claims to unpack from"),
+        (bytes(range(256)) * 9, 2**21 + 1000 * large, "instead of"),
+        (bytes(range(256)) * 9, 2**21 + 1000 * large + 1, "claims to unpack from"),
+        (b"", 2**26, "claims to unpack from"),
+        (b"", 2**26 + 1, "at most 67108864"),
+    ):
+        with pytest.raises(Damage, match=why):
+            unpack_chunk(memoryview(chunk(b"zstd", inside, size=size)))
+
+
+@pytest.mark.parametrize("name", [b"zst", b"zstd2", b"lz", b"lz4 ", b"a", b"zz", b"brotli", b"x" * 16])
+def test_given_a_compression_of_another_name_when_unpacked_then_the_name_is_told(name):
+    content = struct.pack("<QQQI", 1, 2, 4, zlib.crc32(b"abcd")) + text(name) + struct.pack("<Q", 4) + b"abcd"
+    with pytest.raises(Damage, match=f"compression {name!r} is not known"):
+        unpack_chunk(memoryview(content))
+
+
 @pytest.mark.parametrize("size", [len(INSIDE[0]) - 1, len(INSIDE[0]) + 1])
 @pytest.mark.parametrize("compression", PACKERS)
 def test_given_a_chunk_of_another_size_than_it_claims_when_unpacked_then_it_is_refused(compression, size):
@@ -271,7 +388,8 @@ def test_given_the_records_of_a_chunk_when_read_then_messages_are_had_and_what_d
 
 def test_given_more_records_than_bytes_when_read_then_the_chunk_is_refused(monkeypatch):
     monkeypatch.setattr(module, "FEW_RECORDS", 3)
-    inside = memoryview(record(3, b"") * 5)
-    assert len(list(records_in(inside, stored=2))) == 5
-    with pytest.raises(Damage, match="more than 4 records in 1 bytes"):
-        list(records_in(inside, stored=1))
+    for stored in (0, 1, 2, 7):
+        inside = memoryview(record(3, b"") * (4 + stored))
+        assert len(list(records_in(inside[9:], stored))) == 3 + stored
+        with pytest.raises(Damage, match=f"more than {3 + stored} records in {stored} bytes"):
+            list(records_in(inside, stored))

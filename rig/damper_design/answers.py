@@ -35,7 +35,8 @@ class Answers:
     workers : Workers
         They compute what is not known.
     table : Path or None
-        CSV file with all answers, each as soon as it is there; what stands there of the same question is believed.
+        CSV file with all answers, each as soon as those before it are there; what stands there of the same question
+        is believed.
     progress : callable or None
         Called with the pieces of work done and of all, as far as that can be known.
     total : int
@@ -88,10 +89,16 @@ class Answers:
             )
             for start in starts
         ]
-        for _, trials in self._workers.compute(search, tasks):
-            new = [trial for trial in trials if trial.choice not in known]
-            known.update((trial.choice, trial.peak) for trial in new)
-            self._keep(_digest(question), new)
+        ready: dict[int, list[Trial]] = {}
+        kept = 0
+        for number, trials in self._workers.compute(search, tasks):
+            ready[number] = trials
+            # In the order in which they were asked for, whoever is quicker: the same table wherever it is computed.
+            while kept in ready:
+                new = [trial for trial in ready.pop(kept) if trial.choice not in known]
+                known.update((trial.choice, trial.peak) for trial in new)
+                self._keep(_digest(question), new)
+                kept += 1
             self._done += 1
             if self._progress is not None:
                 self._progress(self._done, max(self._total, self._done + 1))

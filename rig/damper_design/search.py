@@ -19,8 +19,12 @@ SHARES = (1.0, 0.5, 0.25)
 CLEARANCES = 10
 #: Choices of each mass that are tried at once.
 BATCH = 4
-#: Trials about the best clearance of a place and a mass, and with all dampers different from each other.
-REFINEMENTS, POLISHING = 8, 40
+#: Trials about the best clearance of a place and a mass, and, for each unknown, with all dampers different.
+REFINEMENTS, POLISHING = 8, 25
+#: Places whose best is made better so.
+POLISHED = 2
+#: Largest ratio of two dampers' masses: where one does best alone, the others are to be next to nothing.
+UNEVEN = 300.0
 #: Places whose best on the grid is at most this much worse than the best of all are looked at closely.
 PROMISING = 1.4
 #: How many of the best are compared in the end.
@@ -51,14 +55,16 @@ def search(question: Question, space: Space, answers: Answers) -> Trial:
     refine = partial(_refine, step=_step(space), bounds=space.clearance)
     full = [best_of(place, SHARES[0]) for place in space.places if set(grid[place, SHARES[0]]) & set(known)]
     limit = PROMISING * min(known[choice].size for choice in full)
-    answers.found_by(refine, question, [choice for choice in full if known[choice].size <= limit])
-    place = _best(known).bodies
     lighter = [
         [c for (_, s), row in grid.items() if s == share for c in row if c in known] for share in SHARES[1:]
     ]
-    answers.found_by(refine, question, [min(row, key=known.__getitem__) for row in lighter])
-    if len(place) > 1:
-        answers.found_by(partial(_polish, bounds=space.clearance), question, [_best(known)])
+    starts = [choice for choice in full if known[choice].size <= limit]
+    answers.found_by(refine, question, starts + [min(row, key=known.__getitem__) for row in lighter])
+    if len(space.places[0]) > 1:
+        best: dict[tuple[int, ...], Choice] = {}
+        for choice in sorted(known, key=known.__getitem__):
+            best.setdefault(choice.bodies, choice)
+        answers.found_by(partial(_polish, bounds=space.clearance), question, [*best.values()][:POLISHED])
     # A coarse grid of frequencies may have missed a peak: the first three are compared on a fine one.
     first = sorted(known, key=known.__getitem__)[:COMPARED]
     peaks = answers.of(replace(question, density=FINE), first)
@@ -82,10 +88,6 @@ def chart(
     nominal = replace(question, scenes=question.scenes[:1])
     columns = [answers.of(replace(nominal, levels=(level,)), choices) for level in levels]
     return [list(row) for row in zip(*columns, strict=True)]
-
-
-def _best(known: Known) -> Choice:
-    return min(known, key=known.__getitem__)
 
 
 def _step(space: Space) -> float:
@@ -162,8 +164,9 @@ def _polish(task: Task, bounds: tuple[float, float]) -> list[Trial]:
     shares = np.log(np.array(start.masses[:-1]) / start.masses[-1])
     first = np.concatenate([np.log(start.clearances), shares])
     corners = np.vstack([first, first + np.diag([0.25] * count + [0.3] * (count - 1))])
+    limits = [tuple(np.log(bounds))] * count + [(-np.log(UNEVEN), np.log(UNEVEN))] * (count - 1)
     minimize(
-        at, first, method="Nelder-Mead", bounds=[tuple(np.log(bounds))] * count + [(-3.0, 3.0)] * (count - 1),
-        options={"initial_simplex": corners, "maxfev": POLISHING, "fatol": 0.0},
+        at, first, method="Nelder-Mead", bounds=limits,
+        options={"initial_simplex": corners, "maxfev": POLISHING * first.size, "xatol": 2e-3, "fatol": np.inf},
     )  # fmt: skip
     return asked.trials

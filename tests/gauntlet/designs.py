@@ -1,0 +1,201 @@
+"""Designs held against brute force, on structures that nobody prepared: ``python -m tests.gauntlet.designs --seed 7``.
+
+Each structure has two to five bodies, as a chain or with springs across. `rig design` chooses one to three dampers for
+it; as many places, masses and clearances as cost twenty times its search are tried beside, and the choice is recorded
+and analysed. Exit code 1 where brute force is more than 1 % better, or the recorded reduction is 0.3 dB off.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from scipy.stats import qmc
+
+import analysis
+import daq
+import rig
+from rig.damper_design.choice import COARSE, FINE, Choice, Question
+from rig.damper_design.search import CLEARANCES, COMPARED, SHARES
+from rig.damper_design.worst_peak import Peak
+from rig.system.receptance import receptance
+from rig.system.structure import natural_modes, structure_matrices
+from tests.gauntlet.scenes import Draw, Settings, structure
+
+MORE, WORSE, OFF = 20, 0.01, 0.3
+# Shares of the mass that may be added which brute force tries, and how many of its best are held against the choice.
+_SHARES, _FINALISTS = (1.0, 0.7), 8
+
+
+def draw(seed: int, number: int) -> tuple[rig.Scene, dict[str, Any]]:
+    """Draw a structure, and what is asked of its dampers; same seed and number give the same."""
+    dice = Draw(seed, number + 80_000)
+    while True:
+        chain, _ = structure(dice)
+        if 2 <= (bodies := len(chain["masses"])) <= 5:
+            break
+    built = _across(dice, chain) if dice.chance(0.5) else chain
+    driven = dice.whole(1, bodies)
+    sensor = {"sensitivity": "100 mV/g", "noise": "20 ug/sqrt(Hz)"}
+    channels: list[Settings] = [
+        {"name": f"body{k}", "at": f"body {k}", "accelerometer": sensor} for k in range(1, bodies + 1)
+    ]
+    shaker: Settings = {"kind": "force", "body": driven}
+    if dice.chance(0.5):
+        shaker = {
+            "kind": "table",
+            "body": driven,
+            "spring": round(chain["springs"][0] * dice.even(0.1, 0.5), 1),
+        }
+        channels.append({"name": "table", "at": "table", "accelerometer": sensor})
+    else:
+        channels.append(
+            {
+                "name": "force",
+                "at": "shaker",
+                "hammer": {"sensitivity": "11.2 mV/N", "noise": "1e-4 N/sqrt(Hz)"},
+            }
+        )
+    settings: Settings = {
+        "name": f"structure {seed}/{number}", "structure": built, "shaker": shaker,
+        "test": {"kind": "sine", "frequency": 20.0, "force": 1.0}, "channels": channels,
+        "converter": {"rate": 8192.0, "bits": 24, "range": 20.0}, "recording": {"display": False},
+    }  # fmt: skip
+    scene = rig.loads(yaml.safe_dump(settings, sort_keys=False), where=str(settings["name"]))
+    modes = natural_modes(*structure_matrices(scene.structure)[::2])[0] / (2 * np.pi)
+    first = dice.whole(0, bodies - 1)
+    band = 0.85 * modes[first], 1.15 * modes[dice.whole(first, min(first + 2, bodies - 1))]
+    line = np.unique(np.append(np.linspace(*band, 4001), modes[(modes > band[0]) & (modes < band[1])]))
+    largest = float((np.abs(receptance(scene, line)) * (2 * np.pi * line) ** 2).max())
+    force = float(f"{dice.log(3.0, 12.0) * 9.81 / largest:.4g}")
+    told = {
+        "budget": f"{dice.even(2.0, 10.0)} %", "dampers": min(dice.whole(1, 3), bodies), "band": band,
+        "levels": [factor * force for factor in (0.5, 1.0, 2.0)],
+    }  # fmt: skip
+    return scene.replace(test=scene.test.replace(force=force)), told
+
+
+def _across(dice: Draw, chain: Settings) -> Settings:
+    """Give a chain a spring to the ground or to a body farther away, and a full damping matrix."""
+    scene = rig.loads(yaml.safe_dump({"name": "chain", "structure": chain}))
+    mass, damping, stiffness = structure_matrices(scene.structure)
+    bodies = len(mass)
+    end = np.zeros(bodies)
+    end[dice.whole(min(1, bodies - 1), bodies - 1)] = 1.0
+    if bodies > 2 and dice.chance(0.5):
+        end[:] = 0.0
+        end[[0, dice.whole(2, bodies - 1)]] = 1.0, -1.0
+    stiffness = stiffness + dice.log(0.3, 1.5) * stiffness.diagonal().mean() / 2 * np.outer(end, end)
+    names = {"mass": mass, "damping": damping, "stiffness": stiffness}
+    return {"matrices": {name: matrix.tolist() for name, matrix in names.items()}}
+
+
+def brute_force(found: rig.Design, places: list[tuple[int, ...]]) -> Iterator[Choice]:
+    """List choices, evenly spread over places, masses and clearances, that cost so much more than a search."""
+    levels, dampers = len(found.question.levels), len(places[0])
+    searched = (
+        len(found.trials) * levels
+        + len(places) * len(SHARES) * CLEARANCES
+        + COMPARED * levels * FINE // COARSE
+    )
+    each = -(-MORE * searched // (levels * len(places) * len(_SHARES)))
+    spread = qmc.Halton(2 * dampers - 1, scramble=False).random(each)
+    clearances = np.exp(
+        qmc.scale(spread[:, :dampers], *np.log(np.array(found.space.clearance)[:, None] * np.ones(dampers)))
+    )
+    # Gaps between sorted points are spread evenly over the ways to share a mass.
+    cuts = np.sort(spread[:, dampers:], axis=1)
+    masses = found.space.mass * np.diff(cuts, axis=1, prepend=0.0, append=1.0)
+    for place in places:
+        for share in _SHARES:
+            for m, c in zip(share * masses, clearances, strict=True):
+                if m.min() > 0.0:
+                    yield Choice(place, tuple(m.tolist()), tuple(c.tolist()))
+
+
+def beats(question: Question, order: list[float], bound: float, choice: Choice) -> float | None:
+    """Give the worst peak of a choice if it is below a bound; level by level, since one peak above it is enough."""
+    worst = 0.0
+    for level in order:
+        worst = max(worst, replace(question, levels=(level,)).worst(choice).size)
+        if worst >= bound:
+            return None
+    return worst
+
+
+def best_of(found: rig.Design, choices: list[Choice], workers: ProcessPoolExecutor) -> float:
+    """Give the smallest worst peak that brute force finds, on the grid of frequencies that the design ends on, m/N."""
+    fine, level = replace(found.question, density=FINE), found.best.peak.level
+    order = sorted(fine.levels, key=lambda one: one != level)
+    asked = partial(beats, found.question, order, found.best.peak.size)
+    rivals = [
+        (size, choice)
+        for size, choice in zip(workers.map(asked, choices, chunksize=20), choices, strict=True)
+        if size is not None
+    ]
+    nearest = [choice for _, choice in sorted(rivals, key=lambda rival: rival[0])[:_FINALISTS]]
+    return min((peak.size for peak in workers.map(fine.worst, nearest)), default=np.inf)
+
+
+def recorded(scene: rig.Scene, peak: Peak, folder: Path) -> float:
+    """Record a scene about a peak, and give the largest compliance of its body that is measured, m/N."""
+    path = folder / "check.mcap"
+    path.unlink(missing_ok=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", daq.RunWarning)
+        daq.record(scene, path)
+    with daq.open(path) as recording:
+        return float(np.abs(analysis.compliance(recording, f"body{peak.body}").value).max())
+
+
+def try_out(seed: int, number: int, workers: ProcessPoolExecutor) -> bool:
+    """Design dampers, hold them against brute force and a recording; say what came of it, and whether it is well."""
+    scene, told = draw(seed, number)
+    begun = time.perf_counter()
+    found = rig.design(scene, **told)
+    seconds = time.perf_counter() - begun
+    places = list(found.space.places)
+    choices = list(brute_force(found, places))
+    best = best_of(found, choices, workers)
+    seconds_more = time.perf_counter() - begun - seconds
+    peak, bare = found.best.peak, found.bare
+    with tempfile.TemporaryDirectory() as folder:
+        damped = recorded(found.scene, peak, Path(folder))
+        test = {"kind": "stepped_sine", "frequencies": [bare.frequency], "force": bare.level}
+        plain = recorded(scene.replace(test=test), bare, Path(folder))
+    off = 20 * np.log10(plain / damped) - found.reduction(peak)
+    worse = max(peak.size / best - 1, 0.0)
+    print(
+        f"{scene.name}: {scene.structure.bodies} bodies, {told['band'][0]:.3g} to {told['band'][1]:.3g} Hz: "
+        f"{found.best.choice}: {found.reduction(peak):.2f} dB, {len(found.trials)} trials, {seconds:.0f} s; beside "
+        f"{len(choices)}, {seconds_more:.0f} s: {worse:.2%} above the best of them; recorded {off:+.3f} dB off",
+        flush=True,
+    )
+    return worse <= WORSE and abs(off) <= OFF
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--structures", type=int, default=5, help="how many (default: 5)")
+    parser.add_argument("--first", type=int, default=0, help="number of the first one")
+    parser.add_argument("--seed", type=int, default=1, help="another seed draws other structures")
+    given = parser.parse_args()
+    numbers = range(given.first, given.first + given.structures)
+    with ProcessPoolExecutor() as workers:
+        verdicts = [try_out(given.seed, number, workers) for number in numbers]
+    return int(not all(verdicts))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

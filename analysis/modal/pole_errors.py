@@ -26,6 +26,8 @@ SMEAR, _WIDEST, _LINE = 0.16, 0.5, 2.0 / 3.0
 # Neighbours within so many times the correlation of the misfit may share errors.
 _REACH = 3.0
 
+# A misfit of this part of what the curves' errors would leave is of their kind.
+_IS_NOISE = 0.3
 # Errors of a curve that look like a mode themselves (what is left of a transient, a sensor's phase) leave nothing
 # to see in the misfit: no damping ratio is claimed to be known better than this, and no frequency better than this
 # part of half the half-power width.
@@ -134,14 +136,16 @@ def _covariances(curves: Curves, model: Fit) -> tuple[Array, Array, Array]:
         beside = score[:, lag:] @ score[:, :-lag].T
         middle += (1.0 - lag / lags) * (beside + beside.T)
     # The misfit has fewer degrees of freedom than numbers: the fit has taken its share.
-    plain = np.asarray(normal * (model.misfit / degrees * curves.shared), dtype=float)
+    plain = np.asarray(normal * (model.misfit / degrees * reach), dtype=float)
     # Of what no line tells, as the width of a pole far narrower than their spacing, a pseudoinverse has nothing.
     with np.errstate(divide="ignore"):
-        least = model.misfit / degrees * curves.shared / np.diag(information)
+        least = model.misfit / degrees * reach / np.diag(information)
     np.fill_diagonal(plain, np.maximum(np.diag(plain), least))
     # Of few numbers it has taken most of each, and what is left is the smaller still (MacKinnon and White's HC3).
     seen = np.asarray(normal @ middle @ normal * (curves.numbers / degrees) ** 2, dtype=float)
     relative = np.min(1.0 / (curves.weight * abs(curves.value)), axis=0)
     scored = np.einsum("pmn,mn->pn", model.slope.conj(), curves.weight * curves.value) * relative
-    common = curves.shared * (scored @ scored.conj().T).real
+    # What neighbours share of the misfit they share of the curves' own errors, where that is what the misfit is.
+    alike = reach if model.misfit > _IS_NOISE * degrees else curves.shared
+    common = alike * (scored @ scored.conj().T).real
     return plain, seen, np.asarray(normal @ common @ normal, dtype=float)

@@ -14,7 +14,7 @@ from scipy import ndimage, stats
 from analysis.responses.aliasing import aliasing_part
 from analysis.responses.force_pulse import slow_and_fast
 from analysis.responses.frf import Frf
-from analysis.responses.local_rational import LARGEST, LocalFit, Reading, local_fit
+from analysis.responses.local_rational import LARGEST, ORDER, LocalFit, Reading, local_fit
 from analysis.responses.measurands import Measurand, driven
 from analysis.responses.systematic import (
     MODEL,
@@ -152,7 +152,14 @@ class LocalSpectra:
             label=label,
             systematic=systematic,
             warnings=tuple(warnings),
+            shared=self._shared,
         )
+
+    @property
+    def _shared(self) -> float:
+        """How many neighbouring lines have one error: a fit turns the lines it takes in into one value."""
+        step = float(np.median(np.diff(self.lines))) if self.lines.size > 1 else 1.0
+        return max((2 * self.side + 1) / (3 * ORDER + 2) / step, 1.0)
 
     def _spectrum(self, rec: Recording, measurand: Measurand) -> ComplexArray:
         """Spectra of a measurand, shape (stretches, bins)."""

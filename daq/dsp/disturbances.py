@@ -92,7 +92,8 @@ class Disturbances:
     def __init__(
         self, sources: Sequence[Disturbance], direct: Array, degrees: Sequence[int], oversampling: int
     ) -> None:
-        self._sources, self._direct, self._each = tuple(sources), direct, oversampling
+        self._sources, self._each = tuple(sources), oversampling
+        self._direct, self._any_direct = direct, bool(direct.any())
         self._degrees = tuple(degrees)
         self._interval, self._drawn = 0, 0
         self._last = np.zeros((len(sources), 1))
@@ -140,7 +141,7 @@ class Disturbances:
         volts : ndarray, shape (samples,)
             What it is added to.
         """
-        if self._direct.any():
+        if self._any_direct:
             _sum_up(self._direct, held, volts)
 
 

@@ -71,16 +71,17 @@ class MotionInterpolator:
         displacement = motion.displacement[row]
         smooth = np.empty((4, acceleration.size))
         if acceleration.size == 0:
-            return CubicInput(smooth, *no_parts(0))
+            return CubicInput(smooth, *_NO_PARTS)
         if motion.first == 0:
             self._last[2] = displacement[0]
         # Each break ends a part and every broken interval has a last part more; a run begins with one.
-        broken, parts = no_parts(2 * motion.break_sample.size + 1)
+        breaks = motion.break_sample.size
+        broken, parts = no_parts(2 * breaks + 1) if breaks or motion.first == 0 else _NO_PARTS
         count = 0
         if motion.first == 0:
             parts[0, JUMP] = velocity[0] * self._rate
             count = 1
-        if motion.break_sample.size:
+        if breaks:
             count = _cut(
                 motion.break_sample - motion.first,
                 motion.break_offset,
@@ -103,6 +104,10 @@ def no_parts(count: int) -> tuple[NDArray[np.int64], Array]:
     return np.zeros(count, np.int64), np.zeros((count, 6))
 
 
+# Of a block without breaks; nothing is written into them.
+_NO_PARTS = no_parts(0)
+
+
 class ForceInterpolator:
     """Cuts a force that is given by its samples into straight lines, block after block."""
 
@@ -114,11 +119,11 @@ class ForceInterpolator:
         """Give the pieces of the next block; force is zero before sample 0 and may jump there."""
         smooth = np.empty((4, force.size))
         if force.size == 0:
-            return CubicInput(smooth, *no_parts(0))
+            return CubicInput(smooth, *_NO_PARTS)
         smooth[0, 0], smooth[0, 1:], smooth[1] = self._last, force[:-1], force
         smooth[2] = 0.5 * (smooth[0] + force)
         smooth[3] = smooth[0] / 3.0 + force / 6.0
-        pieces = CubicInput(smooth, *no_parts(1 if self._fresh else 0))
+        pieces = CubicInput(smooth, *(no_parts(1) if self._fresh else _NO_PARTS))
         self._last, self._fresh = float(force[-1]), False
         return pieces
 

@@ -38,7 +38,7 @@ SHORTEST = 1e-9
 
 
 class Limits(NamedTuple):
-    """What is needed to find out where limits are reached, and to follow the circuit there; empty without any."""
+    """What is needed to find out where limits are reached, and to follow the circuit there."""
 
     checks: Array
     """What input, disturbances and states, in the order of `Tables.weights`, make of each limited voltage at each look
@@ -85,8 +85,8 @@ def limits_of(
     rate: float,
     entries: Sequence[Entry],
     tables: Tables,
-) -> Limits:
-    """Make the tables of a circuit's limits.
+) -> Limits | None:
+    """Make the tables of a circuit's limits; None where nothing is limited.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def limits_of(
         What that gave.
     """
     if limit is None and not np.isfinite(rails).any():
-        return _unlimited(len(entries), rails, tables)
+        return None
     integrals = tables.integrals
     circuit, leading = Circuit.series(sections), Circuit.series(sections[:sensor])
     generator = rate_of_change(circuit, gain, rate, integrals)
@@ -161,19 +161,6 @@ def limits_of(
     )
 
 
-def _unlimited(disturbances: int, rails: Array, tables: Tables) -> Limits:
-    """Make the tables of a circuit in which nothing is limited."""
-    width, size = tables.width, tables.generator.shape[1]
-    return Limits(
-        checks=np.zeros((0, tables.spread.shape[0])), most=np.zeros(0),
-        safe=np.zeros(tables.spread.shape[0]), steps=np.ones(2, np.int64),
-        step=zeros(2, size, size), held=np.zeros((2, disturbances, width)),
-        varying=np.zeros((disturbances, width)), limit=np.inf, output=zeros(size),
-        lacking=np.zeros((2, 2, width)), relief=np.ones(2), impulse=tables.impulse, least=np.inf, shift=-1,
-        rails=rails, holding=np.zeros((2, rails.size, width)),
-    )  # fmt: skip
-
-
 def _ramps(generator: Array, beyond: Array, steps: int) -> Array:
     """Give what an input that falls from 1 to 0 over a step adds to the vector, and one that rises: (2, width)."""
     size, width = len(generator), beyond.size
@@ -220,8 +207,6 @@ def within(limits: Limits, course: Array, sizes: Array, sums: Array, count: int)
     sizes : ndarray of the same shape
         Room for their magnitudes.
     """
-    if limits.most.size == 0:
-        return count
     for r in range(course.shape[0]):
         for k in range(count):
             sizes[r, k] = abs(course[r, k])

@@ -47,7 +47,7 @@ def scratch_for(tables: Tables) -> CircuitWorkspace:
 def propagate(
     pieces: CubicInput,
     tables: Tables,
-    limits: Limits,
+    limits: Limits | None,
     state: Array,
     held: Array,
     rows: Array,
@@ -87,7 +87,10 @@ def propagate(
     while first < intervals:
         overload[1 + first] = 0.0
         broken = part < pieces.broken.size and pieces.broken[part] == first
-        close = limits.most.size > 0 and (broken or overload[first] > 0.0)
+        # A circuit without limits is compiled without all that looks after them.
+        close = False
+        if limits is not None:
+            close = broken or overload[first] > 0.0
         stop, excess = first + 1, 0.0
         if not broken and not close:
             stop = min(first + STRETCH, intervals)
@@ -95,7 +98,9 @@ def propagate(
                 stop = min(stop, pieces.broken[part])
             _lay_out(pieces, held, first, stop, course)
             _through_stretch(tables, state, course, scratch.sums, stop - first)
-            count = within(limits, course, scratch.sizes, scratch.sums[0], stop - first)
+            count = stop - first
+            if limits is not None:
+                count = within(limits, course, scratch.sizes, scratch.sums[0], count)
             if count < stop - first:
                 stop = first + count
                 for j in range(tables.states):
@@ -107,7 +112,7 @@ def propagate(
             if not close and tables.integrals:
                 spread(tables.spread, course, 0, course.shape[1], 1, averages, first, stop - first)
         if broken or close:
-            if close:
+            if close and limits is not None:
                 part, excess = follow_closely(
                     pieces, part, first, tables, limits, state, held, overload, scratch.parts
                 )

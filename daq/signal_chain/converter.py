@@ -119,7 +119,7 @@ class Quantiser:
         codes = volts / self._count
         np.rint(codes, out=codes)
         full = 2.0 ** (self._bits - 1)
-        clipped = np.clip(codes, -full, full - 1.0)
+        clipped = np.minimum(np.maximum(codes, -full), full - 1.0)
         return Conversion(clipped.astype(np.int32), clipped != codes)
 
 

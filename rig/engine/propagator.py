@@ -133,6 +133,7 @@ class Propagator:
         self.log = empty_log(max(LOG_ROWS, 16 * dampers), size, dampers)
         self.workspace: Workspace = workspace_for(self.tables.flow, size)
         self.state.counters[CONFIGURATION] = system.at_rest
+        self._window = zeros(LANES, padded(3 * system.coordinates + dampers))
         self._unseen, self._unkept = self.motion_samples(0), self.room(0)
         self._elapsed = 0.0
         self._find_table()
@@ -226,13 +227,11 @@ class Propagator:
 
     def motion_samples(self, samples: int) -> MotionSamples:
         """Room for what is seen at a number of samples."""
-        dampers = self.system.dampers
-        rows = padded(3 * self.system.coordinates + dampers)
         return MotionSamples(
-            rows=np.empty((rows, samples)),
-            contact=np.empty((dampers, samples), dtype=np.int8),
+            rows=np.empty((self._window.shape[1], samples)),
+            contact=np.empty((self.system.dampers, samples), dtype=np.int8),
             begin=np.zeros(1, dtype=np.int64),
-            window=zeros(LANES, rows),
+            window=self._window,
         )
 
     def parts(self, seen: MotionSamples) -> tuple[Array, Array, Array, Array]:

@@ -56,8 +56,10 @@ def event_table(
 ) -> NDArray[Any]:
     """Events as users see them: dampers by their number in the scene, kinds by name."""
     table = np.zeros(len(times), dtype=EVENT)
+    if not len(times):
+        return table
     table["time"] = times
-    table["damper"] = system.damper_number[damper] if len(times) else 0
+    table["damper"] = system.damper_number[damper]
     table["kind"] = KINDS[kind]
     table["speed"] = speed
     return table

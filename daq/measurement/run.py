@@ -164,21 +164,26 @@ class MeasurementRun:
             warnings.warn(untold, RunWarning, stacklevel=4)
         _make_folder(path)
         try:
-            with Recorder(path, bench.scene, bench.channels, bench.rate, overwrite=overwrite) as recorder:
+            # While the file is made and while it is ended an interrupt waits, too: a part of either is no recording.
+            with (
+                _interruptible() as interrupted,
+                Recorder(path, bench.scene, bench.channels, bench.rate, overwrite=overwrite) as recorder,
+            ):
                 self._recorder = recorder
-                with _interruptible() as interrupted:
-                    try:
-                        # What the test still has to mark, it marks while the recorder takes it.
-                        with closing(test):
-                            self._play(test, drive, interrupted)
-                    except (ShotrigError, _Stopped) as error:
-                        ended = self._last_sample if self._ended is None else self._ended
-                        self._mark("abort", ended, ended + 1, reason=str(error))
-                        raise
-                    finally:
-                        self._note_loss()
-                        self._limits.close()
-                        self._overloads.close()
+                try:
+                    # What the test still has to mark, it marks while the recorder takes it.
+                    with closing(test):
+                        self._play(test, drive, interrupted)
+                except (ShotrigError, _Stopped) as error:
+                    ended = self._last_sample if self._ended is None else self._ended
+                    self._mark("abort", ended, ended + 1, reason=str(error))
+                    raise
+                finally:
+                    self._note_loss()
+                    self._limits.close()
+                    self._overloads.close()
+            if interrupted():
+                raise KeyboardInterrupt(self._holds())
         except _Stopped as stopped:
             raise KeyboardInterrupt(self._holds()) from stopped
         except ShotrigError as error:

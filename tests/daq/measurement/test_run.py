@@ -17,6 +17,7 @@ import rig
 from daq.cli import main
 from daq.measurement.limits import Stretches
 from daq.measurement.run_report import summary
+from daq.recording.recorder import Recorder
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError, RunError, SceneError
 
@@ -250,6 +251,26 @@ def test_given_ctrl_c_when_recording_then_the_recording_is_readable_and_says_so(
         assert rec.markers[-1].end < rec.samples
         assert (rec.status, rec.metadata["outcome"]["reason"]) == ("interrupted", "interrupted")
         assert np.isfinite(rec.read("body1")).all()
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.mark.parametrize(("moment", "status"), [("__enter__", "interrupted"), ("close", "complete")])
+def test_given_ctrl_c_while_the_file_is_made_or_ended_when_recording_then_it_is_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: str, status: str
+) -> None:
+    original = getattr(Recorder, moment)
+
+    def interrupted(*given: Any) -> Any:
+        signal.raise_signal(signal.SIGINT)
+        return original(*given)
+
+    monkeypatch.setattr(Recorder, moment, interrupted)
+    path = tmp_path / "a.mcap"
+    with pytest.raises(KeyboardInterrupt, match=r"a\.mcap holds the \d\.\d\d s up to there"):
+        daq.record(hit(), path)
+    with daq.open(path) as rec:
+        rec.check()
+        assert rec.status == status
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 

@@ -85,6 +85,11 @@ EQUIVALENT = {
     "grid = np.concatenate([np.geomspace(10 * lowest, 0.5 * rate, 400), np.linspace(0.3, 0.5, 401) * rate])": (
         "the fit rests on hundreds of points, not on where each is"
     ),
+    "grid = np.concatenate([np.geomspace(10 * lowest, 0.5 * rate, 400), np.linspace(0.3, 0.5, 399) * rate])": (
+        "the fit rests on hundreds of points, not on where each is"
+    ),
+    "@lru_cache(maxsize= 15)": "how many are remembered changes no result",
+    "elif degree >= 2:": "no degree is above two",
     "poles = 3 * np.sin(np.pi * corners / rate) ** 2": (
         "which poles are fitted is free: density is off by 0.17 % at most with these and with those"
     ),

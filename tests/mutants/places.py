@@ -88,6 +88,7 @@ EQUIVALENT = {
     "grid = np.concatenate([np.geomspace(10 * lowest, 0.5 * rate, 400), np.linspace(0.3, 0.5, 399) * rate])": (
         "the fit rests on hundreds of points, not on where each is"
     ),
+    "@lru_cache(maxsize= 63)": "how many are remembered changes no result",
     "@lru_cache(maxsize= 15)": "how many are remembered changes no result",
     "elif degree >= 2:": "no degree is above two",
     "poles = 3 * np.sin(np.pi * corners / rate) ** 2": (

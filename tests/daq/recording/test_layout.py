@@ -4,6 +4,7 @@ import struct
 import numpy as np
 import pytest
 from google.protobuf import descriptor_pb2
+from google.protobuf.message import DecodeError
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -82,6 +83,25 @@ def test_given_random_bytes_when_decoded_as_a_block_then_there_is_a_block_or_a_c
         decode(memoryview(data), "shotrig.BlockFloat64")
     except RecordingError as error:
         assert "shotrig.BlockFloat64" in str(error)
+
+
+@pytest.mark.parametrize("tag", [0, 9, 18, 27])
+def test_given_any_other_byte_in_front_of_a_field_when_decoded_then_it_is_what_protobuf_makes_of_it(tag):
+    schema = "shotrig.BlockFloat64"
+    data = bytearray(encode(Timebase(5120.0), 512, np.arange(1.0, 5.0)[None, None]).tobytes())
+    for byte in range(256):
+        data[tag] = byte
+        message = message_class(block_schema(schema).data, schema)()
+        try:
+            message.ParseFromString(bytes(data))
+        except DecodeError:
+            with pytest.raises(RecordingError, match=schema):
+                decode(memoryview(data), schema)
+        else:
+            block = decode(memoryview(data), schema)
+            fields = (message.t0_ns, message.first_sample, message.sample_rate_hz)
+            assert (block.t0_ns, block.first_sample, block.rate) == fields
+            assert block.samples.tolist() == list(message.samples)
 
 
 def test_given_a_block_cut_within_a_sample_when_decoded_then_the_error_says_so():

@@ -62,6 +62,7 @@ EQUIVALENT = {
     "for c in range(model.inverse_mass.shape[ 1]):": "the matrix is square",
     "lowest = min(gap, model.clearance[j] - gap) - 3 * ROUNDING * abs(height)": "what is looked at closely is more",
     "state.multiplicity[j] = 1 if sign >= 0.0 else -1": "a sign is one or minus one",
+    "state.multiplicity[j] = 1 if sign > -1.0 else -1": "a sign is one or minus one",
     "for i in range(workspace.size.shape[ -1]):": "the array has one dimension",
     "always = [k for k, damper in enumerate(scene.dampers) if damper.locked or damper.clearance <= 0.0]": (
         "no clearance is negative"

@@ -88,9 +88,16 @@ def rate_of_interval(interval: float, resolution: float = 0.0) -> float:
     (65536.0, 51200.0)
     >>> rate_of_interval(1.9999999999999998e-05), rate_of_interval(1e-4, 5e-10)
     (50000.0, 10000.0)
+    >>> rate_of_interval(1e-4, 1e305)
+    Traceback (most recent call last):
+    rig.errors.RecordingError: a sample interval of 0.0001 s that may be off by 1e+305 s tells no rate
     """
     if not (math.isfinite(interval) and 1e-9 < interval < 1e7):
         raise RecordingError(f"a sample interval of {interval!r} s; expected a time above 0")
+    if resolution >= interval:
+        raise RecordingError(
+            f"a sample interval of {interval!r} s that may be off by {resolution!r} s tells no rate"
+        )
     off = max(resolution / interval, _ROUNDING)
     stated = 1.0 / interval
     low, high = stated * (1.0 - off), stated * (1.0 + off)

@@ -41,6 +41,8 @@ _NOT_TONES = (NONLINEAR, ONE_REALISATION, "before the motion had become periodic
 _ROUNDING = 1e-9
 # How much more force tells how a response depends on it, relative.
 _MORE_FORCE = 2e-3
+# Largest relative change of a response with that of its force that is one of the same motion.
+_STEEPEST = 20.0
 # A force no farther off than this, relative, tells a response to some 1e-5 by that.
 _NEAR = 2e-3
 
@@ -183,8 +185,10 @@ def _at_forces(
         near = np.argmin(abs(frequency[:, None] - frequencies), axis=1)
         with np.errstate(invalid="ignore"):
             off = forces[near] / abs(_force_reads(case, frequency, known)) / scene.test.force - 1.0
-            there = known + (more(frequency) - known) / _MORE_FORCE * off
-            return np.asarray(np.where(abs(off) <= most, there, np.nan))
+            slope = (more(frequency) - known) / _MORE_FORCE
+            # Steeper than this it is another motion that a little more force leads to: no first order, and no truth.
+            smooth = abs(slope) < _STEEPEST * abs(known)
+            return np.asarray(np.where((abs(off) <= most) & smooth, known + slope * off, np.nan))
 
     return exact
 

@@ -46,14 +46,21 @@ def whole_periods(frequency: float, rate: float, at_least: float, periods: int =
     return round(float(samples[np.argmin(np.round(miss, 9))]))
 
 
+# Harmonics that are fitted with the tone, as far as they lie below this share of the rate.
+_HARMONICS, _BELOW = 6, 0.4
+
+
 # A test stays at one frequency for a few kinds of windows, which may be long.
 @lru_cache(maxsize=8)
 def _weights(frequency: float, rate: float, samples: int) -> Array:
     """Give the weights of the samples in both parts of the amplitude by least squares, shape (2, samples)."""
     phase = 2 * np.pi * np.fmod(frequency / rate * np.arange(samples), 1.0)
-    # Integrated channels drift and dampers shift the mean: a cubic is fitted with the tone to take that up.
+    # Integrated channels drift and dampers shift the mean: a cubic is fitted with the tone to take that up. It would
+    # take harmonics for a drift, and the tone would make up for it, were they not fitted as well.
     drift = legvander(np.linspace(-1.0, 1.0, phase.size), 3)
-    model = np.column_stack([np.cos(phase), -np.sin(phase), drift]).T
+    highest = max(1, min(_HARMONICS, int(_BELOW * rate / frequency)))
+    harmonics = [part(h * phase) for h in range(2, highest + 1) for part in (np.cos, np.sin)]
+    model = np.stack([np.cos(phase), -np.sin(phase), *drift.T, *harmonics])
     # Over two periods and more these are nearly orthogonal, so that the normal equations lose nothing. Sums by einsum:
     # BLAS would have its threads wait over a matrix this small.
     normal = np.einsum("in,jn->ij", model, model)

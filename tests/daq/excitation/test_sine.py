@@ -210,3 +210,15 @@ def test_given_any_frequency_when_a_window_is_chosen_then_it_is_nearly_whole_per
     periods = samples * frequency / 5120.0
     assert periods >= 2 - 1e-3 and samples >= 0.1 * 5120 - 1
     assert abs(periods - round(periods)) < 0.035
+
+
+def test_given_blows_and_drift_when_a_short_window_is_read_then_the_tone_is_told_whenever_it_begins() -> None:
+    rate, frequency = 8192.0, 22.67
+    window = whole_periods(frequency, rate, 0.1, periods=2)
+    told = []
+    for begin in range(0, 400, 37):
+        time = (begin + np.arange(window)) / rate
+        turn = 2.0 * np.pi * frequency * time
+        samples = np.cos(turn) + 0.7 * np.cos(3.0 * turn + 1.0) + 0.2 * np.sin(5.0 * turn) + 3.0 * time**2
+        told.append(complex(lock_in(samples[None], frequency, rate, float(turn[0]))[0]))
+    np.testing.assert_allclose(told, 1.0, atol=1e-3)

@@ -152,7 +152,7 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
         noise,
         RESOLVED / rec.rate,
         (search.signature.reach + search.signature.ring) / rec.rate,
-        float(search.open.sum() - np.sum(entangled[:, 1] - entangled[:, 0])) / rec.rate,
+        float(search.told.sum() - np.sum(entangled[:, 1] - entangled[:, 0])) / rec.rate,
         np.concatenate([unread, (start + entangled) / rec.rate - info.delay]),
     )
 

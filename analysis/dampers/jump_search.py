@@ -57,6 +57,8 @@ class JumpSearch:
     def __init__(
         self, of: Signature, samples: Array, good: NDArray[np.bool_], floor: float, rate: float
     ) -> None:
+        from scipy.ndimage import minimum_filter1d
+
         self.signature, self.floor, self.rate = of, floor, rate
         filled = np.interp(np.arange(samples.size), np.flatnonzero(good), samples[good])
         self.rest = np.diff(filled, of.difference)
@@ -65,6 +67,8 @@ class JumpSearch:
         self.zero = of.difference - of.window_start
         self.open = np.convolve(~good, np.ones(of.reach), mode="full")[of.reach - 1 :] == 0
         self.open = self.open[: self.rest.size - of.window + 1]
+        # A jump beyond the windows, in the last samples of a stretch, passes for another one in the nearest of them.
+        self.told = minimum_filter1d(self.open, of.window, mode="constant", cval=False)
         self.found: list[Jump] = []
 
     def run(self) -> tuple[Array, Array]:
@@ -103,7 +107,8 @@ class JumpSearch:
         real = [
             one
             for one in self.found
-            if abs(one.sizes[0]) > SIGMAS * one.error
+            if self.told[self.at(one)]
+            and abs(one.sizes[0]) > SIGMAS * one.error
             and abs(one.sizes[0]) > _BEND * abs(one.sizes[2]) / self.rate**2
         ]
         return np.array([one.place for one in real]), np.array([one.sizes[0] for one in real])

@@ -111,8 +111,10 @@ def _shift(off: Array, away: Array, half: float) -> float:
     known = np.isfinite(off)
     if not known.any():
         return half
-    near = known & (away <= max(_FLANKS * half, np.sort(away[known])[:4].max()))
-    return float(np.quantile((off[near] - off[known].min()) * away[near], 0.75))
+    near = away <= max(_FLANKS * half, np.sort(away)[:4].max())
+    moved = np.where(known, off - off[known].min(), np.inf) * away
+    # Where nothing bounds the curve about a pole, nothing bounds where that is.
+    return float(np.quantile(moved[near], 0.75, method="higher"))
 
 
 def _covariances(curves: Curves, model: Fit) -> tuple[Array, Array, Array]:

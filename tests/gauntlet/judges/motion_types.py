@@ -52,7 +52,13 @@ def _true_type(case: Case, number: int, frequency: float, first: int, stop: int)
     time, jump = true_impacts(case, number)
     inside = (time >= first / rec.rate) & (time < stop / rec.rate)
     found = impacts(rec, f"a{case.scene.dampers[number - 1].body}", first, stop)
-    inside &= seen_for_itself(time, jump, found) | score(found.time, time, APART / rec.rate)[2]
+    # What is found beside a larger one is that one, a little late.
+    matched = score(found.time, time, APART / rec.rate)[2]
+    matched[matched] = [
+        abs(jump[k]) >= abs(jump[abs(time - time[k]) < found.resolution]).max()
+        for k in np.flatnonzero(matched)
+    ]
+    inside &= seen_for_itself(time, jump, found) | matched
     floor, ceiling = time[inside & (jump < 0.0)], time[inside & (jump > 0.0)]
     periods = (stop - first) / rec.rate * frequency
     if _once(floor, frequency, periods) and not ceiling.size:

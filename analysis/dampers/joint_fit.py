@@ -144,4 +144,4 @@ def _readings(differences: Array, order: int, smooth: Array) -> Array:
 @lru_cache(maxsize=256)
 def _smooth(length: int, degree: int) -> Array:
     basis = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, length), degree)
-    return np.linalg.qr(basis)[0]
+    return np.asarray(np.linalg.qr(basis)[0], dtype=np.float64)

@@ -158,7 +158,7 @@ def _of_lines(rec: Recording, lines: Lines, names: Sequence[str], reference: str
         ]
     )
     covariance = np.einsum("ikn,nkl,jln->nij", off, lines.covariance, off.conj())
-    return _curves(rec, frfs, covariance, lower, reference, label, abs(amplitude))
+    return _curves(rec, frfs, covariance, lower, reference, label, np.abs(amplitude))
 
 
 def _of_frfs(rec: Recording, frfs: Sequence[Frf], reference: str, label: str) -> Curves:

@@ -298,7 +298,7 @@ def _solved(system: ComplexArray, right: ComplexArray) -> tuple[ComplexArray, Co
     q, r = np.linalg.qr(np.concatenate([system, wish], axis=1))
     adjoint = np.conj(np.swapaxes(q[:, :equations], 1, 2))
     first = np.broadcast_to(np.eye(unknowns, 1), (lines, unknowns, 1))
-    row = np.swapaxes(np.linalg.solve(np.swapaxes(r, 1, 2), first), 1, 2)
+    row: ComplexArray = np.swapaxes(np.linalg.solve(np.swapaxes(r, 1, 2), first), 1, 2)
     return np.linalg.solve(r, adjoint @ right[..., None])[..., 0], (row @ adjoint)[:, 0]
 
 

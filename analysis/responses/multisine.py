@@ -103,7 +103,7 @@ def best_linear_approximation(
     count, frequency = len(kept), kept[0].frequency
     stack = np.stack([one.mean for one in kept])
     centre = stack.mean(axis=0)
-    noise = np.mean([one.noise for one in kept], axis=0) / count
+    noise: ComplexArray = np.mean([one.noise for one in kept], axis=0)
     averages = np.full(frequency.size, float(sum(one.periods - 1 for one in kept) + 1))
     unsettled = np.mean([one.remainder for one in kept], axis=0)
     counts = counts_of(rec, names)
@@ -113,11 +113,12 @@ def best_linear_approximation(
     # tells of.
     scatter = np.mean([one.scatter for one in kept], axis=0) / np.where(counts > 0.0, counts, 1.0) ** 2
     same = scattered(scatter)
+    amplitude: Array = np.abs(centre)
     # Of the amplitudes at all lines; at worst a resonance makes a tone of them.
-    gain = np.minimum(tone_gain(in_counts(rec, names, np.sum(abs(centre) ** 2, axis=1) / 2.0)), 0.5)
-    rounding = same[:, None] * (counts[:, None] / np.sqrt(samples) + gain[:, None] * abs(centre))
+    gain = np.minimum(tone_gain(in_counts(rec, names, np.sum(amplitude**2, axis=1) / 2.0)), 0.5)
+    rounding = same[:, None] * (counts[:, None] / np.sqrt(samples) + gain[:, None] * amplitude)
     base = Lines(
-        tuple(names), frequency, centre, noise, averages, rec.scene.name, tuple(notes), unsettled,
+        tuple(names), frequency, centre, noise / count, averages, rec.scene.name, tuple(notes), unsettled,
         around=SIDE, turned=count, resolution=rounding,
     )  # fmt: skip
     free = any(not damper.locked and damper.clearance > 0.0 for damper in rec.scene.dampers)

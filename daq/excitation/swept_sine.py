@@ -114,7 +114,7 @@ def _sweep_held(
         size = min(total - done, max(_FEWEST, round(_WINDOW_PERIODS * rate / here)))
         phase = _phase(test, start, done, size, total)
         envelope = amplitude + (goal - amplitude) * np.arange(size) / size
-        readings = yield station.drive((envelope * np.exp(1j * phase)).real)
+        readings = yield station.drive(np.real(envelope * np.exp(1j * phase)))
         done, amplitude = done + size, goal
         control.played(done / rate, amplitude)
         look = round(LOOK_PERIODS * rate / here)

@@ -95,7 +95,7 @@ def steady_grains(scene: Scene, frequency: float, block: int, most: int) -> Stea
     assert tone is not None
     steps = block * _MARKS * coupled.substeps
     turns = np.arange(steps + 1) / (_MARKS * coupled.substeps)
-    turn = np.exp(2j * np.pi * turns)
+    turn: Complex = np.exp(2j * np.pi * turns)
     drive = np.real(tone.amplitudes[:, None] * turn)
     coupled.place(_near_steady(scene, system, frequency, tone.state), drive[:, 0])
     found: list[SteadyBed] = []

@@ -331,7 +331,7 @@ def _averaged(problem: OrbitProblem, setting: OperatingPoint, propagator: Propag
     steps = period_steps(propagator, setting)
     trajectory, begins = one_cycle(propagator, steps, 1.0, AVERAGED)
     # The mean over evenly spaced instants: kinks of the velocity leave an error of some 1e-5 of the motion.
-    turns = np.exp(-2j * np.pi * np.arange(len(begins)) / MARKS)
+    turns: NDArray[np.complex128] = np.exp(-2j * np.pi * np.arange(len(begins)) / MARKS)
     harmonic = 2 / len(begins) * (turns @ begins)
     if isinstance(problem.scene.driven_shaker, ForceShaker):
         force = -1j * setting.force

@@ -15,7 +15,7 @@ from analysis.dampers.jump_signature import Signature
 Array = NDArray[np.float64]
 
 # Sets kept at each size, jumps tried as the next one of each, and jumps in a set.
-_KEPT, _TRIED, _MOST = 4, 6, 8
+_KEPT, _TRIED, _MOST = 3, 4, 8
 # A jump more must leave so many times less, in squares.
 _PAYS = 5.0
 # Places tried are so many samples apart; a fit moves each of them half as far, either way.

@@ -16,7 +16,7 @@ from analysis.modal.order_selection import MOST_MODES, hidden, in_band, select
 from analysis.modal.pole_errors import pole_errors, systematic_pole_errors
 from analysis.modal.pole_residue import Curves, Fit, fit, residual_terms
 from analysis.responses.frf import Frf
-from analysis.responses.systematic import ALIASING, MODEL, RESOLUTION, UNSETTLED
+from analysis.responses.systematic import ALIASING, MODEL, REFERENCE, RESOLUTION, UNSETTLED
 from rig.errors import RecordingError, SceneError
 
 Array = NDArray[np.float64]
@@ -36,7 +36,7 @@ _DISTRUST = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4)
 # Up to so many times a frequency, and down from it, belongs to its neighbourhood.
 _AROUND = 1.15
 # Systematic parts that differ from line to line.
-_ROUGH = (UNSETTLED, RESOLUTION, MODEL)
+_ROUGH = (UNSETTLED, RESOLUTION, MODEL, REFERENCE)
 
 
 def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
@@ -163,7 +163,8 @@ def _measured(curves: Sequence[Frf]) -> tuple[Curves, Array]:
             "the responses were measured at different frequencies: identify one recording at a time"
         )
     value, sigma = np.stack([curve.value for curve in curves]), _sigma(curves)
-    known = np.isfinite(value).all(axis=0) & (frequency > 0)
+    # A line whose error nothing bounds in any response has no weight.
+    known = np.isfinite(value).all(axis=0) & (frequency > 0) & np.isfinite(sigma).any(axis=0)
     if known.sum() < 8:
         raise RecordingError(
             f"{known.sum()} frequencies are too few for modes: measure at least 8, with several in each "

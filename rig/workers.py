@@ -10,10 +10,11 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, closing, contextmanager
 from multiprocessing import active_children, get_context, parent_process
+from queue import SimpleQueue
 from threading import Thread
 from types import TracebackType
 from typing import Any, TypeVar
@@ -65,6 +66,8 @@ class Workers:
     ) -> Iterator[tuple[int, Result]]:
         """Compute the pieces, the first ones first; yield the number of each and its result as it is there.
 
+        More pieces may be appended while results are taken.
+
         Raises
         ------
         RunError
@@ -72,27 +75,33 @@ class Workers:
         Exception
             What a piece raised.
         """
-        left = dict(enumerate(pieces))
-        for life in range(LIVES + 1):
-            with _script_left_alone():
-                jobs = {self._pool.submit(function, piece): number for number, piece in left.items()}
+        done: set[int] = set()
+        for _ in range(LIVES + 1):
+            jobs: dict[Future[Result], int] = {}
+            finished: SimpleQueue[Future[Result]] = SimpleQueue()
+            handed_out = 0
             try:
-                for job in as_completed(jobs):
+                while len(done) < len(pieces):
+                    with _script_left_alone():
+                        for number in sorted({*range(handed_out, len(pieces))} - done):
+                            job = self._pool.submit(function, pieces[number])
+                            jobs[job] = number
+                            job.add_done_callback(finished.put)
+                    handed_out = len(pieces)
+                    job = finished.get()
                     result = job.result()
-                    del left[jobs[job]]
-                    yield jobs[job], result
+                    done.add(jobs[job])
+                    yield jobs.pop(job), result
                 return
             except BrokenProcessPool:
-                if life == LIVES:
-                    break
                 self._open.close()
                 self._pool = self._start()
             finally:
                 for job in jobs:
                     job.cancel()
         raise RunError(
-            f"a process that computed one of {len(left)} pieces has died {LIVES + 1} times, as when memory runs out; "
-            "close other programs, or make the study smaller"
+            f"a process that computed one of {len(pieces) - len(done)} pieces has died {LIVES + 1} times, as when "
+            "memory runs out; close other programs, or make the study smaller"
         )
 
     def _start(self) -> Executor:

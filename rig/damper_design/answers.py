@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import csv
-import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import astuple, fields
-from functools import lru_cache
+from functools import partial
+from itertools import chain
 from pathlib import Path
+from typing import Any
 
-from rig.damper_design.choice import Choice, Question, Trial
+from rig.damper_design.choice import Choice, Question
 from rig.damper_design.worst_peak import Peak
 from rig.errors import RunError
+from rig.output_files import replacing
 from rig.workers import Workers
 
-Known = dict[Choice, Peak]
-Task = tuple[Question, Choice, Known]
+#: Tells the peak of a choice, as far as it is known.
+Told = Callable[[Choice], Peak | None]
 
 _HEADER = [
     "question",
@@ -35,8 +37,8 @@ class Answers:
     workers : Workers
         They compute what is not known.
     table : Path or None
-        CSV file with all answers, each as soon as those before it are there; what stands there of the same question
-        is believed.
+        CSV file with all answers, for one structure and one level each, as soon as they are there; what stands there
+        of the same question is believed.
     progress : callable or None
         Called with the pieces of work done and of all, as far as that can be known.
     total : int
@@ -53,7 +55,7 @@ class Answers:
     ) -> None:
         self._workers, self._table, self._progress = workers, table, progress
         self._done, self._total = 0, total
-        self._known: dict[str, Known] = {}
+        self._known: dict[tuple[str, Choice], Peak] = {}
         # Whether the table ends within a line, as a kill may leave it.
         self._torn = False
         if table is not None:
@@ -64,57 +66,76 @@ class Answers:
                     f"cannot write {table}: {error.strerror}; choose another place with -o"
                 ) from None
 
-    def known(self, question: Question) -> Known:
-        """Give the answers to a question so far."""
-        return self._known.setdefault(_digest(question), {})
+    def peak(self, question: Question, choice: Choice) -> Peak | None:
+        """Give the worst peak of a choice if it is known."""
+        peaks = [self._known.get((part.digest, choice)) for part in question.parts]
+        found = [peak for peak in peaks if peak is not None]
+        return max(found) if len(found) == len(peaks) else None
 
     def of(self, question: Question, choices: Sequence[Choice]) -> list[Peak]:
         """Give the worst peak of each choice."""
-        known = self.known(question)
-        missing = [choice for choice in dict.fromkeys(choices) if choice not in known]
-        self._done += len(choices) - len(missing)
-        self.found_by(_worst, question, missing)
-        return [known[choice] for choice in choices]
+        found = self.follow(question, [lambda _: choices])
+        return [found[choice] for choice in choices]
 
-    def found_by(
-        self, search: Callable[[Task], list[Trial]], question: Question, starts: Sequence[Choice]
-    ) -> None:
-        """Search from each start, knowing what is known of the same bodies and masses."""
-        known = self.known(question)
-        tasks = [
-            (
-                question,
-                start,
-                {c: p for c, p in known.items() if (c.bodies, c.masses) == (start.bodies, start.masses)},
-            )
-            for start in starts
-        ]
-        ready: dict[int, list[Trial]] = {}
-        kept = 0
-        for number, trials in self._workers.compute(search, tasks):
-            ready[number] = trials
-            # In the order in which they were asked for, whoever is quicker: the same table wherever it is computed.
-            while kept in ready:
-                new = [trial for trial in ready.pop(kept) if trial.choice not in known]
-                known.update((trial.choice, trial.peak) for trial in new)
-                self._keep(_digest(question), new)
-                kept += 1
+    def follow(
+        self, question: Question, searches: Sequence[Callable[[Told], Iterable[Choice]]]
+    ) -> dict[Choice, Peak]:
+        """Answer what searches want to know, until none wants more.
+
+        Parameters
+        ----------
+        question : Question
+            What they ask.
+        searches : sequence of callable
+            Each says, from the peaks that are known, which choices it wants to know: all that it came by, and those
+            that it waits for. It is asked again after every answer, so that no worker waits for one search while
+            another wants something.
+
+        Returns
+        -------
+        dict
+            Worst peak of each choice that was wanted, in the order of the choices.
+        """
+        asked: set[Choice] = set()
+        pieces: list[tuple[Question, Choice]] = []
+
+        def ask() -> None:
+            for choice in chain.from_iterable(search(partial(self.peak, question)) for search in searches):
+                if choice not in asked:
+                    asked.add(choice)
+                    missing = [part for part in question.parts if self.peak(part, choice) is None]
+                    self._done += len(question.parts) - len(missing)
+                    pieces.extend((part, choice) for part in missing)
+
+        ask()
+        for number, peak in self._workers.compute(_worst, pieces):
+            part, choice = pieces[number]
+            self._known[part.digest, choice] = peak
+            self._append(part.digest, choice, peak)
             self._done += 1
             if self._progress is not None:
                 self._progress(self._done, max(self._total, self._done + 1))
+            if self.peak(question, choice) is not None:
+                ask()
+        peaks = {choice: self.peak(question, choice) for choice in sorted(asked)}
+        return {choice: peak for choice, peak in peaks.items() if peak is not None}
 
-    def _keep(self, digest: str, trials: Sequence[Trial]) -> None:
-        if self._table is None or not trials:
+    def put_in_order(self) -> None:
+        """Sort the table: the same answers make the same file, in whatever order they came."""
+        if self._table is not None:
+            with replacing(self._table) as part, part.open("w", newline="", encoding="utf-8") as file:
+                rows = [_row(*asked, peak) for asked, peak in sorted(self._known.items())]
+                csv.writer(file, lineterminator="\n").writerows([_HEADER, *rows])
+            self._torn = False
+
+    def _append(self, digest: str, choice: Choice, peak: Peak) -> None:
+        if self._table is None:
             return
         with self._table.open("a", newline="", encoding="utf-8") as file:
             if self._torn:
                 file.write("\n")
                 self._torn = False
-            writer = csv.writer(file, lineterminator="\n")
-            for trial in trials:
-                choice = trial.choice
-                lists = [" ".join(map(repr, each)) for each in astuple(choice)]
-                writer.writerow([digest, *lists, repr(choice.mass), *map(repr, astuple(trial.peak))])
+            csv.writer(file, lineterminator="\n").writerow(_row(digest, choice, peak))
 
     def _read(self, path: Path) -> None:
         if not path.exists():
@@ -126,7 +147,8 @@ class Answers:
         self._torn = not lines[-1].endswith("\n") if lines else False
         if rows[:1] != [_HEADER]:
             raise RunError(f"{path}: is no table of designs; move it, or choose another place with -o")
-        for row in rows[1:]:
+        # A kill may have torn the last line, and half a number is one, too.
+        for row in rows[1 : len(rows) - self._torn]:
             try:
                 bodies, masses, clearances = (each.split() for each in row[1:4])
                 choice = Choice(
@@ -142,21 +164,15 @@ class Answers:
                     float(simulated),
                 )
             except ValueError:
-                # The last line of a search that was killed may be torn.
                 continue
-            self._known.setdefault(row[0], {})[choice] = peak
+            self._known[row[0], choice] = peak
 
 
-@lru_cache(maxsize=256)
-def _digest(question: Question) -> str:
-    """Name a question by all that its answers depend on."""
-    scenes = [scene.to_yaml() for scene in question.scenes]
-    told = (
-        scenes, question.levels, question.band, question.bodies, question.restitution, question.density,
-    )  # fmt: skip
-    return hashlib.sha256(repr(told).encode()).hexdigest()[:16]
+def _row(digest: str, choice: Choice, peak: Peak) -> list[Any]:
+    lists = [" ".join(map(repr, each)) for each in astuple(choice)]
+    return [digest, *lists, repr(choice.mass), *map(repr, astuple(peak))]
 
 
-def _worst(task: Task) -> list[Trial]:
-    question, choice, _ = task
-    return [Trial(choice, question.worst(choice))]
+def _worst(asked: tuple[Question, Choice]) -> Peak:
+    question, choice = asked
+    return question.worst(choice)

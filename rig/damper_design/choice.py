@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, product
 
@@ -24,7 +25,7 @@ Array = NDArray[np.float64]
 COARSE, FINE = 20, 60
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, order=True)
 class Choice:
     """Dampers: their bodies (from 1), masses [kg] and clearances [m], one each.
 
@@ -118,6 +119,19 @@ class Question:
     def bare(self) -> Peak:
         """Worst peak without dampers, which is the same at every level."""
         return max(self._peak(scene, self.levels[:1]) for scene in self.scenes)
+
+    @cached_property
+    def parts(self) -> tuple[Question, ...]:
+        """Ask of one structure at one level each: the worst peak is the worst of theirs."""
+        each = product(self.scenes, self.levels)
+        return tuple(replace(self, scenes=(scene,), levels=(level,)) for scene, level in each)
+
+    @cached_property
+    def digest(self) -> str:
+        """Name for all that the answers depend on."""
+        scenes = [scene.to_yaml() for scene in self.scenes]
+        told = scenes, self.levels, self.band, self.bodies, self.restitution, self.density
+        return hashlib.sha256(repr(told).encode()).hexdigest()[:16]
 
     def worst(self, choice: Choice) -> Peak:
         """Worst peak of a choice over levels and structures."""

@@ -151,14 +151,17 @@ def design(
     question, space = asked(scene, budget, bodies, dampers, clearance, levels, band, watched, uncertain)
     forces = level_of(question.scenes[0]) * CHART_LEVELS
     with Workers(cluster) as workers:
-        answers = Answers(workers, table, progress, pieces(space) + CHART_CLEARANCES.size * forces.size)
-        best = search(question, space, answers)
+        answers = Answers(
+            workers, table, progress, pieces(question, space) + CHART_CLEARANCES.size * forces.size
+        )
+        best, trials = search(question, space, answers)
         found = chart(question, best.choice, CHART_CLEARANCES.tolist(), forces.tolist(), answers)
+    answers.put_in_order()
     return Design(
         scene=_checked(scene, best, question),
         best=best,
         bare=question.bare,
-        trials=tuple(Trial(choice, peak) for choice, peak in answers.known(question).items()),
+        trials=tuple(trials),
         question=question,
         space=space,
         levels=forces,

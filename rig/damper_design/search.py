@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from itertools import product
 
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 
-from rig.damper_design.answers import Answers, Known, Task
+from rig.damper_design.answers import Answers, Told
 from rig.damper_design.choice import FINE, Choice, Question, Space, Trial
 from rig.damper_design.worst_peak import Peak
 
@@ -18,7 +18,7 @@ from rig.damper_design.worst_peak import Peak
 SHARES = (1.0, 0.5, 0.25)
 CLEARANCES = 10
 #: Choices of each mass that are tried at once.
-BATCH = 4
+AHEAD = 3
 #: Trials about the best clearance of a place and a mass, and, for each unknown, with all dampers different.
 REFINEMENTS, POLISHING = 8, 25
 #: Places whose best is made better so.
@@ -31,44 +31,39 @@ PROMISING = 1.4
 COMPARED = 3
 
 
-def pieces(space: Space) -> int:
+def pieces(question: Question, space: Space) -> int:
     """Count the pieces of a search, as far as that can be known."""
-    grid = len(space.places) * len(SHARES) * CLEARANCES
-    return int(1.4 * grid) + len(space.places) + len(SHARES) + COMPARED
+    grid, each = len(space.places) * len(SHARES) * CLEARANCES, len(question.parts)
+    return grid + int(0.4 * grid * each) + (len(space.places) + len(SHARES)) * REFINEMENTS * each
 
 
-def search(question: Question, space: Space, answers: Answers) -> Trial:
+def search(question: Question, space: Space, answers: Answers) -> tuple[Trial, list[Trial]]:
     """Find the dampers with the smallest worst peak.
 
     Returns
     -------
-    Trial
-        The best, its peak computed on a finer grid of frequencies.
+    best : Trial
+        Its peak computed on a finer grid of frequencies.
+    trials : list of Trial
+        All that were tried.
     """
-    grid = {(place, share): _row(space, place, share) for place, share in product(space.places, SHARES)}
-    _bounded(question, grid, answers)
-    known = answers.known(question)
-
-    def best_of(place: tuple[int, ...], share: float) -> Choice:
-        return min((choice for choice in grid[place, share] if choice in known), key=known.__getitem__)
-
+    grid = [[c for place in space.places for c in _row(space, place, share)] for share in SHARES]
+    tried = _bounded(question, grid, answers)
+    full, *lighter = (sorted((c for c in row if c in tried), key=tried.__getitem__) for row in grid)
+    limit = PROMISING * tried[full[0]].size
+    starts = _best_of_places([c for c in full if tried[c].size <= limit]) + [row[0] for row in lighter]
     refine = partial(_refine, step=_step(space), bounds=space.clearance)
-    full = [best_of(place, SHARES[0]) for place in space.places if set(grid[place, SHARES[0]]) & set(known)]
-    limit = PROMISING * min(known[choice].size for choice in full)
-    lighter = [
-        [c for (_, s), row in grid.items() if s == share for c in row if c in known] for share in SHARES[1:]
-    ]
-    starts = [choice for choice in full if known[choice].size <= limit]
-    answers.found_by(refine, question, starts + [min(row, key=known.__getitem__) for row in lighter])
+    tried |= answers.follow(question, [partial(_wanted, refine, start) for start in starts])
     if len(space.places[0]) > 1:
-        best: dict[tuple[int, ...], Choice] = {}
-        for choice in sorted(known, key=known.__getitem__):
-            best.setdefault(choice.bodies, choice)
-        answers.found_by(partial(_polish, bounds=space.clearance), question, [*best.values()][:POLISHED])
+        starts = _best_of_places(sorted(tried, key=tried.__getitem__))[:POLISHED]
+        polish = partial(_polish, bounds=space.clearance)
+        tried |= answers.follow(question, [partial(_wanted, polish, start) for start in starts])
     # A coarse grid of frequencies may have missed a peak: the first three are compared on a fine one.
-    first = sorted(known, key=known.__getitem__)[:COMPARED]
+    first = sorted(tried, key=tried.__getitem__)[:COMPARED]
     peaks = answers.of(replace(question, density=FINE), first)
-    return min(map(Trial, first, peaks), key=lambda trial: trial.peak)
+    return min(map(Trial, first, peaks), key=lambda trial: trial.peak), list(
+        map(Trial, tried, tried.values())
+    )
 
 
 def front(trials: Sequence[Trial]) -> list[Trial]:
@@ -85,8 +80,9 @@ def chart(
 ) -> list[list[Peak]]:
     """Peaks of a choice with all clearances changed by each factor (rows) at each level (columns)."""
     choices = [replace(choice, clearances=tuple(factor * c for c in choice.clearances)) for factor in factors]
-    nominal = replace(question, scenes=question.scenes[:1])
-    columns = [answers.of(replace(nominal, levels=(level,)), choices) for level in levels]
+    nominal = replace(question, scenes=question.scenes[:1], levels=tuple(levels))
+    answers.of(nominal, choices)
+    columns = [answers.of(part, choices) for part in nominal.parts]
     return [list(row) for row in zip(*columns, strict=True)]
 
 
@@ -102,64 +98,83 @@ def _row(space: Space, place: tuple[int, ...], share: float) -> list[Choice]:
     return [Choice(place, masses, (c,) * count) for c in np.geomspace(*space.clearance, CLEARANCES).tolist()]
 
 
-def _bounded(
-    question: Question, grid: dict[tuple[tuple[int, ...], float], list[Choice]], answers: Answers
-) -> None:
-    """Try all of the grid that may be the best of its mass: the peak at one level is at most the worst of all."""
-    middle = replace(
-        question, scenes=question.scenes[:1], levels=(question.levels[len(question.levels) // 2],)
-    )
-    every = [choice for row in grid.values() for choice in row]
-    least = {c: peak.size for c, peak in zip(every, answers.of(middle, every), strict=True)}
-    waiting = {
-        share: sorted((c for (_, s), row in grid.items() if s == share for c in row), key=least.__getitem__)
-        for share in SHARES
-    }
-    best = dict.fromkeys(SHARES, np.inf)
-    while any(waiting.values()):
-        batch = {share: waiting[share][:BATCH] for share in SHARES}
-        peaks = answers.of(question, [choice for choices in batch.values() for choice in choices])
-        for share, choices in batch.items():
-            best[share] = min([best[share], *(peak.size for peak in peaks[: len(choices)])])
-            peaks = peaks[len(choices) :]
-            waiting[share] = [c for c in waiting[share][BATCH:] if least[c] < best[share]]
+def _best_of_places(choices: Iterable[Choice]) -> list[Choice]:
+    """Give the first choice of each place."""
+    best: dict[tuple[int, ...], Choice] = {}
+    for choice in choices:
+        best.setdefault(choice.bodies, choice)
+    return list(best.values())
 
 
-class _Asked:
-    """Asks a question, and remembers the answers in the order in which they came."""
-
-    def __init__(self, question: Question, known: Known) -> None:
-        self.question, self.known, self.trials = question, dict(known), list[Trial]()
-
-    def __call__(self, choice: Choice) -> float:
-        if choice not in self.known:
-            self.known[choice] = self.question.worst(choice)
-        self.trials.append(Trial(choice, self.known[choice]))
-        return self.known[choice].size
+def _bounded(question: Question, grid: Sequence[list[Choice]], answers: Answers) -> dict[Choice, Peak]:
+    """Try all that may be the best of their row: the peak at one level is at most the worst of all."""
+    middle = question.parts[len(question.levels) // 2]
+    every = [choice for row in grid for choice in row]
+    least = dict(zip(every, answers.of(middle, every), strict=True))
+    rows = [sorted(row, key=least.__getitem__) for row in grid]
+    return answers.follow(question, [partial(_promising, row, least) for row in rows])
 
 
-def _refine(task: Task, step: float, bounds: tuple[float, float]) -> list[Trial]:
+def _promising(row: Sequence[Choice], least: Mapping[Choice, Peak], told: Told) -> Iterator[Choice]:
+    """Of choices, those with the smallest bounds first, give all that may be the best.
+
+    What came of one counts only for those from the `AHEAD`-th after it, whoever is quicker: the same are tried
+    wherever they are computed.
+    """
+    best = np.inf
+    for number, choice in enumerate(row):
+        if number >= AHEAD:
+            peak = told(row[number - AHEAD])
+            if peak is None:
+                return
+            best = min(best, peak.size)
+        if least[choice].size >= best:
+            return
+        yield choice
+
+
+class _Unknown(Exception):
+    """A search needs the peak of a choice that is not known yet."""
+
+
+def _wanted(search: Callable[..., object], start: Choice, told: Told) -> list[Choice]:
+    """Give the choices that a search asks for, up to the first one that is not known.
+
+    The search runs from its start each time: with the peaks that are known, it comes to the same place at once.
+    """
+    wanted = []
+
+    def size(choice: Choice) -> float:
+        wanted.append(choice)
+        peak = told(choice)
+        if peak is None:
+            raise _Unknown
+        return peak.size
+
+    with suppress(_Unknown):
+        search(start, size)
+    return wanted
+
+
+def _refine(start: Choice, size: Callable[[Choice], float], step: float, bounds: tuple[float, float]) -> None:
     """Change the clearance, the same for each damper, by golden sections and parabolas, at most a step."""
-    question, start, known = task
-    asked, middle = _Asked(question, known), np.log(start.clearances[0])
+    middle = np.log(start.clearances[0])
 
     def at(x: float) -> float:
-        return asked(replace(start, clearances=(float(np.exp(x)),) * len(start.bodies)))
+        return size(replace(start, clearances=(float(np.exp(x)),) * len(start.bodies)))
 
     ends = np.clip([middle - step, middle + step], *np.log(bounds))
     minimize_scalar(at, bounds=ends, method="bounded", options={"maxiter": REFINEMENTS, "xatol": 2e-3})
-    return asked.trials
 
 
-def _polish(task: Task, bounds: tuple[float, float]) -> list[Trial]:
+def _polish(start: Choice, size: Callable[[Choice], float], bounds: tuple[float, float]) -> None:
     """Let every damper have its own clearance and share of the mass: simplex method of Nelder and Mead."""
-    question, start, known = task
-    asked, count = _Asked(question, known), len(start.bodies)
+    count = len(start.bodies)
 
     def at(x: np.ndarray) -> float:
         shares = np.exp(np.append(x[count:], 0.0))
         masses = start.mass * shares / shares.sum()
-        return asked(Choice(start.bodies, tuple(masses.tolist()), tuple(np.exp(x[:count]).tolist())))
+        return size(Choice(start.bodies, tuple(masses.tolist()), tuple(np.exp(x[:count]).tolist())))
 
     shares = np.log(np.array(start.masses[:-1]) / start.masses[-1])
     first = np.concatenate([np.log(start.clearances), shares])
@@ -169,4 +184,3 @@ def _polish(task: Task, bounds: tuple[float, float]) -> list[Trial]:
         at, first, method="Nelder-Mead", bounds=limits,
         options={"initial_simplex": corners, "maxfev": POLISHING * first.size, "xatol": 2e-3, "fatol": np.inf},
     )  # fmt: skip
-    return asked.trials

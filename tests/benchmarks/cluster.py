@@ -42,15 +42,16 @@ def designed(scene: str, workers: int, folder: Path) -> tuple[float, dict[str, b
 def main() -> int:
     """Print it all; exit code 1 if the files differ."""
     name = sys.argv[1] if len(sys.argv) > 1 else "fig8-three-dampers"
-    question, space = asked(rig.load(name), None, None, 1, None, None, None, None, (0.0, 0.0))
+    whole, space = asked(rig.load(name), None, None, 1, None, None, None, None, (0.0, 0.0))
     choice = Choice(space.places[0], (space.mass,), space.clearance[:1])
-    piece = question, choice, {}
+    question = whole.parts[0]
+    piece = question, choice
     print(f"a task and its piece: {len(pickle.dumps((nothing, piece)))} bytes; ", end="")
-    print(f"its result: {len(pickle.dumps([(choice, question.worst(choice))]))} bytes")
+    print(f"its result: {len(pickle.dumps(question.worst(choice)))} bytes")
     begun = time.process_time()
     for place in space.places:
-        question.worst(Choice(place, (space.mass,), space.clearance[1:]))
-    print(f"it computes for {(time.process_time() - begun) / len(space.places):.2f} s")
+        whole.worst(Choice(place, (space.mass,), space.clearance[1:]))
+    print(f"it computes for {(time.process_time() - begun) / len(space.places) / len(whole.parts):.2f} s")
     with Workers("local") as workers:
         list(workers.compute(nothing, [piece]))
         # The scheduler is in this process.

@@ -41,6 +41,16 @@ def test_given_pieces_when_computed_then_each_comes_once_with_its_number() -> No
     assert not multiprocessing.active_children()
 
 
+def test_given_pieces_that_lead_to_others_when_computed_then_those_are_computed_as_well() -> None:
+    pieces = [2]
+    with Workers() as workers:
+        for _, found in workers.compute(square, pieces):
+            if found < 100:
+                pieces.append(found)
+
+    assert pieces == [2, 4, 16]
+
+
 def test_given_a_plain_script_when_it_computes_then_it_is_not_run_again_by_workers(tmp_path: Path) -> None:
     script = tmp_path / "study.py"
     script.write_text(

@@ -25,6 +25,7 @@ def doubts(
     count: int | None,
     dropped: Sequence[float],
     loose: Array,
+    unseen: Array,
     left_out: Sequence[str],
 ) -> Iterator[str]:
     """Tell what limits some modes.
@@ -39,6 +40,8 @@ def doubts(
         Hz: poles left out, as their damping or their height cannot be told.
     loose : ndarray
         Hz: poles left out, as next to nothing bounds the curves there.
+    unseen : ndarray
+        Hz: poles left out, as no line was measured around them.
     left_out : sequence of str
         Responses left out.
     """
@@ -60,6 +63,11 @@ def doubts(
     if loose.size:
         yield (
             f"No mode at {_listed(loose)} Hz, where a pole was stable: next to nothing bounds the curves there."
+        )
+    if unseen.size:
+        yield (
+            f"No mode at {_listed(unseen)} Hz, where a pole was stable: the lines around it were left out, and what is "
+            "there may as well be several."
         )
     f, zeta, error = modes.frequency, modes.damping, modes.damping_error
     if count is not None and f.size < count:

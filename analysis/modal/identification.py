@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.modal.doubts import doubts
-from analysis.modal.line_choice import scatter, stands_out, thinned
+from analysis.modal.line_choice import in_holes, scatter, stands_out, thinned
 from analysis.modal.lscf import chart, columns
 from analysis.modal.modes import TOLD, Modes
 from analysis.modal.order_selection import MOST_MODES, hidden, in_band, select
@@ -95,6 +95,14 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
     anywhere = inside & (2.0 * f_error >= abs(model.poles) / (2 * np.pi))
     inside &= ~anywhere
     loose: Array = np.asarray(abs(model.poles[anywhere]) / (2 * np.pi), dtype=float)
+    holes = inside & in_holes(weighted.frequency, model.poles)
+    inside &= ~holes
+    unseen: Array = np.asarray(abs(model.poles[holes]) / (2 * np.pi), dtype=float)
+    if not inside.any() and unseen.size:
+        raise RecordingError(
+            f"the curves hold poles ({', '.join(f'{f:.4g}' for f in unseen)} Hz) only in holes, where their lines were "
+            "left out; record again without what is said to be missing there"
+        )
     if not inside.any():
         raise RecordingError(
             f"the curves hold poles ({', '.join(f'{f:.4g}' for f in loose)} Hz) only where next to nothing bounds "
@@ -118,7 +126,7 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
         warnings=(),
     )
     left_out = [frf.response for frf in frfs if frf.response not in result.responses]
-    notes = doubts(result, curves, count, dropped, loose, left_out)
+    notes = doubts(result, curves, count, dropped, loose, unseen, left_out)
     return replace(result, warnings=(*curves[0].warnings, *notes))
 
 

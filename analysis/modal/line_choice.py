@@ -19,6 +19,8 @@ MOST_LINES = 2000
 _PEAKS, _LINES, _FLANK = 24, 41, 0.1
 # A peak is higher than what is around it by this factor.
 _STANDS_OUT = 2.0
+# A step so many times as wide as those on either side is a hole.
+_HOLE = 5.0
 # Lines over which scatter is told.
 _AROUND = 31
 
@@ -70,6 +72,27 @@ def scatter(value: NDArray[np.complex128]) -> Array:
     off = abs(np.convolve(known, [1.0, -3.0, 3.0, -1.0], "same")) / np.sqrt(20.0) / 1.177
     off[:2], off[-2:] = off[2], off[-3]
     return np.asarray(median_filter(off, min(_AROUND, value.size), mode="nearest"))
+
+
+def in_holes(frequency: Array, poles: NDArray[np.complex128]) -> NDArray[np.bool_]:
+    """Whether the peaks of some poles, rad/s, lie where lines were left out, none of them within the half-power width.
+
+    Flanks tell a pole only if it is alone there and what is farther away is all in the model.
+
+    Examples
+    --------
+    >>> lines = np.r_[10.0:12.0:0.1, 15.0:20.0:0.1]
+    >>> in_holes(lines, 2 * np.pi * np.array([-0.1 + 11.05j, -0.1 + 13.0j, -2.0 + 13.0j, -0.1 + 30.0j]))
+    array([False,  True, False, False])
+    """
+    steps = np.diff(frequency)
+    beside = np.maximum(np.append(0.0, steps[:-1]), np.append(steps[1:], 0.0))
+    at: Array = np.asarray(abs(poles) / (2 * np.pi), dtype=float)
+    above = np.searchsorted(frequency, at)
+    within = (above > 0) & (above < frequency.size)
+    step = np.clip(above - 1, 0, steps.size - 1)
+    nearest = np.minimum(abs(at - frequency[step]), abs(frequency[step + 1] - at))
+    return np.asarray(within & (steps[step] > _HOLE * beside[step]) & (nearest > -poles.real / (2 * np.pi)))
 
 
 def stands_out(size: Array, line: int) -> bool:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from analysis.responses.frf import MOTIONS
 from analysis.responses.systematic import ALIASING, of_reading, off_by_gains
 from rig.scene.shaker import ElectrodynamicShaker, TableShaker
-from rig.system.structure import structure_matrices
+from rig.system.structure import damper_masses, structure_matrices
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -99,6 +99,8 @@ def folded_shares(
             body = int(info.at.split()[1])
             free = _free_acceleration(rec.scene, body) / np.maximum(acceleration, 1e-300)
             far[row] *= np.maximum(beyond, free)
+            # What is let through up to the farthest image lets a blow pass between two samples.
+            far[row] += _blows(rec.scene, body) * let_through.min(axis=0)
         # Where neither is known to be less.
         far[row] = np.maximum(far[row], _IMAGES * (frequency / info.rate) ** 2)
         share[row] = of_reading(far[row])
@@ -110,6 +112,27 @@ def _free_acceleration(scene: Scene, body: int) -> float:
     shaker = scene.driven_shaker
     if shaker is None or body not in shaker.bodies:
         return 0.0
+    return _inverse_mass(scene, body)
+
+
+def _blows(scene: Scene, body: int) -> float:
+    """Share of a body's acceleration that instant blows of its dampers make: their masses over that which they hit.
+
+    A damper that follows the body within its clearance takes its mass's share of the force, by blows at most all of it.
+    """
+    beds = [
+        bed
+        for damper, bed in zip(scene.dampers, damper_masses(scene), strict=True)
+        if damper.body == body
+        and not damper.locked
+        and damper.clearance
+        and not (damper.contact or damper.grains)
+    ]
+    return float(sum(beds)) * _inverse_mass(scene, body) if beds else 0.0
+
+
+def _inverse_mass(scene: Scene, body: int) -> float:
+    """Acceleration of a body for each newton on it while no other has moved, 1/kg."""
     mass, _, _ = structure_matrices(scene.structure)
     return float(np.linalg.solve(mass, np.eye(len(mass))[body - 1])[body - 1])
 

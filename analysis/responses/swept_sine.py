@@ -35,6 +35,8 @@ _POINTS = 400
 _PER_VALUE = (2 * SIDE + 1) / (3 * ORDER + 2)
 # A damper lifts where its body falls faster than g: surely none does below this part of it.
 _RIDES = 0.7
+# Where a passing tone puts this share of the curve off by as much of a response it is too fast for dampers to follow.
+_FAST, _FAST_SHARE, _SLOWER = 0.3, 0.05, 10
 # Readings are told in counts from so many periods at least.
 _FEWEST_PERIODS = 3.0
 
@@ -63,7 +65,8 @@ class SweptTone:
         if not dampers_move(rec):
             return found
         lag = np.where(self.riding, 0.0, self._lag(found))
-        return replace(found, systematic={**found.systematic, UNSETTLED: lag})
+        warnings = (*found.warnings, *_too_fast(found, lag))
+        return replace(found, systematic={**found.systematic, UNSETTLED: lag}, warnings=warnings)
 
     def _lag(self, found: Frf) -> Array:
         """How far a passing tone puts a response off that is not linear.
@@ -174,6 +177,19 @@ def tracked(
     shared = max(float(np.median(_PER_VALUE * rec.rate / lengths / np.gradient(frequency))), 1.0)
     riding = _riding(rec, names, frequency[kept], squares[:, kept])
     return SweptTone(spectra, speed[kept], rec.scene.name, tuple(notes), riding, shared)
+
+
+def _too_fast(found: Frf, lag: Array) -> tuple[str, ...]:
+    """Warn of a tone that passes faster than a motion with dampers in flight becomes steady."""
+    share = lag / abs(found.value)
+    fast = share > _FAST
+    if not np.sum(fast) > _FAST_SHARE * np.sum(lag > 0.0):
+        return ()
+    ends = found.frequency[np.flatnonzero(fast)[[0, -1]]]
+    return (
+        f"Too fast for dampers in flight: between {ends[0]:.4g} and {ends[1]:.4g} Hz the tone passes before the motion "
+        f"is steady, and the curve is that of the motion in passing; sweep over {_SLOWER} times as long, or step.",
+    )
 
 
 def _riding(rec: Recording, names: Sequence[str], frequency: Array, squares: Array) -> NDArray[np.bool_]:

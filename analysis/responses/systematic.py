@@ -26,6 +26,9 @@ ALIASING, RESOLUTION, MODEL = "aliasing", "converter's resolution", "local model
 REFERENCE = "doubtful reference"
 # Sideways motion as a share of the vertical, where a data sheet of transverse sensitivity goes without one.
 _LATERAL = 0.1
+# Of fewer lines than these the slope cannot be seen: it may be that of a peak, so many times the ratio of value and
+# frequency from a twentieth of its frequency on.
+_SLOPE_LINES, _STEEP = 3, 10.0
 # Power in counts below which rounding leaves nothing to tell a signal by.
 _QUARTER = 1.0 / 16.0
 
@@ -281,7 +284,7 @@ def clock_part(
         What `value` is a response of.
     """
     off = abs(rec.scene.converter.clock_error or 0.0)
-    if not off or frequency.size < 3:
+    if not off:
         return {}
     order = np.argsort(frequency, kind="stable")
     # Between sparse points a peak is steeper than the mean of both sides.
@@ -289,6 +292,8 @@ def clock_part(
     steps = np.divide(abs(np.diff(value[order])), apart, out=np.zeros(apart.size), where=apart > 0.0)
     slope = np.empty(frequency.size)
     slope[order] = np.maximum(np.append(steps, 0.0), np.append(0.0, steps))
+    if frequency.size < _SLOPE_LINES:
+        slope = np.maximum(slope, _STEEP * abs(value) / frequency)
     measured = [rec.channels[name].quantity for name in names]
     powers = np.array([[MOTIONS.index(each) if each in MOTIONS else 0.0] for each in measured])
     made = np.sum((powers - MOTIONS.index(motion)) * upper, axis=0) - value * np.sum(powers * lower, axis=0)

@@ -7,8 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import analysis
+import daq
 import rig
 from analysis.responses.aliasing import aliasing_part
+from analysis.responses.systematic import ALIASING
 from daq.signal_chain.channel import ChannelInfo
 
 RATE, SAMPLES, FINE = 5120.0, 512, 64
@@ -128,3 +131,30 @@ def test_given_a_moving_coil_when_images_of_its_drive_fold_back_then_the_bound_h
         assert 0.99 * true * abs(value[column]) <= bound[column] <= 1.25 * true * abs(value[column]), (
             frequency
         )
+
+
+BLOWS = """
+structure: {masses: [1 kg], springs: [12.8 kN/m], damping: {modal: 0.5 %}}
+dampers: [{body: 1, mass_ratio: 9 %, clearance: 1.5 mm}]
+shaker: {kind: force, body: 1}
+test: {kind: stepped_sine, frequencies: [14 Hz, 21 Hz], force: 13 N}
+channels: [{name: a, at: body 1, accelerometer: {}}, {name: force, at: shaker}]
+converter: {rate: 1024 Hz, sampling: point}
+"""
+
+
+def test_given_blows_that_pass_between_two_points_when_the_response_is_told_then_the_bound_holds_them(
+    tmp_path,
+):
+    scene = rig.loads(BLOWS, where="a test")
+    exact = rig.orbit_response(scene, [14.0, 21.0]).compliance[0]
+    for sampling, share in (("point", 0.09), ("average", 0.002)):
+        path = tmp_path / f"{sampling}.mcap"
+        daq.record(scene.replace(converter=scene.converter.replace(sampling=sampling)), path)
+        with daq.open(path) as rec:
+            [[found]] = analysis.frequency_responses(rec)
+        off = abs(found.value - exact) / abs(exact)
+        told = found.systematic[ALIASING] / abs(found.value)
+        assert (off > 0.03).all() == (sampling == "point")
+        assert (off <= found.bound(0.95) / abs(found.value)).all()
+        assert (told < 1.2 * share).all()

@@ -166,8 +166,8 @@ def test_given_a_clock_that_is_off_when_a_curve_is_told_then_it_is_off_along_it_
         return clock_part(rec, ["a1", "f"], frequency[:points], v, v * share, share[::-1] + 0 * v, motion)
 
     assert only(part(4)) == pytest.approx(abs(value) * 50e-6 * (1 + more))
-    assert part(2) == {}
-    assert len(part(3)) == 1
+    # Two lines may lie on a peak's flank: what is told of them is more than their difference shows.
+    assert (only(part(2)) > 2.0 * only(part(4))[:2]).all()
     assert part(4, "rate: 5120 Hz") == {}
 
 

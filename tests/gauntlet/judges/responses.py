@@ -36,7 +36,12 @@ FAR_BOUNDS, FAR, MOST_FAR = 3.0, 0.05, 0.02
 MOST_UNTOLD = 0.3
 # Warnings that say of the whole curve that it is no response to steady tones, and why. No other warning excuses a
 # wrong line: what is printed on every run warns of nothing.
-_NOT_TONES = (NONLINEAR, ONE_REALISATION, "before the motion had become periodic")
+_NOT_TONES = (
+    NONLINEAR,
+    ONE_REALISATION,
+    "before the motion had become periodic",
+    "before the motion is steady",
+)
 # Rounding of what has no noise at all, relative.
 _ROUNDING = 1e-9
 # How much more force tells how a response depends on it, relative.

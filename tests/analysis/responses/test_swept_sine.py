@@ -1,0 +1,30 @@
+"""A tone that passes while dampers fly: slow enough, or said to be too fast."""
+
+from __future__ import annotations
+
+import pytest
+
+import analysis
+import daq
+import rig
+
+SCENE = """
+structure: {masses: [1 kg], springs: [12.8 kN/m], damping: {modal: 0.5 %}}
+dampers: [{body: 1, mass_ratio: 9 %, clearance: 1.5 mm}]
+shaker: {kind: force, body: 1}
+test: {kind: swept_sine, from: 14 Hz, to: 21 Hz, duration: 2 s, force: 13 N}
+channels: [{name: a, at: body 1, accelerometer: {}}, {name: force, at: shaker}]
+converter: {rate: 1024 Hz}
+"""
+
+
+@pytest.mark.parametrize(("end", "said"), [(21.0, True), (14.05, False)])
+def test_given_dampers_in_flight_when_a_tone_passes_then_a_fast_one_is_said_to_be_too_fast(
+    tmp_path, end, said
+):
+    scene = rig.loads(SCENE, where="a test")
+    path = tmp_path / "a.mcap"
+    daq.record(scene.replace(test=scene.test.replace(to=end)), path)
+    with daq.open(path) as rec:
+        [[found]] = analysis.frequency_responses(rec)
+    assert any("Too fast for dampers in flight" in text for text in found.warnings) == said

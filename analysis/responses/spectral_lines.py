@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 _TOGETHER, _UNKNOWN_DECAY, _SLOWEST_DECAY = 5, 0.5, 0.99
 # A reference is told from noise with this confidence.
 _SURE = 0.999
+# Lines from which on noise is told by how they differ, and how many around each.
+_ALIKE, _FLOOR = 8, 31
 # Parts that tell how a transient decays.
 _FEW = 4
 
@@ -119,6 +121,27 @@ class Lines:
         return np.asarray(np.sqrt(self.turned * variance / 2.0) * radius(_SURE, degrees * width))
 
 
+def _noise(changes: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Power of noise in changes from part to part, as it differs from line to line where a transient does not.
+
+    Parameters
+    ----------
+    changes : ndarray of complex, shape (changes, channels, lines)
+
+    Returns
+    -------
+    ndarray, shape (channels, lines)
+        Sum over the changes; a median over lines, so that transients of single modes do not count.
+    """
+    count, _, lines = changes.shape
+    if lines < _ALIKE:
+        return np.zeros(changes.shape[1:])
+    # Second differences of noise have six times its power; the median of gamma's distribution is below its mean.
+    rough = np.sum(abs(np.diff(changes, 2, axis=2)) ** 2, axis=0) / 6.0 / (1.0 - 1.0 / (3.0 * count))
+    level = ndimage.median_filter(rough, (1, min(_FLOOR, lines - 2)), mode="nearest")
+    return np.pad(level, ((0, 0), (1, 1)), mode="edge")
+
+
 def remainder(successive: NDArray[np.complex128]) -> NDArray[np.float64]:
     """How far the mean of successive parts may be off for a transient that still decays.
 
@@ -154,5 +177,6 @@ def remainder(successive: NDArray[np.complex128]) -> NDArray[np.float64]:
         factor = both / np.maximum(size, 1e-300)
         factor *= np.minimum(1.0, _SLOWEST_DECAY / np.maximum(abs(factor), 1e-300))
     powers = np.sum([abs(factor) ** (2 * k) for k in range(count - 1)], axis=0)
-    begins = np.sqrt(np.sum(abs(changes) ** 2, axis=0) / powers) / abs(1.0 - factor)
+    size = np.maximum(np.sum(abs(changes) ** 2, axis=0) - _noise(changes), 0.0)
+    begins = np.sqrt(size / powers) / abs(1.0 - factor)
     return np.asarray(begins * abs(1.0 - factor**count) / (count * abs(1.0 - factor)))

@@ -1,0 +1,35 @@
+"""What is left of transients in averages of periods, told from the noise in them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from analysis.responses.spectral_lines import remainder
+
+PARTS, LINES = 4, 120
+
+
+def noise(seed, shape):
+    random = np.random.default_rng(seed)
+    return random.standard_normal(shape) + 1j * random.standard_normal(shape)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_given_noise_without_a_transient_when_its_remainder_is_told_then_next_to_none_is(seed):
+    deviation = np.sqrt(2.0 / PARTS)
+    assert np.median(remainder(noise(seed, (PARTS, 1, LINES)))) < 0.15 * deviation
+
+
+@pytest.mark.parametrize("decays", [0.3, 2.0, 8.0])
+def test_given_the_transient_of_a_mode_in_noise_when_its_remainder_is_told_then_it_bounds_what_the_mean_is_off_by(
+    decays,
+):
+    # A mode that decays by so much in a period, between two lines; its transient is sharp or broad over the lines.
+    pole = (-decays + 2j * np.pi * 60.3) / (2j * np.pi)
+    first = 40.0 / (np.arange(LINES) - pole)
+    transient = first * np.exp(2j * np.pi * pole * np.arange(PARTS))[:, None, None]
+    told = remainder(transient + 0.05 * noise(1, (PARTS, 1, LINES)))[0]
+    off = abs(transient.mean(axis=0)[0])
+    near = off > 0.2
+    assert np.mean(told[near] > 0.8 * off[near]) > 0.9

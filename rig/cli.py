@@ -305,7 +305,10 @@ def design(
         ),
     ] = None,
     bodies: Annotated[
-        str | None, typer.Option(metavar="N,N,...", help="Bodies that may carry a damper (default: all).")
+        str | None,
+        typer.Option(
+            metavar="N,N,...", help="Bodies that may carry a damper (default: all); for two, name one twice."
+        ),
     ] = None,
     dampers: Annotated[int, typer.Option(min=1, metavar="N", help="How many dampers.")] = 1,
     clearance: Annotated[

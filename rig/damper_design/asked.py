@@ -48,7 +48,7 @@ def mass_of(budget: float | str | None, scene: Scene) -> float:
 def _bodies(given: Sequence[int | str] | None, scene: Scene, name: str) -> tuple[int, ...]:
     everywhere = range(1, scene.structure.bodies + 1)
     try:
-        found = tuple(sorted({int(one) for one in given or everywhere}))
+        found = tuple(sorted(int(one) for one in given or everywhere))
     except ValueError:
         found = (0,)
     if not set(found) <= set(everywhere):
@@ -86,10 +86,11 @@ def asked(
     SceneError
         If that leaves nothing to choose or nothing to drive the structure with.
     """
-    may_carry, count = _bodies(bodies, scene, "bodies"), _bodies(watched, scene, "watched")
+    may_carry, count = _bodies(bodies, scene, "bodies"), tuple(sorted({*_bodies(watched, scene, "watched")}))
     if not 1 <= dampers <= len(may_carry):
         raise SceneError(
-            f"dampers: got {dampers}; expected 1 to {len(may_carry)}, one for each body that may carry one"
+            f"dampers: got {dampers}; expected 1 to {len(may_carry)}, one for each body that may carry one; one that "
+            "may carry two is named twice"
         )
     shares = tuple(number(share, RATIO, "uncertain") for share in uncertain)
     if len(shares) != 2 or not all(0.0 <= share < 0.9 for share in shares):

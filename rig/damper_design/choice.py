@@ -46,6 +46,10 @@ class Choice:
         """Added mass in all, kg."""
         return sum(self.masses)
 
+    def wider(self, factor: float) -> Choice:
+        """Change all clearances by a factor."""
+        return replace(self, clearances=tuple(factor * clearance for clearance in self.clearances))
+
     def dampers(self, restitution: float) -> list[Damper]:
         """Make them, as a scene has them."""
         each = zip(self.bodies, self.masses, self.clearances, strict=True)
@@ -80,12 +84,12 @@ class Space:
 
     @staticmethod
     def places_of(bodies: tuple[int, ...], dampers: int) -> tuple[tuple[int, ...], ...]:
-        """List the ways to place some dampers, one at most on a body.
+        """List the ways to place some dampers, as many at most on a body as it is named.
 
-        >>> Space.places_of((1, 2, 3), 2)
-        ((1, 2), (1, 3), (2, 3))
+        >>> Space.places_of((1, 2, 2), 2)
+        ((1, 2), (2, 2))
         """
-        return tuple(combinations(bodies, dampers))
+        return tuple(sorted(set(combinations(bodies, dampers))))
 
 
 @dataclass(frozen=True)

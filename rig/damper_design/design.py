@@ -119,7 +119,8 @@ def design(
         The most that may be added: kg, ``"50 g"``, or a share of the structure's mass such as ``"5 %"``; unless given,
         a twentieth of it.
     bodies : sequence of int, optional
-        Bodies that may carry a damper, from 1; unless given, all.
+        Bodies that may carry a damper, from 1; unless given, all. One that is named twice may carry two: their impacts
+        are felt by each other at once, so that the motion is simulated and averaged, which takes several times as long.
     dampers : int
         How many.
     clearance : (float, float) or (str, str), optional

@@ -27,6 +27,8 @@ POLISHED = 2
 UNEVEN = 300.0
 #: Places whose best on the grid is at most this much worse than the best of all are looked at closely.
 PROMISING = 1.4
+#: Ratio of clearances in one body to begin with.
+APART = 1.1
 #: How many of the best are compared in the end.
 COMPARED = 3
 
@@ -79,7 +81,7 @@ def chart(
     question: Question, choice: Choice, factors: Sequence[float], levels: Sequence[float], answers: Answers
 ) -> list[list[Peak]]:
     """Peaks of a choice with all clearances changed by each factor (rows) at each level (columns)."""
-    choices = [replace(choice, clearances=tuple(factor * c for c in choice.clearances)) for factor in factors]
+    choices = [choice.wider(factor) for factor in factors]
     nominal = replace(question, scenes=question.scenes[:1], levels=tuple(levels))
     answers.of(nominal, choices)
     columns = [answers.of(part, choices) for part in nominal.parts]
@@ -92,10 +94,12 @@ def _step(space: Space) -> float:
 
 
 def _row(space: Space, place: tuple[int, ...], share: float) -> list[Choice]:
-    """Choices of all clearances, the same for each damper."""
-    count = len(place)
-    masses = (share * space.mass / count,) * count
-    return [Choice(place, masses, (c,) * count) for c in np.geomspace(*space.clearance, CLEARANCES).tolist()]
+    """Choices of all clearances, the same for each body."""
+    count, (low, high) = len(place), space.clearance
+    # Equal ones in one body would move as one until rounding sets them apart.
+    apart = [APART ** place[:k].count(body) for k, body in enumerate(place)]
+    first = Choice(place, (share * space.mass / count,) * count, tuple(apart))
+    return [first.wider(c) for c in np.geomspace(low, high / max(apart), CLEARANCES).tolist()]
 
 
 def _best_of_places(choices: Iterable[Choice]) -> list[Choice]:
@@ -157,13 +161,14 @@ def _wanted(search: Callable[..., object], start: Choice, told: Told) -> list[Ch
 
 
 def _refine(start: Choice, size: Callable[[Choice], float], step: float, bounds: tuple[float, float]) -> None:
-    """Change the clearance, the same for each damper, by golden sections and parabolas, at most a step."""
+    """Change all clearances by a factor, at most a step, by golden sections and parabolas."""
     middle = np.log(start.clearances[0])
 
     def at(x: float) -> float:
-        return size(replace(start, clearances=(float(np.exp(x)),) * len(start.bodies)))
+        return size(start.wider(float(np.exp(x - middle))))
 
-    ends = np.clip([middle - step, middle + step], *np.log(bounds))
+    limits = np.log([bounds[0], bounds[1] * start.clearances[0] / max(start.clearances)])
+    ends = np.clip([middle - step, middle + step], *limits)
     minimize_scalar(at, bounds=ends, method="bounded", options={"maxiter": REFINEMENTS, "xatol": 2e-3})
 
 

@@ -54,13 +54,22 @@ def resonance(problem: OrbitProblem, response: OrbitResponse, body: int) -> tupl
     """Largest compliance of a body over a curve [m/N], and its frequency [Hz].
 
     Where the largest point is an orbit, the maximum is sought between its neighbours over orbits with the same
-    events, so that it does not depend on the grid.
+    events, so that it does not depend on the grid. Where it and its neighbours were simulated, it is that of a linear
+    resonance through the three, whose 1 / |X|^2 is a parabola.
     """
     size = np.abs(response.compliance[body - 1])
     i = int(size.argmax())
     best, where = float(size[i]), float(response.value[i])
     orbit = response.orbits[i]
-    if orbit is None or i in (0, size.size - 1):
+    if i in (0, size.size - 1):
+        return best, where
+    around = slice(i - 1, i + 2)
+    if response.simulated[around].all():
+        curvature, slope, least = np.polyfit(response.value[around] - where, size[around] ** -2.0, 2).tolist()
+        lowest = least - slope**2 / (4 * curvature) if curvature > 0.0 else 0.0
+        if lowest > 0.0:
+            return lowest**-0.5, where - slope / (2 * curvature)
+    if orbit is None:
         return best, where
 
     def missing(frequency: float) -> float:

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import analysis
 import daq
@@ -17,7 +19,7 @@ from rig.damper_design.answers import Answers
 from rig.damper_design.asked import asked, mass_of
 from rig.damper_design.choice import FINE, Choice, Question, Space, Trial
 from rig.damper_design.figure import summary, write
-from rig.damper_design.search import front, search
+from rig.damper_design.search import _refine, _row, front, search
 from rig.damper_design.worst_peak import Peak, curve
 from rig.errors import RunError, SceneError
 from rig.orbits.problem import OrbitProblem
@@ -168,8 +170,38 @@ def test_given_trials_when_their_front_is_taken_then_none_as_light_is_better() -
     assert [(t.choice.mass, t.peak.size) for t in front(trials)] == [(0.05, 4.0), (0.1, 2.0), (0.3, 1.0)]
 
 
-def test_given_three_bodies_when_two_dampers_are_placed_then_each_pair_is_a_place() -> None:
-    assert Space.places_of((1, 2, 3), 2) == ((1, 2), (1, 3), (2, 3))
+def test_given_a_body_named_twice_when_asked_then_it_may_carry_two_and_counts_once() -> None:
+    question, space = asked(rig.load("fig9"), None, [2, 1, 2], 2, None, [3.3], None, [2, 2], (0.0, 0.0))
+    assert (space.places, question.bodies) == (((1, 2), (2, 2)), (2,))
+
+
+def test_given_two_dampers_in_a_body_when_asked_then_the_peak_is_that_of_their_settled_motion() -> None:
+    question, _ = asked(rig.load("fig9"), None, None, 1, None, [3.3], (48.5, 50.5), [2], (0.0, 0.0))
+    choice = Choice((2, 2), (0.06, 0.04), (1e-3, 1.1e-3))
+    peak = question.worst(choice)
+    scene = question.scenes[0].replace(dampers=choice.dampers(0.0))
+    settled = np.abs(rig.frequency_response(scene, np.linspace(48.5, 50.5, 31)).compliance[1])
+    assert peak.size == pytest.approx(settled.max(), rel=0.01)
+
+
+@given(
+    place=st.lists(st.integers(1, 3), min_size=1, max_size=3).map(sorted).map(tuple),
+    start=st.integers(0, 9),
+    step=st.floats(0.1, 0.9),
+)
+def test_given_any_place_when_tried_then_clearances_are_allowed_and_no_two_of_a_body_are_equal(
+    place: tuple[int, ...], start: int, step: float
+) -> None:
+    def seen(choice: Choice) -> float:
+        assert min(choice.clearances) >= 1e-4 and max(choice.clearances) <= 1e-2 * (1 + 1e-12)
+        each = [*zip(choice.bodies, choice.clearances, strict=True)]
+        assert len(set(each)) == len(each) and choice.mass == pytest.approx(0.1)
+        return sum(choice.clearances)
+
+    row = _row(Space((place,), 0.1, (1e-4, 1e-2)), place, 1.0)
+    for choice in row:
+        seen(choice)
+    _refine(row[start], seen, step, (1e-4, 1e-2))
 
 
 @pytest.mark.parametrize(
@@ -177,7 +209,7 @@ def test_given_three_bodies_when_two_dampers_are_placed_then_each_pair_is_a_plac
     [
         ({"budget": 5.0}, "expected more than nothing and less than the structure's 2.09 kg"),
         ({"bodies": [7]}, "numbers of bodies, from 1 to 3"),
-        ({"dampers": 4}, "expected 1 to 3"),
+        ({"dampers": 4}, "expected 1 to 3, one for each body .* named twice"),
         ({"band": (2.0, 3.0)}, "nothing resonates"),
         ({"levels": [-1.0]}, r"levels: got -1\.0; expected a list of positive"),
         ({"clearance": (2e-3, 1e-3)}, "the smaller one first"),

@@ -35,6 +35,8 @@ _APART, RESOLVED = 4, 6
 # Where so many times of it are left after that, and such a part of the largest jump there, no jump is told.
 _UNTOLD, _MISFIT = 10.0, 0.5
 _TANGLED, _LONGEST, _LEAVES = 3.0, 4, 0.1
+# Where a polynomial of an order higher by two leaves so many times less, in squares, the smooth motion follows it.
+_BENDS, _BEND_PAYS = 4, 2.0
 # So many are fitted together at a time; what is left of one that was fitted alone misleads by so many samples.
 _TOGETHER, _STARTS, _BESIDE = 5, (0.0, -2.5, 2.5, -5.0, 5.0), 10.0
 # Steps of the acceleration are such a part of what it goes through, smoothed over so many samples; kinks bring
@@ -70,6 +72,8 @@ class JumpSearch:
         # A jump beyond the windows, in the last samples of a stretch, passes for another one in the nearest of them.
         self.told = minimum_filter1d(self.open, of.window, mode="constant", cval=False)
         self.found: list[Jump] = []
+        # What all that is read is held against: the smooth motion may bend where jumps alone do not see it.
+        self.whole = of
 
     def run(self) -> tuple[Array, Array]:
         """Places in samples, and sizes in m/s."""
@@ -100,6 +104,7 @@ class JumpSearch:
         for one in sorted(self.found, key=lambda one: abs(one.sizes[0])):
             now = min(self.found, key=lambda other: abs(other.place - one.place))
             self.settle(now, noise)
+        self.whole = self.bent()
         sure = self.threshold
         for first, last in self.unexplained(_TANGLED * sure):
             self.untangle(first, last, sure)
@@ -152,20 +157,40 @@ class JumpSearch:
         noise = float(np.percentile(self.noise()[2], 95.0)) * self.signature.gain
         return least_sure(noise, max((abs(one.sizes[0]) for one in self.found), default=0.0))
 
-    def unexplained(self, least: float) -> list[tuple[int, int]]:
-        """First and last window of each stretch in which as much is left as a jump of so many m/s would leave."""
-        of = self.signature
+    def bent(self) -> Signature:
+        """Signature with the order of the polynomial that the smooth motion between jumps follows."""
+        of = best = self.signature
+        least = self._typically_left(of)
+        for bends in range(1, _BENDS):
+            more = replace(of, curvature=of.curvature + 2 * bends)
+            left = self._typically_left(more)
+            if _BEND_PAYS * left < least:
+                best, least = more, left
+        return best
+
+    def _typically_left(self, of: Signature) -> float:
+        """Squares that are left of most windows, for each of their degrees of freedom."""
+        _, squares = self._left(of)
+        return float(np.median(squares)) / (of.window - of.curvature - 1)
+
+    def _left(self, of: Signature) -> tuple[NDArray[np.int64], Array]:
+        """Windows that half overlap, and the squares that are left of each."""
         first = np.flatnonzero(self.open)
         first = first[first % (of.window // 2) == 0]
         windows = np.lib.stride_tricks.sliding_window_view(self.rest, of.window)[first]
-        left = np.sqrt(np.sum(readings(windows, of, of.window) ** 2, axis=1))
+        return first, np.asarray(np.sum(readings(windows, of, of.window) ** 2, axis=1))
+
+    def unexplained(self, least: float) -> list[tuple[int, int]]:
+        """First and last window of each stretch in which as much is left as a jump of so many m/s would leave."""
+        first, squares = self._left(self.whole)
         return [
-            (int(first[begin]), int(first[end - 1])) for begin, end in runs_of(left > least * self.unit())
+            (int(first[begin]), int(first[end - 1]))
+            for begin, end in runs_of(squares > (least * self.unit()) ** 2)
         ]
 
     def entangled(self) -> Array:
         """Between which places far more is left than a jump would leave that is not missed, samples; shape (n, 2)."""
-        of, out = self.signature, []
+        of, out = self.whole, []
         for first, last in self.unexplained(_UNTOLD * self.threshold):
             ends = first + self.zero - of.window / 2, last + self.zero + of.window / 2
             largest = max(
@@ -178,7 +203,7 @@ class JumpSearch:
 
     def unit(self) -> float:
         """Root of the squares of a jump of 1 m/s in the middle of a window."""
-        of = self.signature
+        of = self.whole
         row = np.zeros(of.window)
         put(row, of, Jump(self.zero + 0.5, np.array([1.0, 0.0, 0.0]), 1.0, 0.0), 1.0)
         return float(np.linalg.norm(readings(row[None], of, of.window)))
@@ -188,7 +213,7 @@ class JumpSearch:
 
         What is left need not be less than a part of what a jump of `sure` m/s would leave.
         """
-        of = self.signature
+        of = self.whole
         half = of.window // 2
         if last - first > _LONGEST * of.window:
             return

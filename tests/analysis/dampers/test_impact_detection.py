@@ -182,6 +182,19 @@ def test_given_noise_alone_when_searched_then_nothing_is_found_and_the_threshold
     assert 5.0 < thresholds[1] / thresholds[0] < 12.0
 
 
+def test_given_a_slow_motion_far_above_the_noise_when_searched_behind_a_filter_then_its_bend_is_no_impact(
+    tmp_path,
+):
+    # Over the filter's ringing the motion bends by some twenty times the noise.
+    t = np.arange(int(5 * RATE)) / RATE
+    row = 7.0 * np.sin(2 * np.pi * 0.003 * RATE * t) + 1e-3 * np.random.default_rng(3).standard_normal(t.size)
+    delta_sigma = {"rate": RATE, "delay": 38.0, "cutoff": 0.5, "beta": 11.0}
+    infos = [ChannelInfo("body1", "body 1", "acceleration", 1.0, RATE, filter=delta_sigma)]
+    with daq.open(synthetic.write(tmp_path / "a.mcap", synthetic.scene(), infos, row[None], [])) as rec:
+        found = impacts(rec, "body1")
+    assert found.time.size == 0 and not len(found.left_out)
+
+
 def test_given_too_few_samples_when_searched_then_it_says_how_many_are_needed(tmp_path):
     path, _, _ = blows(tmp_path / "a.mcap", count=0)
     with daq.open(path) as rec, pytest.raises(RecordingError, match="take at least 96"):

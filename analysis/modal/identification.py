@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from analysis.modal.doubts import doubts
 from analysis.modal.line_choice import in_holes, scatter, stands_out, thinned
@@ -35,6 +36,8 @@ _NOT_NOISE = 4.0
 _DISTRUST = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4)
 # Up to so many times a frequency, and down from it, belongs to its neighbourhood.
 _AROUND = 1.15
+# Degrees of freedom from which on a line's own error is known.
+_ENOUGH = 10.0
 # Systematic parts that differ from line to line.
 _ROUGH = (UNSETTLED, RESOLUTION, MODEL, REFERENCE)
 
@@ -267,10 +270,22 @@ def _sigma(curves: Sequence[Frf]) -> Array:
     for row, curve in zip(error, curves, strict=True):
         if not np.isfinite(row).all():
             row[~np.isfinite(row)] = scatter(curve.value)[~np.isfinite(row)]
+        row[:] = np.maximum(row, _usual(row, curve.degrees))
     # What differs from line to line bends a curve as noise does; what is smooth looks like no mode.
     error = np.hypot(error, 0.5 * _off(curves, _ROUGH))
     top = np.nanmax(size, axis=1, keepdims=True)
     return np.hypot(error, LEAST_RELATIVE_ERROR * np.maximum(size, 1e-6 * top))
+
+
+def _usual(error: Array, degrees: Array) -> Array:
+    """Median of errors over so many neighbours as have enough degrees of freedom together; 0 where each has by itself.
+
+    Of the errors that few parts tell some are by chance next to nothing: such lines would decide alone.
+    """
+    own = float(np.median(degrees))
+    if not 0.0 < own < _ENOUGH:
+        return np.zeros(error.size)
+    return np.asarray(median_filter(error, min(1 + 2 * int(_ENOUGH / own), error.size), mode="nearest"))
 
 
 def _off(curves: Sequence[Frf], names: Sequence[str]) -> Array:

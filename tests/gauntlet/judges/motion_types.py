@@ -70,6 +70,6 @@ def _true_type(case: Case, number: int, frequency: float, first: int, stop: int)
 
 
 def _once(time: NDArray[np.float64], frequency: float, periods: float) -> bool:
-    """Whether blows come a period apart, through all of a window."""
+    """Whether blows come a period apart, through all of a window; at either end none can be told."""
     between = np.diff(time) * frequency
-    return time.size > periods - 1.0 and bool(np.all(abs(between - 1.0) < _ONCE))
+    return time.size > periods - 2.0 and bool(np.all(abs(between - 1.0) < _ONCE))

@@ -110,7 +110,7 @@ def _shift(off: Array, away: Array, half: float) -> float:
     """How far, in Hz, a pole of some half-width is moved by what a curve is off by, so far away from the pole."""
     known = np.isfinite(off)
     if not known.any():
-        return half
+        return float("inf")
     near = away <= max(_FLANKS * half, np.sort(away)[:4].max())
     moved = np.where(known, off - off[known].min(), np.inf) * away
     # Where nothing bounds the curve about a pole, nothing bounds where that is.

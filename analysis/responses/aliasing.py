@@ -69,9 +69,12 @@ def folded_shares(
 ) -> tuple[Array, Array]:
     """Give what folds back into each channel at most, as a share of what it should read and of what it reads.
 
-    Both of shape (channels, lines).
+    Both of shape (channels, lines). Nothing in what another instrument measured: how that drives, and what it filters,
+    no scene says.
     """
     share, far = np.zeros(lower.shape), np.zeros(lower.shape)
+    if rec.source:
+        return share, far
     # Beyond the modes a structure is accelerated as at the top of the band, or less, but where it is driven: there by
     # the force over the mass, of which a band below further modes shows nothing.
     acceleration = abs(value) * (2.0 * np.pi * frequency) ** (2 - MOTIONS.index(motion))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from analysis.responses.estimators import ESTIMATORS, Averages
@@ -136,7 +136,19 @@ def frequency_responses(
                 if progress is not None:
                     progress(done, len(names))
             out.append(curves)
-    return out
+    said = _unfiltered(rec, channels)
+    return [[replace(curve, warnings=(*curve.warnings, *said)) for curve in curves] for curves in out]
+
+
+def _unfiltered(rec: Recording, channels: Sequence[str]) -> tuple[str, ...]:
+    """Warn of channels of another instrument behind no filter that the scene names."""
+    bare = [name for name in channels if not rec.channels[name].filter]
+    if not rec.source or not bare:
+        return ()
+    return (
+        f"{', '.join(bare)}: imported, and the scene names no filter of the converter (converter: preset, or filter): "
+        "what folds back from beyond half the sample rate is in no bound.",
+    )
 
 
 def _sources(

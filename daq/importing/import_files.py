@@ -246,6 +246,7 @@ class _Import:
     def __init__(self, scene: Scene, made: Sequence[Assigned], rate: float) -> None:
         self._scene, self._made, self._rate = scene, made, rate
         self._infos = [one.info for one in made]
+        self._source = ", ".join(dict.fromkeys(Path(one.signal.file).name for one in made))
         self._samples = max(one.signal.samples for one in made)
         self._missing: list[list[tuple[int, int]]] = [[] for _ in made]
         self._overloads = [Overloads(_limit(one)) for one in made]
@@ -261,7 +262,7 @@ class _Import:
         infos = self._infos
         with (
             replacing(path, overwrite) as part,
-            Recorder(part, self._scene, infos, self._rate, max(start_ns, 0)) as recorder,
+            Recorder(part, self._scene, infos, self._rate, max(start_ns, 0), source=self._source) as recorder,
         ):
             for first in range(0, self._samples, _PIECE):
                 stop = min(first + _PIECE, self._samples)

@@ -33,6 +33,8 @@ def describe(recording: Recording) -> Iterator[str]:
     if run:
         test, seed, version = (run.get(key, "?") for key in ("test", "seed", "shotrig"))
         yield f"  run       test {test}, seed {seed}, shotrig {version}"
+    if recording.source:
+        yield f"  imported  from {recording.source}"
     yield f"  rate      {recording.rate:.10g} Hz, stored as {recording.stored}"
     wide = max(map(len, recording.channels))
     for place, (name, info) in enumerate(recording.channels.items()):

@@ -60,6 +60,8 @@ class Recorder:
         Time of sample 0, nanoseconds since an epoch of the user's choice; 0 keeps recordings reproducible.
     overwrite : bool
         Whether an existing file may be replaced.
+    source : str
+        Names of the files that other instruments made the samples with; empty for those of the virtual rig.
 
     Raises
     ------
@@ -77,12 +79,13 @@ class Recorder:
         rate: float,
         start_ns: int = 0,
         overwrite: bool = False,
+        source: str = "",
     ) -> None:
         self.path = Path(path)
         self.channels = tuple(channels)
         self.clock = Timebase(rate, start_ns)
         self.closed = False
-        self._scene = scene
+        self._scene, self._source = scene, source
         self._block, self._group = layout.block_length(rate), layout.flush_length(rate)
         self._stored = stored_as(scene, self.channels)
         self._scale = np.array([scale_of(info, self._stored) for info in self.channels])[:, None]
@@ -263,7 +266,8 @@ class Recorder:
             records["display"] = self._display.description()
         test = "none" if scene.test is None else scene.test.kind
         run = {"scene": scene.name, "seed": str(scene.seed), "test": test, "layout": layout.VERSION}
-        records["run"] = run | {"shotrig": version("shotrig")}
+        source = {"source": self._source} if self._source else {}
+        records["run"] = run | {"shotrig": version("shotrig")} | source
         for name, fields in records.items():
             self._file.add_metadata(name, checked(fields))
         text = scene.to_yaml().encode()

@@ -346,6 +346,11 @@ class Recording(Result):
         return self.metadata.get("outcome", {}).get("status", "unknown")
 
     @property
+    def source(self) -> str:
+        """Files of other instruments that the samples were imported from; empty for those of the virtual rig."""
+        return self.metadata.get("run", {}).get("source", "")
+
+    @property
     def stored(self) -> str:
         """What samples are in the file: `float64`, `float32` or `counts`."""
         return next(iter(self._series.values())).stored

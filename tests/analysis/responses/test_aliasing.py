@@ -34,7 +34,9 @@ def images(info, cycles):
 def part(info, value, motion="acceleration", scene=SCENE, lower=0.0):
     """The part of a channel that is the response, or the reference; the other is measured without images."""
     other = ChannelInfo("b", "body 1", "acceleration", 1.0, RATE, filter=FILTER)
-    rec = SimpleNamespace(channels={info.name: info, "b": other}, scene=rig.loads(scene, where="a test"))
+    rec = SimpleNamespace(
+        source="", channels={info.name: info, "b": other}, scene=rig.loads(scene, where="a test")
+    )
     share = np.array([[1.0 - lower], [lower]]) * np.ones(value.size)
     return aliasing_part(rec, [info.name, "b"], FREQUENCY, value, value * share, share[::-1], motion)
 

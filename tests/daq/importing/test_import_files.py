@@ -43,6 +43,8 @@ def test_given_a_file_of_another_program_when_imported_then_its_samples_and_rate
             read, rows * IN_SI, rtol=0, atol=max(error, 1e-15) * abs(rows * IN_SI).max()
         )
         assert [marker.kind for marker in recording.markers] == ["measure"]
+        # By which nobody takes its drive and its converter for the virtual rig's.
+        assert recording.source == f"a{ending}"
         assert recording.markers[0].fields == {"from": 5.0, "to": 400.0}
         assert recording.scene.channels == bench().channels and recording.scene.converter.rate == RATE
 

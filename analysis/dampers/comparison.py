@@ -26,8 +26,8 @@ class Peak:
     Attributes
     ----------
     value, bound : float
-        Height and how far it may be off either way, m/N; `bound` is infinite where the motion jumps beside the highest
-        point, or that point is the last one looked at: the peak is then at least as high as `value`.
+        Height and how far it may be off either way, m/N; `bound` is infinite where the motion jumps or points were left
+        out beside the highest one, or that is the last one looked at: the peak is then at least as high as `value`.
     frequency, first, last : float
         Where it is, and between which frequencies it may be, Hz.
     """
@@ -70,6 +70,9 @@ def peak(frf: Frf, low: float, high: float) -> Peak | None:
     near = np.arange(max(top - 2, 0), min(top + 3, f.size))
     if top in (0, f.size - 1):
         return Peak(float(size[top]), inf, float(f[top]), float(f[near[0]]), float(f[near[-1]]))
+    beside = f[[top - 1, top + 1]]
+    if np.any((part.left_out > beside[0]) & (part.left_out < beside[1])):
+        return Peak(float(size[top]), inf, float(f[top]), *map(float, beside))
     foretold = _through(f[near[near != top]], inverse[near[near != top]], f[[top]])
     if abs(abs(1.0 / foretold[0]) / size[top] - 1.0) > _SMOOTH and near.size > 3:
         return Peak(float(size[top]), inf, float(f[top]), float(f[top - 1]), float(f[top + 1]))
@@ -181,8 +184,8 @@ def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
         f"{one.response}, mode at {one.mode:.2f} Hz: peak {_change(one.decibel, 'dB', 1, 'lowered', 'raised')}, from "
         f"{rounded(1e6 * one.bare.value, 1e6 * one.bare.bound)} to "
         f"{rounded(1e6 * one.damped.value, 1e6 * one.damped.bound)} µm/N; "
-        f"{_change(one.shift, 'Hz', 2, 'moved down', 'moved up')}, to {one.damped.frequency:.2f} Hz; as if "
-        f"damped by {100 * one.equivalent_damping:.2g} % of critical{_without_bound(one)}"
+        f"{_change(one.shift, 'Hz', 2, 'moved down', 'moved up')}, to {one.damped.frequency:.2f} Hz; "
+        f"{_without_bound(one) or f'as if damped by {100 * one.equivalent_damping:.2g} % of critical'}"
         for one in changes
     ]
 
@@ -195,10 +198,13 @@ def _change(value: tuple[float, float, float], unit: str, digits: int, falls: st
     word, sign = (falls, -1.0) if best < 0.0 else (rises, 1.0)
     least, most = sorted((sign * low, sign * high))
     limits = f"{least:.{digits}f} to {most:.{digits}f} {unit}"
-    if isinf(least) or isinf(most):
-        limits = f"at least {least:.{digits}f} {unit}" if isinf(most) else f"at most {most:.{digits}f} {unit}"
     if isinf(least) and isinf(most):
-        limits = "no bound"
+        return f"{word} by an unknown amount"
+    if isinf(least) or isinf(most):
+        # What is not bounded on one side has no best value.
+        return (
+            f"{word} by at {f'least {least:.{digits}f}' if isinf(most) else f'most {most:.{digits}f}'} {unit}"
+        )
     return f"{word} by {sign * best:.{digits}f} {unit} ({limits})"
 
 
@@ -206,4 +212,4 @@ def _without_bound(change: PeakChange) -> str:
     """Say which peak has no upper bound, if one has none."""
     peaks = (("first", change.bare), ("second", change.damped))
     which = " and ".join(name for name, one in peaks if isinf(one.bound))
-    return which and f"; the {which} peak may be higher than measured"
+    return which and f"the {which} peak may be higher than measured"

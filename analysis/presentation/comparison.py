@@ -21,8 +21,8 @@ _HEADING = (
 )  # fmt: skip
 
 _JUMPS = (
-    "A peak that may be higher than measured has a jump of its curve, or an end, beside its highest point: measure "
-    "more densely there, upwards and downwards (test: direction: both)."
+    "A peak that may be higher than measured has a jump of its curve, an end, or points that were left out beside its "
+    "highest point: measure more densely there, upwards and downwards (test: direction: both), without overloads."
 )
 
 
@@ -53,7 +53,7 @@ def present_compare(
     lines: list[str] = []
     rows: list[tuple[str | float, ...]] = []
     jumps = False
-    for group in [*found[0][1:], *(group for groups in found[1:] for group in groups)]:
+    for group in [group for groups in found[1:] for group in groups]:
         changes = peak_changes(bare, group)
         lines.append(f"{bare[0].label} -> {group[0].label}")
         lines += [f"  {line}" for line in describe_changes(changes)]

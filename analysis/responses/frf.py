@@ -115,7 +115,7 @@ class Frf(Result):
         # What is hardly known is no peak, as at low frequencies, where noise is divided by their square.
         known = ~(self.bound() > _HARDLY_KNOWN * size)
         top = int(np.nanargmax(np.where(known, size, np.nan) if np.isfinite(size[known]).any() else size))
-        bound = float(self.bound()[top])
+        bound, tallest = float(self.bound()[top]), int(np.nanargmax(size))
         height = f"{factor * abs(self.value[top]):.4g} {unit}"
         if bound > 0.0:
             height = bounded(factor * float(abs(self.value[top])), factor * bound, unit)
@@ -123,7 +123,16 @@ class Frf(Result):
         mostly = f"; {what_of_it}: {self.parts()[top]}" if bound > 0.0 else ""
         return (
             f"{what}, {self.frequency.min():.4g} to {self.frequency.max():.4g} Hz, highest {height} "
-            f"at {self.frequency[top]:.4g} Hz{mostly}"
+            f"at {self.frequency[top]:.4g} Hz{mostly}{'' if tallest == top else self._hardly_known(tallest)}"
+        )
+
+    def _hardly_known(self, point: int) -> str:
+        """Say of a point higher than the highest that is known that it is hardly known, and why."""
+        (unit, factor), bound = self.shown_in, float(self.bound()[point])
+        far = f"{bound / abs(self.value[point]):.0%} of itself" if np.isfinite(bound) else "anything"
+        return (
+            f"; hardly known: {factor * abs(self.value[point]):.4g} {unit} at {self.frequency[point]:.4g} Hz, which "
+            f"may be off by {far} ({self.parts()[point]})"
         )
 
     def parts(self) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -61,7 +62,17 @@ def test_given_a_jump_beside_the_highest_point_when_looked_for_then_the_peak_has
     change = PeakChange("body1", 10.0, 0.01, Peak(1e-3, 0.0, 10.0, 10.0, 10.0), found)
     assert math.isinf(change.decibel[2])
     [said] = describe_changes([change])
-    assert "raised by 81.6 dB (at least 81.6 dB)" in said and "the second peak may be higher" in said
+    assert "raised by at least 81.6 dB" in said and "the second peak may be higher" in said
+
+
+def test_given_points_left_out_beside_the_highest_one_when_looked_for_then_the_peak_has_no_upper_bound() -> (
+    None
+):
+    f = np.linspace(9.0, 11.0, 41)
+    curve = measured(f, 1.0 / (1.0 - (f / 10.03) ** 2 + 0.02j))
+    kept = abs(f - 10.1) > 0.12
+    found = peak(replace(curve.at(kept), left_out=f[~kept]), 9.0, 11.0)
+    assert found is not None and math.isinf(found.bound) and found.value < abs(curve.value).max()
 
 
 def test_given_bounds_around_changes_when_told_then_words_say_which_way_and_how_far_at_most() -> None:

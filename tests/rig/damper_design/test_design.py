@@ -150,6 +150,17 @@ def test_given_workers_that_answer_in_any_order_and_are_killed_when_searched_on_
     assert other.read_bytes() == one.read_bytes()
 
 
+def test_given_the_table_of_a_larger_budget_when_searched_then_no_choice_of_it_is_above_the_smaller_one(
+    tmp_path: Path,
+) -> None:
+    question = Bowl((rig.load("fig9"),), (1.0, 2.0), (40.0, 60.0), (1,))
+    for mass in (0.06, 0.03):
+        answers = Answers(Shuffled(0), tmp_path / "table.csv", None, 1)  # type: ignore[arg-type]
+        best, trials = search(question, Space(((1,), (2,)), mass, (1e-4, 1e-2)), answers)
+        assert best.choice.mass == pytest.approx(mass)
+        assert max(trial.choice.mass for trial in trials) <= mass * (1 + 1e-12)
+
+
 def test_given_no_dampers_when_asked_then_the_worst_peak_is_that_of_the_receptance() -> None:
     question, _ = asked(rig.load("fig9"), None, None, 1, None, None, None, None, (0.0, 0.0))
     fine = np.linspace(49.4, 49.9, 2001)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.figure_style import colour, decades, drawing, frequency_axis, heading, legend_below
 
@@ -16,23 +17,27 @@ if TYPE_CHECKING:
 
 # Sweeps drawn, and the height of each in inches.
 MOST_ROWS, _ROW = 8, 2.4
+# A step so many times as wide as most is a hole in a curve.
+_HOLE = 3.0
 
 
 def fit_figure(found: Fit) -> Figure:
     """One row for each sweep or test: measured and fitted on the left, what is missed on the right."""
     rows = found.compared[:MOST_ROWS]
+    bands = [(float(one.curves.frequency.min()), float(one.curves.frequency.max())) for one in rows]
+    crosses = "" if all(one.used.all() for one in rows) else " Crosses: points left out of the fit."
     with drawing(_ROW * len(rows) + 1.0, 10.0) as figure:
         axes = figure.subplots(len(rows), 2, squeeze=False)
-        for one, (left, right) in zip(rows, axes, strict=True):
+        for one, band, (left, right) in zip(rows, bands, axes, strict=True):
             _compared(left, one)
             _missed(right, one)
-            last = one is rows[-1]
+            # Only rows of the same band may share the numbers below the last.
+            labelled = one is rows[-1] or any(band != other for other in bands)
             for ax in (left, right):
-                frequency_axis(ax, one.curves.frequency.min(), one.curves.frequency.max(), last)
+                frequency_axis(ax, *band, labelled)
         legend_below(
             figure,
-            "Dots: measured. Lines: the fitted scene at the same frequencies. Crosses: points left out of the fit. "
-            "Grey: two standard deviations.",
+            f"Dots: measured. Lines: the fitted scene at the same frequencies.{crosses} Grey: two standard deviations.",
         )
     return figure
 
@@ -44,10 +49,17 @@ def _compared(ax: Axes, one: Compared) -> None:
     for k, sensor in enumerate(one.curves.sensors):
         size = factor * abs(one.curves.value[k, order])
         ax.plot(frequency, size, ".", color=colour(k), label=sensor.name)
-        ax.plot(frequency, factor * abs(one.predicted[k, order]), "-", lw=0.8, color=colour(k))
+        ax.plot(*_broken(frequency, factor * abs(one.predicted[k, order])), "-", lw=0.8, color=colour(k))
     decades(ax, [factor * abs(one.curves.value)])
     ax.set_ylabel(f"|x / {one.curves.reference}| / ({unit})")
     heading(ax, one.curves.label)
+
+
+def _broken(frequency: NDArray[np.float64], size: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """Break a line where points were left out: at steps far wider than most."""
+    steps = np.diff(frequency)
+    holes = np.flatnonzero(steps > _HOLE * np.median(steps)) + 1 if steps.size else np.empty(0, dtype=int)
+    return np.insert(frequency, holes, np.nan), np.insert(size, holes, np.nan)
 
 
 def _missed(ax: Axes, one: Compared) -> None:

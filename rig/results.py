@@ -23,6 +23,17 @@ if TYPE_CHECKING:
 _NOTHING = (("", np.empty(0)),)
 
 
+def plainly(value: float) -> str:
+    """Three figures, without a power of ten for what is neither tiny nor huge.
+
+    Examples
+    --------
+    >>> [plainly(value) for value in (2.6, 3000.0, 12345.6, 1.5e-7)]
+    ['2.6', '3000', '12300', '1.5e-07']
+    """
+    return f"{float(f'{value:.3g}'):.10g}"
+
+
 class Result(ABC):
     """Something computed or measured, over one axis.
 

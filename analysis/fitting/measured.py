@@ -15,6 +15,7 @@ from analysis.responses.measurands import Measurand, concerned, motion_of, refer
 from analysis.responses.stepped_sine import sweeps
 from analysis.responses.systematic import tolerance
 from rig.errors import RecordingError
+from rig.results import plainly
 
 if TYPE_CHECKING:
     from analysis.responses.spectral_lines import Lines
@@ -135,7 +136,7 @@ def measured(rec: Recording, name: str, progress: Progress | None = None) -> lis
                 sweep.lines,
                 names,
                 reference,
-                f"{name}, {sweep.level:.3g} N {sweep.direction}" if several else name,
+                f"{name}, {plainly(sweep.level)} N {sweep.direction}" if several else name,
             )
             for sweep in found
         ]

@@ -15,6 +15,7 @@ from analysis.responses.lock_in import LockIn, ToneFit, parts_of_whole_periods
 from analysis.responses.spectral_lines import Lines, remainder
 from analysis.responses.systematic import counts_of, scattered
 from rig.errors import RecordingError
+from rig.results import plainly
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -127,7 +128,7 @@ def sweeps(
 
 def _notes(key: _Setting, found: list[_Point], left_out: list[_LeftOut], several: bool) -> list[str]:
     """Say which frequencies of a sweep were left out and why, and at which the motion was not steady."""
-    setting = f"{key[0]:.3g} N {key[1]}: " if several else ""
+    setting = f"{plainly(key[0])} N {key[1]}: " if several else ""
     out = []
     for why in dict.fromkeys(each[1] for each in left_out):
         places = [each for each in left_out if each[1] == why]
@@ -198,7 +199,7 @@ def _sweep(
 ) -> Sweep:
     level, direction = key
     tones = tuple(tone for tone, _, _ in found)
-    setting = f", {level:.3g} {'N'} {direction}" if several else ""
+    setting = f", {plainly(level)} N {direction}" if several else ""
     lines = Lines(
         channels=names,
         frequency=np.array([tone.frequency for tone in tones]),

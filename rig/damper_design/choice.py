@@ -15,6 +15,7 @@ from rig.damper_design.worst_peak import Peak, peak_at
 from rig.errors import SceneError
 from rig.motion_map.grid import columns, natural_frequencies
 from rig.orbits.problem import OrbitProblem
+from rig.results import plainly
 from rig.scene.damper import Damper
 from rig.scene.scene import Scene
 from rig.system.structure import structure_matrices
@@ -23,6 +24,11 @@ Array = NDArray[np.float64]
 
 #: Frequencies for each natural frequency, to tell designs apart and to compare the best of them.
 COARSE, FINE = 20, 60
+
+
+def mass_unit(mass: float) -> tuple[float, str]:
+    """Give how many of the unit in which a mass, kg, is told make a kilogram, and that unit."""
+    return (1e3, "g") if mass < 1.0 else (1.0, "kg")
 
 
 @dataclass(frozen=True, order=True)
@@ -39,7 +45,11 @@ class Choice:
 
     def __str__(self) -> str:
         each = zip(self.masses, self.bodies, self.clearances, strict=True)
-        return "; ".join(f"{1e3 * m:.3g} g in body {b}, clearance {1e3 * c:.3g} mm" for m, b, c in each)
+        told = [(*mass_unit(m), m, b, c) for m, b, c in each]
+        return "; ".join(
+            f"{plainly(factor * m)} {unit} in body {b}, clearance {plainly(1e3 * c)} mm"
+            for factor, unit, m, b, c in told
+        )
 
     @property
     def mass(self) -> float:

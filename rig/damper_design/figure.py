@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.damper_design.choice import mass_unit
 from rig.damper_design.design import Design
 from rig.escaping import drawn
 from rig.figure_style import COLOURS, cell_edges, drawing, plain_logarithmic, save
 from rig.output_files import replacing, stem
-from rig.results import styled
+from rig.results import plainly, styled
 from rig.scene.scene import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
@@ -21,14 +22,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
+# Clearances whose reductions differ by less than this, dB, do alike; told where they reach over such a ratio.
+_ALIKE, _WIDE = 0.05, 1.3
 BLUE, RED, GREY = *COLOURS[:2], "#a0a0a0"
 
 
 def summary(design: Design) -> str:
     """Say which dampers are best, what they do, what lighter ones would, and where the search found its limits."""
     best, question = design.best, design.question
-    levels = ", ".join(f"{level:.3g}" for level in question.levels)
+    levels = ", ".join(plainly(level) for level in question.levels)
     simulated = best.peak.simulated
+    factor, unit = mass_unit(max(trial.choice.mass for trial in design.front))
     lines = [
         f"{design.scene.name}: {len(design.trials)} designs at {levels} N, {question.band[0]:.4g} to "
         f"{question.band[1]:.4g} Hz"
@@ -36,15 +40,16 @@ def summary(design: Design) -> str:
         "",
         f"best: {best.choice}",
         f"worst peak {1e6 * best.peak.size:.4g} µm/N (body {best.peak.body}, {best.peak.frequency:.2f} Hz, "
-        f"{best.peak.level:.3g} N): {design.reduction(best.peak):.1f} dB below the bare structure's "
+        f"{plainly(best.peak.level)} N): {design.reduction(best.peak):.1f} dB below the bare structure's "
         f"{1e6 * design.bare.size:.4g} µm/N",
         "",
-        f"{'added mass, g':>14}{'reduction, dB':>15}  dampers",
+        f"{f'added mass, {unit}':>14}{'reduction, dB':>15}  dampers",
     ]
     lines += [
-        f"{1e3 * trial.choice.mass:14.1f}{design.reduction(trial.peak):15.1f}  {trial.choice}"
+        f"{factor * trial.choice.mass:14.1f}{design.reduction(trial.peak):15.1f}  {trial.choice}"
         for trial in design.front
     ]
+    lines += _alike(design)
     if simulated > 0.0:
         lines += [
             "",
@@ -56,6 +61,22 @@ def summary(design: Design) -> str:
             if abs(np.log(clearance / bound)) < 0.02:
                 lines += ["", f"the best clearance is the {name} that was allowed: allow more (--clearance)"]
     return "\n".join(lines)
+
+
+def _alike(design: Design) -> list[str]:
+    """Say over which clearances a single damper does as well, where that is a wide range."""
+    best = design.best
+    as_good = [
+        trial.choice.clearances[0]
+        for trial in design.trials
+        if len(trial.choice.bodies) == 1
+        and (trial.choice.bodies, trial.choice.masses) == (best.choice.bodies, best.choice.masses)
+        and abs(design.reduction(trial.peak) - design.reduction(best.peak)) < _ALIKE
+    ]
+    if not as_good or max(as_good) < _WIDE * min(as_good):
+        return []
+    low, high = (plainly(1e3 * clearance) for clearance in (min(as_good), max(as_good)))
+    return ["", f"any of the clearances tried from {low} to {high} mm does as well, within {_ALIKE:g} dB"]
 
 
 def write(design: Design, folder: Path) -> list[Path]:
@@ -98,12 +119,13 @@ def _draw(design: Design) -> Figure:
 def draw_front(axes: Axes, design: Design, **style: Any) -> None:
     """Draw what was tried, over the added mass."""
     mass, reduction = design.columns().values()
-    best = [(1e3 * trial.choice.mass, design.reduction(trial.peak)) for trial in design.front]
-    axes.plot(1e3 * mass, reduction, "o", color=GREY, ms=3, label="tried")
+    factor, unit = mass_unit(float(mass.max()))
+    best = [(factor * trial.choice.mass, design.reduction(trial.peak)) for trial in design.front]
+    axes.plot(factor * mass, reduction, "o", color=GREY, ms=3, label="tried")
     axes.plot(
         *zip(*best, strict=True), **styled(style, marker="o", color=BLUE, ms=5, label="best for its mass")
     )
-    axes.set(xlabel="added mass / g", ylabel="reduction of the worst peak / dB", xlim=(0.0, None))
+    axes.set(xlabel=f"added mass / {unit}", ylabel="reduction of the worst peak / dB", xlim=(0.0, None))
     axes.set_title("More mass does more")
 
 
@@ -115,7 +137,7 @@ def _chart(axes: Axes, design: Design) -> None:
     axes.figure.colorbar(mesh, ax=axes, pad=0.02, label="reduction at this force / dB")
     levels = design.question.levels
     axes.plot(
-        [min(levels), max(levels)], [design.best.choice.clearances[0]] * 2, "-", color=RED, lw=2.0,
+        [min(levels), max(levels)], [design.best.choice.clearances[0]] * 2, "o-", color=RED, lw=2.0, ms=4,
         label="chosen, at the forces asked for",
     )  # fmt: skip
     axes.grid(False)

@@ -242,10 +242,7 @@ def describe_motion(motions: list[DamperMotion], left_out: Sequence[float] = ())
             if kind == "riding":
                 text = f"riding: no jump of velocity above {least:.2g} m/s"
             if kind == "unseen":
-                text = (
-                    f"g or nearly so, so that the damper may fly, but no jump of velocity above {least:.2g} m/s; a "
-                    "higher rate or less noise would show smaller ones"
-                )
+                text = f"near g, so that the damper may fly, but no jump of velocity above {least:.2g} m/s is seen"
             out.append(f"{one.channel}, {ends} Hz: {text}")
             first = index + 1
     return out

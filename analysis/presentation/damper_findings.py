@@ -23,7 +23,7 @@ from analysis.recordings.names import opened, relabelled, scene_labels
 from analysis.responses.measurands import located
 from analysis.responses.stepped_sine import Sweep, sweeps
 from rig.errors import RecordingError
-from rig.results import bounded
+from rig.results import bounded, plainly
 
 if TYPE_CHECKING:
     from analysis.responses.spectral_lines import Lines
@@ -112,12 +112,11 @@ def describe_energy(energy: CycleEnergy, true: np.ndarray | None = None) -> list
     named = np.sort(np.argsort(energy.supplied, kind="stable")[::-1][:_NAMED])
     out = []
     for i in named:
-        share = energy.dampers[i] / energy.supplied[i]
-        line = (
-            f"{energy.frequency[i]:.4g} Hz: the force supplies {1e3 * energy.supplied[i]:.3g} mJ a period; "
-            f"{bounded(100.0 * share, 100.0 * abs(energy.bound[i] / energy.supplied[i]), '%')} go into the dampers, "
-            "the rest into the structure's damping as the scene has it"
-        )
+        share, off = (100.0 * abs(each[i]) / energy.supplied[i] for each in (energy.dampers, energy.bound))
+        seen = f"{bounded(share, off, '%')} go into the dampers, the rest into the structure's damping as the scene has it"
+        if not energy.dampers[i] > energy.bound[i]:
+            seen = f"no more than {plainly(share + off)} % go into the dampers, if any"
+        line = f"{energy.frequency[i]:.4g} Hz: the force supplies {plainly(1e3 * energy.supplied[i])} mJ a period; {seen}"
         if true is not None:
             line += f" (truly lost in impacts: {true[i] / energy.supplied[i]:.0%})"
         out.append(line)

@@ -44,11 +44,16 @@ class Estimate:
     samples: float
     disk: float
     memory: float
+    waits: bool
+    """Whether it waits at each frequency until the motion is steady, nobody knows how long."""
 
     def __str__(self) -> str:
+        more = (
+            "; waiting for steady motion comes on top, which may be many times as long" if self.waits else ""
+        )
         return (
             f"the test takes at least {_duration(self.seconds)} on the bench: {self.samples:.3g} samples a channel, "
-            f"about {_size(self.disk)}"
+            f"about {_size(self.disk)}{more}"
         )
 
 
@@ -77,7 +82,7 @@ def estimate(scene: Scene) -> Estimate:
     memory = PROGRAM + channels * state + 8.0 * stretch * (COPIES * channels + motion)
     if isinstance(scene.test, Multisine):
         memory += 8.0 * PERIOD_COPIES * _period(scene.test) * rate
-    return Estimate(seconds, samples, BYTES * samples * channels, memory)
+    return Estimate(seconds, samples, BYTES * samples * channels, memory, isinstance(scene.test, SteppedSine))
 
 
 def refuse_too_much(what: Estimate, path: Path) -> None:

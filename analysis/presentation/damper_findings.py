@@ -116,7 +116,8 @@ def describe_energy(energy: CycleEnergy, true: np.ndarray | None = None) -> list
         seen = f"{bounded(share, off, '%')} go into the dampers, the rest into the structure's damping as the scene has it"
         if not energy.dampers[i] > energy.bound[i]:
             seen = f"no more than {plainly(share + off)} % go into the dampers, if any"
-        line = f"{energy.frequency[i]:.4g} Hz: the force supplies {plainly(1e3 * energy.supplied[i])} mJ a period; {seen}"
+        supplied = plainly(1e3 * energy.supplied[i])
+        line = f"{energy.frequency[i]:.4g} Hz: the force supplies {supplied} mJ a period; {seen}"
         if true is not None:
             line += f" (truly lost in impacts: {true[i] / energy.supplied[i]:.0%})"
         out.append(line)

@@ -113,7 +113,7 @@ def describe_energy(energy: CycleEnergy, true: np.ndarray | None = None) -> list
     out = []
     for i in named:
         share, off = (100.0 * abs(each[i]) / energy.supplied[i] for each in (energy.dampers, energy.bound))
-        seen = f"{bounded(share, off, '%')} go into the dampers, the rest into the structure's damping as the scene has it"
+        seen = f"{bounded(share, off, '%')} go into the dampers, the rest into the structure, by the scene's damping"
         if not energy.dampers[i] > energy.bound[i]:
             seen = f"no more than {plainly(share + off)} % go into the dampers, if any"
         supplied = plainly(1e3 * energy.supplied[i])

@@ -82,8 +82,9 @@ def run(module: str) -> NoReturn:
             console.say_now_and_then(put_back)
             code = _carry_out(module, words[debug:])
             sys.stdout.flush()
+            # From here on a signal ends the process at once, as does another one after an error.
+            _set_signals(signal.SIG_DFL)
         except BaseException as error:
-            # From here on another signal ends the process at once.
             _set_signals(signal.SIG_DFL)
             code = _tell(error, debug)
     sys.exit(code)

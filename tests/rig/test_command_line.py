@@ -118,6 +118,22 @@ def test_given_a_signal_to_end_when_at_work_then_it_ends_as_by_ctrl_c(command, c
     assert capsys.readouterr().err == "interrupted\n"
 
 
+def test_given_a_signal_while_a_command_puts_things_back_when_it_has_done_its_work_then_no_traceback_is_seen():
+    late = """
+import signal, sys
+from rig import command_line, console
+usual = console.say_now_and_then
+def say_now_and_then(put_back):
+    put_back.callback(signal.raise_signal, signal.SIGINT)
+    usual(put_back)
+console.say_now_and_then = say_now_and_then
+sys.argv = ["rig", "scenes"]
+command_line.run("rig.cli")
+"""
+    done = subprocess.run([sys.executable, "-c", late], capture_output=True, text=True, check=False)
+    assert done.returncode == -signal.SIGINT and not done.stderr
+
+
 def test_given_long_silence_when_at_work_then_it_says_so(command, capsys, monkeypatch):
     monkeypatch.setattr(console, "SILENCE", -1.0)
     told = []

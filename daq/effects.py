@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.recording.recorder import Recorder
+from daq.recording.recorder import Recorder, stored_as
 from daq.signal_chain.bench import Bench
 from daq.signal_chain.chain import Chain
-from daq.signal_chain.converter import SampleClock
+from daq.signal_chain.converter import Quantiser, SampleClock
 from daq.signal_chain.oversampling import oversampling
 from rig.effects.effect_cost import EffectStep, bench_drive
 from rig.effects.explanation import Effect, motion_effects
@@ -41,8 +41,8 @@ def measurement_effects(scene: Scene) -> Iterable[Effect]:
     if intervals > 1:
         yield Effect("converter", "oversampling", 0, f"{intervals} intervals a sample, for what is fast")
     recording = scene.recording
-    samples = recording.samples or ("float64" if scene.converter.bits is None else "counts")
-    yield Effect("recording", "samples", 0, samples)
+    converted = Quantiser(scene.converter, chain.channels).channels
+    yield Effect("recording", "samples", 0, stored_as(scene, converted))
     if recording.display:
         yield Effect("recording", "display", 0, "channels thinned out for plots")
     if recording.truth:

@@ -258,7 +258,7 @@ class _Bench:
                 corrected = _correction(rec)
                 duration = rec.samples / rec.rate
                 if measured.shape != true.shape or not np.isfinite(measured).all():
-                    raise RunError("; ".join(notes) or "the channels read nothing")
+                    raise RunError("; ".join(dict.fromkeys(notes)) or "the channels read nothing")
         except ShotrigError as error:
             nan = float("nan")
             return Measurement(variant.group, variant.setting, nan, nan, nan, nan, str(error))

@@ -220,7 +220,7 @@ def describe_restitution(motions: list[DamperMotion]) -> list[str]:
     scatter = float(np.sqrt(np.sum(weight * (value - mean) ** 2) / weight.sum() / max(len(told) - 1, 1)))
     error = max(float(weight.mean() ** -0.5), scatter)
     return [
-        f"{motions[0].channel}: restitution {mean:.2f} ± {2.0 * error:.1g}, told at {len(told)} frequencies"
+        f"{motions[0].channel}: restitution {mean:z.2f} ± {2.0 * error:.1g}, told at {len(told)} frequencies"
     ]
 
 

@@ -170,6 +170,11 @@ class _Rig:
             held = Structure(matrices=Matrices(mass=mass, damping=damping, stiffness=stiffness))
             bench = bench.replace(structure=held, shaker=ForceShaker(body=shaker.body))
         self.bodies = bench.structure.bodies
+        if any(damper.contact is not None and not damper.locked for damper in bench.dampers):
+            raise SceneError(
+                f"scene {bench.name!r} has dampers whose contact lasts, which a fit cannot follow; expected dampers "
+                "without contact: fit with each contact left out, then set it again in the fitted scene"
+            )
         self.problem = OrbitProblem(bench.replace(test={"kind": "sine", "frequency": 1.0, level: 1.0}))
         if shaker.kind == "electrodynamic":
             self.table = self.problem.system.points.index("table")

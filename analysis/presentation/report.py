@@ -8,6 +8,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from functools import partial
 from importlib.resources import files
+from math import isfinite
 from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING
@@ -26,6 +27,7 @@ from analysis.recordings.names import opened
 from rig.errors import ShotrigError
 from rig.escaping import html
 from rig.output_files import make_ready, replacing
+from rig.results import plainly
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -149,9 +151,10 @@ def _tested(path: Path, rec: Recording) -> str:
 
 def _damper(damper: Damper) -> str:
     mass = f"{damper.mass:.4g} kg" if damper.mass is not None else f"mass ratio {damper.mass_ratio:.3g}"
-    return (
-        f"body {damper.body}: {mass}, clearance {damper.clearance:g} m{', locked' if damper.locked else ''}"
+    ceiling = (
+        f"clearance {plainly(1e3 * damper.clearance)} mm" if isfinite(damper.clearance) else "no ceiling"
     )
+    return f"body {damper.body}: {mass}, {ceiling}{', locked' if damper.locked else ''}"
 
 
 def _ranges(rec: Recording, found: Sequence[tuple[int, object]]) -> str:

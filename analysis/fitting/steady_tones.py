@@ -173,7 +173,7 @@ class _Rig:
         if any(damper.contact is not None and not damper.locked for damper in bench.dampers):
             raise SceneError(
                 f"scene {bench.name!r} has dampers whose contact lasts, which a fit to steady tones cannot follow; "
-                "expected dampers without contact: fit with each contact left out, then set it again in the fitted scene"
+                "expected dampers without contact: fit with each contact left out, and set it again in what was fitted"
             )
         self.problem = OrbitProblem(bench.replace(test={"kind": "sine", "frequency": 1.0, level: 1.0}))
         if shaker.kind == "electrodynamic":

@@ -61,6 +61,8 @@ def pole_errors(curves: Curves, model: Fit) -> tuple[Array, Array]:
         f_error[i], z_error[i] = (
             np.sqrt(max(*(to @ pair @ to for pair in pairs), 0.0)) for to in (to_f, to_z)
         )
+    # Errors of any phase put a pole off in any direction: of few lines the error along it may come out small by chance.
+    f_error = np.maximum(f_error, np.hypot(f_error, z_error * size / (2 * np.pi)) / np.sqrt(2.0))
     unseen = _UNSEEN * decay
     return np.hypot(f_error, unseen / (2 * np.pi)), np.hypot(z_error, unseen / size)
 

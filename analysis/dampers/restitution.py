@@ -64,7 +64,7 @@ def restitution(rec: Recording, found: Impacts, damper: Damper, start: int, stop
     A rebound that ends before it can be told from its impact makes of ``1 + e`` at most ``(1 + e) / (1 - e)``: the
     value is the middle between, and the error holds both, and every rebound that may hide in what the channel resolves.
 
-    None where too few flights explain what is seen.
+    None where too few flights explain what is seen, or only by what no wall does.
     """
     info = rec.channels[found.channel]
     samples = next(read_slices(rec, [found.channel], [(start, stop)]))[0]
@@ -94,7 +94,9 @@ def restitution(rec: Recording, found: Impacts, damper: Damper, start: int, stop
     scatter = _OF_MEDIAN * float(np.median(abs(known[:, 0] - value))) / np.sqrt(len(known))
     # No jump is known better than to what fitting it leaves over: that is a bound, of two standard deviations.
     size = 0.5 * LEFT_OVER * (1.0 + value)
-    return Restitution(float(value), float(np.sqrt(scatter**2 + doubt**2 + size**2)))
+    error = float(np.sqrt(scatter**2 + doubt**2 + size**2))
+    # Outside these no wall gives speed back: what was taken for its blows are none.
+    return Restitution(float(value), error) if -2.0 * error <= value <= 1.0 + 2.0 * error else None
 
 
 def hard_speeds(rec: Recording, found: Impacts, damper: Damper) -> Array:

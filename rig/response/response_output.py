@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TextIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.errors import SceneError
 from rig.output_files import replacing
@@ -51,8 +52,8 @@ def rows(response: Response) -> tuple[list[str], list[list[str]]]:
     for body in range(1, bodies + 1):
         header += [f"body{body}_compliance_m_per_n", f"body{body}_phase_deg", f"body{body}_peak_m"]
     header += ["force_n", "motion_type", *(f"damper{k}_impacts_per_period" for k in range(1, dampers + 1))]
-    header += ["repetition_periods", "converged", "residual"]
-    table = []
+    header += ["repetition_periods", "converged", "residual", "direction"]
+    table, ways = [], directions(response.frequency)
     for k, frequency in enumerate(response.frequency):
         row = [repr(float(frequency))]
         for body in range(bodies):
@@ -62,9 +63,21 @@ def rows(response: Response) -> tuple[list[str], list[list[str]]]:
         row += [repr(float(response.force[k])), str(response.motion_type[k])]
         row += [repr(float(count)) for count in response.impacts[:, k]]
         row += [str(response.repetition[k]), str(bool(response.converged[k])).lower()]
-        row.append(repr(float(response.residual[k])))
+        row += [repr(float(response.residual[k])), ways[k]]
         table.append(row)
     return header, table
+
+
+def directions(frequency: NDArray[np.float64]) -> list[str]:
+    """Say of frequencies in the order visited which were come to from below, "up", and which from above.
+
+    Examples
+    --------
+    >>> directions(np.array([10.0, 11.0, 12.0, 12.0, 11.0]))
+    ['up', 'up', 'up', 'down', 'down']
+    """
+    steps = ["up" if step > 0.0 else "down" for step in np.diff(frequency)]
+    return [*(steps[:1] or ["up"]), *steps]
 
 
 def write(response: Response, path: Path) -> None:
@@ -91,9 +104,12 @@ def text(response: Response) -> str:
     """Table for a person: compliance of every body, motion type, impacts a period."""
     bodies = range(1, len(response.compliance) + 1)
     lines = [f"{'Hz':>9} " + "".join(f"{f'X{b}/F1 m/N':>12}" for b in bodies) + "   impacts  motion"]
+    ways = directions(response.frequency)
+    several = len(set(ways)) > 1
     for k, frequency in enumerate(response.frequency):
         sizes = "".join(f"{abs(value):12.4g}" for value in response.compliance[:, k])
         impacts = float(response.impacts[:, k].sum())
         note = "" if response.converged[k] else f"  not steady (residual {response.residual[k]:.1g})"
-        lines.append(f"{frequency:9.4f} {sizes}   {impacts:7.3g}  {response.motion_type[k]}{note}")
+        way = f", {ways[k]}" if several else ""
+        lines.append(f"{frequency:9.4f} {sizes}   {impacts:7.3g}  {response.motion_type[k]}{way}{note}")
     return "\n".join(lines)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 # Sweeps drawn, and the height of each in inches.
 MOST_ROWS, _ROW = 8, 2.4
-# A step so many times as wide as most is a hole in a curve.
+# A step so many times as wide as its neighbours is a hole in a curve.
 _HOLE = 3.0
 
 
@@ -56,9 +56,10 @@ def _compared(ax: Axes, one: Compared) -> None:
 
 
 def _broken(frequency: NDArray[np.float64], size: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-    """Break a line where points were left out: at steps far wider than most."""
+    """Break a line where points were left out: at steps far wider than those on either side."""
     steps = np.diff(frequency)
-    holes = np.flatnonzero(steps > _HOLE * np.median(steps)) + 1 if steps.size else np.empty(0, dtype=int)
+    beside = np.maximum(np.append(0.0, steps[:-1]), np.append(steps[1:], 0.0))
+    holes = np.flatnonzero(steps > _HOLE * beside) + 1 if steps.size > 1 else np.empty(0, dtype=int)
     return np.insert(frequency, holes, np.nan), np.insert(size, holes, np.nan)
 
 

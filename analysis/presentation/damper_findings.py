@@ -112,9 +112,9 @@ def describe_energy(energy: CycleEnergy, true: np.ndarray | None = None) -> list
     named = np.sort(np.argsort(energy.supplied, kind="stable")[::-1][:_NAMED])
     out = []
     for i in named:
-        share, off = (100.0 * abs(each[i]) / energy.supplied[i] for each in (energy.dampers, energy.bound))
+        share, off = (100.0 * each[i] / energy.supplied[i] for each in (energy.dampers, energy.bound))
         seen = f"{bounded(share, off, '%')} go into the dampers, the rest into the structure, by the scene's damping"
-        if not energy.dampers[i] > energy.bound[i]:
+        if abs(share) <= off:
             seen = f"no more than {plainly(share + off)} % go into the dampers, if any"
         supplied = plainly(1e3 * energy.supplied[i])
         line = f"{energy.frequency[i]:.4g} Hz: the force supplies {supplied} mJ a period; {seen}"

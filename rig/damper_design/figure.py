@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import takewhile
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
@@ -66,13 +67,17 @@ def summary(design: Design) -> str:
 def _alike(design: Design) -> list[str]:
     """Say over which clearances a single damper does as well, where that is a wide range."""
     best = design.best
-    as_good = [
-        trial.choice.clearances[0]
+    tried = {
+        trial.choice.clearances[0]: abs(design.reduction(trial.peak) - design.reduction(best.peak)) < _ALIKE
         for trial in design.trials
         if len(trial.choice.bodies) == 1
         and (trial.choice.bodies, trial.choice.masses) == (best.choice.bodies, best.choice.masses)
-        and abs(design.reduction(trial.peak) - design.reduction(best.peak)) < _ALIKE
-    ]
+    }
+    below = takewhile(
+        tried.__getitem__, sorted((c for c in tried if c <= best.choice.clearances[0]), reverse=True)
+    )
+    above = takewhile(tried.__getitem__, sorted(c for c in tried if c >= best.choice.clearances[0]))
+    as_good = [*below, *above]
     if not as_good or max(as_good) < _WIDE * min(as_good):
         return []
     low, high = (plainly(1e3 * clearance) for clearance in (min(as_good), max(as_good)))

@@ -162,7 +162,7 @@ def _fits(
     begins = [s for s in range(count) if np.any(ends[s]) and not np.all(ends[s] == 1.0)]
     unknowns = order + 1 + poles + (count + len(begins)) * (order + 1 + len(reading.slow))
     equations = count * (2 * side + 1)
-    step = max(1, _AT_ONCE // (equations * unknowns))
+    step = max(1, _AT_ONCE // (equations * (unknowns // count)))
     parts = [
         _fit(reading, reference, ends, begins, lines[first : first + step], side, order, poles)
         for first in range(0, lines.size, step)
@@ -225,49 +225,42 @@ def _fit(
     f = f * told_by
     size, drive = (np.maximum(_rms(each), _NOTHING) for each in (x, f))
     x, f = x / size, f / drive
-    columns = [f * at**k for k in range(order + 1)]
-    transients = [at**k for k in range(order + 1)]
-    transients += [(each := slow[near][:, None, :]) / _rms(each) for slow in reading.slow]
-    for s in range(stretches):
-        own = np.zeros((1, stretches, 1))
-        own[0, s] = 1.0
-        columns += [np.broadcast_to(own * each, x.shape) for each in transients]
-        if s in begins:
-            columns += [own * e * each for each in transients]
-    above = np.stack(columns, axis=-1).reshape(lines.size, stretches * width, -1)
-    # Without a denominator there are none.
-    powers = np.empty((*above.shape[:2], poles))
-    for k in range(poles):
-        powers[..., k] = np.broadcast_to(at ** (k + 1), x.shape).reshape(above.shape[:2])
-    right = x.reshape(lines.size, -1)
+    powers = np.stack([at**k for k in range(order + 1)], axis=-1)
+    transients = [powers]
+    transients += [((each := slow[near][:, None, :]) / _rms(each))[..., None] for slow in reading.slow]
+    own = np.concatenate(transients, axis=-1)
+    if begins:
+        # Where a stretch has no beginning of its own the columns are zero, and the faint wish leaves them out.
+        begun = np.where(np.isin(np.arange(stretches), begins)[:, None], e, 0.0)[..., None]
+        own = np.concatenate([np.broadcast_to(own, (*x.shape, own.shape[-1])), begun * own], axis=-1)
+    terms = _Terms(f[..., None] * powers, own, at[..., None] ** np.arange(1, poles + 1))
     # Multiplied by the denominator the problem is linear, but what is noise is weighted, too, and fitted by poles of
     # its own: a step of Gauss and Newton sets both right.
-    unknown, influence = _solved(np.concatenate([above, -right[..., None] * powers], axis=2), right)
-    left = right - _quotient(above, powers, unknown)[0]
+    unknown, influence = _solved(terms, x, x)
+    model, below = terms.quotient(unknown)
+    left = x - model
     if poles:
-        model, below = _quotient(above, powers, unknown)
-        slope = np.concatenate([above, -model[..., None] * powers], axis=2) / below[..., None]
-        change, influence = _solved(slope, left)
-        changed = right - _quotient(above, powers, unknown + change)[0]
+        slope = terms._replace(shared=terms.shared / below[..., None], own=terms.own / below[..., None])
+        change, influence = _solved(slope, model / below, left)
+        stepped = _Unknown(*(np.add(*each) for each in zip(unknown, change, strict=True)))
+        changed = x - terms.quotient(stepped)[0]
         better = _power(changed) < _power(left)
-        unknown, left = unknown + change * better[:, None], np.where(better[:, None], changed, left)
+        unknown = unknown.where(better, stepped)
+        left = np.where(better[:, None, None], changed, left)
     # The response at all lines of the fit: its model of a reference of one.
-    ones = [np.broadcast_to(at**k, x.shape).reshape(right.shape) for k in range(order + 1)]
-    curve = _quotient(
-        np.stack(ones, axis=-1), powers, np.delete(unknown, np.s_[order + 1 : above.shape[2]], axis=1)
-    )[0]
-    through = _power(influence * curve * np.broadcast_to(told_by, x.shape).reshape(right.shape)) / 2.0
+    curve = terms._replace(shared=powers).response(unknown)
+    through = _power(influence * curve * told_by) / 2.0
     # Of the reference's power, a mean square of one at each line, that part is independent of all columns which are
     # not its own: with these alone the constant would scatter as that of a polynomial.
-    own = np.stack([at[:, 0] ** k for k in range(order + 1)], axis=-1)
-    scatter = np.linalg.inv(np.swapaxes(own, 1, 2) @ own)[:, 0, 0] / stretches
+    scatter = np.linalg.inv(np.swapaxes(powers[:, 0], 1, 2) @ powers[:, 0])[:, 0, 0] / stretches
     spread = _power(influence)
     driven = np.where(drive > _NOTHING, drive, np.nan)[:, 0, 0]
     scale = size[:, 0, 0] / driven
+    constant = unknown.numerator[:, 0]
     return _Solution(
-        value=unknown[:, 0] * scale,
+        value=constant * scale,
         scale=scale,
-        power=np.square(abs(unknown[:, 0])),
+        power=np.square(abs(constant)),
         spread=spread,
         left=_power(left),
         through=through * (scale / driven) ** 2,
@@ -276,34 +269,102 @@ def _fit(
     )
 
 
-def _quotient(above: ComplexArray, powers: Array, unknown: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Model of the lines and its denominator."""
-    count = above.shape[2]
-    below = 1.0 + (powers @ unknown[:, count:, None])[..., 0]
-    # A pole on a line is no pole of a structure.
-    below = np.where(abs(below) > _FAINT, below, _FAINT)
-    return (above @ unknown[:, :count, None])[..., 0] / below, below
+class _Unknown(NamedTuple):
+    """Coefficients at each line."""
+
+    numerator: ComplexArray
+    """Shape (lines, order + 1)."""
+    denominator: ComplexArray
+    """But for its constant, which is one; shape (lines, poles)."""
+    transients: ComplexArray
+    """Shape (lines, stretches, terms)."""
+
+    def where(self, lines: NDArray[np.bool_], other: _Unknown) -> _Unknown:
+        """Take those of another at some lines."""
+        return _Unknown(
+            *(
+                np.where(lines.reshape(-1, *[1] * (mine.ndim - 1)), theirs, mine)
+                for mine, theirs in zip(self, other, strict=True)
+            )
+        )
 
 
-def _solved(system: ComplexArray, right: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+class _Terms(NamedTuple):
+    """Columns that are known, at the lines around each line."""
+
+    shared: ComplexArray | Array
+    """Reference times powers of the distance, of one numerator for all stretches: shape (lines, stretches, width,
+    order + 1)."""
+    own: ComplexArray | Array
+    """Of each stretch's transients: shape (lines, stretches or 1, width, terms)."""
+    powers: Array
+    """Of the denominator: shape (lines, 1, width, poles)."""
+
+    def response(self, unknown: _Unknown) -> ComplexArray:
+        """Quotient of the two polynomials; shape (lines, stretches or 1, width)."""
+        return np.asarray(
+            (self.shared @ unknown.numerator[:, None, :, None])[..., 0] / self._below(unknown.denominator)
+        )
+
+    def quotient(self, unknown: _Unknown) -> tuple[ComplexArray, ComplexArray]:
+        """Model of the lines and its denominator."""
+        below = self._below(unknown.denominator)
+        return self.response(unknown) + (self.own @ unknown.transients[..., None])[..., 0] / below, below
+
+    def _below(self, denominator: ComplexArray) -> ComplexArray:
+        below = 1.0 + (self.powers @ denominator[:, None, :, None])[..., 0]
+        # A pole on a line is no pole of a structure.
+        return np.where(abs(below) > _FAINT, below, _FAINT)
+
+
+def _solved(terms: _Terms, model: ComplexArray, right: ComplexArray) -> tuple[_Unknown, ComplexArray]:
     """Solve by least squares; and how much each equation's right side weighs in the first unknown.
 
     That is the numerator's constant: the response at the line itself, where the denominator is one.
 
+    Transients are those of one stretch and of no other: each stretch is freed of its own (the projection onto what
+    is at right angles to their columns), and what all share is solved for in what is left.
+
     Where lower orders do, denominator, numerator and transient have a factor in common, which could be anything: a
     faint wish for small coefficients settles it, and leaves the response at the line as it is.
+
+    Parameters
+    ----------
+    model : ndarray of complex, shape (lines, stretches, width)
+        What the denominator multiplies.
+    right : ndarray of complex, shape (lines, stretches, width)
     """
-    lines, equations, unknowns = system.shape
-    wish = np.broadcast_to(_FAINT * np.eye(unknowns), (lines, unknowns, unknowns))
-    q, r = np.linalg.qr(np.concatenate([system, wish], axis=1))
-    adjoint = np.conj(np.swapaxes(q[:, :equations], 1, 2))
+    lines, stretches, width = right.shape
+    count = terms.own.shape[-1]
+    q, r = np.linalg.qr(_wishing(terms.own))
+    adjoint = np.conj(np.swapaxes(q, 2, 3))
+    shared = np.concatenate([terms.shared, -model[..., None] * terms.powers], axis=-1)
+    both = np.concatenate([shared, right[..., None]], axis=-1)
+    along = adjoint[..., :width] @ both
+    apart = -(q @ along)
+    apart[..., :width, :] += both
+    unknowns = shared.shape[-1]
+    free = apart.reshape(lines, -1, unknowns + 1)
+    q, r_shared = np.linalg.qr(_wishing(free[..., :unknowns]))
+    adjoint = np.conj(np.swapaxes(q[:, : free.shape[1]], 1, 2))
+    found = np.linalg.solve(r_shared, adjoint @ free[..., unknowns:])
+    transients = np.linalg.solve(r, along[..., unknowns:] - along[..., :unknowns] @ found[:, None])[..., 0]
     first = np.broadcast_to(np.eye(unknowns, 1), (lines, unknowns, 1))
-    row: ComplexArray = np.swapaxes(np.linalg.solve(np.swapaxes(r, 1, 2), first), 1, 2)
-    return np.linalg.solve(r, adjoint @ right[..., None])[..., 0], (row @ adjoint)[:, 0]
+    row = np.swapaxes(np.linalg.solve(np.swapaxes(r_shared, 1, 2), first), 1, 2)
+    influence = (row @ adjoint).reshape(lines, stretches, width + count)[..., :width]
+    numerators = terms.shared.shape[-1]
+    return _Unknown(found[:, :numerators, 0], found[:, numerators:, 0], transients), influence
+
+
+def _wishing(system: ComplexArray | Array) -> ComplexArray:
+    """Add the equations of a faint wish for small unknowns."""
+    unknowns = system.shape[-1]
+    wish = np.broadcast_to(_FAINT * np.eye(unknowns), (*system.shape[:-2], unknowns, unknowns))
+    return np.concatenate([system, wish], axis=-2)
 
 
 def _power(each: ComplexArray) -> Array:
-    return np.sum(abs(each) ** 2, axis=1)
+    return np.asarray(np.sum(abs(each) ** 2, axis=(1, 2)))
 
 
 def _rms(each: ComplexArray) -> Array:

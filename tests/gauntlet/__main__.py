@@ -39,13 +39,18 @@ def main() -> int:
     kinds = given.kind or KINDS
     found: list[Verdict] = []
     with ProcessPoolExecutor(given.workers) as pool:
-        jobs = [
-            pool.submit(try_out, given.seed, number, kinds[number % len(kinds)])
+        jobs = {
+            pool.submit(try_out, given.seed, number, kind := kinds[number % len(kinds)]): f"{number} {kind}"
             for number in range(given.scenes)
-        ]
+        }
         done = as_completed(jobs)
-        for job in track(done, "gauntlet", total=len(jobs), console=Console(stderr=True)):
-            found += job.result()
+        try:
+            for job in track(done, "gauntlet", total=len(jobs), console=Console(stderr=True)):
+                found += job.result()
+        except KeyboardInterrupt:
+            # What is done is told, and which scenes one waited for.
+            print("under way:", *(name for job, name in jobs.items() if job.running()), sep="\n  ")
+            pool.shutdown(wait=False, cancel_futures=True)
     for verdict in sorted(found, key=lambda verdict: (verdict.kind, verdict.scene)):
         if verdict.outcome == "wrong" or given.verbose:
             share = f"{verdict.inside / verdict.points:.0%}" if verdict.points else "-"

@@ -1,5 +1,13 @@
 """The instrument: sensors, converter, clock, tasks, recorder, replay."""
 
+# A command that is interrupted while it is imported has nothing to say, and least of all a traceback.
+try:
+    from rig.interruption import end_silently
+
+    end_silently()
+except KeyboardInterrupt:
+    raise SystemExit(130) from None
+
 import lazy_loader
 
 # A module is imported when one of the names of `__init__.pyi` is first used, so that importing the package stays

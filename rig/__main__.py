@@ -1,12 +1,6 @@
-"""The command `rig`, also as `python -m rig`: what is imported before anything that takes long."""
+"""The command `rig`, also as `python -m rig`."""
 
 from __future__ import annotations
-
-import signal
-
-if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-    # Until the command line answers Ctrl-C, it ends the process without a traceback.
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def main() -> None:

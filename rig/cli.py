@@ -364,7 +364,7 @@ def design(
     files = write(found, output)
     print(summary(found))
     print("\nwritten:", *files, table)
-    print(next_step(files[0]))
+    print(next_step(found, files[0]))
 
 
 def _listed(text: str | None) -> list[str] | None:

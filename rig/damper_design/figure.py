@@ -16,6 +16,7 @@ from rig.escaping import drawn
 from rig.figure_style import COLOURS, cell_edges, drawing, plain_logarithmic, save
 from rig.output_files import replacing, stem
 from rig.results import plainly, styled
+from rig.scene.excitation import SteppedSine
 from rig.scene.scene import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
@@ -99,14 +100,19 @@ def write(design: Design, folder: Path) -> list[Path]:
     return [scene, *save(_draw(design), name)]
 
 
-def next_step(scene: Path) -> str:
-    """Say how to check a design."""
-    recording = scene.with_suffix(".mcap")
+def next_step(design: Design, scene: Path) -> str:
+    """Say what the scene of a design tests, and how to check it."""
+    recording, test = scene.with_suffix(".mcap"), design.scene.test
+    assert isinstance(test, SteppedSine) and test.frequencies is not None
     record, analyse = (
         f"daq record {quote(str(scene))} -o {quote(str(recording))}",
         f"analysis frf {quote(str(recording))}",
     )
-    return f"check it: {record}, then: {analyse}"
+    return (
+        f"{scene}: the structure and shaker as given, these dampers, and a stepped sine up from "
+        f"{test.frequencies[0]:.4g} to {test.frequencies[-1]:.4g} Hz at {design.best.peak.level:.3g} N, about the "
+        f"worst peak\ncheck it: {record}, then: {analyse}"
+    )
 
 
 def _draw(design: Design) -> Figure:

@@ -11,7 +11,7 @@ from analysis.modal.modes import Modes
 from analysis.responses.frf import DOTS, Frf
 from rig.escaping import drawn
 from rig.figure_style import colour, decades, drawing, frequency_axis, heading
-from rig.results import rounded
+from rig.results import bounded
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -74,7 +74,7 @@ def modes_figure(frfs: Sequence[Frf], modes: Modes, title: str) -> Figure:
             names = ["ground", *modes.responses] if i == 0 else [""] * (places.size + 1)
             axes.set_yticks(np.append(0, places), names)
             axes.set_title(
-                f"{rounded(modes.frequency[i], 2 * modes.frequency_error[i])} Hz\n{modes.damping_told(i)}",
+                f"{bounded(modes.frequency[i], 2 * modes.frequency_error[i], 'Hz')}\n{modes.damping_told(i)}",
                 fontsize=9,
                 fontweight="normal",
             )

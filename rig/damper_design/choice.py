@@ -11,7 +11,7 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.damper_design.worst_peak import Peak, peak_at
+from rig.damper_design.worst_peak import Peak, linear_peak, peak_at
 from rig.errors import SceneError
 from rig.motion_map.grid import columns, natural_frequencies
 from rig.orbits.problem import OrbitProblem
@@ -132,7 +132,9 @@ class Question:
     @cached_property
     def bare(self) -> Peak:
         """Worst peak without dampers, which is the same at every level."""
-        return max(self._peak(scene, self.levels[:1]) for scene in self.scenes)
+        return max(
+            linear_peak(scene, self.levels[0], self._frequencies(scene), self.bodies) for scene in self.scenes
+        )
 
     @cached_property
     def parts(self) -> tuple[Question, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,8 @@ from rig.errors import RunError
 from rig.orbits.orbit import solve
 from rig.orbits.problem import OperatingPoint, OrbitProblem
 from rig.orbits.sweep import OrbitResponse, sweep
+from rig.scene.scene import Scene
+from rig.system.receptance import receptance
 
 Array = NDArray[np.float64]
 
@@ -83,6 +85,23 @@ def resonance(problem: OrbitProblem, response: OrbitResponse, body: int) -> tupl
     bounds = (float(response.value[i - 1]), float(response.value[i + 1]))
     top = minimize_scalar(missing, bounds=bounds, method="bounded", options={"xatol": 1e-3})
     return (float(-top.fun), float(top.x)) if -top.fun > best else (best, where)
+
+
+def linear_peak(scene: Scene, level: float, frequencies: Array, bodies: Sequence[int]) -> Peak:
+    """Find the largest peak of some bodies without dampers."""
+    rows = [body - 1 for body in bodies]
+
+    def largest(frequency: float) -> float:
+        return float(abs(receptance(scene, [frequency])[rows]).max())
+
+    size = abs(receptance(scene, frequencies)[rows]).max(axis=0)
+    i = int(size.argmax())
+    bounds = frequencies[max(i - 1, 0)], frequencies[min(i + 1, size.size - 1)]
+    top = minimize_scalar(lambda f: -largest(f), bounds=bounds, method="bounded", options={"xatol": 1e-6})
+    where = max(float(top.x), float(frequencies[i]), key=largest)
+    each = abs(receptance(scene, [where])[rows, 0])
+    body, best = bodies[int(each.argmax())], float(each.max())
+    return Peak(best, where, level, body, best * level * (2 * np.pi * where) ** 2, 0.0)
 
 
 def peak_at(problem: OrbitProblem, level: float, frequencies: Array, bodies: Iterable[int]) -> Peak:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.dampers.jump_search import RANGE, RESOLVED, SIGMAS, JumpSearch, least_sure
+from analysis.dampers.jump_search import RANGE, SIGMAS, JumpSearch, least_sure
 from analysis.dampers.jump_signature import Signature, signature
 from analysis.decays.sensor_correction import corrected
 from analysis.recordings.slices import read_slices
@@ -60,7 +60,7 @@ class Impacts:
     between the impacts, through the filter that looks for jumps. Where the noise varies, its 95th
     percentile."""
     resolution: float
-    """Impacts nearer to each other than this are seen as one, the largest, s."""
+    """Impacts nearer to each other than this may be seen as one, the largest, s."""
     ringing: float
     """How long the channel rings about an impact, s: there one smaller than `LEFT_OVER` of it may be missed."""
     searched: float
@@ -150,7 +150,7 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
         jump,
         _acceleration(_without_high_pass(filled, info), place, info),
         noise,
-        RESOLVED / rec.rate,
+        search.resolution() / rec.rate,
         (search.signature.reach + search.signature.ring) / rec.rate,
         float(search.told.sum() - np.sum(entangled[:, 1] - entangled[:, 0])) / rec.rate,
         np.concatenate([unread, (start + entangled) / rec.rate - info.delay]),

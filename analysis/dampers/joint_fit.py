@@ -120,6 +120,24 @@ def fit_within(
     return fitted, left
 
 
+def error_beside(of: Signature, apart: int | None, noise: float, typical: tuple[float, float]) -> float:
+    """Tell the standard deviation of a jump so many samples after another of its size; None: of one alone, m/s.
+
+    Parameters
+    ----------
+    noise : float
+        Standard deviation of the readings.
+    typical : tuple of float
+        As for `fit_together`.
+    """
+    rest = np.zeros(2 * of.ring + 2 * of.window + (apart or 0))
+    first = Jump(of.ring + 0.5, np.array([1.0, 0.0, 0.0]), noise, 0.0)
+    group = [first] if apart is None else [first, replace(first, place=first.place + apart)]
+    for one in group:
+        put(rest, of, one, 1.0)
+    return fit_together(rest, of, group, noise, typical)[0][-1].error
+
+
 def readings(windows: Array, of: Signature, length: int) -> Array:
     """Sum windows of so many differences up to readings and take off what is smooth; shape (windows, length)."""
     return _readings(windows, of.difference, _smooth(length, of.background(length)))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.dampers.entangled_jumps import cost, grow
-from analysis.dampers.joint_fit import Jump, fit_together, fit_within, put, readings
+from analysis.dampers.joint_fit import Jump, error_beside, fit_together, fit_within, put, readings
 from analysis.dampers.jump_signature import SHIFT, Signature
 from rig.numerics.runs import runs_of
 
@@ -31,6 +31,8 @@ _BEND = 1.0
 _ROUNDS, _PASSES = 12, 4
 # Jumps nearer to each other than so many samples are taken for one; told apart for certain from so many on.
 _APART, RESOLVED = 4, 6
+# What another jump may add to the standard deviation of one that is told apart from it.
+_BESIDE_ANOTHER = 1.1
 # What jumps leave unexplained is searched anew from so many times what is not missed on, over at most so many windows.
 # Where so many times of it are left after that, and such a part of the largest jump there, no jump is told.
 _UNTOLD, _MISFIT = 10.0, 0.5
@@ -156,6 +158,15 @@ class JumpSearch:
         """Smallest jump that is not missed, m/s, but beside a larger one."""
         noise = float(np.percentile(self.noise()[2], 95.0)) * self.signature.gain
         return least_sure(noise, max((abs(one.sizes[0]) for one in self.found), default=0.0))
+
+    def resolution(self) -> int:
+        """Tell from which distance on another jump adds little to the error of one, samples."""
+        of, noise = self.whole, float(np.median(self.noise()[2]))
+        most = _BESIDE_ANOTHER * error_beside(of, None, noise, self.usual)
+        apart = RESOLVED
+        while apart < of.reach and error_beside(of, apart, noise, self.usual) > most:
+            apart += 1
+        return apart
 
     def bent(self) -> Signature:
         """Signature with the order of the polynomial that the smooth motion between jumps follows."""

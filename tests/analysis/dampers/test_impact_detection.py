@@ -11,6 +11,8 @@ from daq.recording.markers import Marker
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError
 from tests.analysis.responses import synthetic
+from tests.gauntlet.cavities import TONE
+from tests.gauntlet.trial import try_out
 
 RATE = synthetic.RATE
 
@@ -239,3 +241,9 @@ def test_given_a_channel_that_is_overloaded_for_most_of_a_stretch_when_searched_
     assert whole.left_out.shape == (0, 2)
     assert part.left_out[0, 0] == 0.0 and part.left_out[0, 1] > end / rec.rate
     assert not ((part.time > 0.0) & (part.time < end / rec.rate)).any()
+
+
+def test_given_chains_of_rebounds_behind_a_double_integrator_when_judged_then_all_apart_enough_are_found():
+    [found, *_] = [verdict for verdict in try_out(600101, 69, TONE) if verdict.judge == "impacts"]
+    assert found.points > 100
+    assert found.inside == found.points

@@ -86,9 +86,9 @@ class Bed:
         }
         self._centre = self.centre
 
-    def advance(self) -> None:
-        """Go on by a step."""
-        self._do("run 1 pre no post no")
+    def advance(self, steps: int = 1) -> None:
+        """Go on by a number of steps."""
+        self._do(f"run {steps} pre no post no")
 
     def slow(self, relaxation: float) -> None:
         """Slow the grains down from here on, each with this time constant in s: for packing."""
@@ -97,6 +97,10 @@ class Bed:
     def lower(self, depth: float) -> None:
         """Have the ceiling, from the next step on, so far below where it was at first, m."""
         self._call(self._lammps.set_internal_variable, "lid", -depth)
+
+    def stop(self) -> None:
+        """Take all grains' speed."""
+        self._velocity[:] = 0.0
 
     def kick(self, change: float) -> None:
         """Change the vertical velocity of all grains, m/s."""

@@ -18,7 +18,7 @@ from numba.misc.appdirs import AppDirs
 from numpy.typing import NDArray
 
 from rig.errors import RunError
-from rig.grains.bed import CEILING, Bed
+from rig.grains.bed import CEILING, FLOOR, Bed
 from rig.grains.library import lammps_version
 from rig.grains.spheres import Spheres, rayleigh_time
 from rig.scene.scene import STANDARD_GRAVITY
@@ -27,17 +27,22 @@ Array = NDArray[np.float64]
 
 #: Rayleigh's times in a step while grains are packed.
 _STEP = 0.1
-#: How fast packing grains lose speed, s.
+#: Young's modulus at which they fall and are levelled, Pa, if they are not softer; the arrangement that this gives is
+#: then the same whatever their own modulus is, and costs the same.
+_SOFT = 1e7
+#: How fast falling grains lose speed, s.
 _RELAXATION = 10e-3
 #: Shares of its weight that the floor lacks, and of what lifts it by a grain that it has as kinetic energy: of a bed
-#: that has fallen, and of one at rest.
-_FALLEN, _AT_REST = (0.1, 1e-3), (5e-4, 1e-4)
+#: that has fallen, and of one at rest at a peak.
+_FALLEN, _AT_REST = (0.1, 1e-3), (3e-4, 1e-6)
 #: How fast the lid comes down, m/s.
 _LOWERING = 5e-3
-#: Steps between looks, and the most of them.
+#: Steps between looks at a bed that falls, and the most of them.
 _LOOK, _MOST = 500, 400
+#: Steps between looks at a bed that comes to rest, and the most of them.
+_GLANCE, _MOST_GLANCES = 20, 10_000
 #: What kept beds go by besides their settings: to be changed with the way in which they are made.
-_METHOD = "rain and lid 2"
+_METHOD = "rain, lid and peaks 3"
 
 
 def settled(spheres: Spheres) -> Array:
@@ -64,18 +69,10 @@ def settled(spheres: Spheres) -> Array:
 
 def _rained(spheres: Spheres) -> Array:
     """Let the grains fall, press a lid on them until it bears the bed's weight, and let them come to rest."""
-    smooth = replace(spheres, settings=spheres.settings.replace(friction=0.0))
-    step = _STEP * rayleigh_time(spheres.settings, spheres.density())
-    fallen = _resting(Bed(smooth, _hung(spheres), np.inf, STANDARD_GRAVITY, step), spheres, _FALLEN)
-    lid = highest(spheres, fallen)
-    bed = Bed(smooth, fallen, lid, STANDARD_GRAVITY, step)
-    bed.slow(_RELAXATION)
-    depth, weight = 0.0, spheres.mass * STANDARD_GRAVITY
-    while -bed.forces()[CEILING] < weight:
-        depth += _LOWERING * step
-        bed.lower(depth)
-        bed.advance()
-    return _resting(Bed(smooth, bed.positions, np.inf, STANDARD_GRAVITY, step), spheres, _AT_REST)
+    own = spheres.settings.replace(friction=0.0)
+    soft = replace(spheres, settings=own.replace(modulus=min(own.modulus, _SOFT)))
+    levelled = _levelled(soft, _fallen(soft))
+    return _resting(replace(spheres, settings=own), levelled)
 
 
 def highest(spheres: Spheres, positions: Array) -> float:
@@ -83,19 +80,70 @@ def highest(spheres: Spheres, positions: Array) -> float:
     return float((positions[:, 2] + 0.5 * spheres.diameters()).max())
 
 
-def _resting(bed: Bed, spheres: Spheres, still: tuple[float, float]) -> Array:
-    """Give the positions of the grains once they are as still as that."""
+def _packed(spheres: Spheres, positions: Array, ceiling: float) -> Bed:
+    """Make a bed with the step of time of packing."""
+    step = _STEP * rayleigh_time(spheres.settings, spheres.density())
+    return Bed(spheres, positions, ceiling, STANDARD_GRAVITY, step)
+
+
+def _fallen(spheres: Spheres) -> Array:
+    """Give the positions of grains that have rained in and lie, though they may creep."""
+    bed = _packed(spheres, _hung(spheres), np.inf)
     bed.slow(_RELAXATION)
     weight = spheres.mass * STANDARD_GRAVITY
     for _ in range(_MOST):
-        for _ in range(_LOOK):
-            bed.advance()
+        bed.advance(_LOOK)
         unbalanced = abs(bed.forces().sum() / weight - 1.0)
-        if unbalanced < still[0] and bed.kinetic_energy < still[1] * weight * spheres.settings.diameter:
+        still = bed.kinetic_energy < _FALLEN[1] * weight * spheres.settings.diameter
+        if unbalanced < _FALLEN[0] and still:
             return bed.positions
-    raise RunError(
-        f"{spheres.count} grains did not come to rest in {_LOOK * _MOST * bed.step:.3g} s: expected another seed:, or "
-        "a wider grains: cavity"
+    raise _restless(bed, _LOOK * _MOST)
+
+
+def _levelled(spheres: Spheres, fallen: Array) -> Array:
+    """Give the positions under a lid that came down until it bears the bed's weight."""
+    bed = _packed(spheres, fallen, highest(spheres, fallen))
+    bed.slow(_RELAXATION)
+    depth, weight = 0.0, spheres.mass * STANDARD_GRAVITY
+    while -bed.forces()[CEILING] < weight:
+        depth += _LOWERING * bed.step
+        bed.lower(depth)
+        bed.advance()
+    return bed.positions
+
+
+def _resting(spheres: Spheres, levelled: Array) -> Array:
+    """Give the positions at rest, by stopping all grains whenever their kinetic energy is past a peak.
+
+    A bed without friction creeps for long where it is slowed by drag: what is fast is damped well, what is slow is
+    damped far too much. Stopped at its peaks of kinetic energy, it is damped well at every pace.
+
+    References
+    ----------
+    Cundall, P. A., "Explicit finite-difference methods in geomechanics", Proc. 2nd International Conference on
+    Numerical Methods in Geomechanics (1976), 132-150.
+    """
+    bed = _packed(spheres, levelled, np.inf)
+    weight = spheres.mass * STANDARD_GRAVITY
+    still = _AT_REST[1] * weight * spheres.settings.diameter
+    peak = 0.0
+    for _ in range(_MOST_GLANCES):
+        bed.advance(_GLANCE)
+        energy = bed.kinetic_energy
+        if energy >= peak:
+            peak = energy
+            continue
+        if peak < still and abs(bed.forces()[FLOOR] / weight - 1.0) < _AT_REST[0]:
+            return bed.positions
+        bed.stop()
+        peak = 0.0
+    raise _restless(bed, _GLANCE * _MOST_GLANCES)
+
+
+def _restless(bed: Bed, steps: int) -> RunError:
+    return RunError(
+        f"{len(bed.positions)} grains did not come to rest in {steps * bed.step:.3g} s: expected another seed:, or a "
+        "wider grains: cavity"
     )
 
 

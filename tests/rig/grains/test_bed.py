@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rig.errors import RunError
 from rig.grains import packing
 from rig.grains.bed import Bed
 from rig.grains.packing import settled
@@ -42,6 +43,31 @@ def test_given_a_settled_bed_then_its_weight_is_on_the_floor_and_its_packing_is_
     radii = 0.5 * spheres.diameters()
     apart = np.linalg.norm(positions[:, None] - positions, axis=2) + np.diag(np.full(len(radii), np.inf))
     assert (apart - radii[:, None] - radii).min() > -0.01 * radii.min()
+
+
+@pytest.mark.parametrize(("count", "cavity", "seed"), [(150, 20.5e-3, 2), (120, 9e-3, 1), (120, 9e-3, 2)])
+def test_given_a_bed_of_layers_when_packed_then_it_ends_and_rests_from_the_first_step_on(
+    count: int, cavity: float, seed: int
+) -> None:
+    lead = Grains(diameter=2e-3, cavity=cavity)
+    spheres = Spheres(lead, count * 4.75e-5, np.inf, count, seed)
+
+    bed = Bed(spheres, settled(spheres), np.inf, 9.80665, spheres.longest_step())
+
+    for _ in range(200):
+        assert bed.forces()[0] == pytest.approx(spheres.mass * 9.80665, rel=1e-3)
+        bed.advance()
+
+
+def test_given_a_bed_that_would_creep_for_ever_when_packed_then_it_ends_and_says_what_to_do(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(packing, "_AT_REST", (0.0, 0.0))
+    monkeypatch.setattr(packing, "_MOST_GLANCES", 30)
+    spheres = Spheres(Grains(diameter=2e-3, cavity=3e-3), 3 * 4.75e-5, np.inf, 3, 71)
+
+    with pytest.raises(RunError, match="did not come to rest"):
+        settled(spheres)
 
 
 def test_given_a_kept_bed_that_is_damaged_when_it_is_wanted_then_it_is_packed_anew(

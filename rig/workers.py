@@ -15,7 +15,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, closing, contextmanager
 from multiprocessing import active_children, get_context, parent_process
 from queue import SimpleQueue
-from threading import Thread
+from threading import Thread, current_thread, main_thread
 from types import TracebackType
 from typing import Any, TypeVar
 
@@ -51,7 +51,11 @@ class Workers:
     def __init__(self, cluster: str | None = None) -> None:
         self._cluster = cluster
         self._open = ExitStack()
-        self._pool = self._start()
+        try:
+            self._pool = self._start()
+        except BaseException:
+            self._open.close()
+            raise
 
     def __enter__(self) -> Workers:
         return self
@@ -82,7 +86,7 @@ class Workers:
             handed_out = 0
             try:
                 while len(done) < len(pieces):
-                    with _script_left_alone():
+                    with _script_left_alone(), _deaf_to_ctrl_c():
                         for number in sorted({*range(handed_out, len(pieces))} - done):
                             job = self._pool.submit(function, pieces[number])
                             jobs[job] = number
@@ -113,10 +117,13 @@ def _processes(until: ExitStack) -> Executor:
     pool = ProcessPoolExecutor(cores(), mp_context=get_context("spawn"), initializer=_begin)
 
     def end() -> None:
-        for worker in set(active_children()) - before:
+        # What waits is dropped before workers die, or else the pool would tell it of that, cancelled or not.
+        pool.shutdown(wait=False, cancel_futures=True)
+        workers = set(active_children()) - before
+        for worker in workers:
             worker.kill()
-        # The pool notices, and collects them.
-        pool.shutdown(wait=True, cancel_futures=True)
+        for worker in workers:
+            worker.join()
 
     until.callback(end)
     return pool
@@ -132,6 +139,38 @@ def _script_left_alone() -> Iterator[None]:
         yield
     finally:
         script.update(kept)
+
+
+@contextmanager
+def _deaf_to_ctrl_c() -> Iterator[None]:
+    """Let processes that start here hear nothing of Ctrl-C from their first moment: a terminal tells it to all."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def _answering_later() -> Iterator[None]:
+    """Answer signals when the body is done: what is half made could not be undone."""
+    if current_thread() is not main_thread():
+        yield
+        return
+    came: list[int] = []
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    for number in before:
+        signal.signal(number, lambda number, _: came.append(number))
+    try:
+        yield
+    finally:
+        for number, answer in before.items():
+            signal.signal(number, answer)
+        for number in came[:1]:
+            signal.raise_signal(number)
 
 
 def _begin() -> None:
@@ -155,7 +194,12 @@ def _dask(address: str, until: ExitStack) -> Executor:
         raise SceneError("--cluster needs Dask: pip install 'shotrig[cluster]'") from None
     where: Any = address
     if address == "local":
-        where = until.enter_context(closing(LocalCluster(n_workers=cores(), threads_per_worker=1)))
+        with _answering_later(), _deaf_to_ctrl_c():
+            try:
+                cluster = LocalCluster(n_workers=cores(), threads_per_worker=1)
+            except RuntimeError as error:
+                raise RunError(f"--cluster local: its workers do not start ({error})") from None
+            where = until.enter_context(closing(cluster))
     try:
         client = until.enter_context(closing(Client(where, timeout=10)))
     except (OSError, ValueError) as error:

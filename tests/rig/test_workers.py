@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import subprocess
 import sys
+import threading
+from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
 import pytest
@@ -29,6 +32,27 @@ def die_the_first_time(mark: Path) -> str:
 
 def die(_: int) -> None:
     os._exit(1)
+
+
+def go_on_for_ever_but_once(number: int) -> None:
+    if number:
+        threading.Event().wait()
+
+
+def deaf_to_ctrl_c(_: int) -> bool:
+    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
+class ClusterWithCtrlC:
+    """A Dask cluster, while whose workers start somebody presses Ctrl-C."""
+
+    closed = 0
+
+    def __init__(self, **_: object) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+    def close(self) -> None:
+        ClusterWithCtrlC.closed += 1
 
 
 def test_given_pieces_when_computed_then_each_comes_once_with_its_number() -> None:
@@ -82,6 +106,38 @@ def test_given_a_piece_that_always_kills_its_worker_when_computed_then_it_is_sai
 ):
     with pytest.raises(RunError, match="has died 3 times"), Workers() as workers:
         list(workers.compute(die, [1]))
+
+
+def test_given_pieces_that_wait_when_workers_are_left_then_no_thread_trips_over_them(monkeypatch) -> None:
+    failed: list[object] = []
+    monkeypatch.setattr(threading, "excepthook", failed.append)
+    before = set(threading.enumerate())
+    kill = SpawnProcess.kill
+
+    def kill_until_noticed(process: SpawnProcess) -> None:
+        kill(process)
+        for thread in set(threading.enumerate()) - before:
+            thread.join()
+
+    monkeypatch.setattr(SpawnProcess, "kill", kill_until_noticed)
+    with Workers() as workers:
+        next(workers.compute(go_on_for_ever_but_once, range(50)))
+
+    assert not failed
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="this system tells each process by itself")
+def test_given_ctrl_c_in_a_terminal_when_workers_start_then_they_do_not_hear_it() -> None:
+    with Workers() as workers:
+        assert list(workers.compute(deaf_to_ctrl_c, [1])) == [(0, True)]
+    assert not deaf_to_ctrl_c(0)
+
+
+def test_given_ctrl_c_when_a_cluster_of_our_own_starts_then_it_is_closed(monkeypatch) -> None:
+    monkeypatch.setattr("distributed.LocalCluster", ClusterWithCtrlC)
+    with pytest.raises(KeyboardInterrupt):
+        Workers("local")
+    assert ClusterWithCtrlC.closed == 1 and not deaf_to_ctrl_c(0)
 
 
 @pytest.mark.thorough

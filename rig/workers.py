@@ -169,8 +169,8 @@ def _answering_later() -> Iterator[None]:
     finally:
         for number, answer in before.items():
             signal.signal(number, answer)
-        for number in came[:1]:
-            signal.raise_signal(number)
+        for first in came[:1]:
+            signal.raise_signal(first)
 
 
 def _begin() -> None:

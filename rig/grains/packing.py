@@ -69,7 +69,7 @@ def settled(spheres: Spheres) -> Array:
 
 def _rained(spheres: Spheres) -> Array:
     """Let the grains fall, press a lid on them until it bears the bed's weight, and let them come to rest."""
-    own = spheres.settings.replace(friction=0.0)
+    own = spheres.settings.replace(friction=0.0, side_friction=None)
     soft = replace(spheres, settings=own.replace(modulus=min(own.modulus, _SOFT)))
     levelled = _levelled(soft, _fallen(soft))
     return _resting(replace(spheres, settings=own), levelled)
@@ -163,7 +163,7 @@ def _hung(spheres: Spheres) -> Array:
 
 def _file(spheres: Spheres) -> Path:
     # Time step and friction of the motion have no part in it; density and diameters come from what has.
-    grains = spheres.settings.replace(time_step=None, friction=0.0)
+    grains = spheres.settings.replace(time_step=None, friction=0.0, side_friction=None)
     said = (_METHOD, lammps_version(), repr(grains), spheres.count, spheres.seed, repr(spheres.mass))
     name = hashlib.sha256(repr(said).encode()).hexdigest()[:24]
     return folder() / f"{name}.npy"

@@ -36,7 +36,7 @@ def told_restitution(grains: Grains, mass: float, radius: float, step: float) ->
 
     Examples
     --------
-    >>> lead = Grains(diameter="2 mm")
+    >>> lead = Grains(diameter="2 mm", modulus="10 MPa")
     >>> round(told_restitution(lead, mass=4.75e-5, radius=1e-3, step=5.7e-6), 3)
     0.202
     """

@@ -100,7 +100,7 @@ def rayleigh_time(grains: Grains, density: float) -> float:
 
     Examples
     --------
-    >>> round(1e6 * rayleigh_time(Grains(diameter="2 mm"), 11340.0), 1)
+    >>> round(1e6 * rayleigh_time(Grains(diameter="2 mm", modulus="10 MPa"), 11340.0), 1)
     189.3
     """
     shear = grains.modulus / (2.0 * (1.0 + grains.poisson_ratio))
@@ -113,7 +113,7 @@ def contact_time(grains: Grains, speed: float = 1.0) -> float:
 
     Examples
     --------
-    >>> round(1e3 * contact_time(Grains(diameter="2 mm")), 3)
+    >>> round(1e3 * contact_time(Grains(diameter="2 mm", modulus="10 MPa")), 3)
     0.356
     """
     radius = 0.25 * grains.diameter

@@ -56,14 +56,16 @@ class Grains(Settings):
     """Diameters lie evenly between this share below and above `diameter`, drawn with the scene's seed."""
     density: Annotated[float, Quantity(DENSITY, above=0.0)] = 11340.0
     """Density [kg/m^3]; it is changed by what makes the bed a whole number of grains."""
-    modulus: Annotated[float, Quantity(MODULUS, above=0.0)] = 1e7
-    """Young's modulus [Pa], far below that of lead, 16 GPa: steps of time are shorter the stiffer the grains are."""
+    modulus: Annotated[float, Quantity(MODULUS, above=0.0)] = 1e8
+    """Young's modulus [Pa], below that of lead, 16 GPa: steps of time are shorter the stiffer the grains are."""
     poisson_ratio: Annotated[float, Quantity(RATIO, at_least=0.0, below=0.5)] = 0.44
     """Poisson's ratio."""
     restitution: Annotated[float, Quantity(RATIO, above=0.0, below=1.0)] = 0.2
     """Ratio of separation to approach speed of two grains, or of a grain and a wall, head on."""
     friction: Annotated[float, Quantity(RATIO, at_least=0.0)] = 0.4
     """Coulomb's coefficient, of grains and walls; assumed: clean lead has more, graphited shot less."""
+    side_friction: Annotated[float, Quantity(RATIO, at_least=0.0)] | None = None
+    """That of the cavity's side, if it is another; 0 makes a narrow cavity stand for a piece of a wide one."""
     cavity: Annotated[float, Quantity(LENGTH, above=0.0)] = 40e-3
     """Diameter of the cavity [m]; 40 mm in the paper's rig."""
     time_step: Annotated[float, Quantity(TIME, above=0.0)] | None = None

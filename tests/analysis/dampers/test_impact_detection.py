@@ -197,6 +197,29 @@ def test_given_a_slow_motion_far_above_the_noise_when_searched_behind_a_filter_t
     assert found.time.size == 0 and not len(found.left_out)
 
 
+def still(path, quantity, ticks):
+    """A reading that is zero but for a few samples."""
+    row = np.zeros(int(RATE))
+    row[1 : ticks + 1] = 1e-6
+    infos = [ChannelInfo("body1", "body 1", quantity, 1.0, RATE, average=quantity == "acceleration")]
+    return synthetic.write(path, synthetic.scene(), infos, row[None], [])
+
+
+@pytest.mark.parametrize("quantity", ["displacement", "acceleration"])
+def test_given_a_reading_that_stands_still_when_searched_then_nothing_is_found_in_it(tmp_path, quantity):
+    # The motion is smaller than what the converter tells apart.
+    with daq.open(still(tmp_path / "a.mcap", quantity, ticks=3)) as rec:
+        assert not impacts(rec, "body1").time.size
+
+
+def test_given_a_channel_that_reads_nothing_when_searched_then_it_says_so(tmp_path):
+    with (
+        daq.open(still(tmp_path / "a.mcap", "displacement", ticks=0)) as rec,
+        pytest.raises(RecordingError, match="body1 reads zero throughout"),
+    ):
+        impacts(rec, "body1")
+
+
 def test_given_too_few_samples_when_searched_then_it_says_how_many_are_needed(tmp_path):
     path, _, _ = blows(tmp_path / "a.mcap", count=0)
     with daq.open(path) as rec, pytest.raises(RecordingError, match="take at least 96"):

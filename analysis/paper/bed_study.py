@@ -71,7 +71,10 @@ def settings() -> list[Setting]:
     for seed in SEEDS:
         points = list(product(LEVELS, CLEARANCES, BEDS))
         order = np.random.default_rng(seed).permutation(len(points))
-        found += [Setting(*points[k], seed) for k in order]
+        found += [
+            Setting(level, clearance, layers, seed)
+            for level, clearance, layers in map(points.__getitem__, order)
+        ]
     return found
 
 

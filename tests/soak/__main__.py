@@ -6,80 +6,37 @@ Every case has a number from which it can be had again: `python -m tests.soak --
 from __future__ import annotations
 
 import argparse
-import os
 import random
-import resource
-import shutil
-import signal
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import matplotlib
-import numpy as np
-import yaml
+from rich.console import Console
+from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
 
-import daq
-from daq.measurement.run import _RAMP
-from rig.errors import ShotrigError
-from tests.daq.importing import files
-from tests.soak import recordings, scenes
-from tests.soak.command import Ended, run
+from tests.soak.cases import KINDS, Bench
+from tests.soak.command import PACKAGES, Ended
 
 matplotlib.use("agg")
 
 # How many cases of each kind, unless told.
 CASES = {
     "kills": 200,
+    "starts": 100,
     "damage": 400,
     "disks": 100,
     "scenes": 150,
     "commands": 60,
+    "words": 100,
     "recordings": 150,
     "imports": 150,
 }
-READING = (
-    "daq info r.mcap --check",
-    "daq info r.mcap",
-    "daq recover r.mcap -o f.mcap --overwrite",
-    "daq replay r.mcap --save x.rrd",
-    "analysis frf r.mcap",
-    "analysis decay r.mcap",
-    "analysis modes r.mcap",
-    "analysis dampers r.mcap",
-    "analysis compare r.mcap r.mcap",
-    "analysis report r.mcap",
-    "analysis export r.mcap -o o.csv",
-    "analysis export r.mcap -o o.npz",
-    "analysis export r.mcap -o o.uff",
-    "analysis export r.mcap -o o.wav",
-    "analysis export r.mcap -o o.csv --from {odd} --to {odd}",
-    "analysis frf r.mcap --block {odd} --overlap {odd}",
-    "daq replay r.mcap --save x.rrd --from {odd} --speed {odd}",
-)
-# A client of the instrument.
-CLIENT = """
-import nidaqmx
-with nidaqmx.Task() as task:
-    task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0")
-    task.timing.cfg_samp_clk_timing(1000.0, samps_per_chan=100)
-    try:
-        task.read(100)
-    except nidaqmx.DaqError as error:
-        print("refused:", error.error_code)
-"""
-# What a recording may be called.
-NAMES = (
-    "r.mcap",
-    "r.mcap",
-    os.fsdecode(b"\xff\xfe r.mcap"),
-    "a\nb$c.mcap",
-    scenes.MARKUP.replace("/", "") + ".mcap",
-)
 
 
 @dataclass
@@ -102,217 +59,61 @@ class Tally:
             print(f"  {number}: {' '.join(ended.command)!r}: {', '.join(found)}: {last[:160]!r}", flush=True)
 
 
-class Bench:
-    """Whole recordings to kill and damage, and a folder to do it in."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder / "work"
-        self.scenes = {}
-        self.whole = {}
-        # How long a recording takes here, s: kills are to strike within.
-        self.seconds = {}
-        for number in (0, 1, 3):
-            self.scenes[number] = folder / f"scene{number}.yaml"
-            self.scenes[number].write_text(yaml.safe_dump(scenes.BASES[number]))
-            self.whole[number] = folder / f"whole{number}.mcap"
-            words = ["daq", "record", str(self.scenes[number]), "-o", str(self.whole[number])]
-            self.seconds[number] = run(words, folder).seconds
-        self.foreign = {}
-        for name, (ending, write, _) in files.WRITERS.items():
-            path = folder / f"foreign-{name.replace(' ', '-')}{ending}"
-            write(path, files.histories())
-            self.foreign[path.suffix, name] = path.read_bytes()
-
-    def clear(self) -> Path:
-        """Give the folder, empty."""
-        shutil.rmtree(self.folder, ignore_errors=True)
-        self.folder.mkdir()
-        return self.folder
-
-    def compare(self, path: Path, number: int) -> list[str]:
-        """Hold a recording against the whole one: what it has must be right and in its place."""
-        try:
-            with daq.open(path) as found, daq.open(self.whole[number]) as true:
-                found.check()
-                # Who interrupts a test has its drive taken back, which the whole one has not.
-                aborted = any(mark.kind == "abort" for mark in found.markers)
-                stop = found.samples - (round(_RAMP * found.rate) if aborted else 0)
-                for name in found.channels:
-                    got = found.read(name)[:stop]
-                    there = np.isfinite(got)
-                    if got.size > true.samples or (got[there] != true.read(name)[: got.size][there]).any():
-                        return ["wrong samples"]
-        except ShotrigError:
-            return ["not readable"]
-        return []
-
-
-def kill(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
-    """Kill or interrupt a recording at any moment; what lay at its place, or the new one, must be whole."""
-    number, folder = chance.choice((0, 1, 3)), bench.clear()
-    overwrite = chance.random() < 0.5
-    if overwrite:
-        shutil.copy(bench.whole[number], folder / "r.mcap")
-    how = chance.choice((signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT))
-    at, done = chance.uniform(0.0, 1.2) * bench.seconds[number], []
-
-    def strike(process: int, seconds: float) -> None:
-        if seconds > at and not done:
-            done.append(os.kill(process, how))
-
-    words = [
-        "daq",
-        "record",
-        str(bench.scenes[number]),
-        "-o",
-        "r.mcap",
-        *(["--overwrite"] if overwrite else []),
-    ]
-    ended = run(words, folder, end=strike)
-    wrong = []
-    # Until the command line answers signals, it ends by them as any process does.
-    if ended.code == -how:
-        ended = Ended(ended.command, 0, ended.output, ended.silence, ended.seconds, ended.memory)
-    for path in sorted(folder.iterdir()):
-        if path.name == "r.mcap" and (overwrite or "interrupted" in ended.output):
-            wrong += bench.compare(path, number)
-        elif path.stat().st_size > 8:
-            fixed = run(["daq", "recover", path.name, "-o", "fixed.mcap", "--overwrite"], folder)
-            wrong += fixed.faults
-            if fixed.code == 0:
-                wrong += bench.compare(folder / "fixed.mcap", number)
-            elif "nothing can be recovered" not in fixed.output:
-                wrong.append("not recovered")
-    if overwrite and not (folder / "r.mcap").exists():
-        wrong.append("file lost")
-    return ended, wrong
-
-
-def damage(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
-    """Damage a recording and recover it over another; nothing wrong may come out, and the other is not lost."""
-    number, folder = chance.choice((0, 1, 3)), bench.clear()
-    (folder / "r.mcap").write_bytes(recordings.damage(bench.whole[number].read_bytes(), chance))
-    shutil.copy(bench.whole[number], folder / "f.mcap")
-    words = _reading(chance, (READING[0], READING[2], READING[2], READING[2], *READING[1:]))
-    ended = run(words, folder)
-    wrong = bench.compare(folder / "f.mcap", number) if (folder / "f.mcap").exists() else ["file lost"]
-    if words[1] == "info" and "--check" in words and ended.code == 0:
-        wrong += bench.compare(folder / "r.mcap", number)
-    return ended, wrong
-
-
-def fill_disk(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
-    """Let files be only so long; what was there stays whole, and no half file gets a name."""
-    number, folder = chance.choice((0, 1, 3)), bench.clear()
-    shutil.copy(bench.whole[number], folder / "r.mcap")
-    size = int(10 ** chance.uniform(1, 6))
-    record = ["daq", "record", str(bench.scenes[number]), "-o", "r.mcap", "--overwrite"]
-    words = record if chance.random() < 0.1 else _reading(chance, READING[2:])
-
-    def limit() -> None:
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
-
-    ended = run(words, folder, prepare=limit)
-    wrong = bench.compare(folder / "r.mcap", number) if (folder / "r.mcap").exists() else ["file lost"]
-    return ended, wrong
-
-
-def odd_scene(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
-    """Give a command an odd scene and odd options."""
-    folder = bench.clear()
-    (folder / "s.yaml").write_text(scenes.scene(chance))
-    return run(scenes.command("s.yaml", chance), folder), []
-
-
-def rarer_command(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
-    """Give a command that is not for every day odd options, and in half of the cases an odd scene."""
-    folder = bench.clear()
-    (folder / "s.yaml").write_text((scenes.scene if chance.random() < 0.5 else scenes.sound)(chance))
-    shutil.copy(bench.whole[0], folder / "r.mcap")
-    (folder / "x.csv").write_bytes(next(data for (end, _), data in bench.foreign.items() if end == ".csv"))
-    (folder / "c.py").write_text(CLIENT)
-    words = scenes.rarer_command("s.yaml", chance)
-
-    def strike(process: int, seconds: float) -> None:
-        # What serves and shows goes on until it is told to end.
-        if words[1] in ("serve", "scope") and 15.0 < seconds < 15.1:
-            os.kill(process, signal.SIGTERM)
-
-    return run(words, folder, end=strike), []
-
-
-def odd_recording(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
-    """Give a command a recording that says odd things of itself, every checksum right."""
-    folder = bench.clear()
-    name = chance.choice(NAMES)
-    recordings.hostile(bench.whole[chance.choice((0, 1, 3))], folder / name, chance)
-    return run([name if word == "r.mcap" else word for word in _reading(chance)], folder), []
-
-
-def _reading(chance: random.Random, commands: Sequence[str] = READING) -> list[str]:
-    """Choose a command on a recording, with odd numbers where it takes some."""
-    odd = [chance.choice(scenes.ODD_NUMBERS) for _ in range(2)]
-    return [word.format(odd=odd.pop()) if "{" in word else word for word in chance.choice(commands).split()]
-
-
-def odd_import(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
-    """Import a damaged file of another program; what lies at the recording's place is not lost."""
-    folder = bench.clear()
-    (ending, _), whole = chance.choice(list(bench.foreign.items()))
-    (folder / f"x{ending}").write_bytes(recordings.damage(whole, chance))
-    (folder / "s.yaml").write_text(files.bench().to_yaml())
-    shutil.copy(bench.whole[0], folder / "r.mcap")
-    words = [
-        "daq",
-        "import",
-        f"x{ending}",
-        *chance.choice(((), ("--scene", "s.yaml", "-o", "r.mcap", "--overwrite"))),
-    ]
-    ended = run(words, folder)
-    if ended.code and bench.compare(folder / "r.mcap", 0):
-        return ended, ["file lost"]
-    return ended, []
-
-
-KINDS: dict[str, Callable[[Bench, random.Random], tuple[Ended, list[str]]]] = {
-    "kills": kill,
-    "damage": damage,
-    "disks": fill_disk,
-    "scenes": odd_scene,
-    "commands": rarer_command,
-    "recordings": odd_recording,
-    "imports": odd_import,
-}
-
-
 def main() -> int:
-    """Run the cases; exit code 1 if any was at fault."""
+    """Run the cases; exit code 1 if any was at fault, 130 if Ctrl-C ended it, with a table of what was done."""
     words = argparse.ArgumentParser(prog="python -m tests.soak", description=__doc__)
     words.add_argument("--seed", type=int, default=1, help="number of the first case of each kind")
     words.add_argument("--only", choices=KINDS, action="append", help="this kind; may be repeated")
     words.add_argument("--cases", type=int, help="how many of each kind")
     words.add_argument("--minutes", type=float, default=float("inf"), help="stop each kind after this time")
     told = words.parse_args()
-    # What commands import is imported once, here; they run in forks.
-    for package in ("rig", "daq", "analysis"):
+    # What commands import is imported once, here; most run in forks.
+    for package in PACKAGES:
         __import__(f"{package}.cli")
-    tallies = {}
-    with tempfile.TemporaryDirectory(prefix="soak-") as folder:
-        bench = Bench(Path(folder))
-        for kind in told.only or KINDS:
-            print(f"{kind}:", flush=True)
-            tallies[kind], until = Tally(), time.monotonic() + 60.0 * told.minutes
-            for number in range(told.seed, told.seed + (told.cases or CASES[kind])):
-                if time.monotonic() > until:
-                    break
-                ended, wrong = KINDS[kind](bench, random.Random(number))
-                tallies[kind].add(number, ended, wrong)
+    tallies: dict[str, Tally] = {}
+    try:
+        with tempfile.TemporaryDirectory(prefix="soak-") as folder, _counting() as bar:
+            print("recording what is to be damaged", file=sys.stderr)
+            bench = Bench(Path(folder))
+            for kind in told.only or KINDS:
+                tallies[kind] = Tally()
+                numbers = range(told.seed, told.seed + (told.cases or CASES[kind]))
+                _run(bench, kind, numbers, 60.0 * told.minutes, tallies[kind], bar)
+    except KeyboardInterrupt:
+        print("\ninterrupted; so far:")
+        _show(tallies)
+        return 130
+    _show(tallies)
+    return 1 if any(tally.faults for tally in tallies.values()) else 0
+
+
+def _run(
+    bench: Bench, kind: str, numbers: Sequence[int], seconds: float, tally: Tally, bar: Progress
+) -> None:
+    """Run the cases of a kind, as many as time allows."""
+    print(f"{kind}:", flush=True)
+    task, until = bar.add_task(kind, total=len(numbers)), time.monotonic() + seconds
+    for number in numbers:
+        if time.monotonic() > until:
+            break
+        tally.add(number, *KINDS[kind](bench, random.Random(number)))
+        bar.update(task, advance=1, refresh=True)
+
+
+@contextmanager
+def _counting() -> Iterator[Progress]:
+    """Show how far each kind is, without a thread of its own, which a fork would leave in the middle of a word."""
+    columns = *Progress.get_default_columns(), MofNCompleteColumn(), TimeElapsedColumn()
+    with Progress(*columns, console=Console(stderr=True), auto_refresh=False) as bar:
+        yield bar
+
+
+def _show(tallies: dict[str, Tally]) -> None:
+    """Print the table."""
     print(f"\n{'kind':12}{'cases':>7}{'longest s':>11}{'most MB':>9}   faults")
     for kind, tally in tallies.items():
         faults = ", ".join(f"{count} {fault}" for fault, count in tally.faults.items()) or "none"
         print(f"{kind:12}{tally.cases:7}{tally.seconds:11.1f}{tally.memory / 1e6:9.0f}   {faults}")
-    return 1 if any(tally.faults for tally in tallies.values()) else 0
 
 
 if __name__ == "__main__":

@@ -10,12 +10,19 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
+from typing import NoReturn
+
+import psutil
 
 # Without a word for this long, a command counts as hanging; and so long it may take at all, s.
 SILENCE, LONGEST = 20.0, 60.0
 # What no command may take, bytes.
 MEMORY = 1 << 30
+# How often it is looked at what a command does, s.
+LOOK = 0.2
+PACKAGES = ("rig", "daq", "analysis")
 
 
 @dataclass(frozen=True)
@@ -31,7 +38,7 @@ class Ended:
     output : str
         What it wrote to both streams.
     silence : float
-        Longest time without a word, s.
+        Longest time without a word, s; while it queued for a processor it could not have said one.
     seconds : float
         Time from start to end.
     memory : int
@@ -90,29 +97,99 @@ def run(
     longest : float
         Time after which it is killed, s.
     """
-    reading, writing = os.pipe()
-    started = time.monotonic()
-    process = os.fork()
-    if process == 0:
-        _become(words, folder, writing, environment or {}, prepare)
-    os.close(writing)
-    heard, last, silence, said = bytearray(), started, 0.0, True
-    while said:
-        ready, _, _ = select.select([reading], [], [], 0.005 if end is not None else 0.2)
+
+    def act() -> None:
+        resource.setrlimit(resource.RLIMIT_AS, (12 << 30, 12 << 30))
+        if prepare is not None:
+            prepare()
+        sys.argv = list(words)
+        import_module(f"{words[0]}.cli").main()
+
+    return _watch(words, *_fork(folder, environment or {}, act), end, longest)
+
+
+def run_afresh(
+    words: Sequence[str], folder: Path, end: Callable[[int, float], None] | None = None, module: bool = False
+) -> Ended:
+    """Run a command as a shell does, in a Python of its own: by pip's script or, as a module, by ``python -m``.
+
+    Parameters
+    ----------
+    words, folder, end
+        As of `run`.
+    module : bool
+        Whether to run it by ``python -m``.
+    """
+    script = Path(sys.executable).with_name(words[0])
+    begin = [sys.executable, "-m", words[0]] if module or not script.exists() else [str(script)]
+
+    def act() -> NoReturn:
+        os.execv(begin[0], [*begin, *words[1:]])
+
+    return _watch(words, *_fork(folder, {}, act), end, LONGEST)
+
+
+def ours(output: str) -> bool:
+    """Whether a traceback goes through a file of the packages; Python itself is interrupted while it starts, too."""
+    return any(
+        f'File "{Path(import_module(each).__file__ or "").parent}{os.sep}' in output for each in PACKAGES
+    )
+
+
+class _OwnTime:
+    """Time that a command had for itself: none in which it queued for a processor."""
+
+    def __init__(self, process: int) -> None:
+        self.process = psutil.Process(process)
+        self.at, self.computed = time.monotonic(), 0.0
+
+    def passed(self) -> float:
+        """Give the time since it was last asked for, s."""
         now = time.monotonic()
-        if ready:
-            part = os.read(reading, 1 << 16)
-            heard += part
-            said = bool(part)
-            silence, last = max(silence, now - last), now
-        if end is not None:
-            end(process, now - started)
-        if now - started > longest:
+        span, self.at = now - self.at, now
+        computed, ready = 0.0, False
+        try:
+            for each in (self.process, *self.process.children(recursive=True)):
+                computed += sum(each.cpu_times()[:4])
+                ready |= each.status() in (psutil.STATUS_RUNNING, psutil.STATUS_DISK_SLEEP)
+        except psutil.Error:
+            # It, or a child of it, is just ending.
+            return 0.0
+        share, self.computed = max(computed - self.computed, 0.0), computed
+        # Threads in the background wake for moments, even if a command waits for what never comes.
+        return min(share, span) if ready or share > 0.02 * span else span
+
+
+def _watch(
+    words: Sequence[str],
+    process: int,
+    reading: int,
+    end: Callable[[int, float], None] | None,
+    longest: float,
+) -> Ended:
+    """Hear what a child says until it has ended."""
+    started = looked = time.monotonic()
+    own, heard, quiet, silence, said = _OwnTime(process), bytearray(), 0.0, 0.0, True
+    try:
+        while said:
+            ready, _, _ = select.select([reading], [], [], 0.005 if end is not None else LOOK)
+            now = time.monotonic()
+            if now - looked >= LOOK:
+                quiet, looked = quiet + own.passed(), now
+                silence = max(silence, quiet)
+            if ready:
+                part = os.read(reading, 1 << 16)
+                heard += part
+                said, quiet = bool(part), 0.0
+            if end is not None:
+                end(process, now - started)
+            if now - started > longest:
+                break
+    finally:
+        if said:
             os.kill(process, signal.SIGKILL)
-            break
-    silence = max(silence, time.monotonic() - last)
-    _, status, used = os.wait4(process, 0)
-    os.close(reading)
+        _, status, used = os.wait4(process, 0)
+        os.close(reading)
     return Ended(
         tuple(words),
         os.waitstatus_to_exitcode(status),
@@ -123,13 +200,24 @@ def run(
     )
 
 
-def _become(
-    words: Sequence[str],
-    folder: Path,
-    writing: int,
-    environment: dict[str, str],
-    prepare: Callable[[], None] | None,
-) -> None:
+def _fork(folder: Path, environment: dict[str, str], act: Callable[[], None]) -> tuple[int, int]:
+    """Start a child that acts in a folder; give its number and where to hear what it says."""
+    reading, writing = os.pipe()
+    # Nobody hears a signal before the child answers it as any new process does.
+    signals = (signal.SIGINT, signal.SIGTERM)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
+    process = os.fork()
+    if process == 0:
+        for number in signals:
+            signal.signal(number, signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        _become(folder, writing, environment, act)
+    signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    os.close(writing)
+    return process, reading
+
+
+def _become(folder: Path, writing: int, environment: dict[str, str], act: Callable[[], None]) -> NoReturn:
     """Turn the child of a fork into the command."""
     code = 70
     try:
@@ -142,14 +230,8 @@ def _become(
         )
         os.chdir(folder)
         os.environ.update(environment)
-        resource.setrlimit(resource.RLIMIT_AS, (12 << 30, 12 << 30))
-        if prepare is not None:
-            prepare()
-        sys.argv = list(words)
-        from importlib import import_module
-
         code = 0
-        import_module(f"{words[0]}.cli").main()
+        act()
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else (0 if end.code is None else 1)
     except BaseException:

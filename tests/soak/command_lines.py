@@ -1,0 +1,229 @@
+"""Command lines that somebody may type by mistake, in despair or in malice: any command, any of its options."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import random
+import stat
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from tests.soak.command import PACKAGES
+from tests.soak.scenes import ODD_TEXTS
+
+# What stands where nothing is odd, by the name of the option or argument; a number if it is not here.
+SOUND: dict[str, tuple[str, ...]] = {
+    "scene": ("s.yaml", "fig9", "bare-structure"),
+    "scenes": ("s.yaml", "fig9"),
+    "file": ("r.mcap",),
+    "files": ("r.mcap", "x.csv"),
+    "script": ("c.py",),
+    "changes": ("seed=2", "test.force=3N", "structure.masses[1]=0.7kg"),
+    "output": ("new", "new.mcap", "new.csv", "new.npz", "new.uff", "folder"),
+    "save": ("new.rrd",),
+    "screenshot": ("new.png",),
+    "table": ("table.yaml",),
+    "duration": ("0.05 s",),
+    "rate": ("5120 Hz",),
+    "frequency": ("20", "20 Hz"),
+    "first": ("20 Hz",),
+    "last": ("21 Hz",),
+    "least": ("1 N",),
+    "most": ("2 N",),
+    "over": ("force", "clearance"),
+    "direction": ("up", "both"),
+    "channel": ("body1",),
+    "response": ("body1",),
+    "reference": ("force", "table"),
+    "motion": ("velocity", "displacement"),
+    "estimator": ("H1", "Hv"),
+    "window": ("hann", "none"),
+    "unit": ("g/N", "m/N"),
+    "what": ("samples", "frfs", "modes"),
+    "budget": ("50 g", "5 %"),
+    "clearance": ("0.2 mm,3 mm",),
+    "levels": ("1 N,2 N",),
+    "band": ("20 Hz,25 Hz",),
+    "bodies": ("1", "1,2"),
+    "watched": ("1",),
+    "damping_off": ("10 %",),
+    "stiffness_off": ("5 %",),
+    "free": ("structure.masses",),
+    "clock": ("fast", "real"),
+    "address": ("127.0.0.1",),
+    "port": ("0",),
+    "key": ("c.py",),
+    "copy": ("fig9", "new.yaml"),
+    "show": ("fig9",),
+    "cluster": ("local",),
+}
+PLACES = (
+    "folder",
+    "folder/",
+    "fifo",
+    "null",
+    "full",
+    "zero",
+    "loop",
+    "dangling",
+    "missing.mcap",
+    "missing/deep/x.csv",
+    "empty.mcap",
+    "empty.yaml",
+    "binary.yaml",
+    "r.mcap",
+    "s.yaml",
+    "x.csv",
+    "c.py",
+    "c.py/x.mcap",
+    ".",
+    "..",
+    "",
+    "new.exe",
+    "x" * 300 + ".mcap",
+    "new\n\x1b[31m.mcap",
+    os.fsdecode(b"\xff\xfe.mcap"),
+)
+NUMBERS = (
+    "nan",
+    "-inf",
+    "1e309",
+    "-1",
+    "0",
+    "-0.0",
+    "1e300",
+    "1e-320",
+    "1" * 400,
+    "0x10",
+    "1_000",
+    "1,5",
+    "\u0663",
+    "1e12",
+    "99999999999999999999",
+    "2.5",
+    "1 2",
+    "",
+)
+UNITS = (
+    "",
+    "",
+    " Hz",
+    "Hz",
+    " s",
+    " N",
+    " kg",
+    " mm",
+    " %",
+    " parsec",
+    " Hz Hz",
+    ",",
+    ",1",
+    "\u00b5s",
+    "\x1b[1m",
+)
+TEXTS = (
+    *(text.replace("\0", "") for text in ODD_TEXTS),
+    os.fsdecode(b"\xff"),
+    "-",
+    "--",
+    "@x",
+    "*",
+    "%s%n",
+    "a=b=c",
+    "seed=",
+    "=1",
+    "seed=nan",
+    "test.force=1e309 N",
+    "test={kind: x}",
+    "dampers[0].mass=1kg",
+    "dampers[999999999]=1",
+    "structure.masses=[1e308 kg]",
+    "x: [",
+    "structure",
+    "..",
+)
+
+
+def lay_out(folder: Path) -> None:
+    """Put what is no ordinary file into a folder, and what is empty or nonsense."""
+    (folder / "folder").mkdir()
+    (folder / "folder" / "kept.txt").write_text("kept")
+    for name in ("empty.mcap", "empty.yaml"):
+        (folder / name).touch()
+    (folder / "binary.yaml").write_bytes(bytes(range(256)))
+    (folder / "table.yaml").write_text("body1: {column: ai0, unit: g}\n")
+    (folder / "loop").symlink_to("loop")
+    (folder / "dangling").symlink_to("nowhere")
+    os.mkfifo(folder / "fifo")
+    for name, minor in (("null", 3), ("zero", 5), ("full", 7)):
+        try:
+            os.mknod(folder / name, stat.S_IFCHR | 0o666, os.makedev(1, minor))
+        except PermissionError:
+            # Only root may make devices; nobody else can lose one either.
+            (folder / name).symlink_to(f"/dev/{name}")
+
+
+def contents(folder: Path) -> dict[str, str]:
+    """Describe everything in a folder: its kind, and a digest of ordinary files."""
+    return {str(path.relative_to(folder)): _content(path) for path in sorted(folder.rglob("*"))}
+
+
+def _content(path: Path) -> str:
+    mode = path.lstat().st_mode
+    if stat.S_ISREG(mode):
+        return hashlib.blake2b(path.read_bytes()).hexdigest()
+    return f"{stat.S_IFMT(mode):o}"
+
+
+def lost(before: dict[str, str], after: dict[str, str], words: list[str]) -> list[str]:
+    """Name what is gone or another thing; an ordinary file may only be replaced by who says --overwrite."""
+    found = [f"file lost: {name}" for name in before if name not in after]
+    for name in before.keys() & after.keys():
+        ordinary = len(before[name]) > 6 and len(after[name]) > 6
+        if before[name] != after[name] and not (ordinary and "--overwrite" in words):
+            found.append(f"file changed: {name}")
+    return sorted(found)
+
+
+def draw(chance: random.Random) -> list[str]:
+    """Draw a command of any package, with some of its options and arguments, some of which are odd."""
+    program = chance.choice(PACKAGES)
+    commands: Any = typer.main.get_command(import_module(f"{program}.cli").app)
+    name = chance.choice(list(commands.commands))
+    odd = chance.choice((0.2, 0.5, 0.9))
+    options, arguments = [], []
+    for each in commands.commands[name].params:
+        if chance.random() > (0.95 if each.required else 0.25):
+            continue
+        if each.param_type_name == "argument":
+            arguments += [
+                _value(each, odd, chance) for _ in range(chance.choice((1, 1, 2)) if each.nargs < 0 else 1)
+            ]
+        elif each.is_flag:
+            options.append([each.opts[0]])
+        else:
+            options.append(
+                [chance.choice(each.opts), *(_value(each, odd, chance) for _ in range(each.nargs))]
+            )
+    if chance.random() < 0.05:
+        options.append([chance.choice(("--nonsense", "-x", "--help", "-o", "--", "--set"))])
+    if chance.random() < 0.1:
+        chance.shuffle(arguments)
+    chance.shuffle(options)
+    rest = [word for option in options for word in option]
+    # A script's arguments are its own: what is for us stands before it.
+    return [program, name, *((*rest, *arguments) if name == "run" else (*arguments, *rest))]
+
+
+def _value(option: Any, odd: float, chance: random.Random) -> str:
+    """Give a value for an option or an argument."""
+    if chance.random() > odd:
+        return chance.choice(SOUND.get(option.name, ("1", "2", "0.5")))
+    pool = chance.random()
+    if pool < 0.4:
+        return chance.choice(NUMBERS) + chance.choice(UNITS)
+    return chance.choice(PLACES if pool < 0.75 else TEXTS)

@@ -19,6 +19,21 @@ if TYPE_CHECKING:
 
 app = application("The instrument: record, look at, repair and replay tests.")
 
+# What is no recording, by its name.
+OTHER_FORMATS = (
+    ".csv",
+    ".txt",
+    ".npz",
+    ".mat",
+    ".uff",
+    ".wav",
+    ".tdms",
+    ".rrd",
+    ".yaml",
+    ".png",
+    ".svg",
+    ".html",
+)
 # How a rig that scripts and clients drive is named.
 ON_THE_BENCH = "Scene on the bench (default: SHOTRIG_SCENE, or three particle dampers)."
 Clock = Annotated[
@@ -180,6 +195,7 @@ def recover(
     """Make a whole recording of a torn or damaged one, and say exactly what was lost."""
     from daq.recording.recovery import recover as recover_recording
 
+    _no_other_format(output)
     for line in recover_recording(file, output, overwrite).report():
         print(line)
 
@@ -225,7 +241,9 @@ def scope(
 def run_a_script(
     script: Annotated[Path, typer.Argument(metavar="SCRIPT.py", help="A script that uses nidaqmx.")],
     arguments: Annotated[
-        list[str] | None, typer.Argument(metavar="[ARGS]...", help="For the script.")
+        list[str] | None,
+        # Whatever they are, they are the script's affair.
+        typer.Argument(metavar="[ARGS]...", help="For the script.", callback=lambda given: given),
     ] = None,
     scene: Annotated[str | None, typer.Option(metavar="SCENE", help=ON_THE_BENCH)] = None,
     changes: Changes = None,
@@ -329,6 +347,7 @@ def _free(path: Path, overwrite: bool) -> Path:
 
     The recorder looks as well, but only when everything else has been switched on.
     """
+    _no_other_format(path)
     try:
         there = path.exists()
     except OSError as error:
@@ -338,6 +357,15 @@ def _free(path: Path, overwrite: bool) -> Path:
     if there and not overwrite:
         raise RecordingError(f"{path} exists: give another name with -o, or --overwrite to replace it")
     return path
+
+
+def _no_other_format(path: Path) -> None:
+    """Refuse to name a recording as files of another format are, which programs would then take it for."""
+    if path.suffix.lower() in OTHER_FORMATS:
+        raise RecordingError(
+            f"{path}: recordings are MCAP files; expected a name such as {path.with_suffix('.mcap')}; of one, "
+            "`analysis export` makes files for other programs and `analysis frf` figures and tables"
+        )
 
 
 def main() -> None:

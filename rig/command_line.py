@@ -114,10 +114,12 @@ def _carry_out(module: str, words: Sequence[str]) -> int:
 
 
 def _bounded(context: Any, option: Any, value: Any) -> Any:
-    """Refuse an option that is no number, or one beyond anything that is measured, before arithmetic meets it."""
+    """Refuse an option that is empty, no number or beyond anything that is measured, before any work."""
     import typer
 
     for number in value if isinstance(value, list | tuple) else [value]:
+        if isinstance(number, str) and not number.strip():
+            raise typer.BadParameter(f"got {number!r}; expected something", ctx=context, param=option)
         if isinstance(number, float) and not abs(number) <= LARGEST:
             raise typer.BadParameter(
                 f"got {number}; expected a number, at most {LARGEST:g}", ctx=context, param=option

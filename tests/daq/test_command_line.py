@@ -6,6 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from daq.cli import app
+from rig.errors import RecordingError
 
 
 @pytest.mark.parametrize(
@@ -25,3 +26,18 @@ def test_given_an_option_that_could_change_nothing_when_asked_for_then_what_it_n
     ended = CliRunner().invoke(app, words.split())
     assert ended.exit_code == 2
     assert message in " ".join(ended.output.replace("│", " ").split())
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "record fig9 -o a.csv",
+        "import x.csv --scene fig9 -o a.UFF",
+        "recover a.mcap -o a.npz",
+        "scope fig9 -o a.rrd",
+    ],
+)
+def test_given_a_name_of_another_format_when_a_recording_is_to_be_made_then_it_is_refused(words):
+    ended = CliRunner().invoke(app, words.split())
+    assert isinstance(ended.exception, RecordingError)
+    assert "expected a name such as a.mcap" in str(ended.exception)

@@ -10,8 +10,10 @@ import types
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
+from typing import Annotated
 
 import pytest
+import typer
 
 from rig import console
 from rig.command_line import application, run
@@ -106,6 +108,18 @@ def test_given_an_option_that_nothing_can_measure_when_a_command_gets_it_then_it
     assert command(act) == 2
     told = capsys.readouterr().err
     assert words[:4] in told and "expected a number, at most 1e+12" in told
+
+
+@pytest.mark.parametrize("words", [["--name", ""], ["--each", "x", "--each", " "], [""]])
+def test_given_an_option_that_is_empty_when_a_command_gets_it_then_it_is_refused(
+    command, capsys, monkeypatch, words
+):
+    def act(what: Annotated[str, typer.Argument()] = "x", name: str = "x", each: list[str] = []) -> None:  # noqa: B006
+        raise AssertionError("not reached")
+
+    monkeypatch.setattr(sys, "argv", ["rig", "act", *words])
+    assert command(act) == 2
+    assert "expected something" in capsys.readouterr().err
 
 
 def test_given_text_of_a_file_when_printed_then_what_a_terminal_would_obey_is_shown(command, capsys):

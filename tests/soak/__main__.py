@@ -29,6 +29,7 @@ matplotlib.use("agg")
 CASES = {
     "kills": 200,
     "starts": 100,
+    "studies": 40,
     "damage": 400,
     "disks": 100,
     "scenes": 150,

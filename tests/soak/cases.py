@@ -19,7 +19,7 @@ from daq.measurement.run import _RAMP
 from rig.errors import ShotrigError
 from tests.daq.importing import files
 from tests.soak import command_lines, recordings, scenes
-from tests.soak.command import Ended, ours, run, run_afresh
+from tests.soak.command import Ended, left_behind, ours, run, run_afresh
 
 READING = (
     "daq info r.mcap --check",
@@ -39,6 +39,13 @@ READING = (
     "analysis export r.mcap -o o.csv --from {odd} --to {odd}",
     "analysis frf r.mcap --block {odd} --overlap {odd}",
     "daq replay r.mcap --save x.rrd --from {odd} --speed {odd}",
+)
+STUDIES = (
+    "rig map s.yaml --rows 2 --points 3",
+    "rig map s.yaml --rows 2 --points 3 --cluster local",
+    "rig design s.yaml --budget 50g",
+    "analysis paper",
+    "analysis demo",
 )
 # A client of the instrument.
 CLIENT = """
@@ -156,6 +163,22 @@ def begin(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
     return ended, bench.compare(folder / "r.mcap", 0) if words[1] != "record" else []
 
 
+def end_study(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
+    """Interrupt a study and all its workers, as a terminal does; none of them complains, and none is left."""
+    folder = bench.clear()
+    (folder / "s.yaml").write_text(yaml.safe_dump(scenes.BASES[0]))
+    how, groups = chance.choice((signal.SIGINT, signal.SIGINT, signal.SIGTERM)), []
+    at = chance.uniform(0.5, 8.0) * bench.start
+
+    def strike(process: int, seconds: float) -> None:
+        if seconds > at and not groups:
+            groups.append(process)
+            os.killpg(process, how)
+
+    ended = _struck(run_afresh(chance.choice(STUDIES).split(), folder, strike), how)
+    return ended, ["process left"] if any(left_behind(group) for group in groups) else []
+
+
 def _striking(how: signal.Signals, at: float) -> Callable[[int, float], None]:
     """Give what sends a process a signal, once, after a time in s."""
     done = []
@@ -170,7 +193,7 @@ def _striking(how: signal.Signals, at: float) -> Callable[[int, float], None]:
 def _struck(ended: Ended, how: signal.Signals) -> Ended:
     """Take from how a command ended what a signal may do to any process, and to Python before it knows of us."""
     output = ended.output
-    if how == signal.SIGINT and "Traceback" in output and "KeyboardInterrupt" in output and not ours(output):
+    if how == signal.SIGINT and "Traceback" in output and not ours(output) and "interrupted" not in output:
         output = ""
     # Until the command line answers signals, it ends by them as any process does.
     return replace(ended, code=0 if ended.code == -how else ended.code, output=output)
@@ -282,6 +305,7 @@ def odd_import(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
 KINDS: dict[str, Callable[[Bench, random.Random], tuple[Ended, list[str]]]] = {
     "kills": kill,
     "starts": begin,
+    "studies": end_study,
     "damage": damage,
     "disks": fill_disk,
     "scenes": odd_scene,

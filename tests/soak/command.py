@@ -9,6 +9,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -136,6 +137,18 @@ def ours(output: str) -> bool:
     )
 
 
+def left_behind(process: int, seconds: float = 5.0) -> bool:
+    """Whether processes of a command are still there some time after it has ended."""
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        try:
+            os.killpg(process, 0)
+        except ProcessLookupError:
+            return False
+        time.sleep(LOOK)
+    return True
+
+
 class _OwnTime:
     """Time that a command had for itself: none in which it queued for a processor."""
 
@@ -187,7 +200,7 @@ def _watch(
                 break
     finally:
         if said:
-            os.kill(process, signal.SIGKILL)
+            os.killpg(process, signal.SIGKILL)
         _, status, used = os.wait4(process, 0)
         os.close(reading)
     return Ended(
@@ -208,10 +221,15 @@ def _fork(folder: Path, environment: dict[str, str], act: Callable[[], None]) ->
     before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
     process = os.fork()
     if process == 0:
+        # A group of its own, as a shell gives to each command: a terminal tells all of it of Ctrl-C.
+        os.setpgid(0, 0)
         for number in signals:
             signal.signal(number, signal.SIG_DFL)
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
         _become(folder, writing, environment, act)
+    with suppress(OSError):
+        # Whoever of the two is first.
+        os.setpgid(process, process)
     signal.pthread_sigmask(signal.SIG_SETMASK, before)
     os.close(writing)
     return process, reading

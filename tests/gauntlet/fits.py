@@ -116,7 +116,7 @@ def _points(dice: Draw, chain: Settings, modes: list[float]) -> list[float]:
     points = set(np.geomspace(low, high, 16).tolist())
     for mode in modes:
         points |= {mode * (1.0 + 0.012 * step * abs(step) / 2.0) for step in range(-4, 5)}
-    return sorted(float(f"{point:.5g}") for point in points if low <= point <= high)
+    return sorted({float(f"{point:.5g}") for point in points if low <= point <= high})
 
 
 def try_out(seed: int, number: int) -> Trial:

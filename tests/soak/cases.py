@@ -195,8 +195,9 @@ def _struck(ended: Ended, how: signal.Signals) -> Ended:
     output = ended.output
     if how == signal.SIGINT and "Traceback" in output and not ours(output) and "interrupted" not in output:
         output = ""
-    # Until the command line answers signals, it ends by them as any process does.
-    return replace(ended, code=0 if ended.code == -how else ended.code, output=output)
+    # Until the command line answers signals, it ends by them as any process does; and so does Python, whatever it was
+    # told, where an interrupt went through code that a library compiles on the way.
+    return replace(ended, code=0 if ended.code in (-how, -signal.SIGINT) else ended.code, output=output)
 
 
 def damage(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
@@ -274,7 +275,7 @@ def odd_words(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
     # What goes on for long is told to end, and before long what waits for its user, silently and rightly so.
     latest = 15.0 if words[1] in ("serve", "scope", "replay") else 25.0
     ended = run(words, folder, end=_striking(signal.SIGTERM, chance.uniform(5.0, latest)))
-    return ended, command_lines.lost(before, command_lines.contents(folder), words)
+    return _struck(ended, signal.SIGTERM), command_lines.lost(before, command_lines.contents(folder), words)
 
 
 def _reading(chance: random.Random, commands: Sequence[str] = READING) -> list[str]:

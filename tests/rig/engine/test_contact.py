@@ -8,7 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rig
-from rig.engine.contact import _forces, _stays, _touches, impact, release_tensile
+from rig.engine.contact import (
+    _forces,
+    _hold_low_lifts,
+    _release_alone,
+    _release_together,
+    _stays,
+    _touches,
+    impact,
+    release_tensile,
+)
 from rig.engine.propagator import Propagator
 from rig.engine.state import CEILING, FLIGHT, FLOOR, SEPARATION, State
 from rig.numerics.complementarity import ROUNDING
@@ -184,6 +193,83 @@ def test_given_a_rebound_when_it_rises_less_than_the_rounding_of_its_wall_then_i
         # Nothing presses it there.
         work.force[1] = -100.0 * SIGN[wall]
         assert not _stays(model, state, 1, 1e-30, work.force)
+
+
+@pytest.mark.parametrize("wall", [FLOOR, CEILING])
+@pytest.mark.parametrize("coupled", [False, True])
+@pytest.mark.parametrize(("part", "lifts"), [(-2.0, False), (0.0, False), (0.99, False), (1.01, True)])
+def test_given_a_pull_when_it_is_within_the_rounding_of_its_terms_then_it_is_left_to_the_step(
+    wall: int, coupled: bool, part: float, lifts: bool
+) -> None:
+    run = engine(0.2 if coupled else 0.0)
+    state, model, system = scatter(run, [FLIGHT, wall, FLIGHT], 3), run.tables.model, run.system
+    # Far from rest, so that the terms are large and add up to next to nothing.
+    state.z[: run.tables.size] *= 1e3
+    terms = np.hstack([system.force_state, system.force_drive @ run.drive.output])
+    inverse = np.linalg.inv(system.mass)[1]
+    size = model.gravity + np.abs(inverse) @ np.abs(terms * state.z[: terms.shape[1]]).sum(axis=1)
+    assert np.count_nonzero(inverse) == (3 if coupled else 1) and size > 1e3 * model.gravity
+    acceleration = -SIGN[wall] * part * ROUNDING * size
+    work = run.workspace.contact
+    work.force[:3] = 0.0, (acceleration - model.gravity) / inverse[1], 0.0
+    release = _release_together if coupled else _release_alone
+    release(run.tables.flow, model, state, run.log, 7, 0.25, work)
+    assert (state.mode[1] == FLIGHT) == lifts and run.log.filled[0] == lifts
+    if lifts:
+        log = run.log
+        assert (log.segment[0], log.offset[0], log.damper[0]) == (7, 0.25, 1)
+
+
+@pytest.mark.parametrize("wall", [FLOOR, CEILING])
+@pytest.mark.parametrize("coupled", [False, True])
+@pytest.mark.parametrize(("closing", "stays"), [(1e-9, True), (1e-3, False)])
+def test_given_a_damper_that_hits_when_its_rebound_is_too_low_to_see_then_it_rides(
+    wall: int, coupled: bool, closing: float, stays: bool
+) -> None:
+    run = engine(0.2 if coupled else 0.0, restitution=0.4)
+    state, model = run.state, run.tables.model
+    state.mode[:], state.counters[0] = FLIGHT, -1
+    # The structure presses the wall of body 1 against its damper, and those of the others are far away.
+    state.z[model.position] = -1e-3 if wall == FLOOR else 1e-2
+    state.z[model.velocity] = 0.25
+    state.height[:], state.speed[:] = state.z[model.position] + 0.5 * CLEARANCE, 0.25
+    state.height[0] = state.z[model.position[0]] + (CLEARANCE if wall == CEILING else 0.0)
+    state.speed[0] = 0.25 - SIGN[wall] * closing
+    before = run.system.mass @ state.z[model.velocity] + model.mass * state.speed
+    impact(
+        run.tables.flow, model, state, run.log, 7, 0.25, 0, wall,
+        run.workspace.contact, True if coupled else None,
+    )  # fmt: skip
+    assert state.mode.tolist() == [wall if stays else FLIGHT, FLIGHT, FLIGHT]
+    assert state.multiplicity[0] == (0 if stays else SIGN[wall])
+    body = state.z[model.velocity]
+    own = np.where(state.mode == FLIGHT, state.speed, body)
+    np.testing.assert_allclose(run.system.mass @ body + model.mass * own, before, atol=1e-15)
+    rebound = SIGN[wall] * (own[0] - body[0])
+    assert rebound == (0.0 if stays else pytest.approx(0.4 * closing, rel=1e-9))
+
+
+@pytest.mark.parametrize("wall", [FLOOR, CEILING])
+@pytest.mark.parametrize(("part", "held"), [(0.999, True), (1.001, False)])
+def test_given_a_contact_that_an_impact_opens_when_it_opens_too_slowly_to_see_then_it_is_held(
+    wall: int, part: float, held: bool
+) -> None:
+    run = engine(0.2)
+    state, model, work = run.state, run.tables.model, run.workspace.contact
+    state.mode[:], row = wall, model.position[1]
+    state.z[row], size = -0.3, 2 * 0.3 + (CLEARANCE if wall == CEILING else 0.0)
+    work.force[:3] = 3.0, -20.0, 5.0
+    pull = model.gravity + np.abs(np.linalg.inv(run.system.mass)[1] * work.force[:3]).sum()
+    lowest = np.sqrt(2 * pull * ROUNDING * size)
+    matrix, pressure = np.array([[3.0, -0.5], [-0.5, 2.0]]), np.array([0.0, 0.25])
+    work.member[:2], work.active[:2] = (1, 2), (False, True)
+    work.matrix[:2, :2], work.pressure[:2] = matrix, pressure
+    work.opening[:2] = part * lowest - matrix[0] @ pressure, -0.5
+    work.right[:2] = work.opening[:2]
+    _hold_low_lifts(model, state, work, 2)
+    assert work.active[:2].tolist() == [held, True]
+    wanted = np.linalg.solve(matrix, -work.right[:2]) if held else pressure
+    np.testing.assert_allclose(work.pressure[:2], wanted, rtol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 import analysis
 import daq
 import rig
-from analysis.responses.aliasing import aliasing_part
+from analysis.responses.aliasing import _blows, _free_acceleration, aliasing_part
 from analysis.responses.systematic import ALIASING
 from daq.signal_chain.channel import ChannelInfo
 
@@ -133,6 +133,38 @@ def test_given_a_moving_coil_when_images_of_its_drive_fold_back_then_the_bound_h
         assert 0.99 * true * abs(value[column]) <= bound[column] <= 1.25 * true * abs(value[column]), (
             frequency
         )
+
+
+MASSES = """
+structure: {matrices: {mass: [[2.0, 0.5], [0.5, 1.0]], stiffness: [[8e+3, -4e+3], [-4e+3, 4e+3]]}}
+dampers:
+  - {body: 1, mass: 0.2 kg, clearance: 1 mm}
+  - {body: 1, mass: 0.1 kg, clearance: .inf}
+  - {body: 1, mass: 0.4 kg, clearance: 1 mm, locked: true}
+  - {body: 1, mass: 0.8 kg, clearance: 0 mm}
+  - {body: 1, mass: 1.6 kg, clearance: 1 mm, contact: {duration: 2 ms}}
+  - {body: 2, mass: 0.3 kg, clearance: 1 mm}
+shaker: {kind: force, body: 2}
+"""
+
+
+def test_given_dampers_of_all_kinds_when_asked_for_blows_then_only_those_count_that_land_at_once_in_that_body():
+    scene = rig.loads(MASSES, where="a test")
+    # With the other body free to move, a body of 2 kg answers a newton as one of 2 - 0.5^2 / 1 kg.
+    assert _blows(scene, 1) == pytest.approx((0.2 + 0.1) / (2.0 - 0.25))
+    assert _blows(scene, 2) == pytest.approx(0.3 / (1.0 - 0.125))
+    assert _free_acceleration(scene, 1) == 0.0
+    assert _free_acceleration(scene, 2) == pytest.approx(1.0 / (1.0 - 0.125))
+
+
+def test_given_what_another_instrument_measured_when_asked_for_images_then_nothing_is_said_of_them():
+    info = channel()
+    scene = rig.loads(SCENE, where="a test")
+    value, share = np.ones(4, dtype=complex), np.ones((1, 4), dtype=complex)
+    for source, parts in (("other.uff", {}), ("", {ALIASING})):
+        rec = SimpleNamespace(source=source, channels={"a": info}, scene=scene)
+        told = aliasing_part(rec, ["a"], FREQUENCY, value, share, 0.0 * share, "acceleration")
+        assert set(told) == set(parts)
 
 
 BLOWS = """

@@ -171,6 +171,24 @@ def test_given_a_clock_that_is_off_when_a_curve_is_told_then_it_is_off_along_it_
     assert part(4, "rate: 5120 Hz") == {}
 
 
+def test_given_a_peak_between_sparse_points_when_a_clock_is_off_then_the_steeper_side_of_each_counts():
+    frequency, value = np.array([10.0, 12.0, 12.0, 13.0]), np.array([1.0, 5.0, 4.0j, 8.0])
+    force = ChannelInfo("b", "shaker", "force", sensitivity=0.5, rate=RATE)
+    rec = recording(channel("a"), force, converter="rate: 5120 Hz, clock_error: 50 ppm")
+    share = np.array([[1.0], [0.0]])
+
+    def slope(points):
+        v, f = value[:points], frequency[:points]
+        told = only(clock_part(rec, "ab", f, v, v * share, share[::-1] + 0 * v, "acceleration"))
+        return told / (50e-6 * f)
+
+    last = abs(8.0 - 4.0j)
+    # Two points at one frequency have no slope between them.
+    assert slope(4) == pytest.approx([2.0, 2.0, last, last])
+    assert slope(3) == pytest.approx([2.0, 2.0, 0.0])
+    assert slope(2) == pytest.approx([2.0, 10.0 * 5.0 / 12.0])
+
+
 def test_given_two_accelerations_when_a_clock_is_off_then_their_quotient_is_off_along_the_curve_alone():
     value = np.full(4, 0.3 - 0.4j)
     rec = recording(channel("a"), channel("b"), converter="rate: 5120 Hz, clock_error: 50 ppm")

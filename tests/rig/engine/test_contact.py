@@ -29,15 +29,16 @@ CLEARANCE = 2e-3
 SIGN = {FLOOR: 1.0, CEILING: -1.0}
 
 
-def engine(coupling: float, restitution: float = 0.0, lasting: int = 0) -> Propagator:
-    """Three bodies, coupled through their masses or not, with a damper in each; the first ones' contacts last."""
+def engine(coupling: float, restitution: float = 0.0, lasting: int = 0, apart: int = 0) -> Propagator:
+    """Three bodies with a damper in each, coupled through their masses but for the last ones; first contacts last."""
     contact = {"contact": {"duration": "2 ms"}}
     dampers = [
         {"body": body, "mass": 0.1 * body, "clearance": CLEARANCE, "restitution": restitution}
         | (contact if body <= lasting else {})
         for body in (1, 2, 3)
     ]
-    mass = np.diag([1.0, 0.8, 0.6]) + coupling * (1 - np.eye(3))
+    coupled = np.arange(3) < 3 - apart
+    mass = np.diag([1.0, 0.8, 0.6]) + coupling * (1 - np.eye(3)) * np.outer(coupled, coupled)
     scene = rig.Scene.model_validate(
         {
             "structure": {
@@ -247,6 +248,19 @@ def test_given_a_damper_that_hits_when_its_rebound_is_too_low_to_see_then_it_rid
     np.testing.assert_allclose(run.system.mass @ body + model.mass * own, before, atol=1e-15)
     rebound = SIGN[wall] * (own[0] - body[0])
     assert rebound == (0.0 if stays else pytest.approx(0.4 * closing, rel=1e-9))
+
+
+def test_given_a_damper_at_rest_in_a_body_that_an_impact_does_not_reach_when_it_happens_then_it_stays() -> (
+    None
+):
+    run = engine(0.2, apart=1)
+    state, model = run.state, run.tables.model
+    state.mode[:], state.counters[0] = (FLIGHT, FLIGHT, FLOOR), -1
+    state.height[:], state.speed[:] = state.z[model.position] + 0.5 * CLEARANCE, 0.0
+    state.height[0], state.speed[0] = state.z[model.position[0]], -0.5
+    impact(run.tables.flow, model, state, run.log, 7, 0.25, 0, FLOOR, run.workspace.contact, True)
+    assert state.z[model.velocity[2]] == 0.0 and state.mode.tolist() == [FLOOR, FLIGHT, FLOOR]
+    assert run.log.filled[0] == 1
 
 
 @pytest.mark.parametrize("wall", [FLOOR, CEILING])

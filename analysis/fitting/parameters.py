@@ -88,6 +88,11 @@ class Parameter:
         """Whether it is a share that stays below one."""
         return self.what in ("restitution", "modal")
 
+    @property
+    def seen_riding(self) -> bool:
+        """Whether it counts where no damper moves: of dampers, their masses do."""
+        return self.damper is None or self.what in ("mass", "mass_ratio")
+
     def unknown(self, value: float) -> float:
         """Give the unknown that stands for a value: its logarithm, or that of a share to the rest."""
         return float(np.log(value / (1.0 - value)) if self.below_one else np.log(value))

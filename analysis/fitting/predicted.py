@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,7 +11,7 @@ from analysis.fitting.measured import Curves
 from rig.errors import SceneError
 from rig.scene.scene import Scene
 from rig.system.assembly import assemble
-from rig.system.open_loop_drive import riding_response
+from rig.system.open_loop_drive import riding_equations, riding_response
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -45,10 +47,52 @@ def on_the_bench(model: Scene, curves: Curves) -> Scene:
 def linear(bench: Scene, curves: Curves, frequency: Array) -> ComplexArray:
     """Displacement of the bodies over the reference, all dampers riding, shape (bodies, frequencies)."""
     system = assemble(bench)
-    hammer = bench.test is not None and bench.test.kind == "impulse"
-    drive = "hammer" if hammer else bench.at_driven("shaker")
-    states = riding_response(system, drive, 2.0 * np.pi * frequency)
+    states = riding_response(system, _drive(bench), 2.0 * np.pi * frequency)
     bodies = bench.structure.bodies
     if curves.reference == "table":
         return states[:bodies] / states[system.points.index(bench.at_driven("table"))]
     return states[:bodies]
+
+
+def linear_slopes(
+    bench: Scene, curves: Curves, frequency: Array, changed: Sequence[tuple[Scene, Scene, float]]
+) -> tuple[ComplexArray, ComplexArray]:
+    """Give the derivatives of what `linear` gives: with respect to values of the scene, and to the frequency.
+
+    From those of the matrices, in which masses and springs are linear: differences of the response itself know too
+    little of a combination of values that moves nothing, which narrow resonances hide in what they add up to.
+
+    Parameters
+    ----------
+    changed : sequence of (Scene, Scene, float)
+        For each value: benches with more and with less of it, and the distance of the two.
+
+    Returns
+    -------
+    by_value : ndarray of complex, shape (values, bodies, frequencies)
+    by_frequency : ndarray of complex, shape (bodies, frequencies)
+        Per Hz.
+    """
+    system = assemble(bench)
+    inertia, matrix, _ = riding_equations(system, _drive(bench))
+    omega = 2.0 * np.pi * frequency
+    states = riding_response(system, _drive(bench), omega)
+    right = [-1j * (inertia @ states)]
+    for more, less, distance in changed:
+        each = zip(*(riding_equations(assemble(one), _drive(one)) for one in (more, less)), strict=True)
+        by_inertia, by_matrix, by_inflow = ((high - low) / distance for high, low in each)
+        right.append(by_matrix @ states + by_inflow[:, None] - 1j * omega * (by_inertia @ states))
+    dynamic = 1j * omega[:, None, None] * inertia - matrix
+    by = np.linalg.solve(dynamic, np.array(right).transpose(2, 1, 0)).transpose(2, 1, 0)
+    bodies = bench.structure.bodies
+    found = by[:, :bodies]
+    if curves.reference == "table":
+        table = system.points.index(bench.at_driven("table"))
+        ratio = states[:bodies] / states[table]
+        found = (found - ratio * by[:, table, None]) / states[table]
+    return np.asarray(found[1:]), np.asarray(2.0 * np.pi * found[0])
+
+
+def _drive(bench: Scene) -> str:
+    hammer = bench.test is not None and bench.test.kind == "impulse"
+    return "hammer" if hammer else bench.at_driven("shaker")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from analysis.fitting.measured import Curves, Sensor
 from analysis.fitting.parameters import Parameter, with_values
-from analysis.fitting.predicted import linear, on_the_bench
+from analysis.fitting.predicted import linear, linear_slopes, on_the_bench
 from analysis.fitting.steady_tones import SteadyTones
 from rig.scene.scene import Scene
 
@@ -21,8 +21,9 @@ ComplexArray = NDArray[np.complex128]
 VAGUE = 1.0
 # No value is tried farther away, factors of e.
 _FARTHEST = 6.0
-# A step for derivatives: motions are exact to some 1e-13.
-_STEP = 1e-6
+# A step for derivatives of motions with dampers, which are exact to some 1e-13; and one, relative, of matrices in which
+# values are linear but for modal damping, which is small.
+_STEP, _BESIDE = 1e-6, 1e-3
 # Residual, in standard deviations, of a point at which the model has no steady motion, and of any one at most.
 _LOST = 30.0
 # Largest miss, in standard deviations and in typical misses, of a point that is not taken for another motion.
@@ -154,6 +155,13 @@ class Problem:
         """Tell what the sensors should have read, shape (responses, n); NaN where there is no steady motion."""
         curves = group.curves
         gain = 1.0 + self.deviation(x, curves.reference_sensor)
+        own = np.array([1.0 + self.deviation(x, sensor) for sensor in curves.sensors])
+        return own[:, None] / gain * self._answer(x, group, scene, settle)[list(curves.bodies)]
+
+    def _answer(self, x: Array, group: Group, scene: Scene, settle: bool = True) -> ComplexArray:
+        """Displacement of the bodies over the reference, shape (bodies, n)."""
+        curves = group.curves
+        gain = 1.0 + self.deviation(x, curves.reference_sensor)
         clock = 1.0 + self.clock_deviation(x)
         level = None if group.tones is None else gain
         key = (*x[: len(self.parameters)].tolist(), clock, 0.0 if level is None else level)
@@ -166,9 +174,7 @@ class Problem:
                 assert curves.level is not None
                 bodies = group.tones.at(bench, curves.level / gain, frequency, settle)
             group.last = (key, settle, bodies)
-        bodies = group.last[2][list(curves.bodies)]
-        own = np.array([1.0 + self.deviation(x, sensor) for sensor in curves.sensors])
-        return own[:, None] / gain * bodies
+        return group.last[2]
 
     def misses(
         self, x: Array, group: Group, scene: Scene, distrust: float = 0.0, settle: bool = True
@@ -194,18 +200,84 @@ class Problem:
     ) -> Array:
         """Differentiate `residual` with respect to active unknowns, shape (residuals, active).
 
-        Motions keep their events as they are followed from the ones known at x.
+        Exact where the rig is linear. Motions of dampers keep their events as they are followed from the ones known
+        at x.
         """
-        chosen = range(self.size) if active is None else active
-        base = self.residual(x, groups, distrust, settle=False)
-        found = np.empty((base.size, len(chosen)))
-        for column, k in enumerate(chosen):
+        chosen = list(range(self.size)) if active is None else list(active)
+        scene = self.scene(x)
+        moving = [group for group in groups if group.tones is not None]
+        following = iter(self._differences(x, moving, scene, distrust, chosen))
+        parts = [
+            self._linear_slopes(x, group, scene, distrust, chosen) if group.tones is None else next(following)
+            for group in groups
+        ]
+        flat = (
+            np.concatenate([part.reshape(-1, len(chosen)) for part in parts])
+            if parts
+            else np.zeros((0, len(chosen)))
+        )
+        prior = np.zeros((self.size, len(chosen)))
+        prior[chosen, range(len(chosen))] = 1.0 / self.spread[chosen]
+        return np.concatenate([flat.real, flat.imag, prior])
+
+    def _differences(
+        self, x: Array, groups: Sequence[Group], scene: Scene, distrust: float, chosen: Sequence[int]
+    ) -> list[ComplexArray]:
+        """Slopes of the misses of each group by differences; shape (used, responses, chosen)."""
+        if not groups:
+            return []
+        base = [self.misses(x, group, scene, distrust, settle=False) for group in groups]
+        columns: list[list[ComplexArray]] = [[] for _ in groups]
+        for k in chosen:
             moved = x.copy()
             moved[k] += _STEP
-            found[:, column] = (self.residual(moved, groups, distrust, settle=False) - base) / (
-                moved[k] - x[k]
-            )
-        return found
+            there = self.scene(moved)
+            for group, here, column in zip(groups, base, columns, strict=True):
+                off = self.misses(moved, group, there, distrust, settle=False) - here
+                column.append(off / (moved[k] - x[k]))
+        return [np.stack(column, axis=-1) for column in columns]
+
+    def _linear_slopes(
+        self, x: Array, group: Group, scene: Scene, distrust: float, chosen: Sequence[int]
+    ) -> ComplexArray:
+        """Slopes of the misses of a group in which no damper moves; shape (used, responses, chosen)."""
+        curves, used, count = group.curves, group.used, len(self.parameters)
+        seen = [k for k in chosen if k < count and self.parameters[k].seen_riding]
+        by_value, by_frequency = linear_slopes(
+            on_the_bench(scene, curves),
+            curves,
+            curves.frequency * (1.0 + self.clock_deviation(x)),
+            [self._beside(x, k, curves) for k in seen],
+        )
+        values = self.values(x)
+        gain = 1.0 + self.deviation(x, curves.reference_sensor)
+        own = np.array([1.0 + self.deviation(x, sensor) for sensor in curves.sensors])
+        bodies, rows = self._answer(x, group, scene), list(curves.bodies)
+        slopes = np.zeros((len(chosen), *curves.value.shape), dtype=complex)
+        for column, k in enumerate(chosen):
+            if k in seen:
+                one = self.parameters[k]
+                by_unknown = values[k] * slope(one, float(values[k]))
+                slopes[column] = own[:, None] / gain * by_value[seen.index(k)][rows] * by_unknown
+            elif count <= k < count + len(self.sensors):
+                sensor = self.sensors[k - count]
+                of = np.array([float(one == sensor) for one in curves.sensors])[:, None]
+                by_gain = float(curves.reference_sensor == sensor)
+                slopes[column] = (of - by_gain * own[:, None] / gain) / gain * bodies[rows]
+            elif k >= count:
+                slopes[column] = own[:, None] / gain * by_frequency[rows] * curves.frequency
+        white = np.einsum("nij,cjn->nic", curves.whiten[used], slopes[:, :, used])
+        return white / np.sqrt(1.0 + (distrust * group.around[used]) ** 2)[..., None]
+
+    def _beside(self, x: Array, k: int, curves: Curves) -> tuple[Scene, Scene, float]:
+        """Benches with a little more and a little less of a value, and the distance of the two."""
+        values = self.values(x).tolist()
+        benches = []
+        for sign in (1.0, -1.0):
+            changed = {one.place: value for one, value in zip(self.parameters, values, strict=True)}
+            changed[self.parameters[k].place] *= 1.0 + sign * _BESIDE
+            benches.append(on_the_bench(with_values(self.model, changed), curves))
+        return benches[0], benches[1], 2.0 * _BESIDE * values[k]
 
 
 def _around(curves: Curves) -> Array:

@@ -135,21 +135,42 @@ def with_ideal_force(scene: Scene) -> Scene:
     return scene.replace(shaker=all_of_them if len(all_of_them) > 1 else force, channels=None)
 
 
-def riding_response(system: HybridSystem, name: str, omega: float | Array) -> NDArray[np.complex128]:
-    """States for one unit of the drive of that name, all dampers riding; shape (states,) + that of omega in rad/s."""
+def riding_equations(system: HybridSystem, name: str) -> tuple[Array, Array, Array]:
+    """Matrices of the rig with all dampers riding, under the drive of a name: E dx/dt = G x + b u.
+
+    Returns
+    -------
+    inertia : ndarray, shape (states, states)
+        E: identity but for the mass matrix in the rows of the velocities.
+    matrix : ndarray, shape (states, states)
+        G.
+    inflow : ndarray, shape (states,)
+        b.
+    """
     n, ns = system.coordinates, system.states
+    inertia, matrix, inflow = np.eye(ns), np.zeros((ns, ns)), np.zeros(ns)
     mass = system.mass.copy()
     riding = system.damper_coordinate[~system.lasting]
     np.add.at(mass, (riding, riding), system.damper_mass[~system.lasting])
-    matrix = np.zeros((ns, ns))
+    inertia[n : 2 * n, n : 2 * n] = mass
     matrix[:n, n : 2 * n] = np.eye(n)
     force, _ = system.contact_forces(system.at_rest)
-    matrix[n : 2 * n] = np.linalg.solve(mass, system.force_state + force)
+    matrix[n : 2 * n] = system.force_state + force
     matrix[2 * n :] = system.rate_state
     column = system.inputs.index(name)
-    inflow = np.zeros((ns, 1), dtype=complex)
-    inflow[n : 2 * n, 0] = np.linalg.solve(mass, system.force_drive[:, column])
-    inflow[2 * n :, 0] = system.rate_drive[:, column]
+    inflow[n : 2 * n] = system.force_drive[:, column]
+    inflow[2 * n :] = system.rate_drive[:, column]
+    return inertia, matrix, inflow
+
+
+def riding_response(system: HybridSystem, name: str, omega: float | Array) -> NDArray[np.complex128]:
+    """States for one unit of the drive of that name, all dampers riding; shape (states,) + that of omega in rad/s."""
+    n, ns = system.coordinates, system.states
+    inertia, matrix, column = riding_equations(system, name)
+    mass = inertia[n : 2 * n, n : 2 * n]
+    matrix[n : 2 * n] = np.linalg.solve(mass, matrix[n : 2 * n])
+    inflow = column[:, None].astype(complex)
+    inflow[n : 2 * n, 0] = np.linalg.solve(mass, column[n : 2 * n])
     at = np.asarray(omega)[..., None, None]
     try:
         solved = np.linalg.solve(1j * at * np.eye(ns) - matrix, inflow).astype(np.complex128, copy=False)

@@ -1,0 +1,48 @@
+"""Derivatives of the misses against differences, and what they know of combinations that move nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import analysis
+import daq
+import rig
+from analysis.fitting.measured import measured
+from analysis.fitting.parameters import free_parameters, spelt_out
+from analysis.fitting.problem import Problem
+
+SWEEP = Path(__file__).parents[3] / "recordings" / "demo-sweep-no-damper.mcap"
+FORCE_KNOWN_TO = 0.05
+
+
+def test_given_a_linear_sweep_when_misses_are_differentiated_then_as_their_differences_do():
+    model = spelt_out(rig.load("bare-structure"))
+    with daq.open(SWEEP) as recording:
+        problem = Problem(model, free_parameters(model), measured(recording, "sweep"))
+    x, step = problem.start + np.linspace(0.002, 0.01, problem.size), 1e-7
+    exact = problem.jacobian(x, problem.groups)
+    for k, unit in enumerate(np.eye(problem.size)):
+        ahead, behind = (problem.residual(x + sign * step * unit, problem.groups) for sign in (1.0, -1.0))
+        assert exact[:, k] == pytest.approx(
+            (ahead - behind) / (2.0 * step), abs=1e-5 * abs(exact[:, k]).max()
+        )
+
+
+@pytest.mark.parametrize("damping", [0.0005, 0.01])
+def test_given_a_force_known_to_a_tolerance_when_fitted_then_no_mass_is_known_better(tmp_path, damping):
+    scene = rig.loads(f"""
+structure: {{masses: [0.21 kg], springs: [72 kN/m], damping: {{modal: {damping}}}}}
+shaker: {{kind: force, body: 1}}
+test: {{kind: stepped_sine, from: 80 Hz, to: 110 Hz, points: 15, force: 0.7 N}}
+channels:
+- {{name: b1, at: body 1, accelerometer: {{sensitivity: 10 mV/g}}}}
+- {{name: F, at: shaker, hammer: {{sensitivity: 100 mV/N, sensitivity_tolerance: {FORCE_KNOWN_TO}}}}}
+converter: {{rate: 2048 Hz}}
+""")
+    found = analysis.fit(daq.record(scene, tmp_path / "a.mcap"), scene)["structure.masses[1]"]
+    assert found.low < 0.21 < found.high
+    # Evenly distributed within the tolerance.
+    assert found.half_width == pytest.approx(1.96 * FORCE_KNOWN_TO / 3**0.5, rel=0.1)

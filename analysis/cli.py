@@ -287,7 +287,7 @@ def beds(
         int | None, typer.Option(min=1, help="Only so many settings, spread over all; 6 take minutes.")
     ] = None,
 ) -> None:
-    """Follow beds of grains and the same as one mass, for the paper's claim on them; takes a quarter of an hour."""
+    """Follow beds of grains and the same as one mass, for the paper's claim on them; takes ten minutes."""
     from analysis.paper.bed_study import follow
 
     follow(output, points, lambda line: print(line, flush=True))

@@ -1,9 +1,10 @@
 """One mass against grains, setting by setting: what claim C7 is judged by.
 
-A body with one mode at 50 Hz and a damper of 10 % of its mass, driven at the frequency at which the bed as one mass
-lets it move most. What counts is level, clearance and depth of the bed; body and force go with the mass of the bed, so
-a narrow cavity with few grains and a smooth side stands for a piece of a wide one.
-Results of all settings are kept in the package; `analysis beds` makes them again.
+A cavity shaken at 50 Hz by a body a thousand times heavier than the bed, so that both beds meet the same motion and the
+body has nothing to settle. What counts is its acceleration, the clearance and the depth of the bed; a narrow cavity
+with few grains and a smooth side stands for a piece of a wide one. What such a bed takes from the motion gives the
+compliance, at that amplitude, of a body ten times as heavy as its bed at resonance. Results of all settings are kept in
+the package; `analysis beds` makes them again.
 """
 
 from __future__ import annotations
@@ -13,51 +14,56 @@ import math
 from collections.abc import Callable, Iterator
 from functools import cache
 from importlib.resources import files
-from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from analysis.paper.store import Arrays
-from rig.bed_response.steady_bed import SteadyBed, as_one_mass, steady_grains, steady_mass
+from rig.bed_response.steady_bed import SteadyBed, steady_grains, steady_mass
 from rig.errors import RunError
 from rig.grains.packing import highest, settled
 from rig.grains.spheres import rayleigh_time, spheres_of
-from rig.response.frequency_response import frequency_response
 from rig.scene.damper import Grains
+from rig.scene.excitation import Sine
 from rig.scene.scene import STANDARD_GRAVITY, Scene
 
-#: Force over the weight of the body: about 0.15 to 10 N in the third mode of the paper's rig, whose Fig 9 has 0.2.
-LEVELS = (0.01, 0.03, 0.08, 0.2, 0.6)
-#: m.
-CLEARANCES = (0.3e-3, 0.98e-3, 3e-3, math.inf)
+#: Acceleration in g, and clearances in m; those that one mass does not fly through are left out but for no ceiling, as
+#: they are all the same.
+SETTINGS = {
+    0.9: (math.inf,),
+    1.3: (math.inf,),
+    1.7: (math.inf,),
+    2.2: (0.15e-3, math.inf),
+    3.0: (0.15e-3, 0.3e-3, 0.6e-3, math.inf),
+    4.5: (0.15e-3, 0.3e-3, 0.6e-3, 0.98e-3, 2e-3, math.inf),
+    7.0: (0.15e-3, 0.3e-3, 0.6e-3, 0.98e-3, 2e-3, math.inf),
+}
 #: Grains, and diameter of the cavity in m, that make beds of so many layers.
 BEDS = {2: (70, 14.2e-3), 4: (100, 11.3e-3), 6: (120, 10e-3)}
 SEEDS = (1, 2, 3)
-#: Resonance of the body, Hz; its damping ratio, and the mass of the bed over that of the body.
-RESONANCE, DAMPING, MASS_RATIO = 50.0, 0.005, 0.1
-#: Periods of a block, and most blocks, in which a steady motion is waited for; two blocks are averaged. A body that its
-#: bed damps little takes longer.
-BLOCK, MOST, MOST_BELOW = 10, 3, 5
-#: Force over the body's weight up to which it does.
-LITTLE = 0.03
+#: Hz; the resonance of the heavy body is at half of it.
+FREQUENCY = 50.0
+#: The mass of the bed over that of the body that shakes it.
+SHAKEN = 1e-3
+#: Of the body whose compliance is told: damping ratio, and the mass of the bed over its mass.
+DAMPING, MASS_RATIO = 0.005, 0.1
+#: Periods of a block; there are three, of which the last two are averaged.
+BLOCK = 6
 #: Young's modulus of the grains, Pa.
 MODULUS = 1e8
 #: Rayleigh's times in a step: statistics of a bed do not ask for the rebound of each grain to 1 %.
 STEP = 0.19
-#: Frequencies among which the largest motion is looked for, over the resonance.
-_TRIED = np.linspace(0.94, 1.01, 15)
 #: What is kept of each of both motions.
 MEASURES = ("compliance", "floor_impulse", "ceiling_impulse", "energy", "landing", "flight")
 _HEADER = (
-    "level", "clearance_m", "layers", "seed", "depth_diameters", "frequency_hz",
+    "level", "clearance_m", "layers", "seed", "depth_diameters",
     *(f"{who}_{name}" for who in ("grains", "mass") for name in (*MEASURES, "motion_type")),
 )  # fmt: skip
 
 
 class Setting(NamedTuple):
-    """A point of the study: force over the body's weight, clearance in m, layers of the bed, seed of its packing."""
+    """A point of the study: acceleration in g, clearance in m, layers of the bed, seed of its packing."""
 
     level: float
     clearance: float
@@ -67,14 +73,13 @@ class Setting(NamedTuple):
 
 def settings() -> list[Setting]:
     """List all settings, in an order of which every beginning covers them evenly: one seed after the other."""
+    pairs = [(level, clearance) for level, clearances in SETTINGS.items() for clearance in clearances]
     found = []
     for seed in SEEDS:
-        points = list(product(LEVELS, CLEARANCES, BEDS))
+        points = [(*pair, layers) for pair in pairs for layers in BEDS]
         order = np.random.default_rng(seed).permutation(len(points))
-        found += [
-            Setting(level, clearance, layers, seed)
-            for level, clearance, layers in map(points.__getitem__, order)
-        ]
+        shuffled = (points[k] for k in order)
+        found += [Setting(level, clearance, layers, seed) for level, clearance, layers in shuffled]
     return found
 
 
@@ -85,39 +90,32 @@ def scene_of_bed(setting: Setting, **grains: float) -> Scene:
     bed = Grains.model_validate(chosen | grains)
     bed = bed.replace(time_step=bed.time_step or STEP * rayleigh_time(bed, bed.density))
     mass = count * bed.density * math.pi / 6.0 * bed.diameter**3
-    body = mass / MASS_RATIO
+    body, shaken = mass / SHAKEN, (2.0 * math.pi * FREQUENCY) ** 2
     return Scene.model_validate(
         {
             "name": "bed study",
             "seed": setting.seed,
-            "structure": {
-                "masses": [body],
-                "springs": [body * (2.0 * math.pi * RESONANCE) ** 2],
-                "damping": {"modal": DAMPING},
-            },
+            "structure": {"masses": [body], "springs": [0.25 * body * shaken], "damping": {"modal": 0.05}},
             "dampers": [{"body": 1, "mass": mass, "clearance": setting.clearance, "grains": bed}],
             "shaker": {"kind": "force", "body": 1},
             "test": {
-                "kind": "sine", "frequency": RESONANCE, "force": setting.level * body * STANDARD_GRAVITY,
+                "kind": "sine", "frequency": FREQUENCY, "force": 0.75 * setting.level * body * STANDARD_GRAVITY,
             },
         }
     )  # fmt: skip
 
 
 def compared(setting: Setting) -> dict[str, str]:
-    """Follow the bed of a setting as grains and as one mass; gives a row of the table.
-
-    Dimensionless by the body's stiffness (compliance), by the bed's weight over a period (impulses), by its weight over
-    a millimetre (energy); landings in degrees.
-    """
+    """Follow the bed of a setting as grains and as one mass; gives a row of the table."""
     scene = scene_of_bed(setting)
-    frequency = steady_frequency(setting.level, setting.clearance)
     (spheres,) = spheres_of(scene).values()
     depth = highest(spheres, settled(spheres)) / spheres.settings.diameter
-    row = [repr(float(value)) for value in setting[:2]] + [str(setting.layers), str(setting.seed)]
-    row += [f"{depth:.2f}", f"{frequency:.4f}"]
-    most = MOST_BELOW if setting.level <= LITTLE else MOST
-    row += told(scene, frequency, steady_grains(scene, frequency, BLOCK, most))
+    row = [repr(float(value)) for value in setting[:2]] + [
+        str(setting.layers),
+        str(setting.seed),
+        f"{depth:.2f}",
+    ]
+    row += told(scene, steady_grains(scene, FREQUENCY, BLOCK, 3, least=3))
     row += _of_mass(setting.level, setting.clearance)
     return dict(zip(_HEADER, row, strict=True))
 
@@ -155,7 +153,7 @@ def table(path: Path | None = None) -> Arrays:
     Returns
     -------
     dict of ndarray
-        ``level``, ``clearance``, ``layers``, ``seeds`` (their number), ``depth``, ``frequency``, each (settings,); and
+        ``level``, ``clearance``, ``layers``, ``seeds`` (their number), ``depth``, each (settings,); and
         ``grains_NAME``, ``mass_NAME``, ``error_NAME`` (the standard error of the mean over the seeds, infinite where
         there is one) for each NAME of `MEASURES`, with ``grains_type`` and ``mass_type``.
     """
@@ -169,7 +167,6 @@ def table(path: Path | None = None) -> Arrays:
         "layers": np.array([key[2] for key in keys]),
         "seeds": np.array([len(groups[key]) for key in keys]),
         "depth": np.array([np.mean([float(row["depth_diameters"]) for row in groups[key]]) for key in keys]),
-        "frequency": np.array([float(groups[key][0]["frequency_hz"]) for key in keys]),
     }
     for name in MEASURES:
         seen = [np.array([float(row[f"grains_{name}"]) for row in groups[key]]) for key in keys]
@@ -192,33 +189,30 @@ def table(path: Path | None = None) -> Arrays:
 
 
 @cache
-def steady_frequency(level: float, clearance: float) -> float:
-    """Frequency at which the bed as one mass lets the body move most, Hz."""
-    scene = as_one_mass(scene_of_bed(Setting(level, clearance, min(BEDS), 1)))
-    response = frequency_response(scene, RESONANCE * _TRIED)
-    return float(RESONANCE * _TRIED[np.abs(response.compliance[0]).argmax()])
-
-
-@cache
 def _of_mass(level: float, clearance: float) -> list[str]:
     """Follow the bed as one mass: it moves the same whatever the depth."""
-    scene, frequency = (
-        scene_of_bed(Setting(level, clearance, min(BEDS), 1)),
-        steady_frequency(level, clearance),
-    )
-    return told(scene, frequency, steady_mass(scene, frequency))
+    scene = scene_of_bed(Setting(level, clearance, min(BEDS), 1))
+    return told(scene, steady_mass(scene, FREQUENCY))
 
 
-def told(scene: Scene, frequency: float, motion: SteadyBed) -> list[str]:
-    """Write the measures of a motion without dimensions, and its type."""
-    mass = scene.dampers[0].mass
+def told(scene: Scene, motion: SteadyBed) -> list[str]:
+    """Write the measures of a motion without dimensions, and its type.
+
+    Compliance by that of the body's spring, impulses by the bed's weight over a period, energy by its weight over a
+    millimetre; landings in degrees, flight as a share. The compliance is that at the peak, where the force makes up
+    for what body and bed take: k X / F = 1 / (2 zeta + E / (pi M omega^2 X^2)).
+    """
+    mass, test = scene.dampers[0].mass, scene.test
     assert mass is not None
-    stiffness = mass / MASS_RATIO * (2.0 * math.pi * RESONANCE) ** 2
+    assert isinstance(test, Sine)
+    assert test.force is not None
     weight = mass * scene.gravity
+    amplitude = abs(motion.compliance[0]) * test.force
+    stored = math.pi * mass / MASS_RATIO * (2.0 * math.pi * FREQUENCY * amplitude) ** 2
     values = (
-        stiffness * abs(motion.compliance[0]),
-        motion.floor_impulse[0] * frequency / weight,
-        motion.ceiling_impulse[0] * frequency / weight,
+        1.0 / (2.0 * DAMPING + motion.energy[0] / stored),
+        motion.floor_impulse[0] * FREQUENCY / weight,
+        motion.ceiling_impulse[0] * FREQUENCY / weight,
         motion.energy[0] / (weight * 1e-3),
         motion.landing[0],
         motion.flight[0],
@@ -232,7 +226,7 @@ def _setting(row: dict[str, str]) -> Setting:
 
 def _words(setting: Setting) -> str:
     return (
-        f"level {setting.level:g}, clearance {1e3 * setting.clearance:g} mm, {setting.layers} layers, seed "
+        f"{setting.level:g} g, clearance {1e3 * setting.clearance:g} mm, {setting.layers} layers, seed "
         f"{setting.seed}"
     )
 

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from analysis.paper.charts import holds_c2, trust_error
+from analysis.paper.bed_claim import bed_claim
+from analysis.paper.charts import holds_c2
 from analysis.paper.claim import Claim, Evidence
 from analysis.paper.fig9_claim import fig9_claim
 from analysis.paper.figures import Parts
@@ -25,7 +26,7 @@ PAPER_SHAPES = np.array([[0.415, 0.783, 1], [1, 0.498, -0.91], [-0.848, 1, -0.46
 def claims(parts: Parts) -> list[Claim]:
     """Judge all claims."""
     tested = [_c1(parts), _c2(parts), _c3(parts), fig9_claim(parts), _c5(parts), _c6(parts)]
-    return [*tested, _c7(parts, [claim for claim in tested if claim.name in ("C3", "C4", "C6")])]
+    return [*tested, bed_claim(parts, [claim for claim in tested if claim.name in ("C3", "C4", "C6")])]
 
 
 def _c1(parts: Parts) -> Claim:
@@ -290,34 +291,6 @@ def _c6(parts: Parts) -> Claim:
         ),
         "holds" if faster > 1.2 else "does not hold",
         ("fig10b",),
-    )
-
-
-def _c7(parts: Parts, consequences: list[Claim]) -> Claim:
-    error = trust_error(parts)
-    became = ", ".join(f"{claim.name} {claim.verdict.split(':')[0]}" for claim in consequences)
-    whole = all(
-        claim.verdict.startswith("holds") and "in part" not in claim.verdict for claim in consequences
-    )
-    return Claim(
-        "C7",
-        "Restitution zero and a single mass describe the bed of 2 mm lead shot well enough.",
-        (
-            Evidence(
-                "Our experiment contains exactly that model, so it cannot test it: a bed of shot was not simulated. "
-                f"What can be tested is whether the model's consequences are those the paper measured: {became}.",
-                (),
-            ),
-            Evidence(
-                "How far the approximate method follows the same model with all modes: its peak is off by "
-                f"{np.nanmedian(np.abs(error)):.0f} % (median) and at most {np.nanmax(np.abs(error)):.0f} % over the "
-                "scanned forces and clearances.",
-                ("approx-peaks", "scan-single"),
-            ),
-        ),
-        "not tested here: the claim is about real shot; of what follows from it "
-        + ("nothing contradicts the paper" if whole else "not all is as the paper measured it"),
-        ("trust",),
     )
 
 

@@ -11,6 +11,7 @@ import rig
 from analysis.paper import experiment as paper_experiment
 from analysis.paper import scan as paper_scan
 from analysis.paper import simulation as paper_simulation
+from analysis.paper.bed_study import kept, table
 from analysis.paper.store import PaperPart
 from rig.scene.scene import Scene
 
@@ -177,7 +178,14 @@ def all_parts(folder: Path) -> list[PaperPart]:
             frequencies=np.linspace(8.0, 60.0, 2001),
         )
     )  # fmt: skip
+    parts.append(_kept_beds())
     return parts
+
+
+def _kept_beds() -> PaperPart:
+    """Beds of grains and the same as one mass, from the table that the package brings."""
+    content = kept().read_text(encoding="utf-8")
+    return PaperPart("beds", f"beds\n{content}", table, {}, "beds of grains against one mass, kept", 0.1)
 
 
 def _one_body(clearance: float) -> Scene:

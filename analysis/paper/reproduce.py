@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from analysis.paper import bed_chart
 from analysis.paper import charts as paper_charts
 from analysis.paper import figures as paper_figures
 from analysis.paper.claims import claims
@@ -33,6 +34,7 @@ FIGURES: dict[str, Callable[[paper_figures.Parts], Figure]] = {
     "design": paper_charts.design,
     "optimum": paper_charts.optimum,
     "trust": paper_charts.trust,
+    "c7-beds": bed_chart.beds,
 }
 
 

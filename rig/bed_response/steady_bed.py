@@ -24,7 +24,7 @@ _MARKS = 50
 #: Two blocks of periods are one steady motion if their compliances agree as well as that.
 STEADY = 0.01
 #: Periods in which the mass is let settle, and those looked at then.
-_SETTLING, _WATCHED = 200, 20
+_SETTLING, _WATCHED = 200, 100
 #: A bed flies, or is at the ceiling, from this share of a period or of its weight on.
 _SEEN = 0.01
 
@@ -74,7 +74,7 @@ def as_one_mass(scene: Scene) -> Scene:
     return scene.replace(dampers=[damper.replace(grains=None) for damper in scene.dampers])
 
 
-def steady_grains(scene: Scene, frequency: float, block: int, most: int) -> SteadyBed:
+def steady_grains(scene: Scene, frequency: float, block: int, most: int, least: int = 2) -> SteadyBed:
     """Follow beds of grains under a tone until two blocks of periods agree.
 
     Parameters
@@ -85,8 +85,8 @@ def steady_grains(scene: Scene, frequency: float, block: int, most: int) -> Stea
         Hz.
     block : int
         Periods in a block.
-    most : int
-        Blocks at most.
+    most, least : int
+        Blocks at most and at least; the last two are averaged.
     """
     scene = with_ideal_force(scene)
     coupled = CoupledPropagator(scene, 1.0 / (_MARKS * frequency))
@@ -99,7 +99,7 @@ def steady_grains(scene: Scene, frequency: float, block: int, most: int) -> Stea
     drive = np.real(tone.amplitudes[:, None] * turn)
     coupled.place(_near_steady(scene, system, frequency, tone.state), drive[:, 0])
     found: list[SteadyBed] = []
-    while len(found) < 2 or (not found[-1].steady and len(found) < most):
+    while len(found) < least or (not found[-1].steady and len(found) < most):
         trajectory, beds = coupled.march(drive)
         states, back = trajectory.state[:, : system.states], turn[1:].conj()
         harmonics = 2.0 * (states.T @ back) / steps

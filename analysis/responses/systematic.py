@@ -29,6 +29,8 @@ _LATERAL = 0.1
 # Of fewer lines than these the slope cannot be seen: it may be that of a peak, so many times the ratio of value and
 # frequency from a twentieth of its frequency on.
 _SLOPE_LINES, _STEEP = 3, 10.0
+# A peak between lines is taken for at most so many times as steep as its chords.
+_SHARPEST = 10.0
 # Power in counts below which rounding leaves nothing to tell a signal by.
 _QUARTER = 1.0 / 16.0
 
@@ -287,14 +289,36 @@ def clock_part(
     if not off:
         return {}
     order = np.argsort(frequency, kind="stable")
-    # Between sparse points a peak is steeper than the mean of both sides.
-    apart = np.diff(frequency[order])
-    steps = np.divide(abs(np.diff(value[order])), apart, out=np.zeros(apart.size), where=apart > 0.0)
-    slope = np.empty(frequency.size)
-    slope[order] = np.maximum(np.append(steps, 0.0), np.append(0.0, steps))
+    moved = np.empty(frequency.size)
+    moved[order] = _moved(frequency[order], value[order], off * frequency[order])
     if frequency.size < _SLOPE_LINES:
-        slope = np.maximum(slope, _STEEP * abs(value) / frequency)
+        moved = np.maximum(moved, off * _STEEP * abs(value))
     measured = [rec.channels[name].quantity for name in names]
     powers = np.array([[MOTIONS.index(each) if each in MOTIONS else 0.0] for each in measured])
     made = np.sum((powers - MOTIONS.index(motion)) * upper, axis=0) - value * np.sum(powers * lower, axis=0)
-    return {CLOCK: off * (frequency * slope + abs(made))}
+    return {CLOCK: moved + off * abs(made)}
+
+
+def _moved(frequency: Array, value: ComplexArray, by: Array) -> Array:
+    """By how much a curve over rising frequencies changes where each is off by so much, up or down.
+
+    Between sparse lines a peak is steeper than its chords: through each line and its neighbours goes one pole beside a
+    constant, ``a / (f - p) + b``, whose slope is the product of the chords to both sides over the chord across.
+    """
+    apart = np.diff(frequency)
+    chords = np.divide(np.diff(value), apart, out=np.zeros(apart.size, dtype=complex), where=apart > 0.0)
+    steps = abs(chords)
+    moved = by * np.maximum(np.append(steps, 0.0), np.append(0.0, steps))
+    if frequency.size < 3 or np.any(apart == 0.0):
+        return np.asarray(moved)
+    left, right = chords[:-1], chords[1:]
+    across = (value[2:] - value[:-2]) / (frequency[2:] - frequency[:-2])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        pole = (right * frequency[2:] - left * frequency[:-2]) / (right - left)
+        to_pole = frequency[1:-1] - pole
+        slope = by[1:-1] * left * right / across
+        nearest = np.minimum(abs(to_pole + by[1:-1]), abs(to_pole - by[1:-1]))
+        through_pole = np.nan_to_num(abs(slope * to_pole) / nearest, posinf=np.inf)
+    # Where noise makes the chords, the pole may lie anywhere.
+    moved[1:-1] = np.clip(through_pole, moved[1:-1], _SHARPEST * moved[1:-1])
+    return np.asarray(moved)

@@ -189,6 +189,24 @@ def test_given_a_peak_between_sparse_points_when_a_clock_is_off_then_the_steeper
     assert slope(2) == pytest.approx([2.0, 10.0 * 5.0 / 12.0])
 
 
+@pytest.mark.parametrize("ppm", [50, 1000])
+def test_given_a_peak_two_lines_wide_when_a_clock_is_off_then_the_part_holds_the_curve_shifted(ppm):
+    half_width = 0.005
+    frequency = 10.0 + half_width * np.arange(-6.0, 7.0)
+
+    def curve(f):
+        return 1.0 / (half_width + 1j * (f - 10.0)) + 3.0
+
+    rec = recording(channel("a"), channel("b"), converter=f"rate: 5120 Hz, clock_error: {ppm} ppm")
+    value, share = curve(frequency), np.array([[1.0], [0.0]])
+    shares = value, value * share, share[::-1] + 0 * value
+    told = only(clock_part(rec, "ab", frequency, *shares, "displacement"))[1:-1]
+    ends = [abs(curve(frequency * (1.0 + sign * ppm * 1e-6)) - value)[1:-1] for sign in (1.0, -1.0)]
+    ratio = told / np.maximum(*ends)
+    # On its flanks the steeper chord is more than the slope.
+    assert 1.0 - 1e-6 < ratio.min() < ratio.max() < 1.6
+
+
 def test_given_two_accelerations_when_a_clock_is_off_then_their_quotient_is_off_along_the_curve_alone():
     value = np.full(4, 0.3 - 0.4j)
     rec = recording(channel("a"), channel("b"), converter="rate: 5120 Hz, clock_error: 50 ppm")

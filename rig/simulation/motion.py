@@ -24,9 +24,10 @@ class Motion:
     displacement, velocity, acceleration : ndarray, shape (points, samples)
         m, m/s and m/s^2; at a sample that coincides with a break, what holds after it.
     gap : ndarray, shape (dampers, samples)
-        Height of each damper above its floor, m; of a bed of grains as in `rig.simulation.simulate.Run`.
+        Height of each damper of the scene above its floor, m: 0 of one that is held; of a bed of grains as in
+        `rig.simulation.simulate.Run`.
     contact : ndarray of int8, shape (dampers, samples)
-        0 in flight, 1 on the floor, 2 at the ceiling.
+        0 in flight, 1 on the floor (where held ones are always), 2 at the ceiling.
     break_sample : ndarray of int64, shape (breaks,)
         Number of the sample that ends the interval in which the break lies; in order of time.
     break_offset : ndarray, shape (breaks,)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.engine.propagator import Propagator, sampled_propagator
 from rig.engine.samples import MotionSamples
+from rig.engine.state import FLOOR
 from rig.engine.trajectory import Array, Trajectory, event_table
 from rig.errors import RunError, SceneError
 from rig.scene.scene import Scene
@@ -48,6 +49,7 @@ class Plant:
         )
         self._propagator, self._steps = _propagator(scene, self.system, 1.0 / self.rate)
         self._limit = _drive_limits(scene, self.inputs)
+        self._dampers = len(scene.dampers)
         self._next = 0
         self._last = np.zeros((len(self.inputs), 1))
 
@@ -133,8 +135,8 @@ class Plant:
             displacement=displacement,
             velocity=velocity,
             acceleration=acceleration,
-            gap=gap,
-            contact=seen.contact,
+            gap=self._of_all_dampers(gap, 0.0),
+            contact=self._of_all_dampers(seen.contact, FLOOR),
             break_sample=first_end + trajectory.break_segment,
             break_offset=np.minimum(trajectory.break_offset, interval),
             break_displacement=np.ascontiguousarray(before[:, :points].T),
@@ -147,6 +149,14 @@ class Plant:
             .transpose(1, 0, 2),
             events=events,
         )
+
+    def _of_all_dampers(self, rows: NDArray[Any], held: float) -> NDArray[Any]:
+        """Put what the dampers that move do beside what those that are held do; shape (dampers, samples)."""
+        if len(rows) == self._dampers:
+            return rows
+        every = np.full((self._dampers, rows.shape[1]), held, dtype=rows.dtype)
+        every[self.system.damper_number - 1] = rows
+        return every
 
 
 def _propagator(

@@ -1,0 +1,31 @@
+import numpy as np
+
+import daq
+import rig
+
+BENCH = """
+structure: {{masses: [1 kg, 1 kg], springs: [20 kN/m, 20 kN/m], damping: {{modal: 1 %}}}}
+dampers: [{dampers}]
+test: {{kind: impulse, body: 2, peak: 100 N, width: 2 ms, interval: 0.2 s}}
+recording: {{truth: true}}
+"""
+
+
+def recorded(tmp_path, *dampers):
+    scene = rig.loads(BENCH.format(dampers=", ".join(dampers)))
+    return daq.open(daq.record(scene, tmp_path / "a.mcap"))
+
+
+def test_given_held_dampers_when_recorded_with_truth_then_they_stay_on_their_floors_in_rows_of_their_own(
+    tmp_path,
+):
+    locked = "{body: 1, mass: 50 g, clearance: 1 mm, locked: true}"
+    moving = "{body: 2, mass: 50 g, clearance: 1 mm}"
+    filled = "{body: 2, mass: 50 g, clearance: 0}"
+    with recorded(tmp_path, locked, moving, filled) as rec:
+        gap, contact = rec.truth("gap"), rec.truth("contact")
+        assert gap.shape == contact.shape == (3, rec.samples)
+        assert np.all(gap[[0, 2]] == 0.0)
+        assert np.all(contact[[0, 2]] == 1)
+        assert gap[1].max() > 1e-6
+        assert set(rec.events["damper"]) == {2}

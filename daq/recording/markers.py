@@ -11,7 +11,7 @@ import numpy as np
 
 from daq.recording.layout import EVENTS, MARKERS
 from daq.recording.protobuf import Schema
-from daq.signal_chain.field_checks import EVENT, MARKER, MOST_SAMPLES, check
+from daq.signal_chain.field_checks import CONTACT_CHANGES, EVENT, MARKER, MOST_SAMPLES, check
 from rig.errors import RecordingError
 
 _MARKER: dict[str, Any] = {
@@ -43,7 +43,7 @@ _EVENT: dict[str, Any] = {
     "properties": {
         "time": {"type": "number", "description": "seconds after sample 0"},
         "damper": {"type": "integer", "description": "position in the scene's list of dampers, from 1"},
-        "kind": {"enum": ["separation", "floor", "ceiling", "touch", "release"]},
+        "kind": {"enum": list(CONTACT_CHANGES)},
         "speed": {"type": "number", "description": "closing speed before an impact, m/s"},
     },
 }

@@ -134,10 +134,12 @@ MARKER = {
     ),
 }
 
+# Touch and release are those of dampers whose contact lasts.
+CONTACT_CHANGES = ("separation", "floor", "ceiling", "touch", "release")
 EVENT = {
     "time": Check(lambda value: is_number(value) and abs(value) < 1e12, "a time in seconds"),
     "damper": Check(lambda value: _is_count(value) and value < 2**31, "the number of a damper, from 1"),
-    "kind": Check(lambda value: value in ("separation", "floor", "ceiling"), "separation, floor or ceiling"),
+    "kind": Check(lambda value: value in CONTACT_CHANGES, f"one of {', '.join(CONTACT_CHANGES)}"),
     "speed": NUMBER,
 }
 

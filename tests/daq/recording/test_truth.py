@@ -29,3 +29,9 @@ def test_given_held_dampers_when_recorded_with_truth_then_they_stay_on_their_flo
         assert np.all(contact[[0, 2]] == 1)
         assert gap[1].max() > 1e-6
         assert set(rec.events["damper"]) == {2}
+
+
+def test_given_contact_that_lasts_when_recorded_with_truth_then_its_touches_and_releases_are_read(tmp_path):
+    with recorded(tmp_path, "{body: 2, mass: 50 g, clearance: 1 mm, contact: {duration: 2 ms}}") as rec:
+        rec.check()
+        assert {"touch", "release"} <= set(rec.events["kind"])

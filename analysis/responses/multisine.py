@@ -15,7 +15,7 @@ from analysis.responses.clean_stretches import flaws, told
 from analysis.responses.frf import Frf
 from analysis.responses.local_spectra import SIDE
 from analysis.responses.measurands import located, reference_of
-from analysis.responses.spectral_lines import Lines, remainder
+from analysis.responses.spectral_lines import SLOWEST_DECAY, UNKNOWN_DECAY, Lines, remainder
 from analysis.responses.systematic import counts_of, in_counts, scattered, tone_gain
 from rig.errors import RecordingError
 
@@ -36,6 +36,8 @@ ONE_REALISATION = (
 )
 # Share of the lines, and by how much more than noise and relative to the mean they must scatter, to be a distortion.
 _SHARE, _BEYOND, _SEEN = 0.2, 3.0, 2e-3
+# A change from period to period whose mean is so many times its scatter drifts.
+_DRIFTS = 5.0
 
 
 @dataclass(frozen=True)
@@ -199,7 +201,28 @@ def _realisation(rec: Recording, names: Sequence[str], marker: Marker, reference
     scatter = (spectra - mean) * turn
     noise = np.einsum("pin,pjn->nij", scatter, scatter.conj()) / (len(clean) * (len(clean) - 1.0))
     varies = whole.var(axis=0, ddof=1).mean(axis=1)
-    return _Realisation(frequency, len(clean), tuple(notes), mean * turn, noise, remainder(spectra), varies)
+    left = remainder(spectra, _decay(whole[1] - whole[0])) if len(clean) == 2 else remainder(spectra)
+    return _Realisation(frequency, len(clean), tuple(notes), mean * turn, noise, left, varies)
+
+
+def _decay(change: Array) -> Array:
+    """Tell by which factor what changes from one period to the next decays in a period, where it drifts.
+
+    That of a bias that settles: by its root from one half of a period to the other.
+
+    Parameters
+    ----------
+    change : ndarray, shape (channels, samples)
+
+    Returns
+    -------
+    ndarray, shape (channels, 1)
+    """
+    halves = np.stack([half.mean(axis=1) for half in np.array_split(change, 2, axis=1)])
+    noise = change.std(axis=1) * np.sqrt(2.0 / change.shape[1])
+    drifts = (abs(halves[0]) > _DRIFTS * noise) & (halves[0] * halves[1] > 0.0)
+    ratio = np.divide(halves[1], halves[0], out=np.zeros_like(noise), where=drifts)
+    return np.asarray(np.clip(ratio**2, UNKNOWN_DECAY, SLOWEST_DECAY)[:, None])
 
 
 def _distorted(total: Lines, noise: Lines) -> bool:

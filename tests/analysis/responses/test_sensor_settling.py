@@ -64,3 +64,20 @@ def test_given_a_drive_below_noise_when_the_force_is_that_of_a_spring_then_no_bo
     # Noise that response and reference share looks like a response, of some -1 over the spring's stiffness.
     assert np.median(off) > 0.3 * np.median(abs(receptance(scene, frf.frequency)[0]))
     assert np.mean(off <= frf.bound()) > 0.9
+
+
+def test_given_two_periods_of_a_multisine_while_a_bias_settles_when_analysed_then_bounds_hold(tmp_path):
+    scene = rig.loads("""
+structure: {masses: [2 kg], springs: [200 kN/m], damping: {modal: 2 %}}
+shaker: {kind: force, body: 1}
+test: {kind: multisine, from: 20 Hz, to: 200 Hz, lines: 50, periods: 2, realisations: 1, force: 5 N}
+channels:
+- {name: b1, at: body 1, accelerometer: {sensitivity: 100 mV/g, bias: 9 V, bias_settling: 2 s}}
+- {name: F, at: shaker, hammer: {sensitivity: 50 mV/N}}
+converter: {rate: 2048 Hz, range: 20 V}
+""")
+    with daq.open(daq.record(scene, tmp_path / "a.mcap")) as recording:
+        [curve] = analysis.frfs(recording)
+    off = abs(curve.value - receptance(scene, curve.frequency)[0])
+    assert (off <= curve.bound()).mean() > 0.9
+    assert (off > 0.3 * curve.bound()).any()

@@ -140,7 +140,9 @@ def orbit_response(
 ) -> OrbitResponse:
     """Steady motion of a scene at each value of a parameter, as exact stable orbits.
 
-    Gives what `rig.frequency_response` gives, without waiting for transients.
+    Gives what `rig.frequency_response` gives, without waiting for transients. At a table whose spring's force is held,
+    that force is a pure tone here, as in `rig.periodic_orbit`; there its harmonics, which dampers cause through the
+    coil spring, act as well, and the two may differ by a per cent.
 
     Parameters
     ----------

@@ -99,6 +99,10 @@ EQUIVALENT = {
     "counts = counts_of(rec, names).reshape(~1, *[1] * (squares.ndim - 1))": (
         "numpy takes any negative size for the one that is to be found"
     ),
+    "free = apart.reshape(lines, - 2, unknowns + 1)": "numpy takes any negative size for the one that is to be found",
+    "near = max(1, side // max(1, int(np.median(np.diff(lines)))) if lines.size != 1 else 1)": (
+        "no fit is of no lines at all"
+    ),
     "step = max( 2, _AT_ONCE // (equations * unknowns))": "how many lines are fitted at a time changes no fit",
     "while place != self.size:": "no record is taken to end beyond the file",
     "if len(content) < CHUNK_HEAD.size + 7:": "what is one byte too short is refused by the next condition",

@@ -85,6 +85,12 @@ def test_given_a_structure_that_accelerates_less_beyond_a_peak_when_images_fold_
         np.testing.assert_allclose(body, elsewhere / peak.real)
 
 
+def test_given_a_structure_that_accelerates_less_and_less_when_images_fold_back_then_the_top_of_the_band_tells():
+    falling = np.array([8.0, 4.0, 2.0, 1.0], dtype=complex)
+    body, elsewhere = (next(iter(part(channel(at), falling).values())) for at in ("body 1", "drive"))
+    np.testing.assert_allclose(body, elsewhere / falling.real)
+
+
 def test_given_a_driven_body_whose_band_lies_below_further_modes_when_images_fold_back_then_they_move_its_mass():
     value = np.full(4, 0.005 + 0.002j)
     [bound] = part(channel(), value).values()

@@ -109,6 +109,16 @@ def test_given_noise_in_the_reference_of_a_flat_response_when_fitted_then_it_sca
     assert np.mean(ratios) == pytest.approx(1.0, rel=0.15)
 
 
+def test_given_a_first_and_a_last_bin_that_are_off_when_lines_beside_them_are_fitted_then_both_count():
+    random = np.random.default_rng(17)
+    force, none, lines = gaussian(random, 2, BINS), np.zeros((2, BINS)), np.array([3, 200, BINS - 4])
+    for bin_, beside in ((0, [True, False, False]), (BINS - 1, [False, False, True])):
+        spectra = 2.0 * force
+        spectra[:, bin_] += 1.0
+        fit = local_fit(Reading(spectra, np.ones(BINS), np.zeros((0, BINS))), force, none, lines, 12)
+        assert (abs(fit.value - 2.0) > 1e-6).tolist() == beside
+
+
 def test_given_other_units_when_fitted_then_everything_follows_them():
     random = np.random.default_rng(16)
     force, none, lines = gaussian(random, 2, BINS), np.zeros((2, BINS)), np.arange(100, 300, 20)

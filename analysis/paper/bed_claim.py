@@ -111,7 +111,8 @@ def _study(beds: Arrays) -> str:
         f"{_span(1e3 * ceilings)} mm or no ceiling, depth {_span(beds['depth'])} diameters{packings}. 70 to 120 grains "
         "in a cavity with a smooth side, which stands for a piece of a wide one: what the rough side of a cavity adds "
         "is not in it. The compliance is that of a body ten times as heavy as its bed, damped by 0.5 %, at the peak "
-        "and that acceleration. Clearances that one mass does not fly through are left out but for no ceiling. "
+        "and that acceleration. A clearance counts from the highest grain, which most others are below. Clearances "
+        "that one mass does not fly through are left out but for no ceiling. "
         "`analysis beds` makes the table again; with `--points 6` a small one in minutes."
     )
 

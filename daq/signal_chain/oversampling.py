@@ -12,6 +12,7 @@ from daq.signal_chain.decimation_filter import PASS, STOP
 from rig.grains.spheres import contact_time, spheres_of
 from rig.scene.presets import filled_in
 from rig.scene.scene import Scene
+from rig.scene.shaker import TableShaker
 from rig.system.assembly import assemble
 
 Array = NDArray[np.float64]
@@ -71,7 +72,14 @@ def oversampling(scene: Scene, clock: SampleClock) -> int:
         seen = fastest / clock.true_rate + STOP
         band = max(fastest, BAND) / clock.true_rate
         followed = max(seen, (band if limited else min(band, PASS)) / FOLLOWED)
+        # The drive's straight lines end in corners, which a table follows as far as it can.
+        followed = max(followed, _quickest_table(scene) / clock.true_rate / FOLLOWED)
     return max(1, min(math.ceil(followed), int(FASTEST / clock.true_rate)))
+
+
+def _quickest_table(scene: Scene) -> float:
+    """Largest bandwidth of a table's shaker, Hz."""
+    return max((one.bandwidth for one in scene.shakers if isinstance(one, TableShaker)), default=0.0)
 
 
 def _limited(scene: Scene) -> bool:

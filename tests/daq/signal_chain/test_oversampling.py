@@ -5,6 +5,8 @@ import pytest
 
 import rig
 from daq.signal_chain.bench import Bench
+from daq.signal_chain.converter import SampleClock
+from daq.signal_chain.oversampling import oversampling
 from rig.simulation.plant import Plant
 
 SKEWED = "{rate: 1 kHz, filter: delta_sigma, skew: [0 s, 0.7 ms]}"
@@ -107,3 +109,16 @@ def test_given_several_intervals_a_sample_when_run_then_the_motion_is_that_of_th
     instants = [(motion.break_sample - 1) / 2000.0 + motion.break_offset for motion in (found, expected)]
     assert instants[0] == pytest.approx(instants[1], abs=1e-10)
     assert np.all((found.break_offset > 0.0) & (found.break_offset <= 1 / 2000.0 + 1e-15))
+
+
+@pytest.mark.parametrize(("rate", "expected"), [(77.0, 52), (400.0, 10), (5120.0, 2)])
+def test_given_a_table_faster_than_a_slow_converter_when_filtered_then_corners_of_the_drive_are_followed(
+    rate, expected
+):
+    scene = rig.loads(f"""
+structure: {{masses: [20 kg], springs: [300 kN/m], damping: {{modal: 2 %}}}}
+shaker: {{kind: table, body: 1, spring: 100 kN/m, bandwidth: 400 Hz}}
+test: {{kind: sine, frequency: 5 Hz, force: 8 N, duration: 1 s}}
+converter: {{rate: {rate}, filter: delta_sigma}}
+""")
+    assert oversampling(scene, SampleClock.of(scene.converter)) == expected

@@ -12,11 +12,35 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
-def whole_periods(frequency: float, rate: float, at_least: float, periods: int = 1) -> int:
+# A window to be read holds two periods, and more samples than the terms fitted below the lowest harmonic.
+_READABLE_PERIODS, _READABLE = 2, 8
+# Near half the rate a tone looks like one that beats; this share of a beat tells its amplitude from its phase.
+_SHARE_OF_BEAT = 0.5
+
+
+def fewest_samples(frequency: float, rate: float) -> int:
+    """Count the samples that a window needs for its tone to be read without much more noise than it has.
+
+    Parameters
+    ----------
+    frequency, rate : float
+        Hz; the frequency below half the rate.
+
+    Examples
+    --------
+    >>> [fewest_samples(frequency, 100.0) for frequency in (1.0, 20.0, 40.0, 49.0)]
+    [200, 10, 8, 25]
+    """
+    beat = _SHARE_OF_BEAT / (1.0 - 2.0 * frequency / rate)
+    return max(_READABLE, int(np.ceil(max(_READABLE_PERIODS * rate / frequency, beat) - 1e-9)))
+
+
+def whole_periods(frequency: float, rate: float, at_least: float) -> int:
     """Find a window of whole periods that the samples fit well.
 
     A window that misses a whole number of periods lets harmonics and offsets leak into the fundamental; of
-    all window lengths up to a third longer than asked for, the one that misses least is taken.
+    all window lengths up to a third longer than asked for, the one that misses least is taken; never so short
+    that it could not be read (`fewest_samples`).
 
     Parameters
     ----------
@@ -24,8 +48,6 @@ def whole_periods(frequency: float, rate: float, at_least: float, periods: int =
         Hz.
     at_least : float
         Shortest window, s.
-    periods : int
-        Fewest periods.
 
     Returns
     -------
@@ -36,10 +58,13 @@ def whole_periods(frequency: float, rate: float, at_least: float, periods: int =
     --------
     >>> whole_periods(10.0, 1000.0, 0.15)
     200
-    >>> whole_periods(12.5, 100.0, 0.2, periods=2)
+    >>> whole_periods(12.5, 100.0, 0.2)
     24
+    >>> whole_periods(10.0, 25.0, 0.15)
+    10
     """
-    fewest = max(periods, int(np.ceil(at_least * frequency - 1e-9)))
+    held = int(np.ceil(fewest_samples(frequency, rate) * frequency / rate - 1e-9))
+    fewest = max(held, int(np.ceil(at_least * frequency - 1e-9)))
     counts = np.arange(fewest, fewest + max(1, fewest // 3) + 1)
     samples = counts * rate / frequency
     miss = abs(samples - np.round(samples)) / samples
@@ -73,7 +98,7 @@ def lock_in(samples: Array, frequency: float, rate: float, phase: float = 0.0) -
     Parameters
     ----------
     samples : ndarray, shape (channels, samples)
-        The window, two periods or longer; t counts from its first sample.
+        The window, `fewest_samples` or more; t counts from its first sample.
     frequency, rate : float
         Hz.
     phase : float

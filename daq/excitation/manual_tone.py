@@ -23,7 +23,7 @@ LONGEST = 60.0
 # A force that has left its level by more than this share, look after look, is brought back.
 STRAYED = 0.05
 PATIENCE = 5
-_LOOK, _LOOK_PERIODS = 0.1, 2
+_LOOK = 0.1
 
 
 class Knobs:
@@ -155,7 +155,7 @@ class HandTone:
     def _at(self, station: Station, tone: Tone, gauge: Gauge, frequency: float, level: float) -> Excitation:
         """Go to a setting and hold it for ever."""
         self._held = False
-        look = whole_periods(frequency, station.rate, _LOOK, _LOOK_PERIODS)
+        look = whole_periods(frequency, station.rate, _LOOK)
         if level == 0.0:
             yield station.drive(tone.glide(max(station.samples(GLIDE), look), frequency, 0.0))
             while True:

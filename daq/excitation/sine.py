@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from daq.excitation.amplitude_control import AmplitudeControl
-from daq.excitation.lock_in import whole_periods
+from daq.excitation.lock_in import fewest_samples, whole_periods
 from daq.excitation.settling import Settling
 from daq.excitation.station import Excitation, Station
 from daq.excitation.stepped_sine import GLIDE, settle
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rig.scene.excitation import Sine
 
 _TOLERANCE, _LONGEST = 1e-3, 60.0
-_LOOK, _LOOK_PERIODS = 0.1, 2
+_LOOK = 0.1
 
 
 def excite(station: Station, test: Sine) -> Excitation:
@@ -36,7 +36,7 @@ def _open_loop(station: Station, test: Sine, level: float) -> Excitation:
     tone.amplitude = level
     gauge = Gauge(station, force=False)
     judge = Settling(_TOLERANCE)
-    look = whole_periods(test.frequency, station.rate, _LOOK, _LOOK_PERIODS)
+    look = whole_periods(test.frequency, station.rate, _LOOK)
     total, steady = station.samples(test.duration), None
     while station.now < total:
         station.report(station.now / total, f"{test.frequency:.2f} Hz, level {level:g}")
@@ -71,7 +71,8 @@ def _controlled(station: Station, test: Sine, force: float) -> Excitation:
         station.warn(f"{test.frequency:.3f} Hz, {force:g} N: no steady state within {_LONGEST:g} s")
     station.report(0.5, f"{test.frequency:.2f} Hz, measuring")
     first, phase = station.now, tone.phase
-    samples = yield station.drive(tone.hold(station.samples(test.duration)))
+    window = max(station.samples(test.duration), fewest_samples(test.frequency, station.rate))
+    samples = yield station.drive(tone.hold(window))
     held = float(abs(gauge.steady(samples, test.frequency, phase)[0]))
     station.mark("measure", first, station.now, drive=tone.amplitude, force=held, settled=settled, **facts)
     yield station.drive(tone.glide(station.samples(GLIDE), test.frequency, 0.0))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.excitation.amplitude_control import AmplitudeControl
-from daq.excitation.lock_in import whole_periods
+from daq.excitation.lock_in import fewest_samples, whole_periods
 from daq.excitation.settling import FEWEST_LOOKS, Settling
 from daq.excitation.station import Excitation, Station
 from daq.excitation.tone import Tone
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 # A glide this long leaves modes a few hertz away undisturbed, so that only near ones have to ring down.
 GLIDE = 0.4
-_LOOK, _LOOK_PERIODS = 0.1, 2
+_LOOK = 0.1
 LONGEST_GLIDE = 3.0
 # A transient force above the level by this factor is brought down at once, before it has been understood.
 _TOO_MUCH = 3.0
@@ -100,7 +100,8 @@ def _point(
     )
     station.mark("settle", first, station.now, drive=tone.amplitude, settled=settled, **facts)
     first, phase = station.now, tone.phase
-    window = round(test.measure.periods * station.rate / frequency)
+    asked = round(test.measure.periods * station.rate / frequency)
+    window = max(asked, fewest_samples(frequency, station.rate))
     samples = yield station.drive(tone.hold(window))
     force = level if station.force_is_drive else None
     if control is not None:
@@ -142,7 +143,7 @@ def settle(
         Whether a steady state at the level was reached.
     """
     end = station.now + station.samples(longest)
-    look = whole_periods(frequency, station.rate, _LOOK, _LOOK_PERIODS)
+    look = whole_periods(frequency, station.rate, _LOOK)
     judge = Settling(tolerance)
     if control is not None:
         control.restart()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from cmath import exp, pi
 from collections import deque
 from dataclasses import dataclass
+from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +16,9 @@ from daq.excitation.pretest import ShakerLaw
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Periods that a look at the channels takes in.
-LOOK_PERIODS = 2.0
+# Periods that a look at the channels takes in; samples, which are to tell six terms; and beats, as which a tone
+# near half the rate appears: fewer multiply the noise.
+_PERIODS, _FEWEST, _BEATS = 2.0, 6, 1.5
 # What is known of the nearest mode fades within the time in which a sweep passes a sharp one, 1 / sqrt(rate of
 # the frequency), times this; not within fewer periods than these, and within more of them at the latest: a slow
 # sweep has seen enough by then, and the motion with dampers may be another.
@@ -38,14 +40,10 @@ class Look:
     frequency: float
     rate: float
     """Of the tone in their middle, Hz; and how fast it changes, Hz/s."""
+    length: float  # Duration, s
     motion: complex
     force: complex
     """Amplitudes of the body's displacement in m and the spring force in N."""
-
-    @property
-    def length(self) -> float:
-        """Duration, s."""
-        return LOOK_PERIODS / self.frequency
 
     @property
     def middle(self) -> float:
@@ -156,13 +154,23 @@ def _mean_of_exponential(exponent: complex) -> complex:
     return complex(_HANN @ np.exp(exponent * _ABOUT))
 
 
+def look_samples(frequency: float, rate: float) -> int:
+    """Choose how many samples a look takes in, of a tone in Hz at a rate in Hz above twice that.
+
+    >>> [look_samples(frequency, 100.0) for frequency in (2.0, 35.0, 43.0, 49.0)]
+    [100, 6, 11, 75]
+    """
+    beat = 1.0 / (1.0 - 2.0 * frequency / rate)
+    return max(round(_PERIODS * rate / frequency), _FEWEST, ceil(_BEATS * beat - 1e-9))
+
+
 def look_at(samples: Array, phase: Array, rate: float) -> tuple[ComplexArray, ComplexArray]:
     """Complex amplitudes X, in the middle, in x = Re(X e^{i phase}) + straight drift, under Hann's window.
 
     Parameters
     ----------
     samples : ndarray, shape (channels, samples)
-        About two periods or more.
+        `look_samples` or more.
     phase : ndarray, shape (samples,)
         Of the tone, rad.
 

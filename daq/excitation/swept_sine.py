@@ -21,7 +21,7 @@ from daq.excitation.level_monitor import LevelWatch
 from daq.excitation.pretest import pretest
 from daq.excitation.station import Excitation, Station
 from daq.excitation.stepped_sine import GLIDE, settle
-from daq.excitation.sweep_control import LOOK_PERIODS, Look, SweepControl, look_at
+from daq.excitation.sweep_control import Look, SweepControl, look_at, look_samples
 from daq.excitation.tone import Tone
 from daq.excitation.tone_measurement import Gauge
 
@@ -117,7 +117,7 @@ def _sweep_held(
         readings = yield station.drive(np.real(envelope * np.exp(1j * phase)))
         done, amplitude = done + size, goal
         control.played(done / rate, amplitude)
-        look = round(LOOK_PERIODS * rate / here)
+        look = look_samples(here, rate)
         seen = np.concatenate([seen, readings[rows]], axis=1)[:, -look:]
         phases = np.concatenate([phases, phase])[-look:]
         if phases.size < look:
@@ -127,7 +127,7 @@ def _sweep_held(
         motion, force = body, spring * (table - body)
         watch.add(station.now - look, station.now, middle, abs(force))
         pace = (sweep_frequency(test, done / total) - middle) / (look / 2 / rate)
-        goal = control.next(Look(done / rate, middle, pace, motion, force), size / rate)
+        goal = control.next(Look(done / rate, middle, pace, look / rate, motion, force), size / rate)
         station.report(done / total, f"{middle:.2f} Hz")
     return amplitude
 

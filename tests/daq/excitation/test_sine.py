@@ -9,6 +9,7 @@ import pytest
 
 import rig
 from daq.excitation.lock_in import lock_in, whole_periods
+from daq.excitation.sweep_control import look_at, look_samples
 from rig.errors import SceneError
 from rig.system.receptance import receptance
 from tests.daq.measurement.bench_run import BenchRun, run, scene_with
@@ -206,7 +207,7 @@ def test_given_a_tone_on_offset_and_drift_when_locked_in_then_its_amplitude_is_e
 def test_given_any_frequency_when_a_window_is_chosen_then_it_is_nearly_whole_periods(
     frequency: float,
 ) -> None:
-    samples = whole_periods(frequency, 5120.0, 0.1, periods=2)
+    samples = whole_periods(frequency, 5120.0, 0.1)
     periods = samples * frequency / 5120.0
     assert periods >= 2 - 1e-3 and samples >= 0.1 * 5120 - 1
     assert abs(periods - round(periods)) < 0.035
@@ -214,7 +215,7 @@ def test_given_any_frequency_when_a_window_is_chosen_then_it_is_nearly_whole_per
 
 def test_given_blows_and_drift_when_a_short_window_is_read_then_the_tone_is_told_whenever_it_begins() -> None:
     rate, frequency = 8192.0, 22.67
-    window = whole_periods(frequency, rate, 0.1, periods=2)
+    window = whole_periods(frequency, rate, 0.1)
     told = []
     for begin in range(0, 400, 37):
         time = (begin + np.arange(window)) / rate
@@ -222,3 +223,23 @@ def test_given_blows_and_drift_when_a_short_window_is_read_then_the_tone_is_told
         samples = np.cos(turn) + 0.7 * np.cos(3.0 * turn + 1.0) + 0.2 * np.sin(5.0 * turn) + 3.0 * time**2
         told.append(complex(lock_in(samples[None], frequency, rate, float(turn[0]))[0]))
     np.testing.assert_allclose(told, 1.0, atol=1e-3)
+
+
+@pytest.mark.parametrize("ratio", [2.02, 2.1, 2.3, 2.5, 3.0])
+def test_given_a_tone_near_half_the_rate_when_windows_are_chosen_then_they_can_be_read(ratio: float) -> None:
+    rate, wanted = 28.0, 0.3 * np.exp(-1.1j)
+    frequency = rate / ratio
+    turn = 2 * np.pi / ratio * np.arange(100)
+    tone = np.real(wanted * np.exp(1j * turn)) + 5.0 - 0.1 * np.arange(100)
+    noisy = tone + 1e-3 * np.random.default_rng(2).standard_normal(100)
+    locked, look = whole_periods(frequency, rate, 0.1), look_samples(frequency, rate)
+    for samples, error in ((tone[None], 1e-9), (noisy[None], 3e-3)):
+        assert lock_in(samples[:, :locked], frequency, rate)[0] == pytest.approx(wanted, abs=error)
+        assert look_at(samples[:, :look], turn[:look], rate)[0][0] == pytest.approx(wanted, abs=error)
+
+
+def test_given_one_period_to_measure_when_it_is_too_short_to_be_read_then_it_is_measured_for_longer() -> None:
+    step = {"kind": "stepped_sine", "frequencies": [40.0], "force": 2.6, "measure": {"periods": 1}}
+    first, stop, fields = run(scene_with(step, converter={"rate": 92.0})).marked("measure")[0]
+    assert stop - first == 8
+    assert fields["force"] == pytest.approx(2.6, rel=0.01)

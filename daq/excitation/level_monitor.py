@@ -8,6 +8,8 @@ from daq.excitation.station import Station
 ALLOWED = 0.1
 # Stretches closer than this are one, s.
 _PAUSE = 0.5
+# What to do where the channels read nothing of the force.
+READABLE = "take more sensitive sensors, a smaller converter: range, or more force"
 
 
 class LevelWatch:
@@ -50,11 +52,15 @@ class LevelWatch:
             self._note()
         if self._stretches:
             worst, at = self._worst
+            advice = "sweep more slowly, or step"
+            if self.lowest == 0.0:
+                advice = (
+                    f"in places the channels read no force, less than one count of the converter: {READABLE}"
+                )
             self._station.warn(
                 f"the spring force was off its level of {self._level:g} N by more than {ALLOWED:.0%} in "
                 f"{self._stretches} stretch{'es' if self._stretches > 1 else ''}, {self._samples / samples:.1%} of "
-                f"the sweep (marked as level): {worst:.3g} times the level at {at:.2f} Hz; sweep more slowly, or "
-                "step"
+                f"the sweep (marked as level): {worst:.3g} times the level at {at:.2f} Hz; {advice}"
             )
 
     def _note(self) -> None:

@@ -48,6 +48,11 @@ class ShakerLaw:
     misfit: float
     """Root mean square of what the law leaves of the drive in the pretest, relative."""
 
+    @property
+    def is_known(self) -> bool:
+        """Whether the table's channel read anything of the pretest."""
+        return bool(self.motion.any())
+
     def at(self, s: complex) -> tuple[complex, complex]:
         """Drive per newton of spring force, and per metre of the body, X0 being X1 + F / k0."""
         late = np.exp(s * self.delay)
@@ -102,7 +107,9 @@ def _fit(station: Station, drive: Array, readings: Array, lines: NDArray[np.int6
     s = np.asarray(2j * pi * frequency, dtype=np.complex128)
     # Powers of s are counted in units of the middle of the band, so that they are alike in size.
     unit = 2 * pi * sqrt(frequency[0] * frequency[-1])
-    spectra = [np.fft.rfft(readings * window, axis=1)[:, lines] for window in windows]
+    # Readings that never change are then exactly nothing.
+    changed = readings - readings[:, :1]
+    spectra = [np.fft.rfft(changed * window, axis=1)[:, lines] for window in windows]
     to_table, to_body = (station.displacement(row, frequency) for row in (table, body))
     terms = [to_table * _derivative(spectra, table, s, order) / unit**order for order in range(_MOTION)]
     for order in range(_PULL):

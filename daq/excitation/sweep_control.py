@@ -85,6 +85,9 @@ class SweepControl:
 
     def next(self, look: Look, window: float) -> complex:
         """Choose the drive amplitude at the end of a window of so many seconds, which begins as the look ends."""
+        if not look.force:
+            # Readings that stay within one count say nothing of what the drive should be.
+            return self._played[-1][1]
         if self._goal is None:
             # The phase of the force does not matter; kept, it asks for the least change.
             self._goal = self._level * look.force / abs(look.force)
@@ -184,5 +187,7 @@ def look_at(samples: Array, phase: Array, rate: float) -> tuple[ComplexArray, Co
     cosine, sine = np.cos(phase), -np.sin(phase)
     model = np.column_stack([cosine, sine, time * cosine, time * sine, np.ones(phase.size), part - 0.5])
     weighted = model * (1 - np.cos(2 * np.pi * part))[:, None]
-    found = np.linalg.solve(weighted.T @ model, weighted.T @ samples.T)
+    # Readings that never change are then exactly nothing.
+    changed = samples - samples[:, :1]
+    found = np.linalg.solve(weighted.T @ model, weighted.T @ changed.T)
     return found[0] + 1j * found[1], found[2] + 1j * found[3]

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.excitation.amplitude_control import AmplitudeControl
-from daq.excitation.level_monitor import LevelWatch
+from daq.excitation.level_monitor import READABLE, LevelWatch
 from daq.excitation.pretest import pretest
 from daq.excitation.station import Excitation, Station
 from daq.excitation.stepped_sine import GLIDE, settle
@@ -64,7 +64,9 @@ def _run(station: Station, test: SweptSine, gauge: Gauge, controlled: bool) -> E
 
     first, start = station.now, tone.phase
     amplitude, held = -1j * tone.amplitude, {}
-    if law is None:
+    if law is None or not law.is_known:
+        if law is not None:
+            station.warn(_unread(station, level))
         yield from _sweep_open(station, test, start, amplitude)
     else:
         watch = LevelWatch(station, level)
@@ -78,6 +80,15 @@ def _run(station: Station, test: SweptSine, gauge: Gauge, controlled: bool) -> E
     facts = {"from": test.from_, "to": test.to, "spacing": test.spacing, "level": level, **held}
     station.mark("measure", first, station.now, duration=test.duration, settled=settled, **facts)
     yield station.drive(tone.glide(station.samples(GLIDE), test.to, 0.0))
+
+
+def _unread(station: Station, level: float) -> str:
+    table = station.scene.at_driven("table")
+    channel = station.channels[station.row(table)].name
+    return (
+        f"the spring force was not held at {level:g} N, and the drive kept its amplitude: the channel at the {table} "
+        f"({channel}) read nothing of the pretest, less than one count of the converter; {READABLE}"
+    )
 
 
 def _sweep_open(station: Station, test: SweptSine, start: float, amplitude: complex) -> Excitation:

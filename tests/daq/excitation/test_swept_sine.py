@@ -20,6 +20,14 @@ shaker: {kind: electrodynamic, body: 1, spring: 6 kN/m}
 test: {kind: swept_sine, from: 26 Hz, to: 18 Hz, duration: 20 s, force: 2 N}
 channels: [{name: body1, at: body 1}, {name: table, at: table}]
 """
+BELOW_COUNT = """
+structure: {masses: [1 kg], springs: [100 kN/m], damping: {modal: 1 %}}
+shaker: {kind: table, body: 1, spring: 20 kN/m}
+test: {kind: swept_sine, from: 20 Hz, to: 100 Hz, duration: 1 s, force: 0.4 N}
+channels:
+- {name: body1, at: body 1, accelerometer: {sensitivity: 0.01 mV/g}}
+- {name: table, at: table, accelerometer: {sensitivity: 0.01 mV/g}}
+"""
 
 
 def held(done: BenchRun) -> NDArray[np.float64]:
@@ -111,3 +119,17 @@ def test_given_a_mode_ahead_when_looks_are_taken_then_it_is_known_before_the_ton
         mode.add((look + 1) * step, turn, envelope + rest * 2.6, 2.6 + 0j, memory=0.8)
     assert mode.pole.imag / (2 * np.pi) == pytest.approx(13.0, rel=0.02)
     assert mode.gain == pytest.approx(gain, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("volts", "told"), [(10.0, "read nothing of the pretest"), (0.2, "less than one count")]
+)
+def test_given_channels_that_read_less_than_a_count_when_swept_then_it_ends_and_says_so(
+    volts: float, told: str
+) -> None:
+    scene = rig.loads(BELOW_COUNT).replace(converter={"rate": 2048.0, "bits": 16, "range": volts})
+    done = run(scene)
+    first, stop, _ = done.marked("measure")[0]
+    assert stop - first == 2048
+    assert np.isfinite(done.drive).all()
+    assert told in done.warnings[-1]

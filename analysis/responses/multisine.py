@@ -15,7 +15,7 @@ from analysis.responses.clean_stretches import flaws, told
 from analysis.responses.frf import Frf
 from analysis.responses.local_spectra import SIDE
 from analysis.responses.measurands import located, reference_of
-from analysis.responses.spectral_lines import SLOWEST_DECAY, UNKNOWN_DECAY, Lines, remainder
+from analysis.responses.spectral_lines import Lines, remainder
 from analysis.responses.systematic import counts_of, in_counts, scattered, tone_gain
 from rig.errors import RecordingError
 
@@ -36,8 +36,6 @@ ONE_REALISATION = (
 )
 # Share of the lines, and by how much more than noise and relative to the mean they must scatter, to be a distortion.
 _SHARE, _BEYOND, _SEEN = 0.2, 3.0, 2e-3
-# A change from period to period whose mean is so many times its scatter drifts.
-_DRIFTS = 5.0
 
 
 @dataclass(frozen=True)
@@ -194,35 +192,31 @@ def _realisation(rec: Recording, names: Sequence[str], marker: Marker, reference
         empty = np.zeros(0, dtype=complex)
         return _Realisation(frequency, 0, tuple(notes), empty, empty, empty.real, empty.real)
     whole = np.stack(list(read_slices(rec, names, clean)))
-    spectra = fft.rfft(whole, axis=2)[:, :, lines] * (2.0 / size)
+    level = _without_drift(whole, np.array([(first - marker.first_sample) // size for first, _ in clean]))
+    spectra = fft.rfft(level, axis=2)[:, :, lines] * (2.0 / size)
     mean = spectra.mean(axis=0)
     turn = np.sum(reference_of(rec, reference).row(rec, names, frequency) * mean, axis=0)
     turn = turn.conj() / np.maximum(abs(turn), 1e-300)
     scatter = (spectra - mean) * turn
     noise = np.einsum("pin,pjn->nij", scatter, scatter.conj()) / (len(clean) * (len(clean) - 1.0))
     varies = whole.var(axis=0, ddof=1).mean(axis=1)
-    left = remainder(spectra, _decay(whole[1] - whole[0])) if len(clean) == 2 else remainder(spectra)
-    return _Realisation(frequency, len(clean), tuple(notes), mean * turn, noise, left, varies)
+    return _Realisation(frequency, len(clean), tuple(notes), mean * turn, noise, remainder(spectra), varies)
 
 
-def _decay(change: Array) -> Array:
-    """Tell by which factor what changes from one period to the next decays in a period, where it drifts.
+def _without_drift(periods: Array, numbers: NDArray[np.int64]) -> Array:
+    """Take off each period the ramp by which its mean drifts.
 
-    That of a bias that settles: by its root from one half of a period to the other.
+    Noise may hide at every line what a bias that settles slowly changes there from period to period, and yet all these
+    changes together put the line off.
 
     Parameters
     ----------
-    change : ndarray, shape (channels, samples)
-
-    Returns
-    -------
-    ndarray, shape (channels, 1)
+    periods : ndarray, shape (periods, channels, samples)
+    numbers : ndarray of int, shape (periods,)
+        Which of the realisation's periods they are.
     """
-    halves = np.stack([half.mean(axis=1) for half in np.array_split(change, 2, axis=1)])
-    noise = change.std(axis=1) * np.sqrt(2.0 / change.shape[1])
-    drifts = (abs(halves[0]) > _DRIFTS * noise) & (halves[0] * halves[1] > 0.0)
-    ratio = np.divide(halves[1], halves[0], out=np.zeros_like(noise), where=drifts)
-    return np.asarray(np.clip(ratio**2, UNKNOWN_DECAY, SLOWEST_DECAY)[:, None])
+    slopes = np.gradient(periods.mean(axis=2), numbers, axis=0, edge_order=2 if len(numbers) > 2 else 1)
+    return np.asarray(periods - slopes[:, :, None] * np.linspace(-0.5, 0.5, periods.shape[2]))
 
 
 def _distorted(total: Lines, noise: Lines) -> bool:

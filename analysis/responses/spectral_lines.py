@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 # Lines whose transients are taken to decay alike; how fast where two periods do not tell; and how slowly at most.
-_TOGETHER, UNKNOWN_DECAY, SLOWEST_DECAY = 5, 0.5, 0.99
+_TOGETHER, _UNKNOWN_DECAY, _SLOWEST_DECAY = 5, 0.5, 0.99
 # A reference is told from noise with this confidence.
 _SURE = 0.999
 # Lines from which on noise is told by how they differ, and how many around each.
@@ -145,9 +145,7 @@ def _noise(changes: NDArray[np.complex128]) -> NDArray[np.float64]:
     return np.pad(level, ((0, 0), (1, 1)), mode="edge")
 
 
-def remainder(
-    successive: NDArray[np.complex128], decay: NDArray[np.float64] | float = UNKNOWN_DECAY
-) -> NDArray[np.float64]:
+def remainder(successive: NDArray[np.complex128]) -> NDArray[np.float64]:
     """How far the mean of successive parts may be off for a transient that still decays.
 
     A transient shrinks and turns by the same complex factor r from part to part, as its frequency is not that of the
@@ -159,8 +157,6 @@ def remainder(
     ----------
     successive : ndarray of complex, shape (parts, channels, lines)
         Amplitudes of parts of equal length, one after the other.
-    decay : float or ndarray, shape (channels, 1)
-        Factor from part to part where there are but two, which do not tell it.
 
     Returns
     -------
@@ -176,13 +172,13 @@ def remainder(
         successive = np.stack([part.mean(axis=0) for part in np.array_split(successive, _FEW)])
     count = len(successive)
     changes = np.diff(successive, axis=0)
-    factor = np.full(successive.shape[1:], decay, dtype=complex)
+    factor = np.full(successive.shape[1:], _UNKNOWN_DECAY, dtype=complex)
     if count > 2:
         together = np.ones((1, _TOGETHER))
         size = signal.convolve(np.sum(abs(changes[:-1]) ** 2, axis=0), together, mode="same")
         both = signal.convolve(np.sum(changes[:-1].conj() * changes[1:], axis=0), together, mode="same")
         factor = both / np.maximum(size, 1e-300)
-        factor *= np.minimum(1.0, SLOWEST_DECAY / np.maximum(abs(factor), 1e-300))
+        factor *= np.minimum(1.0, _SLOWEST_DECAY / np.maximum(abs(factor), 1e-300))
     powers = np.sum([abs(factor) ** (2 * k) for k in range(count - 1)], axis=0)
     size = np.maximum(np.sum(abs(changes) ** 2, axis=0) - _noise(changes), 0.0)
     begins = np.sqrt(size / powers) / abs(1.0 - factor)

@@ -8,7 +8,7 @@ from math import inf, isinf, log10
 
 import numpy as np
 
-from analysis.modal.identification import identify
+from analysis.modal.modes import Modes
 from analysis.responses.frf import Frf
 from rig.results import rounded
 
@@ -147,11 +147,13 @@ def _ratio_dB(above: float, below: float) -> float:  # noqa: N802
     return inf if below <= 0.0 or above == inf else 20.0 * log10(above / below)
 
 
-def peak_changes(bare: Sequence[Frf], damped: Sequence[Frf]) -> list[PeakChange]:
+def peak_changes(modes: Modes, bare: Sequence[Frf], damped: Sequence[Frf]) -> list[PeakChange]:
     """Compare every resonance of every response, without and with dampers.
 
     Parameters
     ----------
+    modes : Modes
+        What the bare curves hold.
     bare, damped : sequence of Frf
         All responses of a recording without, and of one with dampers (or with others).
 
@@ -160,11 +162,7 @@ def peak_changes(bare: Sequence[Frf], damped: Sequence[Frf]) -> list[PeakChange]
     list of PeakChange
         By response, then by frequency.
     """
-    modes = identify(bare)
-    frequency = np.sort(modes.frequency)
-    between = np.sqrt(frequency[1:] * frequency[:-1])
-    low = np.maximum(frequency * (1.0 - _BELOW), np.append(0.0, between))
-    high = np.minimum(frequency * (1.0 + _BELOW / 2), np.append(between, inf))
+    frequency, low, high = _surroundings(modes)
     damping = modes.damping[np.argsort(modes.frequency)]
     by_name = {frf.response: frf for frf in bare}
     out = []
@@ -176,6 +174,38 @@ def peak_changes(bare: Sequence[Frf], damped: Sequence[Frf]) -> list[PeakChange]
             if before is not None and after is not None:
                 out.append(PeakChange(curve.response, float(f), float(zeta), before, after))
     return out
+
+
+def _surroundings(modes: Modes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Give the modes' frequencies in rising order, and between which ones their peaks are looked for, Hz."""
+    frequency = np.sort(modes.frequency)
+    between = np.sqrt(frequency[1:] * frequency[:-1])
+    low = np.maximum(frequency * (1.0 - _BELOW), np.append(0.0, between))
+    high = np.minimum(frequency * (1.0 + _BELOW / 2), np.append(between, inf))
+    return frequency, low, high
+
+
+def highest_left_out(modes: Modes, bare: Sequence[Frf]) -> list[str]:
+    """Say of which responses the highest peak is none of the modes that are compared."""
+    _, low, high = _surroundings(modes)
+    said = []
+    for curve in bare:
+        part = curve.to("displacement").sorted()
+        f, size = part.frequency, np.nan_to_num(abs(part.value))
+        top = int(np.argmax(size))
+        near = np.any((low <= f[:, None]) & (f[:, None] <= high), axis=1)
+        if near[top] or not size[top] or top in (0, f.size - 1):
+            continue
+        more = (
+            f", {size[top] / size[near].max():.2g} times as high as what is compared"
+            if size[near].any()
+            else ""
+        )
+        said.append(
+            f"{curve.response}: the curve is highest at {f[top]:.2f} Hz{more}, where nothing is compared: no mode "
+            "could be told there; see `analysis frf` for its height and its bounds"
+        )
+    return said
 
 
 def describe_changes(changes: Sequence[PeakChange]) -> list[str]:

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from math import isinf
 from pathlib import Path
 
-from analysis.dampers.comparison import PeakChange, describe_changes, peak_changes
+from analysis.dampers.comparison import PeakChange, describe_changes, highest_left_out, peak_changes
+from analysis.modal.identification import identify
 from analysis.presentation.expectations import expect
 from analysis.presentation.output_names import output_stem, with_ending
-from analysis.presentation.presentation import Progress, Result
+from analysis.presentation.presentation import Progress, Result, noted
 from analysis.presentation.tables import write_table
 from analysis.recordings.names import opened, relabelled, scene_labels
 from analysis.responses.frequency_responses import frequency_responses
@@ -50,17 +51,22 @@ def present_compare(
             groups = frequency_responses(rec, progress=progress)
             found.append([[relabelled(frf, rec.scene.name, label) for frf in group] for group in groups])
     bare = found[0][0]
+    modes = identify(bare)
+    notes = noted(paths[0], (*modes.warnings, *highest_left_out(modes, bare)))
     lines: list[str] = []
     rows: list[tuple[str | float, ...]] = []
     jumps = False
-    for group in [group for groups in found[1:] for group in groups]:
-        changes = peak_changes(bare, group)
+    for path, group in [
+        (path, group) for path, groups in zip(paths[1:], found[1:], strict=True) for group in groups
+    ]:
+        notes += noted(path, group[0].warnings)
+        changes = peak_changes(modes, bare, group)
         lines.append(f"{bare[0].label} -> {group[0].label}")
         lines += [f"  {line}" for line in describe_changes(changes)]
         jumps |= any(isinf(one.bare.bound + one.damped.bound) for one in changes)
         rows += [_row(bare[0].label, group[0].label, change) for change in changes]
     table = write_table(with_ending(output_stem(paths, output, "compare"), "csv"), _HEADING, rows)
-    return Result((table,), tuple(lines), (_JUMPS,) if jumps else ())
+    return Result((table,), tuple(lines), (*notes, *((_JUMPS,) if jumps else ())))
 
 
 def _row(before: str, after: str, change: PeakChange) -> tuple[str | float, ...]:

@@ -73,7 +73,7 @@ def present_frf(
             acting = vars(blocks.acting_on(kind_of(rec)))
             groups = frequency_responses(rec, channels, reference, motion, progress=progress, **acting)
             curves += [relabelled(frf, rec.scene.name, label) for group in groups for frf in group]
-            notes += _noted(path, [note for group in groups for note in group[0].warnings])
+            notes += noted(path, [note for group in groups for note in group[0].warnings])
             doubts += stated_tolerances(rec, [frf for group in groups for frf in group])
             if theory:
                 exact += [linear_theory(rec, frf) for frf in groups[0]]
@@ -144,7 +144,7 @@ def present_decay(
             expect(rec, path, "decay")
             decays.append(relabelled(decay(rec, channel, hit), rec.scene.name, label))
             struck = getattr(rec.scene.test, "kind", "") != "free"
-        notes += _noted(path, decays[-1].warnings)
+        notes += noted(path, decays[-1].warnings)
     stem = output_stem(paths, output, "decay")
     first = decays[0]
     title = f"Free decay of {first.channel}{f' after hit {hit}' if struck else ''}"
@@ -208,7 +208,7 @@ def present_modes(
             found.append(modes)
             files += save(modes_figure(curves, modes, f"Modes: {modes.label}"), first)
             lines += describe_modes(modes)
-            notes += _noted(path, modes.warnings)
+            notes += noted(path, modes.warnings)
             continue
         with opened(path) as rec:
             acting = vars(Blocks(block=block).acting_on(kind_of(rec)))
@@ -221,7 +221,7 @@ def present_modes(
                 lines += describe_modes(
                     modes, theoretical_shapes(rec, modes) if reference == "force" else None
                 )
-                notes += _noted(path, modes.warnings)
+                notes += noted(path, modes.warnings)
     files.append(modes_table(with_ending(output_stem(paths, output, "modes"), "csv"), found))
     return Result(tuple(files), tuple(lines), tuple(notes))
 
@@ -295,5 +295,6 @@ def _once(curves: Sequence[Frf]) -> list[Frf]:
     return out
 
 
-def _noted(path: Path, notes: Sequence[str]) -> list[str]:
+def noted(path: Path, notes: Sequence[str]) -> list[str]:
+    """Put the recording's name before each of its doubts."""
     return [f"{path.name}: {note}" for note in notes]

@@ -14,7 +14,14 @@ from typer.testing import CliRunner
 import analysis
 import daq
 from analysis.cli import app
-from analysis.dampers.comparison import Peak, PeakChange, describe_changes, peak, peak_changes
+from analysis.dampers.comparison import (
+    Peak,
+    PeakChange,
+    describe_changes,
+    highest_left_out,
+    peak,
+    peak_changes,
+)
 from analysis.responses.frf import Frf
 from tests.analysis.responses import synthetic
 
@@ -92,7 +99,7 @@ def test_given_the_same_structure_twice_when_compared_then_nothing_has_changed(t
     path = synthetic.stepped_sine(tmp_path / "a.mcap", frequencies)
     with daq.open(path) as rec:
         [curves] = analysis.frequency_responses(rec)
-    changes = peak_changes(curves, curves)
+    changes = peak_changes(analysis.identify(curves), curves, curves)
     assert len(changes) == 9
     for change in changes:
         value, low, high = change.decibel
@@ -103,3 +110,21 @@ def test_given_the_same_structure_twice_when_compared_then_nothing_has_changed(t
     assert said.exit_code == 0 and said.output.count(" dB (") == 9
     assert (tmp_path / "a+b-compare.csv").read_text(encoding="utf-8").count("\n") == 10
     assert CliRunner().invoke(app, ["compare", str(path)]).exit_code != 0
+
+
+def test_given_modes_with_doubts_when_compared_then_the_doubts_are_told(tmp_path) -> None:
+    path = synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))
+    said = CliRunner().invoke(app, ["compare", str(path), str(path)])
+    assert said.exit_code == 0
+    assert "warning: a.mcap: 13.04 Hz: fewer than two measured points" in said.stderr
+
+
+def test_given_a_dominant_peak_that_is_no_mode_when_compared_then_it_is_said_to_be_left_out() -> None:
+    f = np.linspace(5.0, 30.0, 251)
+    curve = measured(f, two_modes(f, 10.0, 0.02), 1e-3)
+    modes = analysis.identify([curve])
+    assert modes.frequency == pytest.approx([10.0, 20.0], rel=1e-3)
+    assert highest_left_out(modes, [curve]) == []
+    one = replace(modes, frequency=modes.frequency[1:])
+    [said] = highest_left_out(one, [curve])
+    assert said.startswith("body1: the curve is highest at 10.00 Hz, 1 times as high as what is compared")

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rig.errors import RunError
 from rig.escaping import html, shown
 from rig.figure_style import plain_logarithmic
+from rig.numerics.runs import runs_of
 
 if TYPE_CHECKING:
     import pandas
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 
 # The columns of what found nothing.
 _NOTHING = (("", np.empty(0)),)
+# More ranges than these nobody reads.
+_MOST_RANGES = 8
 
 
 def plainly(value: float) -> str:
@@ -144,6 +147,26 @@ def bounded(value: float, bound: float, unit: str) -> str:
     if not isfinite(bound):
         return f"{rounded(value, bound)} {unit} (no bound)"
     return f"({rounded(value, bound)} ± {rounded(bound, bound)}) {unit}"
+
+
+def frequency_ranges(frequencies: Sequence[float], chosen: Sequence[bool]) -> str:
+    """Write which of some frequencies in Hz are chosen, neighbours as ranges; of many ranges how many, and the ends.
+
+    >>> frequency_ranges([10.0, 11.0, 12.5, 14.0, 20.0], [True, False, True, True, True])
+    '10 and 12.5 to 20 Hz'
+    >>> frequency_ranges([3.0, 1.0, 3.0], [False, True, True])
+    '1 to 3 Hz'
+    >>> frequency_ranges(range(40), [k % 2 == 0 for k in range(40)])
+    '20 of 40 frequencies from 0 to 38 Hz'
+    """
+    places, of = np.unique(np.asarray(frequencies, dtype=np.float64), return_inverse=True)
+    flags = np.zeros(places.size, dtype=bool)
+    flags[of[np.asarray(chosen, dtype=bool)]] = True
+    ends = [(f"{places[first]:.4g}", f"{places[stop - 1]:.4g}") for first, stop in runs_of(flags)]
+    if len(ends) > _MOST_RANGES:
+        return f"{flags.sum()} of {flags.size} frequencies from {ends[0][0]} to {ends[-1][1]} Hz"
+    *told, last = [low if low == high else f"{low} to {high}" for low, high in ends]
+    return f"{', '.join(told)} and {last} Hz" if told else f"{last} Hz"
 
 
 def joined(parts: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:

@@ -15,7 +15,7 @@ from analysis.responses.lock_in import LockIn, ToneFit, parts_of_whole_periods
 from analysis.responses.spectral_lines import Lines, remainder
 from analysis.responses.systematic import counts_of, scattered
 from rig.errors import RecordingError
-from rig.results import plainly
+from rig.results import frequency_ranges, plainly
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -142,11 +142,11 @@ def _notes(key: _Setting, found: list[_Point], left_out: list[_LeftOut], several
         out.append(f"{setting}{which}: {why} in their windows.")
     if not found:
         out.append(f"{setting}nothing is left of this sweep.")
-    unsteady = [f"{tone.frequency:.4g}" for tone, _, steady in found if not steady]
-    if unsteady:
+    unsteady = [not steady for _, _, steady in found]
+    if any(unsteady):
+        where = frequency_ranges([tone.frequency for tone, _, _ in found], unsteady)
         out.append(
-            f"{setting}No steady state at {', '.join(unsteady)} Hz: the motion is irregular there, or needs longer to "
-            "settle."
+            f"{setting}No steady state at {where}: the motion is irregular there, or needs longer to settle."
         )
     return out
 

@@ -14,6 +14,7 @@ from daq.measurement.estimate import WORTH_SAYING_S, estimate
 from daq.measurement.force_reference import force_untold
 from rig.console import progress
 from rig.errors import ShotrigError
+from rig.results import frequency_ranges
 from rig.scene.presets import filled_in, origin
 
 if TYPE_CHECKING:
@@ -74,12 +75,13 @@ def summary(path: Path) -> str:
         ]
         measured = [mark for mark in rec.markers if mark.kind == "measure" and "settled" in mark.fields]
         if measured:
-            unsettled = [mark for mark in measured if not mark.fields["settled"]]
-            tones = dict.fromkeys(
-                f"{m.fields['frequency']:.4g}" for m in unsettled if "frequency" in m.fields
-            )
-            where = f", at {', '.join(tones)} Hz" if tones else ""
-            lines.append(f"not settled: {len(unsettled) or 'none'} of {len(measured)} measurements{where}")
+            unsettled = sum(not mark.fields["settled"] for mark in measured)
+            tones = [mark.fields for mark in measured if "frequency" in mark.fields]
+            strayed = [not fields["settled"] for fields in tones]
+            where = ""
+            if any(strayed):
+                where = f", at {frequency_ranges([fields['frequency'] for fields in tones], strayed)}"
+            lines.append(f"not settled: {unsettled or 'none'} of {len(measured)} measurements{where}")
         lines += _levels(rec)
         lines += [f"aborted: {mark.fields['reason']}" for mark in rec.markers if mark.kind == "abort"]
         lines.append(f"next: {'   or: '.join(next_steps(rec))}")

@@ -6,6 +6,7 @@ import pytest
 import analysis
 import daq
 from analysis.responses.spectral_lines import remainder
+from daq.measurement.run_report import summary
 from rig.errors import RecordingError, SceneError
 from rig.system.receptance import receptance
 from tests.analysis.responses import synthetic
@@ -125,6 +126,27 @@ def test_given_overload_and_unsettled_points_when_measured_then_the_curve_warns(
     warnings = " ".join(frf.warnings)
     assert "20 Hz left out: body3 overloaded" in warnings and "No steady state at 30 Hz" in warnings
     assert frf.frequency.tolist() == [30.0] and frf.unsteady.tolist() == [True]
+
+
+def test_given_neighbours_that_did_not_settle_when_measured_then_they_are_told_as_ranges(tmp_path):
+    settled = np.ones(40, dtype=bool)
+    settled[[3, *range(10, 31)]] = False
+    marks = [
+        (
+            "measure",
+            512 * k,
+            512 * k + 511,
+            {"frequency": 20.0 + k, "level": 1.0, "settled": bool(settled[k])},
+        )
+        for k in range(40)
+    ]
+    samples = np.random.default_rng(0).standard_normal((4, 512 * 40))
+    path = synthetic.write(tmp_path / "a.mcap", synthetic.scene(), synthetic.channels(), samples, marks)
+    with daq.open(path) as rec:
+        assert any(
+            "No steady state at 23 and 30 to 50 Hz:" in note for note in analysis.compliance(rec).warnings
+        )
+    assert "not settled: 22 of 40 measurements, at 23 and 30 to 50 Hz" in summary(path)
 
 
 def test_given_sweeps_that_are_spoilt_when_measured_then_their_frequencies_are_told_together_and_none_is_lost(

@@ -154,7 +154,7 @@ class Hits:
             force[first:] += pulse_alone(rec.channels[self.channel], piece, 0, end - begin)
         out[row] = force
         if rest:
-            out = out[:, max(first_of(inside) - start - int(REST * rec.rate), 0) :]
+            out = _faded_in(out[:, quiet.start :], quiet.stop - quiet.start)
         return out
 
     def force_noise(self, rec: Recording, stretches: Sequence[tuple[int, int]], frequency: Array) -> Array:
@@ -254,6 +254,18 @@ class Hits:
 def first_of(inside: Sequence[tuple[int, int]]) -> int:
     """First sample of the first hit."""
     return inside[0][0]
+
+
+def _faded_in(readings: Array, quiet: int) -> Array:
+    """Let readings begin softly: they rise in the first half of so many quiet samples in front of a hit.
+
+    Drift of an integrator that sets in at once is a step, whose spectrum falls more slowly than any displacement's: far
+    above the resonances it would be more than the response, and as even as that. In the half next to the hit a filter
+    may already tell of it.
+    """
+    rise = quiet // 2
+    slope = 0.5 - 0.5 * np.cos(np.pi * (np.arange(rise) + 0.5) / max(rise, 1))
+    return np.concatenate([readings[:, :rise] * slope, readings[:, rise:]], axis=1)
 
 
 def _amplitude(reading: Array) -> float:

@@ -17,6 +17,7 @@ from analysis.modal.order_selection import MOST_MODES, hidden, in_band, select
 from analysis.modal.pole_errors import pole_errors, systematic_pole_errors
 from analysis.modal.pole_residue import Curves, Fit, fit, residual_terms
 from analysis.responses.frf import Frf
+from analysis.responses.jitter import JITTER
 from analysis.responses.systematic import ALIASING, MODEL, REFERENCE, RESOLUTION, UNSETTLED
 from rig.errors import RecordingError, SceneError
 
@@ -39,7 +40,7 @@ _AROUND = 1.15
 # Degrees of freedom from which on a line's own error is known.
 _ENOUGH = 10.0
 # Systematic parts that differ from line to line.
-_ROUGH = (UNSETTLED, RESOLUTION, MODEL, REFERENCE)
+_ROUGH = (UNSETTLED, RESOLUTION, MODEL, REFERENCE, JITTER)
 
 
 def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:

@@ -14,6 +14,7 @@ from scipy import ndimage, stats
 from analysis.responses.aliasing import aliasing_part
 from analysis.responses.force_pulse import slow_and_fast
 from analysis.responses.frf import Frf
+from analysis.responses.jitter import jitter_part
 from analysis.responses.local_rational import LARGEST, ORDER, LocalFit, Reading, local_fit
 from analysis.responses.measurands import Measurand, driven
 from analysis.responses.systematic import (
@@ -58,6 +59,8 @@ class LocalSpectra:
     """How far rounding can change each channel's gain, as in `rounding_part`; shape (channels, lines)."""
     noise: Array
     """Power of each channel's noise at each line, as far as known; shape (channels, lines)."""
+    jitter: Array
+    """Of hits, as `jitter_covariance` gives it; shape (channels, channels)."""
     fits: dict[tuple[str, Measurand], LocalFit] = field(default_factory=dict)
     """Made so far, of a channel to a reference: responses share the channels of their reference."""
 
@@ -70,6 +73,7 @@ class LocalSpectra:
             samples=self.samples[:, rows],
             gain=self.gain[rows],
             noise=self.noise[rows],
+            jitter=self.jitter[np.ix_(rows, rows)],
         )
 
     def frf(
@@ -121,6 +125,7 @@ class LocalSpectra:
         systematic = (
             aliasing_part(rec, names, at, *shares, motion)
             | rounding_part(self.gain, *shares)
+            | jitter_part(self.jitter, upper - value * lower, len(force) * self._power(force, self.side))
             | {MODEL: of_response.missed * scale}
         )
         if noise.any():

@@ -172,6 +172,7 @@ def tracked(
         1.0,
         gain,
         noise * lengths[kept],
+        np.zeros((len(names), len(names))),
     )
     speed = abs(np.gradient(frequency, [_passes(marker, f, rec.rate) / rec.rate for f in frequency]))
     shared = max(float(np.median(_PER_VALUE * rec.rate / lengths / np.gradient(frequency))), 1.0)

@@ -19,6 +19,7 @@ from scipy.signal import fftconvolve
 from analysis.responses.clean_stretches import clean_stretches, cure, flaws, told
 from analysis.responses.force_pulse import high_passes
 from analysis.responses.frf import Frf
+from analysis.responses.jitter import jitter_covariance
 from analysis.responses.local_spectra import SIDE, LocalSpectra
 from analysis.responses.measurands import motion_of, reference_of, responses
 from analysis.responses.sensor_settling import settling
@@ -175,7 +176,10 @@ class WholeStretches:
         frequency[0] = frequency[1]
         lines = self._lines(rec, size)
         side = int(np.ceil(SIDE * teeth))
+        jitter = np.zeros((len(names), len(names)))
         if self.hits is not None:
+            inside = [hit for each in stretches for hit in self.hits.inside(*each)]
+            jitter = jitter_covariance(rec, names, inside, size, side)
             gain = self.hits.rounding(rec, names, stretches, blocks, samples, lines, side)
         else:
             lengths = [block.shape[1] for block in blocks]
@@ -194,6 +198,7 @@ class WholeStretches:
             used,
             gain,
             np.zeros(gain.shape),
+            jitter,
         )
 
     def _lines(self, rec: Recording, size: int) -> NDArray[np.int64]:

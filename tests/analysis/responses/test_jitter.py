@@ -1,0 +1,49 @@
+"""Responses to hits that a clock with jitter has sampled."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import analysis
+import daq
+import rig
+from analysis.responses.jitter import JITTER
+from rig.system.receptance import receptance
+
+HITS = """
+structure: {{masses: [1 kg, 0.2 kg], springs: [395 kN/m, 2370 kN/m], damping: {{modal: 1 %}}}}
+test: {{kind: impulse, body: 1, peak: 100 N, width: 0.5 ms, repeats: {repeats}, interval: 1 s}}
+channels:
+  - {{name: a2, at: body 2, accelerometer: {{sensitivity: 10 mV/g}}}}
+  - {{name: hammer, at: hammer, hammer: {{sensitivity: 20 mV/N}}}}
+converter: {{rate: 5120 Hz, bits: 24, range: 5 V{jitter}}}
+recording: {{display: false}}
+"""
+
+
+def response(path, **settings):
+    scene = rig.loads(HITS.format(**settings))
+    with daq.open(daq.record(scene, path)) as rec:
+        [[frf]] = analysis.frequency_responses(rec, ["a2"])
+        return frf, abs(frf.value - receptance(rec.scene, frf.frequency)[1])
+
+
+@pytest.mark.parametrize("repeats", [1, 3])
+def test_given_jitter_when_hit_then_its_part_is_as_large_as_what_it_brings_and_the_bound_holds(
+    repeats, tmp_path
+):
+    frf, wrong = response(tmp_path / "a.mcap", repeats=repeats, jitter=", jitter: 1 us")
+    others = replace(frf, systematic={name: part for name, part in frf.systematic.items() if name != JITTER})
+    assert np.mean(wrong <= others.bound()) < 0.8
+    assert np.mean(wrong <= frf.bound()) > 0.9
+    # Two standard deviations, and no more.
+    far = wrong > others.bound()
+    assert 0.3 < np.sqrt(np.mean((wrong / frf.systematic[JITTER])[far] ** 2)) < 0.9
+
+
+def test_given_no_jitter_when_hit_then_no_part_tells_of_it(tmp_path):
+    frf, wrong = response(tmp_path / "a.mcap", repeats=1, jitter="")
+    assert JITTER not in frf.systematic and np.mean(wrong <= frf.bound()) > 0.9

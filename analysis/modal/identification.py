@@ -39,6 +39,8 @@ _DISTRUST = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4)
 _AROUND = 1.15
 # Degrees of freedom from which on a line's own error is known.
 _ENOUGH = 10.0
+# A largest deviation counts as so many standard deviations.
+_LARGEST = 1.8
 # Systematic parts that differ from line to line.
 _ROUGH = (UNSETTLED, RESOLUTION, MODEL, REFERENCE, JITTER)
 
@@ -113,6 +115,8 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
             "them; see `analysis frf` for what their bounds are made of"
         )
     poles, f_error, z_error = model.poles[inside], f_error[inside], z_error[inside]
+    # A clock that is off moves all poles alike, which the parts of single lines tell only together.
+    f_error = np.hypot(f_error, max(curve.clock for curve in frfs) * abs(poles) / (2 * np.pi * _LARGEST))
     lower, upper = _residuals(model, inside, measured.frequency)
     result = Modes(
         frequency=np.asarray(abs(poles) / (2 * np.pi), dtype=float),

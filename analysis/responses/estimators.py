@@ -15,6 +15,7 @@ from analysis.responses.measurands import driven, motion_of, reference_of
 from analysis.responses.systematic import (
     LEAKAGE,
     REFERENCE_NOISE,
+    clock_deviation,
     clock_part,
     reference_noise_part,
     sensitivity_part,
@@ -131,6 +132,7 @@ class Averages:
             | {REFERENCE_NOISE: incoherent}
             | clock_part(rec, self.channels, self.frequency, *shares, motion)
             | leakage,
+            clock=clock_deviation(rec),
         )
 
     def _noise_of_two(self, names: Sequence[str]) -> Array:

@@ -73,6 +73,8 @@ class Frf(Result):
         How many neighbouring points rest on the same samples, so that their errors are one.
     left_out : ndarray, shape (m,)
         Hz: frequencies of the test that have no point, as something spoilt them.
+    clock : float
+        Largest share by which the sample clock puts all frequencies off; what that does to values is a systematic part.
     """
 
     frequency: NDArray[np.float64]
@@ -90,6 +92,7 @@ class Frf(Result):
     unsteady: NDArray[np.bool_] | None = None
     shared: float = 1.0
     left_out: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    clock: float = 0.0
 
     @property
     def name(self) -> str:

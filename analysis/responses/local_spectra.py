@@ -20,6 +20,7 @@ from analysis.responses.measurands import Measurand, driven
 from analysis.responses.systematic import (
     MODEL,
     REFERENCE_NOISE,
+    clock_deviation,
     clock_part,
     doubtful_reference_part,
     reference_noise_part,
@@ -158,6 +159,7 @@ class LocalSpectra:
             systematic=systematic,
             warnings=tuple(warnings),
             shared=self._shared,
+            clock=clock_deviation(rec),
         )
 
     @property

@@ -16,6 +16,7 @@ from analysis.responses.measurands import driven, motion_of, reference_of
 from analysis.responses.systematic import (
     RESOLUTION,
     UNSETTLED,
+    clock_deviation,
     clock_part,
     doubtful_reference_part,
     sensitivity_part,
@@ -110,6 +111,7 @@ class Lines:
             | clock_part(rec, names, self.frequency, *shares, motion),
             unsteady=self.unsteady,
             left_out=self.left_out,
+            clock=clock_deviation(rec),
         )
 
     def _sway(self, lower: NDArray[np.complex128], degrees: NDArray[np.float64]) -> NDArray[np.float64]:

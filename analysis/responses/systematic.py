@@ -285,7 +285,7 @@ def clock_part(
     motion : str
         What `value` is a response of.
     """
-    off = abs(rec.scene.converter.clock_error or 0.0)
+    off = clock_deviation(rec)
     if not off:
         return {}
     order = np.argsort(frequency, kind="stable")
@@ -297,6 +297,11 @@ def clock_part(
     powers = np.array([[MOTIONS.index(each) if each in MOTIONS else 0.0] for each in measured])
     made = np.sum((powers - MOTIONS.index(motion)) * upper, axis=0) - value * np.sum(powers * lower, axis=0)
     return {CLOCK: moved + off * abs(made)}
+
+
+def clock_deviation(rec: Recording) -> float:
+    """Tell by which share of themselves all frequencies may be off for the sample clock."""
+    return abs(rec.scene.converter.clock_error or 0.0)
 
 
 def _moved(frequency: Array, value: ComplexArray, by: Array) -> Array:

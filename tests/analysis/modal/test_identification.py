@@ -123,6 +123,16 @@ def test_given_two_modes_a_percent_apart_with_noise_when_identified_then_both_li
     assert np.all(modes.damping_error < 5e-4)
 
 
+def test_given_a_clock_that_may_be_off_when_identified_then_no_frequency_is_known_better():
+    natural, frfs = two_modes(30.0, 0.2, 0.005, 250, noise=1e-6, seed=3)
+    off = 50e-6
+    modes = analysis.identify(
+        [replace(frf, clock=off, frequency=frf.frequency / (1.0 + off)) for frf in frfs]
+    )
+    assert np.all(abs(modes.frequency - natural) < 1.96 * modes.frequency_error)
+    assert modes.frequency_error == pytest.approx(off * natural / 1.96, rel=0.2)
+
+
 def test_given_a_band_without_the_lower_modes_when_identified_then_they_are_not_counted():
     frequency = np.linspace(42.0, 56.0, 80)
     s = 2j * np.pi * frequency

@@ -13,7 +13,7 @@ from analysis.modal.doubts import doubts
 from analysis.modal.line_choice import in_holes, scatter, stands_out, thinned
 from analysis.modal.lscf import chart, columns
 from analysis.modal.modes import TOLD, Modes
-from analysis.modal.order_selection import MOST_MODES, hidden, in_band, select
+from analysis.modal.order_selection import MOST_MODES, hidden, in_band, preferred, select
 from analysis.modal.pole_errors import pole_errors, systematic_pole_errors
 from analysis.modal.pole_residue import Curves, Fit, fit, residual_terms
 from analysis.responses.frf import Frf
@@ -202,7 +202,11 @@ def _explained(
     tried: list[tuple[Curves, Fit]] = []
     for error in _DISTRUST:
         curves = replace(measured, weight=1.0 / np.hypot(sigma, error * size))
-        tried.append((curves, select(curves, stable, every, most)))
+        model = select(curves, stable, every, most)
+        if tried:
+            # Poles that only together explain much may be lost one by one: start from those told before, too.
+            model = preferred(curves, model, select(curves, tried[-1][1].poles, every, most))
+        tried.append((curves, model))
         if tried[-1][1].misfit < _NOT_NOISE * curves.degrees(tried[-1][1].poles.size):
             break
     # By the peaks around, a peak of a line or two explains itself: distrust may lose it.

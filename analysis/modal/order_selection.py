@@ -112,6 +112,14 @@ def significant(curves: Curves, less: Fit, more: Fit) -> bool:
     return _gain(curves, less.misfit, more, less.poles.size) > 0
 
 
+def preferred(curves: Curves, one: Fit, other: Fit) -> Fit:
+    """Of two models of the same curves the one with more poles if they explain more than noise would let them."""
+    less, more = sorted((one, other), key=lambda model: model.poles.size)
+    if less.poles.size == more.poles.size:
+        return min(one, other, key=lambda model: model.misfit)
+    return more if significant(curves, less, more) else less
+
+
 def _gain(curves: Curves, misfit: float, more: Fit, poles: int) -> float:
     """By how much more a model lowers the misfit of one with fewer poles than poles of noise would."""
     unknowns = curves.unknowns(more.poles.size)

@@ -47,7 +47,7 @@ def _panel(axes: Axes, data: Mapping[str, np.ndarray], chosen: np.ndarray, name:
             continue
         scatter = f" ±{error[k]:.0f}" if np.isfinite(error[k]) else ""
         axes.text(
-            j, i, f"{off[k]:+.0f}{scatter}", ha="center", va="center", fontsize=6.5,
+            j, i, f"{off[k]:+.0f}{scatter}", ha="center", va="center", fontsize=5.6,
             color="white" if abs(off[k]) > 0.65 * _MOST else BLACK,
             weight="bold" if abs(off[k]) <= 100.0 * NOT_FAR else "normal",
         )  # fmt: skip

@@ -214,7 +214,10 @@ def _explained(
         int((in_band(curves, model.poles) & hidden(curves, model.poles)).sum()) for curves, model in tried
     ]
     curves, model = tried[int(np.argmax(narrow)) if max(narrow) > narrow[-1] else -1]
-    missed = np.linalg.norm(model.rest / curves.weight / size) / np.sqrt(curves.degrees(model.poles.size))
+    # What weighs nothing is not fitted, and where nothing is read nothing can be missed.
+    scale = curves.weight * size
+    relative = np.divide(model.rest, scale, out=np.zeros_like(model.rest), where=scale > 0.0)
+    missed = np.linalg.norm(relative) / np.sqrt(curves.degrees(model.poles.size))
     # Modes far outside the band bend a curve by a little more than their residual terms: that is as linear.
     return curves, model, float(missed) if len(tried) > 1 and missed > LEAST_RELATIVE_ERROR else 0.0
 

@@ -147,7 +147,9 @@ def _covariances(curves: Curves, model: Fit) -> tuple[Array, Array, Array]:
     np.fill_diagonal(plain, np.maximum(np.diag(plain), least))
     # Of few numbers it has taken most of each, and what is left is the smaller still (MacKinnon and White's HC3).
     seen = np.asarray(normal @ middle @ normal * (curves.numbers / degrees) ** 2, dtype=float)
-    relative = np.min(1.0 / (curves.weight * abs(curves.value)), axis=0)
+    # Of a line that no response tells, which weighs nothing, there is nothing to have in common.
+    surest = np.max(curves.weight * abs(curves.value), axis=0)
+    relative = np.divide(1.0, surest, out=np.zeros_like(surest), where=surest > 0.0)
     scored = np.einsum("pmn,mn->pn", model.slope.conj(), curves.weight * curves.value) * relative
     # What neighbours share of the misfit they share of the curves' own errors, where that is what the misfit is.
     alike = reach if model.misfit > _IS_NOISE * degrees else curves.shared

@@ -131,7 +131,10 @@ class LocalSpectra:
         )
         if noise.any():
             # By how much of itself the fit follows noise in the reference: so far off is, to it, the reference.
-            follows = 2.0 * of_response.through * noise / np.maximum(abs(of_response.value), 1e-300) ** 2
+            size = abs(of_response.value) ** 2
+            # Where nothing is fitted, all of it may be noise.
+            follows = np.full(size.shape, np.inf)
+            np.divide(2.0 * of_response.through * noise, size, out=follows, where=size > 0.0)
             bound = np.linalg.norm([1.96 * np.sqrt(variance), *systematic.values()], axis=0)
             systematic |= doubtful_reference_part(bound, np.sqrt(LARGEST * follows))
         systematic |= sensitivity_part(rec, names, *shares) | clock_part(rec, names, at, *shares, motion)

@@ -122,7 +122,8 @@ class Lines:
         """
         width = 2 * self.around + 1
         noise = ndimage.uniform_filter1d(self.covariance, width, axis=0, mode="nearest")
-        variance = np.nan_to_num(np.einsum("in,nij,jn->n", lower, noise, lower.conj()).real)
+        # Rounding can leave a variance of nothing slightly below it.
+        variance = np.maximum(np.nan_to_num(np.einsum("in,nij,jn->n", lower, noise, lower.conj()).real), 0.0)
         return np.asarray(np.sqrt(self.turned * variance / 2.0) * radius(_SURE, degrees * width))
 
 

@@ -88,8 +88,11 @@ def of_reading(share: Array) -> Array:
     """Turn largest deviations as shares of what should be read into shares of what is read: from 1 on infinite.
 
     A sensor that reads too little is farther off what it reads than its data sheet says of what is there.
+
+    >>> of_reading(np.array([0.2, 0.5, 1.0, 1e20])).tolist()
+    [0.25, 1.0, inf, inf]
     """
-    return np.asarray(np.where(share < 1.0, share / np.maximum(1.0 - share, 1e-300), np.inf))
+    return np.divide(share, 1.0 - share, out=np.full(share.shape, np.inf), where=share < 1.0)
 
 
 def off_by_gains(

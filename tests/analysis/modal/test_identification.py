@@ -216,6 +216,18 @@ def test_given_dampers_at_work_when_identified_then_each_peak_is_a_mode_and_it_i
     assert "not those of a linear structure" in " ".join(modes.warnings) and modes.model_error > 0.01
 
 
+def test_given_lines_that_nothing_bounds_in_one_response_when_identified_then_what_is_missed_is_told_all_the_same():
+    with daq.open(Path(__file__).parents[3] / "recordings" / "demo-sweep-three-dampers.mcap") as recording:
+        frfs = analysis.frfs(recording)
+    open_lines = np.where(abs(frfs[0].frequency - 24.0) < 4.0, np.inf, 0.0)
+    silent = replace(frfs[1], value=np.where(open_lines > 0.0, 0.0, frfs[1].value))
+    some = [replace(frf, systematic=frf.systematic | {UNSETTLED: open_lines}) for frf in (frfs[0], silent)]
+    modes = analysis.identify([*some, frfs[2]])
+    assert len(modes.frequency) == 3
+    assert modes.model_error > 0.01
+    assert np.isfinite(modes.frequency_error).all() and np.isfinite(modes.damping_error).all()
+
+
 def test_given_a_force_that_is_a_difference_of_readings_when_identified_then_its_tolerance_is_in_the_frequency():
     # What two sensors, 1 % apart, leave of the motion in the force reads as another stiffness.
     natural, frfs = two_modes(30.0, 0.2, 0.01, 400, noise=1e-4, seed=4)

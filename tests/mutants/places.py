@@ -109,4 +109,6 @@ EQUIVALENT = {
     "if name_length > 15 or len(content) < begin + 8:": "no compression has a name of 16 letters",
     "if not TYPE_CHECKING:": "imports more than is needed",
     'if len(scene.shakers) != 1 and any(shaker.kind != "force" for shaker in scene.shakers):': "any of none is false",
+    "driven = np.where(drive > _NOTHING, drive, np.nan)[:, 0, -1]": "the array has one column",
+    "better = _power(changed) <= _power(left)": "two that leave the same are as good",
 }

@@ -11,6 +11,7 @@ import analysis
 import daq
 import rig
 from analysis.responses.aliasing import _blows, _free_acceleration, aliasing_part
+from analysis.responses.frf import MOTIONS
 from analysis.responses.systematic import ALIASING
 from daq.signal_chain.channel import ChannelInfo
 
@@ -93,9 +94,13 @@ def test_given_a_structure_that_accelerates_less_and_less_when_images_fold_back_
 
 def test_given_a_driven_body_whose_band_lies_below_further_modes_when_images_fold_back_then_they_move_its_mass():
     value = np.full(4, 0.005 + 0.002j)
-    [bound] = part(channel(), value).values()
     true = np.array([images(channel(), cycles) for cycles in CYCLES]) / 2.0
-    assert (bound >= true).all() and (bound <= 1.25 * true).all()
+    for motion in MOTIONS:
+        # The same acceleration, told as that which it is integrated to.
+        told_as = (2.0 * np.pi * FREQUENCY) ** (2 - MOTIONS.index(motion))
+        [bound] = part(channel(), value / told_as, motion).values()
+        assert (bound * told_as >= true).all()
+        assert (bound * told_as <= 1.25 * true).all()
 
 
 @pytest.mark.parametrize("lower", [0.0, 1.0])

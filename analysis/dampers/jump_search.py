@@ -47,7 +47,7 @@ _PART, _CALM, _QUICK = 0.2, 8, 100.0
 # Noise is taken to be the same over so many windows; it is told from the share of them in which there is least, and
 # what normal deviates are below in as many.
 _STEADY = 8
-_QUANTILE, _OF_NORMAL = 0.5, 0.6745
+CALM = 0.5
 
 
 def least_sure(noise: float, largest: float) -> float:
@@ -59,11 +59,17 @@ class JumpSearch:
     """Search of one stretch: what is left of its differences, and what was taken out."""
 
     def __init__(
-        self, of: Signature, samples: Array, good: NDArray[np.bool_], floor: float, rate: float
+        self,
+        of: Signature,
+        samples: Array,
+        good: NDArray[np.bool_],
+        floor: float,
+        rate: float,
+        calm: float = CALM,
     ) -> None:
         from scipy.ndimage import minimum_filter1d
 
-        self.signature, self.floor, self.rate = of, floor, rate
+        self.signature, self.floor, self.rate, self.calm = of, floor, rate, calm
         filled = np.interp(np.arange(samples.size), np.flatnonzero(good), samples[good])
         self.rest = np.diff(filled, of.difference)
         self.usual = self.typical(filled)
@@ -263,26 +269,27 @@ class JumpSearch:
             [signal.correlate(self.rest, part, "valid", how) for part in self.signature.filters[row]]
         )
 
-    def noise(self) -> Array:
-        """Find the standard deviation of the coordinates at every place, shape (3, places), from medians."""
+    def noise(self, calm: float = CALM) -> Array:
+        """Find the standard deviation of the coordinates at every place, shape (3, places), from quantiles."""
         from scipy.ndimage import maximum_filter1d
+        from scipy.special import ndtri
 
         of = self.signature
         size = abs(self.coordinates((2 * SHIFT + 1) * of.instants // 2))
-        middle = np.quantile(size[:, self.open], _QUANTILE, axis=1)[:, None]
+        middle = np.quantile(size[:, self.open], calm, axis=1)[:, None]
         parts = np.array_split(
             np.where(self.open, size, middle), max(1, size.shape[1] // (_STEADY * of.window)), axis=1
         )
-        medians = np.stack([np.quantile(part, _QUANTILE, axis=1) for part in parts], axis=1)
+        medians = np.stack([np.quantile(part, calm, axis=1) for part in parts], axis=1)
         steady = np.maximum(maximum_filter1d(medians, 3, axis=1), middle)
         return np.maximum(
-            np.repeat(steady, [part.shape[1] for part in parts], axis=1) / _OF_NORMAL, self.floor
+            np.repeat(steady, [part.shape[1] for part in parts], axis=1) / ndtri(0.5 + 0.5 * calm), self.floor
         )
 
     def scan(self) -> tuple[Array, Array]:
         """Largest squared jump coordinate at every place, in variances, and the noise."""
         of = self.signature
-        noise = self.noise()
+        noise = self.noise(self.calm)
         best = np.zeros(noise.shape[1])
         first = SHIFT * of.instants + of.coarse // 2
         for row in range(first, first + of.instants, of.coarse):

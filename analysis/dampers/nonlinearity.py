@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.dampers.ceiling_reach import may_reach_ceiling
 from analysis.dampers.impact_detection import Impacts, band, impacts
 from analysis.dampers.restitution import Restitution, hard_speeds, restitution
 from analysis.decays.sensor_correction import corrected
@@ -29,6 +30,8 @@ _ERRORS = 5.0
 # So far from one a period impacts may be: of some twenty one or two fall on the edge of a window, or lie too
 # near to another.
 _ONCE = 0.15
+# Blows that come again only after more periods than this make no pattern.
+_LONGEST_PATTERN = 4
 # A restitution of so many standard deviations is one.
 _SURE = 3.0
 
@@ -92,21 +95,28 @@ class DamperMotion:
     """Whether the body's acceleration stays above -g by all that the channel may be off, so that no damper lifts."""
     restitution: Restitution | None = None
     """Of the body's only damper, where its impacts tell it."""
-    regular: bool = True
-    """Whether blows on each wall come a period apart, to within the channel's resolution."""
+    repeats: int = 1
+    """Periods after which all blows come again, to within the channel's resolution; 0: after none of a few."""
+    may_reach: bool = False
+    """Whether its flights may take the damper to the ceiling, struck too weakly to be seen."""
 
     @property
     def name(self) -> str:
         """Kind of motion, in the paper's terms where they apply."""
         if self.floor == 0 and self.ceiling == 0:
             return "riding" if self.rides else "unseen"
+        if not self.repeats:
+            return "unsure: impacts are missed, or the motion is irregular"
         once = abs(self.floor - 1.0) < _ONCE and (self.ceiling == 0 or abs(self.ceiling - 1.0) < _ONCE)
-        if once and self.regular and self.ceiling == 0:
-            return "I"
-        if once and self.regular and self.stays is not None:
-            return "III" if self.stays else "II"
-        why = "" if not once else ", staying or not" if self.regular else ", unevenly"
-        return f"other: {self.floor:.3g} floor and {self.ceiling:.3g} ceiling impacts a period{why}"
+        why = ""
+        if once and self.repeats == 1:
+            if self.ceiling == 0 and not self.may_reach:
+                return "I"
+            if self.ceiling and self.stays is not None:
+                return "III" if self.stays else "II"
+            why = ", staying or not" if self.ceiling else ", and perhaps weak ones on the ceiling"
+        floor, ceiling = (round(count * self.repeats) / self.repeats for count in (self.floor, self.ceiling))
+        return f"other: {floor:.3g} floor and {ceiling:.3g} ceiling impacts a period{why}"
 
 
 def damper_motion(
@@ -117,8 +127,9 @@ def damper_motion(
     A body may hold several dampers: their impacts are then counted together. `progress` is called with (windows
     searched, in all).
 
-    A type is named where blows come a period apart, and riding where the body's least acceleration proves it: flights
-    too short to see would else pass for it.
+    A type is named where blows come a period apart, and impacts are counted where they come again after a few periods:
+    else some are missed, or the motion is irregular. Riding is named where the body's least acceleration proves it:
+    flights too short to see would else pass for it; type I where its flights stay below the ceiling.
     """
     gravity = rec.scene.gravity
     place = rec.channels[channel].at
@@ -130,8 +141,10 @@ def damper_motion(
         # The search leaves out the ends of its stretch.
         inner = found.searched * float(frequency)
         struck = found.kind == "ceiling"
-        uneven = [abs(np.diff(found.time[each]) - 1.0 / frequency) for each in (struck, ~struck)]
-        told = restitution(rec, found, inside[0], int(first), int(stop)) if len(inside) == 1 else None
+        window = int(first), int(stop)
+        repeats = _repeats(found, float(frequency), window[0] / rec.rate, window[1] / rec.rate)
+        # Between impacts that are missed nothing flies freely.
+        told = restitution(rec, found, inside[0], *window) if len(inside) == 1 and repeats else None
         out.append(
             DamperMotion(
                 float(frequency),
@@ -145,14 +158,40 @@ def damper_motion(
                     _pushed(found.acceleration[struck], size, gravity, frequency),
                 ),
                 found.threshold,
-                _least_acceleration(rec, channel, frequency, int(first), int(stop)) > -gravity,
+                _least_acceleration(rec, channel, frequency, *window) > -gravity,
                 told,
-                bool(np.concatenate(uneven).max(initial=0.0) < found.resolution),
+                repeats,
+                not struck.any() and any(may_reach_ceiling(rec, found, each, *window) for each in inside),
             )
         )
         if progress is not None:
             progress(len(out), sweep.lines.frequency.size)
     return out
+
+
+def _repeats(found: Impacts, frequency: float, begin: float, end: float) -> int:
+    """Least number of periods after which all blows on each wall come again in a stretch, s; 0 if there is none."""
+    walls = [found.time[found.kind == wall] for wall in ("floor", "ceiling")]
+    begin, end = begin + found.ringing, end - found.ringing
+    if any(wall.size and not np.any((wall > begin) & (wall < end)) for wall in walls):
+        return 0
+    for periods in range(1, _LONGEST_PATTERN + 1):
+        shift = periods / frequency
+        if all(
+            _all_near(later[(later > begin) & (later < end)], wall, found)
+            for wall in walls
+            for later in (wall + shift, wall - shift)
+        ):
+            return periods
+    return 0
+
+
+def _all_near(time: NDArray[np.float64], others: NDArray[np.float64], found: Impacts) -> bool:
+    """Whether there is another within the channel's resolution of each time at which impacts can be told."""
+    near, stretches = found.resolution, found.left_out
+    untold = ((time[:, None] > stretches[:, 0] - near) & (time[:, None] < stretches[:, 1] + near)).any(axis=1)
+    apart = abs(time[~untold, None] - others).min(axis=1, initial=np.inf)
+    return bool(np.all(apart < near))
 
 
 def _stays(weight: NDArray[np.float64], change: float, rebound: float, pushed: float) -> bool | None:
@@ -231,14 +270,16 @@ def describe_motion(motions: list[DamperMotion], left_out: Sequence[float] = ())
     for index, one in enumerate(motions):
         kind = one.name.split(":")[0]
         last = index + 1 == len(motions)
-        following = "" if last else motions[index + 1].name.split(":")[0]
+        following = "" if last else motions[index + 1].name
         between = (one.frequency, one.frequency if last else motions[index + 1].frequency)
-        if kind != following or any(min(between) < f < max(between) for f in left_out):
+        if one.name != following or any(min(between) < f < max(between) for f in left_out):
             ends = f"{motions[first].frequency:.4g}"
             if index > first:
                 ends += f" to {one.frequency:.4g}"
-            text = f"type {kind}" if set(kind) == {"I"} else one.name
             least = max(each.threshold for each in motions[first : index + 1])
+            text = f"type {kind}" if set(kind) == {"I"} else one.name
+            if kind not in ("riding", "unseen"):
+                text += f" (impacts below {least:.2g} m/s are not seen)"
             if kind == "riding":
                 text = f"riding: no jump of velocity above {least:.2g} m/s"
             if kind == "unseen":

@@ -25,8 +25,9 @@ _KINDS = {
     "III": "type III: as II, staying at the ceiling",
     "other": "other pattern of impacts",
     "unseen": "may fly, impacts too small to be seen",
+    "unsure": "impacts missed, or irregular",
 }
-_SHADES = dict(zip(_KINDS, ("#cccccc", *COLOURS[:4], "#8c8c8c"), strict=True))
+_SHADES = dict(zip(_KINDS, ("#cccccc", *COLOURS[:4], "#8c8c8c", "#444444"), strict=True))
 
 
 def dampers_figure(

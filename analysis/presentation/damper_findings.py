@@ -143,8 +143,9 @@ def _rows(
             *(float(column[i]) for column in columns),
             body[i].channel,
             body[i].name,
-            body[i].floor,
-            body[i].ceiling,
+            # What impacts that are missed leave of the others is no count.
+            body[i].floor if body[i].repeats else np.nan,
+            body[i].ceiling if body[i].repeats else np.nan,
         )
         for i, frequency in enumerate(sweep.lines.frequency)
         for body in motions

@@ -34,6 +34,13 @@ ONE_REALISATION = (
     "One realisation: what dampers distort cannot be told from the response, and is in no error bar; "
     "run several (test: realisations)."
 )
+LIFTED = (
+    "Dampers leave the floor at this level, though realisations scatter no more than noise: the curve is the best "
+    "linear approximation for it, and what they change alike in every realisation is in no error bar; steady tones of "
+    "another amplitude (stepped sine) give another curve."
+)
+# Largest value of a sum of tones over its root mean square, at most that of their amplitudes in one instant.
+_CREST = 4.0
 # Share of the lines, and by how much more than noise and relative to the mean they must scatter, to be a distortion.
 _SHARE, _BEYOND, _SEEN = 0.2, 3.0, 2e-3
 
@@ -137,13 +144,15 @@ def best_linear_approximation(
 
 
 def _not_yet(rec: Recording, total: Lines, reference: str) -> str:
-    """Say that dampers did nothing, and from which force on a steady tone lifts one: its body then reaches g."""
+    """Say whether dampers did nothing, and from which force on a steady tone lifts one: its body then reaches g."""
     least = [(np.inf, np.nan)]
     for body in {damper.body for damper in rec.scene.dampers if not damper.locked}:
         info = located(rec, f"body {body}")
         if info is not None and reference == "force":
-            size = abs(total.frf(rec, info.name, motion="acceleration").value)
-            top = int(np.argmax(np.nan_to_num(size)))
+            size = np.nan_to_num(abs(total.frf(rec, info.name, motion="acceleration").value))
+            if _largest(size * _force(rec, total)) > rec.scene.gravity:
+                return LIFTED
+            top = int(np.argmax(size))
             least.append((rec.scene.gravity / size[top], total.frequency[top]))
     force, frequency = min(least)
     lifting = (
@@ -153,6 +162,18 @@ def _not_yet(rec: Recording, total: Lines, reference: str) -> str:
         f"No nonlinear distortion is seen at this level, but dampers can move: steady tones (stepped sine) {lifting} "
         "lift one, and give another curve."
     )
+
+
+def _force(rec: Recording, total: Lines) -> Array:
+    """Give the amplitudes of the force, N; shape (lines,)."""
+    row = reference_of(rec, "force").row(rec, total.channels, total.frequency)
+    return np.asarray(abs(np.sum(row * total.mean, axis=0)))
+
+
+def _largest(amplitudes: Array) -> float:
+    """Give the largest value of tones of some amplitudes and any phases, as far as one may expect it."""
+    rms = np.sqrt(np.sum(np.square(amplitudes)) / 2.0)
+    return float(min(_CREST * rms, amplitudes.sum()))
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import analysis
 import daq
 import rig
 from analysis.responses.estimators import estimate
-from analysis.responses.multisine import best_linear_approximation
+from analysis.responses.multisine import LIFTED, best_linear_approximation
 from rig.errors import RecordingError, SceneError
 from rig.system.receptance import receptance
 from tests.analysis.responses import synthetic
@@ -216,3 +216,23 @@ def test_given_a_fast_sweep_when_modes_are_identified_then_its_rate_smears_nothi
         modes = analysis.identify(curves, count=3)
     np.testing.assert_allclose(modes.damping, 0.005, rtol=0.02)
     assert not modes.warnings
+
+
+@pytest.mark.parametrize(("force", "lifted"), [(15.0, True), (0.3, False)])
+def test_given_a_multisine_that_may_lift_a_damper_when_nothing_scatters_then_it_is_said(
+    tmp_path, force, lifted
+):
+    scene = rig.loads(f"""
+structure: {{masses: [1.1 kg], springs: [4.4 kN/m], damping: {{modal: 2 %}}}}
+dampers: [{{body: 1, mass_ratio: 0.001, clearance: 0.3 mm}}]
+shaker: {{kind: force, body: 1}}
+test: {{kind: multisine, from: 6 Hz, to: 12.5 Hz, period: 2.5 s, periods: 2, realisations: 3, force: {force} N}}
+channels:
+- {{name: a1, at: body 1, accelerometer: {{sensitivity: 50 mV/(m/s^2), noise: 30 mg/sqrt(Hz)}}}}
+- {{name: force, at: shaker}}
+converter: {{rate: 2560 Hz}}
+""")
+    with daq.open(daq.record(scene, tmp_path / "a.mcap")) as recording:
+        [curve] = analysis.frfs(recording)
+    assert (LIFTED in curve.warnings) == lifted
+    assert any("No nonlinear distortion is seen" in said for said in curve.warnings) != lifted

@@ -17,7 +17,7 @@ from scipy import special
 import analysis
 import rig
 from analysis.responses.frf import CLOCK, MOTIONS, SENSITIVITY, Frf
-from analysis.responses.multisine import NONLINEAR, ONE_REALISATION
+from analysis.responses.multisine import LIFTED, NONLINEAR, ONE_REALISATION
 from daq.signal_chain.sensors import accelerometer, force_sensor
 from rig.scene.measurement_chain import Accelerometer, Hammer
 from rig.scene.presets import filled_in
@@ -37,6 +37,7 @@ MOST_UNTOLD = 0.3
 # Warnings that say of the whole curve that it is no response to steady tones, and why. No other warning excuses a
 # wrong line: what is printed on every run warns of nothing.
 _NOT_TONES = (
+    LIFTED,
     NONLINEAR,
     ONE_REALISATION,
     "before the motion had become periodic",

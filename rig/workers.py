@@ -16,6 +16,7 @@ from contextlib import ExitStack, closing, contextmanager
 from multiprocessing import active_children, get_context, parent_process
 from queue import SimpleQueue
 from threading import Thread, current_thread, main_thread
+from time import sleep
 from types import TracebackType
 from typing import Any, TypeVar
 
@@ -26,6 +27,8 @@ Result = TypeVar("Result")
 
 #: How often pieces are computed anew after a worker died of them.
 LIVES = 2
+# Milliseconds that a thread may take to note that a worker which was killed has ended.
+_PATIENCE = 1000
 
 
 def cores() -> int:
@@ -124,6 +127,11 @@ def _processes(until: ExitStack) -> Executor:
             worker.kill()
         for worker in workers:
             worker.join()
+            # The pool's own thread may have been told of the end first, and is about to note it.
+            for _ in range(_PATIENCE):
+                if worker.exitcode is not None:
+                    break
+                sleep(1e-3)
 
     until.callback(end)
     return pool

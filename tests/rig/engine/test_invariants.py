@@ -203,7 +203,7 @@ def _belongs(event: np.void, struck: dict[int, float], lifted: set[int], k: int,
     j = int(event["damper"]) - 1
     if event["kind"] == "separation":
         return j not in lifted
-    repeated = k + 1 < len(time) and time[k + 1] == time[k] and bool(struck or lifted)
+    repeated = k + 1 < len(time) and time[k + 1] - time[k] <= 1e-12 and bool(struck or lifted)
     return not repeated
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import rig
@@ -157,6 +157,9 @@ def test_given_any_impact_when_velocities_jump_then_momentum_is_kept_and_contact
     motion = rig.Plant(scene, rate).advance(drive)
     system = assemble(scene)
     time = (motion.break_sample - 1) / rate + motion.break_offset
+    # Which of the blows that two dampers of one body land next to each other at belongs to which break, no list tells.
+    apart = np.diff(time)
+    assume(not np.any((apart > 0.0) & (apart < 1e-9)))
     mode = np.ones(system.dampers, dtype=int)
     mode[[int(e["damper"]) - 1 for e in motion.events if e["time"] == 0.0]] = 0
     events = [e for e in motion.events if e["time"] > 0.0]
@@ -203,7 +206,7 @@ def _belongs(event: np.void, struck: dict[int, float], lifted: set[int], k: int,
     j = int(event["damper"]) - 1
     if event["kind"] == "separation":
         return j not in lifted
-    repeated = k + 1 < len(time) and time[k + 1] - time[k] <= 1e-12 and bool(struck or lifted)
+    repeated = k + 1 < len(time) and time[k + 1] == time[k] and bool(struck or lifted)
     return not repeated
 
 

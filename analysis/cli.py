@@ -286,11 +286,12 @@ def beds(
     points: Annotated[
         int | None, typer.Option(min=1, help="Only so many settings, spread over all; 6 take minutes.")
     ] = None,
+    cluster: Cluster = None,
 ) -> None:
     """Follow beds of grains and the same as one mass, for the paper's claim on them; takes ten minutes."""
     from analysis.paper.bed_study import follow
 
-    follow(output, points, lambda line: print(line, flush=True))
+    follow(output, points, lambda line: print(line, flush=True), cluster)
     print(f"\nwritten: {output}")
 
 

@@ -9,9 +9,8 @@ the package; `analysis beds` makes them again.
 
 from __future__ import annotations
 
-import csv
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -21,12 +20,13 @@ import numpy as np
 
 from analysis.paper.store import Arrays
 from rig.bed_response.steady_bed import SteadyBed, steady_grains, steady_mass
-from rig.errors import RunError
 from rig.grains.packing import highest, settled
 from rig.grains.spheres import rayleigh_time, spheres_of
+from rig.kept_table import KeptTable, rows_of
 from rig.scene.damper import Grains
 from rig.scene.excitation import Sine
 from rig.scene.scene import STANDARD_GRAVITY, Scene
+from rig.workers import Workers
 
 #: Acceleration in g, and clearances in m; those that one mass does not fly through are left out but for no ceiling, as
 #: they are all the same.
@@ -60,6 +60,10 @@ _HEADER = (
     "level", "clearance_m", "layers", "seed", "depth_diameters",
     *(f"{who}_{name}" for who in ("grains", "mass") for name in (*MEASURES, "motion_type")),
 )  # fmt: skip
+
+
+#: What the table is one of.
+_WHAT = "beds against one mass"
 
 
 class Setting(NamedTuple):
@@ -120,26 +124,45 @@ def compared(setting: Setting) -> dict[str, str]:
     return dict(zip(_HEADER, row, strict=True))
 
 
-def follow(path: Path, points: int | None, say: Callable[[str], None]) -> None:
+def follow(path: Path, points: int | None, say: Callable[[str], None], cluster: str | None = None) -> None:
     """Follow the first so many settings and add each to a table as soon as it is there; what is in it stays.
+
+    Parameters
+    ----------
+    path : Path
+        CSV file; its rows are in the order of `settings` once all are there.
+    points : int or None
+        How many settings; None: all.
+    say : callable
+        Called with a line for each.
+    cluster : str, optional
+        See `rig.workers.Workers`.
 
     Raises
     ------
     RunError
         If the file is another one, or cannot be written.
     """
-    wanted = settings()[:points]
-    try:
-        known = {_setting(row) for row in _rows(path)} if path.exists() else set()
-        _begin(path)
-        missing = [setting for setting in wanted if setting not in known]
-        for done, setting in enumerate(missing, 1):
-            row = compared(setting)
-            with path.open("a", newline="", encoding="utf-8") as file:
-                csv.DictWriter(file, _HEADER, lineterminator="\n").writerow(row)
-            say(f"[{done}/{len(missing)}] {_words(setting)}: {_ratio(row)}")
-    except OSError as error:
-        raise RunError(f"cannot write {path}: {error.strerror}; choose another place with -o") from None
+    kept_rows = KeptTable(path, _HEADER, _WHAT)
+    known = {_setting(row): row for row in map(_named, kept_rows.rows)}
+    missing = [setting for setting in settings()[:points] if setting not in known]
+    if missing:
+        with Workers(cluster) as workers:
+            # Each packing once: it is kept where the workers are, for all levels and clearances.
+            for _ in workers.compute(_pack, list({setting[2:]: setting for setting in missing}.values())):
+                pass
+            for done, (number, row) in enumerate(workers.compute(compared, missing), 1):
+                known[missing[number]] = row
+                kept_rows.append(_cells(row))
+                say(f"[{done}/{len(missing)}] {_words(missing[number])}: {_ratio(row)}")
+    place = {setting: number for number, setting in enumerate(settings())}
+    order = sorted(known, key=lambda setting: (place.get(setting, len(place)), setting))
+    kept_rows.put_in_order(_cells(known[setting]) for setting in order)
+
+
+def _pack(setting: Setting) -> None:
+    (spheres,) = spheres_of(scene_of_bed(setting)).values()
+    settled(spheres)
 
 
 def kept() -> Path:
@@ -236,22 +259,13 @@ def _ratio(row: dict[str, str]) -> str:
     return f"compliance of grains {100 * (ratio - 1.0):+.1f} % off that of one mass"
 
 
-def _begin(path: Path) -> None:
-    """Have a table end with a whole line, be it that of its titles."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a+", newline="", encoding="utf-8") as file:
-        file.seek(0)
-        content = file.read()
-        if not content:
-            file.write(",".join(_HEADER) + "\n")
-        elif not content.endswith("\n"):
-            file.write("\n")
+def _cells(row: dict[str, str]) -> list[str]:
+    return [row[name] for name in _HEADER]
 
 
-def _rows(path: Path) -> Iterator[dict[str, str]]:
-    with path.open(newline="", encoding="utf-8") as file:
-        reader = csv.DictReader(file)
-        if tuple(reader.fieldnames or ()) != _HEADER:
-            raise RunError(f"{path}: is no table of beds; move it, or choose another place with -o")
-        # The last line of a study that was ended may be torn.
-        yield from (row for row in reader if all(row.values()))
+def _named(row: Sequence[str]) -> dict[str, str]:
+    return dict(zip(_HEADER, row, strict=True))
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    return [_named(row) for row in rows_of(path, _HEADER, _WHAT)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 from collections.abc import Callable, Sequence
@@ -14,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.bed_response.steady_bed import SteadyBed, steady_grains, steady_mass
-from rig.errors import RunError, SceneError
+from rig.errors import SceneError
 from rig.grains.library import lammps_version
 from rig.grains.packing import settled
 from rig.grains.spheres import spheres_of
+from rig.kept_table import KeptTable
 from rig.results import Result, styled
 from rig.scene.loading import scene_of
 from rig.scene.quantities import FREQUENCY, positives
@@ -136,7 +136,8 @@ def bed_response(
             f"scene {scene.name!r} has no bed of grains that can move; expected dampers with grains: {{diameter: 2 mm}}"
         )
     pieces = [_Piece(scene, float(frequency), periods) for frequency in asked]
-    known = {} if table is None else _read(table)
+    kept = None if table is None else KeptTable(table, _HEADER, "beds")
+    known = {} if kept is None else _known(kept.rows)
     missing = [piece for piece in pieces if _digest(piece) not in known]
     done = len(pieces) - len(missing)
     if progress is not None:
@@ -148,8 +149,8 @@ def bed_response(
         with Workers(cluster) as workers:
             for number, both in workers.compute(_followed, missing):
                 known[_digest(missing[number])] = both
-                if table is not None:
-                    _keep(table, missing[number], both)
+                if kept is not None:
+                    kept.append(_row(missing[number], both))
                 done += 1
                 if progress is not None:
                     progress(done, len(pieces))
@@ -183,35 +184,18 @@ def _digest(piece: _Piece) -> str:
     return hashlib.sha256(repr(told).encode()).hexdigest()[:16]
 
 
-def _read(path: Path) -> dict[str, tuple[SteadyBed, SteadyBed]]:
-    try:
-        if not path.exists():
-            with path.open("x", newline="", encoding="utf-8") as file:
-                csv.writer(file, lineterminator="\n").writerow(_HEADER)
-        with path.open(newline="", encoding="utf-8", errors="replace") as file:
-            rows = list(csv.reader(file))
-    except OSError as error:
-        raise RunError(f"cannot write {path}: {error.strerror}; choose another place with -o") from None
-    if rows[:1] != [_HEADER]:
-        raise RunError(f"{path}: is no table of beds; move it, or choose another place with -o")
+def _known(rows: Sequence[Sequence[str]]) -> dict[str, tuple[SteadyBed, SteadyBed]]:
     known = {}
-    for row in rows[1:]:
+    for digest, _, grains, mass in rows:
         try:
-            digest, _, grains, mass = row
             known[digest] = _motion(grains), _motion(mass)
         except (ValueError, KeyError, TypeError):
-            # The last line of a study that was killed may be torn.
             continue
     return known
 
 
-def _keep(path: Path, piece: _Piece, both: tuple[SteadyBed, SteadyBed]) -> None:
-    with path.open("r+", newline="", encoding="utf-8") as file:
-        content = file.read()
-        if not content.endswith("\n"):
-            file.write("\n")
-        row = [_digest(piece), repr(piece.frequency), *(json.dumps(_told(each)) for each in both)]
-        csv.writer(file, lineterminator="\n").writerow(row)
+def _row(piece: _Piece, both: tuple[SteadyBed, SteadyBed]) -> list[str]:
+    return [_digest(piece), repr(piece.frequency), *(json.dumps(_told(each)) for each in both)]
 
 
 def _told(motion: SteadyBed) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import astuple, fields
 from functools import partial
@@ -12,8 +11,7 @@ from typing import Any
 
 from rig.damper_design.choice import Choice, Question
 from rig.damper_design.worst_peak import Peak
-from rig.errors import RunError
-from rig.output_files import replacing
+from rig.kept_table import KeptTable
 from rig.workers import Workers
 
 #: Tells the peak of a choice, as far as it is known.
@@ -53,18 +51,10 @@ class Answers:
     def __init__(
         self, workers: Workers, table: Path | None, progress: Callable[[int, int], None] | None, total: int
     ) -> None:
-        self._workers, self._table, self._progress = workers, table, progress
+        self._workers, self._progress = workers, progress
         self._done, self._total = 0, total
-        self._known: dict[tuple[str, Choice], Peak] = {}
-        # Whether the table ends within a line, as a kill may leave it.
-        self._torn = False
-        if table is not None:
-            try:
-                self._read(table)
-            except OSError as error:
-                raise RunError(
-                    f"cannot write {table}: {error.strerror}; choose another place with -o"
-                ) from None
+        self._table = None if table is None else KeptTable(table, _HEADER, "designs")
+        self._known = {} if self._table is None else _known(self._table.rows)
 
     def peak(self, question: Question, choice: Choice) -> Peak | None:
         """Give the worst peak of a choice if it is known."""
@@ -111,7 +101,8 @@ class Answers:
         for number, peak in self._workers.compute(_worst, pieces):
             part, choice = pieces[number]
             self._known[part.digest, choice] = peak
-            self._append(part.digest, choice, peak)
+            if self._table is not None:
+                self._table.append(_row(part.digest, choice, peak))
             self._done += 1
             if self._progress is not None:
                 self._progress(self._done, max(self._total, self._done + 1))
@@ -123,49 +114,28 @@ class Answers:
     def put_in_order(self) -> None:
         """Sort the table: the same answers make the same file, in whatever order they came."""
         if self._table is not None:
-            with replacing(self._table) as part, part.open("w", newline="", encoding="utf-8") as file:
-                rows = [_row(*asked, peak) for asked, peak in sorted(self._known.items())]
-                csv.writer(file, lineterminator="\n").writerows([_HEADER, *rows])
-            self._torn = False
+            self._table.put_in_order(_row(*asked, peak) for asked, peak in sorted(self._known.items()))
 
-    def _append(self, digest: str, choice: Choice, peak: Peak) -> None:
-        if self._table is None:
-            return
-        with self._table.open("a", newline="", encoding="utf-8") as file:
-            if self._torn:
-                file.write("\n")
-                self._torn = False
-            csv.writer(file, lineterminator="\n").writerow(_row(digest, choice, peak))
 
-    def _read(self, path: Path) -> None:
-        if not path.exists():
-            with path.open("x", newline="", encoding="utf-8") as file:
-                csv.writer(file, lineterminator="\n").writerow(_HEADER)
-        with path.open(newline="", encoding="utf-8", errors="replace") as file:
-            lines = file.readlines()
-        rows = list(csv.reader(lines))
-        self._torn = not lines[-1].endswith("\n") if lines else False
-        if rows[:1] != [_HEADER]:
-            raise RunError(f"{path}: is no table of designs; move it, or choose another place with -o")
-        # A kill may have torn the last line, and half a number is one, too.
-        for row in rows[1 : len(rows) - self._torn]:
-            try:
-                bodies, masses, clearances = (each.split() for each in row[1:4])
-                choice = Choice(
-                    tuple(map(int, bodies)), tuple(map(float, masses)), tuple(map(float, clearances))
-                )
-                size, frequency, level, body, acceleration, simulated = row[5:]
-                peak = Peak(
-                    float(size),
-                    float(frequency),
-                    float(level),
-                    int(body),
-                    float(acceleration),
-                    float(simulated),
-                )
-            except ValueError:
-                continue
-            self._known[row[0], choice] = peak
+def _known(rows: Sequence[Sequence[str]]) -> dict[tuple[str, Choice], Peak]:
+    known = {}
+    for row in rows:
+        try:
+            bodies, masses, clearances = (each.split() for each in row[1:4])
+            choice = Choice(tuple(map(int, bodies)), tuple(map(float, masses)), tuple(map(float, clearances)))
+            size, frequency, level, body, acceleration, simulated = row[5:]
+            peak = Peak(
+                float(size),
+                float(frequency),
+                float(level),
+                int(body),
+                float(acceleration),
+                float(simulated),
+            )
+        except ValueError:
+            continue
+        known[row[0], choice] = peak
+    return known
 
 
 def _row(digest: str, choice: Choice, peak: Peak) -> list[Any]:

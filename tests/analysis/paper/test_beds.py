@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,6 +31,7 @@ from analysis.paper.bed_study import (
 from rig.bed_response.steady_bed import as_one_mass, steady_mass
 from rig.errors import RunError
 from rig.response.frequency_response import frequency_response
+from rig.workers import Workers
 
 
 def made(setting: Setting) -> dict[str, str]:
@@ -42,11 +46,29 @@ def made(setting: Setting) -> dict[str, str]:
     return row | {f"grains_{name}": f"{100 + 2 * setting.seed}" for name in MEASURES}
 
 
+class BackToFront(Workers):
+    """Workers of which the last piece is done first, in this process."""
+
+    def _start(self) -> Executor:
+        return None
+
+    def compute(self, function: Callable[[Any], Any], pieces: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+        yield from ((number, function(pieces[number])) for number in reversed(range(len(pieces))))
+
+
+@pytest.fixture
+def done(monkeypatch: pytest.MonkeyPatch) -> list[Setting]:
+    """Settings that were followed; what they give is made up."""
+    followed: list[Setting] = []
+    monkeypatch.setattr(bed_study, "Workers", BackToFront)
+    monkeypatch.setattr(bed_study, "_pack", lambda setting: None)
+    monkeypatch.setattr(bed_study, "compared", lambda setting: followed.append(setting) or made(setting))
+    return followed
+
+
 def test_given_some_settings_when_followed_and_again_with_more_then_only_what_is_missing_is_done(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, done: list[Setting]
 ) -> None:
-    done: list[Setting] = []
-    monkeypatch.setattr(bed_study, "compared", lambda setting: done.append(setting) or made(setting))
     path, said = tmp_path / "beds.csv", []
 
     follow(path, 2, said.append)
@@ -54,10 +76,23 @@ def test_given_some_settings_when_followed_and_again_with_more_then_only_what_is
         file.write("0.2,0.001")
     follow(path, 3, said.append)
 
-    assert done == settings()[:3]
+    assert done == [settings()[1], settings()[0], settings()[2]]
     assert "[1/2]" in said[0]
     assert "+2.0 % off" in said[0]
     assert len(table(path)["level"]) == 3
+
+
+def test_given_pieces_that_come_in_another_order_when_all_are_there_then_the_table_is_in_its_own(
+    tmp_path: Path, done: list[Setting]
+) -> None:
+    at_once, by_parts = tmp_path / "at-once.csv", tmp_path / "by-parts.csv"
+
+    follow(at_once, 5, lambda line: None)
+    for points in (2, 5):
+        follow(by_parts, points, lambda line: None)
+
+    assert by_parts.read_bytes() == at_once.read_bytes()
+    assert [bed_study._setting(row) for row in bed_study._rows(at_once)] == settings()[:5]
 
 
 def test_given_a_file_that_is_no_table_when_followed_then_it_is_left_alone(tmp_path: Path) -> None:

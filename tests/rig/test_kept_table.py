@@ -1,0 +1,91 @@
+"""The table of a study: what a kill leaves of it, what it is not, and its order."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from rig.errors import RunError
+from rig.kept_table import KeptTable, rows_of
+
+HEADER = ["level", "gap, m", "found"]
+
+
+def test_given_rows_kept_when_the_table_is_opened_again_then_they_stand_in_it(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "table.csv"
+    first = KeptTable(path, HEADER, "gaps")
+    first.append([1, "0.5, about", "[1.5, 2]"])
+
+    again = KeptTable(path, HEADER, "gaps")
+
+    assert first.rows == []
+    assert again.rows == [["1", "0.5, about", "[1.5, 2]"]]
+    assert rows_of(path, HEADER, "gaps") == again.rows
+
+
+@pytest.mark.parametrize("cut", range(1, 6))
+def test_given_a_kill_within_a_line_when_the_study_goes_on_twice_then_half_a_number_is_never_one(
+    tmp_path: Path, cut: int
+) -> None:
+    path = tmp_path / "table.csv"
+    table = KeptTable(path, HEADER, "gaps")
+    table.append([1, 2, 3])
+    table.append([4, 5, 678])
+    path.write_bytes(path.read_bytes()[:-cut])
+
+    torn = rows_of(path, HEADER, "gaps")
+    opened = KeptTable(path, HEADER, "gaps")
+    opened.append([7, 8, 9])
+
+    assert torn == opened.rows == [["1", "2", "3"]]
+    assert KeptTable(path, HEADER, "gaps").rows == [["1", "2", "3"], ["7", "8", "9"]]
+
+
+def test_given_an_empty_file_as_a_kill_may_leave_one_when_opened_then_it_becomes_a_table(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "table.csv"
+    path.touch()
+
+    KeptTable(path, HEADER, "gaps").append([1, 2, 3])
+
+    assert rows_of(path, HEADER, "gaps") == [["1", "2", "3"]]
+
+
+@pytest.mark.parametrize("content", [b"mine", b"mine\n", b"level,gap\n1,2\n", b"\x00\xff\n\x00", b"\n"])
+def test_given_a_file_that_is_no_such_table_when_opened_then_it_is_refused_and_left_alone(
+    tmp_path: Path, content: bytes
+) -> None:
+    path = tmp_path / "mine.csv"
+    path.write_bytes(content)
+
+    with pytest.raises(
+        RunError, match=r"mine.csv: is no table of gaps; move it, or choose another place with -o"
+    ):
+        KeptTable(path, HEADER, "gaps")
+
+    assert path.read_bytes() == content
+
+
+def test_given_a_place_where_nothing_can_be_written_when_opened_then_that_is_said(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+
+    with pytest.raises(RunError, match=r"cannot write .*table.csv.*choose another place with -o"):
+        KeptTable(tmp_path / "file" / "table.csv", HEADER, "gaps")
+
+
+def test_given_a_table_that_is_not_there_when_read_then_that_is_said(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match=r"cannot read .*table.csv"):
+        rows_of(tmp_path / "table.csv", HEADER, "gaps")
+
+
+def test_given_rows_in_an_order_when_put_in_order_then_only_they_stand_in_it(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    table = KeptTable(path, HEADER, "gaps")
+    table.append([4, 5, 6])
+    table.append([1, 2, 3])
+
+    table.put_in_order([[1, 2, 3], [4, 5, 6]])
+
+    assert path.read_text() == 'level,"gap, m",found\n1,2,3\n4,5,6\n'

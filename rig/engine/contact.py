@@ -207,11 +207,13 @@ def _impact_together(
         i = work.member[a]
         body = state.z[model.velocity[i]]
         if work.struck[a]:
-            note(log, segment, offset, i, state.mode[i], -work.opening[a])
             own = state.speed[i] + work.sign[a] * work.pressure[a] / model.mass[i]
             rebound = work.sign[a] * (own - body)
             if work.active[a] and work.right[a] == work.opening[a]:
                 rebound = 0.0
+            # Another's blow may take the wall away before it is touched.
+            if work.pressure[a] > 0.0 or rebound <= 0.0:
+                note(log, segment, offset, i, state.mode[i], -work.opening[a])
             _land(flow, model, state, i, rebound)
         elif not work.active[a]:
             opening = work.sign[a] * (work.before[a] - body)

@@ -6,9 +6,8 @@ from .fitting.fit import Fit, fit
 from .modal.identification import identify
 from .modal.modes import Modes, mac
 from .responses.frequency_responses import compliance, frequency_responses, frfs
-from .responses.frf import Frf
+from .responses.frf import Frf, FrfSet
 from .responses.frf_files import read_frfs
-from .responses.frf_set import FrfSet
 
 __all__ = [
     "Decay",

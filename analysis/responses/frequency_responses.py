@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from analysis.responses.estimators import ESTIMATORS, Averages
-from analysis.responses.frf import MOTIONS, Frf
-from analysis.responses.frf_set import FrfSet
+from analysis.responses.frf import MOTIONS, Frf, FrfSet
 from analysis.responses.measurands import concerned, responses
 from rig.errors import RecordingError, SceneError
 from rig.scene.quantities import FORCE, number

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.responses.frf import MOTIONS, Frf
-from analysis.responses.frf_set import FrfSet
+from analysis.responses.frf import MOTIONS, Frf, FrfSet
 from daq.importing import uff
 from daq.importing.files import signals_of
 from daq.importing.units import meaning

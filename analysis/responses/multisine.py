@@ -35,7 +35,7 @@ ONE_REALISATION = (
     "run several (test: realisations)."
 )
 LIFTED = (
-    "Dampers leave the floor at this level, though realisations scatter no more than noise: the curve is the best "
+    "Dampers may leave the floor at this level, though realisations scatter no more than noise: the curve is the best "
     "linear approximation for it, and what they change alike in every realisation is in no error bar; steady tones of "
     "another amplitude (stepped sine) give another curve."
 )

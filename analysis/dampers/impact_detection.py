@@ -137,13 +137,13 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
             "stretch, or record with a lower level or a larger converter range"
         )
     search, place, jump = _searched(searches)
-    if place.size and abs(jump).max() < _DOUBTFUL * _noise(search):
-        # Blows that come every few windows pass for noise in most of them, and hide one another.
-        calmer = [JumpSearch(one, samples, good, floor, rec.rate, _CALMEST) for one in choices]
-        again = _searched(calmer)
-        if _noise(again[0]) < _CLEARLY * _noise(search):
-            search, place, jump = again
     noise = _noise(search)
+    if place.size and abs(jump).max() < _DOUBTFUL * noise:
+        # Blows that come every few windows pass for noise in most of them, and hide one another.
+        calmer = _searched([JumpSearch(one, samples, good, floor, rec.rate, _CALMEST) for one in choices])
+        less = _noise(calmer[0])
+        if less < _CLEARLY * noise:
+            (search, place, jump), noise = calmer, less
     clear = abs(jump) > max(SIGMAS * noise, RANGE * float(abs(jump).max(initial=0.0)))
     unread = (start + np.array(runs_of(~good), dtype=float).reshape(-1, 2)) / rec.rate
     entangled = search.entangled()

@@ -77,6 +77,8 @@ def save(figure: Figure, stem: Path) -> list[Path]:
     make_ready(stem.parent)
     with matplotlib.rc_context(_STYLE), replacing(png) as part:
         figure.savefig(part, dpi=150, metadata={"Software": None})
+    # Everything has its place by now; finding it takes a third of the time of a drawing.
+    figure.set_layout_engine("none")
     with matplotlib.rc_context(_STYLE), replacing(svg) as part:
         figure.savefig(part, metadata={"Date": None, "Creator": None})
     return [png, svg]

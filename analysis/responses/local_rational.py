@@ -302,14 +302,16 @@ class _Terms(NamedTuple):
 
     def response(self, unknown: _Unknown) -> ComplexArray:
         """Quotient of the two polynomials; shape (lines, stretches or 1, width)."""
-        return np.asarray(
-            (self.shared @ unknown.numerator[:, None, :, None])[..., 0] / self._below(unknown.denominator)
-        )
+        return self._above(unknown.numerator) / self._below(unknown.denominator)
 
     def quotient(self, unknown: _Unknown) -> tuple[ComplexArray, ComplexArray]:
         """Model of the lines and its denominator."""
         below = self._below(unknown.denominator)
-        return self.response(unknown) + (self.own @ unknown.transients[..., None])[..., 0] / below, below
+        transients = (self.own @ unknown.transients[..., None])[..., 0]
+        return self._above(unknown.numerator) / below + transients / below, below
+
+    def _above(self, numerator: ComplexArray) -> ComplexArray:
+        return np.asarray((self.shared @ numerator[:, None, :, None])[..., 0])
 
     def _below(self, denominator: ComplexArray) -> ComplexArray:
         below = 1.0 + (self.powers @ denominator[:, None, :, None])[..., 0]

@@ -19,7 +19,7 @@ from daq.recording.committed_file import Disk
 from daq.recording.interrupts import held_back
 from daq.recording.markers import MARKER_SCHEMA, Marker
 from daq.recording.protobuf import Schema
-from daq.recording.sample_block import SCHEMAS, block_schema, encode
+from daq.recording.sample_block import SCHEMAS, block_schema, encode, scale_of, stored_as
 from daq.recording.sample_groups import Group, Grouping
 from daq.recording.timebase import Timebase
 from rig.errors import RunError
@@ -390,15 +390,3 @@ class Recorder:
 def of_row(blocks: Iterable[Messages], row: int, topic: int) -> Iterator[Messages]:
     """Give the messages of one row of a group its topic."""
     return (each._replace(channel=topic, data=each.data[row]) for each in blocks)
-
-
-def stored_as(scene: Scene, channels: Sequence[ChannelInfo]) -> str:
-    """Say how samples are stored, a key of `sample_block.SCHEMAS`: as the scene asks, or else as they come."""
-    if scene.recording.samples is not None:
-        return scene.recording.samples
-    return "counts" if all(info.volts_per_count is not None for info in channels) else "float64"
-
-
-def scale_of(info: ChannelInfo, stored: str) -> float:
-    """Give the size of a stored number in the unit that the channel reads."""
-    return info.unit_per_count if stored == "counts" else 1.0 / info.sensitivity

@@ -123,11 +123,8 @@ class Recording(Result):
     def _info(self, name: str, series: Series) -> ChannelInfo:
         """Make a channel of a topic's metadata; another writer may leave out what has a usual value."""
         where = f"{self.path}: {series.topic!s:.80}"
-        given = (
-            {"name": name, "at": "", "sensitivity": "1.0"}
-            | series.metadata
-            | {"rate": repr(series.clock.rate)}
-        )
+        given = {"name": name, "at": "", "sensitivity": "1.0"} | series.metadata
+        given["rate"] = repr(series.clock.rate)
         if "quantity" not in given:
             given["quantity"] = next((key for key, unit in UNITS.items() if unit == given.get("unit")), "")
         if given["quantity"] not in UNITS:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,10 @@ from numpy.typing import NDArray
 from daq.recording.protobuf import Schema, descriptors, message_class, varint
 from daq.recording.timebase import Timebase
 from rig.errors import RecordingError
+
+if TYPE_CHECKING:
+    from daq.signal_chain.channel import ChannelInfo
+    from rig.scene.scene import Scene
 
 # What a stored sample is -> schema, protobuf type and numpy type in the file.
 SCHEMAS: dict[str, tuple[str, str, np.dtype[Any]]] = {
@@ -136,3 +141,15 @@ def _decode_any(data: memoryview, schema: str) -> SampleBlock:
         raise RecordingError(f"a message of {len(data)} bytes is no {schema}: {error}") from error
     samples: NDArray[Any] = np.array(message.samples, dtype=SAMPLE_TYPE[schema])
     return SampleBlock(message.t0_ns, message.first_sample, message.sample_rate_hz, samples)
+
+
+def stored_as(scene: Scene, channels: Sequence[ChannelInfo]) -> str:
+    """Say how samples are stored, a key of `sample_block.SCHEMAS`: as the scene asks, or else as they come."""
+    if scene.recording.samples is not None:
+        return scene.recording.samples
+    return "counts" if all(info.volts_per_count is not None for info in channels) else "float64"
+
+
+def scale_of(info: ChannelInfo, stored: str) -> float:
+    """Give the size of a stored number in the unit that the channel reads."""
+    return info.unit_per_count if stored == "counts" else 1.0 / info.sensitivity

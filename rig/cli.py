@@ -272,7 +272,7 @@ def map_(
         Path, typer.Option("-o", "--output", metavar="DIR", help="Where to write the figure and the table.")
     ] = Path(),
 ) -> None:
-    """Map where it gets hard: type of motion and computing time over level (or clearance) and frequency."""
+    """Map where it gets hard: type of motion and time to settle over level (or clearance) and frequency."""
     import rig
     from rig.motion_map.figure import summary, write
     from rig.motion_map.grid import KIND_OF_UNIT, columns, rows_of, vertical_axis

@@ -79,19 +79,16 @@ def _draw(map_: MotionMap) -> Figure:
     with drawing(4.6, 10.0) as figure:
         left, right = figure.subplots(1, 2, sharey=True)
         draw_kinds(left, map_)
-        milliseconds = 1e3 * map_.cpu
-        low, high = np.percentile(milliseconds, [1, 99.5])
+        low, high = map_.periods.min(), max(map_.periods.max(), map_.periods.min() + 1)
         mesh = right.pcolormesh(
-            *_borders(map_), milliseconds, cmap="viridis", norm=LogNorm(low, high), rasterized=True
+            *_borders(map_), map_.periods, cmap="viridis", norm=LogNorm(low, high), rasterized=True
         )
-        bar = figure.colorbar(
-            mesh, ax=right, label="CPU time to the steady state / ms", extend="both", pad=0.02
-        )
+        bar = figure.colorbar(mesh, ax=right, label="periods followed to the steady state", pad=0.02)
         plain_logarithmic(bar.ax.yaxis)
         _dress(right, map_)
         right.set_ylabel("")
         left.set_title("What the damper does that moves most wildly")
-        right.set_title("Where it takes long to compute")
+        right.set_title("How long the motion takes to settle")
         present = sorted(set(map_.kind.ravel()))
         handles: list[Patch | Line2D] = [Patch(color=COLOURS[k], label=LEGEND[k]) for k in present]
         if map_.over != "clearance":

@@ -1,4 +1,4 @@
-"""Where a scene gets hard: type of motion and computing time over level and frequency, or clearance and frequency."""
+"""Where a scene gets hard: type of motion and periods to settle over level and frequency, or clearance and frequency."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class MotionMap(Result):
     periods : ndarray of int, shape (rows, frequencies)
         Periods that were followed to find out.
     cpu : ndarray, shape (rows, frequencies)
-        CPU time spent, s.
+        CPU time spent, s; in no table or figure, which are the same wherever they are computed.
     take_off : ndarray, shape (frequencies,)
         Level above which the linear structure with all dampers riding accelerates one of them at more than gravity.
     """
@@ -90,7 +90,7 @@ class MotionMap(Result):
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Every point of the grid: where, which motion, how often it hits and repeats, what it cost."""
+        """Every point of the grid: where, which motion, how often it hits and repeats, how long it took to settle."""
         dampers = np.array([each.split("/") for each in self.motion.ravel()]).T
         return {
             f"{self.over}_{self.unit}": np.repeat(self.value, self.frequency.size),
@@ -100,7 +100,6 @@ class MotionMap(Result):
             "impacts_per_period": self.impacts.ravel(),
             "repetition_periods": self.repetition.ravel(),
             "periods_followed": self.periods.ravel(),
-            "cpu_s": self.cpu.ravel(),
         }
 
     def to_xarray(self) -> xarray.Dataset:

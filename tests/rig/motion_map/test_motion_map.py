@@ -148,6 +148,15 @@ def test_given_a_map_when_written_then_the_file_has_a_row_for_every_point(
 
 
 @pytest.mark.thorough
+def test_given_a_map_that_took_other_times_when_written_then_the_files_are_the_same(
+    fig9_map: rig.MotionMap, tmp_path: Path
+) -> None:
+    slower = replace(fig9_map, cpu=3.0 * fig9_map.cpu)
+    for one, other in zip(write(fig9_map, tmp_path / "one"), write(slower, tmp_path / "other"), strict=True):
+        assert one.read_bytes() == other.read_bytes()
+
+
+@pytest.mark.thorough
 def test_given_maps_of_a_scene_over_level_and_clearance_when_written_then_neither_takes_the_others_place(
     fig9_map: rig.MotionMap, tmp_path: Path
 ) -> None:

@@ -1,4 +1,4 @@
-"""Where a scene gets hard: type of motion and periods to settle over level and frequency, or clearance and frequency."""
+"""Where a scene gets hard: type of motion and periods to settle over level or clearance, and frequency."""
 
 from __future__ import annotations
 

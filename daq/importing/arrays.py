@@ -24,7 +24,7 @@ from rig.errors import RecordingError
 
 # What programs call the sample rate, the sample interval and the times.
 _RATES = re.compile(
-    r"(.*[._])?(fs|rate|sample_?rate|sampling_?rate|samp_?freq|sample_?frequency)(_?hz)?", re.IGNORECASE
+    r"(.*[._])?(f_?s|sr|rate|(samp|sample|sampling)_?(rate|freq|frequency))(_?hz)?", re.IGNORECASE
 )
 _INTERVALS = re.compile(r"(.*[._])?(dt|ts|increment|delta_?t|sample_?interval|x?delta)(_?s)?", re.IGNORECASE)
 _TIMES = re.compile(r"(.*[._])?(t|time|times|zeit)(_s)?", re.IGNORECASE)
@@ -48,7 +48,7 @@ def numpy_signals(path: Path) -> list[Signal]:
 
 
 def matlab_signals(path: Path) -> list[Signal]:
-    """List the arrays of a MATLAB file of version 4 to 7.2, which are held in memory, structures field by field."""
+    """List the arrays of a MATLAB file, which are held in memory, structures field by field."""
     return _signals(path, dict(_flat(matlab_arrays(path))))
 
 
@@ -56,6 +56,10 @@ def _flat(content: Mapping[str, Any], before: str = "", depth: int = 0) -> Itera
     """Name the fields of structures by their way: ``Signal_1.y_values.values``."""
     for name, value in content.items():
         where = f"{before}{name}"
+        if isinstance(value, Mapping):
+            if depth < _DEEPEST:
+                yield from _flat(value, f"{where}.", depth + 1)
+            continue
         array = np.asarray(value)
         if array.dtype.names and depth < _DEEPEST:
             items = array.ravel()[:1000]
@@ -64,6 +68,9 @@ def _flat(content: Mapping[str, Any], before: str = "", depth: int = 0) -> Itera
                 yield from _flat(dict(zip(array.dtype.names, item, strict=True)), f"{part}.", depth + 1)
         elif array.dtype.kind == "O" and array.size == 1 and depth < _DEEPEST:
             yield from _flat({name: array.item()}, before, depth + 1)
+        elif array.dtype.kind == "O" and all(isinstance(item, Mapping) for item in array.flat):
+            for number, item in enumerate(array.ravel()[:1000], 1):
+                yield from _flat({f"{name}({number})": item}, before, depth + 1)
         else:
             yield where, array
 

@@ -259,8 +259,8 @@ def _plain(name: str) -> str:
 
 
 def _aliases(signal: Signal) -> set[str]:
-    """Names that a signal goes by: its own, and without its group."""
-    return {_plain(signal.name), _plain(signal.name.rpartition("/")[2])}
+    """Names that a signal goes by: its own, and without its group or the structure that it is in."""
+    return {_plain(signal.name), *(_plain(signal.name.rpartition(mark)[2]) for mark in "/.")}
 
 
 def _twice(chosen: Sequence[Choice]) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,10 +17,15 @@ from rig.errors import RecordingError
 
 Array = NDArray[np.float64]
 
+# What programs call a row of times.
+TIME_NAMES = re.compile(r"(time|zeit|t|x_value)(stamp)?", re.IGNORECASE)
+
 # A rate stated in full differs from the one that was meant by rounding only.
 _ROUNDING = 1e-12
 # Times may be off the even grid by this part of a sample; beyond, samples are missing or the clock is none.
 _OFF_GRID = 0.5
+# Times that are off by more than they were rounded and than this part of a sample are told.
+_JITTERY = 0.02
 
 
 @dataclass(frozen=True)
@@ -140,9 +146,31 @@ def clock_of_times(times: Array, resolution: float, where: str) -> tuple[float, 
     first, last = float(times[0]), float(times[-1])
     # How far they are off an even grid tells to how many digits they were rounded.
     off = float(abs(times - np.linspace(first, last, times.size)).max())
-    rate = rate_between(first, last, times.size, max(resolution, 2.0 * off), where)
-    even(times, 0, float(times[0]), rate, resolution, where)
-    return rate, float(times[0])
+    if last > first and off * (times.size - 1) > (last - first) * _JITTERY + resolution * (times.size - 1):
+        rate, first, off = _clock_of_jittery(times, where)
+        tell(
+            f"{where} are off an even grid by up to {off * rate:.0%} of a sample: taken for jitter of the writing, "
+            "not of the sampling"
+        )
+    else:
+        rate = rate_between(first, last, times.size, max(resolution, 2.0 * off), where)
+    even(times, 0, first, rate, resolution, where)
+    return rate, first
+
+
+def _clock_of_jittery(times: Array, where: str) -> tuple[float, float, float]:
+    """Find the rate and the first time of an even grid through times by least squares, and how far they are off it."""
+    number = np.arange(times.size) - (times.size - 1) / 2.0
+    spread = float(number @ number)
+    interval, middle = float(number @ times) / spread, float(times.mean())
+    left = times - middle - interval * number
+    # Four standard errors of the slope.
+    error = 4.0 * float(np.std(left)) / math.sqrt(spread)
+    try:
+        rate = rate_of_interval(interval, error)
+    except RecordingError as wrong:
+        raise RecordingError(f"{where}: {wrong}") from None
+    return rate, middle + float(number[0]) / rate, float(abs(left).max())
 
 
 def looks_like_times(begin: Array, last: float, samples: int) -> bool:

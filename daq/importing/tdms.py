@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from daq.importing.signal import Array, Signal, rate_of_interval
+from daq.importing.signal import TIME_NAMES, Array, Signal, clock_of_times, rate_of_interval
 from rig.errors import RecordingError, RunError
+from rig.scene.quantities import TIME, parse
 
 # LabVIEW's zero of time, which stands for a date that was not set.
 _NO_DATE = np.datetime64("1904-01-02")
@@ -37,10 +38,48 @@ def tdms_signals(path: Path, stack: ExitStack) -> list[Signal]:
         raise RecordingError(f"{path} is no TDMS file, or it is damaged: {_told(error)}") from error
     whole = [channel for channel in channels if not channel.properties.get("DecimationLevel")]
     several = len({channel.group_name for channel in whole}) > 1
-    return [_signal(path, number, channel, several) for number, channel in enumerate(whole, 1)]
+    times = {channel.group_name: channel for channel in whole if _is_clock(channel, whole)}
+    clocks = {group: _clock(path, channel) for group, channel in times.items()}
+    samples = [channel for channel in whole if channel is not times.get(channel.group_name)]
+    return [
+        _signal(path, number, channel, several, clocks.get(channel.group_name))
+        for number, channel in enumerate(samples, 1)
+    ]
 
 
-def _signal(path: Path, number: int, channel: Any, several: bool) -> Signal:
+def _is_clock(channel: Any, among: list[Any]) -> bool:
+    """Whether a channel holds the times of those of its group, none of which has a clock of its own."""
+    group = [other for other in among if other.group_name == channel.group_name and other is not channel]
+    return (
+        TIME_NAMES.fullmatch(str(channel.name).partition("[")[0].partition("(")[0].strip()) is not None
+        and bool(group)
+        and all(
+            other.properties.get("wf_increment") is None and len(other) <= len(channel) for other in group
+        )
+    )
+
+
+def _clock(path: Path, channel: Any) -> tuple[float, float]:
+    """Find the rate and the first time of a channel of times: seconds, or dates with times of day."""
+    where = f"{path}: the times in {channel.name!r}"
+    try:
+        times = np.asarray(channel[:])
+        if times.dtype.kind == "M":
+            times = (times - times[:1]) / np.timedelta64(1, "s")
+        seconds = times.astype(float)
+    except Exception as error:
+        raise RecordingError(f"{where} cannot be read: {_told(error)}") from error
+    unit = str(channel.properties.get("unit_string") or "s")
+    try:
+        seconds = seconds * parse(f"1 {unit}", TIME)
+    except ValueError as error:
+        raise RecordingError(f"{where}: {error}; expected a unit of time such as s or ms") from None
+    return clock_of_times(seconds, 0.0, where)
+
+
+def _signal(
+    path: Path, number: int, channel: Any, several: bool, clock: tuple[float, float] | None
+) -> Signal:
     properties: Mapping[str, Any] = channel.properties
     name = f"{channel.group_name}/{channel.name}" if several else str(channel.name)
     where = f"{path}: {name!r}"
@@ -48,6 +87,8 @@ def _signal(path: Path, number: int, channel: Any, several: bool) -> Signal:
     try:
         rate = None if not interval else rate_of_interval(float(interval))
         start = float(offset)
+        if clock is not None:
+            rate, start = clock
     except (TypeError, ValueError):
         raise RecordingError(
             f"{where}: its wf_increment is {interval!r}, its wf_start_offset {offset!r}"

@@ -14,14 +14,23 @@ import numpy as np
 
 from daq.importing import labview_text
 from daq.importing.labview_text import LabviewHeading
-from daq.importing.signal import Array, Signal, even, looks_like_times, rate_between, tell, tell_times
+from daq.importing.signal import (
+    TIME_NAMES,
+    Array,
+    Signal,
+    even,
+    looks_like_times,
+    rate_between,
+    tell,
+    tell_times,
+)
+from daq.importing.time_stamps import resolution_of_stamp, seconds_of_stamp
 from rig.errors import RecordingError
 from rig.scene.quantities import TIME, parse
 
 # Lines in which the first line of numbers has to come.
 _LONGEST_HEADING = 200
 _LONGEST_LINE = 1 << 20
-_TIME_NAMES = re.compile(r"(time|zeit|t|x_value)(stamp)?", re.IGNORECASE)
 _UNIT_BEHIND = re.compile(r"(.*?)\s*[\[(]([^\[\]()]*(?:\([^\[\]()]*\)[^\[\]()]*)?)[\])]\s*")
 # A unit behind an underscore, as our own tables have it.
 _SUFFIX = re.compile(r"(.+)_(m/s\^2|m/s²|m/s|m|N|V|g|s|ms)")
@@ -62,7 +71,8 @@ def text_signals(path: Path, stack: ExitStack) -> list[Signal]:
     columns = list(zip(layout.names, layout.units, strict=True))
     rate, start = None, 0.0
     first = 0
-    if len(columns) > 1 and (_TIME_NAMES.fullmatch(columns[0][0]) or table.begins_with_times()):
+    named = TIME_NAMES.fullmatch(columns[0][0]) is not None
+    if len(columns) > 1 and (named or table.has_stamps() or table.begins_with_times()):
         first = 1
         rate, start = table.take_clock(columns[0][1])
     if not table.rows:
@@ -141,6 +151,10 @@ class _Table:
         self._position = 0
         self._held: tuple[int, int, Array] = (-1, -1, np.empty((0, 0)))
 
+    def has_stamps(self) -> bool:
+        """Whether the first column holds dates with times of day."""
+        return bool(self._ends) and seconds_of_stamp(self._first_cell(self._ends[0])) is not None
+
     def begins_with_times(self) -> bool:
         """Whether the first column of a table without heading can only be times, which is then told."""
         if self._layout.names[0] != UNNAMED.format(1) or self.rows < 2:
@@ -154,19 +168,27 @@ class _Table:
     def take_clock(self, unit: str) -> tuple[float, float]:
         """Take the first column for times in a unit; give the rate in Hz and the first time in s."""
         where = f"{self._path}: the times in its first column"
+        stamps = self.has_stamps()
         try:
-            scale = parse(f"1 {unit}", TIME) if unit else 1.0
+            scale = parse(f"1 {unit}", TIME) if unit and not stamps else 1.0
         except ValueError as error:
             raise RecordingError(f"{where}: {error}; expected a unit of time such as s or ms") from None
         if self.rows < 2:
             raise RecordingError(f"{where}: {self.rows} line of numbers; expected at least 2")
         rows = [self._row(0, line) for line in (self._ends[0], self._ends[-1])]
         begin, end = (float(row[0]) * scale for row in rows)
-        digits = max(_digits(_cells(line, self._layout.delimiter)[0]) for line in self._ends)
-        resolution = 10.0 ** (np.floor(np.log10(max(abs(begin), abs(end), 1e-300))) + 1 - digits)
+        cells = [self._first_cell(line) for line in self._ends]
+        if stamps:
+            resolution = min(map(resolution_of_stamp, cells))
+        else:
+            largest = max(abs(begin), abs(end), 1e-300)
+            resolution = 10.0 ** (np.floor(np.log10(largest)) + 1 - max(map(_digits, cells)))
         rate = rate_between(begin, end, self.rows, resolution, where)
         self._clock = begin, rate, resolution, scale
         return rate, begin
+
+    def _first_cell(self, line: str) -> str:
+        return _cells(line, self._layout.delimiter)[0]
 
     def column(self, index: int) -> Callable[[int, int], Array]:
         """Give the reader of a column."""
@@ -238,6 +260,8 @@ class _Table:
         row = []
         for column, cell in enumerate(cells, 1):
             value = _value(cell, self._layout.decimal_comma)
+            if value is None and column == 1:
+                value = seconds_of_stamp(cell)
             if value is None:
                 raise RecordingError(f"{where}, column {column}: {cell!r:.40} is no number")
             row.append(value)
@@ -267,10 +291,17 @@ def _layout(path: Path, lines: list[str], encoding: str) -> Layout:
             cells = _cells(line, delimiter)
             comma = delimiter != "," and "," in line
             values = [_value(cell, comma) for cell in cells]
+            if len(values) > 1 and values[0] is None:
+                values[0] = seconds_of_stamp(cells[0])
             # A comma between blanks may part columns or decimals; where it parts columns, all cells are numbers, too.
             if len(cells) >= (1 if delimiter is None else 2) and _are_numbers(values):
-                names, units = _heading(lines[:heading], delimiter, len(cells))
-                return Layout(encoding, delimiter, comma, heading, names, units)
+                above = _above(lines[:heading], delimiter)
+                width = len(cells)
+                if width > 2 and not cells[-1] and above and len(above[-1]) == width - 1:
+                    # A delimiter behind each line's last number parts it from nothing.
+                    names, units = _heading(above, width - 1)
+                    return Layout(encoding, delimiter, comma, heading, names, units, tuple(range(width - 1)))
+                return Layout(encoding, delimiter, comma, heading, *_heading(above, width))
     raise RecordingError(
         f"{path}: no line of numbers among its first {len(lines)} lines; expected a table of numbers"
     )
@@ -280,13 +311,17 @@ def _are_numbers(values: list[float | None]) -> bool:
     return None not in values and any(value == value for value in values)
 
 
-def _heading(lines: list[str], delimiter: str | None, width: int) -> tuple[list[str], list[str]]:
-    """Take names and units from the lines above the numbers."""
-    above = [
+def _above(lines: list[str], delimiter: str | None) -> list[list[str]]:
+    """Give the cells of the lines above the numbers."""
+    return [
         _cells(line.lstrip("#%").strip() if line[:1] in "#%" else line, delimiter)
         for line in lines
         if line.strip()
     ]
+
+
+def _heading(above: list[list[str]], width: int) -> tuple[list[str], list[str]]:
+    """Take names and units from the lines above the numbers."""
     rows = [[cell.strip(" ,;") for cell in row] for row in above[-2:] if len(row) == width]
     if not rows or len(above[-1]) != width:
         return [UNNAMED.format(number) for number in range(1, width + 1)], [""] * width

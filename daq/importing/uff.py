@@ -129,7 +129,7 @@ def _signal(path: Path, number: int, name: str, each: Mapping[str, Any]) -> Sign
             raise RecordingError(f"{where}: {error}") from None
     else:
         times = np.asarray(each["x"], dtype=float)
-        rate, start = clock_of_times(times, _last_digit(float(abs(times).max(initial=0.0))), where)
+        rate, start = clock_of_times(times, _resolution(times, each), where)
 
     def read(first: int, stop: int) -> np.ndarray:
         return data[first:stop]
@@ -146,6 +146,14 @@ def _stated_rate(each: Mapping[str, Any]) -> float | None:
         except ValueError:
             return None
     return None
+
+
+def _resolution(times: np.ndarray, each: Mapping[str, Any]) -> float:
+    """Tell how finely times of uneven spacing are written: six digits in text, numbers of four bytes or of eight."""
+    largest = float(abs(times).max(initial=0.0))
+    if not int(each.get("binary", 0)):
+        return _last_digit(largest)
+    return float(np.spacing(np.float32(largest))) if int(each["ord_data_type"]) in (2, 5) else 0.0
 
 
 def _last_digit(number: float) -> float:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import h5py
 import nptdms
 import numpy as np
 import pyuff
@@ -57,6 +59,19 @@ def tdms(path: Path, rows: np.ndarray) -> None:
             )
 
 
+def tdms_with_times(path: Path, rows: np.ndarray) -> None:
+    """Without waveform properties, as programs write that know columns only."""
+    columns = [("Time", "s", np.arange(rows.shape[1]) / RATE), *zip(NAMES, UNITS, rows, strict=True)]
+    with nptdms.TdmsWriter(str(path)) as writer:
+        for part in np.array_split(np.arange(rows.shape[1]), 3):
+            writer.write_segment(
+                [
+                    nptdms.ChannelObject("Measured", name, column[part], {"unit_string": unit})
+                    for name, unit, column in columns
+                ]
+            )
+
+
 def uff(path: Path, rows: np.ndarray, binary: int = 0) -> None:
     file = pyuff.UFF(str(path))
     for number, (name, unit, row) in enumerate(zip(NAMES, UNITS, rows, strict=True), 1):
@@ -86,6 +101,15 @@ def german(path: Path, rows: np.ndarray) -> None:
     path.write_text("\r\n".join(lines), encoding="cp1252")
 
 
+def stamped(path: Path, rows: np.ndarray) -> None:
+    """Dates and times of day, whole seconds without a fraction, and a comma behind the last number."""
+    lines = [",".join(["Date/Time", *(f"{name} ({unit})" for name, unit in zip(NAMES, UNITS, strict=True))])]
+    begin = datetime(2024, 2, 29, 23, 59, 59, tzinfo=UTC).replace(tzinfo=None)
+    for k, row in enumerate(rows.T):
+        lines.append(f"{begin + timedelta(seconds=k / RATE)}," + "".join(f"{value:.9g}," for value in row))
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
 def npz(path: Path, rows: np.ndarray) -> None:
     members = dict(zip(NAMES, rows, strict=True))
     np.savez(path, fs=RATE, channels=np.array(NAMES), units=np.array(UNITS), **members)
@@ -94,6 +118,27 @@ def npz(path: Path, rows: np.ndarray) -> None:
 def mat(path: Path, rows: np.ndarray) -> None:
     units = {"channels": np.array(NAMES), "units": np.array(UNITS)}
     savemat(path, {**dict(zip(NAMES, rows, strict=True)), "t": np.arange(rows.shape[1]) / RATE, **units})
+
+
+def mat_hdf5(path: Path, rows: np.ndarray) -> None:
+    """As MATLAB's `save -v7.3` writes a structure: columns are rows, texts are numbers, cells refer."""
+    with h5py.File(path, "w", userblock_size=512) as file:
+        run = file.create_group("run")
+        run.attrs["MATLAB_class"] = np.bytes_("struct")
+        for name, values in {**dict(zip(NAMES, rows, strict=True)), "fs": np.array([RATE])}.items():
+            run.create_dataset(name, data=values[None]).attrs["MATLAB_class"] = np.bytes_("double")
+        for key, texts in {
+            "channels": [f"run.{name}" for name in NAMES],
+            "units": UNITS,
+        }.items():
+            cell = file.create_dataset(key, (1, len(texts)), h5py.ref_dtype)
+            cell.attrs["MATLAB_class"] = np.bytes_("cell")
+            for k, text in enumerate(texts):
+                held = file.create_dataset(f"#refs#/{key}{k}", data=np.array([list(map(ord, text))], "u2").T)
+                held.attrs["MATLAB_class"] = np.bytes_("char")
+                cell[0, k] = held.ref
+    head = b"MATLAB 7.3 MAT-file, Platform: PCWIN64".ljust(124) + b"\0\2IM"
+    path.write_bytes(head + path.read_bytes()[len(head) :])
 
 
 def wav(path: Path, rows: np.ndarray) -> None:
@@ -117,12 +162,15 @@ def mcap(path: Path, rows: np.ndarray) -> None:
 
 WRITERS: dict[str, tuple[str, Callable[[Path, np.ndarray], None], float]] = {
     "tdms": (".tdms", tdms, 0.0),
+    "tdms with times": (".tdms", tdms_with_times, 0.0),
     "uff text": (".uff", uff, 1e-11),
     "uff binary": (".uff", lambda path, rows: uff(path, rows, 1), 0.0),
     "csv": (".csv", csv, 1e-8),
     "german": (".txt", german, 1e-8),
+    "stamped": (".csv", stamped, 1e-8),
     "npz": (".npz", npz, 0.0),
     "mat": (".mat", mat, 0.0),
+    "mat 7.3": (".mat", mat_hdf5, 0.0),
     "wav": (".wav", wav, 1e-6),
     "mcap": (".mcap", mcap, 0.0),
 }

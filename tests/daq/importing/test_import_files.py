@@ -278,6 +278,35 @@ def test_given_counted_lines_without_names_when_imported_then_the_count_is_no_cl
         imported(tmp_path / "a.txt", bench(), tmp_path / "r.mcap", table=table)
 
 
+def test_given_stated_times_off_an_even_grid_when_imported_then_it_is_told(tmp_path):
+    rows = histories(400)
+    off = np.random.default_rng(2).uniform(-0.2, 0.2, 400)
+    for name, times in {"even": np.arange(400.0), "uneven": np.arange(400) + off}.items():
+        np.savez(tmp_path / f"{name}.npz", time=times / RATE, body1=rows[0])
+        table = {"body1": Column("body1", unit="g")}
+        _, heard = imported(tmp_path / f"{name}.npz", bench(), tmp_path / f"{name}.mcap", table=table)
+        assert any("off an even grid by up to" in text for text in heard) == (name == "uneven")
+
+
+def test_given_a_last_value_missing_in_the_first_line_when_imported_then_its_column_is_there(tmp_path):
+    lines = [f"{k / RATE:.9g},{k % 7},{'' if k == 0 else k % 5}" for k in range(400)]
+    (tmp_path / "a.csv").write_text("\n".join(["time [s],body1 [g],body2 [g]", *lines]))
+    recording, _ = imported(tmp_path / "a.csv", bench(), tmp_path / "r.mcap")
+    with recording:
+        assert np.isnan(recording.read("body2")[0])
+        np.testing.assert_allclose(recording.read("body2")[1:], 9.80665 * (np.arange(1, 400) % 5), rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["Fs", "sampling_frequency", "samplerate", "sr", "f_s", "sampling_rate_Hz"])
+def test_given_a_sample_rate_by_any_of_its_names_when_imported_then_it_is_the_rate(name, tmp_path):
+    np.savez(tmp_path / "a.npz", **{name: RATE}, body1=histories(400)[0])
+    recording, _ = imported(
+        tmp_path / "a.npz", bench(), tmp_path / "r.mcap", table={"body1": Column("body1", unit="g")}
+    )
+    with recording:
+        assert recording.rate == RATE
+
+
 def test_given_labviews_text_of_several_segments_when_imported_then_the_line_is_named(tmp_path):
     heading = LABVIEW.format(name="Tab", point=".", columns="No")
     segment = (

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from analysis.fitting.diagnosis import causes, scale_off
 from analysis.fitting.estimate import Estimate, estimate
+from analysis.fitting.identifiability import together
 from analysis.fitting.measured import Curves, measured
 from analysis.fitting.parameters import Parameter, free_parameters, spelt_out
 from analysis.fitting.problem import Problem, slope
 from analysis.fitting.separation import LevelDamping, damping_by_level
-from analysis.fitting.untold import together
 from analysis.recordings.names import opened
 from rig.errors import RecordingError, SceneError
 from rig.results import Result, styled
@@ -189,7 +189,7 @@ def fit(
 
     Parameters
     ----------
-    recordings : sequence of daq.recording.Recording, str or Path
+    recordings : sequence of daq.Recording, str or Path
         Of one structure: stepped, swept, random, multisine or impulse tests; with dampers that move, tones. Which
         dampers were in is taken from the scene of each recording.
     scene : Scene or str

@@ -110,7 +110,7 @@ def _options() -> Any:
 
 def _channel() -> Any:
     """Give this process its own connection: one that was made before a fork belongs to the other process."""
-    from daq.server.channels import open_channel
+    from daq.server.grpc_channel import open_channel
 
     if os.getpid() not in _channels:
         _channels[os.getpid()] = open_channel(os.environ[SERVER])

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rig.bed_response.steady_bed import SteadyBed, steady_grains, steady_mass
 from rig.errors import SceneError
-from rig.grains.library import lammps_version
+from rig.grains.lammps_library import lammps_version
 from rig.grains.packing import settled
 from rig.grains.spheres import spheres_of
 from rig.kept_table import KeptTable

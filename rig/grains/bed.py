@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import RunError
-from rig.grains.library import new_lammps
+from rig.grains.lammps_library import new_lammps
 from rig.grains.rebound import told_restitution
 from rig.grains.spheres import Spheres
 from rig.scene.damper import Grains

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from rig.errors import RunError
 from rig.grains.bed import CEILING, FLOOR, Bed
-from rig.grains.library import lammps_version
+from rig.grains.lammps_library import lammps_version
 from rig.grains.spheres import Spheres, rayleigh_time
 from rig.scene.scene import STANDARD_GRAVITY
 

@@ -12,7 +12,7 @@ from nidaqmx.system import System
 
 import daq
 from daq.instrument.clock import ManualClock
-from daq.server.channels import open_channel
+from daq.server.grpc_channel import open_channel
 from daq.server.serve import serve
 from daq.server.service import Limits
 from rig.errors import SceneError

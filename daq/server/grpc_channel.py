@@ -1,4 +1,4 @@
-"""Connections to a server."""
+"""Connections to a server: gRPC calls them channels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Figures of responses, decays and modes, and the one style that all figures share.
+"""Figures of responses, decays, modes and dampers, in the style that all figures share (`rig.figure_style`).
 
-Start with `style`.
+Start with `frf_figure`.
 """

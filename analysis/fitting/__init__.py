@@ -1,4 +1,5 @@
 """A scene fitted to recordings of the real structure: what its values are, how certain, and what cannot be told.
 
-Knows the rig, as its model of what was recorded.
+Knows the rig, as its model of what was recorded. Start with `fit`; `problem` is the least squares, `estimate` solves it
+and says how certain the values are, `identifiability` which of them go together.
 """

@@ -95,7 +95,7 @@ def signature(info: ChannelInfo, curvature: int = 2) -> Signature:
 
     Parameters
     ----------
-    info : daq.channel.ChannelInfo
+    info : daq.signal_chain.channel.ChannelInfo
         Channel of acceleration, velocity or displacement.
     curvature : int
         Order of the polynomial that the acceleration around a jump is let to follow beside step and kink.

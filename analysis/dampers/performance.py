@@ -49,7 +49,7 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
 
     Parameters
     ----------
-    rec : daq.recording.Recording
+    rec : daq.Recording
         A stepped sine with a channel on every body.
     sweep : Sweep
         One of `analysis.responses.stepped_sine.sweeps`.

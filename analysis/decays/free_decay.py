@@ -157,7 +157,7 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
 
     Parameters
     ----------
-    rec : daq.recording.Recording
+    rec : daq.Recording
         An impulse test or a free decay.
     channel : str, optional
         Channel; omitted, the last body's.

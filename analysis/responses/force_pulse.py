@@ -30,7 +30,7 @@ def pulse_alone(info: ChannelInfo, force: Array, first: int, last: int) -> Array
 
     Parameters
     ----------
-    info : daq.channel.ChannelInfo
+    info : daq.signal_chain.channel.ChannelInfo
         The force channel.
     force : ndarray, shape (n,)
         Its samples, N, from before the hit on, with nothing left of earlier ones.

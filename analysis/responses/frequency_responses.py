@@ -83,7 +83,7 @@ def frequency_responses(
 
     Parameters
     ----------
-    rec : daq.recording.Recording
+    rec : daq.Recording
         The recording of a sine, stepped sine, swept sine, random, multisine or impulse test.
     channels : sequence of str, optional
         Responses; omitted, every channel on a body.
@@ -205,7 +205,7 @@ def frfs(
 
     Parameters
     ----------
-    rec : daq.recording.Recording
+    rec : daq.Recording
         As for `frequency_responses`, which gives all sweeps of a recording and has more options.
     channels, reference, motion
         As in `frequency_responses`; a response may also be named by the body it sits on.

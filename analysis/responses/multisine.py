@@ -91,7 +91,7 @@ def best_linear_approximation(
 
     Parameters
     ----------
-    markers : sequence of daq.marker.Marker
+    markers : sequence of daq.recording.markers.Marker
         Its ``measure`` markers, one per realisation.
     names : sequence of str
         Names of the channels to average.

@@ -53,7 +53,7 @@ def averages(
 
     Parameters
     ----------
-    marker : daq.marker.Marker
+    marker : daq.recording.markers.Marker
         Its ``measure`` marker.
     channels : sequence of str
         Names of the channels to average.

@@ -58,7 +58,7 @@ def sweeps(
 
     Parameters
     ----------
-    rec : daq.recording.Recording
+    rec : daq.Recording
         A stepped-sine or sine recording.
     channels : sequence of str, optional
         Names of the channels to lock in on; omitted, all.

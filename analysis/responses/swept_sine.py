@@ -98,7 +98,7 @@ def tracked(
 
     Parameters
     ----------
-    marker : daq.marker.Marker
+    marker : daq.recording.markers.Marker
         Its ``measure`` marker: from, to, duration, spacing.
     channels : sequence of str
         Names of the channels to track.

@@ -76,7 +76,7 @@ class Quantiser:
 
     Parameters
     ----------
-    settings : rig.sensor_settings.Converter
+    settings : rig.scene.measurement_chain.Converter
         As the scene has them; presets are filled in.
     channels : sequence of ChannelInfo
         What is connected.

@@ -62,7 +62,7 @@ def exact_orbit(scene: Scene, orbit: Orbit) -> ExactOrbit:
     ----------
     scene : Scene
         With the force itself on its body where the test holds a force
-        (`rig.system.hybrid_system.open_loop_drive.with_ideal_force`).
+        (`rig.system.open_loop_drive.with_ideal_force`).
 
     Raises
     ------

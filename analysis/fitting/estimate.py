@@ -15,6 +15,8 @@ from analysis.fitting.start import start
 Array = NDArray[np.float64]
 Told = Callable[[str], None]
 
+# Half width of a 95 % interval in standard deviations.
+CONFIDENCE = 1.96
 # How far a model is allowed to miss, relative to the peaks around, on the way to the errors stated: far from the
 # solution, narrow resonances beside each other know nothing of each other.
 _DISTRUST = (0.1, 0.01, 0.0)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.fitting.diagnosis import causes, scale_off
-from analysis.fitting.estimate import Estimate, estimate
+from analysis.fitting.estimate import CONFIDENCE, Estimate, estimate
 from analysis.fitting.identifiability import together
 from analysis.fitting.measured import Curves, measured
 from analysis.fitting.parameters import Parameter, free_parameters, spelt_out
@@ -32,8 +32,6 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Progress = Callable[[str], None]
 
-# Half width of a 95 % interval in standard deviations.
-CONFIDENCE = 1.96
 # A value whose 95 % interval is wider, relative, is not told at all.
 _UNTOLD = 0.5
 # Misses of so many variances are not noise; of so much of the curves they are those of another structure.

@@ -6,12 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from analysis.fitting.estimate import Estimate
+from analysis.fitting.estimate import CONFIDENCE, Estimate
 from analysis.fitting.problem import Problem
 
 # Half a 95 % interval in a direction, from which on it is told of; and a share in it that counts, of the largest.
 _WIDE, _SHARE = 0.02, 0.3
-_CONFIDENCE = 1.96
 
 
 def together(problem: Problem, found: Estimate, told: Sequence[str]) -> tuple[str, ...]:
@@ -32,7 +31,7 @@ def together(problem: Problem, found: Estimate, told: Sequence[str]) -> tuple[st
         return tuple(lines)
     size, axes = np.linalg.eigh(found.covariance[np.ix_(known, known)])
     for variance, axis in sorted(zip(size, axes.T, strict=True), key=lambda pair: -pair[0]):
-        half = _CONFIDENCE * float(np.sqrt(variance)) * float(abs(axis).max())
+        half = CONFIDENCE * float(np.sqrt(variance)) * float(abs(axis).max())
         members = [k for k, share in zip(known, abs(axis), strict=True) if share > _SHARE * abs(axis).max()]
         if half < _WIDE:
             break

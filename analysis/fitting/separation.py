@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.fitting.estimate import Estimate, solved
+from analysis.fitting.estimate import CONFIDENCE, Estimate, solved
 from analysis.fitting.problem import Problem
 
 Array = NDArray[np.float64]
-_CONFIDENCE = 1.96
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,7 @@ def damping_by_level(problem: Problem, found: Estimate) -> tuple[LevelDamping, .
         misses = problem.residual(x, [group])[: -problem.size]
         variance = max(float(np.mean(misses**2)), 1.0)
         covariance = np.linalg.inv(jacobian.T @ jacobian) * variance
-        half = _CONFIDENCE * np.sqrt(np.diag(covariance))
+        half = CONFIDENCE * np.sqrt(np.diag(covariance))
         value = problem.values(x)[active]
         size = (2.0 * np.pi * curves.frequency) ** (2 if curves.reference in ("table", "force") else 0)
         out.append(

@@ -251,11 +251,6 @@ class Hits:
         return float(min(highest + int(reach[0]) if reach.size else power.size, 0.4 * size) * rec.rate / size)
 
 
-def first_of(inside: Sequence[tuple[int, int]]) -> int:
-    """First sample of the first hit."""
-    return inside[0][0]
-
-
 def _faded_in(readings: Array, quiet: int) -> Array:
     """Let readings begin softly: they rise in the first half of so many quiet samples in front of a hit.
 

@@ -11,8 +11,46 @@ import numpy as np
 
 from daq.recording.layout import EVENTS, MARKERS
 from daq.recording.protobuf import Schema
-from daq.signal_chain.field_checks import CONTACT_CHANGES, EVENT, MARKER, MOST_SAMPLES, check
+from daq.signal_chain.field_checks import (
+    COUNT,
+    MOST_SAMPLES,
+    NAME,
+    NAMES,
+    NUMBER,
+    POSITIVE,
+    TEXT,
+    TRUTH,
+    Check,
+    check,
+    is_count,
+    is_number,
+)
 from rig.errors import RecordingError
+
+_MARKER_FIELDS = {
+    **dict.fromkeys(("frequency", "from", "to", "duration"), POSITIVE),
+    **dict.fromkeys(("period", "periods", "block", "number", "realisation"), COUNT),
+    "level": NUMBER,
+    "settled": TRUTH,
+    **dict.fromkeys(("spacing", "direction", "reason"), TEXT),
+    "channel": NAME,
+    "channels": NAMES,
+    "lines": Check(
+        lambda value: (
+            isinstance(value, list) and len(value) == 2 and all(map(is_count, value)) and value[0] <= value[1]
+        ),
+        "the first and the last line",
+    ),
+}
+
+# Touch and release are those of dampers whose contact lasts.
+CONTACT_CHANGES = ("separation", "floor", "ceiling", "touch", "release")
+_EVENT_FIELDS = {
+    "time": Check(lambda value: is_number(value) and abs(value) < 1e12, "a time in seconds"),
+    "damper": Check(lambda value: is_count(value) and value < 2**31, "the number of a damper, from 1"),
+    "kind": Check(lambda value: value in CONTACT_CHANGES, f"one of {', '.join(CONTACT_CHANGES)}"),
+    "speed": NUMBER,
+}
 
 _MARKER: dict[str, Any] = {
     "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -102,7 +140,7 @@ class Marker:
             raise RecordingError(
                 f"a message on {MARKERS} is no marker: kind {kind!r:.80}, samples {first!r:.40} to {last!r:.40}"
             )
-        check(content, MARKER)
+        check(content, _MARKER_FIELDS)
         return cls(kind, first, last, _Fields(kind, content))
 
 
@@ -124,9 +162,9 @@ def event_to_json(time: float, damper: int, kind: str, speed: float) -> bytes:
 
 def event_from_json(data: memoryview) -> tuple[float, int, str, float]:
     """Read a change of contact; raise `RecordingError` if the message is none."""
-    content: dict[str, Any] = dict.fromkeys(EVENT) | _object(data, EVENTS)
+    content: dict[str, Any] = dict.fromkeys(_EVENT_FIELDS) | _object(data, EVENTS)
     try:
-        check(content, EVENT)
+        check(content, _EVENT_FIELDS)
     except RecordingError as error:
         raise RecordingError(f"a message on {EVENTS} is no change of contact: {error}") from error
     return float(content["time"]), content["damper"], content["kind"], float(content["speed"])

@@ -10,7 +10,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.signal_chain.field_checks import Check, is_number
 from rig.errors import RecordingError
+
+CLOCK = {
+    "rate": Check(lambda value: is_number(value) and 1e-9 <= value <= 1e12, "a rate from 1e-9 Hz to 1e12 Hz"),
+    "start_ns": Check(lambda value: isinstance(value, int) and abs(value) < 2**63, "nanoseconds below 2^63"),
+}
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,8 @@ def is_name(value: Any) -> bool:
     return isinstance(value, str) and 0 < len(value) <= LONGEST_NAME and is_line(value)
 
 
-def _is_count(value: Any) -> bool:
+def is_count(value: Any) -> bool:
+    """Whether a value is a whole number from 1 that floats carry exactly."""
     return isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= MOST_SAMPLES
 
 
@@ -91,7 +92,7 @@ NAME = Check(is_name, f"a line of 1 to {LONGEST_NAME} printable characters")
 NUMBER = Check(is_number, "a finite number")
 POSITIVE = Check(lambda value: is_number(value) and value > 0, "a positive number")
 NOT_ZERO = Check(lambda value: is_number(value) and value != 0, "a number other than zero")
-COUNT = Check(_is_count, "a whole number, at least 1")
+COUNT = Check(is_count, "a whole number, at least 1")
 TRUTH = Check(lambda value: isinstance(value, bool), "true or false")
 TEXT = Check(lambda value: isinstance(value, str), "text")
 NAMES = Check(lambda value: isinstance(value, list) and all(map(is_name, value)), "a list of names")
@@ -113,37 +114,4 @@ CHANNEL = {
         lambda value: isinstance(value, dict) and all(isinstance(text, str) for text in value.values()),
         "texts by their names",
     ),
-}
-
-MARKER = {
-    **dict.fromkeys(("frequency", "from", "to", "duration"), POSITIVE),
-    **dict.fromkeys(("period", "periods", "block", "number", "realisation"), COUNT),
-    "level": NUMBER,
-    "settled": TRUTH,
-    **dict.fromkeys(("spacing", "direction", "reason"), TEXT),
-    "channel": NAME,
-    "channels": NAMES,
-    "lines": Check(
-        lambda value: (
-            isinstance(value, list)
-            and len(value) == 2
-            and all(map(_is_count, value))
-            and value[0] <= value[1]
-        ),
-        "the first and the last line",
-    ),
-}
-
-# Touch and release are those of dampers whose contact lasts.
-CONTACT_CHANGES = ("separation", "floor", "ceiling", "touch", "release")
-EVENT = {
-    "time": Check(lambda value: is_number(value) and abs(value) < 1e12, "a time in seconds"),
-    "damper": Check(lambda value: _is_count(value) and value < 2**31, "the number of a damper, from 1"),
-    "kind": Check(lambda value: value in CONTACT_CHANGES, f"one of {', '.join(CONTACT_CHANGES)}"),
-    "speed": NUMBER,
-}
-
-CLOCK = {
-    "rate": Check(lambda value: is_number(value) and 1e-9 <= value <= 1e12, "a rate from 1e-9 Hz to 1e12 Hz"),
-    "start_ns": Check(lambda value: isinstance(value, int) and abs(value) < 2**63, "nanoseconds below 2^63"),
 }

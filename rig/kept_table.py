@@ -81,13 +81,23 @@ def _whole(content: bytes) -> int:
 
 def _rows(path: Path, content: bytes, header: list[str], what: str) -> list[list[str]]:
     lines = content[: _whole(content)].decode("utf-8", errors="replace").splitlines()
-    try:
-        rows = list(csv.reader(lines))
-    except csv.Error:
-        rows = []
+    rows = [_cells(line) for line in lines]
     if rows[:1] != [header]:
         raise RunError(f"{path}: is no table of {what}; move it, or choose another place with -o")
     return [row for row in rows[1:] if len(row) == len(header)]
+
+
+def _cells(line: str) -> list[str]:
+    """Read a line by itself: what an open quote holds ends with it, and costs no other row.
+
+    >>> _cells('a,"1, 2"'), _cells('b,"torn'), _cells("x" * 200_000)
+    (['a', '1, 2'], ['b', 'torn'], [])
+    """
+    try:
+        return next(csv.reader([line]), [])
+    except csv.Error:
+        # More letters than any cell has.
+        return []
 
 
 def _text(rows: Iterable[Sequence[object]]) -> str:

@@ -10,7 +10,7 @@ the package; `analysis beds` makes them again.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -144,7 +144,7 @@ def follow(path: Path, points: int | None, say: Callable[[str], None], cluster: 
         If the file is another one, or cannot be written.
     """
     kept_rows = KeptTable(path, _HEADER, _WHAT)
-    known = {_setting(row): row for row in map(_named, kept_rows.rows)}
+    known = {_setting(row): row for row in _named(kept_rows.rows)}
     missing = [setting for setting in settings()[:points] if setting not in known]
     if missing:
         with Workers(cluster) as workers:
@@ -263,9 +263,20 @@ def _cells(row: dict[str, str]) -> list[str]:
     return [row[name] for name in _HEADER]
 
 
-def _named(row: Sequence[str]) -> dict[str, str]:
-    return dict(zip(_HEADER, row, strict=True))
+def _named(rows: Iterable[Sequence[str]]) -> list[dict[str, str]]:
+    """Name the cells of those rows that hold what their columns are of: somebody may have written into the file."""
+    return [dict(zip(_HEADER, row, strict=True)) for row in rows if all(map(_is_sound, _HEADER, row))]
+
+
+def _is_sound(name: str, cell: str) -> bool:
+    if name.endswith("motion_type"):
+        return bool(cell)
+    try:
+        (int if name in ("layers", "seed") else float)(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def _rows(path: Path) -> list[dict[str, str]]:
-    return [_named(row) for row in rows_of(path, _HEADER, _WHAT)]
+    return _named(rows_of(path, _HEADER, _WHAT))

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -64,8 +63,8 @@ class PaperPart:
         try:
             with self.path(folder).open("rb") as file, np.load(file, allow_pickle=False) as archive:
                 arrays = {key: archive[key] for key in archive.files}
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-            # Absent, or torn by an interruption: computed anew.
+        except Exception:
+            # Absent or damaged, which leads the reader to whatever it happens to: computed anew.
             return None
         return arrays if str(arrays.pop("digest", "")) == self.digest else None
 

@@ -175,6 +175,13 @@ def _ratio(where: str, unit: str) -> tuple[str, float]:
 
 def _from_long_table(path: Path, unit: str | None) -> list[Frf]:
     """Read a table as `analysis frf` writes it: a line for each response and frequency; nothing if it is none."""
+    try:
+        return _long_curves(path, unit)
+    except csv.Error as error:
+        raise RecordingError(f"{path} is no table of responses, or it is damaged: {error}") from None
+
+
+def _long_curves(path: Path, unit: str | None) -> list[Frf]:
     with path.open(newline="", encoding="utf-8-sig", errors="replace") as stream:
         reader = csv.DictReader(stream)
         heading = reader.fieldnames or []
@@ -250,7 +257,7 @@ def _curve(
     coherence: Array | None = None,
 ) -> Frf:
     """Make a curve of the lines that it can have: at zero frequency there is no displacement."""
-    keep = (frequency > 0) & np.isfinite(value)
+    keep = (frequency > 0) & np.isfinite(frequency) & np.isfinite(value)
     if not keep.any():
         raise RecordingError(f"{path}: {name} has no number at a frequency above 0")
     nothing = np.full(int(keep.sum()), np.nan)

@@ -20,7 +20,8 @@ from daq.importing.signal import (
     rate_of_interval,
     tell_times,
 )
-from rig.errors import RecordingError
+from rig.errors import RecordingError, ShotrigError
+from rig.numerics.memory import need
 
 # What programs call the sample rate, the sample interval and the times.
 _RATES = re.compile(
@@ -36,15 +37,29 @@ _DEEPEST = 8
 def numpy_signals(path: Path) -> list[Signal]:
     """List the arrays of an .npz or .npy file, which are held in memory; arrays of Python objects are refused."""
     try:
-        with path.open("rb") as file:
-            if file.read(6) == b"\x93NUMPY":
-                return _signals(path, {"array": np.load(path, mmap_mode="r", allow_pickle=False)})
-        with np.load(path, allow_pickle=False) as archive:
-            return _signals(path, {name: archive[name] for name in archive.files})
-    except (ValueError, EOFError, KeyError, zipfile.BadZipFile, NotImplementedError, AttributeError) as error:
+        arrays = _numpy_arrays(path)
+    except (OSError, MemoryError, ShotrigError):
+        raise
+    except Exception as error:
+        # The reader meets damage as whatever it happens to lead to.
         raise RecordingError(
             f"{path} is no .npz or .npy file of numbers, or it is damaged: {error!s:.200}"
         ) from error
+    return _signals(path, arrays)
+
+
+def _numpy_arrays(path: Path) -> dict[str, Any]:
+    """Read what is in the file, as far as memory allows: an archive of zeros is a thousandth of what it holds."""
+    with path.open("rb") as file:
+        if file.read(6) == b"\x93NUMPY":
+            array = np.load(path, mmap_mode="r", allow_pickle=False)
+            # Doubles are read in place.
+            need(0.0 if array.dtype == np.float64 else 8.0 * array.size, f"{path}: its {array.size} numbers")
+            return {"array": array}
+    with zipfile.ZipFile(path) as packed:
+        need(sum(each.file_size for each in packed.infolist()), f"{path}, unpacked,")
+    with np.load(path, allow_pickle=False) as archive:
+        return {name: archive[name] for name in archive.files}
 
 
 def matlab_signals(path: Path) -> list[Signal]:

@@ -148,7 +148,10 @@ def _from_yaml(path: Path, text: str) -> Rows:
 
 
 def _from_csv(path: Path, text: str) -> Rows:
-    lines = list(csv.reader(text.splitlines()))
+    try:
+        lines = list(csv.reader(text.splitlines()))
+    except csv.Error as error:
+        raise SceneError(f"{path} is no table of channels: {error}") from None
     if not lines or "channel" not in (heading := [cell.strip() for cell in lines[0]]):
         raise SceneError(
             f"{path}:1: expected the heading channel,column,{','.join(_KEYS[1:])}, as far as it is needed"

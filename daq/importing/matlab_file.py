@@ -8,10 +8,12 @@ from __future__ import annotations
 import pickle
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from rig.errors import RecordingError, RunError
+from rig.numerics.memory import ALLOWED, most
 
 _NO_HDF5 = "needs h5py"
 
@@ -26,11 +28,14 @@ def matlab_arrays(path: Path) -> dict[str, Any]:
     RunError
         If it is of version 7.3 and h5py is not installed.
     """
-    program = [sys.executable, "-m", __name__, str(path.resolve())]
-    reader = subprocess.run(program, capture_output=True, check=False)
-    if reader.returncode < 0 or not reader.stdout:
-        raise RecordingError(f"{path} is damaged: reading it ended with code {reader.returncode}")
-    content: dict[str, Any] | str = pickle.loads(reader.stdout)
+    program = [sys.executable, "-m", __name__, str(path.resolve()), str(int(most()))]
+    with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as reader:
+        assert reader.stdout is not None
+        try:
+            content: dict[str, Any] | str = pickle.load(reader.stdout)
+        except (EOFError, pickle.UnpicklingError):
+            code = reader.wait()
+            raise RecordingError(f"{path} is damaged: reading it ended with code {code}") from None
     if content == _NO_HDF5:
         raise RunError(
             f"{path} is a MATLAB file of version 7.3 (HDF5), which needs the package h5py: pip install "
@@ -41,23 +46,43 @@ def matlab_arrays(path: Path) -> dict[str, Any]:
     return content
 
 
-def _read(name: str) -> dict[str, Any] | str:
-    """Read the variables, or say what is wrong with the file."""
+def _read(name: str, memory: int) -> dict[str, Any] | str:
+    """Read the variables, taking no more memory than that, bytes; or say what is wrong with the file."""
     from scipy.io import loadmat
 
+    _limit(memory)
     try:
         content = loadmat(name, squeeze_me=True, struct_as_record=True, chars_as_strings=True)
     except NotImplementedError:
-        return _read_hdf5(name)
+        return _read_hdf5(name, memory)
     except MemoryError:
-        return "states an array that does not fit into memory; the file is damaged"
+        return _too_much(memory)
     except Exception as error:
         # The reader meets damage as whatever it happens to lead to.
         return f"is no MATLAB file, or it is damaged: {type(error).__name__}: {error}"[:300]
     return {key: value for key, value in content.items() if key[:2] != "__"}
 
 
-def _read_hdf5(name: str) -> dict[str, Any] | str:
+def _limit(memory: int) -> None:
+    """Let this process take no more than that: a packed file holds a thousand times its size."""
+    try:
+        import resource
+    except ImportError:
+        # Not every system can limit a process.
+        return
+    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    with suppress(ValueError, OSError):
+        resource.setrlimit(resource.RLIMIT_DATA, (memory, hard))
+
+
+def _too_much(memory: int) -> str:
+    return (
+        f"does not fit into the memory that is taken, {memory / 1e9:.3g} GB: save the channels one by one, or as TDMS "
+        f"or WAV; the environment variable {ALLOWED} allows more, such as {ALLOWED}=8GB"
+    )
+
+
+def _read_hdf5(name: str, memory: int) -> dict[str, Any] | str:
     from daq.importing.matlab_hdf5 import hdf5_variables
 
     try:
@@ -65,11 +90,11 @@ def _read_hdf5(name: str) -> dict[str, Any] | str:
     except ImportError:
         return _NO_HDF5
     except MemoryError:
-        return "holds more than fits into memory; save the channels one by one, or as TDMS or WAV"
+        return _too_much(memory)
     except Exception as error:
         # The reader meets damage as whatever it happens to lead to.
         return f"is damaged: {type(error).__name__}: {error}"[:300]
 
 
 if __name__ == "__main__":
-    pickle.dump(_read(sys.argv[1]), sys.stdout.buffer, protocol=5)
+    pickle.dump(_read(sys.argv[1], int(sys.argv[2])), sys.stdout.buffer, protocol=5)

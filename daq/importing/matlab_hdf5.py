@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 _DEEPEST = 8
+# What refers to itself would otherwise be followed for ever.
+_MOST = 100_000
 
 
 def hdf5_variables(path: str) -> dict[str, Any]:
@@ -24,29 +26,40 @@ def hdf5_variables(path: str) -> dict[str, Any]:
 
     with h5py.File(path, "r") as file:
         # Names with # are MATLAB's own: what cells and structures refer to.
-        return {name: _value(file, file[name]) for name in file if not name.startswith("#")}
+        found = _Items(file)
+        return {name: found.value(file[name]) for name in file if not name.startswith("#")}
 
 
-def _value(file: Any, item: Any, depth: int = 0) -> Any:
-    """Turn an item into what MATLAB has there; what lies deeper than data do is left out."""
-    if depth > _DEEPEST:
-        return None
-    if hasattr(item, "keys"):
-        fields = {name: _value(file, item[name], depth + 1) for name in item}
-        return _elements(fields) if fields and _is_array_of_structures(item) else fields
-    if item.attrs.get("MATLAB_empty", 0):
-        return np.array([])
-    values: NDArray[Any] = np.asarray(item[()]).T.squeeze()
-    if values.dtype.kind == "O":
-        found = np.empty(values.shape, dtype=object)
-        for place, reference in np.ndenumerate(values):
-            found[place] = _value(file, file[reference], depth + 1) if reference else None
-        return found
-    if _kind(item) == "char":
-        return "".join(map(chr, values.ravel().tolist()))
-    if values.dtype.names == ("real", "imag"):
-        return values["real"] + 1j * values["imag"]
-    return values
+class _Items:
+    """The items of an open file, as far as they refer to each other."""
+
+    def __init__(self, file: Any) -> None:
+        self._file = file
+        self._count = 0
+
+    def value(self, item: Any, depth: int = 0) -> Any:
+        """Turn an item into what MATLAB has there; what lies deeper than data do is left out."""
+        self._count += 1
+        if self._count > _MOST:
+            raise ValueError(f"its structures and cells hold more than {_MOST} values")
+        if depth > _DEEPEST:
+            return None
+        if hasattr(item, "keys"):
+            fields = {name: self.value(item[name], depth + 1) for name in item}
+            return _elements(fields) if fields and _is_array_of_structures(item) else fields
+        if item.attrs.get("MATLAB_empty", 0):
+            return np.array([])
+        values: NDArray[Any] = np.asarray(item[()]).T.squeeze()
+        if values.dtype.kind == "O":
+            found = np.empty(values.shape, dtype=object)
+            for place, reference in np.ndenumerate(values):
+                found[place] = self.value(self._file[reference], depth + 1) if reference else None
+            return found
+        if _kind(item) == "char":
+            return "".join(map(chr, values.ravel().tolist()))
+        if values.dtype.names == ("real", "imag"):
+            return values["real"] + 1j * values["imag"]
+        return values
 
 
 def _kind(item: Any) -> str:

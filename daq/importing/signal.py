@@ -233,4 +233,4 @@ def held(samples: NDArray[np.generic], file: str, number: int, name: str) -> Arr
         raise RecordingError(
             f"{file}: {name!r} (number {number}) holds {what}; expected a row of real numbers"
         )
-    return samples.astype(np.float64)
+    return samples.astype(np.float64, copy=False)

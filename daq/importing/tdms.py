@@ -30,12 +30,15 @@ def tdms_signals(path: Path, stack: ExitStack) -> list[Signal]:
     try:
         file = stack.enter_context(nptdms.TdmsFile.open(path))
         groups = file.groups()
-        channels = [channel for group in groups for channel in group.channels()]
-    except OSError:
+        return _signals(path, [channel for group in groups for channel in group.channels()])
+    except (OSError, RecordingError):
         raise
     except Exception as error:
         # The reader meets damage as whatever it happens to lead to.
         raise RecordingError(f"{path} is no TDMS file, or it is damaged: {_told(error)}") from error
+
+
+def _signals(path: Path, channels: list[Any]) -> list[Signal]:
     whole = [channel for channel in channels if not channel.properties.get("DecimationLevel")]
     several = len({channel.group_name for channel in whole}) > 1
     times = {channel.group_name: channel for channel in whole if _is_clock(channel, whole)}

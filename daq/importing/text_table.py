@@ -356,7 +356,11 @@ def _are_units(cells: list[str]) -> bool:
 def _cells(line: str, delimiter: str | None) -> list[str]:
     if delimiter is None:
         return line.split()
-    (row,) = list(csv.reader([line.rstrip("\r\n")], delimiter=delimiter)) or [[]]
+    try:
+        (row,) = list(csv.reader([line.rstrip("\r\n")], delimiter=delimiter)) or [[]]
+    except csv.Error:
+        # A cell of more than a hundred thousand letters is no part of a table.
+        return [line]
     return [cell.strip() for cell in row]
 
 

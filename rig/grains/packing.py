@@ -54,8 +54,9 @@ def settled(spheres: Spheres) -> Array:
         If the grains do not come to rest.
     """
     kept = _file(spheres)
-    with suppress(OSError, ValueError):
-        positions = np.load(kept, allow_pickle=False)
+    # Whatever a damaged file leads the reader to: the packing is made anew.
+    with suppress(Exception), kept.open("rb") as file:
+        positions = np.load(file, allow_pickle=False)
         if positions.shape == (spheres.count, 3) and np.isfinite(positions).all():
             return np.asarray(positions)
     positions = _rained(spheres)

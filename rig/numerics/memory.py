@@ -34,7 +34,7 @@ def need(size: float, what: str) -> None:
     Traceback (most recent call last):
     rig.errors.RunError: a motion would take 1e+06 GB of memory; at most 1 GB is taken unless ...
     """
-    allowed = _allowed()
+    allowed = most()
     if size > allowed:
         raise RunError(
             f"{what} would take {size / 1e9:.4g} GB of memory; at most {allowed / 1e9:.3g} GB is taken unless the "
@@ -42,7 +42,14 @@ def need(size: float, what: str) -> None:
         )
 
 
-def _allowed() -> float:
+def most() -> float:
+    """Give what a command may take, bytes.
+
+    Raises
+    ------
+    RunError
+        If the environment variable says no amount.
+    """
     written = os.environ.get(ALLOWED, "")
     if not written:
         return USUAL

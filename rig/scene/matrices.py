@@ -178,7 +178,8 @@ def _from_file(name: str | Path, folder: Path | None) -> NDArray[Any]:
         mapped: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
     except FileNotFoundError:
         raise mistake(f"no file {path}; expected it beside the scene file") from None
-    except (OSError, ValueError, EOFError, OverflowError, SyntaxError) as error:
+    except Exception as error:
+        # The reader meets damage as whatever it happens to lead to.
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise mistake(f"{path} cannot be read as .npy ({reason})") from None
     if not isinstance(mapped, np.ndarray):

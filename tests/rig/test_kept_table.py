@@ -42,6 +42,18 @@ def test_given_a_kill_within_a_line_when_the_study_goes_on_twice_then_half_a_num
     assert KeptTable(path, HEADER, "gaps").rows == [["1", "2", "3"], ["7", "8", "9"]]
 
 
+@pytest.mark.parametrize("line", ['"', "x" * 200_000, "1,2", "\0"])
+def test_given_a_line_that_somebody_spoilt_when_opened_then_it_costs_no_other_row(
+    tmp_path: Path, line: str
+) -> None:
+    path = tmp_path / "table.csv"
+    KeptTable(path, HEADER, "gaps").append([1, 2, 3])
+    with path.open("a", encoding="utf-8") as file:
+        file.write(f"{line}\n4,5,6\n")
+
+    assert KeptTable(path, HEADER, "gaps").rows == [["1", "2", "3"], ["4", "5", "6"]]
+
+
 def test_given_an_empty_file_as_a_kill_may_leave_one_when_opened_then_it_becomes_a_table(
     tmp_path: Path,
 ) -> None:

@@ -73,7 +73,7 @@ def test_given_some_settings_when_followed_and_again_with_more_then_only_what_is
 
     follow(path, 2, said.append)
     with path.open("a", encoding="utf-8") as file:
-        file.write("0.2,0.001")
+        file.write(",".join(made(settings()[1]).values()).replace("1", "one") + "\n0.2,0.001")
     follow(path, 3, said.append)
 
     assert done == [settings()[1], settings()[0], settings()[2]]

@@ -124,6 +124,8 @@ BAD = {
     "half.csv": b"f,a real [m/N]\n1,2\n2,3\n",
     "names.csv": b"f,a [m/N],b [m/N]\n1,2,3\n2,3,4\n",
     "units.csv": b"f,a re [V],a im [V]\n1,2,3\n2,3,4\n",
+    "long cell.csv": b"response,frequency_Hz,real m/N,imag m/N\na,1,1,2\n" + b"x" * 200_000 + b",1,1,2\n",
+    "endless.csv": b"f,a re [m/N],a im [m/N]\ninf,2,3\ninf,2,3\n",
     "long.csv": b"response,frequency_Hz,real m/N,imag m/N\na,1,x,2\n",
 }
 

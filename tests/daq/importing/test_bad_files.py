@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import gc
 import struct
+import sys
 import warnings
+import zipfile
+from dataclasses import replace
 from pathlib import Path
 
+import h5py
+import nptdms
 import numpy as np
 import pytest
 from scipy.io import savemat, wavfile
 
 import daq
 from daq.importing.channel_table import Column
-from rig.errors import RecordingError, SceneError
+from rig.errors import RecordingError, SceneError, ShotrigError
 from tests.daq.importing.files import NAMES, RATE, WRITERS, bench, histories, uff
 from tests.daq.recording.recordings import signal, write
 
@@ -30,6 +35,23 @@ TABLE["body2"] = Column("2", unit="m/s^2")
 ENDINGS = (".csv", ".tdms", ".uff", ".wav", ".npz", ".npy", ".mat", ".mcap")
 LINE = b"0.0,1,2,3\n"
 WAV, DATA = b"RIFF\x40\0\0\0WAVEfmt \x10\0\0\0", b"data\4\0\0\0abcd"
+
+
+def npy(shape: str, descr: str = "'<f8'") -> bytes:
+    """Give a header of numpy's, and some numbers."""
+    header = f"{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}\n".encode()
+    return b"\x93NUMPY\1\0" + struct.pack("<H", len(header)) + header + bytes(800)
+
+
+def zeros_in_an_archive(path: Path, numbers: int) -> None:
+    """Write an archive that holds a thousand times its size."""
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("body1.npy", "w", force_zip64=True) as file,
+    ):
+        file.write(npy(f"({numbers},)")[:-800])
+        for _ in range(numbers // 1_000_000):
+            file.write(bytes(8_000_000))
 
 
 def refused(path: Path, folder: Path) -> str:
@@ -68,6 +90,10 @@ ODD = {
     "packed.wav": WAV + struct.pack("<HHIIHH", 17, 3, 8000, 4000, 3, 4) + DATA,
     "no tracks.wav": WAV + struct.pack("<HHIIHH", 1, 0, 8000, 0, 0, 16) + DATA,
     "standing.wav": WAV + struct.pack("<HHIIHH", 1, 1, 0, 0, 2, 16) + DATA,
+    "endless.npy": npy("(99999999999999999999999,)"),
+    "no shape.npy": npy("(-5,)"),
+    "open bracket.npy": npy("(100,)", "(" * 500),
+    "long cell.csv": b"time [s],a,b,c\n" + b"x" * 200_000 + b"\n" + 50 * LINE,
     "hdf5.mat": b"MATLAB 7.3 MAT-file, Platform: GLNXA64" + b" " * 86 + b"\0\2IM" + b"\x89HDF\r\n\x1a\n" + bytes(500),
 }  # fmt: skip
 
@@ -175,3 +201,49 @@ def test_given_a_dead_and_an_absurd_channel_when_imported_then_both_are_told(tmp
     told = "\n".join(str(each.message) for each in heard)
     assert "body1 ('body1' of a.tdms) reads 29.4199 m/s^2 throughout" in told
     assert "force ('force' of a.tdms) reads up to" in told and "wrong unit or sensitivity" in told
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="not every system can limit a process")
+@pytest.mark.parametrize("ending", [".npz", ".mat"])
+def test_given_a_small_file_of_very_many_zeros_when_imported_then_it_says_what_memory_it_would_take(
+    ending, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("SHOTRIG_MEMORY", "200 MB")
+    path = tmp_path / f"zeros{ending}"
+    if ending == ".npz":
+        zeros_in_an_archive(path, 40_000_000)
+    else:
+        savemat(path, {"body1": np.zeros(40_000_000)}, do_compression=True)
+    with pytest.raises(ShotrigError, match=r"0\.2 GB.*SHOTRIG_MEMORY"):
+        daq.import_files(path, bench(), tmp_path / "r.mcap", table=TABLE)
+    assert not (tmp_path / "r.mcap").exists()
+
+
+def test_given_doubles_in_an_array_file_when_imported_then_they_are_read_in_place(tmp_path, monkeypatch):
+    np.save(tmp_path / "a.npy", histories(600))
+    monkeypatch.setenv("SHOTRIG_MEMORY", "1 B")
+    table = {name: replace(column, rate=RATE) for name, column in TABLE.items()}
+    daq.import_files(tmp_path / "a.npy", bench(), tmp_path / "r.mcap", table=table)
+    with daq.open(tmp_path / "r.mcap") as recording:
+        np.testing.assert_allclose(recording.read("force"), histories(600)[2], rtol=1e-12)
+
+
+def test_given_a_tdms_file_that_scales_by_what_it_does_not_say_when_imported_then_it_is_refused(tmp_path):
+    scales = {"NI_Number_Of_Scales": 2, "NI_Scale[1]_Scale_Type": "Linear", "wf_increment": 1e-3}
+    with nptdms.TdmsWriter(tmp_path / "a.tdms") as file:
+        rows = histories(100).astype(np.int16)
+        file.write_segment(
+            [nptdms.ChannelObject("group", name, row, scales) for name, row in zip(NAMES, rows, strict=True)]
+        )
+    assert "is damaged" in refused(tmp_path / "a.tdms", tmp_path)
+
+
+def test_given_a_matlab_file_whose_cells_hold_each_other_when_imported_then_that_ends(tmp_path):
+    with h5py.File(tmp_path / "a.mat", "w", userblock_size=512) as file:
+        cell = file.create_dataset("a", (1, 100), h5py.ref_dtype)
+        for place in range(100):
+            cell[0, place] = cell.ref
+    head = b"MATLAB 7.3 MAT-file, Platform: PCWIN64".ljust(124) + b"\0\2IM"
+    data = (tmp_path / "a.mat").read_bytes()
+    (tmp_path / "a.mat").write_bytes(head + data[len(head) :])
+    assert "hold more than 100000 values" in refused(tmp_path / "a.mat", tmp_path)

@@ -93,7 +93,8 @@ def test_given_a_table_that_a_kill_left_torn_when_gone_on_with_then_no_answer_is
     with Workers() as workers:
         first = Answers(workers, table, None, 1).of(question, choices[:1])
         with table.open("a") as file:
-            file.write("torn,2,0.1")
+            # What open quotes hold is no longer than their line, and no line too long to be read.
+            file.write('"' + "x" * 200_000 + "\n" + '"torn,2,0.1')
         second = Answers(workers, table, None, 1).of(question, choices[1:])
         read = Answers(workers, table, None, 1)
     assert [read.peak(question, choice) for choice in choices] == first + second

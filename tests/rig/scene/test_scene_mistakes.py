@@ -531,8 +531,13 @@ def test_given_matrix_files_that_cannot_be_used_when_loaded_then_each_says_why(t
     assert "matrices.damping" in damping and "cannot be read as .npy" in damping
 
 
-def test_given_a_matrix_file_that_promises_too_much_when_loaded_then_refused_unread(tmp_path: Path) -> None:
-    header = "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000, 1000000), }"
+@pytest.mark.parametrize(
+    ("kind", "shape"), [("'<f8'", "(1000000, 1000000)"), ("'<f8'", f"({10**30}, 1)"), ("(" * 500, "(1, 1)")]
+)
+def test_given_a_matrix_file_that_promises_too_much_when_loaded_then_refused_unread(
+    kind: str, shape: str, tmp_path: Path
+) -> None:
+    header = f"{{'descr': {kind}, 'fortran_order': False, 'shape': {shape}, }}"
     raw = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode()
     (tmp_path / "M.npy").write_bytes(raw)
     (tmp_path / "s.yaml").write_text("structure: {matrices: {mass: M.npy, stiffness: [[1]]}}\n")

@@ -17,6 +17,7 @@ from daq.importing import uff
 from daq.importing.files import signals_of
 from daq.importing.units import meaning
 from rig.errors import RecordingError, SceneError
+from rig.scene.quantities import FREQUENCY
 
 Array = NDArray[np.float64]
 
@@ -29,6 +30,10 @@ _PART = re.compile(
 # Lines that are evenly spaced, but for a table's few digits, are those of a transform, whose window no file tells: as
 # most programs take it, Hann's, of so many lines' noise bandwidth.
 _EVEN, _HANN = 0.05, 1.5
+# What the largest magnitude of a response can be, in SI: no structure is near either.
+_SMALLEST, _LARGEST = 1e-30, 1e30
+# Lines that differ by no more than this part of their frequency are one.
+_SAME = 1e-9
 _KINDS = {"r": "real", "i": "imag", "m": "size", "a": "size", "p": "phase"}
 
 
@@ -256,14 +261,12 @@ def _curve(
     motion: str,
     coherence: Array | None = None,
 ) -> Frf:
-    """Make a curve of the lines that it can have: at zero frequency there is no displacement."""
-    keep = (frequency > 0) & np.isfinite(frequency) & np.isfinite(value)
-    if not keep.any():
-        raise RecordingError(f"{path}: {name} has no number at a frequency above 0")
-    nothing = np.full(int(keep.sum()), np.nan)
+    """Make a curve of the lines that it can have, by frequency: at zero there is no displacement."""
+    keep = _lines(f"{path}: {name}", frequency, value)
     steps = np.diff(frequency[keep])
-    evenly = steps.size > 0 and np.ptp(steps) < _EVEN * abs(steps.mean())
-    known = coherence is not None and coherence.size == keep.size
+    nothing = np.full(keep.size, np.nan)
+    evenly = steps.size > 0 and np.ptp(steps) < _EVEN * steps.mean()
+    known = coherence is not None and coherence.size == frequency.size
     return Frf(
         frequency=frequency[keep],
         value=np.asarray(value, dtype=complex)[keep],
@@ -273,5 +276,28 @@ def _curve(
         response=name,
         motion=motion,
         label=path.stem,
-        resolution=_HANN * float(abs(steps.mean())) if evenly else 0.0,
+        resolution=_HANN * float(steps.mean()) if evenly else 0.0,
     )
+
+
+def _lines(where: str, frequency: Array, value: NDArray[Any]) -> NDArray[np.intp]:
+    """Choose the lines that hold something, by frequency; refuse what no structure answers."""
+    there = np.flatnonzero((frequency > 0) & np.isfinite(frequency) & np.isfinite(value))
+    if not there.size:
+        raise RecordingError(f"{where} has no number at a frequency above 0")
+    lines = there[np.argsort(frequency[there])]
+    for hertz in frequency[lines[[0, -1]]]:
+        if not FREQUENCY.carries(hertz):
+            raise RecordingError(f"{where} has a line at {hertz:.3g} Hz; expected lines {FREQUENCY.range}")
+    largest = abs(value[lines]).max()
+    if largest and not _SMALLEST <= largest <= _LARGEST:
+        raise RecordingError(
+            f"{where} reaches {largest:.3g} in SI; expected {_SMALLEST:g} to {_LARGEST:g}: a wrong unit, or damage"
+        )
+    twice = np.flatnonzero(np.diff(frequency[lines]) <= _SAME * frequency[lines[1:]])
+    if twice.size:
+        raise RecordingError(
+            f"{where} stands twice at {frequency[lines[twice[0]]]:.9g} Hz; expected each frequency once, with digits "
+            "enough to tell it from the next"
+        )
+    return lines

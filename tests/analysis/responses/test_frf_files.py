@@ -125,6 +125,12 @@ BAD = {
     "names.csv": b"f,a [m/N],b [m/N]\n1,2,3\n2,3,4\n",
     "units.csv": b"f,a re [V],a im [V]\n1,2,3\n2,3,4\n",
     "long cell.csv": b"response,frequency_Hz,real m/N,imag m/N\na,1,1,2\n" + b"x" * 200_000 + b",1,1,2\n",
+    "large.csv": b"f,a re [m/N],a im [m/N]\n20,1e308,1e308\n21,2e305,3\n",
+    "small.csv": b"f,a re [m/N],a im [m/N]\n20,1e-310,0\n21,2e-310,0\n",
+    "light.csv": b"f,a re [m/N],a im [m/N]\n20,1,0\n21e300,2,0\n",
+    "geology.csv": b"f,a re [m/N],a im [m/N]\n2e-300,1,0\n3e-300,2,0\n",
+    "twice.csv": b"f,a re [m/N],a im [m/N]\n20,2,3\n21,2,3\n20,2,3\n",
+    "standing.csv": b"f,a re [m/N],a im [m/N]\n" + 30 * b"20,2,3\n",
     "endless.csv": b"f,a re [m/N],a im [m/N]\ninf,2,3\ninf,2,3\n",
     "long.csv": b"response,frequency_Hz,real m/N,imag m/N\na,1,x,2\n",
 }
@@ -186,3 +192,9 @@ def test_given_imported_hits_when_averaged_then_it_is_the_quotient_of_their_spec
     at = np.searchsorted(np.fft.rfftfreq(size, 1 / RATE), curves[0].frequency - 1e-6)
     np.testing.assert_allclose(curves[0].value, theirs[at], rtol=1e-9)
     assert not any("leak" in note for note in curves[0].warnings)
+
+
+def test_given_lines_that_fall_when_read_then_they_are_put_in_order(tmp_path):
+    (tmp_path / "a.csv").write_text("f,tip re [m/N],tip im [m/N]\n30,3,0\n10,1,0\n20,2,0\n")
+    tip = analysis.read_frfs(tmp_path / "a.csv")["tip"]
+    assert tip.frequency.tolist() == [10.0, 20.0, 30.0] and tip.value.real.tolist() == [1.0, 2.0, 3.0]

@@ -295,6 +295,20 @@ def beds(
     print(f"\nwritten: {output}")
 
 
+@app.command()
+def contacts(
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FILE", help="Table; what is in it is not done again.")
+    ] = Path("recordings/contacts.csv"),
+    cluster: Cluster = None,
+) -> None:
+    """Follow one mass on floors and ceilings that give way, at the settings of `analysis beds`; takes minutes."""
+    from analysis.paper.contact_study import follow
+
+    follow(output, lambda line: print(line, flush=True), cluster)
+    print(f"\nwritten: {output}")
+
+
 def _show(result: Result) -> None:
     for line in result.lines:
         print(line)

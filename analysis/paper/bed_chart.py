@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.paper.bed_claim import NOT_FAR, apart, certain
+from analysis.paper.contact_study import apart_on, on_contact, stand_in
 from analysis.paper.figures import BLACK, Parts
 from rig.figure_style import drawing
 
@@ -20,25 +21,40 @@ _MOST = 40.0  # Per cent at the ends of the colours
 
 
 def beds(parts: Parts) -> Figure:
-    """Deviation of grains from one mass: compliance and energy, a row for each depth."""
+    """Deviation of grains from one mass that lands at once, and on a contact that lasts: a row for each depth."""
     data = parts["beds"]
     layers = np.unique(data["layers"])
-    with drawing(2.3 * len(layers)) as figure:
-        rows = figure.subplots(len(layers), 2, squeeze=False, sharex=True, sharey=True)
-        for row, depth in zip(rows, layers, strict=True):
-            for axes, name in zip(row, ("compliance", "energy"), strict=True):
-                image = _panel(axes, data, data["layers"] == depth, name)
-                axes.set_title(f"{name.capitalize()}, {depth:g} layers")
-            row[0].set_ylabel("acceleration / g")
-        for axes in rows[-1]:
+    one = stand_in(data, parts["contacts"])
+    columns = (
+        ("Compliance, landing at once", apart(data, "compliance"), certain(data, "compliance")),
+        ("Energy, landing at once", apart(data, "energy"), certain(data, "energy")),
+        (
+            f"Compliance, landing in {1e3 * one.duration:g} ms",
+            apart_on(one, data, parts["contacts"]),
+            certain(data, "compliance") * data["mass_compliance"] / on_contact(one, data, parts["contacts"]),
+        ),
+    )
+    with drawing(2.3 * len(layers), 10.0) as figure:
+        panels = figure.subplots(len(layers), len(columns), squeeze=False, sharex=True, sharey=True)
+        for row, depth in zip(panels, layers, strict=True):
+            chosen = data["layers"] == depth
+            for axes, (_, off, error) in zip(row, columns, strict=True):
+                image = _panel(axes, data, chosen, 100.0 * off, 100.0 * error)
+            row[0].set_ylabel(f"{depth:g} layers: acceleration / g")
+        for axes, (title, *_) in zip(panels[0], columns, strict=True):
+            axes.set_title(title)
+        for axes in panels[-1]:
             axes.set_xlabel("clearance / mm")
-        figure.colorbar(image, ax=list(rows.flat), label="grains off one mass / %", extend="both", aspect=40)
+        figure.colorbar(
+            image, ax=list(panels.flat), label="grains off one mass / %", extend="both", aspect=40
+        )
     return figure
 
 
-def _panel(axes: Axes, data: Mapping[str, np.ndarray], chosen: np.ndarray, name: str) -> AxesImage:
+def _panel(
+    axes: Axes, data: Mapping[str, np.ndarray], chosen: np.ndarray, off: np.ndarray, error: np.ndarray
+) -> AxesImage:
     levels, clearances = np.unique(data["level"]), np.unique(data["clearance"])
-    off, error = 100.0 * apart(data, name), 100.0 * certain(data, name)
     values = np.full((len(levels), len(clearances)), np.nan)
     for k in np.flatnonzero(chosen):
         i, j = np.searchsorted(levels, data["level"][k]), np.searchsorted(clearances, data["clearance"][k])

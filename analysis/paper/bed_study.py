@@ -10,23 +10,25 @@ the package; `analysis beds` makes them again.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from analysis.paper.kept_study import Row, Table, complete, rows
 from analysis.paper.store import Arrays
 from rig.bed_response.steady_bed import SteadyBed, steady_grains, steady_mass
 from rig.grains.packing import highest, settled
 from rig.grains.spheres import rayleigh_time, spheres_of
-from rig.kept_table import KeptTable, rows_of
 from rig.scene.damper import Grains
 from rig.scene.excitation import Sine
 from rig.scene.scene import STANDARD_GRAVITY, Scene
-from rig.workers import Workers
+
+Values = NDArray[np.float64]
 
 #: Acceleration in g, and clearances in m; those that one mass does not fly through are left out but for no ceiling, as
 #: they are all the same.
@@ -62,8 +64,12 @@ _HEADER = (
 )  # fmt: skip
 
 
-#: What the table is one of.
-_WHAT = "beds against one mass"
+TABLE = Table(
+    _HEADER,
+    "beds against one mass",
+    whole=("layers", "seed"),
+    words=("grains_motion_type", "mass_motion_type"),
+)
 
 
 class Setting(NamedTuple):
@@ -109,7 +115,7 @@ def scene_of_bed(setting: Setting, **grains: float) -> Scene:
     )  # fmt: skip
 
 
-def compared(setting: Setting) -> dict[str, str]:
+def compared(setting: Setting) -> Row:
     """Follow the bed of a setting as grains and as one mass; gives a row of the table."""
     scene = scene_of_bed(setting)
     (spheres,) = spheres_of(scene).values()
@@ -143,26 +149,7 @@ def follow(path: Path, points: int | None, say: Callable[[str], None], cluster: 
     RunError
         If the file is another one, or cannot be written.
     """
-    kept_rows = KeptTable(path, _HEADER, _WHAT)
-    known = {_setting(row): row for row in _named(kept_rows.rows)}
-    missing = [setting for setting in settings()[:points] if setting not in known]
-    if missing:
-        with Workers(cluster) as workers:
-            # Each packing once: it is kept where the workers are, for all levels and clearances.
-            for _ in workers.compute(_pack, list({setting[2:]: setting for setting in missing}.values())):
-                pass
-            for done, (number, row) in enumerate(workers.compute(compared, missing), 1):
-                known[missing[number]] = row
-                kept_rows.append(_cells(row))
-                say(f"[{done}/{len(missing)}] {_words(missing[number])}: {_ratio(row)}")
-    place = {setting: number for number, setting in enumerate(settings())}
-    order = sorted(known, key=lambda setting: (place.get(setting, len(place)), setting))
-    kept_rows.put_in_order(_cells(known[setting]) for setting in order)
-
-
-def _pack(setting: Setting) -> None:
-    (spheres,) = spheres_of(scene_of_bed(setting)).values()
-    settled(spheres)
+    complete(path, TABLE, settings()[:points], setting_of, compared, _words, say, cluster)
 
 
 def kept() -> Path:
@@ -180,9 +167,9 @@ def table(path: Path | None = None) -> Arrays:
         ``grains_NAME``, ``mass_NAME``, ``error_NAME`` (the standard error of the mean over the seeds, infinite where
         there is one) for each NAME of `MEASURES`, with ``grains_type`` and ``mass_type``.
     """
-    groups: dict[tuple[float, float, int], list[dict[str, str]]] = {}
-    for row in _rows(path or kept()):
-        groups.setdefault(_setting(row)[:3], []).append(row)
+    groups: dict[tuple[float, float, int], list[Row]] = {}
+    for row in rows(path or kept(), TABLE):
+        groups.setdefault(setting_of(row)[:3], []).append(row)
     keys = sorted(groups)
     out: Arrays = {
         "level": np.array([key[0] for key in keys]),
@@ -243,40 +230,22 @@ def told(scene: Scene, motion: SteadyBed) -> list[str]:
     return [*(f"{value:.5g}" for value in values), str(motion.motion_type[0])]
 
 
-def _setting(row: dict[str, str]) -> Setting:
+def compliance_at_peak(level: Values, energy: Values) -> Values:
+    """Give the compliance as in `told`, of beds that take an energy at an acceleration in g; any shape."""
+    speed = level * STANDARD_GRAVITY / (2.0 * math.pi * FREQUENCY)
+    stored = math.pi / MASS_RATIO * speed**2
+    return np.asarray(1.0 / (2.0 * DAMPING + energy * STANDARD_GRAVITY * 1e-3 / stored))
+
+
+def setting_of(row: Row) -> Setting:
+    """Give the setting of a row."""
     return Setting(float(row["level"]), float(row["clearance_m"]), int(row["layers"]), int(row["seed"]))
 
 
-def _words(setting: Setting) -> str:
-    return (
-        f"{setting.level:g} g, clearance {1e3 * setting.clearance:g} mm, {setting.layers} layers, seed "
-        f"{setting.seed}"
-    )
-
-
-def _ratio(row: dict[str, str]) -> str:
+def _words(row: Row) -> str:
+    level, clearance, layers, seed = setting_of(row)
     ratio = float(row["grains_compliance"]) / float(row["mass_compliance"])
-    return f"compliance of grains {100 * (ratio - 1.0):+.1f} % off that of one mass"
-
-
-def _cells(row: dict[str, str]) -> list[str]:
-    return [row[name] for name in _HEADER]
-
-
-def _named(rows: Iterable[Sequence[str]]) -> list[dict[str, str]]:
-    """Name the cells of those rows that hold what their columns are of: somebody may have written into the file."""
-    return [dict(zip(_HEADER, row, strict=True)) for row in rows if all(map(_is_sound, _HEADER, row))]
-
-
-def _is_sound(name: str, cell: str) -> bool:
-    if name.endswith("motion_type"):
-        return bool(cell)
-    try:
-        (int if name in ("layers", "seed") else float)(cell)
-    except ValueError:
-        return False
-    return True
-
-
-def _rows(path: Path) -> list[dict[str, str]]:
-    return _named(rows_of(path, _HEADER, _WHAT))
+    return (
+        f"{level:g} g, clearance {1e3 * clearance:g} mm, {layers} layers, seed {seed}: compliance of grains "
+        f"{100 * (ratio - 1.0):+.1f} % off that of one mass"
+    )

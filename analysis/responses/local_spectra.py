@@ -64,6 +64,8 @@ class LocalSpectra:
     """Of hits, as `jitter_covariance` gives it; shape (channels, channels)."""
     fits: dict[tuple[str, Measurand], LocalFit] = field(default_factory=dict)
     """Made so far, of a channel to a reference: responses share the channels of their reference."""
+    spectra: dict[Measurand, ComplexArray] = field(default_factory=dict)
+    """Made so far, of references; complex, shape (stretches, bins)."""
 
     def only(self, names: Sequence[str]) -> LocalSpectra:
         """Keep some channels."""
@@ -173,9 +175,10 @@ class LocalSpectra:
 
     def _spectrum(self, rec: Recording, measurand: Measurand) -> ComplexArray:
         """Spectra of a measurand, shape (stretches, bins)."""
-        return np.asarray(
-            np.einsum("cn,scn->sn", measurand.row(rec, self.channels, self.frequency), self.samples)
-        )
+        if measurand not in self.spectra:
+            row = measurand.row(rec, self.channels, self.frequency)
+            self.spectra[measurand] = np.einsum("cn,scn->sn", row, self.samples)
+        return self.spectra[measurand]
 
     def _power(self, spectra: ComplexArray, side: int) -> Array:
         """Mean square of spectra at each line and so many to either side of it; shape (lines,)."""

@@ -34,8 +34,9 @@ def whole(rec: Recording, marker: Marker, channels: Sequence[str]) -> WholeStret
         block = int(marker.fields["block"])
         bursts = block, int(np.ceil(float(marker.fields["burst"]) * block))
     return WholeStretches(
-        tuple(channels), marker.first_sample, stop, low, high, bursts=bursts, label=rec.scene.name,
-        warnings=dampers_move(rec),
+        tuple(channels), marker.first_sample, stop, low, high,
+        settling(rec, channels, marker.first_sample, stop, low),
+        bursts=bursts, label=rec.scene.name, warnings=dampers_move(rec),
     )  # fmt: skip
 
 

@@ -21,12 +21,13 @@ from analysis.responses.force_pulse import high_passes
 from analysis.responses.frf import Frf
 from analysis.responses.jitter import jitter_covariance
 from analysis.responses.local_spectra import SIDE, LocalSpectra
+from analysis.responses.low_spectra import low_spectra
 from analysis.responses.measurands import motion_of, reference_of, responses
-from analysis.responses.sensor_settling import settling
 from analysis.responses.systematic import in_counts, noise_gain
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
+    from analysis.responses.clean_stretches import Flaw
     from analysis.responses.hits import Hits
     from daq.recording.recording import Recording
 
@@ -58,6 +59,8 @@ class WholeStretches:
     """Band in Hz in which responses are told."""
     high: float
     """Band in Hz in which responses are told."""
+    missed: Sequence[Flaw] = ()
+    """What is wrong with channels besides overloads and losses."""
     hits: Hits | None = None
     """Of a hammer: what is known of the force before and after each."""
     bursts: tuple[int, int] | None = None
@@ -79,12 +82,7 @@ class WholeStretches:
             self.channels if self.hits is None else tuple(dict.fromkeys([*above.channels, *below.channels]))
         )
         found = flaws(rec, self.channels, self.first, self.stop)
-        more = (
-            settling(rec, self.channels, self.first, self.stop, self.low)
-            if self.hits is None
-            else self.hits.missed
-        )
-        found = sorted([*found, *more], key=lambda flaw: flaw.first)
+        found = sorted([*found, *self.missed], key=lambda flaw: flaw.first)
         stretches, notes = self._worth_fitting(rec, clean_stretches(found, self.first, self.stop))
         if found:
             kept = sum(stop - start for start, stop in stretches) / (self.stop - self.first)
@@ -146,48 +144,46 @@ class WholeStretches:
         lead = 0 if self.hits is None else self.hits.lead()
         # As long whether or not hits come upon rest, so that all responses have the same lines.
         size = fft.next_fast_len(max(stop - start for start, stop in stretches) + lead, real=True)
-        blocks, rests = [], []
-        for number, (start, stop) in enumerate(stretches):
-            block = np.stack([rec.read(name, start, stop) for name in names])
-            rest = self.hits is not None and self.hits.at_rest(moving[number], start, stop, size)
-            if self.hits is not None:
-                block = self.hits.alone(rec, names, block, start, rest)
-            else:
-                block = block - block.mean(axis=1, keepdims=True)
-            blocks.append(block)
-            rests.append(rest)
-        samples, ends = [], []
-        for block, rest in zip(blocks, rests, strict=True):
-            zeros = size - block.shape[1]
-            samples.append(fft.rfft(np.pad(block, ((0, 0), (zeros, 0))), axis=1))
-            begin = np.exp(-2j * np.pi * np.arange(size // 2 + 1) * (zeros / size))
-            ends.append(np.zeros(begin.size, dtype=complex) if rest else begin)
-        if self.hits is not None:
+        # Hits alone are a comb of lines: between its teeth nothing is driven.
+        teeth = 1.0 if self.hits is None else max(1.0, size / lead)
+        lines, side = self._lines(rec, size), int(np.ceil(SIDE * teeth))
+        # All that the fits reach.
+        first = max(int(lines[0]) - side, 0)
+        reach = slice(first, min(max(int(lines[-1]) + side, first + 2 * side), size // 2) + 1)
+        bins = np.arange(reach.stop)
+        samples, ends, lengths = [], [], []
+        jitter = np.zeros((len(names), len(names)))
+        if self.hits is None:
+            squares = []
+            for start, stop in stretches:
+                spectra, square = low_spectra(rec, names, start, stop, size, reach.stop)
+                samples.append(spectra)
+                squares.append(square)
+                ends.append(np.exp(-2j * np.pi * bins * ((size - stop + start) / size)))
+                lengths.append(stop - start)
+            power = np.average(squares, axis=0, weights=lengths)
+            gain = np.repeat(noise_gain(in_counts(rec, names, power))[:, None], lines.size, axis=1)
+        else:
+            blocks = []
+            for (start, stop), moved in zip(stretches, moving, strict=True):
+                rest = self.hits.at_rest(moved, start, stop, size)
+                block = np.stack([rec.read(name, start, stop) for name in names])
+                blocks.append(self.hits.alone(rec, names, block, start, rest))
+                zeros = size - blocks[-1].shape[1]
+                samples.append(fft.rfft(np.pad(blocks[-1], ((0, 0), (zeros, 0))), axis=1))
+                ends.append(np.exp(-2j * np.pi * bins * (zeros / size)) * (not rest))
+                lengths.append(blocks[-1].shape[1])
             # Their response is that of the whole tail, which a recording may cut off.
             info = rec.channels[self.hits.channel]
             turn = high_passes(info, fft.rfftfreq(size, 1.0 / rec.rate))
             for each in samples:
                 each[names.index(self.hits.channel)] *= turn
-        used = sum(block.shape[1] for block in blocks) / (size * len(blocks))
-        # Hits alone are a comb of lines: between its teeth nothing is driven.
-        teeth = 1.0 if self.hits is None else max(1.0, size / lead)
-        frequency = fft.rfftfreq(size, 1.0 / rec.rate)
-        # The line at zero has no displacement: it takes no part.
-        frequency[0] = frequency[1]
-        lines = self._lines(rec, size)
-        side = int(np.ceil(SIDE * teeth))
-        jitter = np.zeros((len(names), len(names)))
-        if self.hits is not None:
             inside = [hit for each in stretches for hit in self.hits.inside(*each)]
             jitter = jitter_covariance(rec, names, inside, size, side)
             gain = self.hits.rounding(rec, names, stretches, blocks, samples, lines, side)
-        else:
-            lengths = [block.shape[1] for block in blocks]
-            squares = np.average([block.var(axis=1) for block in blocks], axis=0, weights=lengths)
-            gain = np.repeat(noise_gain(in_counts(rec, names, squares))[:, None], lines.size, axis=1)
-        # All that the fits reach.
-        first = max(int(lines[0]) - side, 0)
-        reach = slice(first, max(int(lines[-1]) + side, first + 2 * side) + 1)
+        frequency = bins * (rec.rate / size)
+        # The line at zero has no displacement: it takes no part.
+        frequency[0] = frequency[1]
         return LocalSpectra(
             tuple(names),
             np.stack(samples)[:, :, reach],
@@ -195,7 +191,7 @@ class WholeStretches:
             frequency[reach],
             lines - first,
             side,
-            used,
+            sum(lengths) / (size * len(lengths)),
             gain,
             np.zeros(gain.shape),
             jitter,

@@ -1,0 +1,84 @@
+"""Spectra of a long stretch at its lowest frequencies: a test of a structure drives a small part of half the rate.
+
+What lies above is filtered out before samples are dropped, and what the filter does below is divided out again [1]_. So
+an hour takes no more memory than a minute, and time as reading it does.
+
+References
+----------
+.. [1] R. E. Crochiere, L. R. Rabiner, Multirate Digital Signal Processing, Prentice-Hall 1983, chapter 2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+from scipy.signal import firwin, zoom_fft
+
+from analysis.recordings.slices import PIECE
+
+if TYPE_CHECKING:
+    from daq.recording.recording import Recording
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# Of the lower rate, the share that bins may reach up to; and the filter's length, in samples of that rate, and its
+# Kaiser window, with which what folds back there is 240 dB down.
+_REACH, _LENGTH, _BETA = 0.15, 24, 25.5
+
+
+def low_spectra(
+    rec: Recording, names: Sequence[str], start: int, stop: int, size: int, bins: int
+) -> tuple[ComplexArray, Array]:
+    """Spectra of a clean stretch at the end of zeros, its mean taken off.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Channels.
+    start, stop : int
+        First sample of the stretch, and the one after the last.
+    size : int
+        Number of samples with the zeros.
+    bins : int
+        How many of the lowest bins are wanted, of 1 / size of the sample rate each.
+
+    Returns
+    -------
+    spectra : ndarray of complex, shape (channels, bins)
+        As `numpy.fft.rfft` gives them.
+    squares : ndarray, shape (channels,)
+        Mean square of the stretch without its mean.
+    """
+    step = max(each for each in range(1, max(1, int(_REACH * size / bins)) + 1) if size % each == 0)
+    taps = np.ones((1, 1)) if step == 1 else firwin(_LENGTH * step, 1.0 / step, window=("kaiser", _BETA))
+    filters = taps.reshape(-1, step).T
+    # From end to end and beyond, where the filter reaches: all is one turn of a circle.
+    length, beyond = size // step, filters.shape[1]
+    kept = np.zeros((len(names), beyond + length))
+    total, squares = np.zeros(len(names)), np.zeros(len(names))
+    before = size - (stop - start)
+    piece = max(1, PIECE // step) * step
+    for first in range(before // step * step, size, piece):
+        read = np.zeros((len(names), min(piece, size - first)))
+        begin, end = max(first, before), first + read.shape[1]
+        for row, name in enumerate(names):
+            read[row, begin - first :] = rec.read(name, begin - before + start, end - before + start)
+        total += read.sum(axis=1)
+        squares += np.einsum("cn,cn->c", read, read)
+        parts = read.reshape(len(names), -1, step) @ filters
+        for k in range(beyond):
+            place = beyond + first // step - k
+            kept[:, place : place + parts.shape[1]] += parts[:, :, k]
+    kept[:, -beyond:] += kept[:, :beyond]
+    turn = -2j * np.pi / size * np.arange(bins)
+    through = np.conj(zoom_fft(taps.ravel(), [0, bins], m=bins, fs=size)) / step
+    spectra = fft.rfft(kept[:, beyond:], axis=1)[:, :bins] / through
+    mean = total / (stop - start)
+    spectra[:, 0] = 0.0
+    spectra[:, 1:] += mean[:, None] * (np.expm1(before * turn[1:]) / np.expm1(turn[1:]))
+    return spectra, squares / (stop - start) - mean**2

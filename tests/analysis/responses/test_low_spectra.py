@@ -1,0 +1,38 @@
+"""Spectra of which only the lowest bins are wanted."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import fft
+
+from analysis.responses.low_spectra import low_spectra
+
+
+def recording_of(samples: NDArray[np.float64]) -> Any:
+    """Give a recording of channels a and b."""
+    return SimpleNamespace(read=lambda name, start, stop: samples["ab".index(name), start:stop])
+
+
+@pytest.mark.parametrize(
+    ("count", "start", "zeros", "bins"),
+    [(300_000, 100, 0, 700), (300_000, 7, 1234, 700), (100_001, 0, 99, 3000), (5000, 3, 500, 2501)],
+    ids=["decimated", "behind zeros", "of odd length", "all bins"],
+)
+def test_given_noise_and_an_offset_when_only_low_bins_are_wanted_then_they_are_those_of_the_whole_transform(
+    count: int, start: int, zeros: int, bins: int
+) -> None:
+    samples = np.random.default_rng(1).standard_normal((2, start + count + 50)) + 3.0
+    size = fft.next_fast_len(count + zeros, real=True)
+    block = samples[:, start : start + count]
+    block = block - block.mean(axis=1, keepdims=True)
+    whole = fft.rfft(np.pad(block, ((0, 0), (size - count, 0))), axis=1)[:, :bins]
+
+    spectra, squares = low_spectra(recording_of(samples), "ab", start, start + count, size, bins)
+
+    np.testing.assert_allclose(spectra, whole, atol=1e-11 * np.sqrt(np.mean(abs(whole) ** 2)))
+    np.testing.assert_allclose(squares, block.var(axis=1), rtol=1e-12)

@@ -178,6 +178,14 @@ def _curves(
     label: str,
     level: Array | None,
 ) -> Curves:
+    alive = [k for k, frf in enumerate(frfs) if np.any(frf.value != 0.0)]
+    dead = [frf.response for frf in frfs if not np.any(frf.value != 0.0)]
+    if not alive:
+        raise RecordingError(
+            f"{label}: {', '.join(dead)} read nothing at all: dead, or not connected; there is no response to fit"
+        )
+    notes = [f"{one} reads nothing at all: it is dead, or not connected, and left out." for one in dead]
+    frfs, covariance = [frfs[k] for k in alive], covariance[:, alive][:, :, alive]
     value = np.stack([frf.value for frf in frfs])
     bound = np.sqrt(sum((_other_systematic(frf) ** 2 for frf in frfs), np.zeros(value.shape[1])))
     unsteady = np.any(
@@ -204,7 +212,7 @@ def _curves(
         level=None if level is None else level[known],
         clock=abs(rec.scene.converter.clock_error or 0.0),
         frfs=tuple(frf.between(0.0, np.inf) for frf in frfs),
-        warnings=frfs[0].warnings,
+        warnings=(*notes, *frfs[0].warnings),
     )
 
 
@@ -231,7 +239,12 @@ def _whitening(frfs: Sequence[Frf], covariance: ComplexArray, known: NDArray[np.
     index = np.arange(len(frfs))
     half *= grown[:, :1, None]
     half[:, index, index] = (1.0 + _SHRUNK) * grown * own + rest + least
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(half)))
+    return inverse_root(half)
+
+
+def inverse_root(covariance: ComplexArray) -> ComplexArray:
+    """Give what whitens errors of given covariances, shape (n, responses, responses)."""
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
 
 def _sensor(rec: Recording, name: str) -> Sensor:

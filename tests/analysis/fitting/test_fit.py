@@ -101,6 +101,45 @@ def test_given_a_channel_that_reads_g_as_metres_when_fitted_then_it_is_named_wit
 
 
 @pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ({"gain": -1.0}, "The sign of body2 is turned: corrected, the rest fits"),
+        ({"delay": 4e-3}, "body2 contradicts the others, by no factor"),
+    ],
+)
+def test_given_a_sensor_turned_round_or_late_when_fitted_then_it_is_named(wrong, told, tmp_path):
+    sheet = {"accelerometer.sensitivity_tolerance": "0.02"}
+    infos = [replace(info, sensor=sheet) for info in synthetic.channels()]
+    path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7, infos=infos)
+    with daq.open(path) as recording:
+        recording.channels["body2"] = replace(recording.channels["body2"], **wrong)
+        found = analysis.fit(recording, guess())
+    assert told in found.misfit
+
+
+def test_given_a_channel_that_reads_nothing_when_measured_then_it_is_left_out_and_told(tmp_path):
+    force = synthetic.band_noise(20.0, 5.0, 60.0)
+    marks = [("measure", 0, round(20.0 * synthetic.RATE) - 1, {"from": 5.0, "to": 60.0})]
+    test = "{kind: random, from: 5 Hz, to: 60 Hz, duration: 20 s, force: 1 N}"
+    path = synthetic.driven(tmp_path / "a.mcap", force, test, marks, noise=1e-4)
+    with daq.open(path) as recording:
+        read = {name: recording.read(name) for name in recording.channels}
+        infos, scene = list(recording.channels.values()), recording.scene
+    for dead, names in {"body2": ["body1", "body3"], "body1 body2 body3": []}.items():
+        rows = np.stack([0.0 * row if name in dead else row for name, row in read.items()])
+        synthetic.write(tmp_path / "b.mcap", scene, infos, rows, marks)
+        with daq.open(tmp_path / "b.mcap") as recording:
+            if names:
+                (curves,) = measured(recording, "b")
+                assert [sensor.name for sensor in curves.sensors] == names
+                assert "body2 reads nothing at all" in curves.warnings[0]
+                continue
+            with pytest.raises(RecordingError, match="read nothing at all: dead, or not connected"):
+                measured(recording, "b")
+
+
+@pytest.mark.thorough
 def test_given_a_sensor_off_by_many_tolerances_when_fitted_then_it_is_named_and_another_structure_as_well(
     tmp_path,
 ):

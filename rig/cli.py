@@ -230,20 +230,20 @@ def cost(
         Path, typer.Option("-o", "--output", metavar="DIR", help="Where to write the figure and the table.")
     ] = Path(),
 ) -> None:
-    """Measure what accuracy costs: every way to compute this scene, its error against its time, here and now."""
+    """Measure what accuracy costs: every way to compute this scene, its error against its time, here and now.
+
+    Of a scene with a bed of grains: what one mass, one mass on contacts that last, and coarser grains are worth.
+    """
     from rig.output_files import make_ready
     from rig.scene.quantities import FREQUENCY
-    from rig.work_precision.figure import table, write
-    from rig.work_precision.motion_study import motion_study
-    from rig.work_precision.steady_study import steady_study
+    from rig.work_precision.cost import cost as cost_of
 
     setting = loaded(scene, changes)
     make_ready(output)
     with saying() as say:
-        study = motion_study(setting, _quantity(frequency, FREQUENCY, "--frequency"), periods, say)
-        steady = steady_study(setting, study.frequency, say)
-        files = write(study, steady, output)
-    print(table(study, steady))
+        tone = _quantity(frequency, FREQUENCY, "--frequency")
+        text, files = cost_of(setting, tone, periods, output, say)
+    print(text)
     print("\nwritten:", *files)
 
 

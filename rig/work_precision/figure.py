@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,8 +12,9 @@ import numpy as np
 from rig.escaping import drawn
 from rig.figure_style import drawing, save_with_table
 from rig.output_files import stem
+from rig.scene.scene import Scene
 from rig.work_precision.motion_study import Point, Study
-from rig.work_precision.steady_study import SteadyStudy
+from rig.work_precision.steady_study import OTHER_PACKING, SteadyStudy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,6 +35,11 @@ LOOK = {
     "waiting": ("#e8853d", "o"),
     "approximate": ("#6b4fa0", "P"),
     "linear": ("#808080", "x"),
+    "one mass": ("#c1272d", "*"),
+    "contact that lasts": ("#e8853d", "o"),
+    "grains": ("#1f4e79", "s"),
+    "grains, softer": ("#4f87bd", "D"),
+    OTHER_PACKING: ("#8fb4d9", "v"),
 }
 
 
@@ -47,8 +54,17 @@ def table(study: Study, steady: SteadyStudy) -> str:
     lines += [
         "", f"reference: {study.reference};",
         f"           the best method's error is {study.margin:.0e} times that.", "",
-        _steady_title(steady), f"{'method':24}{'setting':30}{'ms in all':>12}{'error':>9}",
     ]  # fmt: skip
+    return "\n".join([*(line.rstrip() for line in lines), _steady_table(steady)])
+
+
+def models_table(scene: Scene, models: SteadyStudy) -> str:
+    """Write the study of models of a scene's beds of grains as text."""
+    return f"{scene.name}: models of its beds of grains\n\n{_steady_table(models)}"
+
+
+def _steady_table(steady: SteadyStudy) -> str:
+    lines = [_steady_title(steady), f"{'method':24}{'setting':30}{'ms in all':>12}{'error':>9}"]
     lines += [_line(point, 1e3 * point.cpu, "") for point in steady.points]
     lines += ["", f"reference: {steady.reference}"]
     return "\n".join(line.rstrip() for line in lines)
@@ -85,15 +101,23 @@ def write(study: Study, steady: SteadyStudy, folder: Path) -> list[Path]:
         If a file cannot be written.
     """
     name = folder / stem("cost", study.scene.name)
-    return save_with_table(_draw(study, steady), name, lambda path: _write_csv(study, steady, path))
+    found = (("motion, a period", study.points), ("steady state", steady.points))
+    return save_with_table(_draw(study, steady), name, lambda path: _write_csv(found, path))
 
 
-def _write_csv(study: Study, steady: SteadyStudy, path: Path) -> None:
+def write_models(scene: Scene, models: SteadyStudy, folder: Path) -> list[Path]:
+    """Write the same of models of a scene's beds of grains."""
+    name = folder / stem("cost", scene.name)
+    found = (("steady state", models.points),)
+    return save_with_table(_draw_models(scene, models), name, lambda path: _write_csv(found, path))
+
+
+def _write_csv(found: Iterable[tuple[str, tuple[Point, ...]]], path: Path) -> None:
     header = ["quantity", "method", "setting", "cpu_s", "error", "event_time_error_s", "right", "note"]
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(header)
-        for quantity, points in (("motion, a period", study.points), ("steady state", steady.points)):
+        for quantity, points in found:
             for p in points:
                 numbers = [f"{value:.6g}" for value in (p.cpu, p.error, p.event_error)]
                 writer.writerow([quantity, p.method, p.setting, *numbers, str(p.right).lower(), p.note])
@@ -113,6 +137,28 @@ def _draw(study: Study, steady: SteadyStudy) -> Figure:
             panels[1].set_ylabel("error of the compliance, relative")
             panels[1].set_title(_steady_title(steady))
         figure.suptitle(drawn(study.scene.name))
+        return figure
+
+
+def _draw_models(scene: Scene, models: SteadyStudy) -> Figure:
+    with drawing(5.2, 6.8) as figure:
+        axes = figure.subplots()
+        _panel(axes, models.points, "CPU time in all / s")
+        axes.set_ylabel("compliance off that with grains, relative")
+        axes.set_title(_steady_title(models))
+        for point in (each for each in models.points if np.isfinite(each.error)):
+            if point.method == OTHER_PACKING:
+                axes.axhline(_shown(point), color=LOOK[point.method][0], ls="--", lw=1.0)
+            axes.annotate(
+                point.setting,
+                (point.cpu, _shown(point)),
+                xytext=(8, -3),
+                textcoords="offset points",
+                fontsize=7,
+            )
+        # Room for the words at the right end.
+        axes.margins(x=0.25)
+        figure.suptitle(f"{drawn(scene.name)}: models of its beds of grains")
         return figure
 
 

@@ -23,6 +23,8 @@ from rig.work_precision.high_precision import DIGITS
 from rig.work_precision.high_precision_orbit import ExactOrbit, exact_orbit
 from rig.work_precision.motion_study import BETTER, Point, timed
 
+#: What the grains of a bed, packed anew, are called among models of it: nothing is known better than that.
+OTHER_PACKING = "grains, other packing"
 #: Tolerances to wait for.
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
 #: Where the motion is irregular, the steady state is sought so far from there, relative.

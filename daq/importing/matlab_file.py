@@ -5,6 +5,7 @@ Run as a program, it writes what is in the file that its one argument names.
 
 from __future__ import annotations
 
+import os
 import pickle
 import subprocess
 import sys
@@ -28,8 +29,10 @@ def matlab_arrays(path: Path) -> dict[str, Any]:
     RunError
         If it is of version 7.3 and h5py is not installed.
     """
-    program = [sys.executable, "-m", __name__, str(path.resolve()), str(int(most()))]
-    with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as reader:
+    # Modules are found where this process finds them: -m alone would look in the user's folder first.
+    program = [sys.executable, "-P", "-m", __name__, str(path.resolve()), str(int(most()))]
+    here = {**os.environ, "PYTHONPATH": os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)}
+    with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=here) as reader:
         assert reader.stdout is not None
         try:
             content: dict[str, Any] | str = pickle.load(reader.stdout)

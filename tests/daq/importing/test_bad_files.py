@@ -247,3 +247,15 @@ def test_given_a_matlab_file_whose_cells_hold_each_other_when_imported_then_that
     data = (tmp_path / "a.mat").read_bytes()
     (tmp_path / "a.mat").write_bytes(head + data[len(head) :])
     assert "hold more than 100000 values" in refused(tmp_path / "a.mat", tmp_path)
+
+
+def test_given_modules_of_the_users_beside_a_matlab_file_when_imported_then_they_are_not_run(
+    tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    WRITERS["mat"][1](tmp_path / "a.mat", histories(600))
+    for name in ("random", "struct", "scipy", "numpy"):
+        (tmp_path / f"{name}.py").write_text("import sys\n\nsys.exit(3)\n")
+    daq.import_files(tmp_path / "a.mat", bench(), tmp_path / "r.mcap", table=TABLE)
+    with daq.open(tmp_path / "r.mcap") as recording:
+        assert recording.samples == 600

@@ -26,6 +26,8 @@ WIDTH_INCH = 7.2
 _LONGEST_LINE = 70
 # A logarithmic axis shorter than this factor has too few decades for powers of ten as labels.
 _FEW = 50.0
+# Beyond these the arithmetic of a logarithmic axis ends.
+_DRAWN = 1e-250, 1e250
 # Characters of a note under a figure of that width.
 _NOTE_LINE = 112
 
@@ -108,15 +110,18 @@ def frequency_axis(axes: Axes, low: float, high: float, labelled: bool) -> None:
 def decades(axes: Axes, values: Any, most: float = 7.0, least: float = 1.0) -> None:
     """Logarithmic vertical axis around positive values, at most so many decades deep."""
     values = np.concatenate([np.ravel(v) for v in values])
-    values = values[np.isfinite(values) & (values > 0)]
+    values = np.clip(values[np.isfinite(values) & (values > 0)], *_DRAWN)
+    if not values.size:
+        # Nothing to be seen, at any height.
+        axes.set_yticks([])
+        return
     axes.set_yscale("log")
-    if values.size:
-        high = values.max() * 1.6
-        low = max(values.min() / 1.6, high / 10.0**most)
-        low = min(low, high / 10.0**least)
-        if high < _FEW * low:
-            plain_logarithmic(axes.yaxis)
-        axes.set_ylim(low, high)
+    high = values.max() * 1.6
+    low = max(values.min() / 1.6, high / 10.0**most)
+    low = min(low, high / 10.0**least)
+    if high < _FEW * low:
+        plain_logarithmic(axes.yaxis)
+    axes.set_ylim(low, high)
 
 
 def plain_ticks(low: float, high: float, most: int = 8) -> list[float]:

@@ -19,14 +19,13 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from rig import console
+from rig.ending_signals import ENDINGS
 from rig.errors import RunError, ShotrigError
 from rig.shadowing import shadowed
 
 if TYPE_CHECKING:
     import typer
 
-# What may end a command: Ctrl-C, and what a machine that goes down sends.
-ENDINGS = (signal.SIGINT, signal.SIGTERM)
 # No option means more, whatever its unit.
 LARGEST = 1e12
 
@@ -164,6 +163,9 @@ def _in_words(error: BaseException) -> tuple[int, str]:
             return 1, f"error: there is not enough memory for this: {error or 'none is left'}"
         case OSError(filename=str() | bytes()):
             return 1, f"error: {os.fsdecode(error.filename)}: {error.strerror}"
+        case OSError(strerror=str()):
+            # A disk that fills or fails while a file is written or closed names no file.
+            return 1, f"error: the system reports: {error.strerror}"
     if hasattr(error, "format_message"):
         # typer found something wrong with the words of the command.
         if type(error).__name__ == "NoArgsIsHelpError":

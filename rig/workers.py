@@ -20,6 +20,7 @@ from time import sleep
 from types import TracebackType
 from typing import Any, TypeVar
 
+from rig.ending_signals import ENDINGS
 from rig.errors import RunError, SceneError
 
 Piece = TypeVar("Piece")
@@ -169,7 +170,7 @@ def _answering_later() -> Iterator[None]:
         yield
         return
     came: list[int] = []
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.getsignal(number) for number in ENDINGS}
     for number in before:
         signal.signal(number, lambda number, _: came.append(number))
     try:

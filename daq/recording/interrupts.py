@@ -8,8 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from types import FrameType
 
-# Ctrl-C, and what a machine sends that goes down.
-ENDINGS = (signal.SIGINT, signal.SIGTERM)
+from rig.ending_signals import ENDINGS
 
 
 @contextmanager

@@ -19,6 +19,7 @@ from daq.instrument.connecting import connect_scene
 from daq.server.bench_time import BenchTime
 from daq.server.live import LiveRecording, LiveView
 from daq.server.service import Limits, Server
+from rig.ending_signals import ENDINGS
 from rig.errors import SceneError
 from rig.input_files import read_whole
 from rig.scene.scene import Scene
@@ -71,7 +72,7 @@ def serve(
     overwrite: bool = False,
     viewer: bool = False,
 ) -> None:
-    """Serve a rig until Ctrl-C or SIGTERM.
+    """Serve a rig until Ctrl-C, SIGTERM or the end of its terminal.
 
     Parameters
     ----------
@@ -174,7 +175,11 @@ def _is_loopback(host: str) -> bool:
 
 def _wait_for_signal() -> None:
     ended = threading.Event()
-    before = {each: signal.signal(each, lambda *_: ended.set()) for each in (signal.SIGINT, signal.SIGTERM)}
+    # Under nohup it is to serve on.
+    heard = [
+        each for each in ENDINGS if each == signal.SIGINT or signal.getsignal(each) is not signal.SIG_IGN
+    ]
+    before = {each: signal.signal(each, lambda *_: ended.set()) for each in heard}
     try:
         while not ended.wait(0.5):
             pass

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
@@ -17,6 +18,7 @@ import typer
 
 from rig import console
 from rig.command_line import application, run
+from rig.ending_signals import ENDINGS
 from rig.errors import RunError, SceneError
 
 MODULE = "rig.command_for_the_tests"
@@ -127,9 +129,27 @@ def test_given_text_of_a_file_when_printed_then_what_a_terminal_would_obey_is_sh
     assert capsys.readouterr().out == "red\\x1b[31m\\udcff \\u202e\n"
 
 
-def test_given_a_signal_to_end_when_at_work_then_it_ends_as_by_ctrl_c(command, capsys):
-    assert command(lambda: os.kill(os.getpid(), signal.SIGTERM)) == 130
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_given_a_signal_to_end_when_at_work_then_it_ends_as_by_ctrl_c(command, capsys, ending):
+    assert command(lambda: os.kill(os.getpid(), ending)) == 130
     assert capsys.readouterr().err == "interrupted\n"
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="the system knows no such signal")
+def test_given_a_command_that_is_to_outlive_its_terminal_when_that_is_closed_then_it_goes_on(command):
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        assert command(lambda: os.kill(os.getpid(), signal.SIGHUP)) == 0
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_given_a_disk_that_fails_while_a_file_is_closed_when_at_work_then_it_is_said(command, capsys):
+    def fail() -> None:
+        raise OSError(errno.EDQUOT, "Disk quota exceeded")
+
+    assert command(fail) == 1
+    assert capsys.readouterr().err == "error: the system reports: Disk quota exceeded\n"
 
 
 def test_given_a_signal_while_a_command_puts_things_back_when_it_has_done_its_work_then_no_traceback_is_seen():

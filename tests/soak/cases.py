@@ -16,6 +16,7 @@ import yaml
 
 import daq
 from daq.measurement.run import _RAMP
+from rig.ending_signals import ENDINGS
 from rig.errors import ShotrigError
 from tests.daq.importing import files
 from tests.soak import command_lines, recordings, scenes
@@ -121,7 +122,7 @@ def kill(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
     overwrite = chance.random() < 0.5
     if overwrite:
         shutil.copy(bench.whole[number], folder / "r.mcap")
-    how = chance.choice((signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT))
+    how = chance.choice((signal.SIGKILL, signal.SIGKILL, *ENDINGS))
     # A Python of its own, which imports first, as a user's; forks are so much quicker.
     afresh = chance.random() < 0.3
     longest = bench.seconds[number] + (bench.start if afresh else 0.0)

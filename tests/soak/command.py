@@ -17,6 +17,8 @@ from typing import NoReturn
 
 import psutil
 
+from rig.ending_signals import ENDINGS
+
 # Without a word for this long, a command counts as hanging; and so long it may take at all, s.
 SILENCE, LONGEST = 20.0, 60.0
 # What no command may take, bytes.
@@ -217,7 +219,7 @@ def _fork(folder: Path, environment: dict[str, str], act: Callable[[], None]) ->
     """Start a child that acts in a folder; give its number and where to hear what it says."""
     reading, writing = os.pipe()
     # Nobody hears a signal before the child answers it as any new process does.
-    signals = (signal.SIGINT, signal.SIGTERM)
+    signals = ENDINGS
     before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
     process = os.fork()
     if process == 0:

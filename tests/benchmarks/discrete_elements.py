@@ -1,0 +1,237 @@
+"""Beds of grains by another program of discrete elements, held against LAMMPS as rig couples it.
+
+    python -m tests.benchmarks.discrete_elements
+
+Written from the laws alone: Hertz with the dashpot of the restitution, Mindlin with Coulomb's limit, walls of the same
+stuff; the floor's motion prescribed, a plain search for neighbours, half of LAMMPS's steps. Both begin with the same
+packings, as what a bed does below a ceiling depends on its height to a hundredth of a diameter. Five minutes of one
+core.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from analysis.paper.bed_study import BEDS, FREQUENCY, Setting, scene_of_bed, told
+from rig.bed_response.steady_bed import steady_grains
+from rig.grains.packing import highest, settled
+from rig.grains.spheres import Spheres, rayleigh_time, spheres_of
+from rig.scene.excitation import Sine
+from rig.scene.scene import STANDARD_GRAVITY
+
+Array = NDArray[np.float64]
+
+#: Acceleration in g, clearance in m, layers.
+SETTINGS = ((3.0, math.inf, 6), (3.0, 0.3e-3, 2), (4.5, 0.15e-3, 2), (7.0, 2e-3, 6))
+PACKINGS = (1, 2, 3)
+#: Periods of a block; there are three, of which the last two are averaged.
+BLOCK = 20
+#: Rayleigh's times in a step.
+STEP = 0.1
+#: Distance up to which spheres are neighbours, in radii.
+SKIN = 0.3
+FLOOR, CEILING, SIDE = range(3)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def contact(
+    normal: Array, overlap: float, radius: float, mass: float, relative: Array, spin: Array, stretch: Array,
+    law: Array, friction: float, step: float, force: Array, shear: Array,
+) -> None:  # fmt: skip
+    """Give the force of a contact and its tangential part, and carry its stretch on.
+
+    `relative`: velocity of the centres; `spin`: sum of the lever arms times the spins; `law`: effective normal and
+    shear modulus, damping of the restitution.
+    """
+    closing = relative @ normal
+    reach = math.sqrt(radius * overlap)
+    dashpot = 2.0 * math.sqrt(5.0 / 6.0) * law[2] * math.sqrt(2.0 * law[0] * reach * mass)
+    push = 4.0 / 3.0 * law[0] * reach * overlap - dashpot * closing
+    slide = relative - closing * normal - np.cross(spin, normal)
+    # The stretch turns with the contact and keeps its length.
+    before = math.sqrt(stretch @ stretch)
+    stretch -= (stretch @ normal) * normal
+    after = math.sqrt(stretch @ stretch)
+    if after > 0.0:
+        stretch *= before / after
+    stretch += slide * step
+    stiffness = 8.0 * law[1] * reach
+    shear[:] = -stiffness * stretch - dashpot * slide
+    size, most = math.sqrt(shear @ shear), friction * abs(push)
+    if size > most:
+        shear *= most / size
+        stretch[:] = -(shear + dashpot * slide) / stiffness
+    force[:] = push * normal + shear
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def pair_forces(
+    at: Array, speed: Array, spin: Array, radius: float, mass: float, law: Array, friction: float, step: float,
+    pairs: NDArray[np.int64], stretch: Array, force: Array, torque: Array,
+) -> None:  # fmt: skip
+    """Add the forces and torques of pairs of spheres."""
+    push, shear = np.empty(3), np.empty(3)
+    for i, j in pairs:
+        apart = at[i] - at[j]
+        distance = math.sqrt(apart @ apart)
+        overlap = 2.0 * radius - distance
+        if overlap <= 0.0:
+            stretch[i, j] = 0.0
+            continue
+        normal, arm = apart / distance, radius - 0.5 * overlap
+        turning = arm * (spin[i] + spin[j])
+        contact(
+            normal, overlap, 0.5 * radius, 0.5 * mass, speed[i] - speed[j], turning, stretch[i, j],
+            law, friction, step, push, shear,
+        )  # fmt: skip
+        force[i] += push
+        force[j] -= push
+        turn = -arm * np.cross(normal, shear)
+        torque[i] += turn
+        torque[j] += turn
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def wall_forces(
+    at: Array, speed: Array, spin: Array, radius: float, mass: float, law: Array, frictions: Array, step: float,
+    cavity: Array, stretch: Array, force: Array, torque: Array, lift: Array,
+) -> None:  # fmt: skip
+    """Add the forces and torques of floor, ceiling and side; `cavity`: its radius and height; `lift`: upward forces."""
+    push, shear, normal = np.empty(3), np.empty(3), np.empty(3)
+    lift[:] = 0.0
+    for i in range(len(at)):
+        for wall in range(3):
+            normal[:], curved = 0.0, radius
+            if wall == FLOOR:
+                overlap, normal[2] = radius - at[i, 2], 1.0
+            elif wall == CEILING:
+                overlap, normal[2] = at[i, 2] + radius - cavity[1], -1.0
+            else:
+                out = math.hypot(at[i, 0], at[i, 1])
+                overlap, curved = out + radius - cavity[0], radius * cavity[0] / (cavity[0] - radius)
+                if out > 0.0:
+                    normal[:2] = -at[i, :2] / out
+            if overlap <= 0.0:
+                stretch[i, wall] = 0.0
+                continue
+            arm = radius - 0.5 * overlap
+            contact(
+                normal, overlap, curved, mass, speed[i], arm * spin[i], stretch[i, wall],
+                law, frictions[wall], step, push, shear,
+            )  # fmt: skip
+            force[i] += push
+            torque[i] -= arm * np.cross(normal, shear)
+            lift[wall] += push[2]
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def neighbours(at: Array, within: float) -> NDArray[np.int64]:
+    """List the pairs of spheres whose centres are nearer than a distance."""
+    count = 0
+    pairs = np.empty((len(at) * 30, 2), np.int64)
+    for i in range(len(at)):
+        for j in range(i + 1, len(at)):
+            apart = at[i] - at[j]
+            if apart @ apart < within * within:
+                pairs[count, 0], pairs[count, 1] = i, j
+                count += 1
+    return pairs[:count]
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def shaken(
+    at: Array, radius: float, mass: float, law: Array, frictions: Array, cavity: Array, step: float, steps: int,
+    amplitude: float, omega: float, gravity: float,
+) -> Array:  # fmt: skip
+    """Shake a bed that was at rest; upward forces of floor, ceiling and side at the ends of the steps (steps, 3)."""
+    count = len(at)
+    speed, spin, force, torque = np.zeros((4, count, 3))
+    of_pairs, of_walls, lift = np.zeros((count, count, 3)), np.zeros((count, 3, 3)), np.zeros(3)
+    kept, moved, skin = np.empty((steps, 3)), 0.0, SKIN * radius
+    pairs = neighbours(at, 2.0 * radius + skin)
+    inertia = 0.4 * mass * radius**2
+    floor = np.zeros(3)
+    for k in range(steps + 1):
+        # Velocities for the dashpots are foretold over the half step that is left.
+        ahead, turning = speed + 0.5 * step * (force / mass - floor), spin + 0.5 * step * torque / inertia
+        force[:], torque[:] = 0.0, 0.0
+        pair_forces(at, ahead, turning, radius, mass, law, frictions[0], step, pairs, of_pairs, force, torque)
+        wall_forces(
+            at, ahead, turning, radius, mass, law, frictions, step, cavity, of_walls, force, torque, lift
+        )
+        floor[2] = gravity - amplitude * omega**2 * math.sin(omega * k * step)
+        half = 0.5 if k == 0 else 1.0
+        speed += half * step * (force / mass - floor)
+        spin += half * step * torque / inertia
+        if k > 0:
+            kept[k - 1] = lift
+        at += step * speed
+        moved += step * math.sqrt((speed**2).sum(axis=1).max())
+        if moved > 0.5 * skin:
+            pairs, moved = neighbours(at, 2.0 * radius + skin), 0.0
+    return kept
+
+
+def followed(spheres: Spheres, amplitude: float) -> Array:
+    """Follow a bed on a floor of an amplitude in m; floor's and ceiling's impulse, and energy, as `told` tells them."""
+    grains = spheres.settings
+    positions = settled(spheres)
+    per_period = math.ceil(1.0 / (FREQUENCY * STEP * rayleigh_time(grains, spheres.density())))
+    step, omega = 1.0 / (FREQUENCY * per_period), 2.0 * math.pi * FREQUENCY
+    side = grains.friction if grains.side_friction is None else grains.side_friction
+    loss = -math.log(grains.restitution) / math.hypot(math.log(grains.restitution), math.pi)
+    shear = grains.modulus / (4.0 * (2.0 - grains.poisson_ratio) * (1.0 + grains.poisson_ratio))
+    law = np.array([grains.modulus / (2.0 * (1.0 - grains.poisson_ratio**2)), shear, loss])
+    lift = shaken(
+        positions.copy(), 0.5 * grains.diameter, spheres.mass / spheres.count, law,
+        np.array([grains.friction, grains.friction, side]),
+        np.array([0.5 * grains.cavity, highest(spheres, positions) + spheres.clearance]),
+        step, 3 * BLOCK * per_period, amplitude, omega, STANDARD_GRAVITY,
+    )[BLOCK * per_period :]  # fmt: skip
+    weight = spheres.mass * STANDARD_GRAVITY
+    speed = amplitude * omega * np.cos(omega * step * (np.arange(len(lift)) + 1))
+    energy = float(lift.sum(axis=1) @ speed) * step / (2 * BLOCK)
+    return np.array(
+        [lift[:, FLOOR].mean() / weight, -lift[:, CEILING].mean() / weight, energy / (weight * 1e-3)]
+    )
+
+
+def both(setting: Setting) -> tuple[Array, Array]:
+    """Follow a bed by LAMMPS in a structure, and by the program above on the same floor."""
+    scene = scene_of_bed(setting)
+    (spheres,) = spheres_of(scene).values()
+    assert spheres.count == BEDS[setting.layers][0]
+    motion = steady_grains(scene, FREQUENCY, BLOCK, 3, least=3)
+    test: Any = scene.test
+    assert isinstance(test, Sine)
+    assert test.force is not None
+    _, floor, ceiling, energy, *_ = told(scene, motion)
+    other = followed(spheres, abs(motion.compliance[0]) * test.force)
+    return np.array([float(floor), float(ceiling), float(energy)]), other
+
+
+def main() -> None:
+    """Print means over packings with their standard errors, and how far the two are apart."""
+    for level, clearance, layers in SETTINGS:
+        found = np.array([both(Setting(level, clearance, layers, packing)) for packing in PACKINGS])
+        # Both begin alike: how far they are apart scatters less from packing to packing than either.
+        values = np.stack([found[:, 0], found[:, 1], found[:, 0] - found[:, 1]])
+        means, errors = values.mean(axis=1), values.std(axis=1, ddof=1) / math.sqrt(len(PACKINGS))
+        print(f"{level:g} g, clearance {1e3 * clearance:g} mm, {layers} layers:")
+        names = ("floor's impulse", "ceiling's impulse", "energy")
+        for name, (ours, other, apart), (one, two, three) in zip(names, means.T, errors.T, strict=True):
+            if other > 0.0:
+                print(
+                    f"  {name:18} LAMMPS {ours:.4g} ±{one:.2g}, other {other:.4g} ±{two:.2g}, "
+                    f"apart {100 * apart / other:+.1f} ±{100 * three / other:.1f} %",
+                    flush=True,
+                )
+
+
+if __name__ == "__main__":
+    main()

@@ -63,9 +63,9 @@ def causes(problem: Problem) -> list[str]:
         for sensor in _sensors(bare)
         if (rest := _without(bare, sensor)) and _variance(problem, rest)[1] < max(4.0, _EXPLAINED * before)
     ]
-    if alone:
+    if len(alone) == 1:
         return [
-            f"{' or '.join(alone)} contradicts the others, by no factor: late, loose, elsewhere than the scene says, "
+            f"{alone[0]} contradicts the others, by no factor: late, loose, elsewhere than the scene says, "
             "or no measurement at all; left out, the rest fits."
         ]
     return [

@@ -20,6 +20,10 @@ CONFIDENCE = 1.96
 # How far a model is allowed to miss, relative to the peaks around, on the way to the errors stated: far from the
 # solution, narrow resonances beside each other know nothing of each other.
 _DISTRUST = (0.1, 0.01, 0.0)
+# From farther off, and how far, in logarithms, from the guess: where modes led nowhere, or none could be told.
+_DISTRUST_FAR, _FAR, _STARTS = (0.3, 0.1, 0.01, 0.0), 0.15, 8
+# A mean square of misses beyond which the structure is looked for elsewhere.
+_MISSED = 4.0
 _DISTRUST_DAMPERS = (0.2, 0.05)
 # The least of it: large misses hardly count, so that a point in another motion does not decide.
 _BARELY = 1e-6
@@ -55,9 +59,7 @@ def estimate(problem: Problem, told: Told) -> Estimate:
     """Find the unknowns: first those of the structure from linear recordings, then of the dampers, then all at once."""
     bare = [group for group in problem.groups if group.tones is None]
     told("structure")
-    x = start(problem, bare)
-    for distrust in _DISTRUST if bare else ():
-        x = solved(problem, x, bare, distrust)
+    x = _structure(problem, bare) if bare else problem.start.copy()
     damped = [group for group in problem.groups if group.tones is not None]
     if damped:
         told("dampers")
@@ -69,6 +71,27 @@ def estimate(problem: Problem, told: Told) -> Estimate:
             x = solved(problem, x, problem.groups, _DISTRUST[-2] if turn == 0 else _BARELY, most=8)
             x = solved(problem, x, problem.groups, 0.0, most=12)
     return Estimate(x, *_certainty(problem, x))
+
+
+def _structure(problem: Problem, bare: Sequence[Group]) -> Array:
+    """Find the structure from linear recordings: from their modes, else from the guess and places around it."""
+    best = start(problem, bare)
+    for distrust in _DISTRUST:
+        best = solved(problem, best, bare, distrust)
+    least = mean_square(problem, best, bare)
+    active = [k for k, one in enumerate(problem.parameters) if one.place[0] == "structure"]
+    random = np.random.default_rng(0)
+    for number in range(_STARTS):
+        if least < _MISSED:
+            break
+        x = problem.start.copy()
+        x[active] += random.normal(0.0, _FAR * min(number, 1), len(active))
+        for distrust in _DISTRUST_FAR:
+            x = solved(problem, x, bare, distrust, most=15)
+        if (missed := mean_square(problem, x, bare)) < least:
+            best, least = x, missed
+    problem.residual(best, bare)
+    return best
 
 
 def solved(

@@ -53,6 +53,18 @@ def test_given_a_sweep_and_a_guess_when_fitted_then_every_value_lies_in_its_inte
     assert again.structure == found.scene.structure
 
 
+@pytest.mark.parametrize("masses", [[0.5, 1.0, 0.9], [0.45, 0.45, 0.9]])
+def test_given_responses_that_show_no_modes_and_a_far_guess_when_fitted_then_the_structure_is_found(
+    masses, monkeypatch, tmp_path
+):
+    monkeypatch.setattr("analysis.fitting.start._modes", lambda _: None)
+    path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES[::2], noise=2e-7)
+    found = analysis.fit(path, guess(masses=masses))
+    assert not found.misfit
+    for key, miss in off(found).items():
+        assert abs(miss) < 1.5 * found[key].half_width
+
+
 def test_given_sensors_known_to_a_tolerance_when_fitted_then_masses_are_as_uncertain_as_they_make_them(
     tmp_path,
 ):

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
 
 class ShotrigError(Exception):
     """Base of every error meant for the user; the command lines print it without a traceback."""
@@ -29,3 +33,14 @@ class RunError(ShotrigError):
 
 class SceneWarning(UserWarning):
     """A scene that can be used, with a value in it that is hardly what was meant."""
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Name a recording in errors of the body that do not: those of its bytes do, those of its messages do not."""
+    try:
+        yield
+    except RecordingError as error:
+        if str(error).startswith(str(path)):
+            raise
+        raise RecordingError(f"{path}: {error}") from error

@@ -20,7 +20,7 @@ from daq.recording.markers import EVENT_TYPE, Marker, event_from_json
 from daq.recording.sample_block import SAMPLE_TYPE
 from daq.signal_chain.channel import UNITS, ChannelInfo
 from daq.signal_chain.field_checks import NAME, check
-from rig.errors import RecordingError
+from rig.errors import RecordingError, naming
 from rig.escaping import html
 from rig.results import Result, styled
 
@@ -282,10 +282,8 @@ class Recording(Result):
     @cached_property
     def markers(self) -> list[Marker]:
         """What the test noted, in the order in which it began."""
-        try:
+        with naming(self.path):
             found = [Marker.from_json(data) for data in self._messages(layout.MARKERS)]
-        except RecordingError as error:
-            raise RecordingError(f"{self.path}: {error}") from error
         return sorted(
             (marker for marker in found if marker.kind != "start"), key=lambda marker: marker.first_sample
         )
@@ -296,10 +294,8 @@ class Recording(Result):
         if layout.MARKERS not in self._topics:
             holes = [(*hole, name) for name, series in self._series.items() for hole in series.holes()]
             return [Gap(first, stop - 1, (name,), "missing") for first, stop, name in sorted(holes)]
-        try:
+        with naming(self.path):
             return gaps_of(self.markers, list(self.channels))
-        except RecordingError as error:
-            raise RecordingError(f"{self.path}: {error}") from error
 
     @property
     def overloads(self) -> list[Marker]:
@@ -309,10 +305,8 @@ class Recording(Result):
     @cached_property
     def events(self) -> NDArray[Any]:
         """True changes of contact: fields `time` [s], `damper` (from 1), `kind` and `speed` [m/s]."""
-        try:
+        with naming(self.path):
             found = [event_from_json(data) for data in self._messages(layout.EVENTS)]
-        except RecordingError as error:
-            raise RecordingError(f"{self.path}: {error}") from error
         return np.array(found, dtype=EVENT_TYPE)
 
     def _messages(self, topic: str) -> Iterator[memoryview]:

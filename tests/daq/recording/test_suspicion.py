@@ -20,7 +20,7 @@ from daq.recording.markers import Marker, event_from_json
 from daq.recording.sample_block import decode, encode
 from daq.recording.timebase import Timebase
 from daq.signal_chain.channel import ChannelInfo
-from rig.errors import RecordingError
+from rig.errors import RecordingError, naming
 from rig.escaping import is_line
 from tests.daq.recording.recordings import GROUP, signal, write
 
@@ -169,3 +169,11 @@ def test_given_a_chunk_that_packs_too_well_when_read_then_it_is_refused() -> Non
     huge = struct.pack("<QQQII", 0, 0, 1 << 25, 0, 4) + b"zstd" + struct.pack("<Q", 8) + bytes(8)
     with pytest.raises(Damage, match="claims to unpack"):
         unpack_chunk(memoryview(huge))
+
+
+@pytest.mark.parametrize("said", ["a message is no marker", "r.mcap is damaged"])
+def test_given_an_error_that_passes_several_readers_when_told_then_the_file_is_named_once(said: str) -> None:
+    path = Path("r.mcap")
+    with pytest.raises(RecordingError) as told, naming(path), naming(path):
+        raise RecordingError(said)
+    assert str(told.value).count("r.mcap") == 1 and str(told.value).endswith(said)

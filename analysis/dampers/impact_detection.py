@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from rig.scene.damper import Damper
 
 Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 # Where less than this part of a stretch can be searched, nothing is told of it.
 _LEAST_SEARCHED = 0.5

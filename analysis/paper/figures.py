@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 Parts = Mapping[str, Mapping[str, np.ndarray]]
 
 BLUE, RED, GREEN, PINK, SKY, ORANGE, GREY, BLACK = COLOURS
-TYPE_COLOURS = {"I": BLUE, "II": GREEN, "III": RED, "riding": GREY}
 # Of the first mode, Hz, which sets the envelope's window.
 LOWEST = 12.4
 _UNDER_WAVES = "time / ms     (solid: body and floor; dashed: damper; shaded: cavity)"

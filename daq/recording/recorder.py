@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from importlib.metadata import version
+from functools import cache
+from importlib import metadata
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -37,6 +38,8 @@ AHEAD = 16
 # Room kept on the disk for the end of the file, whose index grows with every chunk, and for the display.
 RESERVE = 1 << 20
 RESERVE_PER_CHUNK = 256
+# Finding it takes longer than ten groups of samples do.
+_version = cache(metadata.version)
 
 
 class Recorder:
@@ -222,7 +225,7 @@ class Recorder:
         """Write what a reader needs before any sample; damage further on cannot orphan the samples then."""
         from daq.mcap_file.writer import ChunkedFile
 
-        self._file = ChunkedFile(self._disk, f"shotrig {version('shotrig')}", COMPRESSION[self._stored])
+        self._file = ChunkedFile(self._disk, f"shotrig {_version('shotrig')}", COMPRESSION[self._stored])
         self._markers = self._register(layout.MARKERS, MARKER_SCHEMA, {})
         common = {"stored": self._stored, "start_ns": str(self.clock.start_ns), "layout": layout.VERSION}
         schema = block_schema(SCHEMAS[self._stored][0])
@@ -267,7 +270,7 @@ class Recorder:
         test = "none" if scene.test is None else scene.test.kind
         run = {"scene": scene.name, "seed": str(scene.seed), "test": test, "layout": layout.VERSION}
         source = {"source": self._source} if self._source else {}
-        records["run"] = run | {"shotrig": version("shotrig")} | source
+        records["run"] = run | {"shotrig": _version("shotrig")} | source
         for name, fields in records.items():
             self._file.add_metadata(name, checked(fields))
         text = scene.to_yaml().encode()

@@ -47,6 +47,7 @@ class SampleBlock(NamedTuple):
         return self.first_sample + self.samples.size
 
 
+@lru_cache
 def block_schema(schema: str) -> Schema:
     """Describe a block schema (a key of `SAMPLE_TYPE`) for the file."""
     samples = next(protobuf_type for name, protobuf_type, _ in SCHEMAS.values() if name == schema)

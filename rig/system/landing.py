@@ -86,16 +86,3 @@ def landing(stiffness: float, damping: float, mass: float) -> tuple[float, float
     ratio = damping / (2.0 * mass * rate)
     duration = 2.0 * _angle(ratio) / rate
     return duration, math.exp(-ratio * rate * duration)
-
-
-def peak_force(stiffness: float, damping: float, mass: float, speed: float) -> float:
-    """Largest force of a landing at a relative speed [m/s], N.
-
-    It comes at the angle w_d t = pi / 2 - 3 b after the touch, or right there from a damping ratio of 1/2 on.
-    """
-    rate = math.sqrt(stiffness / mass)
-    ratio = damping / (2.0 * mass * rate)
-    if ratio >= 0.5:
-        return damping * speed
-    lean = math.asin(ratio)
-    return mass * speed * rate * math.exp(-math.tan(lean) * (0.5 * math.pi - 3.0 * lean))

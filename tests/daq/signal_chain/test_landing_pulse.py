@@ -8,7 +8,7 @@ import pytest
 import rig
 from daq.signal_chain.bench import Bench
 from rig.system.assembly import assemble
-from rig.system.landing import peak_force
+from tests.rig.landing_force import peak_force
 
 BODY = 0.8
 DURATION = 2e-3

@@ -13,8 +13,9 @@ from scipy.linalg import expm
 
 import rig
 from rig.system.assembly import assemble
-from rig.system.landing import landing, peak_force, spring_damper
+from rig.system.landing import landing, spring_damper
 from tests.rig.engine.lasting_exact import SwitchedMotion
+from tests.rig.landing_force import peak_force
 
 PER_PERIOD = 16
 

@@ -111,4 +111,5 @@ EQUIVALENT = {
     'if len(scene.shakers) != 1 and any(shaker.kind != "force" for shaker in scene.shakers):': "any of none is false",
     "driven = np.where(drive > _NOTHING, drive, np.nan)[:, 0, -1]": "the array has one column",
     "better = _power(changed) <= _power(left)": "two that leave the same are as good",
+    "records = unpacker.decompress(packed, max_length=size + 2)": "who asked looks at the length as well",
 }

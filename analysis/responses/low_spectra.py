@@ -1,11 +1,8 @@
 """Spectra of a long stretch at its lowest frequencies: a test of a structure drives a small part of half the rate.
 
-What lies above is filtered out before samples are dropped, and what the filter does below is divided out again [1]_. So
-an hour takes no more memory than a minute, and time as reading it does.
-
-References
-----------
-.. [1] R. E. Crochiere, L. R. Rabiner, Multirate Digital Signal Processing, Prentice-Hall 1983, chapter 2.
+What lies above is filtered out before samples are dropped, and what the filter does below is divided out again
+(Crochiere and Rabiner, Multirate Digital Signal Processing, 1983, chapter 2). An hour takes hardly more memory than a
+minute, and as much time as reading it does.
 """
 
 from __future__ import annotations
@@ -58,11 +55,9 @@ def low_spectra(
     taps = np.ones((1, 1)) if step == 1 else firwin(_LENGTH * step, 1.0 / step, window=("kaiser", _BETA))
     filters = taps.reshape(-1, step).T
     # From end to end and beyond, where the filter reaches: all is one turn of a circle.
-    length, beyond = size // step, filters.shape[1]
-    kept = np.zeros((len(names), beyond + length))
-    total, squares = np.zeros(len(names)), np.zeros(len(names))
-    before = size - (stop - start)
-    piece = max(1, PIECE // step) * step
+    beyond, before, piece = filters.shape[1], size - (stop - start), max(1, PIECE // step) * step
+    kept = np.zeros((len(names), beyond + size // step))
+    total, squares = np.zeros((2, len(names)))
     for first in range(before // step * step, size, piece):
         read = np.zeros((len(names), min(piece, size - first)))
         begin, end = max(first, before), first + read.shape[1]

@@ -151,28 +151,24 @@ class WholeStretches:
         first = max(int(lines[0]) - side, 0)
         reach = slice(first, min(max(int(lines[-1]) + side, first + 2 * side), size // 2) + 1)
         bins = np.arange(reach.stop)
-        samples, ends, lengths = [], [], []
+        lengths, rests = [stop - start for start, stop in stretches], [False] * len(stretches)
         jitter = np.zeros((len(names), len(names)))
         if self.hits is None:
-            squares = []
-            for start, stop in stretches:
-                spectra, square = low_spectra(rec, names, start, stop, size, reach.stop)
-                samples.append(spectra)
-                squares.append(square)
-                ends.append(np.exp(-2j * np.pi * bins * ((size - stop + start) / size)))
-                lengths.append(stop - start)
-            power = np.average(squares, axis=0, weights=lengths)
+            found = [low_spectra(rec, names, *each, size, reach.stop) for each in stretches]
+            samples = [spectra for spectra, _ in found]
+            power = np.average([square for _, square in found], axis=0, weights=lengths)
             gain = np.repeat(noise_gain(in_counts(rec, names, power))[:, None], lines.size, axis=1)
         else:
+            rests = [
+                self.hits.at_rest(moved, *each, size) for each, moved in zip(stretches, moving, strict=True)
+            ]
             blocks = []
-            for (start, stop), moved in zip(stretches, moving, strict=True):
-                rest = self.hits.at_rest(moved, start, stop, size)
+            for (start, stop), rest in zip(stretches, rests, strict=True):
                 block = np.stack([rec.read(name, start, stop) for name in names])
                 blocks.append(self.hits.alone(rec, names, block, start, rest))
-                zeros = size - blocks[-1].shape[1]
-                samples.append(fft.rfft(np.pad(blocks[-1], ((0, 0), (zeros, 0))), axis=1))
-                ends.append(np.exp(-2j * np.pi * bins * (zeros / size)) * (not rest))
-                lengths.append(blocks[-1].shape[1])
+            lengths = [block.shape[1] for block in blocks]
+            padded = [np.pad(block, ((0, 0), (size - block.shape[1], 0))) for block in blocks]
+            samples = [fft.rfft(block, axis=1) for block in padded]
             # Their response is that of the whole tail, which a recording may cut off.
             info = rec.channels[self.hits.channel]
             turn = high_passes(info, fft.rfftfreq(size, 1.0 / rec.rate))
@@ -181,13 +177,15 @@ class WholeStretches:
             inside = [hit for each in stretches for hit in self.hits.inside(*each)]
             jitter = jitter_covariance(rec, names, inside, size, side)
             gain = self.hits.rounding(rec, names, stretches, blocks, samples, lines, side)
+        begins = np.exp(np.outer((size - np.array(lengths)) / size, -2j * np.pi * bins))
+        ends = np.where(np.array(rests)[:, None], 0.0, begins)
         frequency = bins * (rec.rate / size)
         # The line at zero has no displacement: it takes no part.
         frequency[0] = frequency[1]
         return LocalSpectra(
             tuple(names),
             np.stack(samples)[:, :, reach],
-            np.stack(ends)[:, reach],
+            ends[:, reach],
             frequency[reach],
             lines - first,
             side,

@@ -42,8 +42,13 @@ SETTINGS = {
     7.0: (0.15e-3, 0.3e-3, 0.6e-3, 0.98e-3, 2e-3, math.inf),
 }
 #: Grains, and diameter of the cavity in m, that make beds of so many layers.
-BEDS = {2: (70, 14.2e-3), 4: (100, 11.3e-3), 6: (120, 10e-3)}
+BEDS = {2: (70, 14.2e-3), 4: (100, 11.3e-3), 6: (120, 10e-3), 20: (400, 10e-3)}
 SEEDS = (1, 2, 3)
+#: Layers of the bed of which only some settings and seeds are followed, as they cost most.
+DEEPEST = 20
+SETTINGS_OF_DEEPEST = (
+    (1.3, math.inf), (3.0, math.inf), (7.0, math.inf), (4.5, 0.3e-3), (4.5, 0.98e-3), (7.0, 0.98e-3),
+)  # fmt: skip
 #: Hz; the resonance of the heavy body is at half of it.
 FREQUENCY = 50.0
 #: The mass of the bed over that of the body that shakes it.
@@ -88,11 +93,12 @@ def settings() -> list[Setting]:
     pairs = [(level, clearance) for level, clearances in SETTINGS.items() for clearance in clearances]
     found = []
     for seed in SEEDS:
-        points = [(*pair, layers) for pair in pairs for layers in BEDS]
+        points = [(*pair, layers) for pair in pairs for layers in BEDS if layers != DEEPEST]
         order = np.random.default_rng(seed).permutation(len(points))
         shuffled = (points[k] for k in order)
         found += [Setting(level, clearance, layers, seed) for level, clearance, layers in shuffled]
-    return found
+    deepest = [(*pair, DEEPEST, seed) for seed in SEEDS[:2] for pair in SETTINGS_OF_DEEPEST]
+    return found + [Setting(*each) for each in deepest]
 
 
 def scene_of_bed(setting: Setting, **grains: float) -> Scene:

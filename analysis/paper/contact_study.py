@@ -2,8 +2,9 @@
 
 At the settings of `analysis.paper.bed_study` one mass is followed on contacts of several restitutions and durations.
 Of a bed of which a share moves and the rest is held, the moving share takes its share of the energy. The contact that
-stands for the bed is the one, of these and for all settings alike, with which the body's compliance is nearest to that
-with grains. It is judged where it was not fitted as well: each acceleration in turn by a fit to the others.
+stands for the bed is the one, of these and for all settings below a ceiling alike, with which the body's compliance is
+nearest to that with grains; without a ceiling a landing at once is nearer. It is judged where it was not fitted, too:
+each acceleration in turn by a fit to the others.
 """
 
 from __future__ import annotations
@@ -166,6 +167,11 @@ def apart_unseen(beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarr
         fitted = stand_in(some(beds, ~own), contacts)
         found[own] = apart_on(fitted, some(beds, own), contacts)
     return found
+
+
+def below_ceiling(beds: Mapping[str, np.ndarray]) -> Arrays:
+    """Give the settings that have a ceiling."""
+    return some(beds, np.isfinite(beds["clearance"]))
 
 
 def some(beds: Mapping[str, np.ndarray], chosen: NDArray[np.bool_]) -> Arrays:

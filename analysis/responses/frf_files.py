@@ -97,7 +97,8 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Frf]:
     sets = uff.functions(path)
     found = [each for each in sets if int(each["func_type"]) == uff.FRF]
     if not found:
-        other = "; it holds time responses: `daq import` makes a recording of them" if sets else ""
+        timed = any(uff.is_time(each) for each in sets)
+        other = "; it holds time responses: `daq import` makes a recording of them" if timed else ""
         raise RecordingError(f"{path} holds no frequency response (data set 58, function type 4){other}")
     driven = list(dict.fromkeys(uff.point(each, "ref") for each in found))
     if reference is None and len(driven) > 1:

@@ -22,7 +22,7 @@ _DIRECTIONS = {1: "+X", 2: "+Y", 3: "+Z", 4: "+RX", 5: "+RY", 6: "+RZ"}
 def uff_signals(path: Path) -> list[Signal]:
     """List the time responses of a Universal File; they are held in memory."""
     sets = functions(path)
-    times = [each for each in sets if _is_time(each)]
+    times = [each for each in sets if is_time(each)]
     if not times:
         other = Counter(int(each["func_type"]) for each in sets)
         hint = "; it holds frequency responses: `analysis modes` takes it as it is" if other[FRF] else ""
@@ -113,7 +113,8 @@ def label(each: Mapping[str, Any], axis: str) -> str:
     return UNITS.get(int(each.get(f"{axis}_spec_data_type", 0)), "") if each["si"] else ""
 
 
-def _is_time(each: Mapping[str, Any]) -> bool:
+def is_time(each: Mapping[str, Any]) -> bool:
+    """Whether a function is one of time."""
     kind = int(each["func_type"])
     return kind == TIME_RESPONSE or (kind == GENERAL and int(each["abscissa_spec_data_type"]) == _TIME)
 

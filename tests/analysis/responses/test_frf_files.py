@@ -136,6 +136,16 @@ BAD = {
 }
 
 
+@pytest.mark.parametrize(("kind", "way"), [(1, True), (2, False)])
+def test_given_other_functions_than_responses_when_read_then_an_import_is_advised_for_those_of_time_alone(
+    kind, way, tmp_path
+):
+    uff(tmp_path / "a.uff", abs(accelerance()), func_type=kind)
+    with pytest.raises(RecordingError, match="holds no frequency response") as told:
+        analysis.read_frfs(tmp_path / "a.uff")
+    assert ("`daq import`" in str(told.value)) == way
+
+
 @pytest.mark.parametrize("name", BAD)
 def test_given_a_file_that_holds_no_responses_when_read_then_it_is_refused_in_words(name, tmp_path):
     if BAD[name] is not None:

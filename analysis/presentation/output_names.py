@@ -10,6 +10,8 @@ from pathlib import Path
 
 from rig.errors import RunError
 
+# Letters of a channel's name in that of a file.
+_LONGEST_PART = 40
 # Longest name of a file made of the names of several recordings.
 _LONGEST_NAME = 60
 # Which inputs the files in a folder were made from.
@@ -56,6 +58,20 @@ def joined(names: Sequence[str]) -> str:
     # What is left out tells sets apart that begin alike.
     rest = _digest(name)[:4]
     return f"{names[0]}+{len(names) - 1}-more-{rest}" if len(names) > 1 else name
+
+
+def of_part(stem: Path, part: str) -> Path:
+    """Add the name of a channel, which a file may have made anything but a name of files.
+
+    Examples
+    --------
+    >>> of_part(Path("run-frf"), "body1").name, of_part(Path("run-frf"), "../../etc/passwd").name
+    ('run-frf-body1', 'run-frf-.._.._etc_passwd-3754')
+    """
+    plain = "".join(letter if letter.isalnum() or letter in " -_.+" else "_" for letter in part)[
+        :_LONGEST_PART
+    ]
+    return stem.with_name(f"{stem.name}-{plain}" + ("" if plain == part else f"-{_digest(part)[:4]}"))
 
 
 def with_ending(stem: Path, ending: str) -> Path:

@@ -14,7 +14,7 @@ from analysis.decays.free_decay import FIRST_FALL, Decay, decay
 from analysis.modal.identification import identify
 from analysis.modal.modes import Modes, mac
 from analysis.presentation.expectations import expect, expect_all
-from analysis.presentation.output_names import output_stem, with_ending
+from analysis.presentation.output_names import of_part, output_stem, with_ending
 from analysis.recordings.names import opened, relabelled, scene_labels
 from analysis.responses.frequency_responses import Blocks, frequency_responses, kind_of
 from analysis.responses.frf import SENSITIVITY, Frf
@@ -89,7 +89,7 @@ def present_frf(
         for name in names:
             shown = [frf for frf in curves if frf.response == name]
             some = [frf for frf in exact if frf.response == name]
-            part = stem if len(names) == 1 else stem.with_name(f"{stem.name}-{name}")
+            part = stem if len(names) == 1 else of_part(stem, name)
             files += save(frf_figure(shown, f"{what} of {name}", _once(some), _marks(shown)), part)
     files.append(frf_table(stem.with_name(stem.name + ".csv"), curves))
     return Result(tuple(files), (*(frf.summary() for frf in curves), *dict.fromkeys(doubts)), tuple(notes))

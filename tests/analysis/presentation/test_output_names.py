@@ -1,10 +1,11 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 import pytest
 
-from analysis.presentation.output_names import output_stem, with_ending
+from analysis.presentation.output_names import of_part, output_stem, with_ending
 from rig.errors import RunError
 
 
@@ -48,3 +49,15 @@ def test_given_a_name_that_is_not_utf_8_when_outputs_are_named_then_they_keep_it
     path = tmp_path / os.fsdecode(b"a\xff.mcap")
     names = [output_stem([path] * count, None, "frf").name for count in (1, 40)]
     assert os.fsencode(names[0]) == b"a\xff-frf" and names[1].startswith(os.fsdecode(b"a\xff+39-more-"))
+
+
+@pytest.mark.parametrize("name", ["../../etc/passwd", "a\nb", "x" * 300, "\u202e", "/", "nul\0"])
+def test_given_a_channel_that_is_called_what_no_file_can_be_when_drawn_then_its_figure_lies_in_the_folder(
+    name: str, tmp_path: Path
+) -> None:
+    part = of_part(tmp_path / "run-frf", name)
+
+    part.touch()
+
+    assert part.parent == tmp_path and list(tmp_path.iterdir()) == [part]
+    assert part != of_part(tmp_path / "run-frf", f"{name} ")

@@ -40,7 +40,7 @@ _LOWERING = 5e-3
 #: Steps between looks at a bed that falls, and the most of them.
 _LOOK, _MOST = 500, 400
 #: Steps between looks at a bed that comes to rest, and the most of them.
-_GLANCE, _MOST_GLANCES = 20, 10_000
+_GLANCE, _MOST_GLANCES = 20, 40_000
 #: What kept beds go by besides their settings: to be changed with the way in which they are made.
 _METHOD = "rain, lid and peaks 3"
 

@@ -26,6 +26,8 @@ ComplexArray = NDArray[np.complex128]
 # Of the lower rate, the share that bins may reach up to; and the filter's length, in samples of that rate, and its
 # Kaiser window, with which what folds back there is 240 dB down.
 _REACH, _LENGTH, _BETA = 0.15, 24, 25.5
+# Products of matrices with no more multiplications than this BLAS does at once, instead of having threads wait for it.
+_SMALL = 1 << 18
 
 
 def low_spectra(
@@ -54,6 +56,7 @@ def low_spectra(
     step = max(each for each in range(1, max(1, int(_REACH * size / bins)) + 1) if size % each == 0)
     taps = np.ones((1, 1)) if step == 1 else firwin(_LENGTH * step, 1.0 / step, window=("kaiser", _BETA))
     filters = taps.reshape(-1, step).T
+    few = max(1, _SMALL // filters.size)
     # From end to end and beyond, where the filter reaches: all is one turn of a circle.
     beyond, before, piece = filters.shape[1], size - (stop - start), max(1, PIECE // step) * step
     kept = np.zeros((len(names), beyond + size // step))
@@ -65,7 +68,9 @@ def low_spectra(
             read[row, begin - first :] = rec.read(name, begin - before + start, end - before + start)
         total += read.sum(axis=1)
         squares += np.einsum("cn,cn->c", read, read)
-        parts = read.reshape(len(names), -1, step) @ filters
+        rows = np.arange(0, read.shape[1] // step, few)
+        frames = np.split(read.reshape(len(names), -1, step), rows[1:], axis=1)
+        parts = np.concatenate([each @ filters for each in frames], axis=1)
         for k in range(beyond):
             place = beyond + first // step - k
             kept[:, place : place + parts.shape[1]] += parts[:, :, k]

@@ -45,9 +45,9 @@ def search(question: Question, space: Space, answers: Answers) -> tuple[Trial, l
     Returns
     -------
     best : Trial
-        Its peak computed on a finer grid of frequencies.
+        Its peak computed on a finer grid of frequencies, as those of the next best.
     trials : list of Trial
-        All that were tried.
+        All that were tried, the best among them.
     """
     grid = [[c for place in space.places for c in _row(space, place, share)] for share in SHARES]
     tried = _bounded(question, grid, answers)
@@ -61,11 +61,12 @@ def search(question: Question, space: Space, answers: Answers) -> tuple[Trial, l
         polish = partial(_polish, bounds=space.clearance)
         tried |= answers.follow(question, [partial(_wanted, polish, start) for start in starts])
     # A coarse grid of frequencies may have missed a peak: the first three are compared on a fine one.
-    first = sorted(tried, key=tried.__getitem__)[:COMPARED]
-    peaks = answers.of(replace(question, density=FINE), first)
-    return min(map(Trial, first, peaks), key=lambda trial: trial.peak), list(
-        map(Trial, tried, tried.values())
-    )
+    closely: set[Choice] = set()
+    while first := [c for c in sorted(tried, key=tried.__getitem__)[:COMPARED] if c not in closely]:
+        tried |= zip(first, answers.of(replace(question, density=FINE), first), strict=True)
+        closely |= set(first)
+    best = min(tried, key=tried.__getitem__)
+    return Trial(best, tried[best]), [Trial(choice, peak) for choice, peak in tried.items()]
 
 
 def front(trials: Sequence[Trial]) -> list[Trial]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import random
+import signal
 import sys
 import tempfile
 import time
@@ -68,6 +69,8 @@ def main() -> int:
     words.add_argument("--cases", type=int, help="how many of each kind")
     words.add_argument("--minutes", type=float, default=float("inf"), help="stop each kind after this time")
     told = words.parse_args()
+    # A shell gives what it starts in the background deaf ears, and the table would never come.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     # What commands import is imported once, here; most run in forks.
     for package in PACKAGES:
         __import__(f"{package}.cli")

@@ -17,7 +17,7 @@ from analysis.modal.order_selection import MOST_MODES, hidden, in_band, preferre
 from analysis.modal.pole_errors import pole_errors, systematic_pole_errors
 from analysis.modal.pole_residue import Curves, Fit, fit, residual_terms
 from analysis.responses.frf import Frf
-from analysis.responses.jitter import JITTER
+from analysis.responses.local_models.jitter import JITTER
 from analysis.responses.systematic import ALIASING, MODEL, REFERENCE, RESOLUTION, UNSETTLED
 from rig.errors import RecordingError, SceneError
 

@@ -14,8 +14,8 @@ from analysis.recordings.channel_delay import arrival
 from analysis.recordings.slices import hits
 from analysis.responses.clean_stretches import Flaw
 from analysis.responses.force_pulse import pulse_alone
-from analysis.responses.local_rational import ORDER
-from analysis.responses.local_spectra import SIDE
+from analysis.responses.local_models.local_rational import ORDER
+from analysis.responses.local_models.local_spectra import SIDE
 from analysis.responses.systematic import counts_of, scattered
 from rig.errors import RecordingError
 

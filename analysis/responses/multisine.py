@@ -13,7 +13,7 @@ from scipy import fft
 from analysis.recordings.slices import read_slices
 from analysis.responses.clean_stretches import flaws, told
 from analysis.responses.frf import Frf
-from analysis.responses.local_spectra import SIDE
+from analysis.responses.local_models.local_spectra import SIDE
 from analysis.responses.measurands import located, reference_of
 from analysis.responses.spectral_lines import Lines, remainder
 from analysis.responses.systematic import counts_of, in_counts, scattered, tone_gain

@@ -13,8 +13,8 @@ from scipy import fft, ndimage
 from analysis.recordings.slices import read_slices
 from analysis.responses.clean_stretches import cure, flaws, told
 from analysis.responses.frf import MOTIONS, Frf
-from analysis.responses.local_rational import ORDER
-from analysis.responses.local_spectra import SIDE, LocalSpectra
+from analysis.responses.local_models.local_rational import ORDER
+from analysis.responses.local_models.local_spectra import SIDE, LocalSpectra
 from analysis.responses.measurands import motion_of, reference_of
 from analysis.responses.systematic import UNSETTLED, in_counts, scattered, tolerance, tone_gain
 from analysis.responses.whole_stretches import dampers_move

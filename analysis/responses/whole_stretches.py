@@ -19,9 +19,9 @@ from scipy.signal import fftconvolve
 from analysis.responses.clean_stretches import clean_stretches, cure, flaws, told
 from analysis.responses.force_pulse import high_passes
 from analysis.responses.frf import Frf
-from analysis.responses.jitter import jitter_covariance
-from analysis.responses.local_spectra import SIDE, LocalSpectra
-from analysis.responses.low_spectra import low_spectra
+from analysis.responses.local_models.jitter import jitter_covariance
+from analysis.responses.local_models.local_spectra import SIDE, LocalSpectra
+from analysis.responses.local_models.low_spectra import low_spectra
 from analysis.responses.measurands import motion_of, reference_of, responses
 from analysis.responses.systematic import in_counts, noise_gain
 from rig.errors import RecordingError

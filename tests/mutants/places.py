@@ -46,7 +46,9 @@ PLACES: dict[str, dict[str, str]] = {
     "bounds": {
         "analysis/responses/systematic.py": "tests/analysis/responses/test_systematic.py",
         "analysis/responses/aliasing.py": "tests/analysis/responses/test_aliasing.py",
-        "analysis/responses/local_rational.py": "tests/analysis/responses/test_local_rational.py",
+        "analysis/responses/local_models/local_rational.py": (
+            "tests/analysis/responses/local_models/test_local_rational.py"
+        ),
     },
     "checksums": {
         "daq/mcap_file/chunk.py": "tests/daq/mcap_file",

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from analysis.responses.local_rational import ORDER
+from analysis.responses.local_models.local_rational import ORDER
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.responses import local_rational
-from analysis.responses.local_rational import Reading, local_fit
+from analysis.responses.local_models import local_rational
+from analysis.responses.local_models.local_rational import Reading, local_fit
 
 BINS = 400
 at = np.arange(BINS) - 200.0

@@ -10,7 +10,7 @@ import pytest
 import analysis
 import daq
 import rig
-from analysis.responses.jitter import JITTER
+from analysis.responses.local_models.jitter import JITTER
 from rig.system.receptance import receptance
 
 HITS = """

@@ -14,8 +14,8 @@ from scipy import ndimage, stats
 from analysis.responses.aliasing import aliasing_part
 from analysis.responses.force_pulse import slow_and_fast
 from analysis.responses.frf import Frf
-from analysis.responses.jitter import jitter_part
-from analysis.responses.local_rational import LARGEST, ORDER, LocalFit, Reading, local_fit
+from analysis.responses.local_models.jitter import jitter_part
+from analysis.responses.local_models.local_rational import LARGEST, ORDER, LocalFit, Reading, local_fit
 from analysis.responses.measurands import Measurand, driven
 from analysis.responses.systematic import (
     MODEL,

@@ -41,6 +41,12 @@ def test_given_no_bias_when_looked_for_then_nothing_is_left_out():
         assert settling(recording(0.0, 1.0, seed), ["a"], 0, int(SECONDS * RATE), LOWEST) == []
 
 
+def test_given_a_channel_that_is_lost_throughout_when_looked_for_then_nothing_is_told_of_it():
+    lost = recording(0.0, 1.0)
+    lost.read = lambda name, start, stop: np.full(stop - start, np.nan)
+    assert settling(lost, ["a"], 0, int(SECONDS * RATE), LOWEST) == []
+
+
 @pytest.mark.parametrize("options", [{}, {"estimator": "H1", "block": 1.0}])
 def test_given_a_drive_below_noise_when_the_force_is_that_of_a_spring_then_no_bound_is_broken(
     options, tmp_path

@@ -30,15 +30,16 @@ Array = NDArray[np.float64]
 
 def measurement_effects(scene: Scene) -> Iterable[Effect]:
     """List the effects of each channel, from the chain itself, and those of the recording."""
-    system = assemble(scene)
     clock = SampleClock.of(scene.converter)
+    # Before the chain is there: matrices of thousands of bodies take the memory of both.
+    intervals = oversampling(scene, clock)
+    system = assemble(scene)
     chain = Chain(scene, clock.true_rate, system.points, system.inputs)
     for channel in chain.channels:
         part = f"channel {channel.name} ({channel.quantity} at {channel.at})"
         for name, states in chain.effects[channel.name].items():
             yield Effect(part, name, states)
         yield Effect(part, "sample clock", 0, f"{clock.rate:.6g} Hz")
-    intervals = oversampling(scene, clock)
     if intervals > 1:
         yield Effect("converter", "oversampling", 0, f"{intervals} intervals a sample, for what is fast")
     recording = scene.recording

@@ -156,6 +156,10 @@ def simulate(
     if tone is not None:
         _need_memory(system, duration * (rate + tone.frequency))
         return _tone_run(scene, system, tone, duration, samples, rate)
+    if samples < 2:
+        raise SceneError(
+            f"duration: got {duration:g} s, less than a sample at {rate:g} Hz; expected at least {1.0 / rate:g} s"
+        )
     return _sampled_run(scene, system, sampled_drive(scene, system, samples, rate), rate)
 
 

@@ -88,6 +88,14 @@ def test_given_no_pandas_when_a_table_is_asked_for_then_what_to_install_is_said(
             convert()
 
 
+def test_given_a_free_vibration_of_less_than_a_sample_when_simulated_then_the_error_says_how_long() -> None:
+    scene = rig.loads(
+        "{structure: {masses: [1 kg], springs: [40 kN/m]}, test: {kind: free, displacement: [1 mm], duration: 1 s}}"
+    )
+    with pytest.raises(rig.SceneError, match="duration: got 1e-12 s, less than a sample at 1000 Hz"):
+        rig.simulate(scene, 1e-12, rate=1000.0)
+
+
 @pytest.mark.parametrize(
     ("duration", "said"), [("2 kg", "duration: 'kg' is no unit of time"), ("soon", "number")]
 )

@@ -79,9 +79,7 @@ class Traces:
             return rr.SeriesLines(colors=[colour], names=[name], widths=[1.2], aggregation_policy="MinMax")
 
         for name, info in self._channels.items():
-            self._stream.log(
-                f"channels/{info.quantity}/{name}", curve(channel_colour(info.at), name), static=True
-            )
+            self._stream.log(entity(info.quantity, name), curve(channel_colour(info.at), name), static=True)
         lane = rr.StateConfiguration(
             values=list(CONTACTS), labels=list(CONTACTS), colors=np.array(CONTACT_COLOURS, dtype=np.uint32)
         )
@@ -97,7 +95,7 @@ class Traces:
         quantity = self._channels[name].quantity
         times = self.times(np.arange(first, first + samples.size))
         columns = rr.Scalars.columns(scalars=samples * SHOWN[quantity][0])
-        self._stream.send_columns(f"channels/{quantity}/{name}", [times], columns)
+        self._stream.send_columns(entity(quantity, name), [times], columns)
 
     def dampers(self, first: int, gap: NDArray[np.float64], contact: NDArray[np.float64 | np.int8]) -> None:
         """Send the next samples of gaps [m] and contacts, both (dampers, samples); NaN where lost."""
@@ -129,3 +127,10 @@ class Traces:
             else:
                 columns = rr.Transform3D.columns(translation=translation, scale=scale)
             self._stream.send_columns(path, times, columns)
+
+
+def entity(quantity: str, name: str) -> str:
+    """Path of a channel; a name may hold spaces and slashes."""
+    import rerun as rr
+
+    return rr.new_entity_path(["channels", quantity, name])

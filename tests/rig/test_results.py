@@ -92,7 +92,7 @@ def test_given_a_free_vibration_of_less_than_a_sample_when_simulated_then_the_er
     scene = rig.loads(
         "{structure: {masses: [1 kg], springs: [40 kN/m]}, test: {kind: free, displacement: [1 mm], duration: 1 s}}"
     )
-    with pytest.raises(rig.SceneError, match="duration: got 1e-12 s, less than a sample at 1000 Hz"):
+    with pytest.raises(SceneError, match="duration: got 1e-12 s, less than a sample at 1000 Hz"):
         rig.simulate(scene, 1e-12, rate=1000.0)
 
 

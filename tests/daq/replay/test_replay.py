@@ -16,6 +16,7 @@ from daq.replay.marker_log import phases
 from daq.replay.outputs import save
 from daq.replay.recorded_motion import HIGH_PASS_HZ, RecordedMotion
 from daq.replay.replay import Replay
+from daq.replay.viewer_stream import entity
 from daq.signal_chain.chain import Chain
 from rig.errors import RunError, SceneError
 
@@ -245,3 +246,7 @@ def test_given_an_overloaded_channel_when_saved_then_a_lane_shows_when(tmp_path)
     changed, states = Read(tmp_path / "overload.rrd").series("/test/overload/body1", "state")
     shown = dict(zip(changed.round(6).tolist(), states, strict=True))
     assert shown == {0.1: "0", 0.2: "none", 0.8: "1", 0.850195: "none"}
+
+
+def test_given_a_name_with_spaces_and_slashes_when_it_becomes_an_entity_then_it_is_one_part_of_its_path():
+    assert entity("acceleration", "top left/2") == r"/channels/acceleration/top\ left\/2"

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 LARGEST = 1e12
 # New objects after which Python looks for those that only hold each other, where it usually takes 700.
 _OBJECTS = 200_000
+# Signals that asked this command to end.
+_came: list[int] = []
 
 
 def application(help_text: str) -> typer.Typer:
@@ -76,6 +78,7 @@ def run(module: str) -> NoReturn:
     """
     # What imports make stays: looking through it for what may go, and once more at the end, takes a tenth of a start.
     gc.set_threshold(_OBJECTS)
+    _came.clear()
     words = sys.argv[1:]
     debug = words[:1] == ["--debug"]
     with ExitStack() as put_back:
@@ -179,7 +182,8 @@ def _in_words(error: BaseException) -> tuple[int, str]:
         context = getattr(error, "ctx", None)
         usage = "" if context is None else f"{context.get_usage()}\n"
         return 2, f"{usage}error: {error.format_message()}"
-    if _comes_of_interruption(error):
+    # Modules of other languages may tell of an interrupt while they are loaded as of a failure without a cause.
+    if _came or _comes_of_interruption(error):
         return 130, "interrupted"
     if isinstance(error, ImportError | AttributeError) and (found := shadowed(Path(sys.path[0]))):
         return 1, "\n".join(f"error: {text}" for text in found)
@@ -237,6 +241,7 @@ def _set_signals(answer: Any) -> None:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
+    _came.append(number)
     raise KeyboardInterrupt
 
 

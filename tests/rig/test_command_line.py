@@ -81,6 +81,18 @@ def test_given_an_error_when_a_command_ends_in_it_then_it_says_so_in_a_line(
     assert said in told and told.count("\n") == bool(said) and "Traceback" not in told
 
 
+def test_given_a_module_that_makes_an_interrupt_a_failure_of_its_own_when_loaded_then_the_command_is_interrupted(
+    command, capsys
+):
+    def act() -> None:
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        raise ImportError("numba._devicearray failed to import")
+
+    assert command(act) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+
+
 def test_given_an_unexpected_error_when_a_command_ends_in_it_then_a_file_has_the_details(
     command, capsys, monkeypatch, tmp_path
 ):

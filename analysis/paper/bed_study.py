@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple
 
@@ -74,6 +73,7 @@ _HEADER = (
 TABLE = Table(
     _HEADER,
     "beds against one mass",
+    "beds.csv",
     whole=("layers", "seed"),
     words=("grains_motion_type", "mass_motion_type"),
 )
@@ -161,11 +161,6 @@ def follow(path: Path, points: int | None, say: Callable[[str], None], cluster: 
     complete(path, TABLE, settings()[:points], setting_of, compared, _words, say, cluster)
 
 
-def kept() -> Path:
-    """Give the table that the package brings."""
-    return Path(str(files("analysis.paper") / "data" / "beds.csv"))
-
-
 def table(path: Path | None = None) -> Arrays:
     """Read a table of settings, seeds gathered.
 
@@ -177,7 +172,7 @@ def table(path: Path | None = None) -> Arrays:
         there is one) for each NAME of `MEASURES`, with ``grains_type`` and ``mass_type``.
     """
     groups: dict[tuple[float, float, int], list[Row]] = {}
-    for row in rows(path or kept(), TABLE):
+    for row in rows(path or TABLE.kept, TABLE):
         groups.setdefault(setting_of(row)[:3], []).append(row)
     keys = sorted(groups)
     out: Arrays = {

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple
 
@@ -38,6 +37,7 @@ _SETTLING, _WATCHED, _MARKS = 40, 40, 128
 TABLE = Table(
     ("level", "clearance_m", "restitution", "duration_s", "energy", "ceiling_impulse"),
     "one mass on contacts that last",
+    "contacts.csv",
 )
 
 
@@ -112,14 +112,9 @@ def _ceiling_force(scene: Scene, run: Run) -> float:
     return float(np.where(run.contact[0] == 2, np.maximum(push, 0.0), 0.0)[-_WATCHED * _MARKS :].mean())
 
 
-def kept() -> Path:
-    """Give the table that the package brings."""
-    return Path(str(files("analysis.paper") / "data" / "contacts.csv"))
-
-
 def table(path: Path | None = None) -> Arrays:
     """Read a table of contacts: an array for each column, shape (points,)."""
-    read = rows(path or kept(), TABLE)
+    read = rows(path or TABLE.kept, TABLE)
     return {name: np.array([float(row[name]) for row in read]) for name in TABLE.header}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -22,14 +23,22 @@ class Table(NamedTuple):
         Names of its columns.
     what : str
         What it is a table of, for messages.
+    file : str
+        Name of the one that the package brings.
     whole, words : tuple of str
         Columns of whole numbers and of words; the others are of numbers.
     """
 
     header: tuple[str, ...]
     what: str
+    file: str
     whole: tuple[str, ...] = ()
     words: tuple[str, ...] = ()
+
+    @property
+    def kept(self) -> Path:
+        """The table that the package brings."""
+        return Path(str(files("analysis.paper") / "data" / self.file))
 
 
 def complete(

@@ -184,7 +184,9 @@ def all_parts(folder: Path) -> list[PaperPart]:
 def _kept_studies() -> list[PaperPart]:
     """Beds of grains, and one mass on contacts, from the tables that the package brings."""
     return [
-        PaperPart(name, f"{name}\n{study.kept().read_text(encoding='utf-8')}", study.table, {}, title, 0.1)
+        PaperPart(
+            name, f"{name}\n{study.TABLE.kept.read_text(encoding='utf-8')}", study.table, {}, title, 0.1
+        )
         for name, study, title in (
             ("beds", bed_study, "beds of grains against one mass, kept"),
             ("contacts", contact_study, "one mass on contacts that last, kept"),

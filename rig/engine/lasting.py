@@ -13,6 +13,8 @@ All three are linear in the state, which holds the gap as a coordinate.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -40,6 +42,8 @@ Array = NDArray[np.float64]
 RELEASED, FREE = 0, 3
 #: A force below this part of the spring's and the dashpot's is one that they cancel to.
 FORCELESS = 1e-6
+#: One below this part of what would turn the bed round is the rounding of its gap.
+FEIGNED = 1e-9
 
 
 @inlined
@@ -81,11 +85,18 @@ def push_rate(model: Model, z: Array, j: int, wall: int) -> float:
 def _forceless(model: Model, z: Array, j: int, wall: int) -> bool:
     """Whether a wall's force is at the zero that its guard has just found.
 
-    Only an impact elsewhere, through a full mass matrix, opens or closes a contact at any other force.
+    Only an impact elsewhere, through a full mass matrix, opens or closes a contact at any other force. Without a
+    dashpot, or nearly so, there is nothing for the spring's force to cancel: it is what rounding leaves of the overlap.
     """
     spring = model.wall_stiffness[j, wall - 1] * abs(_overlap(model, z, j, wall))
     dashpot = model.wall_damping[j, wall - 1] * abs(opening(model, z, j))
-    return abs(push(model, z, j, wall)) <= FORCELESS * (spring + dashpot)
+    return abs(push(model, z, j, wall)) <= FORCELESS * (spring + dashpot) + _feigned(model, z, j, wall)
+
+
+@inlined
+def _feigned(model: Model, z: Array, j: int, wall: int) -> float:
+    """Force that the rounding of a gap may feign at a wall, N: a part of speed times sqrt(stiffness mass)."""
+    return FEIGNED * abs(opening(model, z, j)) * math.sqrt(model.wall_stiffness[j, wall - 1] * model.mass[j])
 
 
 @inlined
@@ -175,9 +186,9 @@ def change_lasting(
     wall = CEILING if ceiling else FLOOR
     forceless = 1 if _forceless(model, state.z, j, wall) else 0
     if what == RELEASED:
-        size = abs(gap_of(model, state.z, j)) + (model.clearance[j] if ceiling else 0.0)
         state.mode[j] = FLIGHT
-        if _overlap(model, state.z, j, wall) > ROUNDING * size:
+        spring = model.wall_stiffness[j, wall - 1] * _overlap(model, state.z, j, wall)
+        if spring > _feigned(model, state.z, j, wall):
             state.recovering[j] = wall
             state.multiplicity[j] = forceless
         else:

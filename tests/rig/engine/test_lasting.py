@@ -63,7 +63,7 @@ def random_scene(seed: int, bodies: int) -> rig.Scene:
 
 
 @pytest.mark.usefixtures("tabulated")
-@pytest.mark.parametrize(("seed", "bodies"), [(0, 1), (4, 1), (5, 2), (7, 1)])
+@pytest.mark.parametrize(("seed", "bodies"), [(0, 1), (4, 1), (5, 2), (7, 1), (7314, 1)])
 def test_given_a_random_scene_when_simulated_then_it_is_the_motion_to_forty_digits(
     seed: int, bodies: int
 ) -> None:
@@ -79,6 +79,26 @@ def test_given_a_random_scene_when_simulated_then_it_is_the_motion_to_forty_digi
     times = np.array([float(time) for time, _, _ in events])
     np.testing.assert_allclose(run.events["time"], times, atol=1e-12)
     assert abs(run.energy.residual) < 1e-12 * abs(run.energy.work)
+
+
+@pytest.mark.parametrize("ratio", [0.0, 1e-14, 1e-11, 1e-9, 1e-7])
+@pytest.mark.parametrize("seed", [9000, 9147, 9149])
+def test_given_springs_with_next_to_no_dashpot_when_simulated_then_a_bed_that_leaves_does_not_land(
+    seed: int, ratio: float
+) -> None:
+    scene = random_scene(seed, 2)
+    beds = [0.03 * mass for mass in scene.structure.masses]
+    rates = [2e3, 5e3]
+    walls = [
+        {"stiffness": m * rate**2, "damping": 2 * ratio * m * rate}
+        for m, rate in zip(beds, rates, strict=True)
+    ]
+    dampers = [
+        {"body": body + 1, "mass": beds[body], "clearance": 1e-3, "contact": walls[body]} for body in range(2)
+    ]
+    run = rig.simulate(scene.replace(dampers=dampers), 0.5, rate=2000.0)
+    assert len(run.events) > 20
+    assert (run.events["speed"][run.events["kind"] == "touch"] > 0.0).all()
 
 
 @given(st.floats(1e-5, 0.1), st.floats(1e-3, 0.999), st.floats(1e-3, 10.0))

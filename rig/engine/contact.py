@@ -211,6 +211,9 @@ def _impact_together(
             rebound = work.sign[a] * (own - body)
             if work.active[a] and work.right[a] == work.opening[a]:
                 rebound = 0.0
+            # Its guard found its gap at zero and falling: what opens it now, and nobody's blow, is within rounding.
+            if i == j and 0.0 < rebound <= work.opening[a]:
+                rebound = 0.0
             # Another's blow may take the wall away before it is touched.
             if work.pressure[a] > 0.0 or rebound <= 0.0:
                 note(log, segment, offset, i, state.mode[i], -work.opening[a])

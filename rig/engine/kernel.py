@@ -39,6 +39,8 @@ Array = NDArray[np.float64]
 DONE, NEED_TABLE, LOG_FULL, STUCK = 0, 1, 2, 3
 #: This many events at one instant, per damper, is no motion of the system any more.
 EVENTS_AT_ONE_INSTANT = 100
+#: From this many on, the step is halved for each: what its rounding hides of a motion that only begins is seen then.
+MANY_AT_ONE_INSTANT = 8
 
 
 @inlined
@@ -94,6 +96,9 @@ def advance(
         if slot < 0:
             return NEED_TABLE, left, STALE
         length = min(left, 1.0)
+        repeated = state.counters[IN_A_ROW] - MANY_AT_ONE_INSTANT * model.mass.shape[0]
+        if repeated > 0:
+            length *= 0.5**repeated
         duration = length * model.step
         whole = flow.stepping and length == 1.0
         if whole:

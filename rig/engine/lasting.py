@@ -199,5 +199,5 @@ def change_lasting(
         state.mode[j] = wall
         state.recovering[j] = FLIGHT
         state.multiplicity[j] = forceless
-        note(log, segment, offset, j, CEILING_TOUCH if ceiling else FLOOR_TOUCH, max(closing, 0.0))
+        note(log, segment, offset, j, CEILING_TOUCH if ceiling else FLOOR_TOUCH, closing)
     toggle(flow, model, state, j + model.mass.shape[0] if ceiling else j)

@@ -100,7 +100,7 @@ def note(log: Log, segment: int, offset: float, damper: int, kind: int, closing:
     log.offset[row] = offset
     log.damper[row] = damper
     log.kind[row] = kind
-    log.closing[row] = closing
+    log.closing[row] = max(closing, 0.0)
     log.filled[0] = row + 1
 
 

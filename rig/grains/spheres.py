@@ -14,8 +14,10 @@ from rig.scene.scene import Scene
 from rig.system.structure import damper_masses
 
 #: Rayleigh's times of the smallest grain in a step of time. At ten times that motions are still stable; so short a step
-#: is what a rebound within 1 % of its restitution takes, from a restitution of 0.2 on.
+#: is what a rebound within 1 % of its restitution takes, from `_LOW` on. Below that steps are shorter by as much as the
+#: restitution is lower, down to `_LOWEST`, beneath which no grain gives back what counts.
 STEP = 0.03
+_LOW, _LOWEST = 0.2, 0.1
 #: The most of them: beyond, a contact is over in a few steps, and nothing is right about it.
 LONGEST = 0.2
 
@@ -56,7 +58,8 @@ class Spheres:
         """Longest step of time, s."""
         if self.settings.time_step is not None:
             return self.settings.time_step
-        return STEP * rayleigh_time(self.settings, self.density())
+        shorter = min(1.0, max(self.settings.restitution, _LOWEST) / _LOW)
+        return STEP * shorter * rayleigh_time(self.settings, self.density())
 
 
 def spheres_of(scene: Scene) -> dict[int, Spheres]:

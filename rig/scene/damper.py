@@ -45,9 +45,9 @@ Contact = Annotated[Landing | SpringDamper | Walls, Alternatives(by_key)]
 class Grains(Settings):
     """The bed as spheres in an upright cylinder, by the discrete element method; without this it moves as one mass.
 
-    Contact is Hertz's with a dashpot, Mindlin's along the surface up to Coulomb's limit, and the walls are of the same
-    stuff as the grains. What is not given is that of lead shot: density and Poisson's ratio from handbooks, the
-    restitution of lead balls from E. Hodgkinson (Report of the British Association, 1834).
+    Contact is Hertz's with a dashpot, Mindlin's along the surface up to Coulomb's limit, with no friction of rolling;
+    the walls are of the same stuff as the grains. What is not given is that of lead shot: density and Poisson's ratio
+    from handbooks, the restitution of lead balls from E. Hodgkinson (Report of the British Association, 1834).
     """
 
     diameter: Annotated[float, Quantity(LENGTH, above=0.0)]
@@ -69,7 +69,7 @@ class Grains(Settings):
     cavity: Annotated[float, Quantity(LENGTH, above=0.0)] = 40e-3
     """Diameter of the cavity [m]; 40 mm in the paper's rig."""
     time_step: Annotated[float, Quantity(TIME, above=0.0)] | None = None
-    """Longest step of time [s]; without it 0.03 of Rayleigh's time of the smallest grain."""
+    """Longest step of time [s]; by default 0.03 of the smallest grain's Rayleigh time, less below restitution 0.2."""
 
     def relations(self) -> Iterable[Mistake]:
         """Check that a grain has room."""

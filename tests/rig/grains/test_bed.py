@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from rig.errors import RunError
 from rig.grains import packing
@@ -14,6 +16,8 @@ from rig.grains.packing import settled
 from rig.grains.spheres import Spheres, spheres_of
 from rig.scene.damper import Grains
 from tests.rig.grains.scenes import with_grains
+
+Array = NDArray[np.float64]
 
 
 @pytest.mark.parametrize("restitution", [0.2, 0.5, 0.9])
@@ -30,6 +34,69 @@ def test_given_one_grain_when_it_meets_the_floor_then_it_rebounds_as_fast_as_its
         bed.advance()
 
     assert bed.momentum / bed.mass == pytest.approx(restitution * speed, rel=0.01)
+
+
+def drawn(seed: int) -> tuple[Grains, float]:
+    """Grains of some stuff, and a speed to throw them with."""
+    draw = np.random.default_rng(seed).uniform
+    grains = Grains(
+        diameter=10 ** draw(-3.3, -1.9),
+        restitution=draw(0.1, 0.95),
+        modulus=10 ** draw(7.0, 10.5),
+        density=draw(1e3, 12e3),
+        poisson_ratio=draw(0.0, 0.49),
+        friction=draw(0.0, 0.8),
+    )
+    return grains, float(10 ** draw(-1.7, 0.4))
+
+
+def thrown(grains: Grains, count: int, speed: float) -> tuple[Bed, Array]:
+    """Grains that come down to a floor one behind the other without gravity, and their heights at first.
+
+    So many steps from floor and each other that what follows takes little computing, whatever they are.
+    """
+    spheres = Spheres(grains, count * grains.density * math.pi / 6.0 * grains.diameter**3, np.inf, count, 1)
+    step = spheres.longest_step()
+    heights = grains.diameter * (0.5 + np.arange(count)) + speed * step * (20.3 + 3e3 * np.arange(count))
+    at = np.column_stack([0.0 * heights, 0.0 * heights, heights])
+    bed = Bed(spheres, at, np.inf, 0.0, step)
+    bed.kick(-speed)
+    return bed, heights
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_given_a_grain_of_any_stuff_when_it_meets_the_floor_then_it_rebounds_as_its_restitution_says(
+    seed: int,
+) -> None:
+    grains, speed = drawn(seed)
+    bed, _ = thrown(grains, 1, speed)
+
+    while bed.momentum < 0.0 or bed.forces().any():
+        bed.advance()
+
+    assert bed.momentum / bed.mass == pytest.approx(grains.restitution * speed, rel=0.01)
+
+
+@pytest.mark.parametrize("seed", range(10, 20))
+def test_given_a_grain_of_any_stuff_when_it_meets_another_then_they_part_as_their_restitution_says(
+    seed: int,
+) -> None:
+    grains, speed = drawn(seed)
+    bed, heights = thrown(grains, 2, speed)
+    apart = [float(np.diff(heights)[0])]
+
+    # The lower one comes back from the floor: they near each other at more than its speed.
+    while apart[-1] > grains.diameter:
+        bed.advance()
+        apart.append(float(np.diff(bed.positions[:, 2])[0]))
+    closing = apart[-2] - apart[-1]
+    while apart[-1] < grains.diameter:
+        bed.advance()
+        apart.append(float(np.diff(bed.positions[:, 2])[0]))
+    bed.advance()
+    parting = float(np.diff(bed.positions[:, 2])[0]) - apart[-1]
+
+    assert parting == pytest.approx(grains.restitution * closing, rel=0.01)
 
 
 def test_given_a_settled_bed_then_its_weight_is_on_the_floor_and_its_packing_is_kept() -> None:

@@ -187,7 +187,7 @@ def _in_words(error: BaseException) -> tuple[int, str]:
         return 130, "interrupted"
     if isinstance(error, ImportError | AttributeError) and (found := shadowed(Path(sys.path[0]))):
         return 1, "\n".join(f"error: {text}" for text in found)
-    return 1, _unexpected(error)
+    return 1, unexpected(error)
 
 
 def _comes_of_interruption(error: BaseException | None) -> bool:
@@ -197,7 +197,7 @@ def _comes_of_interruption(error: BaseException | None) -> bool:
     return error is not None
 
 
-def _unexpected(error: BaseException) -> str:
+def unexpected(error: BaseException) -> str:
     """Describe an error that nobody has thought of, and keep what is needed to find its cause."""
     import platform
     import tempfile
@@ -283,4 +283,4 @@ def _passed_over(what: sys.UnraisableHookArgs) -> None:
 
 def _thread_failed(what: threading.ExceptHookArgs) -> None:
     if what.exc_value is not None:
-        print(_unexpected(what.exc_value), file=sys.stderr)
+        print(unexpected(what.exc_value), file=sys.stderr)

@@ -40,6 +40,8 @@ _BLOCK = 4096
 _PATIENCE = 5.0
 # On a clock that only moves when somebody waits, time stands still for this long so that a listener can answer.
 _ANSWER_S = 0.25
+# Who leaves so many events in a row unanswered is waited for no more, or one listener would hold up all others.
+_SILENT = 8
 
 
 class Runner(Protocol):
@@ -104,6 +106,7 @@ class Chassis:
         self._alarms: list[tuple[float, Callable[[], None]]] = []
         self._reserved: dict[Runner, tuple[Hashable, ...]] = {}
         self._awake: weakref.WeakSet[Any] = weakref.WeakSet()
+        self._silent: weakref.WeakKeyDictionary[Runner, int] = weakref.WeakKeyDictionary()
         self.tasks: dict[str, Runner] = {}
         self.position = 0
         # Ticks at which the clock on the wall was looked at, and what it said: the bench stands still at times.
@@ -286,10 +289,17 @@ class Chassis:
         self.sleepers.wake(self.position)
         curious = [task for task in (*self.inputs, *self.outputs) if task.passed()]
         if curious and not self.clock.runs_free:
-            self.changed.wait_for(lambda: all(task.answered for task in curious), _ANSWER_S)
+            self._hear(curious)
         for alarm in [each for each in self._alarms if each[0] <= self.elapsed]:
             self._alarms.remove(alarm)
             alarm[1]()
+
+    def _hear(self, curious: Sequence[Runner]) -> None:
+        """Let those who were told of something answer, but for those who have not for a while."""
+        awaited = [task for task in curious if self._silent.get(task, 0) < _SILENT]
+        self.changed.wait_for(lambda: all(task.answered for task in awaited), _ANSWER_S)
+        for task in curious:
+            self._silent[task] = 0 if task.answered else self._silent.get(task, 0) + 1
 
     def _give(self, engine: InputEngine, block: Any) -> None:
         """Give an engine its samples, up to a stretch that is lost on the way."""

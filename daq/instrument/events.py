@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from daq.instrument.errors import Code, DaqError
-from daq.instrument.values import EverySamples, Signal
+from daq.instrument.values import EverySamples, Signal, named
 
 # Takes what an event tells: the number of samples, the status at the end, or the signal.
 Listener = Callable[[int], None]
@@ -30,7 +30,7 @@ class Events:
         self._every: tuple[EverySamples, int, Listener] | None = None
         self._done: Listener | None = None
         self._signals: dict[Signal, Listener] = {}
-        self._ends: list[Callable[[], None]] = []
+        self._ends: list[Callable[[None], None]] = []
         self.begin()
 
     def listen_every(self, kind: int, samples: int, listener: Listener | None, outputs: bool = False) -> None:
@@ -42,7 +42,7 @@ class Events:
             With -200966 or -200967 if somebody listens already, -200980 or -200981 for the kind of samples
             that the task, of inputs or of outputs, does not have, -200880 for no samples.
         """
-        chosen = EverySamples(kind)
+        chosen = named(EverySamples, kind, "every_n_samples_event_type")
         if listener is None:
             self._every = None
             return
@@ -77,7 +77,7 @@ class Events:
 
     def listen_signal(self, signal: int, listener: Listener | None) -> None:
         """Call a listener whenever a signal occurs; None ends that."""
-        chosen = Signal(signal)
+        chosen = named(Signal, signal, "signal_id")
         if listener is None:
             self._signals.pop(chosen, None)
             return
@@ -88,22 +88,23 @@ class Events:
             )
         self._signals[chosen] = listener
 
-    def leave(self, listener: Listener) -> None:
+    def leave(self, listener: Callable[[Any], None]) -> None:
         """Hear that a listener has gone, whatever it listened to."""
         if self._every is not None and self._every[2] == listener:
             self._every = None
         if self._done == listener:
             self._done = None
         self._signals = {signal: each for signal, each in self._signals.items() if each != listener}
+        self._ends = [each for each in self._ends if each != listener]
 
-    def at_end(self, action: Callable[[], None]) -> None:
-        """Have something done when the task is closed."""
-        self._ends.append(action)
+    def at_end(self, listener: Callable[[None], None]) -> None:
+        """Call a listener with None when the task is closed."""
+        self._ends.append(listener)
 
     def close(self) -> None:
         """Hear that the task has been closed."""
-        for action in self._ends:
-            action()
+        for listener in self._ends:
+            listener(None)
 
     def begin(self) -> None:
         """Start with a task."""

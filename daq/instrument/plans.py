@@ -22,7 +22,7 @@ from daq.instrument.engines.triggers import (
 )
 from daq.instrument.errors import Code, DaqError, bad, unsupported
 from daq.instrument.sample_clock import samples_per_tick
-from daq.instrument.values import Overwrite, Slope, TriggerType, WindowCondition
+from daq.instrument.values import Overwrite, Slope, TriggerType, WindowCondition, named
 
 if TYPE_CHECKING:
     from daq.instrument.bench.sample_source import SampleSource
@@ -165,7 +165,7 @@ def _source(task: TaskSettings, name: str, chassis: Chassis) -> Source | None:
             )
         return AnalogSource(
             tuple(
-                _on_channel(task, each, edge(Slope(slope), level))
+                _on_channel(task, each, edge(named(Slope, slope, "trigger_slope"), level))
                 for each, slope, level in zip(names, slopes, levels, strict=True)
             )
         )

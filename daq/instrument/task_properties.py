@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
 from daq.instrument.clock import seconds
+from daq.instrument.devices.modules import Module
 from daq.instrument.errors import Code, DaqError, bad
-from daq.instrument.settings.properties import WHILE_RUNNING
+from daq.instrument.settings.properties import WHILE_RUNNING, alike
 from daq.instrument.task import Task
 from daq.instrument.task_reading import default_count, overloaded, overloaded_exist
 from daq.instrument.values import TimestampEvent
@@ -80,17 +78,20 @@ def set_value(task: Task, group: str, name: str, value: Any) -> None:
     """Change a setting; with -200557 while the task runs, -200077 for a value that cannot be."""
     if name not in WHILE_RUNNING.get(group, ()):
         task.check_idle(name, Code.CANNOT_SET_PROPERTY_WHEN_TASK_RUNNING)
-    if isinstance(value, float) and not math.isfinite(value):
-        raise bad(f"{name} is {value}: expected a finite number")
     if name == "samp_clk_timebase_div":
-        name, value = "samp_clk_rate", task.settings.channels[0].module.timebase / value
+        divisor = alike(name, value, 1.0)
+        if divisor <= 0.0:
+            raise bad(f"{name} is {divisor:g}: expected a positive number")
+        name, value = "samp_clk_rate", _module(task).timebase / divisor
+    own = task.settings.groups[group]
+    value = alike(name, value, own[name])
     if name == "samp_clk_rate" and task.settings.channels:
         task.settings.channels[0].module.coerced(value, output=task.settings.kind == "ao")
     if name == "channels_to_read":
         task.settings.find(value)
     if name.endswith("_buf_size") and value < 0:
         raise bad(f"{name} {value}: expected 0 samples at least")
-    task.settings.groups[group][name] = list(value) if isinstance(value, np.ndarray) else value
+    own[name] = value
     if name == "output_buf_size":
         task.buffer = None
 
@@ -192,8 +193,17 @@ def _space(task: Task) -> int:
     return int(min(task.buffer.free(generated, task.running, task.settings.regenerates), 1 << 31))
 
 
+def _module(task: Task) -> Module:
+    """Find the module whose clock the task has; with -200478, if it has no channels yet."""
+    if not task.settings.channels:
+        raise DaqError(
+            "the task has no channels: add some first", Code.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK
+        )
+    return task.settings.channels[0].module
+
+
 def _divisor(task: Task) -> int:
-    return round(task.settings.channels[0].module.timebase / task.settings.rate)
+    return round(_module(task).timebase / task.settings.rate)
 
 
 def _edge_source(name: str) -> Callable[[Task], str]:
@@ -211,12 +221,12 @@ def _edge_source(name: str) -> Callable[[Task], str]:
 
 _COMPUTED: dict[tuple[str, str], Callable[[Task], Any]] = {
     ("timing", "samp_clk_rate"): lambda task: task.settings.rate,
-    ("timing", "samp_clk_max_rate"): lambda task: task.settings.channels[0].module.fastest,
+    ("timing", "samp_clk_max_rate"): lambda task: _module(task).fastest,
     ("timing", "samp_clk_src"): _clock_source,
     ("timing", "samp_clk_term"): lambda task: full_terminal(task, f"{task.settings.kind}/SampleClock"),
     ("timing", "samp_quant_samp_per_chan"): lambda task: task.settings.samples,
     ("timing", "samp_clk_timebase_div"): _divisor,
-    ("timing", "samp_clk_timebase_rate"): lambda task: task.settings.channels[0].module.timebase,
+    ("timing", "samp_clk_timebase_rate"): lambda task: _module(task).timebase,
     ("timing", "first_samp_timestamp_val"): lambda task: (
         time_of(task, TimestampEvent.FIRST_SAMPLE, 10.0) * 1e-9
     ),

@@ -3,6 +3,25 @@
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import TypeVar
+
+from daq.instrument.errors import bad
+
+Named = TypeVar("Named", bound=IntEnum)
+
+
+def named(kind: type[Named], value: int, what: str) -> Named:
+    """Give the value of that number.
+
+    Raises
+    ------
+    DaqError
+        With -200077, if there is none.
+    """
+    if value not in list(kind):
+        names = ", ".join(f"{each.name} ({int(each)})" for each in kind)
+        raise bad(f"{what} is {value}: expected {names}")
+    return kind(value)
 
 
 class SampleMode(IntEnum):

@@ -89,10 +89,8 @@ def _set(call: Call, owner: str, name: str, value: Any) -> None:
     elif owner == "Chan":
         set_channel(call.task, call.fields["channel"], name, value)
     elif owner == "Scale":
-        scale = call.server.storage.scale(call.fields["scale_name"])
-        if name not in scale.settings:
-            raise DaqError(f"a scale of this type has no {name}", Code.PROPERTY_NOT_SUPPORTED_FOR_SCALE_TYPE)
-        scale.settings[name] = value
+        storage, scale = call.server.storage, call.fields["scale_name"]
+        storage.scales[scale] = storage.scale(scale).changed(name, value)
     else:
         raise unsupported(f"setting {name}")
 

@@ -14,6 +14,8 @@ from daq.instrument.chassis import Chassis
 
 # How long a script that asks for Enter is left waiting when nothing else limits it, s of bench time.
 PROMPT = 10.0
+# A longer time passes in pieces of this one, s, so that nobody waits for a client that has gone.
+_AT_ONCE = 100.0
 
 
 class TimeLimit:
@@ -71,7 +73,7 @@ class BenchTime(grpc.GenericRpcHandler):
     def service(self, handler_call_details: grpc.HandlerCallDetails) -> grpc.RpcMethodHandler | None:
         """Find what answers a call; see the class."""
         calls: dict[str, Callable[[bytes], float]] = {
-            "/shotrig.Bench/Pass": lambda request: float(request.decode()),
+            "/shotrig.Bench/Pass": float,
             "/shotrig.Bench/Prompt": lambda request: self._limit.left(),
         }
         wanted = calls.get(handler_call_details.method)
@@ -79,9 +81,14 @@ class BenchTime(grpc.GenericRpcHandler):
             return None
 
         def answer(request: bytes, context: grpc.ServicerContext) -> bytes:
-            seconds = wanted(request)
-            if math.isfinite(seconds) and seconds > 0:
-                self._chassis.pass_time(seconds)
+            try:
+                seconds = wanted(request)
+            except ValueError:
+                context.abort(grpc.StatusCode.INVALID_ARGUMENT, "expected a number of seconds")
+            # Of whoever has gone meanwhile, the rest need not pass.
+            while 0 < seconds < math.inf and context.is_active():
+                self._chassis.pass_time(min(seconds, _AT_ONCE))
+                seconds -= _AT_ONCE
             return repr(self._chassis.elapsed).encode()
 
         return grpc.unary_unary_rpc_method_handler(answer)

@@ -17,9 +17,13 @@ from google.protobuf import message_factory
 from google.protobuf.timestamp_pb2 import Timestamp
 from nidaqmx._stubs import nidaqmx_pb2
 
+from daq.instrument.errors import bad
 from daq.recording.protobuf import varint
 
 SERVICE = nidaqmx_pb2.DESCRIPTOR.services_by_name["NiDAQmx"]
+# Entries of a list but for samples, and letters of a text, which may name thousands of channels.
+_MOST, _LONGEST = 10_000, 1 << 18
+_SAMPLES = ("write_array", "waveforms")
 _SESSION, _TIMESTAMP, _ENUM = "nidevice_grpc.Session", "google.protobuf.Timestamp", "_enum"
 
 
@@ -59,26 +63,43 @@ def methods() -> list[Method]:
 def decode(request: Any) -> dict[str, Any]:
     """Give the fields of a request by name.
 
-    A choice between a named value and a raw one becomes the number, under the name of the choice; a session
-    becomes its name; lists become lists, or arrays of numbers; a time becomes seconds since 1970.
+    A choice between a named value and a raw one becomes the number, under the name of the choice, 0 if none is given; a
+    session becomes its name; lists become lists, or arrays of numbers; a time becomes seconds since 1970.
+
+    Raises
+    ------
+    DaqError
+        With -200077 for a text, or a list of anything but samples, that is longer than any that is meant, and for
+        a text with a zero in it.
     """
     found: dict[str, Any] = {}
     for name, choice, kind, repeated in _fields(request.DESCRIPTOR):
         if choice:
             given = request.WhichOneof(choice)
-            if given is not None:
-                found[name] = getattr(request, given)
+            found[name] = 0 if given is None else getattr(request, given)
             continue
         value = getattr(request, name)
+        if repeated and name not in _SAMPLES and len(value) > _MOST:
+            raise bad(f"{name} has {len(value)} entries: expected {_MOST} at most")
+        if isinstance(value, str):
+            _check_text(name, value)
         if repeated:
             found[name] = value if kind == "message" else _listed(value, kind)
         elif kind == _SESSION:
+            _check_text(name, value.name)
             found[name] = value.name
         elif kind == _TIMESTAMP:
             found[name] = value.seconds + value.nanos * 1e-9
         else:
             found[name] = value
     return found
+
+
+def _check_text(name: str, text: str) -> None:
+    if len(text) > _LONGEST:
+        raise bad(f"{name} is a text of {len(text)} letters: expected {_LONGEST} at most")
+    if "\0" in text:
+        raise bad(f"{name} has a letter of number zero in it, where a driver's texts end: leave it out")
 
 
 def _listed(values: Any, kind: str) -> Any:

@@ -6,13 +6,14 @@ import contextlib
 import queue
 import sys
 import threading
-import traceback
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import grpc
+from google.protobuf.message import DecodeError
 
 from daq.instrument.devices.names import Port
 from daq.instrument.devices.teds import TedsMemory
@@ -24,14 +25,15 @@ from daq.server.calls.call import Call
 from daq.server.client_defaults import STRICT
 from daq.server.protocol import SERVICE, Method, decode, encode, methods
 from daq.server.sessions import SessionExists, Sessions
+from rig.command_line import unexpected
 
 if TYPE_CHECKING:
     from daq.instrument.chassis import Chassis
 
 # The protocol's default port.
 PORT = 31763
-# Message text travels in headers, which have little room.
-_LONGEST_TEXT = 3000
+# Message text travels in headers, which have little room: bytes.
+_LONGEST_TEXT, _LONGEST_NAME = 3000, 200
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,9 @@ class Limits:
     memory : int
         Bytes that the buffers of one client's tasks take in all.
     calls : int
-        Calls that are answered at the same time, event streams included.
+        Calls of one client that are answered at the same time, event streams included.
+    all_calls : int
+        Calls of all clients that are answered at the same time; what is beyond is refused at once.
     patience : float
         Seconds after which the session of a client that has gone without goodbye is ended.
     """
@@ -56,6 +60,7 @@ class Limits:
     tasks: int = 64
     memory: int = 2 << 30
     calls: int = 256
+    all_calls: int = 1024
     patience: float = 30.0
 
 
@@ -93,9 +98,12 @@ class Server:
         self.storage, self.teds = Storage(), TedsMemory(self._sensor_sheet)
         self.sessions = Sessions(chassis, self.storage, self.limits.tasks)
         self._said: dict[tuple[str, int], str] = {}
+        self._faults: dict[tuple[str, type[Exception]], str] = {}
+        self._answering, self._counting = Counter[str](), threading.Lock()
         self._closing = threading.Event()
         self._server = grpc.server(
-            ThreadPoolExecutor(self.limits.calls, thread_name_prefix="client"),
+            ThreadPoolExecutor(self.limits.all_calls, thread_name_prefix="client"),
+            maximum_concurrent_rpcs=self.limits.all_calls,
             options=[
                 ("grpc.max_receive_message_length", self.limits.message),
                 ("grpc.max_send_message_length", self.limits.message),
@@ -154,21 +162,16 @@ class Server:
         return f"{found}\n\nStatus Code: {code}" if found else ""
 
     def _handler(self, method: Method) -> Any:
+        # Requests come as bytes: of those that are none, gRPC would write a traceback to our terminal.
         if method.streams:
-            return grpc.unary_stream_rpc_method_handler(
-                self._stream(method),
-                request_deserializer=method.request.FromString,
-            )
-        return grpc.unary_unary_rpc_method_handler(
-            self._unary(method),
-            request_deserializer=method.request.FromString,
-        )
+            return grpc.unary_stream_rpc_method_handler(self._stream(method))
+        return grpc.unary_unary_rpc_method_handler(self._unary(method))
 
     def _unary(self, method: Method) -> Callable[[Any, grpc.ServicerContext], Any]:
         act = answer_to(method.name)
 
-        def respond(request: Any, context: grpc.ServicerContext) -> Any:
-            with self._telling(method.name, request, context) as call:
+        def respond(request: bytes, context: grpc.ServicerContext) -> Any:
+            with self._telling(method, request, context) as call:
                 if act is None:
                     raise DaqError(
                         f"{method.name} is not among what the rig's instrument can do",
@@ -182,14 +185,20 @@ class Server:
         return respond
 
     @contextlib.contextmanager
-    def _telling(self, name: str, request: Any, context: grpc.ServicerContext) -> Iterator[Call]:
-        """Tell errors as the protocol does."""
-        peer = context.peer()
+    def _telling(self, method: Method, request: bytes, context: grpc.ServicerContext) -> Iterator[Call]:
+        """Read a request, and tell errors as the protocol does."""
+        peer, name = context.peer(), method.name
         key = dict(context.invocation_metadata()).get("ni-api-key", "")
-        call = Call(self, peer, request, strict=key == STRICT)
+        call = Call(self, peer, strict=key == STRICT)
         try:
-            call.fields = decode(request)
+            self._answer_one_more(peer, context)
+            call.message = method.request.FromString(request)
+            call.fields = decode(call.message)
             yield call
+        except DecodeError:
+            context.abort(
+                grpc.StatusCode.INVALID_ARGUMENT, f"{name}: what was sent is no request of that call"
+            )
         except DaqError as error:
             task = call.fields.get("task", "")
             message = _text(error, task)
@@ -200,22 +209,46 @@ class Server:
             context.set_trailing_metadata(tuple(told))
             context.abort(grpc.StatusCode.UNKNOWN, message)
         except SessionExists as error:
-            context.abort(grpc.StatusCode.ALREADY_EXISTS, str(error))
-        except (KeyError, ValueError, TypeError, OverflowError) as error:
-            traceback.print_exception(error)
+            context.abort(grpc.StatusCode.ALREADY_EXISTS, _cut(str(error)))
+        except Exception as error:
             context.set_trailing_metadata((("ni-error", str(int(Code.INVALID_ATTRIBUTE_VALUE))),))
-            context.abort(grpc.StatusCode.INVALID_ARGUMENT, f"{name}: {error}"[:_LONGEST_TEXT])
+            context.abort(grpc.StatusCode.INVALID_ARGUMENT, _cut(f"{name}: {self._fault(name, error)}"))
+
+    def _answer_one_more(self, peer: str, context: grpc.ServicerContext) -> None:
+        """Count the calls of a client that are being answered; with -50103, if it has as many as it may."""
+
+        def answered() -> None:
+            with self._counting:
+                self._answering -= Counter({peer: 1})
+
+        with self._counting:
+            if self._answering[peer] >= self.limits.calls:
+                raise DaqError(
+                    f"this client waits for {self.limits.calls} calls, which is as many as it may: let some end",
+                    Code.PAL_RESOURCE_RESERVED,
+                )
+            self._answering[peer] += 1
+        if not context.add_callback(answered):
+            answered()
+
+    def _fault(self, name: str, error: Exception) -> str:
+        """Say that a call met a fault of ours; the details are kept once, however often it is called."""
+        kind = name, type(error)
+        if kind not in self._faults:
+            self._faults[kind] = unexpected(error)
+            print(self._faults[kind], file=sys.stderr, flush=True)
+        return self._faults[kind]
 
     def _stream(self, method: Method) -> Callable[[Any, grpc.ServicerContext], Iterator[Any]]:
         register, fields = _EVENTS[method.name]
 
-        def events(request: Any, context: grpc.ServicerContext) -> Iterator[Any]:
+        def events(request: bytes, context: grpc.ServicerContext) -> Iterator[Any]:
             told: queue.SimpleQueue[int | None] = queue.SimpleQueue()
-            with self._telling(method.name, request, context) as call:
+            with self._telling(method, request, context) as call:
                 task, given = call.task, call.fields
                 with task.chassis.changed:
                     register(task, given, told.put)
-            task.events.at_end(lambda: told.put(None))
+            task.events.at_end(told.put)
             context.add_callback(lambda: told.put(None))
             # Only now does the client go on: what it starts next is heard.
             context.send_initial_metadata(())
@@ -238,8 +271,13 @@ class Server:
                 print(f"task {name} was closed: its client has gone", file=sys.stderr, flush=True)
 
 
+def _cut(text: str, most: int = _LONGEST_TEXT) -> str:
+    return text.encode(errors="replace")[:most].decode(errors="ignore")
+
+
 def _text(error: DaqError, task: str) -> str:
-    lines = [str(error)[:_LONGEST_TEXT], f"Task Name: {task}" if task else "", f"Status Code: {error.code}"]
+    named = f"Task Name: {_cut(task, _LONGEST_NAME)}" if task else ""
+    lines = [_cut(str(error)), named, f"Status Code: {error.code}"]
     return "\n\n".join(line for line in lines if line)
 
 

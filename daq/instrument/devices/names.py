@@ -112,7 +112,7 @@ def numbered(name: str, count: int) -> list[str]:
     """
     if count == 1:
         return [name]
-    match = re.fullmatch(r"(.*?)(\d*)", name, re.DOTALL)
+    match = re.fullmatch(r"(.*?)(\d{0,9})", name, re.DOTALL)
     assert match is not None
     first, width = int(match[2] or 0), len(match[2])
     return [f"{match[1]}{number:0{width}d}" for number in range(first, first + count)]

@@ -12,6 +12,7 @@ from daq.instrument.devices.measurements import MEASUREMENTS, MICROPHONE, VOLTAG
 from daq.instrument.devices.modules import Module
 from daq.instrument.devices.names import Port
 from daq.instrument.errors import Code, DaqError, bad, unsupported
+from daq.instrument.settings.properties import alike
 from daq.instrument.values import FROM_CUSTOM_SCALE, Coupling, Excitation, Wiring
 
 _ANALOG_INPUT, _ANALOG_OUTPUT = 10100, 10102
@@ -160,6 +161,10 @@ class Channel:
         defaults["ai_coupling"] = Coupling.AC if feeds else module.couplings[0]
         if kind.type == MICROPHONE:
             loudest = given["ai_sound_pressure_max_sound_pressure_lvl"]
+            if not -1000.0 < loudest < 1000.0:
+                raise bad(
+                    f"channel {name}: a sound pressure level of {loudest:g} dB: expected up to some 100 dB"
+                )
             limit = 20e-6 * 10 ** (loudest / 20) * math.sqrt(2)
             given = {"ai_min": -limit, "ai_max": limit, **given}
         channel = cls(name, port, module, row, kind, defaults | dict(given), defaults)
@@ -293,16 +298,12 @@ class Channel:
     def set(self, name: str, value: Any) -> None:
         """Set a property; errors as of `get` and `check`."""
         if name in ("ai_rng_high", "ai_rng_low"):
-            self.settings["rng"] = self.module.range_for(abs(float(value)))
+            self.settings["rng"] = self.module.range_for(abs(alike(name, value, 0.0)))
             return
         if name not in self.defaults:
             raise unsupported(f"setting property {name} of channel {self.name}")
-        if isinstance(self.defaults[name], float):
-            value = float(value)
-        elif isinstance(self.defaults[name], list):
-            value = list(value)
         before = self.settings
-        self.settings = before | {name: value}
+        self.settings = before | {name: alike(name, value, self.defaults[name])}
         try:
             self.check()
         except DaqError:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import IntEnum
+from math import isfinite
 from typing import Any
 
 from daq.instrument.errors import bad, unsupported
@@ -19,6 +20,7 @@ from daq.instrument.values import (
     TimingType,
     TriggerType,
     WindowCondition,
+    named,
 )
 
 _WAIT_FOR_INTERRUPT, _POLL = 12523, 12524
@@ -145,6 +147,28 @@ WHILE_RUNNING = {
 }
 
 
+def alike(name: str, value: Any, default: Any) -> Any:
+    """Give the value of a setting in the type of its default.
+
+    Raises
+    ------
+    DaqError
+        With -200077, if it is none of the values that have a name, or no finite number.
+
+    Examples
+    --------
+    >>> alike("samp_clk_rate", 5120, 1000.0)
+    5120.0
+    """
+    if isinstance(default, IntEnum):
+        return named(type(default), value, name)
+    if isinstance(default, float):
+        if not isfinite(value):
+            raise bad(f"{name} is {value}: expected a finite number")
+        return float(value)
+    return list(value) if isinstance(default, list) else value
+
+
 class Properties:
     """Settings with the values that hold until something else is said.
 
@@ -173,14 +197,7 @@ class Properties:
         return self._set.get(name, self._defaults[name])
 
     def __setitem__(self, name: str, value: Any) -> None:
-        default = self[name]
-        if isinstance(default, IntEnum):
-            kind = type(default)
-            if value not in list(kind):
-                names = ", ".join(f"{each.name} ({int(each)})" for each in kind)
-                raise bad(f"{name} is {value}: expected {names}")
-            value = kind(value)
-        self._set[name] = float(value) if isinstance(default, float) else value
+        self._set[name] = alike(name, value, self[name])
 
     def __contains__(self, name: str) -> bool:
         return name in self._defaults

@@ -9,9 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.instrument.errors import Code, DaqError, bad
+from daq.instrument.settings.properties import alike
 
 Array = NDArray[np.float64]
 
+# A least squares fit through these takes moments.
+_MOST_POINTS, _HIGHEST_ORDER = 100_000, 50
 LINEAR, MAP_RANGES, POLYNOMIAL, TABLE = 10447, 10448, 10449, 10450
 
 
@@ -33,7 +36,27 @@ class Scale:
             "scaled_units": "",
             "pre_scaled_units": 10348,
         } | settings
+        for name, figures in self.settings.items():
+            if isinstance(figures, float | list) and not np.all(np.isfinite(figures)):
+                raise bad(f"{name} of a scale is {str(figures)[:80]}: expected finite numbers")
+            if figures == [] and name != "poly_reverse_coeff":
+                raise bad(f"{name} of a scale is empty: expected one number at least")
         self.convert(np.zeros(1))
+
+    def changed(self, name: str, value: Any) -> Scale:
+        """Give the scale with another figure.
+
+        Raises
+        ------
+        DaqError
+            With -200077 for a figure that cannot be, -200601 for one that a scale of this type has not.
+        """
+        own = self.settings
+        if name not in own or name == "type":
+            raise DaqError(
+                f"a scale of this type has no {name} to set", Code.PROPERTY_NOT_SUPPORTED_FOR_SCALE_TYPE
+            )
+        return Scale(own["type"], own | {name: alike(name, value, own[name])})
 
     @property
     def _function(self) -> Callable[[Array], Array]:
@@ -81,7 +104,20 @@ def reverse_polynomial(forward: list[float], low: float, high: float, points: in
     """
     if not forward:
         raise bad("no coefficients to reverse")
-    x = np.linspace(low, high, points if points > 0 else 1000)
-    y = np.polynomial.polynomial.polyval(x, forward)
-    degree = order if order >= 0 else len(forward) - 1
-    return [float(each) for each in np.polynomial.polynomial.polyfit(y, x, degree)]
+    points, degree = points if points > 0 else 1000, order if order >= 0 else len(forward) - 1
+    if not degree < points <= _MOST_POINTS or degree > _HIGHEST_ORDER:
+        raise bad(
+            f"a polynomial of order {degree} through {points} points: expected an order of {_HIGHEST_ORDER} at most "
+            f"and more points than that, up to {_MOST_POINTS}"
+        )
+    x = np.linspace(low, high, points)
+    with np.errstate(all="ignore"):
+        y = np.polynomial.polynomial.polyval(x, forward)
+        reach = np.abs(y).max() ** max(degree, 1)
+    if not (np.isfinite(x).all() and np.isfinite(reach)):
+        raise bad(
+            "a polynomial whose powers are not finite over the range: expected smaller coefficients and limits"
+        )
+    # Asked for all it finds, numpy keeps its warning of a poor fit to itself.
+    fitted, _ = np.polynomial.polynomial.polyfit(y, x, degree, full=True)
+    return [float(each) for each in fitted]

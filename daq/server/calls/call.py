@@ -36,7 +36,7 @@ class Call:
 
     server: Server
     peer: str
-    message: Any
+    message: Any = None
     fields: dict[str, Any] = field(default_factory=dict)
     strict: bool = False
 

@@ -154,7 +154,8 @@ def _write_raw(call: Call) -> Answer:
     kind = np.int16 if (task.settings.channels[0].module.output_bits or 32) <= 16 else np.int32
     # What is left over of an array that is no whole number of samples is not put out.
     whole = given["num_samps"] * len(task.settings.channels)
-    data = np.frombuffer(given["write_array"], dtype=kind)[:whole]
+    count = min(whole, len(given["write_array"]) // np.dtype(kind).itemsize)
+    data = np.frombuffer(given["write_array"], dtype=kind, count=max(count, 0))
     table = _table(task, data.astype(float), given["num_samps"], by_channel=False)
     written = write_task(task, _from_counts(task, table), given["auto_start"], given["timeout"])
     return {"samps_per_chan_written": written}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from daq.instrument.errors import bad
 from daq.instrument.settings.scales import LINEAR, MAP_RANGES, POLYNOMIAL, TABLE, Scale, reverse_polynomial
 from daq.server.calls.call import Answer, Call, plain
 
@@ -32,7 +33,10 @@ def _save_task(call: Call) -> Answer:
 
 
 def _save_channel(call: Call) -> Answer:
-    channel = call.task.settings.find(call.fields["channel_name"])[0]
+    found = call.task.settings.find(call.fields["channel_name"])
+    if not found:
+        raise bad("there is no channel to save: add one, and name it")
+    channel = found[0]
     name = call.fields["save_as"] or channel.name
     call.server.storage.save_channel(channel, name, call.fields["author"])
     return {}

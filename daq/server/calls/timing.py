@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from daq.instrument.errors import unsupported
 from daq.instrument.task_properties import get_value, set_value, set_values, time_of
-from daq.instrument.values import Signal, TimestampEvent, TimingType, TriggerType
+from daq.instrument.values import Signal, TimestampEvent, TimingType, TriggerType, named
 from daq.server.calls.call import Answer, Call, does, plain
 
 
@@ -96,7 +96,11 @@ def _export_signal(call: Call) -> Answer:
 
 def _timestamp(event: TimestampEvent | None) -> Callable[[Call], Answer]:
     def ask(call: Call) -> Answer:
-        chosen = event if event is not None else TimestampEvent(call.fields["timestamp_event"])
+        chosen = (
+            event
+            if event is not None
+            else named(TimestampEvent, call.fields["timestamp_event"], "timestamp_event")
+        )
         seconds = time_of(call.task, chosen, call.fields.get("timeout", 0.0)) * 1e-9
         return {"data" if event is not None else "timestamp": seconds}
 

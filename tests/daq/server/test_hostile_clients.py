@@ -1,0 +1,263 @@
+import random
+import threading
+
+import grpc
+import nidaqmx
+import numpy as np
+import pytest
+from google.protobuf import message_factory
+from nidaqmx.constants import AcquisitionType
+from nidaqmx.errors import DaqError
+from nidaqmx.scale import Scale
+
+import daq
+from daq.instrument.clock import ManualClock
+from daq.server.calls.answers import answer_to
+from daq.server.grpc_channel import open_channel
+from daq.server.protocol import SERVICE, _is_list, methods
+from daq.server.service import Limits
+
+RATE = 5120.0
+CALLS = 300
+TEXTS = (
+    "",
+    "cDAQ1Mod2/ai0",
+    "cDAQ1Mod2/ai1:3",
+    "cDAQ1Mod3/ao0",
+    "cDAQ1Mod2",
+    "a",
+    "\0",
+    "\x1b[31m",
+    "9" * 5000,
+    "x" * 300_000,
+)
+NUMBERS = (0.0, 1.0, -1.0, 5.0, -5.0, 100.0, 5120.0, 1e300, 1e-320, float("nan"), float("inf"))
+WHOLE = (0, 1, 2, 3, 10, 100, 10_178, 10_280, 10_348, 2**31 - 1)
+FIELDS = {
+    "string": lambda chance: chance.choice(TEXTS),
+    "bytes": lambda chance: chance.choice((b"", b"\0" * 7, b"\xff" * 1000)),
+    "double": lambda chance: chance.choice(NUMBERS),
+    "bool": lambda chance: chance.random() < 0.5,
+}
+
+
+def two_modules():
+    """Give a scene with inputs at two modules, of which one is the witness's."""
+    import rig
+
+    sensor = {"sensitivity": "100 mV/g", "noise": "20 ug/sqrt(Hz)"}
+    channels = [{"name": "table", "at": "table", "accelerometer": sensor}]
+    channels += [{"name": f"c{n}", "at": f"body {1 + n % 3}", "accelerometer": sensor} for n in range(7)]
+    return rig.load(
+        "bare-structure", {"channels": channels, "converter": {"preset": "NI 9234", "rate": "5120 Hz"}}
+    )
+
+
+def client(rig):
+    return nidaqmx.GrpcSessionOptions(open_channel(rig.address), "")
+
+
+def inputs(options, channels="cDAQ1Mod1/ai0:3", **timing):
+    task = nidaqmx.Task(grpc_options=options)
+    task.ai_channels.add_ai_voltage_chan(channels)
+    task.timing.cfg_samp_clk_timing(RATE, **timing)
+    return task
+
+
+def fill(message, chance, sessions, depth=0):
+    """Fill a message with what somebody may send by mistake or in malice."""
+    for field in message.DESCRIPTOR.fields:
+        if chance.random() < (0.1 if field.containing_oneof is None else 0.5):
+            continue
+        listed, own = _is_list(field), getattr(message, field.name)
+        for _ in range(chance.choice((0, 1, 3)) if listed else 1):
+            if field.message_type is not None:
+                made = message_factory.GetMessageClass(field.message_type)()
+                if field.message_type.full_name == "nidevice_grpc.Session":
+                    made.name = chance.choice((*sessions, *sessions, "nobody", *TEXTS[-3:]))
+                elif depth < 3 and not field.message_type.GetOptions().map_entry:
+                    fill(made, chance, sessions, depth + 1)
+                else:
+                    continue
+                own.add().CopyFrom(made) if listed else own.CopyFrom(made)
+                continue
+            kind = next((name for name in FIELDS if field.type == getattr(field, f"TYPE_{name.upper()}")), "")
+            value = FIELDS[kind](chance) if kind else chance.choice(WHOLE)
+            if field.name in ("timeout", "time_to_wait"):
+                value = chance.choice((0.0, 0.01, float("nan")))
+            if listed and kind != "string":
+                own.append(value)
+            elif not listed:
+                setattr(message, field.name, value)
+
+
+def send(channel, name, data):
+    return channel.unary_unary(f"/{SERVICE.full_name}/{name}")(data, timeout=20.0)
+
+
+def open_stream(options, task, name):
+    """Register an event, whose stream stays open."""
+    method = next(each for each in methods() if each.name == name)
+    request = method.request()
+    request.task.name = task._handle.name
+    if name == "RegisterEveryNSamplesEvent":
+        request.n_samples, request.every_n_samples_event_type_raw = 100, 1
+    if name == "RegisterSignalEvent":
+        request.signal_id_raw = 12_491
+    stream = options.grpc_channel.unary_stream(f"/{SERVICE.full_name}/{name}")(request.SerializeToString())
+    # It is registered once the server says so.
+    stream.initial_metadata()
+    return stream
+
+
+def ask(channel, method, chance, sessions):
+    """Send one of the calls; give what the server said against it."""
+    request = method.request()
+    fill(request, chance, sessions)
+    data = bytearray(request.SerializeToString())
+    for _ in range(chance.choice((0,) * 20 + (3,)) if data else 0):
+        data[chance.randrange(len(data))] = chance.randrange(256)
+    try:
+        answer = send(channel, method.name, bytes(data))
+    except grpc.RpcError as error:
+        return error.details()
+    if method.name == "CreateTask":
+        sessions.append(method.response.FromString(answer).task.name)
+    return ""
+
+
+def declare(channel, sessions):
+    """Make a task that can run."""
+    made = {each.name: each for each in methods()}
+    sessions.append(made["CreateTask"].response.FromString(send(channel, "CreateTask", b"")).task.name)
+    request = made["CreateAIVoltageChan"].request(
+        physical_channel="cDAQ1Mod2/ai0", terminal_config_raw=-1, min_val=-5.0, max_val=5.0, units_raw=10_348
+    )
+    request.task.name = sessions[-1]
+    send(channel, "CreateAIVoltageChan", request.SerializeToString())
+
+
+def read_beside(actions):
+    """Read a task to its end while something else is done to the server; give what it read."""
+    with (
+        daq.connect(two_modules(), clock=ManualClock()) as rig,
+        inputs(client(rig), samps_per_chan=2000) as witness,
+    ):
+        witness.start()
+        for action in actions(open_channel(rig.address)):
+            rig.chassis.advance(round(2000 / CALLS * rig.chassis.rate / RATE))
+            action()
+        rig.chassis.advance(round(0.1 * rig.chassis.rate))
+        return np.array(witness.read(2000, timeout=0.0))
+
+
+def test_given_calls_by_chance_when_a_client_sends_them_then_it_alone_hears_of_it_in_words(capfd):
+    chance, sessions, heard = random.Random(20), ["nobody"], []
+    known = [each for each in methods() if not each.streams and answer_to(each.name)]
+    # What drives the shaker is meant to be seen by all.
+    quiet = [each for each in known if "AO" not in each.name and "Write" not in each.name]
+
+    def calls(channel):
+        for number in range(CALLS):
+            if number % 20 == 0:
+                declare(channel, sessions)
+            yield lambda: heard.append(ask(channel, chance.choice(quiet), chance, sessions[-4:]))
+
+    beside = read_beside(calls)
+    assert not [text for text in heard if "fault" in text or "Exception" in text or "Stream removed" in text]
+    assert "Traceback" not in capfd.readouterr().err
+    np.testing.assert_array_equal(beside, read_beside(lambda channel: [lambda: None] * CALLS))
+
+
+@pytest.mark.parametrize(
+    "act, hint",
+    [
+        (lambda rig: nidaqmx.Task("x" * 1_000_000, grpc_options=rig), "letters"),
+        (lambda rig: nidaqmx.Task("a\0b", grpc_options=rig), "zero"),
+        (lambda rig: Scale.create_polynomial_scale("s", [], [], grpc_options=rig), "empty"),
+        (lambda rig: Scale.create_table_scale("s", [], [], grpc_options=rig), "empty"),
+        (lambda rig: Scale.create_lin_scale("s", float("nan"), grpc_options=rig), "finite"),
+        (lambda rig: Scale.create_polynomial_scale("s", [1.0] * 10_001, [1.0], grpc_options=rig), "entries"),
+    ],
+)
+def test_given_what_cannot_be_when_it_is_sent_then_the_error_says_what_can(act, hint):
+    with daq.connect("bare-structure", clock=ManualClock()) as rig, pytest.raises(DaqError, match=hint):
+        act(rig)
+
+
+@pytest.mark.parametrize(
+    "points, order, forward", [(10**9, 3, 1.0), (1000, 999, 1.0), (5, 7, 1.0), (100, 3, 1e300)]
+)
+def test_given_a_polynomial_that_would_take_for_ever_when_it_is_reversed_then_it_is_refused(
+    points, order, forward
+):
+    from daq.instrument.settings.scales import reverse_polynomial
+
+    with pytest.raises(daq.instrument.errors.DaqError, match="polynomial"):
+        reverse_polynomial([0.0, forward], -1e10, 1e10, points, order)
+
+
+def test_given_no_finite_or_positive_number_when_it_is_set_then_it_is_refused_and_the_old_one_kept():
+    with daq.connect(two_modules(), clock=ManualClock()) as rig, inputs(rig) as task:
+        channel = task.ai_channels["cDAQ1Mod1/ai0"]
+        with pytest.raises(DaqError, match="finite"):
+            channel.ai_excit_val = float("nan")
+        with pytest.raises(DaqError, match="positive"):
+            task.timing.samp_clk_timebase_div = 0
+        assert (channel.ai_excit_val, task.timing.samp_clk_rate) == (0.0, RATE)
+
+
+def test_given_a_fast_clock_when_a_client_waits_for_what_never_comes_then_others_go_on():
+    with daq.connect(two_modules(), clock="fast") as rig:
+        channel, heard = open_channel(rig.address), []
+        with inputs(nidaqmx.GrpcSessionOptions(channel, ""), samps_per_chan=100) as waiting:
+            waiting.triggers.start_trigger.cfg_anlg_edge_start_trig("cDAQ1Mod1/ai0", trigger_level=4.9)
+            waiting.start()
+
+            def wait():
+                with pytest.raises(DaqError) as caught:
+                    waiting.read(100, timeout=-1.0)
+                heard.append(caught.value.error_code)
+
+            thread = threading.Thread(target=wait)
+            thread.start()
+            with inputs(client(rig), "cDAQ1Mod2/ai0:2", samps_per_chan=100) as other:
+                for _ in range(3):
+                    assert np.shape(other.read(100)) == (3, 100)
+            waiting.stop()
+            thread.join()
+    assert len(heard) == 1
+
+
+def test_given_a_fast_clock_when_a_listener_never_answers_then_time_stands_still_for_it_no_more():
+    with daq.connect(two_modules(), clock="fast") as rig:
+        timing = {"sample_mode": AcquisitionType.CONTINUOUS, "samps_per_chan": 100}
+        with inputs(client(rig), **timing) as deaf, inputs(client(rig), "cDAQ1Mod2/ai0:2", **timing) as other:
+            deaf.register_every_n_samples_acquired_into_buffer_event(1, lambda *_: 0)
+            deaf.start()
+            assert np.shape(other.read(500)) == (3, 500)
+
+
+@pytest.mark.parametrize("seconds", [b"", b"soon", b"\xff"])
+def test_given_no_number_when_bench_time_is_to_pass_then_the_caller_hears_what_is_expected(seconds):
+    with (
+        daq.connect("bare-structure", clock="fast") as rig,
+        pytest.raises(grpc.RpcError, match="a number of"),
+    ):
+        open_channel(rig.address).unary_unary("/shotrig.Bench/Pass")(seconds, timeout=20.0)
+
+
+def test_given_as_many_calls_as_a_client_may_have_when_it_makes_another_then_it_alone_is_refused():
+    with daq.connect("bare-structure", clock="fast", limits=Limits(calls=3)) as rig:
+        greedy = client(rig)
+        with inputs(greedy, "cDAQ1Mod1/ai0") as task:
+            streams = [
+                open_stream(greedy, task, name)
+                for name in ("RegisterDoneEvent", "RegisterEveryNSamplesEvent", "RegisterSignalEvent")
+            ]
+            with pytest.raises(DaqError, match="as many as it may"):
+                task.start()
+            with inputs(client(rig), "Dev7/ai0", samps_per_chan=100) as other:
+                assert len(other.read(100)) == 100
+            for each in streams:
+                each.cancel()

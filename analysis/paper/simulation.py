@@ -9,12 +9,12 @@ from analysis.paper.scan import BODY
 from analysis.paper.store import Arrays
 from rig.damper_design.worst_peak import curve, resonance
 from rig.errors import SceneError
-from rig.orbits.admissibility import follow
 from rig.orbits.branches import follow_orbits
 from rig.orbits.orbit import Orbit
 from rig.orbits.periodic_orbit import periodic_orbit
 from rig.orbits.problem import OrbitProblem
 from rig.orbits.shooting import shoot
+from rig.orbits.track import follow
 from rig.response.frequency_response import frequency_response
 from rig.scene.scene import Scene
 from rig.single_mode.approximate_response import Branch, follow_mode

@@ -1,4 +1,4 @@
-"""An orbit between its events: its motion, extremes and first harmonic, and how far it is from being impossible.
+"""How far an orbit is from being impossible.
 
 An orbit that meets its equations is a motion only while nothing else may happen between its events: dampers in
 flight keep off the walls, riding ones are pressed on theirs. The distance to each of these borders is its margin
@@ -7,18 +7,23 @@ there; it is negative beyond the border, and changes smoothly across it, so that
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.numerics.jit import stored
-from rig.orbits.matrix_exponential import exponential
 from rig.orbits.orbit_equations import (
     CEILING,
     CEILING_BOUNCE,
     FLOOR,
     FLOOR_BOUNCE,
+    FLYING,
+    FORCELESS,
+    ON_FLOOR,
+    PRESS_CEILING,
+    PRESS_FLOOR,
+    RELEASE,
+    RIDES_CEILING,
+    RIDES_FLOOR,
     SEPARATION,
     WITH_LAST,
     Array,
@@ -26,220 +31,99 @@ from rig.orbits.orbit_equations import (
     Sequence,
 )
 from rig.orbits.shooting import Shot
+from rig.orbits.track import Track, follow, turning
 
-# Product of an interval with the fastest rate. The extremes of quintics are then good to 1e-9 of the motion, and
-# the harmonic to rounding.
-INTERVAL = 0.25
-MOST_POINTS = 1500
 # In radians of the drive; a damper thrown for so short was accelerated by 1 + 1e-5 of gravity.
 SHORTEST_FLIGHT = 0.02
 
 # Borders: of events, and of dampers.
-ORDER, RELEASE, MISS, FLIGHT_ENDS, HITS_FLOOR, HITS_CEILING, LEAVES, STAYS, KICKED = range(9)
+ORDER, LET_GO, MISS, FLIGHT_ENDS, HITS_FLOOR, HITS_CEILING, LEAVES, STAYS, KICKED = range(9)
 KINDS_OF_BORDERS = 9
 
-# Bernoulli's numbers over factorials, for the ends of a trapezoidal sum (Euler and Maclaurin).
-_ENDS = np.array([1 / 12, -1 / 720, 1 / 30240, -1 / 1209600, 1 / 47900160])
-
-
-class Track(NamedTuple):
-    """An orbit at evenly spaced instants of every stretch between events.
-
-    The stretch after the last event goes on into the next period until the first event.
-    """
-
-    times: Array  # shape (stretches, points + 1)
-    motion: Array  # shape (stretches, points + 1, states)
-    guards: Array
-    """For each damper, with first and second derivative: the gap in flight [m], or q'' + g of the body while
-    riding [m/s^2]; shape (stretches, points + 1, dampers, 3)."""
-    reach: Array
-    """Lowest and highest value of each coordinate; shape (coordinates, 2)."""
-    harmonic: NDArray[np.complex128]
-    """Integral of the state times exp(-i w t) over the orbit; complex, shape (states,)."""
-
 
 @stored
-def _turning(left: float, right: float, slopes: Array, curves: Array, step: float) -> float:
-    """Value at the turning point inside an interval, by the quintic through values and two derivatives."""
-    s0, s1, c0, c1 = slopes[0] * step, slopes[1] * step, curves[0] * step * step, curves[1] * step * step
-    d = right - left - s0 - 0.5 * c0
-    e, f = s1 - s0 - c0, c1 - c0
-    a3, a4, a5 = 10 * d - 4 * e + 0.5 * f, -15 * d + 7 * e - f, 6 * d - 3 * e + 0.5 * f
-    t = s0 / (s0 - s1)
-    for _ in range(3):
-        slope = s0 + t * (c0 + t * (3 * a3 + t * (4 * a4 + t * 5 * a5)))
-        bend = c0 + t * (6 * a3 + t * (12 * a4 + t * 20 * a5))
-        if bend != 0.0:
-            t = min(1.0, max(0.0, t - slope / bend))
-    return left + t * (s0 + t * (0.5 * c0 + t * (a3 + t * (a4 + t * a5))))
-
-
-@stored
-def _stretches(equations: Equations, sequence: Sequence, instants: Array) -> tuple[Array, Array, int]:
-    """Begin and length of the stretches, the last up to the first event after the period, and the points in each."""
-    events = sequence.kind.shape[0]
-    stretches = max(events, 1)
-    begin, length = np.zeros(stretches), np.full(stretches, equations.period)
-    longest = 0.0
-    for s in range(stretches):
-        if events > 0:
-            begin[s] = instants[s]
-            after = instants[s + 1] if s + 1 < events else equations.period + instants[0]
-            length[s] = after - begin[s]
-        longest = max(longest, abs(length[s]) * equations.rate[sequence.slot[min(s + 1, events)]])
-    return begin, length, max(8, min(MOST_POINTS, int(np.ceil(longest / INTERVAL))))
-
-
-@stored
-def _march(a: Array, flow: Array, start: Array, x: Array, rate: Array) -> None:
-    """States at even times, x (points + 1, states + 3) by the flow of one step, and their derivatives A x."""
-    x[0] = start
-    for i in range(x.shape[0]):
-        for m in range(x.shape[1]):
-            rate[i, m] = 0.0
-            for c in range(x.shape[1]):
-                rate[i, m] += a[m, c] * x[i, c]
-        if i + 1 < x.shape[0]:
-            for m in range(x.shape[1]):
-                x[i + 1, m] = 0.0
-                for c in range(x.shape[1]):
-                    x[i + 1, m] += flow[m, c] * x[i, c]
-
-
-@stored
-def _widen(reach: Array, x: Array, rate: Array, step: float) -> None:
-    """Widen the least and largest value of each coordinate to those of a stretch, turning points included."""
-    nq = reach.shape[0]
-    for i in range(x.shape[0]):
-        for q in range(nq):
-            here, speed = x[i, q], x[i, nq + q]
-            reach[q, 0], reach[q, 1] = min(reach[q, 0], here), max(reach[q, 1], here)
-            if i > 0 and x[i - 1, nq + q] * speed < 0.0:
-                slopes = np.array([x[i - 1, nq + q], speed])
-                bends = np.array([rate[i - 1, nq + q], rate[i, nq + q]])
-                there = _turning(x[i - 1, q], here, slopes, bends, step)
-                reach[q, 0], reach[q, 1] = min(reach[q, 0], there), max(reach[q, 1], there)
-
-
-@stored
-def _guard(
-    equations: Equations,
-    a: Array,
-    wall: int,
-    j: int,
-    begun: Array,
-    x: Array,
-    rate: Array,
-    step: float,
-    guard: Array,
-) -> None:
-    """Guard of a damper along a stretch with two derivatives: its height above the floor, or its weight on a wall."""
-    nq, nd = equations.inverse_mass.shape[1], equations.position.shape[0]
-    n, body, gravity = x.shape[1] - 3, equations.position[j], equations.gravity
-    if wall == 0:
-        height, speed = begun[n + j], begun[n + nd + j]
-        for i in range(x.shape[0]):
-            t = i * step
-            guard[i, 0] = height + (speed - 0.5 * gravity * t) * t - x[i, body]
-            guard[i, 1] = speed - gravity * t - x[i, nq + body]
-            guard[i, 2] = -gravity - rate[i, nq + body]
-        return
-    weight = np.zeros((3, n + 3))
-    weight[0] = a[nq + body]
-    weight[1] = weight[0] @ a
-    weight[2] = weight[1] @ a
-    for i in range(x.shape[0]):
-        guard[i, 0] = gravity
-        for m in range(n + 3):
-            for d in range(3):
-                guard[i, d] += weight[d, m] * x[i, m]
-
-
-@stored
-def _first_harmonic(a: Array, omega: float, times: Array, x: Array, step: float) -> NDArray[np.complex128]:
-    """Integrate exp(-i w t) x over a stretch by the trapezoidal rule with Euler's and Maclaurin's corrections."""
-    points, size = x.shape[0] - 1, x.shape[1]
-    total = np.zeros(size, dtype=np.complex128)
-    jump, turned = np.zeros(size, dtype=np.complex128), np.zeros(size, dtype=np.complex128)
-    for i in range(points + 1):
-        turn = np.exp(-1j * omega * times[i])
-        for m in range(size):
-            if i == 0:
-                jump[m] = -turn * x[i, m]
-                total[m] = 0.5 * turn * x[i, m]
-            elif i == points:
-                jump[m] += turn * x[i, m]
-                total[m] += 0.5 * turn * x[i, m]
-            else:
-                total[m] += turn * x[i, m]
-    # The derivatives of exp(-i w t) x are powers of (A - i w) times itself; only the odd ones count.
-    for order in range(2 * len(_ENDS) - 1):
-        for m in range(size):
-            turned[m] = -1j * omega * jump[m]
-            for c in range(size):
-                turned[m] += a[m, c] * jump[c]
-        for m in range(size):
-            jump[m] = turned[m] * step
-            if order % 2 == 0:
-                total[m] -= _ENDS[order // 2] * jump[m]
-    return step * total
-
-
-@stored
-def follow(equations: Equations, sequence: Sequence, instants: Array, states: Array) -> Track:
-    """Follow an orbit between its events.
-
-    Parameters
-    ----------
-    equations, sequence
-        As in `rig.orbits.shooting.shoot`.
-    instants : ndarray, shape (events,)
-        Instants of the events.
-    states : ndarray, shape (events + 1, states + 2 dampers)
-        As `shoot` returns them.
-    """
-    n = equations.generator.shape[1] - 3
-    nq, nd, omega = equations.inverse_mass.shape[1], equations.position.shape[0], equations.omega
-    begin, length, points = _stretches(equations, sequence, instants)
-    stretches = begin.size
-    times = np.zeros((stretches, points + 1))
-    motion = np.zeros((stretches, points + 1, n))
-    guards = np.zeros((stretches, points + 1, nd, 3))
-    reach = np.empty((nq, 2))
-    reach[:, 0], reach[:, 1] = np.inf, -np.inf
-    harmonic = np.zeros(n, dtype=np.complex128)
-    start, x, rate = np.ones(n + 3), np.empty((points + 1, n + 3)), np.empty((points + 1, n + 3))
-    for s in range(stretches):
-        k = s + 1 if sequence.kind.shape[0] > 0 else 0
-        slot, step = sequence.slot[k], length[s] / points
-        a = equations.generator[slot]
-        start[:n] = states[k, :n]
-        start[n], start[n + 1] = np.cos(omega * begin[s]), np.sin(omega * begin[s])
-        _march(a, exponential(a, step, equations.rate[slot]), start, x, rate)
-        for i in range(points + 1):
-            times[s, i] = begin[s] + i * step
-            motion[s, i] = x[i, :n]
-        _widen(reach, x, rate, step)
-        for j in range(nd):
-            _guard(equations, a, sequence.wall[k, j], j, states[k], x, rate, step, guards[s, :, j])
-        harmonic += _first_harmonic(a, omega, times[s], x, step)[:n]
-    return Track(times, motion, guards, reach, harmonic)
-
-
-@stored
-def _dip(track: Track, s: int, j: int, offset: float, sign: float) -> float:
-    """Lowest turning point of offset + sign times a guard inside a stretch; infinity if there is none."""
+def _dip(track: Track, s: int, j: int, offset: float, sign: float, first: int = 0) -> float:
+    """Lowest turning point of offset + sign times a guard inside a stretch, from a point on; infinity if none is."""
     guard = track.guards[s, :, j]
     step = track.times[s, 1] - track.times[s, 0]
     low = np.inf
-    for i in range(guard.shape[0] - 1):
+    for i in range(first, guard.shape[0] - 1):
         if sign * guard[i, 1] < 0.0 and sign * guard[i + 1, 1] > 0.0:
             slopes = sign * guard[i : i + 2, 1].copy()
             bends = sign * guard[i : i + 2, 2].copy()
             left, right = offset + sign * guard[i, 0], offset + sign * guard[i + 1, 0]
-            low = min(low, _turning(left, right, slopes, bends, step))
+            low = min(low, turning(left, right, slopes, bends, step))
     return low
+
+
+@stored
+def _decided(
+    equations: Equations, sequence: Sequence, track: Track, e: int, closing: float, pull: float
+) -> float:
+    """How decidedly a contact that lasts changes at an event: closing speed in g/w, or slope of its force in g w."""
+    kind, j, omega = sequence.kind[e], sequence.damper[e], equations.omega
+    before = track.guards[e - 1, -1, j]
+    if kind == RELEASE:
+        return min(1.0, -before[1] / (pull * omega))
+    if kind in (PRESS_FLOOR, PRESS_CEILING):
+        sign, at = (-1.0, 0) if kind == PRESS_FLOOR else (1.0, 1)
+        rising = sign * (equations.stiffness[j, at] * before[1] + equations.damping[j, at] * before[2])
+        return min(1.0, rising / (equations.mass[j] * pull * omega))
+    return min(1.0, closing * omega / pull)
+
+
+@stored
+def _lasting_margins(
+    equations: Equations, sequence: Sequence, track: Track, j: int, size: float, found: Array
+) -> None:
+    """Borders of a damper whose contact lasts: pressed on a wall, free of both, or within one without being pressed.
+
+    A released bed that is still within a wall must not be pressed before it has left, which is no event. What a
+    stretch begins with is known from the one before, for the first of them only after a turn round the orbit.
+    """
+    events, pull = sequence.kind.shape[0], size * equations.omega**2
+    clearance = equations.clearance[j]
+    within = 0
+    for visit in range(2 * track.times.shape[0]):
+        turn, s = visit // track.times.shape[0], visit % track.times.shape[0]
+        k, after = (s + 1, (s + 1) % events) if events > 0 else (0, 0)
+        wall, guard = sequence.wall[k, j], track.guards[s, :, j]
+        own_begin = events > 0 and sequence.damper[s] == j
+        own_end = events > 0 and sequence.damper[after] == j
+        if wall >= ON_FLOOR:
+            low = _dip(track, s, j, 0.0, 1.0)
+            if not own_begin:
+                low = min(low, guard[0, 0])
+            if not own_end:
+                low = min(low, guard[-1, 0])
+            if turn == 1:
+                found[LEAVES, j] = min(found[LEAVES, j], low / pull)
+            continue
+        if own_begin:
+            within = sequence.wall[s, j]
+        first, most, law, risen = 0, -np.inf, np.inf, False
+        while within != 0 and first < guard.shape[0]:
+            sign, at, offset = (-1.0, 0, 0.0) if within == ON_FLOOR else (1.0, 1, clearance)
+            overlap, closing = sign * (guard[first, 0] - offset), sign * guard[first, 1]
+            if overlap <= 0.0 and first > 0:
+                within = 0
+                break
+            force = equations.stiffness[j, at] * overlap + equations.damping[j, at] * closing
+            if risen and force < law:
+                most = max(most, law / equations.mass[j])
+            risen, law = force > law, force
+            first += 1
+        if turn == 0:
+            continue
+        found[STAYS, j] = min(found[STAYS, j], -most / pull)
+        low, high = np.inf, np.inf
+        if first < guard.shape[0]:
+            low = _dip(track, s, j, 0.0, 1.0, first)
+            high = _dip(track, s, j, clearance, -1.0, first) if np.isfinite(clearance) else np.inf
+            if not own_begin and first == 0:
+                low, high = min(low, guard[0, 0]), min(high, clearance - guard[0, 0])
+        found[HITS_FLOOR, j] = min(found[HITS_FLOOR, j], low / size)
+        found[HITS_CEILING, j] = min(found[HITS_CEILING, j], high / size)
 
 
 @stored
@@ -250,7 +134,7 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
     -------
     ndarray, shape (kinds of borders, events or dampers, whatever is more)
         Gaps in g/w^2, accelerations in g, times in 1/w; at most 1, negative beyond the border. The second index
-        is an event for the kinds ORDER, RELEASE and MISS, else a damper.
+        is an event for the kinds ORDER, LET_GO and MISS, else a damper.
     """
     omega, gravity = equations.omega, equations.gravity
     size = gravity / omega**2 if gravity > 0.0 else np.abs(track.reach).max()
@@ -266,7 +150,9 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
             own_begin = events > 0 and sequence.damper[s] == j
             own_end = events > 0 and sequence.damper[after] == j
             wall, guard = sequence.wall[k, j], track.guards[s, :, j]
-            if wall == 0:
+            if wall >= FORCELESS:
+                continue
+            if wall == FLYING:
                 low = _dip(track, s, j, 0.0, 1.0)
                 if not own_begin:
                     low = min(low, guard[0, 0])
@@ -278,7 +164,7 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
                         low = min(low, clearance - guard[0, 0])
                     found[HITS_CEILING, j] = min(found[HITS_CEILING, j], low / size)
                 continue
-            sign = 1.0 if wall == 1 else -1.0
+            sign = 1.0 if wall == RIDES_FLOOR else -1.0
             low = _dip(track, s, j, 0.0, sign)
             low = min(low, sign * guard[0, 0])
             if not own_end:
@@ -286,24 +172,29 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
             found[LEAVES, j] = min(found[LEAVES, j], low / pull)
     for e in range(events):
         kind, j = sequence.kind[e], sequence.damper[e]
+        if equations.bed[j] >= 0:
+            found[MISS if kind != RELEASE else LET_GO, e] = _decided(
+                equations, sequence, track, e, closing[e], pull
+            )
+            continue
         leaves = kind in (SEPARATION, WITH_LAST)
-        ceiling = kind in (CEILING, CEILING_BOUNCE) or (leaves and sequence.wall[e, j] == 2)
+        ceiling = kind in (CEILING, CEILING_BOUNCE) or (leaves and sequence.wall[e, j] == RIDES_CEILING)
         bounces = kind in (CEILING_BOUNCE, FLOOR_BOUNCE)
         away = -1.0 if ceiling else 1.0
         if kind == WITH_LAST or (bounces and equations.restitution[j] == 0.0):
             # The gap's curvature right after the event must lead away from the wall.
             found[STAYS, j] = min(found[STAYS, j], away * track.guards[e, 0, j, 2] / pull)
         if kind == SEPARATION:
-            found[RELEASE, e] = min(1.0, -away * track.guards[e - 1, -1, j, 1] / (pull * omega))
+            found[LET_GO, e] = min(1.0, -away * track.guards[e - 1, -1, j, 1] / (pull * omega))
         elif kind != WITH_LAST:
             found[MISS, e] = min(1.0, closing[e] * omega / pull)
             # Through a full mass matrix an impact presses riding dampers on their walls, or kicks them off.
             for i in range(nd):
                 body = equations.position[i]
                 coupling = equations.inverse_mass[sequence.slot[e], body, equations.position[j]]
-                if i != j and sequence.wall[e, i] != 0 and coupling != 0.0:
+                if i != j and sequence.wall[e, i] in (RIDES_FLOOR, RIDES_CEILING) and coupling != 0.0:
                     kick = track.motion[e, 0, nq + body] - track.motion[e - 1, -1, nq + body]
-                    sign = 1.0 if sequence.wall[e, i] == 1 else -1.0
+                    sign = 1.0 if sequence.wall[e, i] == RIDES_FLOOR else -1.0
                     found[KICKED, i] = min(found[KICKED, i], sign * kick * omega / pull)
         if leaves:
             # At length 0 the equations of a flight say nothing, so a curve ends before.
@@ -313,6 +204,9 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
             length = instants[landing] - instants[e] + (equations.period if landing <= e else 0.0)
             if sequence.kind[landing] == (CEILING if ceiling else FLOOR):
                 found[FLIGHT_ENDS, j] = min(found[FLIGHT_ENDS, j], length * omega - SHORTEST_FLIGHT)
+    for j in range(nd):
+        if equations.bed[j] >= 0:
+            _lasting_margins(equations, sequence, track, j, size, found)
     return found
 
 

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.engine.state import CEILING_IMPACT, FLOOR_IMPACT
+from rig.engine.state import CEILING_IMPACT, CEILING_TOUCH, FLIGHT, FLOOR_IMPACT, FLOOR_TOUCH
+from rig.engine.state import RELEASE as RELEASED
 from rig.engine.trajectory import Trajectory
 from rig.errors import RunError
 from rig.orbits.orbit_equations import (
@@ -16,7 +17,18 @@ from rig.orbits.orbit_equations import (
     CEILING_BOUNCE,
     FLOOR,
     FLOOR_BOUNCE,
+    FLYING,
+    FORCELESS,
+    ON_CEILING,
+    ON_FLOOR,
+    PRESS_CEILING,
+    PRESS_FLOOR,
+    RELEASE,
+    RIDES_CEILING,
+    RIDES_FLOOR,
     SEPARATION,
+    TOUCH_CEILING,
+    TOUCH_FLOOR,
     WITH_LAST,
     Sequence,
 )
@@ -24,6 +36,22 @@ from rig.system.hybrid_system import HybridSystem
 
 Array = NDArray[np.float64]
 BOUNCE = {FLOOR: FLOOR_BOUNCE, CEILING: CEILING_BOUNCE}
+#: Where a damper is after an event.
+AFTER = {
+    SEPARATION: FLYING,
+    WITH_LAST: FLYING,
+    FLOOR_BOUNCE: FLYING,
+    CEILING_BOUNCE: FLYING,
+    FLOOR: RIDES_FLOOR,
+    CEILING: RIDES_CEILING,
+    TOUCH_FLOOR: ON_FLOOR,
+    PRESS_FLOOR: ON_FLOOR,
+    TOUCH_CEILING: ON_CEILING,
+    PRESS_CEILING: ON_CEILING,
+    RELEASE: FORCELESS,
+}
+#: A bed this deep within a wall, as a share of its gap's largest size, is pressed there anew and does not touch.
+WITHIN = 1e-9
 
 
 @dataclass(frozen=True)
@@ -31,18 +59,22 @@ class Plan:
     """An orbit's sequence of events, with the configurations behind its slots."""
 
     sequence: Sequence
-    configurations: tuple[int, ...]  # bit j set: damper j rides
+    configurations: tuple[int, ...]
+    """As in `HybridSystem.toggles`."""
     repetition: int
     """Length in periods of the drive."""
 
     @property
     def flying(self) -> NDArray[np.int64]:
         """Dampers in flight at the start."""
-        return np.flatnonzero(self.sequence.wall[0] == 0)
+        return np.flatnonzero(self.sequence.wall[0] == FLYING)
 
     @property
     def label(self) -> str:
-        """The events in short, e.g. ``"2^ 2- 2_"``: damper 2 separates, bounces off the ceiling, lands."""
+        """The events in short, e.g. ``"2^ 2- 2_"``: damper 2 separates, bounces off the ceiling, lands.
+
+        Where contact lasts, it touches floor ``u`` or ceiling ``n``, is released ``o``, or pressed again ``w``, ``m``.
+        """
         signs = {
             SEPARATION: "^",
             FLOOR: "_",
@@ -50,6 +82,11 @@ class Plan:
             FLOOR_BOUNCE: "v",
             CEILING_BOUNCE: "-",
             WITH_LAST: "~",
+            TOUCH_FLOOR: "u",
+            TOUCH_CEILING: "n",
+            PRESS_FLOOR: "w",
+            PRESS_CEILING: "m",
+            RELEASE: "o",
         }
         pairs = zip(self.sequence.damper, self.sequence.kind, strict=True)
         return " ".join(f"{d + 1}{signs[int(k)]}" for d, k in pairs)
@@ -92,7 +129,7 @@ def plan_from(
     course : Trajectory
         Events of the cycle.
     start : ndarray of int8, shape (dampers,)
-        Walls at its start.
+        Contact state at its start.
     repetition : int
         Periods in the cycle.
 
@@ -122,7 +159,9 @@ def plan_from(
                 "coupled by their body or the mass matrix), for which orbits are not computed; a settled simulation "
                 "(rig.frequency_response) covers it"
             )
-        if kind in (FLOOR_IMPACT, CEILING_IMPACT):
+        if system.lasting[damper]:
+            kinds.append(_lasting_kind(trajectory, k, system))
+        elif kind in (FLOOR_IMPACT, CEILING_IMPACT):
             landed = FLOOR if kind == FLOOR_IMPACT else CEILING
             kinds.append(landed if system.restitution[damper] == 0 else BOUNCE[landed])
         elif hit:
@@ -138,18 +177,50 @@ def plan_from(
             kinds.append(WITH_LAST if now else SEPARATION)
         dampers.append(damper)
         order.append(k)
-    return make_plan(kinds, dampers, start, repetition), np.array(order, dtype=np.int64)
+    return make_plan(kinds, dampers, walls_of(start, system), repetition), np.array(order, dtype=np.int64)
+
+
+def _lasting_kind(trajectory: Trajectory, event: int, system: HybridSystem) -> int:
+    """Kind of an event of a damper whose contact lasts: what presses it again finds it within the wall."""
+    kind, damper = trajectory.event_kind[event], trajectory.event_damper[event]
+    if kind == RELEASED:
+        return RELEASE
+    now = (trajectory.break_segment == trajectory.event_segment[event]) & (
+        trajectory.break_offset == trajectory.event_offset[event]
+    )
+    gaps = trajectory.before[:, system.bed[damper]]
+    gap, least = gaps[np.flatnonzero(now)[0]], WITHIN * np.abs(gaps).max()
+    if kind == FLOOR_TOUCH:
+        return PRESS_FLOOR if gap < -least else TOUCH_FLOOR
+    assert kind == CEILING_TOUCH
+    return PRESS_CEILING if gap > system.clearance[damper] + least else TOUCH_CEILING
+
+
+def walls_of(mode: NDArray[Any], system: HybridSystem) -> NDArray[np.int64]:
+    """Give the walls of a sequence for the engine's contact states, shape (dampers,)."""
+    return np.asarray(mode, dtype=np.int64) + np.where(system.lasting, FORCELESS, FLYING)
+
+
+def mode_of(walls: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Give the engine's contact states for walls of a sequence, shape (dampers,)."""
+    return np.where(walls >= FORCELESS, walls - FORCELESS, walls) + FLIGHT
+
+
+def configuration_of(walls: NDArray[np.int64]) -> int:
+    """Give the configuration for walls of a sequence, as in `HybridSystem.toggles`."""
+    pressed = np.flatnonzero((walls != FLYING) & (walls != FORCELESS)).tolist()
+    ceilings = np.flatnonzero(walls == ON_CEILING).tolist()
+    return sum(1 << j for j in pressed) + sum(1 << len(walls) + j for j in ceilings)
 
 
 def make_plan(kinds: list[int], dampers: list[int], start: NDArray[Any], repetition: int) -> Plan:
     """Build a plan from events and the walls at the start."""
     walls = [np.asarray(start, dtype=np.int64)]
-    after = dict.fromkeys((SEPARATION, WITH_LAST, FLOOR_BOUNCE, CEILING_BOUNCE), 0) | {FLOOR: 1, CEILING: 2}
     for kind, damper in zip(kinds, dampers, strict=True):
         wall = walls[-1].copy()
-        wall[damper] = after[kind]
+        wall[damper] = AFTER[kind]
         walls.append(wall)
-    masks = [sum(1 << int(j) for j in np.flatnonzero(wall)) for wall in walls]
+    masks = [configuration_of(wall) for wall in walls]
     configurations = tuple(dict.fromkeys(masks))
     sequence = Sequence(
         np.array(kinds, dtype=np.int64),

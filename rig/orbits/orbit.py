@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dgeev
 
-from rig.engine.state import CEILING as CEILING_HELD
-from rig.engine.state import CEILING_IMPACT, FLIGHT, FLOOR_IMPACT
+from rig.engine.state import CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPACT, FLOOR_TOUCH
+from rig.engine.state import RELEASE as RELEASED
 from rig.engine.state import SEPARATION as SEPARATED
-from rig.engine.trajectory import EVENT, KINDS
+from rig.engine.trajectory import event_table
 from rig.errors import RunError
-from rig.orbits.admissibility import follow, survey
+from rig.orbits.admissibility import survey
 from rig.orbits.event_sequence import Plan
 from rig.orbits.newton import correct, monodromy
 from rig.orbits.orbit_equations import (
@@ -22,14 +22,22 @@ from rig.orbits.orbit_equations import (
     CEILING_BOUNCE,
     FLOOR,
     FLOOR_BOUNCE,
+    FLYING,
+    PRESS_CEILING,
+    PRESS_FLOOR,
+    RELEASE,
+    RIDES_CEILING,
     SEPARATION,
+    TOUCH_CEILING,
+    TOUCH_FLOOR,
     WITH_LAST,
     Change,
     Equations,
 )
 from rig.orbits.problem import OperatingPoint, OrbitProblem, Parameter, vary
 from rig.orbits.shooting import Shot, shoot
-from rig.response.motion_type import overall
+from rig.orbits.track import follow
+from rig.response.motion_type import overall, type_of
 from rig.results import Result, styled
 from rig.scene.shaker import ForceShaker
 from rig.system.assembly import spring_force_row
@@ -42,6 +50,17 @@ Array = NDArray[np.float64]
 # Margin below which an orbit is impossible as a motion; less is rounding.
 ROUNDING = 1e-9
 CORRECTIONS = 25
+# Events in which a damper comes to a wall, as the engine calls them.
+_STRUCK = {
+    FLOOR: FLOOR_IMPACT,
+    FLOOR_BOUNCE: FLOOR_IMPACT,
+    CEILING: CEILING_IMPACT,
+    CEILING_BOUNCE: CEILING_IMPACT,
+    TOUCH_FLOOR: FLOOR_TOUCH,
+    PRESS_FLOOR: FLOOR_TOUCH,
+    TOUCH_CEILING: CEILING_TOUCH,
+    PRESS_CEILING: CEILING_TOUCH,
+}
 
 
 @dataclass(frozen=True, repr=False)
@@ -55,8 +74,8 @@ class Orbit(Result):
     repetition : int
         Length in periods of the drive.
     events : structured ndarray
-        `time` [s] from the start of a period of the drive, `damper` (from 1), `kind` (separation, floor,
-        ceiling) and closing `speed` [m/s], as in `rig.simulate`.
+        `time` [s] from the start of a period of the drive, `damper` (from 1), `kind` (separation, floor, ceiling;
+        touch, release where contact lasts) and closing `speed` [m/s], as in `rig.simulate`.
     motion_type : str
         Types of the dampers, as in `rig.frequency_response`.
     compliance : ndarray of complex, shape (bodies,)
@@ -113,8 +132,9 @@ class Orbit(Result):
         instants = self.unknowns[len(self.unknowns) - len(sequence.kind) :]
         track = follow(equations, sequence, instants, states)
         wall = sequence.wall[len(sequence.wall) - len(track.times) :, None, :]
-        gaps = np.where(wall == FLIGHT, np.maximum(track.guards[..., 0], 0.0), 0.0)
-        gaps = np.where(wall == CEILING_HELD, system.clearance, gaps)
+        gaps = np.where(wall == FLYING, np.maximum(track.guards[..., 0], 0.0), 0.0)
+        gaps = np.where(wall == RIDES_CEILING, system.clearance, gaps)
+        gaps[..., system.lasting] = track.motion[..., system.bed[system.lasting]]
         motion = track.motion[..., : self.problem.scene.structure.bodies]
         return {
             "time_s": track.times.ravel(),
@@ -207,7 +227,7 @@ class Following:
         self.scale = np.concatenate(
             [start, times, [abs(value) * (0.02 if parameter == "frequency" else 0.2)]]
         )
-        sizes = {WITH_LAST: 1 / omega, SEPARATION: system.gravity}
+        sizes = {WITH_LAST: 1 / omega, SEPARATION: system.gravity or omega**2 * size}
         guards = [sizes.get(int(kind), size) for kind in plan.sequence.kind]
         self.rows = np.concatenate([start, guards])
         self.borders = plan.borders
@@ -253,7 +273,12 @@ class Following:
         instants = self._instants(unknowns)
         reach, integral, distances = survey(equations, plan.sequence, shot, instants)
         nearest = int(distances.argmin())
-        types = tuple(_type(plan, j) for j in range(problem.system.dampers))
+        system = problem.changed(setting)
+        dampers, kinds, times, speeds = _events(problem, plan, instants, shot.closing)
+        types = tuple(
+            type_of(kinds[own], times[own], system, j, plan.repetition, equations.period)
+            for j, own in enumerate(dampers == np.arange(problem.system.dampers)[:, None])
+        )
         bodies = self.bodies
         harmonic = 2 / equations.period * integral
         if isinstance(problem.scene.driven_shaker, ForceShaker):
@@ -263,7 +288,7 @@ class Following:
         return Orbit(
             setting=setting,
             repetition=plan.repetition,
-            events=_event_table(problem, plan, instants, shot.closing),
+            events=event_table(times, dampers, kinds, speeds, problem.system),
             motion_type=overall(list(types)),
             damper_motion=types,
             compliance=harmonic[:bodies] / force,
@@ -278,30 +303,24 @@ class Following:
         )
 
 
-def _type(plan: Plan, damper: int) -> str:
-    """Type of one damper's motion, in the words of `rig.response.motion_type`."""
-    kinds = plan.sequence.kind[plan.sequence.damper == damper]
-    floor = int(np.isin(kinds, (FLOOR, FLOOR_BOUNCE)).sum())
-    ceiling = int(np.isin(kinds, (CEILING, CEILING_BOUNCE)).sum())
-    if floor + ceiling == 0:
-        return "riding"
-    if plan.repetition == 1 and floor == 1 and ceiling == 0:
-        return "I"
-    if plan.repetition == 1 and floor == 1 and ceiling == 1:
-        return "III" if CEILING in kinds else "II"
-    return f"{floor + ceiling} per {plan.repetition}"
+def _events(
+    problem: OrbitProblem, plan: Plan, instants: Array, closing: Array
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array]:
+    """Dampers (from 0), kinds as in `rig.engine.state`, times and closing speeds of the events.
 
-
-def _event_table(problem: OrbitProblem, plan: Plan, instants: Array, closing: Array) -> NDArray[np.void]:
-    """Events as `rig.simulate` lists them: a bounce without rebound is an impact and a separation at one instant."""
+    A bounce without rebound is an impact and a separation at one instant.
+    """
     rows = []
     for time, damper, kind, speed in zip(
         instants, plan.sequence.damper, plan.sequence.kind, closing, strict=True
     ):
-        number = problem.system.damper_number[damper]
-        if kind in (FLOOR, FLOOR_BOUNCE, CEILING, CEILING_BOUNCE):
-            wall = FLOOR_IMPACT if kind in (FLOOR, FLOOR_BOUNCE) else CEILING_IMPACT
-            rows.append((time, number, KINDS[wall], speed))
-        if kind not in (FLOOR, CEILING) and not problem.system.restitution[damper]:
-            rows.append((time, number, KINDS[SEPARATED], 0.0))
-    return np.array(rows, dtype=EVENT)
+        if int(kind) in _STRUCK:
+            rows.append((damper, _STRUCK[int(kind)], time, speed))
+        if kind == RELEASE:
+            rows.append((damper, RELEASED, time, 0.0))
+        elif kind in (SEPARATION, WITH_LAST) or (
+            kind in (FLOOR_BOUNCE, CEILING_BOUNCE) and not problem.system.restitution[damper]
+        ):
+            rows.append((damper, SEPARATED, time, 0.0))
+    found = np.array(rows).reshape(-1, 4)
+    return found[:, 0].astype(np.int64), found[:, 1].astype(np.int64), found[:, 2], found[:, 3]

@@ -14,6 +14,11 @@ Whole = NDArray[np.int64]
 # velocity (osculating contact) or with its rebound; one that leaves `WITH_LAST` is thrown off by the event
 # before, at the same instant.
 SEPARATION, FLOOR, CEILING, FLOOR_BOUNCE, CEILING_BOUNCE, WITH_LAST = 0, 1, 2, 3, 4, 5
+# Where contact lasts: a gap falls to zero (touch), a force falls to zero (release), and a force rises from zero again
+# while the overlap is not undone (press). All are rows of the state, and only the force law changes.
+TOUCH_FLOOR, TOUCH_CEILING, PRESS_FLOOR, PRESS_CEILING, RELEASE = 6, 7, 8, 9, 10
+# Walls in a stretch: in flight, or riding on one; and where contact lasts, without force, or pressed on one.
+FLYING, RIDES_FLOOR, RIDES_CEILING, FORCELESS, ON_FLOOR, ON_CEILING = 0, 1, 2, 3, 4, 5
 
 
 class Equations(NamedTuple):
@@ -31,6 +36,11 @@ class Equations(NamedTuple):
     clearance: Array
     restitution: Array
     """mass, clearance, restitution: shape (dampers,)."""
+    bed: Whole
+    """Coordinate of a damper whose contact lasts, its gap; -1 where contact is instant; int64, shape (dampers,)."""
+    stiffness: Array
+    damping: Array
+    """stiffness, damping: of floor and ceiling where contact lasts; shape (dampers, 2)."""
     gravity: float
     omega: float
     period: float
@@ -44,6 +54,8 @@ class Change(NamedTuple):
     inverse_mass: Array
     mass: Array
     clearance: Array
+    stiffness: Array
+    damping: Array
     omega: float
     period: float
 
@@ -58,4 +70,4 @@ class Sequence(NamedTuple):
     """Configuration of each stretch: before the first event, between events, after the last; int64, shape
     (events + 1,)."""
     wall: Whole
-    """In each stretch: 0 in flight, 1 on the floor, 2 at the ceiling; int64, shape (events + 1, dampers)."""
+    """In each stretch, `FLYING` to `ON_CEILING`; int64, shape (events + 1, dampers)."""

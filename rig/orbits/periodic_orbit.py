@@ -6,10 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.engine.propagator import Propagator, tone_propagator
+from rig.engine.state import CEILING, CONFIGURATION, FLIGHT, FLOOR
 from rig.engine.trajectory import STRIKES, Trajectory
 from rig.errors import RunError
-from rig.orbits.event_sequence import Plan, make_plan, plan_from
+from rig.orbits.event_sequence import Plan, configuration_of, make_plan, mode_of, plan_from, walls_of
 from rig.orbits.orbit import Orbit, solve
+from rig.orbits.orbit_equations import FORCELESS
 from rig.orbits.problem import OperatingPoint, OrbitProblem, base_frequency
 from rig.response.steady_state import LONGEST_REPETITION, settle
 from rig.scene.loading import scene_of
@@ -151,7 +153,7 @@ def start_march(
     propagator, steps = tone_propagator(system, problem.amplitudes(setting), 2 * np.pi * setting.frequency)
     state = system.initial.copy()
     if moving:
-        riding = make_plan([], [], np.ones(system.dampers), 1)
+        riding = make_plan([], [], walls_of(np.full(system.dampers, FLOOR), system), 1)
         equations, _ = problem.equations(setting, riding)
         a, n = equations.generator[0], system.states
         # x = X (cos wt, sin wt): the first column of X is the state at the start.
@@ -217,15 +219,13 @@ def enter(propagator: Propagator, orbit: Orbit) -> None:
     n, walls = system.states, orbit.plan.sequence.wall[0]
     state.z[:n] = orbit.unknowns[:n]
     propagator.start_period(1.0)
-    configuration = 0
-    at = n
-    for j in range(system.dampers):
-        state.mode[j] = walls[j]
-        state.multiplicity[j] = 0
-        if walls[j] == 0:
-            state.height[j], state.speed[j] = orbit.unknowns[at : at + 2]
-            at += 2
-        else:
-            configuration |= 1 << j
-    state.counters[1] = configuration
+    state.mode[:], state.multiplicity[:] = mode_of(walls), 0
+    flights = orbit.unknowns[n : n + 2 * len(orbit.plan.flying)].reshape(-1, 2)
+    state.height[orbit.plan.flying], state.speed[orbit.plan.flying] = flights.T
+    state.recovering[:] = FLIGHT
+    for j in np.flatnonzero(walls == FORCELESS):
+        gap = state.z[system.bed[j]]
+        if not 0.0 <= gap <= system.clearance[j]:
+            state.recovering[j] = FLOOR if gap < 0.0 else CEILING
+    state.counters[CONFIGURATION] = configuration_of(walls)
     propagator.resume(propagator.snapshot())

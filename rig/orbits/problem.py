@@ -38,6 +38,8 @@ AXES = {
 }
 # Sets of configurations whose equations are kept.
 KEPT = 200
+# Step of differences, relative to the parameter.
+_ASIDE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -89,17 +91,20 @@ def base_frequency(parameter: Parameter, frequency: float | str | None, first: f
 class _Linear(NamedTuple):
     """Equations of configurations: state matrices, inflows of inputs and (last column) of constant forces.
 
-    `inverse` is that of the mass matrix, `rate` bounds the state matrix, and the last three are derivatives with
-    respect to the factor on the damper masses.
+    `inverse` is that of the mass matrix, `raised` what a metre of each damper's clearance adds to the constant inflow
+    while it is pressed on its ceiling, `rate` bounds the state matrix, and the last four are derivatives with respect
+    to the factor on the damper masses.
     """
 
     matrix: Array
     inflow: Array
     inverse: Array
+    raised: Array
     rate: Array
     matrix_change: Array
     inflow_change: Array
     inverse_change: Array
+    raised_change: Array
 
 
 class OrbitProblem:
@@ -113,29 +118,45 @@ class OrbitProblem:
     Raises
     ------
     SceneError
-        If nothing drives the scene, or its contact lasts.
+        If nothing drives the scene.
     """
 
     def __init__(self, scene: Scene) -> None:
         self.scene = with_ideal_force(scene)
         self.system = assemble(self.scene)
-        if self.system.lasting.any():
-            raise SceneError(
-                f"scene {scene.name!r} has contact that lasts, for which orbits are not computed; expected dampers "
-                "without contact, or a settled simulation (rig.frequency_response), which covers it"
-            )
         self.level = level_of(self.scene)
         self._position = self.system.damper_coordinate.astype(np.int64)
         self._linear: dict[tuple[tuple[int, ...], float], _Linear] = {}
+        self._of_masses: dict[float, HybridSystem] = {}
 
     def changed(self, setting: OperatingPoint) -> HybridSystem:
         """Return the compiled scene with the setting's clearance and mass ratio."""
-        system = self.system
-        if not np.isnan(setting.clearance):
-            system = replace(system, clearance=np.full(system.dampers, setting.clearance))
-        if setting.mass_ratio != 1.0:
-            system = replace(system, damper_mass=setting.mass_ratio * system.damper_mass)
-        return system
+        system = self._of_mass(setting.mass_ratio)
+        if np.isnan(setting.clearance):
+            return system
+        return replace(system, clearance=np.full(system.dampers, setting.clearance))
+
+    def _of_mass(self, ratio: float) -> HybridSystem:
+        """Return the compiled scene with a factor on the damper masses."""
+        if ratio == 1.0:
+            return self.system
+        if ratio not in self._of_masses:
+            if len(self._of_masses) > KEPT:
+                self._of_masses.clear()
+            self._of_masses[ratio] = self._assembled(ratio)
+        return self._of_masses[ratio]
+
+    def _assembled(self, ratio: float) -> HybridSystem:
+        if not self.system.lasting.any():
+            return replace(self.system, damper_mass=ratio * self.system.damper_mass)
+        # A bed of its own is part of the mass matrix, and a landing that is given by its duration of its walls.
+        dampers = [
+            damper.replace(mass=ratio * damper.mass)
+            if damper.mass is not None
+            else damper.replace(mass_ratio=ratio * (damper.mass_ratio or 0.0))
+            for damper in self.scene.dampers
+        ]
+        return assemble(self.scene.replace(dampers=dampers))
 
     def amplitudes(self, setting: OperatingPoint) -> NDArray[np.complex128]:
         """Complex amplitude of each input; the level is that of a sine that starts at zero."""
@@ -148,8 +169,8 @@ class OrbitProblem:
         self, setting: OperatingPoint, plan: Plan, parameter: Parameter = "frequency"
     ) -> tuple[Equations, Change]:
         """Equations of motion in the configurations of a plan, and how they change with a parameter."""
-        system, ratio = self.system, setting.mass_ratio
-        n, omega = system.states, 2 * np.pi * setting.frequency
+        system, ratio = self.changed(setting), setting.mass_ratio
+        nq, n, omega = system.coordinates, system.states, 2 * np.pi * setting.frequency
         amplitudes = self.amplitudes(setting)
         drive = np.column_stack([amplitudes.real, -amplitudes.imag])
         drive_change = self._drive_change(setting, parameter, drive)
@@ -157,9 +178,9 @@ class OrbitProblem:
         generator, change = np.zeros((2, len(plan.configurations), n + 3, n + 3))
         generator[:, :n, :n] = linear.matrix
         generator[:, :n, n : n + 2] = linear.inflow[:, :, :-1] @ drive
-        given = np.isnan(setting.clearance)
-        clearance = system.clearance if given else np.full(system.dampers, setting.clearance)
+        pressable = system.lasting & np.isfinite(system.clearance)
         generator[:, :n, n + 2] = linear.inflow[:, :, -1]
+        generator[:, nq : 2 * nq, n + 2] += linear.raised[:, :, pressable] @ system.clearance[pressable]
         generator[:, n, n + 1], generator[:, n + 1, n] = -omega, omega
         inverse_change = np.zeros_like(linear.inverse)
         if parameter == "frequency":
@@ -170,25 +191,38 @@ class OrbitProblem:
             change[:, :n, :n] = linear.matrix_change
             change[:, :n, n : n + 2] = linear.inflow_change[:, :, :-1] @ drive
             change[:, :n, n + 2] = linear.inflow_change[:, :, -1]
+            change[:, nq : 2 * nq, n + 2] += (
+                linear.raised_change[:, :, pressable] @ system.clearance[pressable]
+            )
             inverse_change = linear.inverse_change
-        nothing = np.zeros(system.dampers)
+        if parameter == "clearance":
+            change[:, nq : 2 * nq, n + 2] = linear.raised.sum(axis=2)
+        nothing, walls = np.zeros(system.dampers), np.zeros((system.dampers, 2))
+        stiffness_change, damping_change = (
+            self._wall_changes(ratio) if parameter == "mass_ratio" else (walls, walls)
+        )
         period = plan.repetition / setting.frequency
         return Equations(
             generator=generator,
             rate=np.maximum(linear.rate, omega),
             inverse_mass=linear.inverse,
             position=self._position,
-            mass=ratio * system.damper_mass,
-            clearance=clearance,
+            mass=system.damper_mass,
+            clearance=system.clearance,
             restitution=system.restitution,
+            bed=system.bed.astype(np.int64),
+            stiffness=system.wall_stiffness,
+            damping=system.wall_damping,
             gravity=float(system.gravity),
             omega=omega,
             period=period,
         ), Change(
             generator=change,
             inverse_mass=inverse_change,
-            mass=system.damper_mass if parameter == "mass_ratio" else nothing,
+            mass=self.system.damper_mass if parameter == "mass_ratio" else nothing,
             clearance=np.ones(system.dampers) if parameter == "clearance" else nothing,
+            stiffness=stiffness_change,
+            damping=damping_change,
             omega=2 * np.pi if parameter == "frequency" else 0.0,
             period=-period / setting.frequency if parameter == "frequency" else 0.0,
         )
@@ -200,7 +234,7 @@ class OrbitProblem:
         if parameter != "frequency" or isinstance(self.scene.driven_shaker, ForceShaker):
             return None
         # What the table's servo needs for a displacement is smooth in the frequency: good to some 1e-10.
-        step = 1e-6 * setting.frequency
+        step = _ASIDE * setting.frequency
         sides = (replace(setting, frequency=setting.frequency + sign * step) for sign in (1, -1))
         above, below = (self.amplitudes(side) for side in sides)
         slope = (above - below) / (2 * step)
@@ -220,17 +254,21 @@ class OrbitProblem:
         return self._linear[key]
 
     def _configuration(self, configuration: int, mass_ratio: float) -> _Linear:
-        system = self.system
+        system = self._of_mass(mass_ratio)
         nq, n = system.coordinates, system.states
-        riding = np.array([j for j in range(system.dampers) if configuration >> j & 1], dtype=np.intp)
-        rows, masses = system.damper_coordinate[riding], system.damper_mass[riding]
-        added = np.zeros((nq, nq))
-        np.add.at(added, (rows, rows), masses)
-        weight = -system.gravity * added.sum(axis=0)
-        constant = system.force_constant + mass_ratio * weight
-        inverse = np.asarray(np.linalg.inv(system.mass + mass_ratio * added), dtype=np.float64)
-        inverse_change = -inverse @ added @ inverse
-        force = system.force_state
+        mass, constant = _loaded(system, configuration)
+        # Linear in the factor: two values of it, whichever, give the slope.
+        heavy, light = (_loaded(self._of_mass(side * mass_ratio), configuration) for side in (1.5, 0.5))
+        mass_change, constant_change = (
+            (more - less) / mass_ratio for more, less in zip(heavy, light, strict=True)
+        )
+        inverse = np.asarray(np.linalg.inv(mass), dtype=np.float64)
+        inverse_change = -inverse @ mass_change @ inverse
+        walls, raised = _pressed(system, configuration)
+        stiffness_change, damping_change = self._wall_changes(mass_ratio)
+        changes = replace(system, wall_stiffness=stiffness_change, wall_damping=damping_change)
+        walls_change, raised_change = _pressed(changes, configuration)
+        force = system.force_state + walls
         matrix, inflow = np.zeros((n, n)), np.zeros((n, len(system.inputs) + 1))
         matrix_change, inflow_change = np.zeros_like(matrix), np.zeros_like(inflow)
         matrix[:nq, nq : 2 * nq] = np.eye(nq)
@@ -239,12 +277,27 @@ class OrbitProblem:
         inflow[nq : 2 * nq, :-1] = inverse @ system.force_drive
         inflow[2 * nq :, :-1] = system.rate_drive
         inflow[nq : 2 * nq, -1] = inverse @ constant
-        matrix_change[nq : 2 * nq] = inverse_change @ force
+        matrix_change[nq : 2 * nq] = inverse_change @ force + inverse @ walls_change
         inflow_change[nq : 2 * nq, :-1] = inverse_change @ system.force_drive
-        inflow_change[nq : 2 * nq, -1] = inverse_change @ constant + inverse @ weight
+        inflow_change[nq : 2 * nq, -1] = inverse_change @ constant + inverse @ constant_change
         rate = np.array(float(np.linalg.norm(matrix_balance(matrix, permute=False)[0], 1)))
-        parts = (matrix, inflow, inverse, rate, matrix_change, inflow_change, inverse_change)
+        parts = (
+            matrix, inflow, inverse, inverse @ raised, rate,
+            matrix_change, inflow_change, inverse_change, inverse_change @ raised + inverse @ raised_change,
+        )  # fmt: skip
         return _Linear(*(part[None] for part in parts))
+
+    def _wall_changes(self, mass_ratio: float) -> tuple[Array, Array]:
+        """Differentiate stiffness and damping of walls by the factor on the masses: a duration may be given."""
+        if not self.system.lasting.any():
+            return np.zeros((self.system.dampers, 2)), np.zeros((self.system.dampers, 2))
+        # Smooth in it: good to some 1e-10.
+        more, less = (self._of_mass(side * mass_ratio) for side in (1.0 + _ASIDE, 1.0 - _ASIDE))
+        step = 2.0 * _ASIDE * mass_ratio
+        return (
+            np.asarray((more.wall_stiffness - less.wall_stiffness) / step),
+            np.asarray((more.wall_damping - less.wall_damping) / step),
+        )
 
     def setting(self, frequency: float) -> OperatingPoint:
         """Return the scene's own setting at a frequency."""
@@ -254,3 +307,22 @@ class OrbitProblem:
 def vary(setting: OperatingPoint, parameter: Parameter) -> Callable[[float], OperatingPoint]:
     """Return the setting as a function of one parameter."""
     return lambda value: replace(setting, **{parameter: value})
+
+
+def _loaded(system: HybridSystem, configuration: int) -> tuple[Array, Array]:
+    """Mass matrix with what rides in a configuration, and the constant forces with its weight."""
+    riding = np.array(
+        [j for j in range(system.dampers) if configuration >> j & 1 and not system.lasting[j]], dtype=np.intp
+    )
+    rows, masses = system.damper_coordinate[riding], system.damper_mass[riding]
+    added = np.zeros_like(system.mass)
+    np.add.at(added, (rows, rows), masses)
+    return system.mass + added, system.force_constant - system.gravity * added.sum(axis=0)
+
+
+def _pressed(system: HybridSystem, configuration: int) -> tuple[Array, Array]:
+    """Give forces of contacts that last: rows for the state, and what a metre of each clearance adds to constants."""
+    force, constant = replace(system, clearance=np.ones(system.dampers)).contact_forces(configuration)
+    raised, lasting = np.zeros((system.coordinates, system.dampers)), np.flatnonzero(system.lasting)
+    raised[system.bed[lasting], lasting] = constant[system.bed[lasting]]
+    return force, raised

@@ -2,11 +2,12 @@
 
 Between events the state x = (coordinates, velocities, coil current; cos wt, sin wt; 1) obeys x' = A x with A
 of the contact configuration, so it is propagated by the matrix exponential. Dampers in flight fall freely;
-riding ones are part of A. The unknowns are the state at the start of a period, the dampers in flight there,
-and the instants of the events; the equations are the return to the start and, at each event, its own
-condition (contact force or gap zero). Sensitivities to the unknowns and to one parameter are carried along,
-through events as well: solving the events' rows of the Jacobian for the instants is what the saltation matrices
-do, so that the Floquet multipliers come out of the same numbers.
+riding ones are part of A, and so are those whose contact lasts, pressed on a wall or not. The unknowns are the
+state at the start of a period, the dampers in flight there, and the instants of the events; the equations are
+the return to the start and, at each event, its own condition (contact force or gap zero). Sensitivities to the
+unknowns and to one parameter are carried along, through events as well: solving the events' rows of the
+Jacobian for the instants is what the saltation matrices do, so that the Floquet multipliers come out of the
+same numbers.
 """
 
 from __future__ import annotations
@@ -22,7 +23,12 @@ from rig.orbits.orbit_equations import (
     CEILING,
     CEILING_BOUNCE,
     FLOOR_BOUNCE,
+    ON_CEILING,
+    PRESS_CEILING,
+    RELEASE,
     SEPARATION,
+    TOUCH_CEILING,
+    TOUCH_FLOOR,
     WITH_LAST,
     Change,
     Equations,
@@ -211,6 +217,40 @@ def _hit(
 
 
 @stored
+def _change_force(
+    equations: Equations,
+    change: Change,
+    kind: int,
+    wall: int,
+    j: int,
+    course: Course,
+    row: int,
+    jacobian: Array,
+) -> tuple[float, float]:
+    """Damper j, whose contact lasts, is touched, released or pressed again; what is zero there, and the closing speed.
+
+    A touch is where the gap z is that of the wall, z - o = 0; the force of a wall vanishes at z - o + (c / k) z' = 0.
+    """
+    size, bed = course.of_x.shape[1] - 1, equations.bed[j]
+    place = equations.inverse_mass.shape[1] + bed
+    ceiling = kind in (TOUCH_CEILING, PRESS_CEILING) or (kind == RELEASE and wall == ON_CEILING)
+    at = 1 if ceiling else 0
+    speed, lag = course.x[place], 0.0
+    residual = course.x[bed]
+    if kind not in (TOUCH_FLOOR, TOUCH_CEILING):
+        lag = equations.damping[j, at] / equations.stiffness[j, at]
+        thicker = change.damping[j, at] - lag * change.stiffness[j, at]
+        jacobian[row, size] += speed * thicker / equations.stiffness[j, at]
+    if ceiling:
+        residual -= equations.clearance[j]
+        jacobian[row, size] -= change.clearance[j]
+    for c in range(size + 1):
+        jacobian[row, c] += course.of_x[bed, c] + lag * course.of_x[place, c]
+    closing = speed if ceiling else -speed
+    return residual + lag * speed, 0.0 if kind == RELEASE else max(closing, 0.0)
+
+
+@stored
 def _return(sequence: Sequence, unknowns: Array, course: Course, residual: Array, jacobian: Array) -> None:
     """Rows for the return to the start, of the state and of dampers in flight there."""
     at = course.of_x.shape[0]
@@ -270,6 +310,10 @@ def shoot(equations: Equations, change: Change, sequence: Sequence, unknowns: Ar
             if k > 0:
                 jacobian[row, row - 1] = -1.0
             _leave(equations, change, sequence.wall[k, j], j, course)
+        elif kind >= TOUCH_FLOOR:
+            residual[row], closing[k] = _change_force(
+                equations, change, kind, sequence.wall[k, j], j, course, row, jacobian
+            )
         else:
             residual[row], closing[k] = _hit(equations, change, slot, kind, j, course, row, jacobian)
     _return(sequence, unknowns, course, residual, jacobian)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.engine.state import CEILING, CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPACT, FLOOR_TOUCH, SEPARATION
 from rig.engine.trajectory import Trajectory
 from rig.system.hybrid_system import HybridSystem
+
+Array = NDArray[np.float64]
 
 #: Landings that a stay on a wall lasts at least, where contact itself lasts.
 STAY = 2.0
@@ -32,12 +35,19 @@ def motion_types(trajectory: Trajectory, system: HybridSystem, repetition: int, 
         ceiling), "III" (the same with a stay); "k per n" for k impacts in n periods; "irregular". Where contact lasts,
         a touch counts as an impact, and contact for more than `STAY` times a landing as a stay.
     """
-    return [_type(trajectory, system, j, repetition, duration) for j in range(system.dampers)]
+    times = trajectory.event_segment * duration + trajectory.event_offset
+    cycle = len(trajectory.state) * duration
+    own = [trajectory.event_damper == j for j in range(system.dampers)]
+    return [
+        type_of(trajectory.event_kind[mine], times[mine], system, j, repetition, cycle)
+        for j, mine in enumerate(own)
+    ]
 
 
-def _type(trajectory: Trajectory, system: HybridSystem, damper: int, repetition: int, duration: float) -> str:
-    own = trajectory.event_damper == damper
-    kinds = trajectory.event_kind[own]
+def type_of(
+    kinds: NDArray[np.int64], times: Array, system: HybridSystem, damper: int, repetition: int, cycle: float
+) -> str:
+    """Name the motion of a damper (from 0) from its events over a cycle [s], kinds as in `rig.engine.state`."""
     floor = int(np.isin(kinds, (FLOOR_IMPACT, FLOOR_TOUCH)).sum())
     ceiling = int(np.isin(kinds, (CEILING_IMPACT, CEILING_TOUCH)).sum())
     if floor + ceiling == 0:
@@ -47,24 +57,19 @@ def _type(trajectory: Trajectory, system: HybridSystem, damper: int, repetition:
     if repetition == 1 and floor == 1 and ceiling == 0:
         return "I"
     if repetition == 1 and floor == 1 and ceiling == 1:
-        return "III" if _stays_at_ceiling(trajectory, system, damper, duration) else "II"
+        return "III" if _stays_at_ceiling(kinds, times, system, damper, cycle) else "II"
     return f"{floor + ceiling} per {repetition}"
 
 
-def _stays_at_ceiling(trajectory: Trajectory, system: HybridSystem, damper: int, duration: float) -> bool:
+def _stays_at_ceiling(
+    kinds: NDArray[np.int64], times: Array, system: HybridSystem, damper: int, cycle: float
+) -> bool:
     """Whether the damper leaves the ceiling later than it comes; than after a landing, where contact lasts."""
-    own = trajectory.event_damper == damper
-    kinds, segments = trajectory.event_kind[own], trajectory.event_segment[own]
-    offsets = trajectory.event_offset[own]
     hit = int(np.flatnonzero(np.isin(kinds, (CEILING_IMPACT, CEILING_TOUCH)))[0])
     after = (hit + 1) % len(kinds)
     if kinds[hit] == CEILING_IMPACT:
-        if kinds[after] != SEPARATION:
-            return False
-        return bool(segments[after] != segments[hit] or offsets[after] > offsets[hit])
-    stay = (segments[after] - segments[hit]) * duration + offsets[after] - offsets[hit]
-    if after < hit:
-        stay += len(trajectory.state) * duration
+        return bool(kinds[after] == SEPARATION and times[after] != times[hit])
+    stay = times[after] - times[hit] + (cycle if after < hit else 0.0)
     return bool(stay > STAY * system.landing(damper, CEILING)[0])
 
 

@@ -1,13 +1,95 @@
-"""Orbits are refused where contact lasts."""
+"""Orbits where contact lasts: held against settled simulations, the instant contact, and the engine's events."""
 
+import numpy as np
 import pytest
 
 import rig
-from rig.errors import SceneError
+from rig.orbits.orbit import Following
+from rig.orbits.orbit_equations import PRESS_FLOOR
+from rig.orbits.periodic_orbit import enter, read_cycle, start_march
+from rig.orbits.problem import PARAMETERS, OperatingPoint, OrbitProblem, Parameter
+from rig.scene.scene import Scene
 
 
-def test_given_contact_that_lasts_when_an_orbit_is_asked_for_then_it_is_refused_with_what_covers_it() -> None:
+def fig9(**contact: float) -> Scene:
     scene = rig.load("fig9")
-    scene = scene.replace(dampers=[d.replace(contact={"duration": 1e-3}) for d in scene.dampers])
-    with pytest.raises(SceneError, match="has contact that lasts"):
-        rig.periodic_orbit(scene, 49.1)
+    return scene.replace(dampers=[d.replace(contact=contact) for d in scene.dampers])
+
+
+@pytest.mark.parametrize("parameter", PARAMETERS)
+@pytest.mark.parametrize("contact", [{"duration": 4e-3}, {"stiffness": 1e5, "damping": 300.0}])
+def test_given_contact_that_lasts_when_differentiated_then_finite_differences_give_the_same_jacobian(
+    contact: dict[str, float], parameter: Parameter
+) -> None:
+    scene = fig9(**contact)
+    problem, orbit = OrbitProblem(scene), rig.periodic_orbit(scene, 49.7)
+    setting = OperatingPoint(49.7, problem.level, float(problem.system.clearance[0]), 1.0)
+    following = Following(problem, orbit.plan, setting, parameter, orbit.unknowns)
+    x = np.append(orbit.unknowns, getattr(setting, parameter))
+
+    residual, jacobian = following(x)
+
+    assert np.abs(residual).max() < 1e-12
+    for column, unit in enumerate(np.diag(1e-6 * following.scale)):
+        slope = (following(x + unit)[0] - following(x - unit)[0]) / 2e-6
+        np.testing.assert_allclose(jacobian[:, column] * following.scale[column], slope, atol=5e-8)
+
+
+def test_given_frequencies_through_the_resonance_when_swept_then_settled_simulation_gives_the_same() -> None:
+    scene, frequencies = fig9(duration=4e-3), [44.0, 47.0, 49.1, 49.4, 49.8]
+    orbits, settled = rig.orbit_response(scene, frequencies), rig.frequency_response(scene, frequencies)
+    assert not orbits.simulated.any()
+    assert orbits.motion_type.tolist() == settled.motion_type.tolist()
+    assert len(set(orbits.motion_type)) > 1
+    # A settled simulation repeats within 1e-7 of itself.
+    np.testing.assert_allclose(
+        orbits.compliance, settled.compliance, rtol=0, atol=1e-5 * abs(settled.compliance).max()
+    )
+
+
+def test_given_ever_shorter_landings_when_solved_then_the_orbit_tends_to_that_of_instant_contact() -> None:
+    instant = rig.periodic_orbit(rig.load("fig9"), 49.7)
+    away = [
+        float(
+            np.abs(rig.periodic_orbit(fig9(duration=lasts), 49.7).compliance / instant.compliance - 1).max()
+        )
+        for lasts in (1e-3, 2.5e-4, 6.25e-5)
+    ]
+    assert away[2] < 5e-3
+    assert away[1] < 0.5 * away[0]
+    assert away[2] < 0.5 * away[1]
+
+
+@pytest.mark.parametrize(
+    ("contact", "frequency", "force"),
+    [
+        ({"stiffness": 1800.0, "damping": 17.0}, 40.3, 4.1),
+        ({"stiffness": 2.1e5, "damping": 115.0}, 41.7, 6.0),
+    ],
+)
+def test_given_a_bed_pressed_again_before_it_has_left_its_floor_when_solved_then_the_engine_returns_to_the_orbit(
+    contact: dict[str, float], frequency: float, force: float
+) -> None:
+    scene = fig9(**contact).replace(test={"kind": "sine", "frequency": frequency, "force": force})
+    orbit = rig.periodic_orbit(scene, frequency)
+    march, steps = start_march(OrbitProblem(scene), orbit.setting)
+    enter(march, orbit)
+    plan, unknowns = read_cycle(march, steps, orbit.repetition)
+    assert PRESS_FLOOR in orbit.plan.sequence.kind
+    assert orbit.margin > 1e-6
+    assert plan.label == orbit.plan.label
+    np.testing.assert_allclose(
+        unknowns[-len(orbit.events) :], orbit.unknowns[-len(orbit.events) :], atol=1e-12
+    )
+
+
+def test_given_contact_that_lasts_when_followed_over_frequency_then_every_point_solves_its_equations() -> (
+    None
+):
+    curve = rig.follow_orbits(fig9(duration=4e-3), "frequency", (47.0, 50.0), searches=2)
+    # Where neither type is stable the motion does not repeat.
+    assert all("no periodic motion found" in failure for failure in curve.failures)
+    assert sum(len(branch.orbits) for branch in curve.branches) > 20
+    for branch in curve.branches:
+        for orbit in branch.orbits:
+            assert orbit.residual < 1e-10

@@ -48,6 +48,13 @@ def driven_table() -> Scene:
     )
 
 
+def landing(name: str, contact: dict[str, object], last: bool = False, **changes: float) -> Scene:
+    """A bundled scene with contact that lasts, in all its dampers or the last."""
+    scene = rig.load(name)
+    given = [d.replace(contact=contact, **changes) for d in scene.dampers]
+    return scene.replace(dampers=[*scene.dampers[:-1], given[-1]] if last else given)
+
+
 def coupled(coupling: float) -> Scene:
     """Two dampers in a structure whose mass matrix couples their bodies."""
     mass, damping, stiffness = structure_matrices(rig.load("fig9").structure)
@@ -58,6 +65,7 @@ def coupled(coupling: float) -> Scene:
     return scene.replace(structure={"matrices": matrices}, dampers=dampers)
 
 
+UNLIKE = {"floor": {"stiffness": 1e5, "damping": 300.0}, "ceiling": {"stiffness": 4e4, "damping": 60.0}}
 CASES = {
     "fig9": (rig.load("fig9"), 49.7),
     "fig9 stays": (rig.load("fig9"), 49.1),
@@ -70,8 +78,15 @@ CASES = {
     "rebound": (varied("fig5-single-damper", 5.0, 0.1, 1.5e-3, 0.6), 49.5),
     "rebounds": (varied("fig5-single-damper", 20.0, 0.1, 4e-3, 0.3), 47.5),
     "weightless": (varied("fig5-single-damper", 20.0, 0.1, 4e-3, 0.1).replace(gravity=0.0), 49.5),
+    "weightless, without rebound": (varied("fig9", 20.0, 0.1, 4e-4).replace(gravity=0.0), 49.5),
     "table": (driven_table(), 51.0),
     "coupled": (coupled(-0.05), 46.5),
+    "lands": (landing("fig9", {"duration": 1e-3}), 49.1),
+    "lands slowly": (landing("fig9", {"duration": 8e-3}), 49.7),
+    "lands and rebounds": (landing("fig9", {"duration": 3e-3}, restitution=0.5), 49.7),
+    "walls that differ": (landing("fig9", UNLIKE), 49.7),
+    "three land": (landing("fig8-three-dampers", {"duration": 2e-3}), 34.5),
+    "one of two lands": (landing("fig8-two-dampers", {"duration": 2e-3}, last=True), 48.0),
 }
 each_case = pytest.mark.parametrize(("scene", "frequency"), CASES.values(), ids=CASES)
 

@@ -181,6 +181,11 @@ def _why_nothing(rec: Recording, marked: bool, overloaded: int, short: int) -> s
     if marked:
         return "every measured window has lost samples: record again, or repair the file with `daq recover`"
     duration = rec.samples / rec.rate
+    if rec.source:
+        return (
+            f"no step was found in these {duration:.3g} s when they were imported: nothing holds a tone of one "
+            "frequency for ten periods and more; import it with the test that it was (test: kind: swept_sine, random)"
+        )
     return (
         f"no steady state was measured in this recording of {duration:.3g} s: it holds no window marked "
         "'measure'; "

@@ -14,7 +14,7 @@ from daq.importing.units import meaning
 from daq.signal_chain.chain import default_channels, stages
 from daq.signal_chain.channel import ChannelInfo, Quantity
 from daq.signal_chain.channel_description import channel_info
-from daq.signal_chain.converter import SampleClock
+from daq.signal_chain.converter import SampleClock, volts_per_count
 from rig.errors import SceneError
 from rig.scene.measurement_chain import Channel, Integrator
 from rig.scene.presets import filled_in, input_settings
@@ -170,7 +170,12 @@ def described(scene: Scene, channel: Channel, rate: float, delay: float) -> Chan
     settings = input_settings(scene.converter, channel).replace(excitation=None, remove_delay=True)
     line = stages(channel, settings, scene.seed)
     info = channel_info(channel.name, channel.at, line, settings, SampleClock(rate, rate), delay)
-    return replace(info, average=settings.sampling == "average", range=settings.range)
+    return replace(
+        info,
+        average=settings.sampling == "average",
+        range=settings.range,
+        volts_per_count=volts_per_count(settings),
+    )
 
 
 def _sensitivity(channel: Channel, info: ChannelInfo, column: Column) -> float:

@@ -17,6 +17,7 @@ from daq.importing.files import signals_of
 from daq.importing.force_pulses import ForcePulses
 from daq.importing.overloads import Overloads, joined
 from daq.importing.signal import Array, Signal
+from daq.importing.steps import StepFinder, mark_steps
 from daq.measurement.run import RunWarning
 from daq.recording.recorder import Recorder
 from rig.errors import RecordingError, SceneError
@@ -56,8 +57,8 @@ def import_files(
 
     Signals become the channels of the scene, by name or as a table says, in SI. Where samples are missing the recording
     says `lost`, where they were clipped `overload`. What was done to the structure is told from the scene's test: hits
-    are found in the force channel; any other excitation is taken as one measurement from end to end. A test of steps
-    gets no mark, for a file does not say where they are.
+    are found in the force channel, and the steps of a sine or stepped sine where a tone is held; any other excitation
+    is taken as one measurement from end to end.
 
     Parameters
     ----------
@@ -254,6 +255,9 @@ class _Import:
             ForcePulses() if one.info.quantity == "force" and isinstance(scene.test, Impulse | None) else None
             for one in made
         ]
+        self._steps = (
+            StepFinder(scene, self._infos, rate) if isinstance(scene.test, Sine | SteppedSine) else None
+        )
 
     def run(self, path: Path, overwrite: bool, progress: Progress | None) -> list[str]:
         """Write the recording; give what must be said about it."""
@@ -266,7 +270,10 @@ class _Import:
         ):
             for first in range(0, self._samples, _PIECE):
                 stop = min(first + _PIECE, self._samples)
-                recorder.write(np.stack([self._piece(row, first, stop) for row in range(len(infos))]))
+                piece = np.stack([self._piece(row, first, stop) for row in range(len(infos))])
+                recorder.write(piece)
+                if self._steps is not None:
+                    self._steps.add(piece)
                 if progress is not None:
                     progress(stop / self._samples, f"{stop / self._rate:.0f} s")
             return self._mark(recorder)
@@ -314,11 +321,8 @@ class _Import:
         test = self._scene.test
         if isinstance(test, Free):
             return self._released()
-        if isinstance(test, Sine | SteppedSine):
-            return [
-                f"a {test.kind} test: the files do not say where its steps are, and none is marked; for responses, "
-                "import it with a scene whose test is kind: random over the same band"
-            ]
+        if self._steps is not None:
+            return mark_steps(recorder, self._steps, self._made[self._steps.row])
         hits = [hit for force in self._forces if force is not None for hit in force.hits(self._rate)]
         if isinstance(test, Impulse) and not hits:
             return [

@@ -13,6 +13,7 @@ from daq.importing.files import signals_of
 from daq.importing.import_files import import_files
 from daq.measurement.run import RunWarning
 from daq.measurement.run_report import summary
+from daq.recording.recording import Recording
 from daq.recording.recording import open as open_recording
 from rig.console import progress
 from rig.escaping import shown
@@ -54,8 +55,25 @@ def import_and_report(
     for warning in heard:
         print(f"warning: {warning.message}", file=sys.stderr)
     with open_recording(path) as recording:
-        hits = [marker for marker in recording.markers if marker.kind == "hit"]
+        for line in _found(recording):
+            print(line)
+    print(summary(path))
+
+
+def _found(recording: Recording) -> Iterator[str]:
+    """Yield what was found in the samples, which no file says: hits, or steps."""
+    hits = [marker for marker in recording.markers if marker.kind == "hit"]
     if hits:
         peaks = [float(hit.fields["peak"]) for hit in hits]
-        print(f"{len(hits)} hits found in the force, of {min(peaks):.3g} to {max(peaks):.3g} N")
-    print(summary(path))
+        yield f"{len(hits)} hits found in the force, of {min(peaks):.3g} to {max(peaks):.3g} N"
+    steps = [marker for marker in recording.markers if "settled" in marker.fields]
+    if steps:
+        at = [float(step.fields["frequency"]) for step in steps]
+        settled = sum((step.stop - step.first_sample) / recording.rate for step in steps)
+        yield (
+            f"{len(steps)} steps found, {min(at):.6g} to {max(at):.6g} Hz; settled, and measured, for {settled:.4g} of "
+            f"{recording.samples / recording.rate:.4g} s"
+        )
+        moving = sum(not step.fields["settled"] for step in steps)
+        if moving:
+            yield f"{moving} of them are not seen to become steady: marked as such"

@@ -68,6 +68,17 @@ class Conversion:
     """Where the voltage was beyond the range; bool, shape (channels, samples)."""
 
 
+def volts_per_count(settings: Settings) -> float | None:
+    """Size of a count, V; none without bits and a range.
+
+    >>> volts_per_count(Settings(bits=8, range="1 V"))
+    0.0078125
+    """
+    if settings.bits is None or settings.range is None:
+        return None
+    return float(2.0 * settings.range / 2.0**settings.bits)
+
+
 class Quantiser:
     """Quantises and clips.
 
@@ -100,9 +111,7 @@ class Quantiser:
         clock = SampleClock.of(settings)
         settings = filled_in(settings)
         self._bits, self._range = settings.bits, settings.range
-        self._count: float | None = None
-        if self._bits is not None and self._range is not None:
-            self._count = 2.0 * self._range / 2.0**self._bits
+        self._count = volts_per_count(settings)
         self.channels = tuple(
             replace(channel, volts_per_count=self._count, range=self._range) for channel in channels
         )

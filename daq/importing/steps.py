@@ -1,0 +1,219 @@
+"""The steps of a stepped sine, found in the samples: nobody marked them on a real bench."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from daq.excitation.lock_in import fewest_samples, lock_in, whole_periods
+from daq.importing.assignment import Assigned
+from daq.importing.held_tones import HeldTone, held_tones
+from daq.importing.signal import Array
+from daq.importing.tone_track import ToneTracker
+from daq.recording.recorder import Recorder
+from daq.signal_chain.channel import ChannelInfo
+from rig.scene.excitation import Sine, SteppedSine
+from rig.scene.scene import Scene
+
+# So far beyond the frequencies of the scene's test, as a ratio, steps are looked for: it may not be all that was run.
+_BEYOND = 1.5
+# Windows by whose phases a frequency is told, and samples of one at most.
+_WINDOWS, _LONGEST = 8, 1 << 16
+# Frequencies that differ by less, relative, are the same step again.
+_SAME = 1e-5
+
+
+class Step(NamedTuple):
+    """One step: samples [first, stop) in which it is settled, and what the marker says of it."""
+
+    first: int
+    stop: int
+    frequency: float  # Hz
+    level: float
+    direction: str
+    settled: bool
+
+
+class StepFinder:
+    """Finds steps in the channel that tells best what was driven, fed piece by piece.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its test is a sine or a stepped sine.
+    infos : sequence of ChannelInfo
+        The channels, in the order of the rows.
+    rate : float
+        Hz.
+    """
+
+    def __init__(self, scene: Scene, infos: Sequence[ChannelInfo], rate: float) -> None:
+        assert isinstance(scene.test, Sine | SteppedSine)
+        self.test, self._rate = scene.test, rate
+        # The channel that is followed.
+        self.row = _reference(scene, infos)
+        self._info = infos[self.row]
+        self._tracker = ToneTracker(rate, *_band(scene.test), self.row)
+
+    def add(self, volts: Array) -> None:
+        """Take the next samples, shape (channels, samples)."""
+        self._tracker.add(volts)
+
+    def steps(self, read: Callable[[int, int], Array]) -> list[Step]:
+        """Give the steps; none where no tone was held.
+
+        Parameters
+        ----------
+        read : callable
+            ``read(first, stop)`` gives volts of the channel `row` once more, from the first sample on, in pieces.
+        """
+        tolerance = self.test.settle.tolerance if isinstance(self.test, SteppedSine) else 1e-3
+        tones = _refined(held_tones(self._tracker.tracks(), tolerance), read, self._rate)
+        if not tones:
+            return []
+        passes = _passes([tone.frequency for tone in tones])
+        steps = []
+        for number, (direction, members) in enumerate(passes):
+            held = [tones[index] for index in members]
+            level = self._level(held, number)
+            steps += [
+                Step(tone.first, tone.stop, tone.frequency * self._rate, level, direction, tone.settled)
+                for tone in held
+            ]
+        return steps
+
+    def _level(self, tones: Sequence[HeldTone], number: int) -> float:
+        """Level of the test that a pass ran: the nearest to its force, or else the next one."""
+        test = self.test
+        if isinstance(test, Sine):
+            return float(test.force if test.force is not None else test.drive or 0.0)
+        if self._info.quantity == "force" and test.force is not None:
+            frequency = np.array([tone.frequency for tone in tones]) * self._rate
+            gain = abs(self._info.response(frequency)) * self._info.sensitivity
+            force = float(np.median([tone.amplitude for tone in tones] / gain))
+            return min(test.levels, key=lambda level: abs(np.log(level / force)))
+        each = 2 if test.direction == "both" else 1
+        return test.levels[min(number // each, len(test.levels) - 1)]
+
+
+def mark_steps(recorder: Recorder, finder: StepFinder, one: Assigned) -> list[str]:
+    """Mark each step from where it is settled; say so if there is none.
+
+    Parameters
+    ----------
+    one : Assigned
+        The channel that the finder follows: its samples are read once more.
+    """
+    there = one.signal.samples
+
+    def read(first: int, stop: int) -> Array:
+        volts = np.full(stop - first, np.nan)
+        if there > first:
+            volts[: there - first] = one.volts(first, min(stop, there))
+        return volts
+
+    steps = finder.steps(read)
+    for step in steps:
+        recorder.mark(
+            "measure",
+            step.first,
+            step.stop - 1,
+            frequency=step.frequency,
+            level=step.level,
+            direction=step.direction,
+            settled=step.settled,
+        )
+    if steps:
+        return []
+    return [
+        f"no step was found: the scene says {finder.test.kind}, but {one.channel.name} holds no tone of one frequency "
+        "for ten periods and more above its noise; are columns swapped, or was it another test (test: kind: "
+        "swept_sine, random)?"
+    ]
+
+
+def _band(test: Sine | SteppedSine) -> tuple[float, float]:
+    """Frequencies in Hz between which steps are looked for."""
+    run = (test.frequency,) if isinstance(test, Sine) else test.order
+    return min(run) / _BEYOND, max(run) * _BEYOND
+
+
+def _reference(scene: Scene, infos: Sequence[ChannelInfo]) -> int:
+    """Row of the channel that tells best what was driven: a force, the drive, the table, or else the first."""
+    table = scene.at_driven("table") if scene.driven_shaker is not None else "table"
+    for row, info in enumerate(infos):
+        if info.quantity == "force":
+            return row
+    for place in ("drive", table):
+        for row, info in enumerate(infos):
+            if info.at.startswith(place):
+                return row
+    return 0
+
+
+def _passes(frequencies: Sequence[float]) -> list[tuple[str, list[int]]]:
+    """Part steps into passes through the frequencies: which way each goes, and its steps.
+
+    >>> _passes([1.0, 2.0, 3.0, 3.0, 2.0, 1.0]), _passes([1.0, 2.0, 1.0, 2.0])
+    ([('up', [0, 1, 2]), ('down', [3, 4, 5])], [('up', [0, 1]), ('up', [2, 3])])
+    >>> _passes([5.0])
+    [('up', [0])]
+    """
+    same = _SAME * np.asarray(frequencies[1:])
+    change = np.diff(frequencies)
+    ways = np.where(abs(change) <= same, 0, np.sign(change)).astype(int).tolist()
+    passes: list[tuple[int, list[int]]] = []
+    for index in range(len(frequencies)):
+        came = ways[index - 1] if index else 0
+        goes = ways[index] if index < len(ways) else 0
+        if not passes or came != passes[-1][0]:
+            passes.append((goes or came or 1, []))
+        passes[-1][1].append(index)
+    return [("up" if way > 0 else "down", members) for way, members in passes]
+
+
+def _refined(tones: Sequence[HeldTone], read: Callable[[int, int], Array], rate: float) -> list[HeldTone]:
+    """Find the frequencies once more, as well as the samples tell: by the phases of windows, harmonics fitted too."""
+    plans = []
+    for tone in tones:
+        frequency, length = tone.frequency * rate, tone.stop - tone.first
+        size = whole_periods(frequency, rate, min(length // _WINDOWS, _LONGEST) / rate)
+        if size < fewest_samples(frequency, rate) or 2 * size > length:
+            size = length // 2
+        plans.append((tone, size))
+    bounds = [
+        (start, start + size)
+        for tone, size in plans
+        for start in range(tone.first, tone.stop - size + 1, size)
+    ]
+    samples = _stretches(read, bounds)
+    return [replace(tone, frequency=_frequency(tone, size, samples, rate)) for tone, size in plans]
+
+
+def _frequency(tone: HeldTone, size: int, samples: Iterator[Array], rate: float) -> float:
+    """Frequency by how the phase goes on from window to window, periods per sample."""
+    starts = np.arange(tone.first, tone.stop - size + 1, size)
+    found = np.array([lock_in(next(samples)[None], tone.frequency * rate, rate)[0] for _ in starts])
+    # What is left of the phase after the turns that the frequency so far accounts for.
+    left = np.unwrap(
+        np.angle(found * np.exp(-2j * np.pi * np.fmod(tone.frequency * (starts - starts[0]), 1.0)))
+    )
+    left, starts = left[np.isfinite(left)], starts[np.isfinite(left)]
+    if left.size < 2:
+        return tone.frequency
+    return tone.frequency + float(np.polyfit(starts - starts[0], left, 1)[0]) / (2.0 * np.pi)
+
+
+def _stretches(read: Callable[[int, int], Array], bounds: Sequence[tuple[int, int]]) -> Iterator[Array]:
+    """Yield the samples of stretches that rise and do not overlap, all between them read in pieces."""
+    at = 0
+    for first, stop in bounds:
+        while at < first:
+            end = min(first, at + _LONGEST)
+            read(at, end)
+            at = end
+        yield read(first, stop)
+        at = stop

@@ -1,0 +1,163 @@
+"""The tone in a signal, block after block: its frequency, phase and amplitude, and the other channels beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.importing.signal import Array
+
+ComplexArray = NDArray[np.complex128]
+
+# A block holds so many hops, and a hop about one period of the lowest tone that it tells.
+HOPS = 4
+# Samples of a hop, about, after averaging: enough for the tone, few enough for a fast recording to cost little.
+_HOP = 24
+# From one length of blocks to the next, and how far beyond its share each looks, so that none falls between two.
+_SHARE, _BEYOND = 2**0.5, 1.1
+# Highest frequency as part of the rate.
+_HIGHEST = 0.35
+
+
+@dataclass(frozen=True)
+class Track:
+    """Blocks of one length in which the strongest tone of the reference is one that they tell well.
+
+    Attributes
+    ----------
+    hop : int
+        Samples from one block to the next; a block is `HOPS` as long.
+    number : ndarray of int, shape (blocks,)
+        Which block each is, from 0.
+    frequency : ndarray, shape (blocks,)
+        Of the tone, in periods per hop, roughly.
+    phase : ndarray, shape (blocks,)
+        At the middle of the block, rad.
+    amplitude : ndarray, shape (blocks,)
+        In the unit of the reference.
+    ratio : ndarray of complex, shape (channels, blocks)
+        Every channel over the reference.
+    levels : ndarray, shape (all blocks,)
+        Standard deviation of the reference in each block of the signal.
+    """
+
+    hop: int
+    number: NDArray[np.int64]
+    frequency: Array
+    phase: Array
+    amplitude: Array
+    ratio: ComplexArray
+    levels: NDArray[np.float32]
+
+
+class ToneTracker:
+    """Follows the tone of one channel in blocks of several lengths, fed piece by piece.
+
+    Blocks under Hann's window last four to six periods of the tones that they tell, so that a higher tone is seen in
+    shorter ones. Each is a row of averages over a few samples.
+
+    Parameters
+    ----------
+    rate : float
+        Hz.
+    low, high : float
+        Between which tones are looked for, Hz.
+    reference : int
+        Row of the channel that is followed.
+    """
+
+    def __init__(self, rate: float, low: float, high: float, reference: int) -> None:
+        high = min(high, _HIGHEST * rate)
+        count = max(1, int(np.ceil(np.log(max(high / low, 1.0)) / np.log(_SHARE))))
+        self._lengths = [_OneLength(rate, low * _SHARE**k, reference) for k in range(count)]
+
+    def add(self, samples: Array) -> None:
+        """Take the next samples of all channels, shape (channels, samples); NaN where there are none."""
+        for each in self._lengths:
+            each.add(samples)
+
+    def tracks(self) -> list[Track]:
+        """Give what was found with each length of blocks, longest first."""
+        return [each.track() for each in self._lengths]
+
+
+class _OneLength:
+    """Blocks of one length."""
+
+    def __init__(self, rate: float, low: float, reference: int) -> None:
+        self._reference = reference
+        self._averaged = max(1, int(rate / (_HOP * low)))
+        self._hop = max(_HOP // 2, round(rate / (low * self._averaged)))
+        self._size = HOPS * self._hop
+        # A frequency in lines of a block's spectrum.
+        lines = self._size * self._averaged / rate
+        self._lowest, self._highest = low / _BEYOND * lines, low * _SHARE * _BEYOND * lines
+        window = np.hanning(self._size + 1)[:-1]
+        self._window = window
+        bins = np.arange(int(self._lowest), int(np.ceil(self._highest)) + 1)
+        turn = np.exp(-2j * np.pi * bins[:, None] * np.arange(self._size) / self._size)
+        # Seen from the middle of the block, so that the phase is the same at each line that the tone reaches.
+        self._first_bin, self._kernels = int(bins[0]), window * turn * (-1.0) ** bins[:, None]
+        self._rest: Array | None = None
+        self._held: Array | None = None
+        self._done = 0
+        self._levels: list[NDArray[np.float32]] = []
+        self._found: list[tuple[NDArray[np.int64], Array, Array, Array, ComplexArray]] = []
+
+    def add(self, samples: Array) -> None:
+        rest = samples if self._rest is None else np.concatenate([self._rest, samples], axis=1)
+        whole = rest.shape[1] // self._averaged
+        self._rest = rest[:, whole * self._averaged :].copy()
+        averages = rest[:, : whole * self._averaged].reshape(len(rest), whole, self._averaged).mean(axis=2)
+        held = averages if self._held is None else np.concatenate([self._held, averages], axis=1)
+        blocks = (held.shape[1] - self._size) // self._hop + 1
+        if blocks > 0:
+            self._look(held, blocks)
+            self._done += blocks
+            held = held[:, blocks * self._hop :].copy()
+        self._held = held
+
+    def _look(self, held: Array, blocks: int) -> None:
+        view = np.lib.stride_tricks.sliding_window_view(held, self._size, axis=1)[:, :: self._hop]
+        reference = view[self._reference, :blocks]
+        self._levels.append(np.nan_to_num(reference.std(axis=1)).astype(np.float32))
+        size = np.asarray(np.nan_to_num(abs(np.fft.rfft(reference * self._window, axis=1))), dtype=float)
+        # A constant is in the first two lines.
+        peak = np.argmax(size[:, 2:-1], axis=1) + 2
+        rows = np.arange(blocks)
+        at, off = size[rows, peak], _off(size, peak)
+        line = peak + off
+        told = np.flatnonzero((at > 0.0) & (line >= self._lowest) & (line < self._highest))
+        if not told.size:
+            return
+        bins = np.clip(peak[told] - self._first_bin, 0, len(self._kernels) - 1)
+        spectra = np.empty((len(held), told.size), dtype=complex)
+        for each in np.unique(bins):
+            here = bins == each
+            spectra[:, here] = view[:, told[here]] @ self._kernels[each]
+        alone = spectra[self._reference]
+        share = off[told]
+        gain = 0.25 * self._size * np.sinc(share) / (1.0 - share**2)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = spectra / alone
+        self._found.append(
+            (self._done + told, line[told] / HOPS, np.angle(alone), at[told] / gain, ratio),
+        )
+
+    def track(self) -> Track:
+        channels = 1 if self._held is None else len(self._held)
+        empty = (np.empty(0, np.int64), *(np.empty(0),) * 3, np.empty((channels, 0), complex))
+        found = zip(empty, *self._found, strict=True)
+        number, frequency, phase, amplitude, ratio = (np.concatenate(each, axis=-1) for each in found)
+        levels = np.concatenate([np.empty(0, np.float32), *self._levels])
+        return Track(self._hop * self._averaged, number, frequency, phase, amplitude, ratio, levels)
+
+
+def _off(size: Array, peak: NDArray[np.intp]) -> Array:
+    """How far a tone is from its highest line, in lines, by the higher of the neighbours under Hann's window."""
+    rows = np.arange(len(peak))
+    below, at, above = (size[rows, peak + k] for k in (-1, 0, 1))
+    ratio = np.maximum(below, above) / np.maximum(at, 1e-300)
+    return np.asarray(np.where(above > below, 1.0, -1.0) * np.clip((2 * ratio - 1) / (ratio + 1), 0.0, 0.5))

@@ -1,0 +1,141 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import signal
+from typer.testing import CliRunner
+
+import analysis
+import daq
+from daq.cli import app
+from rig.errors import RecordingError
+from tests.daq.importing.files import RATE, bench, npz
+from tests.daq.importing.test_import_files import imported
+
+# A resonance that rings for half a second, in the units of the file: g and m/s^2 per N.
+MODE = 40.0
+FILTER = signal.bilinear([1.0, 0.0, 0.0], [1.0, 2 * 0.03 * 2 * np.pi * MODE, (2 * np.pi * MODE) ** 2], RATE)
+
+
+def stepped(frequencies, levels=(1.0,), dwell=3.0, glide=0.1) -> np.ndarray:
+    """Force that dwells at frequencies and glides between them, and what a resonance makes of it."""
+    held = [(f, level) for level in levels for f in frequencies]
+    frequency, amplitude = [], []
+    for (f, level), (after, _) in zip(held, [*held[1:], held[-1]], strict=True):
+        count = round(dwell * RATE)
+        frequency += [np.full(count, f), np.linspace(f, after, round(glide * RATE))]
+        amplitude.append(np.full(count + round(glide * RATE), level))
+    phase = 2 * np.pi * np.cumsum(np.concatenate(frequency)) / RATE
+    force = np.concatenate(amplitude) * np.sin(phase)
+    return responded(force[: force.size - round(glide * RATE)])
+
+
+def responded(force: np.ndarray) -> np.ndarray:
+    """Both bodies as the file has them, and the force."""
+    noise = np.random.default_rng(1).standard_normal((3, force.size))
+    acceleration = signal.lfilter(*FILTER, force)
+    return np.array([acceleration / 9.80665, 2.0 * acceleration, force]) + 1e-4 * noise
+
+
+def marks(recording: daq.Recording) -> list:
+    return [marker for marker in recording.markers if marker.kind == "measure"]
+
+
+@pytest.mark.parametrize("level", ["1 N", "[0.5 N, 2 N]"])
+def test_given_steps_that_nobody_marked_when_imported_then_each_is_found_settled_and_the_response_is_right(
+    level, tmp_path
+):
+    frequencies = np.linspace(36.0, 44.0, 5)
+    levels = (1.0,) if level == "1 N" else (0.5, 2.0)
+    npz(tmp_path / "a.npz", stepped(frequencies, levels))
+    scene = bench(f"{{kind: stepped_sine, from: 30 Hz, to: 50 Hz, points: 5, force: {level}}}")
+    recording, heard = imported(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
+    with recording:
+        found = marks(recording)
+        np.testing.assert_allclose(
+            [mark.fields["frequency"] for mark in found], np.tile(frequencies, len(levels)), rtol=1e-6
+        )
+        assert [mark.fields["level"] for mark in found] == np.repeat(levels, 5).tolist()
+        assert {mark.fields["direction"] for mark in found} == {"up"}
+        for number, mark in enumerate(found):
+            begin = round(number * 3.1 * RATE)
+            assert begin < mark.first_sample and mark.end < begin + 3.02 * RATE
+            assert mark.end - mark.first_sample > 0.6 * RATE and mark.fields["settled"]
+        groups = analysis.frequency_responses(recording, motion="acceleration")
+        assert len(groups) == len(levels)
+        for curve in [curve for group in groups for curve in group]:
+            size = 1.0 if curve.response == "body1" else 2.0
+            truth = size * signal.freqz(*FILTER, curve.frequency, fs=RATE)[1]
+            assert np.all(abs(curve.value - truth) < curve.bound()) and np.all(
+                curve.bound() < 0.02 * abs(truth)
+            )
+    assert not heard
+
+
+def test_given_steps_up_and_down_when_imported_then_each_way_is_a_sweep_of_its_own(tmp_path):
+    rising = [20.0, 25.0, 31.0]
+    npz(tmp_path / "a.npz", stepped([*rising, *rising[::-1]], dwell=2.0))
+    scene = bench("{kind: stepped_sine, from: 20 Hz, to: 31 Hz, points: 3, force: 1 N, direction: both}")
+    recording, _ = imported(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
+    with recording:
+        found = [(round(mark.fields["frequency"], 3), mark.fields["direction"]) for mark in marks(recording)]
+    # The highest is held on, so that it is one step.
+    assert found == [(20.0, "up"), (25.0, "up"), (31.0, "up"), (25.0, "down"), (20.0, "down")]
+
+
+def test_given_a_tone_after_silence_when_imported_then_it_is_one_step(tmp_path):
+    tone = np.zeros(round(20 * RATE))
+    tone[round(6 * RATE) :] = np.sin(2 * np.pi * 17.3 * np.arange(round(14 * RATE)) / RATE)
+    npz(tmp_path / "a.npz", responded(tone))
+    scene = bench("{kind: sine, frequency: 17 Hz, force: 1 N}")
+    recording, heard = imported(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
+    with recording:
+        [mark] = marks(recording)
+        assert abs(mark.fields["frequency"] - 17.3) < 1e-5 and mark.first_sample > 6 * RATE
+    assert not heard
+
+
+def _forces() -> dict[str, np.ndarray]:
+    random, t = np.random.default_rng(4), np.arange(round(40 * RATE)) / RATE
+    band = signal.butter(4, [10.0, 60.0], "bandpass", fs=RATE, output="sos")
+    noise = signal.sosfilt(band, random.standard_normal(t.size))
+    period = round(4 * RATE)
+    lines = np.zeros(period // 2 + 1, dtype=complex)
+    lines[40:240] = np.exp(2j * np.pi * random.random(200))
+    hits = np.zeros(t.size)
+    hits[1000 :: round(5 * RATE)] = 100.0
+    return {
+        "random": noise,
+        "narrow": signal.sosfilt(
+            signal.butter(2, [30.0, 31.0], "bandpass", fs=RATE, output="sos"), random.standard_normal(t.size)
+        ),
+        "bursts": noise * (t % 4 < 2),
+        "multisine": np.tile(np.fft.irfft(lines), 10),
+        "sweep": signal.chirp(t, 10.0, 40.0, 60.0),
+        "log": signal.chirp(t, 10.0, 40.0, 60.0, "logarithmic"),
+        "slow": signal.chirp(t, 30.0, 40.0, 31.0),
+        "hits": hits,
+        "nothing": np.zeros(t.size),
+    }
+
+
+@pytest.mark.parametrize("kind", _forces())
+def test_given_no_steps_when_imported_as_a_stepped_sine_then_none_is_found_and_it_is_told(kind, tmp_path):
+    npz(tmp_path / "a.npz", responded(_forces()[kind]))
+    scene = bench("{kind: stepped_sine, from: 10 Hz, to: 60 Hz, points: 5, force: 1 N}")
+    recording, heard = imported(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
+    with recording:
+        assert not marks(recording)
+        with pytest.raises(RecordingError, match="no step was found"):
+            analysis.frequency_responses(recording)
+    assert any("no step was found" in each for each in heard)
+
+
+def test_given_steps_when_imported_by_the_command_then_it_says_how_many_and_where(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    npz(tmp_path / "a.npz", stepped([20.0, 25.0], dwell=2.0))
+    scene = bench("{kind: stepped_sine, from: 20 Hz, to: 25 Hz, points: 2, force: 1 N}")
+    (tmp_path / "bench.yaml").write_text(scene.to_yaml().replace("rate: 5120.0 Hz", "rate: 2048 Hz"))
+    done = CliRunner().invoke(app, ["import", "a.npz", "--scene", "bench.yaml"])
+    assert done.exit_code == 0, done.output
+    assert "2 steps found, 20 to 25 Hz" in done.output

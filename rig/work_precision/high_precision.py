@@ -80,7 +80,7 @@ class DecimalMotion:
         self.walls = ["floor"] * system.dampers
 
     def follow(self, run: Run, per_period: int) -> tuple[NDArray[np.object_], NDArray[np.object_]]:
-        """Displacements at the samples and times of the events."""
+        """Displacements of the points at the samples, and times of the events."""
         with decimal.localcontext(self.context):
             return self._follow(run, per_period)
 
@@ -103,7 +103,7 @@ class DecimalMotion:
             while taken < len(sample_times) and float(sample_times[taken]) < guess:
                 state, flight = self.carry(state, flight, sample_times[taken] - now)
                 now = sample_times[taken]
-                out.append(state[:n])
+                out.append(state[: len(system.points)])
                 taken += 1
             if j < 0:
                 break

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from rig.errors import RunError
 from rig.orbits.orbit import Orbit
+from rig.orbits.orbit_equations import FORCELESS, ON_CEILING, RIDES_CEILING
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
 from rig.system.assembly import assemble, spring_force_row
@@ -94,23 +95,14 @@ class _Polish:
         self.context = self.motion.context
         number = {int(k): j for j, k in enumerate(self.system.damper_number)}
         self.events = [(float(e["time"]), number[int(e["damper"])], str(e["kind"])) for e in orbit.events]
-        # Where a damper is at the start is where its last event in the period before has left it.
-        last = {j: kind for _, j, kind in self.events}
-        self.flying = [
-            j for j, kind in sorted(last.items()) if kind == "separation" or self._rebounds_for_ever(j)
-        ]
-        self.walls = ["floor"] * self.system.dampers
-        for _, j, kind in self.events:
-            self.walls[j] = kind if kind != "separation" else self.walls[j]
+        begin = orbit.plan.sequence.wall[0]
+        self.flying = orbit.plan.flying.tolist()
+        self.released = np.flatnonzero(begin == FORCELESS).tolist()
+        self.walls = ["ceiling" if wall in (RIDES_CEILING, ON_CEILING) else "floor" for wall in begin]
         with decimal.localcontext(self.context):
             self.end = Decimal(orbit.repetition) / Decimal(orbit.frequency)
         riding = [j not in self.flying for j in range(self.system.dampers)]
         self.rebounds = self.motion.rebounds(self.events, riding)
-
-    def _rebounds_for_ever(self, damper: int) -> bool:
-        """Whether a damper bounces from wall to wall without ever riding."""
-        kinds = [kind for _, j, kind in self.events if j == damper]
-        return bool(self.system.restitution[damper]) and "separation" not in kinds
 
     def start(self) -> Vector:
         """Unknowns as shooting found them: states, then height and speed of each damper in flight."""
@@ -176,15 +168,21 @@ class _Polish:
             flight: Flight = {
                 j: (start[ns + 2 * k], start[ns + 2 * k + 1]) for k, j in enumerate(self.flying)
             }
+            flight |= dict.fromkeys(self.released, (Decimal(0), Decimal(0)))
+            motion.walls = list(self.walls)
             wall, now, last = list(self.walls), Decimal(0), -1.0
             for (guess, j, kind), restitution in zip(self.events, self.rebounds, strict=True):
                 before = state, flight, now
                 # Separations that an impact brings about have no root of their own.
-                if not (kind == "separation" and guess == last):
+                if self.system.lasting[j]:
+                    state, flight, now = motion.to_change(state, flight, now, Decimal(guess), j, kind)
+                elif not (kind == "separation" and guess == last):
                     state, flight, now = motion.to_event(state, flight, now, Decimal(guess), j, kind, wall[j])
                 if sums is not None:
                     self._integrate(*before[:2], now - before[2], sums)
                 last = guess
+                if self.system.lasting[j]:
+                    continue
                 if kind == "separation":
                     row = motion.row(j)
                     flight[j] = (state[row] + motion.lift(j, wall[j]), state[n + row])

@@ -22,7 +22,7 @@ from rig.work_precision.first_order_form import PER_PERIOD, FirstOrderForm
 from rig.work_precision.fixed_step_schemes import moreau_jean, penalty_newmark, penalty_runge_kutta
 from rig.work_precision.high_precision import exact_motion
 from rig.work_precision.high_precision_orbit import exact_orbit
-from rig.work_precision.motion_study import Point, Study, hardest_frequency
+from rig.work_precision.motion_study import Point, Study, hardest_frequency, motion_study
 from rig.work_precision.steady_study import SteadyStudy, steady_study
 from tests.rig.engine.exact import Segment
 
@@ -124,6 +124,30 @@ def test_given_a_periodic_orbit_when_improved_to_forty_digits_then_two_precision
     assert exact.residual < 1e-33
     assert exact.agreement < 1e-22
     assert exact.miss(orbit.compliance) < 1e-12
+
+
+@pytest.mark.parametrize("contact", [{"duration": 4e-3}, {"stiffness": 1.8e3, "damping": 17.0}])
+def test_given_contact_that_lasts_when_its_orbit_is_improved_to_forty_digits_then_shooting_was_right(
+    contact: dict[str, float],
+) -> None:
+    scene = rig.load("fig9")
+    scene = scene.replace(dampers=[d.replace(contact=contact) for d in scene.dampers])
+    orbit = rig.periodic_orbit(scene, 49.7)
+    exact = exact_orbit(with_ideal_force(scene), orbit)
+    assert len(orbit.events) > 1
+    assert exact.residual < 1e-33
+    assert exact.agreement < 1e-22
+    assert exact.miss(orbit.compliance) < 1e-12
+
+
+def test_given_contact_that_lasts_beside_others_when_its_motion_is_studied_then_the_engine_is_right_to_rounding() -> (
+    None
+):
+    scene = rig.load("fig8-two-dampers")
+    dampers = [scene.dampers[0], scene.dampers[1].replace(contact={"duration": 3e-3}), *scene.dampers[2:]]
+    study = motion_study(scene.replace(dampers=dampers), 34.5, periods=4)
+    assert study.points[0].right
+    assert study.points[0].error < 1e-12
 
 
 def test_given_a_linear_scene_when_its_orbit_is_improved_then_it_is_the_solution_of_the_equations() -> None:

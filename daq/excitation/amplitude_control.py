@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 
-# A level counts as held within this share of it; where the force scatters, within twice its standard error,
-# up to a bound.
-HELD, HELD_AT_WORST = 0.005, 0.02
+from rig.scene.excitation import FORCE_HELD
+
+# Where the force scatters, a level counts as held within twice its standard error, up to this share of it.
+HELD_AT_WORST = 0.02
 # Slopes d log(force) / d log(drive) that are believed. Dampers that begin to work can make the force rise
 # slowly, steeply or even fall with the drive; a flatter slope than this is no guide.
 _FLATTEST, _STEEPEST = 0.3, 3.0
@@ -54,7 +55,7 @@ class AmplitudeControl:
 
     def holds(self, force: float, doubt: float = 0.0) -> bool:
         """Whether a force amplitude, known with a relative standard error `doubt`, is at the level."""
-        return abs(force / self.level - 1.0) <= min(max(HELD, 2.0 * doubt), HELD_AT_WORST)
+        return abs(force / self.level - 1.0) <= min(max(FORCE_HELD, 2.0 * doubt), HELD_AT_WORST)
 
     def cut(self, drive: float, force: float) -> float | None:
         """Bring the drive down at once, without learning from a force that is still changing.

@@ -9,13 +9,13 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from rig.damper_design.choice import Choice, Question
+from rig.damper_design.choice import Choice, Question, Trial
 from rig.damper_design.worst_peak import Peak
 from rig.kept_table import KeptTable
 from rig.workers import Workers
 
-#: Tells the peak of a choice, as far as it is known.
-Told = Callable[[Choice], Peak | None]
+#: Tells what came of a choice, as far as it is known.
+Told = Callable[[Choice], Trial | None]
 
 _HEADER = [
     "question",
@@ -56,20 +56,22 @@ class Answers:
         self._table = None if table is None else KeptTable(table, _HEADER, "designs")
         self._known = {} if self._table is None else _known(self._table.rows)
 
-    def peak(self, question: Question, choice: Choice) -> Peak | None:
-        """Give the worst peak of a choice if it is known."""
+    def trial(self, question: Question, choice: Choice) -> Trial | None:
+        """Give the worst peaks of a choice if they are known."""
         peaks = [self._known.get((part.digest, choice)) for part in question.parts]
-        found = [peak for peak in peaks if peak is not None]
-        return max(found) if len(found) == len(peaks) else None
+        found, levels = [peak for peak in peaks if peak is not None], len(question.levels)
+        if len(found) < len(peaks):
+            return None
+        return Trial(choice, tuple(max(found[level::levels]) for level in range(levels)))
 
-    def of(self, question: Question, choices: Sequence[Choice]) -> list[Peak]:
-        """Give the worst peak of each choice."""
+    def of(self, question: Question, choices: Sequence[Choice]) -> list[Trial]:
+        """Try each choice."""
         found = self.follow(question, [lambda _: choices])
         return [found[choice] for choice in choices]
 
     def follow(
         self, question: Question, searches: Sequence[Callable[[Told], Iterable[Choice]]]
-    ) -> dict[Choice, Peak]:
+    ) -> dict[Choice, Trial]:
         """Answer what searches want to know, until none wants more.
 
         Parameters
@@ -77,23 +79,23 @@ class Answers:
         question : Question
             What they ask.
         searches : sequence of callable
-            Each says, from the peaks that are known, which choices it wants to know: all that it came by, and those
+            Each says, from the trials that are known, which choices it wants to know: all that it came by, and those
             that it waits for. It is asked again after every answer, so that no worker waits for one search while
             another wants something.
 
         Returns
         -------
         dict
-            Worst peak of each choice that was wanted, in the order of the choices.
+            What came of each choice that was wanted, in the order of the choices.
         """
         asked: set[Choice] = set()
         pieces: list[tuple[Question, Choice]] = []
 
         def ask() -> None:
-            for choice in chain.from_iterable(search(partial(self.peak, question)) for search in searches):
+            for choice in chain.from_iterable(search(partial(self.trial, question)) for search in searches):
                 if choice not in asked:
                     asked.add(choice)
-                    missing = [part for part in question.parts if self.peak(part, choice) is None]
+                    missing = [part for part in question.parts if self.trial(part, choice) is None]
                     self._done += len(question.parts) - len(missing)
                     pieces.extend((part, choice) for part in missing)
 
@@ -106,10 +108,10 @@ class Answers:
             self._done += 1
             if self._progress is not None:
                 self._progress(self._done, max(self._total, self._done + 1))
-            if self.peak(question, choice) is not None:
+            if self.trial(question, choice) is not None:
                 ask()
-        peaks = {choice: self.peak(question, choice) for choice in sorted(asked)}
-        return {choice: peak for choice, peak in peaks.items() if peak is not None}
+        trials = [self.trial(question, choice) for choice in sorted(asked)]
+        return {trial.choice: trial for trial in trials if trial is not None}
 
     def put_in_order(self) -> None:
         """Sort the table: the same answers make the same file, in whatever order they came."""

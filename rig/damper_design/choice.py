@@ -68,10 +68,28 @@ class Choice:
 
 @dataclass(frozen=True)
 class Trial:
-    """A choice that was tried, and its worst peak."""
+    """A choice that was tried.
+
+    Attributes
+    ----------
+    choice : Choice
+        The dampers.
+    peaks : tuple of Peak
+        Their worst peak at each level, in the order of the question's.
+    """
 
     choice: Choice
-    peak: Peak
+    peaks: tuple[Peak, ...]
+
+    @property
+    def peak(self) -> Peak:
+        """The worst of all levels."""
+        return max(self.peaks)
+
+    @property
+    def mean(self) -> float:
+        """Mean of the peaks over the levels, in dB and so geometric, m/N."""
+        return float(np.exp(np.mean(np.log([peak.size for peak in self.peaks]))))
 
 
 @dataclass(frozen=True)

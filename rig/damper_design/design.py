@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,13 +13,14 @@ from numpy.typing import NDArray
 
 from rig.damper_design.answers import Answers
 from rig.damper_design.asked import asked
-from rig.damper_design.choice import Question, Space, Trial
-from rig.damper_design.search import chart, front, pieces, search
+from rig.damper_design.check import Expected, check, expected
+from rig.damper_design.choice import FINE, Question, Space, Trial
+from rig.damper_design.ranking import front
+from rig.damper_design.search import chart, pieces, search
 from rig.damper_design.worst_peak import Peak
 from rig.results import Result
 from rig.scene.loading import scene_of
 from rig.scene.scene import Scene
-from rig.system.open_loop_drive import level_of
 from rig.workers import Workers
 
 if TYPE_CHECKING:
@@ -26,11 +28,10 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-#: Levels and clearances of the chart, relative to those of the best design.
-CHART_LEVELS = np.geomspace(0.25, 4.0, 9)
+#: Clearances of the chart, relative to those of the best design.
 CHART_CLEARANCES = np.geomspace(0.25, 4.0, 7)
-#: Points of the test that checks a design, and their range about the worst peak.
-CHECK_POINTS, CHECK_RANGE = 25, 0.04
+#: Levels of the chart: how far they go beyond those asked for, how far from their middle at least, and their distance.
+BEYOND, AT_LEAST, APART = 2.0, 4.0, 2.0**0.5
 
 
 @dataclass(frozen=True, repr=False)
@@ -40,9 +41,11 @@ class Design(Result):
     Attributes
     ----------
     scene : Scene
-        With these dampers, and a stepped sine about the worst peak at its level, to check them by.
+        With these dampers, and a stepped sine about the peaks at all levels, to check them by.
+    expected : tuple of Expected
+        What that is to measure at each level.
     best : Trial
-        The dampers and their worst peak.
+        The dampers and their worst peak at each level.
     bare : Peak
         Worst peak without dampers.
     trials : tuple of Trial
@@ -50,7 +53,7 @@ class Design(Result):
     question : Question
         What was asked; `space`: what there was to choose from.
     levels : ndarray, shape (levels,)
-        Forces of the chart, N.
+        Forces of the chart, those of the question among them, N.
     clearance_factors : ndarray, shape (factors,)
         Clearances of the chart, relative to the best ones.
     chart : tuple of tuple of Peak
@@ -58,6 +61,7 @@ class Design(Result):
     """
 
     scene: Scene
+    expected: tuple[Expected, ...]
     best: Trial
     bare: Peak
     trials: tuple[Trial, ...]
@@ -111,6 +115,9 @@ def design(
 ) -> Design:
     """Choose the dampers that make the worst peak over a band and a range of levels smallest.
 
+    Of those that reduce it as much within 0.05 dB, it chooses those that reduce the peaks at all levels most, on the
+    average of their decibels.
+
     Parameters
     ----------
     scene : Scene or str
@@ -150,16 +157,20 @@ def design(
     """
     scene = scene_of(scene)
     question, space = asked(scene, budget, bodies, dampers, clearance, levels, band, watched, uncertain)
-    forces = level_of(question.scenes[0]) * CHART_LEVELS
+    forces = chart_levels(question.levels)
     with Workers(cluster) as workers:
         answers = Answers(
             workers, table, progress, pieces(question, space) + CHART_CLEARANCES.size * forces.size
         )
         best, trials = search(question, space, answers)
         found = chart(question, best.choice, CHART_CLEARANCES.tolist(), forces.tolist(), answers)
+        nominal = replace(question, scenes=question.scenes[:1], density=FINE)
+        (likely,) = answers.of(nominal, [best.choice])
     answers.put_in_order()
+    checked = check(scene, likely, nominal)
     return Design(
-        scene=_checked(scene, best, question),
+        scene=checked,
+        expected=expected(checked, likely),
         best=best,
         bare=question.bare,
         trials=tuple(trials),
@@ -171,11 +182,18 @@ def design(
     )
 
 
-def _checked(scene: Scene, best: Trial, question: Question) -> Scene:
-    """Put the dampers into the scene, with a test about the worst peak at its level."""
-    peak = best.peak
-    low = max(peak.frequency * (1.0 - CHECK_RANGE), question.band[0])
-    high = min(peak.frequency * (1.0 + CHECK_RANGE), question.band[1])
-    frequencies = np.unique([*np.linspace(low, high, CHECK_POINTS), peak.frequency])
-    test = {"kind": "stepped_sine", "frequencies": frequencies.tolist(), "force": peak.level}
-    return scene.replace(dampers=best.choice.dampers(question.restitution), test=test)
+def chart_levels(asked: Sequence[float]) -> Array:
+    """Give the levels that were asked for, with more between and beyond them, N.
+
+    >>> chart_levels([1.0, 4.0]).round(2).tolist()
+    [0.5, 0.71, 1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0]
+    """
+    middle = (asked[0] * asked[-1]) ** 0.5
+    corners = [
+        min(asked[0] / BEYOND, middle / AT_LEAST),
+        *asked,
+        max(asked[-1] * BEYOND, middle * AT_LEAST),
+    ]
+    steps = [max(round(np.log(high / low) / np.log(APART)), 1) for low, high in pairwise(corners)]
+    rows = [np.geomspace(*ends, n + 1)[1:-1] for ends, n in zip(pairwise(corners), steps, strict=True)]
+    return np.unique(np.concatenate([corners, *rows]))

@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.damper_design.choice import mass_unit
+from rig.damper_design.check import Expected
+from rig.damper_design.choice import Trial, mass_unit
 from rig.damper_design.design import Design
+from rig.damper_design.ranking import ALIKE
 from rig.escaping import drawn
 from rig.figure_style import COLOURS, cell_edges, drawing, plain_logarithmic, save
 from rig.output_files import replacing, stem
 from rig.results import plainly, styled
-from rig.scene.excitation import SteppedSine
+from rig.scene.excitation import FORCE_HELD, SteppedSine
 from rig.scene.scene import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
@@ -24,8 +26,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
-# Clearances whose reductions differ by less than this, dB, do alike; told where they reach over such a ratio.
-_ALIKE, _WIDE = 0.05, 1.3
+# Clearances that do as well are told where they reach over such a ratio.
+_WIDE = 1.3
 BLUE, RED, GREY = *COLOURS[:2], "#a0a0a0"
 
 
@@ -35,6 +37,7 @@ def summary(design: Design) -> str:
     levels = ", ".join(plainly(level) for level in question.levels)
     simulated = best.peak.simulated
     factor, unit = mass_unit(max(trial.choice.mass for trial in design.front))
+    forces = [f"{plainly(level)} N" for level in question.levels]
     lines = [
         f"{design.scene.name}: {len(design.trials)} designs at {levels} N, {question.band[0]:.4g} to "
         f"{question.band[1]:.4g} Hz"
@@ -45,10 +48,12 @@ def summary(design: Design) -> str:
         f"{plainly(best.peak.level)} N): {design.reduction(best.peak):.1f} dB below the bare structure's "
         f"{1e6 * design.bare.size:.4g} µm/N",
         "",
-        f"{f'added mass, {unit}':>14}{'reduction, dB':>15}  dampers",
+        f"{'':14}  reduction in dB at",
+        f"{f'added mass, {unit}':>14}{''.join(f'{force:>9}' for force in forces)}  dampers",
     ]
     lines += [
-        f"{factor * trial.choice.mass:14.1f}{design.reduction(trial.peak):15.1f}  {trial.choice}"
+        f"{factor * trial.choice.mass:14.1f}"
+        f"{''.join(f'{design.reduction(peak):9.1f}' for peak in trial.peaks)}  {trial.choice}"
         for trial in design.front
     ]
     lines += _alike(design)
@@ -66,10 +71,15 @@ def summary(design: Design) -> str:
 
 
 def _alike(design: Design) -> list[str]:
-    """Say over which clearances a single damper does as well, where that is a wide range."""
+    """Say over which clearances a single damper does as well at every level, where that is a wide range."""
     best = design.best
+
+    def as_good(trial: Trial) -> bool:
+        pairs = zip(trial.peaks, best.peaks, strict=True)
+        return all(abs(design.reduction(one) - design.reduction(other)) < ALIKE for one, other in pairs)
+
     tried = {
-        trial.choice.clearances[0]: abs(design.reduction(trial.peak) - design.reduction(best.peak)) < _ALIKE
+        trial.choice.clearances[0]: as_good(trial)
         for trial in design.trials
         if len(trial.choice.bodies) == 1
         and (trial.choice.bodies, trial.choice.masses) == (best.choice.bodies, best.choice.masses)
@@ -78,11 +88,15 @@ def _alike(design: Design) -> list[str]:
         tried.__getitem__, sorted((c for c in tried if c <= best.choice.clearances[0]), reverse=True)
     )
     above = takewhile(tried.__getitem__, sorted(c for c in tried if c >= best.choice.clearances[0]))
-    as_good = [*below, *above]
-    if not as_good or max(as_good) < _WIDE * min(as_good):
+    alike = [*below, *above]
+    if not alike or max(alike) < _WIDE * min(alike):
         return []
-    low, high = (plainly(1e3 * clearance) for clearance in (min(as_good), max(as_good)))
-    return ["", f"any of the clearances tried from {low} to {high} mm does as well, within {_ALIKE:g} dB"]
+    low, high = (plainly(1e3 * clearance) for clearance in (min(alike), max(alike)))
+    every = " at every level" if len(best.peaks) > 1 else ""
+    return [
+        "",
+        f"any of the clearances tried from {low} to {high} mm does as well{every}, within {ALIKE:g} dB",
+    ]
 
 
 def write(design: Design, folder: Path) -> list[Path]:
@@ -101,18 +115,43 @@ def write(design: Design, folder: Path) -> list[Path]:
 
 
 def next_step(design: Design, scene: Path) -> str:
-    """Say what the scene of a design tests, and how to check it."""
-    recording, test = scene.with_suffix(".mcap"), design.scene.test
+    """Say what the scene of a design tests, what is to come of it, and how to check it without and with dampers."""
+    test = design.scene.test
     assert isinstance(test, SteppedSine) and test.frequencies is not None
-    record, analyse = (
-        f"daq record {quote(str(scene))} -o {quote(str(recording))}",
-        f"analysis frf {quote(str(recording))}",
+    levels = ", ".join(plainly(level) for level in test.levels)
+    file, with_them, without = (
+        quote(str(each))
+        for each in (scene, scene.with_suffix(".mcap"), scene.with_name(f"{scene.stem}-without.mcap"))
     )
-    return (
-        f"{scene}: the structure and shaker as given, these dampers, and a stepped sine up from "
-        f"{test.frequencies[0]:.4g} to {test.frequencies[-1]:.4g} Hz at {design.best.peak.level:.3g} N, about the "
-        f"worst peak\ncheck it: {record}, then: {analyse}"
+    return "\n".join(
+        [
+            f"{scene}: the structure and shaker as given, these dampers, and a stepped sine from "
+            f"{test.frequencies[0]:.4g} to {test.frequencies[-1]:.4g} Hz at {levels} N, about the largest peaks with "
+            "and without dampers",
+            "",
+            "largest peaks expected, in µm/N: under a pure tone of force, as designed; and of that test, in which the "
+            f"shaker's spring adds harmonics,\nthe force is held within {FORCE_HELD:.1%} and the motion counts as "
+            f"steady within {test.settle.tolerance:.1%}",
+            f"{'force, N':>14}{'peak of':>9}{'at Hz':>9}{'under a tone':>15}  of that test",
+            *map(_expected, design.expected),
+            "",
+            "to check it, without and with dampers:",
+            f"daq record {file} --set dampers=null --set test.force={plainly(test.levels[0])}N -o {without}",
+            f"daq record {file} -o {with_them}",
+            f"analysis frf {without} {with_them}",
+            f"analysis compare {without} {with_them}",
+        ]
     )
+
+
+def _expected(one: Expected) -> str:
+    peak = one.peak
+    through_shaker = "not steady: scatters"
+    if one.sizes is not None:
+        low, size, high = (f"{1e6 * each:.4g}" for each in one.sizes)
+        through_shaker = f"{size} ({low} to {high})"
+    where = f"{plainly(peak.level):>14}{f'body {peak.body}':>9}{peak.frequency:9.2f}"
+    return f"{where}{1e6 * peak.size:15.4g}  {through_shaker}"
 
 
 def _draw(design: Design) -> Figure:
@@ -148,7 +187,7 @@ def _chart(axes: Axes, design: Design) -> None:
     axes.figure.colorbar(mesh, ax=axes, pad=0.02, label="reduction at this force / dB")
     levels = design.question.levels
     axes.plot(
-        [min(levels), max(levels)], [design.best.choice.clearances[0]] * 2, "o-", color=RED, lw=2.0, ms=4,
+        levels, [design.best.choice.clearances[0]] * len(levels), "o-", color=RED, lw=2.0, ms=4,
         label="chosen, at the forces asked for",
     )  # fmt: skip
     axes.grid(False)
@@ -164,23 +203,27 @@ def _chart(axes: Axes, design: Design) -> None:
 
 
 def _curves(axes: Axes, design: Design) -> None:
-    """Peak reduction against the acceleration that the damper sees: the clearance chosen and its neighbours."""
+    """Peak reduction against how hard it is driven: the clearance chosen and its neighbours.
+
+    Driven harder is to the right: over the acceleration that is left with dampers a curve may turn back, where another
+    peak becomes the largest.
+    """
     chosen = int(np.argmin(np.abs(np.log(design.clearance_factors))))
     around = (chosen - 1, chosen, chosen + 1)
+    bare = design.levels / design.bare.level * design.bare.acceleration / STANDARD_GRAVITY
     for number, shade, mark in zip(around, (COLOURS[4], BLUE, COLOURS[5]), "v^o", strict=True):
         row = design.chart[number]
         clearance = 1e3 * design.clearance_factors[number] * design.best.choice.clearances[0]
-        acceleration = [peak.acceleration / STANDARD_GRAVITY for peak in row]
         axes.plot(
-            acceleration, [design.bare.size / peak.size for peak in row], f"{mark}-", ms=4, color=shade,
+            bare, [design.bare.size / peak.size for peak in row], f"{mark}-", ms=4, color=shade,
             lw=1.6 if number == chosen else 0.8, label=f"clearance {clearance:.3g} mm",
         )  # fmt: skip
-    axes.set(xlabel="acceleration of the body at the peak / g", ylabel="peak without dampers / with them")
+    axes.set(xlabel="acceleration at the peak without dampers / g", ylabel="peak without dampers / with them")
     plain_logarithmic(axes.xaxis)
     axes.set_ylim(0.0, None)
     axes.axhline(1.0, color="black", lw=0.8)
     axes.legend()
-    axes.set_title("Over the acceleration, one point for each force")
+    axes.set_title("Over the acceleration without dampers")
 
 
 def _backbone(axes: Axes, design: Design) -> None:

@@ -12,6 +12,7 @@ from scipy.optimize import minimize, minimize_scalar
 
 from rig.damper_design.answers import Answers, Told
 from rig.damper_design.choice import FINE, Choice, Question, Space, Trial
+from rig.damper_design.ranking import AS_GOOD, merit, ranked
 from rig.damper_design.worst_peak import Peak
 
 #: Shares of the mass that may be added, and clearances between smallest and largest, of the grid.
@@ -40,53 +41,42 @@ def pieces(question: Question, space: Space) -> int:
 
 
 def search(question: Question, space: Space, answers: Answers) -> tuple[Trial, list[Trial]]:
-    """Find the dampers with the smallest worst peak.
+    """Find the dampers with the smallest worst peak, and of those that do as well there the best at all levels.
 
     Returns
     -------
     best : Trial
-        Its peak computed on a finer grid of frequencies, as those of the next best.
+        Its peaks computed on a finer grid of frequencies, as those of the next best.
     trials : list of Trial
         All that were tried, the best among them.
     """
     grid = [[c for place in space.places for c in _row(space, place, share)] for share in SHARES]
     tried = _bounded(question, grid, answers)
-    full, *lighter = (sorted((c for c in row if c in tried), key=tried.__getitem__) for row in grid)
-    limit = PROMISING * tried[full[0]].size
-    starts = _best_of_places([c for c in full if tried[c].size <= limit]) + [row[0] for row in lighter]
+    full, *lighter = (ranked(tried[c] for c in row if c in tried) for row in grid)
+    limit = PROMISING * full[0].peak.size
+    starts = _best_of_places(trial for trial in full if trial.peak.size <= limit)
+    starts += [row[0].choice for row in lighter]
     refine = partial(_refine, step=_step(space), bounds=space.clearance)
     tried |= answers.follow(question, [partial(_wanted, refine, start) for start in starts])
     if len(space.places[0]) > 1:
-        starts = _best_of_places(sorted(tried, key=tried.__getitem__))[:POLISHED]
+        starts = _best_of_places(ranked(tried.values()))[:POLISHED]
         polish = partial(_polish, bounds=space.clearance)
         tried |= answers.follow(question, [partial(_wanted, polish, start) for start in starts])
     # A coarse grid of frequencies may have missed a peak: the first three are compared on a fine one.
-    closely: set[Choice] = set()
-    while first := [c for c in sorted(tried, key=tried.__getitem__)[:COMPARED] if c not in closely]:
-        tried |= zip(first, answers.of(replace(question, density=FINE), first), strict=True)
+    fine, closely = replace(question, density=FINE), set[Choice]()
+    while first := [t.choice for t in ranked(tried.values())[:COMPARED] if t.choice not in closely]:
+        tried |= {trial.choice: trial for trial in answers.of(fine, first)}
         closely |= set(first)
-    best = min(tried, key=tried.__getitem__)
-    return Trial(best, tried[best]), [Trial(choice, peak) for choice, peak in tried.items()]
-
-
-def front(trials: Sequence[Trial]) -> list[Trial]:
-    """Trials that none with as little mass is better than, from light to heavy (Pareto's front)."""
-    found: list[Trial] = []
-    for trial in sorted(trials, key=lambda trial: (round(trial.choice.mass, 9), trial.peak)):
-        if not found or trial.peak.size < found[-1].peak.size:
-            found.append(trial)
-    return found
+    return ranked(tried.values())[0], list(tried.values())
 
 
 def chart(
     question: Question, choice: Choice, factors: Sequence[float], levels: Sequence[float], answers: Answers
 ) -> list[list[Peak]]:
-    """Peaks of a choice with all clearances changed by each factor (rows) at each level (columns)."""
+    """Give the peaks of a choice with all clearances changed by each factor (rows) at each level (columns)."""
     choices = [choice.wider(factor) for factor in factors]
     nominal = replace(question, scenes=question.scenes[:1], levels=tuple(levels))
-    answers.of(nominal, choices)
-    columns = [answers.of(part, choices) for part in nominal.parts]
-    return [list(row) for row in zip(*columns, strict=True)]
+    return [list(trial.peaks) for trial in answers.of(nominal, choices)]
 
 
 def _step(space: Space) -> float:
@@ -103,19 +93,19 @@ def _row(space: Space, place: tuple[int, ...], share: float) -> list[Choice]:
     return [first.wider(c) for c in np.geomspace(low, high / max(apart), CLEARANCES).tolist()]
 
 
-def _best_of_places(choices: Iterable[Choice]) -> list[Choice]:
+def _best_of_places(trials: Iterable[Trial]) -> list[Choice]:
     """Give the first choice of each place."""
     best: dict[tuple[int, ...], Choice] = {}
-    for choice in choices:
-        best.setdefault(choice.bodies, choice)
+    for trial in trials:
+        best.setdefault(trial.choice.bodies, trial.choice)
     return list(best.values())
 
 
-def _bounded(question: Question, grid: Sequence[list[Choice]], answers: Answers) -> dict[Choice, Peak]:
+def _bounded(question: Question, grid: Sequence[list[Choice]], answers: Answers) -> dict[Choice, Trial]:
     """Try all that may be the best of their row: the peak at one level is at most the worst of all."""
     middle = question.parts[len(question.levels) // 2]
     every = [choice for row in grid for choice in row]
-    least = dict(zip(every, answers.of(middle, every), strict=True))
+    least = {trial.choice: trial.peak for trial in answers.of(middle, every)}
     rows = [sorted(row, key=least.__getitem__) for row in grid]
     return answers.follow(question, [partial(_promising, row, least) for row in rows])
 
@@ -129,58 +119,58 @@ def _promising(row: Sequence[Choice], least: Mapping[Choice, Peak], told: Told) 
     best = np.inf
     for number, choice in enumerate(row):
         if number >= AHEAD:
-            peak = told(row[number - AHEAD])
-            if peak is None:
+            trial = told(row[number - AHEAD])
+            if trial is None:
                 return
-            best = min(best, peak.size)
-        if least[choice].size >= best:
+            best = min(best, trial.peak.size)
+        if least[choice].size >= AS_GOOD * best:
             return
         yield choice
 
 
 class _Unknown(Exception):
-    """A search needs the peak of a choice that is not known yet."""
+    """A search needs to know of a choice that was not tried yet."""
 
 
 def _wanted(search: Callable[..., object], start: Choice, told: Told) -> list[Choice]:
     """Give the choices that a search asks for, up to the first one that is not known.
 
-    The search runs from its start each time: with the peaks that are known, it comes to the same place at once.
+    The search runs from its start each time: with what is known, it comes to the same place at once.
     """
     wanted = []
 
-    def size(choice: Choice) -> float:
+    def cost(choice: Choice) -> float:
         wanted.append(choice)
-        peak = told(choice)
-        if peak is None:
+        trial = told(choice)
+        if trial is None:
             raise _Unknown
-        return peak.size
+        return merit(trial)
 
     with suppress(_Unknown):
-        search(start, size)
+        search(start, cost)
     return wanted
 
 
-def _refine(start: Choice, size: Callable[[Choice], float], step: float, bounds: tuple[float, float]) -> None:
+def _refine(start: Choice, cost: Callable[[Choice], float], step: float, bounds: tuple[float, float]) -> None:
     """Change all clearances by a factor, at most a step, by golden sections and parabolas."""
     middle = np.log(start.clearances[0])
 
     def at(x: float) -> float:
-        return size(start.wider(float(np.exp(x - middle))))
+        return cost(start.wider(float(np.exp(x - middle))))
 
     limits = np.log([bounds[0], bounds[1] * start.clearances[0] / max(start.clearances)])
     ends = np.clip([middle - step, middle + step], *limits)
     minimize_scalar(at, bounds=ends, method="bounded", options={"maxiter": REFINEMENTS, "xatol": 2e-3})
 
 
-def _polish(start: Choice, size: Callable[[Choice], float], bounds: tuple[float, float]) -> None:
+def _polish(start: Choice, cost: Callable[[Choice], float], bounds: tuple[float, float]) -> None:
     """Let every damper have its own clearance and share of the mass: simplex method of Nelder and Mead."""
     count = len(start.bodies)
 
     def at(x: np.ndarray) -> float:
         shares = np.exp(np.append(x[count:], 0.0))
         masses = start.mass * shares / shares.sum()
-        return size(Choice(start.bodies, tuple(masses.tolist()), tuple(np.exp(x[:count]).tolist())))
+        return cost(Choice(start.bodies, tuple(masses.tolist()), tuple(np.exp(x[:count]).tolist())))
 
     shares = np.log(np.array(start.masses[:-1]) / start.masses[-1])
     first = np.concatenate([np.log(start.clearances), shares])

@@ -32,6 +32,8 @@ Start = Annotated[
 Spacing = Literal["linear", "log"]
 
 MOST_STEPS = 100_000
+#: A controller counts a force as held within this share of it.
+FORCE_HELD = 0.005
 
 
 class Sine(Settings):

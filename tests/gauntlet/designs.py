@@ -149,14 +149,15 @@ def best_of(found: rig.Design, choices: list[Choice], workers: ProcessPoolExecut
 
 
 def recorded(scene: rig.Scene, peak: Peak, folder: Path) -> float:
-    """Record a scene about a peak, and give the largest compliance of its body that is measured, m/N."""
+    """Record a scene about a peak, and give the largest compliance of its body measured at its level, m/N."""
     path = folder / "check.mcap"
     path.unlink(missing_ok=True)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", daq.RunWarning)
         daq.record(scene, path)
     with daq.open(path) as recording:
-        return float(np.abs(analysis.compliance(recording, f"body{peak.body}").value).max())
+        measured = analysis.compliance(recording, f"body{peak.body}", level=peak.level)
+        return float(np.abs(measured.value).max())
 
 
 def try_out(seed: int, number: int, workers: ProcessPoolExecutor) -> bool:

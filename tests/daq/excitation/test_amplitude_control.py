@@ -8,7 +8,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from daq.excitation.amplitude_control import HELD, AmplitudeControl
+from daq.excitation.amplitude_control import AmplitudeControl
+from rig.scene.excitation import FORCE_HELD
 
 LEVEL = 2.6
 
@@ -28,7 +29,7 @@ def test_given_a_power_law_when_controlled_then_the_level_is_reached_in_a_few_st
     exponent: float, start: float
 ) -> None:
     drives = approach(lambda drive: 5.0 * drive**exponent, start)
-    assert 5.0 * drives[-1] ** exponent == pytest.approx(LEVEL, rel=HELD)
+    assert 5.0 * drives[-1] ** exponent == pytest.approx(LEVEL, rel=FORCE_HELD)
     assert len(drives) <= 20
 
 
@@ -44,7 +45,7 @@ def test_given_a_force_that_falls_over_a_stretch_when_controlled_then_the_level_
         return drive if drive < 1.0 else 1.0 - 0.8 * (drive - 1.0) if drive < 1.5 else 0.6 + 2 * (drive - 1.5)
 
     drives = approach(force, 0.05)
-    assert force(drives[-1]) == pytest.approx(LEVEL, rel=HELD)
+    assert force(drives[-1]) == pytest.approx(LEVEL, rel=FORCE_HELD)
 
 
 def test_given_a_force_that_jumps_over_the_level_when_controlled_then_the_drive_stays_at_the_jump() -> None:

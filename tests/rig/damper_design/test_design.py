@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,12 +18,16 @@ import daq
 import rig
 from rig.damper_design.answers import Answers
 from rig.damper_design.asked import asked, mass_of
+from rig.damper_design.check import check, expected
 from rig.damper_design.choice import FINE, Choice, Question, Space, Trial
-from rig.damper_design.figure import summary, write
-from rig.damper_design.search import _refine, _row, front, search
+from rig.damper_design.design import chart_levels
+from rig.damper_design.figure import next_step, summary, write
+from rig.damper_design.ranking import front, ranked
+from rig.damper_design.search import _refine, _row, search
 from rig.damper_design.worst_peak import Peak, curve
 from rig.errors import RunError, SceneError
 from rig.orbits.problem import OrbitProblem
+from rig.scene.excitation import SteppedSine
 from rig.system.open_loop_drive import with_ideal_force
 from rig.system.receptance import receptance
 from rig.workers import Workers
@@ -61,6 +66,11 @@ def test_given_a_design_when_its_scene_is_recorded_and_analysed_then_steady_moti
     assert measured.unsteady is not None and measured.unsteady.mean() < 0.3
     decibels = 20 * np.log10(np.abs(measured.value / predicted))[~measured.unsteady]
     assert np.abs(decibels).max() < 0.3
+    for one in chosen.expected:
+        if one.sizes is not None:
+            at_peak = int(np.argmin(abs(measured.frequency - one.peak.frequency)))
+            size, bound = abs(measured.value[at_peak]), measured.bound()[at_peak]
+            assert one.sizes[0] - bound < size < one.sizes[2] + bound
 
 
 @pytest.mark.thorough
@@ -84,6 +94,18 @@ def test_given_a_design_when_written_then_its_scene_loads_and_its_summary_says_t
     assert picture.stat().st_size > 10_000 and drawing.stat().st_size > 10_000
     assert repr(chosen).startswith("<Design: ") and chosen.plot().get_legend() is not None
     assert f"clearance {1e3 * chosen.best.choice.clearances[0]:.3g} mm" in summary(chosen)
+    commands = [shlex.split(line) for line in next_step(chosen, scene).splitlines() if line.startswith("daq")]
+    assert [each[:3] for each in commands] == [["daq", "record", str(scene)]] * 2
+    assert "dampers=null" in commands[0] and "dampers=null" not in commands[1]
+
+
+@pytest.mark.thorough
+def test_given_one_level_or_several_when_told_then_every_level_has_its_column(chosen: rig.Design) -> None:
+    two = replace(chosen.question, levels=(3.3, 6.6))
+    trials = tuple(replace(each, peaks=(each.peak, replace(each.peak, size=1e-5))) for each in chosen.trials)
+    told = summary(replace(chosen, question=two, trials=trials, best=trials[0])).splitlines()
+    heading = next(line for line in told if "added mass" in line)
+    assert heading.split()[3:7] == ["3.3", "N", "6.6", "N"]
 
 
 def test_given_a_table_that_a_kill_left_torn_when_gone_on_with_then_no_answer_is_lost(tmp_path: Path) -> None:
@@ -97,7 +119,7 @@ def test_given_a_table_that_a_kill_left_torn_when_gone_on_with_then_no_answer_is
             file.write('"' + "x" * 200_000 + "\n" + '"torn,2,0.1')
         second = Answers(workers, table, None, 1).of(question, choices[1:])
         read = Answers(workers, table, None, 1)
-    assert [read.peak(question, choice) for choice in choices] == first + second
+    assert [read.trial(question, choice) for choice in choices] == first + second
 
 
 @dataclass(frozen=True)
@@ -111,6 +133,79 @@ class Bowl(Question):
             for level in self.levels
         ]
         return Peak(float(1.0 + max(away)), 10.0, max(self.levels), 1, 1.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Flat(Question):
+    """Answers at once: the first level has the worst peak whatever the clearance, the second likes one of 2 mm best."""
+
+    def worst(self, choice: Choice) -> Peak:
+        away = np.log(choice.clearances[0] / 2e-3) ** 2
+        return max(
+            Peak(2.0 / choice.mass if level == 1.0 else 0.5 + 0.1 * away, 10.0, level, 1, 1.0, 0.0)
+            for level in self.levels
+        )
+
+
+def test_given_a_worst_level_that_any_clearance_suits_when_searched_then_the_other_level_decides() -> None:
+    question = Flat((rig.load("fig9"),), (1.0, 2.0), (40.0, 60.0), (1,))
+    answers = Answers(Shuffled(0), None, None, 1)  # type: ignore[arg-type]
+    best, _ = search(question, Space(((1,),), 0.1, (1e-4, 1e-2)), answers)
+    assert best.choice.clearances[0] == pytest.approx(2e-3, rel=0.1)
+
+
+def test_given_reductions_alike_at_the_worst_level_when_ranked_then_the_mean_of_all_levels_decides() -> None:
+    best_at_worst, as_good, poorer = (
+        tried(0.1, 1e-3, 2.000, 1.5),
+        tried(0.1, 2e-3, 2.010, 1.0),
+        tried(0.1, 3e-3, 2.020, 0.1),
+    )
+    assert ranked([best_at_worst, poorer, as_good]) == [as_good, best_at_worst, poorer]
+
+
+def test_given_the_same_at_every_level_when_ranked_then_the_smallest_clearance_comes_first() -> None:
+    tall, low = tried(0.1, 3e-3, 2.0, 1.0), tried(0.1, 1e-3, 2.0, 1.0 + 1e-9)
+    assert ranked([tall, low]) == [low, tall]
+
+
+@given(levels=st.lists(st.floats(0.1, 50.0), min_size=1, max_size=5, unique=True).map(sorted))
+def test_given_any_levels_when_charted_then_they_are_among_others_that_are_no_farther_apart_than_told(
+    levels: list[float],
+) -> None:
+    charted = chart_levels(levels)
+    assert set(levels) <= set(charted.tolist())
+    assert charted[0] <= levels[0] / 2 * (1 + 1e-12) and charted[-1] >= levels[-1] * 2 * (1 - 1e-12)
+    assert np.all(charted[1:] / charted[:-1] < 2.0**0.76)
+
+
+def test_given_peaks_at_two_levels_when_a_check_is_made_then_it_has_both_levels_and_all_peaks() -> None:
+    scene = rig.load("fig9")
+    question, _ = asked(scene, None, None, 1, None, [2.0, 4.0], (30.0, 55.0), None, (0.0, 0.0))
+    choice = Choice((2,), (0.1,), (1e-3,))
+    peaks = tuple(Peak(1e-4, f, level, 1, 1.0, 0.0) for f, level in ((34.1, 2.0), (48.7, 4.0)))
+    test = check(scene, Trial(choice, peaks), question).test
+    assert isinstance(test, SteppedSine) and test.frequencies is not None
+    assert test.levels == (2.0, 4.0)
+    assert {34.1, 48.7, question.bare.frequency} <= set(test.frequencies)
+    apart = np.diff(test.frequencies)
+    # Two ranges, the upper one about two peaks, each as close as about one peak.
+    assert len(test.frequencies) < 70 and np.sum(apart > 0.005 * 48.7) == 1
+
+
+def test_given_a_table_behind_a_spring_when_expected_then_its_harmonics_and_the_held_force_count() -> None:
+    scene = rig.load("fig9", {"shaker": {"kind": "table", "body": 1, "spring": "6.6 kN/m"}})
+    question, _ = asked(scene, None, [2], 1, None, [1.5], None, None, (0.0, 0.0))
+    choice = Choice((2,), (0.1,), (0.969e-3,))
+    peak = question.worst(choice)
+    (one,) = expected(check(scene, Trial(choice, (peak,)), question), Trial(choice, (peak,)))
+    assert one.sizes is not None
+    low, size, high = one.sizes
+    assert low < size < high < 1.01 * low
+    plain = scene.replace(channels=None, dampers=choice.dampers(0.0))
+    for force, bound in ((1.5 * 1.005, low), (1.5, size), (1.5 * 0.995, high)):
+        there = plain.replace(test={"kind": "sine", "frequency": peak.frequency, "force": force})
+        steady = abs(rig.frequency_response(there, [peak.frequency]).compliance[peak.body - 1, 0])
+        assert bound == pytest.approx(steady, rel=1.1e-3)
 
 
 class Shuffled:
@@ -176,9 +271,14 @@ def test_given_uncertain_damping_when_asked_then_the_structure_with_the_least_co
     assert question.bare.size == pytest.approx(sure.bare.size / 0.8, rel=1e-2)
 
 
+def tried(mass: float, clearance: float, *sizes: float) -> Trial:
+    peaks = [Peak(size, 10.0, float(level), 1, 1.0, 0.0) for level, size in enumerate(sizes, 1)]
+    return Trial(Choice((1,), (mass,), (clearance,)), tuple(peaks))
+
+
 def test_given_trials_when_their_front_is_taken_then_none_as_light_is_better() -> None:
     sizes = [(0.1, 3.0), (0.1, 2.0), (0.2, 2.5), (0.3, 1.0), (0.05, 4.0)]
-    trials = [Trial(Choice((1,), (m,), (1e-3,)), Peak(size, 10.0, 1.0, 1, 1.0, 0.0)) for m, size in sizes]
+    trials = [tried(m, 1e-3, size) for m, size in sizes]
     assert [(t.choice.mass, t.peak.size) for t in front(trials)] == [(0.05, 4.0), (0.1, 2.0), (0.3, 1.0)]
 
 

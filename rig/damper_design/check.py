@@ -1,0 +1,90 @@
+"""A test that checks a design on the rig, and what it is to measure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.damper_design.choice import Question, Trial
+from rig.damper_design.worst_peak import Peak
+from rig.response.frequency_response import frequency_response
+from rig.scene.excitation import FORCE_HELD, SteppedSine
+from rig.scene.scene import Scene
+
+Array = NDArray[np.float64]
+
+#: Frequencies of the test through which the motion is followed up to a peak; how near to the steady one, relative to
+#: it, and how many periods that may take.
+APPROACH, NEAR, LONGEST = 3, 1e-5, 1000
+#: Points about each peak, and how far they reach to either side of it, relative.
+POINTS, REACH = 25, 0.04
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What a test is to measure at a peak.
+
+    Attributes
+    ----------
+    peak : Peak
+        As the design found it, under a force that is a pure tone.
+    sizes : tuple of float, or None
+        Compliance there through the scene's own shaker, whose spring gives the force harmonics, too, m/N: the least,
+        that at the level, and the most, over forces that count as held and motions that count as steady. None where
+        the motion does not repeat within `LONGEST` periods.
+    """
+
+    peak: Peak
+    sizes: tuple[float, float, float] | None
+
+
+def check(scene: Scene, trial: Trial, question: Question) -> Scene:
+    """Put dampers into a scene, with a test about the largest peaks with and without them at every level."""
+    peaks = [*(peak.frequency for peak in trial.peaks), question.bare.frequency]
+    test = {
+        "kind": "stepped_sine",
+        "frequencies": _around(peaks, question.band).tolist(),
+        "force": list(question.levels),
+    }
+    return scene.replace(dampers=trial.choice.dampers(question.restitution), test=test)
+
+
+def _around(peaks: Sequence[float], band: tuple[float, float]) -> Array:
+    """Frequencies about each peak, rising; where their ranges meet, as close as about one alone."""
+    frequencies: list[float] = []
+    for peak in sorted(peaks):
+        low, high = max(peak * (1.0 - REACH), band[0]), min(peak * (1.0 + REACH), band[1])
+        step = 2.0 * REACH * peak / (POINTS - 1)
+        low = max([low, *(last + step for last in frequencies[-1:])])
+        frequencies += np.linspace(low, high, max(1 + round((high - low) / step), 1)).tolist()
+    return np.unique([*frequencies, *peaks])
+
+
+def expected(scene: Scene, trial: Trial) -> tuple[Expected, ...]:
+    """Tell what a check is to measure at the largest peak of each level.
+
+    Parameters
+    ----------
+    scene : Scene
+        As `check` gives it.
+    trial : Trial
+        The dampers in it, and their peaks.
+    """
+    assert isinstance(scene.test, SteppedSine)
+    return tuple(_expected(scene, scene.test, peak) for peak in trial.peaks)
+
+
+def _expected(scene: Scene, test: SteppedSine, peak: Peak) -> Expected:
+    frequencies = [frequency for frequency in test.order if frequency <= peak.frequency][-APPROACH:]
+    sizes = []
+    for share in (1.0, 1.0 - FORCE_HELD, 1.0 + FORCE_HELD):
+        held = scene.replace(channels=None, test=test.replace(force=share * peak.level))
+        response = frequency_response(held, frequencies, tolerance=NEAR, longest=LONGEST)
+        if not response.converged[-1]:
+            return Expected(peak, None)
+        sizes.append(float(abs(response.compliance[peak.body - 1, -1])))
+    unsteady = test.settle.tolerance
+    return Expected(peak, (min(sizes) * (1.0 - unsteady), sizes[0], max(sizes) * (1.0 + unsteady)))

@@ -1,4 +1,4 @@
-"""Type of motion and periods to settle over two parameters: `rig map`.
+"""Type of motion and periods to compute it over two parameters: `rig map`.
 
 Start with `motion_map`; `grid` says which points, `figure` draws them.
 """

@@ -1,4 +1,4 @@
-"""Where a scene gets hard: type of motion and periods to settle over level or clearance, and frequency."""
+"""Where a scene gets hard: type of motion and periods to compute it over level or clearance, and frequency."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class MotionMap(Result):
     repetition : ndarray of int, shape (rows, frequencies)
         Periods of the drive after which the motion repeats; 0 if none was found.
     periods : ndarray of int, shape (rows, frequencies)
-        Periods that were followed to find out.
+        Periods that were computed to find out, from the motion at the frequency before; a test waits otherwise.
     cpu : ndarray, shape (rows, frequencies)
         CPU time spent, s; in no table or figure, which are the same wherever they are computed.
     take_off : ndarray, shape (frequencies,)
@@ -90,7 +90,7 @@ class MotionMap(Result):
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Every point of the grid: where, which motion, how often it hits and repeats, how long it took to settle."""
+        """Every point of the grid: where, which motion, how often it hits and repeats, periods computed to know."""
         dampers = np.array([each.split("/") for each in self.motion.ravel()]).T
         return {
             f"{self.over}_{self.unit}": np.repeat(self.value, self.frequency.size),

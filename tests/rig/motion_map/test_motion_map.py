@@ -144,7 +144,7 @@ def test_given_a_map_when_written_then_the_file_has_a_row_for_every_point(
         rows = list(csv.DictReader(file))
     assert len(rows) == fig9_map.kind.size
     assert {row["damper1_motion"] for row in rows} == set(fig9_map.motion.ravel())
-    assert "riding" in summary(fig9_map)
+    assert "riding" in summary(fig9_map) and "no time on a bench" in summary(fig9_map)
 
 
 @pytest.mark.thorough

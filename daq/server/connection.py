@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import threading
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -37,7 +38,7 @@ class Connection(GrpcSessionOptions):
         self.address = f"127.0.0.1:{self._server.port}"
         self._open = True
         super().__init__(open_channel(self.address), "")
-        atexit.register(self.close)
+        _left_open.add(self)
 
     @property
     def options(self) -> GrpcSessionOptions:
@@ -53,13 +54,13 @@ class Connection(GrpcSessionOptions):
         """Let some bench time pass."""
         self.chassis.pass_time(seconds)
 
-    def close(self) -> None:
-        """End the rig and all its tasks."""
+    def close(self, grace: float | None = 0.5) -> None:
+        """End the rig and all its tasks; calls that are still being answered have so many seconds to end, or none."""
         if self._open:
             self._open = False
-            atexit.unregister(self.close)
+            _left_open.discard(self)
             self.grpc_channel.close()
-            self._server.close()
+            self._server.close(grace)
 
     def __enter__(self) -> Self:
         return self
@@ -68,6 +69,20 @@ class Connection(GrpcSessionOptions):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+# Rigs that nobody has closed.
+_left_open: set[Connection] = set()
+
+
+def _close_left_open() -> None:
+    # A server that gives its calls time starts a thread, which Python refuses when it ends.
+    for each in list(_left_open):
+        each.close(grace=None)
+
+
+# Python waits for the threads that answer calls before it comes to `atexit`: they have to end earlier.
+getattr(threading, "_register_atexit", atexit.register)(_close_left_open)
 
 
 def connect(

@@ -129,12 +129,12 @@ class Server:
         row = module.row("ai", port.number)
         return self.chassis.source.data_sheet(row) if module.teds else None
 
-    def close(self) -> None:
-        """End all sessions and stop listening."""
+    def close(self, grace: float | None = 0.5) -> None:
+        """End all sessions and stop listening; calls have so many seconds to end, or none."""
         self._closing.set()
         sys.setswitchinterval(self._switching)
         self.sessions.close_all()
-        self._server.stop(0.5).wait()
+        self._server.stop(grace).wait()
 
     def wait(self) -> None:
         """Wait until the server has been closed."""

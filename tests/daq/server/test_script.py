@@ -1,5 +1,6 @@
 import math
 import runpy
+import subprocess
 import sys
 
 import numpy as np
@@ -105,6 +106,24 @@ def test_given_seconds_that_are_no_time_when_run_then_they_are_refused_before_th
         run_script(script("print('ran')"), scene="bare-structure", clock="fast", seconds=seconds)
     assert caught.value.exit_code == 2
     assert capfd.readouterr().out == ""
+
+
+def test_given_a_rig_and_an_event_left_open_when_a_script_ends_then_so_does_its_process():
+    source = """
+import daq, nidaqmx
+from nidaqmx.constants import AcquisitionType
+rig = daq.connect("bare-structure", clock="fast")
+task = nidaqmx.Task(grpc_options=rig)
+task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0", min_val=-500.0, max_val=500.0)
+task.timing.cfg_samp_clk_timing(5120.0, sample_mode=AcquisitionType.CONTINUOUS, samps_per_chan=100)
+task.register_every_n_samples_acquired_into_buffer_event(100, lambda *_: 0)
+task.start()
+print(len(task.read(100)))
+"""
+    command = [sys.executable, "-W", "ignore::ResourceWarning", "-c", source]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert (ended.returncode, ended.stdout.strip()) == (0, "100")
+    assert "Traceback" not in ended.stderr
 
 
 def test_given_no_script_when_run_then_the_error_names_it(tmp_path):

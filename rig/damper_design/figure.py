@@ -62,11 +62,9 @@ def summary(design: Design) -> str:
             "",
             f"{simulated:.0%} of that curve is irregular motion, averaged over periods: good to some percent",
         ]
-    low, high = design.space.clearance
-    for clearance in best.choice.clearances:
-        for bound, name in ((low, "smallest"), (high, "largest")):
-            if abs(np.log(clearance / bound)) < 0.02:
-                lines += ["", f"the best clearance is the {name} that was allowed: allow more (--clearance)"]
+    for bound, name in zip(design.space.clearance, ("smallest", "largest"), strict=True):
+        if any(abs(np.log(clearance / bound)) < 0.02 for clearance in best.choice.clearances):
+            lines += ["", f"the best clearance is the {name} that was allowed: allow more (--clearance)"]
     return "\n".join(lines)
 
 
@@ -129,9 +127,9 @@ def next_step(design: Design, scene: Path) -> str:
             f"{test.frequencies[0]:.4g} to {test.frequencies[-1]:.4g} Hz at {levels} N, about the largest peaks with "
             "and without dampers",
             "",
-            "largest peaks expected, in µm/N: under a pure tone of force, as designed; and of that test, in which the "
-            f"shaker's spring adds harmonics,\nthe force is held within {FORCE_HELD:.1%} and the motion counts as "
-            f"steady within {test.settle.tolerance:.1%}",
+            "largest peaks expected, in µm/N: under a pure tone of force, as designed; and of that test, through its "
+            "shaker, whose spring adds\nharmonics if it has one, with the force held within "
+            f"{FORCE_HELD:.1%} and the motion steady within {test.settle.tolerance:.1%}",
             f"{'force, N':>14}{'peak of':>9}{'at Hz':>9}{'under a tone':>15}  of that test",
             *map(_expected, design.expected),
             "",
@@ -146,7 +144,7 @@ def next_step(design: Design, scene: Path) -> str:
 
 def _expected(one: Expected) -> str:
     peak = one.peak
-    through_shaker = "not steady: scatters"
+    through_shaker = "does not repeat: scatters"
     if one.sizes is not None:
         low, size, high = (f"{1e6 * each:.4g}" for each in one.sizes)
         through_shaker = f"{size} ({low} to {high})"

@@ -20,17 +20,24 @@ def ranked(trials: Iterable[Trial]) -> list[Trial]:
     """Put the best first.
 
     The smallest worst peak comes first. Where several are as good at that as can be told, those with the smallest
-    peaks on the average of the levels, in dB, do; and of these the lightest, with the smallest clearance.
+    peaks on the average of the levels, in dB, do. Where several are as good at that, too, the lightest do, and of these
+    the one in the middle of their clearances: at the ends it would do so just about.
     """
     trials = list(trials)
-    limit = AS_GOOD * min(trial.peak.size for trial in trials)
+    worst = AS_GOOD * min(trial.peak.size for trial in trials)
+    mean = AS_GOOD * min(trial.mean for trial in trials if trial.peak.size <= worst)
 
-    def key(trial: Trial) -> tuple[object, ...]:
-        # Rounding keeps what the last digits of a peak say out of it, where the beds never reach their ceilings.
-        mean = round(20.0 * np.log10(trial.mean), 2)
-        return max(trial.peak.size, limit), mean, round(trial.choice.mass, 9), trial.choice
+    def merits(trial: Trial) -> tuple[float, ...]:
+        return max(trial.peak.size, worst), max(trial.mean, mean), round(trial.choice.mass, 9)
 
-    return sorted(trials, key=key)
+    best = min(map(merits, trials))
+    alike = [np.log(trial.choice.clearances[0]) for trial in trials if merits(trial) == best]
+    middle = 0.5 * (min(alike) + max(alike))
+
+    def from_middle(trial: Trial) -> float:
+        return abs(float(np.log(trial.choice.clearances[0]) - middle))
+
+    return sorted(trials, key=lambda trial: (merits(trial), from_middle(trial), trial.choice))
 
 
 def merit(trial: Trial) -> float:

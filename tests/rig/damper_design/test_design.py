@@ -163,9 +163,10 @@ def test_given_reductions_alike_at_the_worst_level_when_ranked_then_the_mean_of_
     assert ranked([best_at_worst, poorer, as_good]) == [as_good, best_at_worst, poorer]
 
 
-def test_given_the_same_at_every_level_when_ranked_then_the_smallest_clearance_comes_first() -> None:
-    tall, low = tried(0.1, 3e-3, 2.0, 1.0), tried(0.1, 1e-3, 2.0, 1.0 + 1e-9)
-    assert ranked([tall, low]) == [low, tall]
+def test_given_as_good_at_every_level_when_ranked_then_the_middle_of_the_clearances_comes_first() -> None:
+    low, middle, tall = (tried(0.1, clearance, 2.0, 1.001) for clearance in (1e-3, 3e-3, 1e-2))
+    wider = tried(0.1, 3e-2, 2.0, 1.2)
+    assert ranked([wider, tall, low, middle])[0] == middle and ranked([wider, middle])[1] == wider
 
 
 @given(levels=st.lists(st.floats(0.1, 50.0), min_size=1, max_size=5, unique=True).map(sorted))

@@ -65,6 +65,9 @@ class Frf(Result):
         where another program leaves it open.
     unsteady : ndarray of bool, shape (n,), or None
         Where the motion had not become steady; None where that is no question.
+    held : ndarray, shape (n,), or None
+        Amplitude of the reference that acted at each point, where it is a tone; with dampers the value holds for that
+        and no other.
     warnings : tuple of str
         What a reader of the curve must know, in full sentences.
     systematic : mapping of str to ndarray, shape (n,)
@@ -90,6 +93,7 @@ class Frf(Result):
     warnings: tuple[str, ...] = ()
     systematic: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
     unsteady: NDArray[np.bool_] | None = None
+    held: NDArray[np.float64] | None = None
     shared: float = 1.0
     left_out: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     clock: float = 0.0
@@ -124,9 +128,12 @@ class Frf(Result):
             height = bounded(factor * float(abs(self.value[top])), factor * bound, unit)
         what_of_it = "most of that bound" if np.isfinite(bound) else "what leaves it unbounded"
         mostly = f"; {what_of_it}: {self.parts()[top]}" if bound > 0.0 else ""
+        under = ""
+        if self.held is not None and self.reference == "force":
+            under = f" under {self.held[top]:.4g} N"
         return (
             f"{what}, {self.frequency.min():.4g} to {self.frequency.max():.4g} Hz, highest {height} "
-            f"at {self.frequency[top]:.4g} Hz{mostly}{'' if tallest == top else self._hardly_known(tallest)}"
+            f"at {self.frequency[top]:.4g} Hz{under}{mostly}{'' if tallest == top else self._hardly_known(tallest)}"
         )
 
     def _hardly_known(self, point: int) -> str:
@@ -252,6 +259,7 @@ class Frf(Result):
             degrees=broken(curve.degrees, 0.0),
             systematic={name: broken(part) for name, part in curve.systematic.items()},
             unsteady=None if curve.unsteady is None else broken(curve.unsteady, False),
+            held=None if curve.held is None else broken(curve.held),
         )
 
     def between(self, low: float, high: float) -> Frf:
@@ -269,6 +277,7 @@ class Frf(Result):
             degrees=self.degrees[points],
             systematic={name: part[points] for name, part in self.systematic.items()},
             unsteady=None if self.unsteady is None else self.unsteady[points],
+            held=None if self.held is None else self.held[points],
         )
 
 

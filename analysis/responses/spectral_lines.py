@@ -57,7 +57,7 @@ class Lines:
     remainder: NDArray[np.float64] | None = None
     """How far each mean may be off for what was still changing, at most; shape (channels, n)."""
     unsteady: NDArray[np.bool_] | None = None
-    """Where the motion had not become steady; shape (n,)."""
+    """Where the motion had not become steady; shape (n,). None where no tone is held until it is."""
     left_out: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     """Frequencies that were measured but spoilt, Hz."""
     around: int = 0
@@ -110,6 +110,7 @@ class Lines:
             | sensitivity_part(rec, names, *shares)
             | clock_part(rec, names, self.frequency, *shares, motion),
             unsteady=self.unsteady,
+            held=None if self.unsteady is None else abs(f),
             left_out=self.left_out,
             clock=clock_deviation(rec),
         )

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -56,6 +58,15 @@ def test_given_noise_when_measured_then_95_percent_bounds_hold_for_95_percent_of
     share = np.mean(inside)
     assert 0.92 < share < 0.98
     assert np.max(coherence) > 0.9999 and np.min(coherence) < 0.95
+
+
+def test_given_tones_when_measured_then_the_force_that_acted_stays_with_its_point_and_is_told(tmp_path):
+    with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", [34.0, 12.0], level=2.61)) as rec:
+        frf = analysis.compliance(rec)
+    np.testing.assert_allclose(frf.held, 2.61, rtol=1e-9)
+    assert "at 12 Hz under 2.61 N" in frf.summary()
+    gap = replace(frf, left_out=np.array([20.0])).with_gaps()
+    np.testing.assert_allclose(gap.held, [2.61, np.nan, 2.61], rtol=1e-9)
 
 
 def test_given_mobility_when_asked_for_then_it_is_receptance_times_i_omega(tmp_path):

@@ -11,6 +11,7 @@ from rig.errors import SceneError
 from rig.motion_map.grid import columns
 from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, MASS, RATIO, Kind, number, parse, positives
 from rig.scene.scene import Scene
+from rig.scene.shaker import ForceShaker
 from rig.system.open_loop_drive import level_of, with_ideal_force
 from rig.system.structure import structure_matrices
 
@@ -63,6 +64,18 @@ def _range(given: Sequence[float | str], kind: Kind, name: str) -> tuple[float, 
     return ends[0], ends[1]
 
 
+def _under_force(scene: Scene, levels: Sequence[float | str] | None) -> Scene:
+    """Let the test hold a force where it gives a shaker's drive, as levels are forces."""
+    if getattr(scene.test, "drive", None) is None or isinstance(scene.driven_shaker, ForceShaker):
+        return scene
+    if levels is None:
+        raise SceneError(
+            "levels: not given, and the test of the scene gives a drive; expected forces to do well at, such as 3 N"
+        )
+    assert scene.test is not None
+    return scene.replace(test=scene.test.replace(drive=None, force=levels[0]))
+
+
 def total_mass(scene: Scene) -> float:
     """Give the mass of the structure without dampers, kg."""
     return float(np.trace(structure_matrices(scene.structure)[0]))
@@ -103,7 +116,7 @@ def asked(
     if scene.gravity == 0.0:
         raise SceneError("gravity: got 0; expected more: beds that do not fall do not strike as these do")
     restitution = scene.dampers[0].restitution if scene.dampers else 0.0
-    plain = with_ideal_force(scene.replace(dampers=[], channels=None))
+    plain = with_ideal_force(_under_force(scene.replace(dampers=[], channels=None), levels))
     usual = [level_of(plain) * factor for factor in LEVELS]
     forces = tuple(sorted(positives(levels or usual, FORCE, "levels").tolist()))
     ends = _range(band or tuple(columns(plain, points=2).tolist()), FREQUENCY, "band")

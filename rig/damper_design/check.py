@@ -48,6 +48,7 @@ def check(scene: Scene, trial: Trial, question: Question) -> Scene:
         "kind": "stepped_sine",
         "frequencies": _around(peaks, question.band).tolist(),
         "force": list(question.levels),
+        "shaker": getattr(scene.test, "shaker", None),
     }
     return scene.replace(dampers=trial.choice.dampers(question.restitution), test=test)
 

@@ -258,6 +258,26 @@ def test_given_the_table_of_a_larger_budget_when_searched_then_no_choice_of_it_i
         assert max(trial.choice.mass for trial in trials) <= mass * (1 + 1e-12)
 
 
+def test_given_a_test_that_gives_a_drive_when_asked_then_levels_are_forces_on_the_body() -> None:
+    drive = {"kind": "stepped_sine", "from": "46 Hz", "to": "54 Hz", "points": 9, "drive": "1 mm"}
+    changes = {"shaker": {"kind": "table", "body": 1, "spring": "6.6 kN/m"}, "test": drive}
+    driven, told = rig.load("fig9", changes), (None, [2], 1, None, ["3.3 N"], None, None, (0.0, 0.0))
+    question, _ = asked(driven, *told)
+    choice = Choice((2,), (0.1,), (1e-3,))
+    assert question.worst(choice) == asked(rig.load("fig9"), *told)[0].worst(choice)
+    with pytest.raises(SceneError, match="levels: not given, and the test of the scene gives a drive"):
+        asked(driven, None, None, 1, None, None, None, None, (0.0, 0.0))
+
+
+def test_given_several_shakers_when_a_check_is_made_then_the_same_one_is_driven() -> None:
+    shakers = [{"kind": "force", "body": 1}, {"kind": "force", "body": 3}]
+    drive = {"kind": "sine", "frequency": "49 Hz", "force": "3 N", "shaker": 2}
+    scene = rig.load("fig9", {"shaker": shakers, "test": drive, "channels": None})
+    question, _ = asked(scene, None, None, 1, None, None, (45.0, 55.0), None, (0.0, 0.0))
+    trial = Trial(Choice((2,), (0.1,), (1e-3,)), (Peak(1e-4, 48.7, 3.0, 1, 1.0, 0.0),))
+    assert check(scene, trial, question).driven == 2
+
+
 def test_given_no_dampers_when_asked_then_the_worst_peak_is_that_of_the_receptance() -> None:
     question, _ = asked(rig.load("fig9"), None, None, 1, None, None, None, None, (0.0, 0.0))
     fine = np.linspace(49.4, 49.9, 2001)

@@ -22,7 +22,7 @@ from daq.recording.protobuf import varint
 
 SERVICE = nidaqmx_pb2.DESCRIPTOR.services_by_name["NiDAQmx"]
 # Entries of a list but for samples, and letters of a text, which may name thousands of channels.
-_MOST, _LONGEST = 10_000, 1 << 18
+_MOST, _LONGEST = 10_000, 1 << 16
 _SAMPLES = ("write_array", "waveforms")
 _SESSION, _TIMESTAMP, _ENUM = "nidevice_grpc.Session", "google.protobuf.Timestamp", "_enum"
 

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from copy import deepcopy
 from dataclasses import dataclass, field
+from typing import TypeVar
 
-from daq.instrument.errors import Code, DaqError
+from daq.instrument.errors import Code, DaqError, bad
 from daq.instrument.settings.channels import Channel
 from daq.instrument.settings.properties import Properties
 from daq.instrument.settings.scales import Scale
 from daq.instrument.settings.task_settings import TaskSettings
+
+# Tasks, channels, or scales: whoever saves ever more of them would take all memory.
+MOST_SAVED = 1000
+Kept = TypeVar("Kept")
 
 
 @dataclass
@@ -29,6 +34,14 @@ class Storage:
     scales: dict[str, Scale] = field(default_factory=dict)
     authors: dict[str, str] = field(default_factory=dict)
 
+    def keep(self, kept: dict[str, Kept], name: str, value: Kept) -> None:
+        """Keep something under a name; with -200077, if there is as much as there may be."""
+        if name not in kept and len(kept) >= MOST_SAVED:
+            raise bad(
+                f"{MOST_SAVED} of these are saved already, which is as many as there may be: delete some"
+            )
+        kept[name] = value
+
     def scale(self, name: str) -> Scale:
         """Find a scale; with -200378, if there is none of that name."""
         if name not in self.scales:
@@ -37,7 +50,7 @@ class Storage:
 
     def save_task(self, task: TaskSettings, name: str, author: str) -> None:
         """Save a task's settings."""
-        self.tasks[name] = SavedTask(deepcopy(task.channels), deepcopy(task.groups))
+        self.keep(self.tasks, name, SavedTask(deepcopy(task.channels), deepcopy(task.groups)))
         self.authors[name] = author
 
     def load_task(self, task: TaskSettings, name: str) -> None:
@@ -51,7 +64,8 @@ class Storage:
         """Save a channel for other tasks."""
         kept = deepcopy(channel)
         kept.name, kept.settings["chan_is_global"] = name, True
-        self.channels[name], self.authors[name] = kept, author
+        self.keep(self.channels, name, kept)
+        self.authors[name] = author
 
     def channel(self, name: str) -> Channel:
         """Find a saved channel; with -200882, if there is none of that name."""

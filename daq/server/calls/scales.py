@@ -14,7 +14,8 @@ def _create_scale(kind: int, *names: tuple[str, str]) -> Callable[[Call], Answer
         given = call.fields
         settings = {key: plain(given[name]) for name, key in names}
         common = {key: given[key] for key in ("pre_scaled_units", "scaled_units")}
-        call.server.storage.scales[given["name"]] = Scale(kind, settings | common)
+        storage = call.server.storage
+        storage.keep(storage.scales, given["name"], Scale(kind, settings | common))
         return {}
 
     return create
@@ -45,14 +46,15 @@ def _save_channel(call: Call) -> Answer:
 def _save_scale(call: Call) -> Answer:
     storage, given = call.server.storage, call.fields
     name = given["save_as"] or given["scale_name"]
-    storage.scales[name] = storage.scale(given["scale_name"])
+    storage.keep(storage.scales, name, storage.scale(given["scale_name"]))
     storage.authors[name] = given["author"]
     return {}
 
 
 def _forget(kept: str, field_name: str) -> Callable[[Call], Answer]:
     def forget(call: Call) -> Answer:
-        getattr(call.server.storage, kept).pop(call.fields[field_name], None)
+        for each in (getattr(call.server.storage, kept), call.server.storage.authors):
+            each.pop(call.fields[field_name], None)
         return {}
 
     return forget

@@ -29,7 +29,7 @@ TEXTS = (
     "\0",
     "\x1b[31m",
     "9" * 5000,
-    "x" * 300_000,
+    "x" * 70_000,
 )
 NUMBERS = (0.0, 1.0, -1.0, 5.0, -5.0, 100.0, 5120.0, 1e300, 1e-320, float("nan"), float("inf"))
 WHOLE = (0, 1, 2, 3, 10, 100, 10_178, 10_280, 10_348, 2**31 - 1)
@@ -261,3 +261,12 @@ def test_given_as_many_calls_as_a_client_may_have_when_it_makes_another_then_it_
                 assert len(other.read(100)) == 100
             for each in streams:
                 each.cancel()
+
+
+def test_given_as_many_scales_as_may_be_saved_when_another_is_made_then_it_is_refused(monkeypatch):
+    monkeypatch.setattr("daq.instrument.settings.storage.MOST_SAVED", 2)
+    with daq.connect("bare-structure", clock=ManualClock()) as rig:
+        for name in ("a", "b", "a"):
+            Scale.create_lin_scale(name, 2.0, grpc_options=rig)
+        with pytest.raises(DaqError, match="delete some"):
+            Scale.create_lin_scale("c", 2.0, grpc_options=rig)

@@ -48,7 +48,10 @@ def causes(problem: Problem) -> list[str]:
         ]
     before = _variance(problem, bare)[1]
     if before < 4.0:
-        return ["The recordings without moving dampers fit: it is the dampers that the scene has otherwise."]
+        return [
+            "The recordings without moving dampers fit: it is the dampers that the scene has otherwise, or with values "
+            "too far off to start from."
+        ]
     found: list[tuple[float, str]] = []
     for text, curves, sensor in _suspects(bare):
         trial, after = _variance(problem, curves)

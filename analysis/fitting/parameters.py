@@ -11,7 +11,7 @@ from scipy.special import expit
 
 from rig.errors import SceneError
 from rig.scene.changes import changes_of
-from rig.scene.damper import Landing
+from rig.scene.damper import Landing, SpringDamper, Walls
 from rig.scene.scene import Scene
 from rig.scene.settings import Place, Settings
 from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping
@@ -29,7 +29,7 @@ FREE = (
 )
 _UNITS = {
     "masses": "kg", "springs": "N/m", "alpha": "1/s", "beta": "s", "dashpots": "N s/m", "mass": "kg",
-    "clearance": "m", "duration": "s", "spring": "N/m",
+    "clearance": "m", "duration": "s", "spring": "N/m", "stiffness": "N/m", "damping": "N s/m",
 }  # fmt: skip
 # Half the 95 % interval, relative, up to which a value counts as determined.
 _LIMITS = {
@@ -39,6 +39,8 @@ _LIMITS = {
     "dashpots": 0.03,
     "restitution": 0.05,
     "duration": 0.05,
+    "stiffness": 0.05,
+    "damping": 0.05,
 }
 _LIMIT = 0.02
 # What is not told at all has intervals without end; a double holds this power of e.
@@ -204,10 +206,20 @@ def _values(scene: Scene) -> Iterator[tuple[Place, float | None]]:
             continue
         for name in ("clearance", "restitution"):
             yield ("dampers", k, name), getattr(damper, name)
-        if isinstance(damper.contact, Landing):
-            yield ("dampers", k, "contact", "duration"), damper.contact.duration
+        yield from _wall_values(("dampers", k, "contact"), damper.contact)
     if len(scene.shakers) == 1 and not isinstance(scene.shaker, tuple):
         yield ("shaker", "spring"), scene.shakers[0].spring
+
+
+def _wall_values(
+    place: Place, wall: Landing | SpringDamper | Walls | None
+) -> Iterator[tuple[Place, float | None]]:
+    names = {Landing: ("duration",), SpringDamper: ("stiffness", "damping")}
+    if isinstance(wall, Walls):
+        yield from _wall_values((*place, "floor"), wall.floor)
+        yield from _wall_values((*place, "ceiling"), wall.ceiling)
+    elif wall is not None:
+        yield from (((*place, name), getattr(wall, name)) for name in names[type(wall)])
 
 
 def _general(one: Parameter) -> str:

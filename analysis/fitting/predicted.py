@@ -46,12 +46,26 @@ def on_the_bench(model: Scene, curves: Curves) -> Scene:
 
 def linear(bench: Scene, curves: Curves, frequency: Array) -> ComplexArray:
     """Displacement of the bodies over the reference, all dampers riding, shape (bodies, frequencies)."""
+    return riding(bench, curves, frequency)[0]
+
+
+def riding(bench: Scene, curves: Curves, frequency: Array) -> tuple[ComplexArray, ComplexArray]:
+    """Displacements over the reference, all dampers riding: of the bodies, and of the beds that could leave floors.
+
+    A bed whose contact lasts moves on the spring of its floor, and leaves it at another acceleration of its body.
+
+    Returns
+    -------
+    bodies : ndarray of complex, shape (bodies, frequencies)
+    beds : ndarray of complex, shape (beds, frequencies)
+    """
     system = assemble(bench)
     states = riding_response(system, _drive(bench), 2.0 * np.pi * frequency)
-    bodies = bench.structure.bodies
     if curves.reference == "table":
-        return states[:bodies] / states[system.points.index(bench.at_driven("table"))]
-    return states[:bodies]
+        states = states / states[system.points.index(bench.at_driven("table"))]
+    beds = states[system.damper_coordinate]
+    beds[system.lasting] += states[system.bed[system.lasting]]
+    return states[: bench.structure.bodies], beds[system.clearance > 0.0]
 
 
 def linear_slopes(

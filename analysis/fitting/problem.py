@@ -230,7 +230,8 @@ class Problem:
         columns: list[list[ComplexArray]] = [[] for _ in groups]
         for k in chosen:
             moved = x.copy()
-            moved[k] += _STEP
+            # An unknown that nothing tells may have gone far beyond where its value changes no more.
+            moved[k] += _STEP * max(1.0, abs(x[k]))
             there = self.scene(moved)
             for group, here, column in zip(groups, base, columns, strict=True):
                 off = self.misses(moved, group, there, distrust, settle=False) - here

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.fitting.measured import Curves
-from analysis.fitting.predicted import linear
+from analysis.fitting.predicted import riding
 from rig.errors import RunError, SceneError
 from rig.orbits.admissibility import survey
 from rig.orbits.event_sequence import Plan
@@ -23,7 +23,6 @@ from rig.scene.shaker import ForceShaker
 from rig.scene.structure import Structure
 from rig.system.open_loop_drive import riding_response
 from rig.system.receptance import loaded_matrices
-from rig.system.structure import damper_bodies
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -98,10 +97,8 @@ class SteadyTones:
         settle : bool
             Whether motions may be looked for anew; else only those known are followed, for derivatives.
         """
-        found = linear(bench, self.curves, frequency)
-        moving = np.array([k for k, d in enumerate(bench.dampers) if not d.locked and d.clearance > 0.0])
-        carrying = damper_bodies(bench)[moving]
-        pull = (2.0 * np.pi * frequency) ** 2 * level * abs(found[carrying]).max(axis=0)
+        found, beds = riding(bench, self.curves, frequency)
+        pull = (2.0 * np.pi * frequency) ** 2 * level * abs(beds).max(axis=0, initial=0.0)
         flying = np.array([one is not None for one in self.known])
         rig = _Rig(bench)
         for k in np.flatnonzero(pull > bench.gravity if settle else flying).tolist():
@@ -170,11 +167,6 @@ class _Rig:
             held = Structure(matrices=Matrices(mass=mass, damping=damping, stiffness=stiffness))
             bench = bench.replace(structure=held, shaker=ForceShaker(body=shaker.body))
         self.bodies = bench.structure.bodies
-        if any(damper.contact is not None and not damper.locked for damper in bench.dampers):
-            raise SceneError(
-                f"scene {bench.name!r} has dampers whose contact lasts, which a fit to steady tones cannot follow; "
-                "expected dampers without contact: fit with each contact left out, and set it again in what was fitted"
-            )
         self.problem = OrbitProblem(bench.replace(test={"kind": "sine", "frequency": 1.0, level: 1.0}))
         if shaker.kind == "electrodynamic":
             self.table = self.problem.system.points.index("table")

@@ -1,8 +1,9 @@
 """Fits on benches that nobody prepared: ``python -m tests.gauntlet.fits --benches 30 --seed 7``.
 
-Each bench is drawn with two to five bodies, up to three dampers, noise, and sensors off by what data sheets allow;
-it is recorded without and with its dampers, and a guess that is a fifth off is fitted. Prints what was told of each
-value, and how often it was so. Exit code 1 where intervals hold too seldom or something determined is too far off.
+Each bench is drawn with two to five bodies, up to three dampers, some with contact that lasts, noise, and sensors off
+by what data sheets allow; it is recorded without and with its dampers, and a guess that is a fifth off is fitted.
+Prints what was told of each value, and how often it was so. Exit code 1 where intervals hold too seldom or something
+determined is too far off.
 """
 
 from __future__ import annotations
@@ -91,6 +92,7 @@ def draw(seed: int, number: int) -> rig.Scene:
         {
             "body": body, "mass_ratio": dice.even(0.03, 0.12),
             "clearance": ".inf" if dice.chance(0.2) else f"{dice.log(0.3, 2.0):.3g} mm",
+            **_contact(Draw(seed, number + 60_000 + 1000 * body)),
         }
         for body in carriers
     ]  # fmt: skip
@@ -108,6 +110,13 @@ def draw(seed: int, number: int) -> rig.Scene:
     # At the highest resonance the dampers' bodies would reach some g without them.
     force = float(f"{dice.log(4.0, 12.0) * 9.81 / largest:.4g}")
     return scene.replace(test=scene.test.replace(force=force))
+
+
+def _contact(dice: Draw) -> Settings:
+    """Landings at once, or ones that last."""
+    if dice.chance(0.5):
+        return {}
+    return {"contact": {"duration": f"{dice.log(0.5, 8.0):.3g} ms"}, "restitution": dice.even(0.05, 0.6)}
 
 
 def _points(dice: Draw, chain: Settings, modes: list[float]) -> list[float]:

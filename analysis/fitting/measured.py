@@ -124,8 +124,8 @@ def measured(rec: Recording, name: str, progress: Progress | None = None) -> lis
     tones = any(marker.kind == "measure" and "frequency" in marker.fields for marker in rec.markers)
     if any(not d.locked and d.clearance > 0.0 for d in scene.dampers) and not tones:
         raise RecordingError(
-            f"{name} holds a {kind.replace('_', ' ') or 'test without tones'} with dampers that move: their response "
-            "is fitted from steady tones; record test: {kind: stepped_sine, ...} at one or several levels"
+            f"{name} holds a test {f'of kind {kind}' if kind else 'without tones'} with dampers that move: their "
+            "response is fitted from steady tones; record test: {kind: stepped_sine, ...} at one or several levels"
         )
     if tones:
         found = sweeps(rec, concerned(rec, names, reference), progress)

@@ -37,7 +37,7 @@ def expect(rec: Recording, path: Path, command: str) -> None:
     measured = [marker for marker in rec.markers if marker.kind == "measure"]
     hit = any(marker.kind == "hit" for marker in rec.markers) or kind == "free"
     file = shlex.quote(str(path))
-    held = f"{path} holds a {kind.replace('_', ' ')} test" if kind else f"{path} holds no test"
+    held = f"{path} holds a test of kind {kind}" if kind else f"{path} holds no test"
     if command == "decay" and not hit and measured:
         raise RecordingError(f"{held} and no free decay: `analysis frf {file}` shows its frequency responses")
     if command in ("frf", "modes", "dampers") and kind == "free":

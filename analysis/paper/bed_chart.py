@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.paper.bed_claim import NOT_FAR, apart, certain
-from analysis.paper.contact_study import apart_on, below_ceiling, on_contact, stand_in
+from analysis.paper.contact_study import apart_on, below_ceiling, on_contact, stand_in, where_followed
 from analysis.paper.figures import BLACK, Parts
 from rig.figure_style import drawing
 
@@ -21,8 +21,8 @@ _MOST = 40.0  # Per cent at the ends of the colours
 
 
 def beds(parts: Parts) -> Figure:
-    """Deviation of grains from one mass that lands at once, and on a contact that lasts: a row for each depth."""
-    data = parts["beds"]
+    """Deviation of grains at 50 Hz from a mass that lands at once and on a contact that lasts; a row for each depth."""
+    data = where_followed(parts["beds"])
     layers = np.unique(data["layers"])
     one = stand_in(below_ceiling(data), parts["contacts"])
     columns = (

@@ -7,10 +7,18 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.paper.bed_study import BEDS, BLOCK, BLOCK_WITH_CEILING, settings
+from analysis.paper.bed_study import BEDS, BLOCK, BLOCK_WITH_CEILING, FREQUENCY, point_of, settings
 from analysis.paper.charts import trust_error
 from analysis.paper.claim import Claim, Evidence
-from analysis.paper.contact_study import apart_on, apart_unseen, below_ceiling, ceiling_on, stand_in
+from analysis.paper.contact_study import (
+    apart_on,
+    apart_unseen,
+    below_ceiling,
+    ceiling_on,
+    some,
+    stand_in,
+    where_followed,
+)
 from analysis.paper.figures import Parts
 
 Arrays = Mapping[str, np.ndarray]
@@ -49,6 +57,7 @@ def bed_claim(parts: Parts, consequences: Sequence[Claim]) -> Claim:
                 + "; ".join(
                     _by(beds, np.abs(off) <= NOT_FAR, axis, words, unit, factor)
                     for axis, words, unit, factor in (
+                        ("frequency", "by frequency", " Hz", 1.0),
                         ("level", "by acceleration", " g", 1.0),
                         ("clearance", "by clearance", " mm", 1e3),
                         ("layers", "by depth", " layers", 1.0),
@@ -57,7 +66,12 @@ def bed_claim(parts: Parts, consequences: Sequence[Claim]) -> Claim:
                 + ".",
                 ("beds",),
             ),
-            Evidence(_on_contact(beds, parts["contacts"]), ("beds", "contacts")),
+            *(
+                Evidence(_at_mode(beds, frequency), ("beds",))
+                for frequency in np.unique(beds["frequency"]).tolist()
+                if frequency != FREQUENCY
+            ),
+            Evidence(_on_contact(where_followed(beds), parts["contacts"]), ("beds", "contacts")),
             Evidence(
                 f"The model's consequences, which the paper measured and our experiment with that model: {became}.", ()
             ),
@@ -93,9 +107,10 @@ def verdict(beds: Arrays) -> str:
     count, near, far = len(off), int((off <= NEAR).sum()), int((off <= NOT_FAR).sum())
     words = (
         f"the body's compliance is that of one mass within {100 * NEAR:g} % in {near}, within {100 * NOT_FAR:g} % in "
-        f"{far} of {count} settings of acceleration, clearance and depth at which beds of grains were simulated"
+        f"{far} of {count} settings of frequency, acceleration, clearance and depth at which beds of grains were "
+        "simulated"
     )
-    whole = len({setting[:3] for setting in settings()})
+    whole = len({point_of(setting) for setting in settings()})
     if count < whole:
         words += f", of {whole} in the study: the others are not computed yet"
     if far == count:
@@ -110,7 +125,7 @@ def _study(beds: Arrays) -> str:
     counts = [BEDS[layers][0] for layers in np.unique(beds["layers"]).tolist()]
     return (
         "Beds of spheres, by discrete elements, were held against the same beds as one mass at "
-        f"{len(beds['level'])} settings: acceleration {_span(beds['level'])} g at 50 Hz, clearance "
+        f"{len(beds['level'])} settings: {_frequencies(beds)}, acceleration {_span(beds['level'])} g, clearance "
         f"{_span(1e3 * ceilings)} mm or no ceiling, depth {_span(beds['depth'])} diameters{packings}. "
         f"{min(counts)} to {max(counts)} grains in a cavity with a smooth side, which stands for a piece of a wide "
         "one: what the rough side of a cavity adds "
@@ -122,6 +137,25 @@ def _study(beds: Arrays) -> str:
         "that one mass does not fly through are left out but for no ceiling. "
         "`analysis beds` makes the table again; with `--points 6` a small one in minutes."
     )
+
+
+def _frequencies(beds: Arrays) -> str:
+    found = np.unique(beds["frequency"])
+    counts = (f"{int((beds['frequency'] == one).sum())} at {one:g} Hz" for one in found)
+    return f"{', '.join(counts)} (the paper's resonances lie at 13, 34.8 and 49.6 Hz)"
+
+
+def _at_mode(beds: Arrays, frequency: float) -> str:
+    """Say what grains are beside one mass at another resonance."""
+    own = some(beds, beds["frequency"] == frequency)
+    off, high = 100.0 * apart(own, "compliance"), np.isinf(own["clearance"])
+    parts = (
+        f"{words} {_within(off[where], 100 * NOT_FAR)} of {int(where.sum())} within {100 * NOT_FAR:g} %, median "
+        f"{np.median(off[where]):+.0f} %, from {off[where].min():+.0f} to {off[where].max():+.0f} %"
+        for words, where in (("without a ceiling", high), ("below one", ~high))
+        if where.any()
+    )
+    return f"At {frequency:g} Hz, compliance of grains against one mass: {'; '.join(parts)}."
 
 
 def _deviation(beds: Arrays, name: str, words: str) -> str:

@@ -1,10 +1,10 @@
 """One mass against grains, setting by setting: what claim C7 is judged by.
 
-A cavity shaken at 50 Hz by a body a thousand times heavier than the bed, so that both beds meet the same motion and the
-body has nothing to settle. What counts is its acceleration, the clearance and the depth of the bed; a narrow cavity
-with few grains and a smooth side stands for a piece of a wide one. What such a bed takes from the motion gives the
-compliance, at that amplitude, of a body ten times as heavy as its bed at resonance. Results of all settings are kept in
-the package; `analysis beds` makes them again.
+A cavity shaken at 50 Hz, near the paper's third resonance, and at its first and second, by a body a thousand times
+heavier than the bed, so that both beds meet the same motion and the body has nothing to settle. What counts is its
+acceleration, the clearance and the depth of the bed; a narrow cavity with few grains and a smooth side stands for a
+piece of a wide one. What such a bed takes from the motion gives the compliance, at that amplitude, of a body ten times
+as heavy as its bed at resonance. Results of all settings are kept in the package; `analysis beds` makes them again.
 """
 
 from __future__ import annotations
@@ -48,8 +48,15 @@ DEEPEST = 20
 SETTINGS_OF_DEEPEST = (
     (1.3, math.inf), (3.0, math.inf), (7.0, math.inf), (4.5, 0.3e-3), (4.5, 0.98e-3), (7.0, 0.98e-3),
 )  # fmt: skip
-#: Hz; the resonance of the heavy body is at half of it.
+#: Hz, of the settings above; the resonance of the heavy body is at half of it.
 FREQUENCY = 50.0
+#: The paper's first and second resonance, Hz, with accelerations in g about those that dampers leave of them in its
+#: Figs 8 (without a ceiling) and 9 (below 0.98 mm), and layers; one packing each.
+SETTINGS_OF_MODES = {
+    13.0: {math.inf: (1.3, 1.8, 3.0)},
+    34.8: {math.inf: (1.3, 2.3, 4.5), 0.98e-3: (2.3, 4.5, 7.0)},
+}
+LAYERS_OF_MODES = (4, 6)
 #: The mass of the bed over that of the body that shakes it.
 SHAKEN = 1e-3
 #: Of the body whose compliance is told: damping ratio, and the mass of the bed over its mass.
@@ -60,12 +67,13 @@ DAMPING, MASS_RATIO = 0.005, 0.1
 BLOCK, BLOCK_WITH_CEILING = 6, 20
 #: Young's modulus of the grains, Pa.
 MODULUS = 1e8
-#: Rayleigh's times in a step: statistics of a bed do not ask for the rebound of each grain to 1 %.
-STEP = 0.19
+#: Rayleigh's times in a step: statistics of a bed do not ask for the rebound of each grain to 1 %. Twice that is too
+#: much: beds of four and six layers that seldom meet a ceiling of 2 mm then take 10 to 80 % less.
+STEP = 0.1
 #: What is kept of each of both motions.
 MEASURES = ("compliance", "floor_impulse", "ceiling_impulse", "energy", "landing", "flight")
 _HEADER = (
-    "level", "clearance_m", "layers", "seed", "depth_diameters",
+    "frequency_hz", "level", "clearance_m", "layers", "seed", "depth_diameters",
     *(f"{who}_{name}" for who in ("grains", "mass") for name in (*MEASURES, "motion_type")),
 )  # fmt: skip
 
@@ -80,12 +88,13 @@ TABLE = Table(
 
 
 class Setting(NamedTuple):
-    """A point of the study: acceleration in g, clearance in m, layers of the bed, seed of its packing."""
+    """A point of the study: acceleration in g, clearance in m, layers of the bed, seed of its packing, Hz."""
 
     level: float
     clearance: float
     layers: int
     seed: int
+    frequency: float = FREQUENCY
 
 
 def settings() -> list[Setting]:
@@ -98,7 +107,14 @@ def settings() -> list[Setting]:
         shuffled = (points[k] for k in order)
         found += [Setting(level, clearance, layers, seed) for level, clearance, layers in shuffled]
     deepest = [(*pair, DEEPEST, seed) for seed in SEEDS[:2] for pair in SETTINGS_OF_DEEPEST]
-    return found + [Setting(*each) for each in deepest]
+    found += [Setting(*each) for each in deepest]
+    return found + [
+        Setting(level, clearance, layers, SEEDS[0], frequency)
+        for layers in LAYERS_OF_MODES
+        for frequency, clearances in SETTINGS_OF_MODES.items()
+        for clearance, levels in clearances.items()
+        for level in levels
+    ]
 
 
 def scene_of_bed(setting: Setting, **grains: float) -> Scene:
@@ -108,7 +124,7 @@ def scene_of_bed(setting: Setting, **grains: float) -> Scene:
     bed = Grains.model_validate(chosen | grains)
     bed = bed.replace(time_step=bed.time_step or STEP * rayleigh_time(bed, bed.density))
     mass = count * bed.density * math.pi / 6.0 * bed.diameter**3
-    body, shaken = mass / SHAKEN, (2.0 * math.pi * FREQUENCY) ** 2
+    body, shaken = mass / SHAKEN, (2.0 * math.pi * setting.frequency) ** 2
     return Scene.model_validate(
         {
             "name": "bed study",
@@ -117,7 +133,8 @@ def scene_of_bed(setting: Setting, **grains: float) -> Scene:
             "dampers": [{"body": 1, "mass": mass, "clearance": setting.clearance, "grains": bed}],
             "shaker": {"kind": "force", "body": 1},
             "test": {
-                "kind": "sine", "frequency": FREQUENCY, "force": 0.75 * setting.level * body * STANDARD_GRAVITY,
+                "kind": "sine", "frequency": setting.frequency,
+                "force": 0.75 * setting.level * body * STANDARD_GRAVITY,
             },
         }
     )  # fmt: skip
@@ -128,14 +145,11 @@ def compared(setting: Setting) -> Row:
     scene = scene_of_bed(setting)
     (spheres,) = spheres_of(scene).values()
     depth = highest(spheres, settled(spheres)) / spheres.settings.diameter
-    row = [repr(float(value)) for value in setting[:2]] + [
-        str(setting.layers),
-        str(setting.seed),
-        f"{depth:.2f}",
-    ]
+    row = [repr(float(value)) for value in (setting.frequency, setting.level, setting.clearance)]
+    row += [str(setting.layers), str(setting.seed), f"{depth:.2f}"]
     block = BLOCK if math.isinf(setting.clearance) else BLOCK_WITH_CEILING
-    row += told(scene, steady_grains(scene, FREQUENCY, block, 3, least=3))
-    row += _of_mass(setting.level, setting.clearance)
+    row += told(scene, steady_grains(scene, setting.frequency, block, 3, least=3))
+    row += _of_mass(setting.frequency, setting.level, setting.clearance)
     return dict(zip(_HEADER, row, strict=True))
 
 
@@ -167,18 +181,19 @@ def table(path: Path | None = None) -> Arrays:
     Returns
     -------
     dict of ndarray
-        ``level``, ``clearance``, ``layers``, ``seeds`` (their number), ``depth``, each (settings,); and
+        ``frequency``, ``level``, ``clearance``, ``layers``, ``seeds`` (their number), ``depth``, each (settings,); and
         ``grains_NAME``, ``mass_NAME``, ``error_NAME`` (the standard error of the mean over the seeds, infinite where
         there is one) for each NAME of `MEASURES`, with ``grains_type`` and ``mass_type``.
     """
-    groups: dict[tuple[float, float, int], list[Row]] = {}
+    groups: dict[tuple[float, float, float, int], list[Row]] = {}
     for row in rows(path or TABLE.kept, TABLE):
-        groups.setdefault(setting_of(row)[:3], []).append(row)
+        groups.setdefault(point_of(setting_of(row)), []).append(row)
     keys = sorted(groups)
     out: Arrays = {
-        "level": np.array([key[0] for key in keys]),
-        "clearance": np.array([key[1] for key in keys]),
-        "layers": np.array([key[2] for key in keys]),
+        "frequency": np.array([key[0] for key in keys]),
+        "level": np.array([key[1] for key in keys]),
+        "clearance": np.array([key[2] for key in keys]),
+        "layers": np.array([key[3] for key in keys]),
         "seeds": np.array([len(groups[key]) for key in keys]),
         "depth": np.array([np.mean([float(row["depth_diameters"]) for row in groups[key]]) for key in keys]),
     }
@@ -203,10 +218,10 @@ def table(path: Path | None = None) -> Arrays:
 
 
 @cache
-def _of_mass(level: float, clearance: float) -> list[str]:
+def _of_mass(frequency: float, level: float, clearance: float) -> list[str]:
     """Follow the bed as one mass: it moves the same whatever the depth."""
-    scene = scene_of_bed(Setting(level, clearance, min(BEDS), 1))
-    return told(scene, steady_mass(scene, FREQUENCY))
+    scene = scene_of_bed(Setting(level, clearance, min(BEDS), 1, frequency))
+    return told(scene, steady_mass(scene, frequency))
 
 
 def told(scene: Scene, motion: SteadyBed) -> list[str]:
@@ -222,11 +237,11 @@ def told(scene: Scene, motion: SteadyBed) -> list[str]:
     assert test.force is not None
     weight = mass * scene.gravity
     amplitude = abs(motion.compliance[0]) * test.force
-    stored = math.pi * mass / MASS_RATIO * (2.0 * math.pi * FREQUENCY * amplitude) ** 2
+    stored = math.pi * mass / MASS_RATIO * (2.0 * math.pi * test.frequency * amplitude) ** 2
     values = (
         1.0 / (2.0 * DAMPING + motion.energy[0] / stored),
-        motion.floor_impulse[0] * FREQUENCY / weight,
-        motion.ceiling_impulse[0] * FREQUENCY / weight,
+        motion.floor_impulse[0] * test.frequency / weight,
+        motion.ceiling_impulse[0] * test.frequency / weight,
         motion.energy[0] / (weight * 1e-3),
         motion.landing[0],
         motion.flight[0],
@@ -235,7 +250,7 @@ def told(scene: Scene, motion: SteadyBed) -> list[str]:
 
 
 def compliance_at_peak(level: Values, energy: Values) -> Values:
-    """Give the compliance as in `told`, of beds that take an energy at an acceleration in g; any shape."""
+    """Give the compliance as in `told`, of beds that take an energy at an acceleration in g at 50 Hz; any shape."""
     speed = level * STANDARD_GRAVITY / (2.0 * math.pi * FREQUENCY)
     stored = math.pi / MASS_RATIO * speed**2
     return np.asarray(1.0 / (2.0 * DAMPING + energy * STANDARD_GRAVITY * 1e-3 / stored))
@@ -243,13 +258,19 @@ def compliance_at_peak(level: Values, energy: Values) -> Values:
 
 def setting_of(row: Row) -> Setting:
     """Give the setting of a row."""
-    return Setting(float(row["level"]), float(row["clearance_m"]), int(row["layers"]), int(row["seed"]))
+    level, clearance, frequency = (float(row[name]) for name in ("level", "clearance_m", "frequency_hz"))
+    return Setting(level, clearance, int(row["layers"]), int(row["seed"]), frequency)
+
+
+def point_of(setting: Setting) -> tuple[float, float, float, int]:
+    """Give what seeds of a setting have in common: frequency, acceleration, clearance, layers."""
+    return setting.frequency, setting.level, setting.clearance, setting.layers
 
 
 def _words(row: Row) -> str:
-    level, clearance, layers, seed = setting_of(row)
+    level, clearance, layers, seed, frequency = setting_of(row)
     ratio = float(row["grains_compliance"]) / float(row["mass_compliance"])
     return (
-        f"{level:g} g, clearance {1e3 * clearance:g} mm, {layers} layers, seed {seed}: compliance of grains "
-        f"{100 * (ratio - 1.0):+.1f} % off that of one mass"
+        f"{level:g} g at {frequency:g} Hz, clearance {1e3 * clearance:g} mm, {layers} layers, seed {seed}: compliance "
+        f"of grains {100 * (ratio - 1.0):+.1f} % off that of one mass"
     )

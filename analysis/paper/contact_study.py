@@ -1,10 +1,10 @@
 """One mass on floor and ceiling that give way: which contact stands best for a bed of grains, and how well.
 
-At the settings of `analysis.paper.bed_study` one mass is followed on contacts of several restitutions and durations.
-Of a bed of which a share moves and the rest is held, the moving share takes its share of the energy. The contact that
-stands for the bed is the one, of these and for all settings below a ceiling alike, with which the body's compliance is
-nearest to that with grains; without a ceiling a landing at once is nearer. It is judged where it was not fitted, too:
-each acceleration in turn by a fit to the others.
+At the settings of `analysis.paper.bed_study` at 50 Hz one mass is followed on contacts of several restitutions and
+durations. Of a bed of which a share moves and the rest is held, the moving share takes its share of the energy. The
+contact that stands for the bed is the one, of these and for all settings below a ceiling alike, with which the body's
+compliance is nearest to that with grains; without a ceiling a landing at once is nearer. It is judged where it was not
+fitted, too: each acceleration in turn by a fit to the others.
 """
 
 from __future__ import annotations
@@ -162,6 +162,11 @@ def apart_unseen(beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarr
         fitted = stand_in(some(beds, ~own), contacts)
         found[own] = apart_on(fitted, some(beds, own), contacts)
     return found
+
+
+def where_followed(beds: Mapping[str, np.ndarray]) -> Arrays:
+    """Give the settings at which contacts were followed: those at 50 Hz."""
+    return some(beds, beds["frequency"] == FREQUENCY)
 
 
 def below_ceiling(beds: Mapping[str, np.ndarray]) -> Arrays:

@@ -39,6 +39,7 @@ from rig.workers import Workers
 def made(setting: Setting) -> dict[str, str]:
     """Make a row in which grains of seed 1 are 2 % and of seed 2 are 4 % off the mass."""
     row = {
+        "frequency_hz": repr(setting.frequency),
         "level": repr(setting.level),
         "clearance_m": repr(setting.clearance),
         "layers": str(setting.layers),
@@ -150,7 +151,9 @@ def test_given_the_kept_table_when_claim_c7_is_judged_then_its_words_have_its_nu
 
     claim = bed_claim(known, [])
 
-    assert set(np.unique(beds["level"])) <= set(SETTINGS)
+    assert set(np.unique(contact_study.where_followed(beds)["level"])) <= set(SETTINGS)
+    for mode in ("At 13 Hz", "At 34.8 Hz"):
+        assert any(evidence.text.startswith(mode) for evidence in claim.evidence)
     assert claim.verdict == verdict(beds)
     assert any(f"at {len(beds['level'])} settings" in evidence.text for evidence in claim.evidence)
 

@@ -22,6 +22,7 @@ from analysis.paper.contact_study import (
     scene_on_contact,
     stand_in,
     table,
+    where_followed,
 )
 from analysis.paper.kept_study import rows
 from rig.bed_response.steady_bed import steady_mass
@@ -66,7 +67,7 @@ def test_given_the_kept_table_then_it_has_every_point_in_order_and_what_is_compu
 
 
 def test_given_what_the_mass_of_the_kept_beds_takes_then_the_compliance_is_that_of_the_table() -> None:
-    beds = bed_study.table()
+    beds = where_followed(bed_study.table())
 
     # The table rounds both, and takes the body's own acceleration.
     assert compliance_at_peak(beds["level"], beds["mass_energy"]) == pytest.approx(

@@ -164,7 +164,7 @@ def approximate_response(
     Parameters
     ----------
     scene : Scene or str
-        A scene, or what `rig.load` takes; with dampers of one common clearance and restitution 0.
+        A scene, or what `rig.load` takes; with dampers of one common clearance that land at once, restitution 0.
     mode : int
         Mode that is kept, from 1.
     band : tuple of float or str

@@ -182,7 +182,8 @@ def single_mode(
     """Keep one mode of a scene; see `reduce_to_mode` for the arguments and errors.
 
     `force` [N] defaults to the scene's test. Locked dampers belong to the structure; all others must share
-    one clearance, because they become one equivalent damper, and restitution 0, as the method has no other.
+    one clearance, because they become one equivalent damper, land at once and have restitution 0, as the method has
+    no other.
     """
     mass, damping, stiffness = structure_matrices(scene.structure)
     mass = mass.copy()
@@ -196,6 +197,11 @@ def single_mode(
             raise SceneError(
                 f"scene {scene.name!r}: damper in body {damper.body} is a bed of grains; the approximate method knows "
                 "it as one mass: expected no grains: here"
+            )
+        if damper.contact is not None:
+            raise SceneError(
+                f"damper at body {damper.body}: its contact lasts; the method has only landings at once, expected no "
+                "contact: here (rig.orbit_response knows both)"
             )
         if damper.restitution != 0:
             raise SceneError(

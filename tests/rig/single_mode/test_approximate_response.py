@@ -337,3 +337,11 @@ def test_given_restitution_when_reduced_then_it_says_that_the_method_has_none() 
 
     with pytest.raises(SceneError, match=r"restitution 0\.3"):
         single_mode(bouncy, 3)
+
+
+def test_given_contact_that_lasts_when_reduced_then_it_says_that_the_method_knows_landings_at_once() -> None:
+    scene = rig.load("fig9")
+    soft = scene.replace(dampers=[scene.dampers[0].replace(contact={"duration": 5e-3})])
+
+    with pytest.raises(SceneError, match="its contact lasts"):
+        single_mode(soft, 3)

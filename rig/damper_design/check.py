@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 #: Frequencies of the test through which the motion is followed up to a peak; how near to the steady one, relative to
 #: it, and how many periods that may take.
-APPROACH, NEAR, LONGEST = 3, 1e-5, 1000
+APPROACH, NEAR, LONGEST = 3, 1e-4, 2000
 #: Points about each peak, and how far they reach to either side of it, relative.
 POINTS, REACH = 25, 0.04
 
@@ -34,7 +34,7 @@ class Expected:
     sizes : tuple of float, or None
         Compliance there through the scene's own shaker, whose spring gives the force harmonics, too, m/N: the least,
         that at the level, and the most, over forces that count as held and motions that count as steady. None where
-        the motion does not repeat within `LONGEST` periods.
+        none was found steady within `LONGEST` periods.
     """
 
     peak: Peak

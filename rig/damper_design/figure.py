@@ -144,7 +144,7 @@ def next_step(design: Design, scene: Path) -> str:
 
 def _expected(one: Expected) -> str:
     peak = one.peak
-    through_shaker = "does not repeat: scatters"
+    through_shaker = "no steady motion found: scatters"
     if one.sizes is not None:
         low, size, high = (f"{1e6 * each:.4g}" for each in one.sizes)
         through_shaker = f"{size} ({low} to {high})"

@@ -97,6 +97,8 @@ def test_given_a_design_when_written_then_its_scene_loads_and_its_summary_says_t
     commands = [shlex.split(line) for line in next_step(chosen, scene).splitlines() if line.startswith("daq")]
     assert [each[:3] for each in commands] == [["daq", "record", str(scene)]] * 2
     assert "dampers=null" in commands[0] and "dampers=null" not in commands[1]
+    unsteady = replace(chosen, expected=tuple(replace(one, sizes=None) for one in chosen.expected))
+    assert "no steady motion found" in next_step(unsteady, scene)
 
 
 @pytest.mark.thorough

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -81,7 +82,8 @@ class LockIn:
         self.frequency = frequency
         self.rate = rate
         self.harmonics = harmonics
-        self._basis: dict[int, tuple[Array, Array]] = {}
+        self._basis: dict[int, Array] = {}
+        self._grams: dict[int, Array] = {}
         self._parts: list[tuple[int, int, Array]] = []
         self._squares: list[Array] = []
         self._samples = 0
@@ -89,11 +91,9 @@ class LockIn:
     def add(self, samples: Array) -> None:
         """Take the next part of the window, shape (channels, samples); parts follow without a gap."""
         length = samples.shape[1]
-        basis, _ = self._of_length(length)
-        projection = np.zeros((len(basis), len(samples)))
-        for start in range(0, length, _CACHED):
-            piece = slice(start, start + _CACHED)
-            projection += basis[:, piece] @ samples[:, piece].T
+        projection = np.zeros((2 * self.harmonics + 2, len(samples)))
+        for start, turn, basis in self._pieces(length):
+            projection += turn @ (basis @ samples[:, start : start + basis.shape[1]].T)
         self._parts.append((self._samples, length, projection))
         self._squares.append(np.einsum("ij,ij->i", samples, samples))
         self._samples += length
@@ -105,7 +105,7 @@ class LockIn:
         normal, right = np.zeros((size, size)), np.zeros((size, channels))
         to_local = [self._to_local(first, length) for first, length, _ in self._parts]
         for matrix, (_, length, projection) in zip(to_local, self._parts, strict=True):
-            normal += matrix.T @ self._of_length(length)[1] @ matrix
+            normal += matrix.T @ self._gram(length) @ matrix
             right += matrix.T @ projection
         solution = linalg.solve(normal, right, assume_a="pos")
         amplitude = (solution[2::2] + 1j * solution[3::2]).T
@@ -113,7 +113,7 @@ class LockIn:
         for row, (matrix, (first, length, projection)) in enumerate(zip(to_local, self._parts, strict=True)):
             # A part's own offset and slope would be nearly collinear with its tone, and its scatter too
             # large: the part answers only for what the common offset, slope and tones leave over.
-            gram = self._of_length(length)[1]
+            gram = self._gram(length)
             left_over = (projection - gram @ (matrix @ solution))[2:]
             local = linalg.solve(gram[2:, 2:], left_over, assume_a="pos")
             turn = np.exp(-2j * np.pi * np.fmod(self.frequency * first / self.rate, 1.0))
@@ -123,20 +123,51 @@ class LockIn:
         residual = np.sqrt(np.maximum(left, 0.0) / degrees)
         return ToneFit(self.frequency, amplitude, parts, residual)
 
-    def _of_length(self, length: int) -> tuple[Array, Array]:
-        """Rows 1, slope, cos k, -sin k of a part and their Gram matrix; parts differ by a sample at most."""
-        if length not in self._basis:
-            turn = np.exp(2j * np.pi * self.frequency / self.rate * np.arange(length))
-            basis = np.empty((2 * self.harmonics + 2, length))
-            basis[0] = 1.0
-            basis[1] = np.linspace(-1.0, 1.0, length)
-            power = np.ones(length, dtype=complex)
-            for k in range(self.harmonics):
-                power = power * turn
-                basis[2 + 2 * k] = power.real
-                basis[3 + 2 * k] = -power.imag
-            self._basis[length] = basis, basis @ basis.T
-        return self._basis[length]
+    def _gram(self, length: int) -> Array:
+        """Gram matrix of a part's rows 1, slope, cos k, -sin k; parts differ by a sample at most."""
+        if length not in self._grams:
+            self._grams[length] = np.asarray(
+                sum(turn @ basis @ basis.T @ turn.T for _, turn, basis in self._pieces(length))
+            )
+        return self._grams[length]
+
+    def _pieces(self, length: int) -> Iterator[tuple[int, Array, Array]]:
+        """Yield where each piece of a part begins, its rows, and the matrix that makes the part's rows of them.
+
+        A piece's rows are the same wherever it is, but for the slope and a turn of each tone: a part of any length is
+        known by those of one piece.
+        """
+        for start in range(0, length, _CACHED):
+            size = min(_CACHED, length - start)
+            turn = np.eye(2 * self.harmonics + 2)
+            # The part's slope runs from -1 to 1, a piece's by 1 for each sample.
+            step = 2.0 / max(length - 1, 1)
+            turn[1, :2] = start * step - 1.0, step
+            self._rotate(turn, start)
+            yield start, turn, self._rows(size)
+
+    def _rows(self, size: int) -> Array:
+        """Rows 1, sample number, cos k, -sin k of a piece."""
+        if size not in self._basis:
+            at = np.arange(size)
+            phase = (
+                2j
+                * np.pi
+                * np.fmod(np.outer(np.arange(1, self.harmonics + 1), self.frequency / self.rate * at), 1.0)
+            )
+            tones = np.exp(phase)
+            basis = np.empty((2 * self.harmonics + 2, size))
+            basis[0], basis[1], basis[2::2], basis[3::2] = 1.0, at, tones.real, -tones.imag
+            self._basis[size] = basis
+        return self._basis[size]
+
+    def _rotate(self, matrix: Array, first: int) -> None:
+        """Set the blocks of the tones in a matrix that makes their rows at a sample of those at the first one."""
+        for k in range(self.harmonics):
+            angle = 2 * np.pi * np.fmod((k + 1) * self.frequency * first / self.rate, 1.0)
+            cos, sin = np.cos(angle), np.sin(angle)
+            at = 2 + 2 * k
+            matrix[at : at + 2, at : at + 2] = [[cos, sin], [-sin, cos]]
 
     def _to_local(self, first: int, length: int) -> Array:
         """Matrix from the coefficients of the whole window to those of a part from sample `first` on."""
@@ -145,11 +176,9 @@ class LockIn:
         matrix[0, 0] = 1.0
         matrix[0, 1] = (first + (length - 1) / 2) / self._samples
         matrix[1, 1] = (length - 1) / 2 / self._samples
-        for k in range(self.harmonics):
-            angle = 2 * np.pi * np.fmod((k + 1) * self.frequency * first / self.rate, 1.0)
-            cos, sin = np.cos(angle), np.sin(angle)
-            at = 2 + 2 * k
-            matrix[at : at + 2, at : at + 2] = [[cos, -sin], [sin, cos]]
+        self._rotate(matrix, first)
+        # Coefficients turn the other way than the rows that they belong to.
+        matrix[2:, 2:] = matrix[2:, 2:].T.copy()
         return matrix
 
 

@@ -75,21 +75,42 @@ def whole_periods(frequency: float, rate: float, at_least: float) -> int:
 _HARMONICS, _BELOW = 6, 0.4
 
 
-# A test stays at one frequency for a few kinds of windows, which may be long.
+# Samples whose model is held at a time.
+_PIECE = 1 << 16
+
+
+# A test stays at one frequency for a few kinds of windows.
 @lru_cache(maxsize=8)
 def _weights(frequency: float, rate: float, samples: int) -> Array:
     """Give the weights of the samples in both parts of the amplitude by least squares, shape (2, samples)."""
-    phase = 2 * np.pi * np.fmod(frequency / rate * np.arange(samples), 1.0)
-    # Integrated channels drift and dampers shift the mean: a cubic is fitted with the tone to take that up. It would
-    # take harmonics for a drift, and the tone would make up for it, were they not fitted as well.
-    drift = legvander(np.linspace(-1.0, 1.0, phase.size), 3)
-    highest = max(1, min(_HARMONICS, int(_BELOW * rate / frequency)))
-    harmonics = [part(h * phase) for h in range(2, highest + 1) for part in (np.cos, np.sin)]
-    model = np.stack([np.cos(phase), -np.sin(phase), *drift.T, *harmonics])
+    model = _model(frequency, rate, samples, 0, samples)
     # Over two periods and more these are nearly orthogonal, so that the normal equations lose nothing. Sums by einsum:
     # BLAS would have its threads wait over a matrix this small.
     normal = np.einsum("in,jn->ij", model, model)
     return np.einsum("ki,in->kn", np.linalg.inv(normal)[:2], model)
+
+
+def _model(frequency: float, rate: float, samples: int, first: int, stop: int) -> Array:
+    """Values that the tone, its harmonics and a drift have at samples [first, stop) of a window; shape (terms, n)."""
+    at = np.arange(first, stop)
+    phase = 2 * np.pi * np.fmod(frequency / rate * at, 1.0)
+    # Integrated channels drift and dampers shift the mean: a cubic is fitted with the tone to take that up. It would
+    # take harmonics for a drift, and the tone would make up for it, were they not fitted as well.
+    drift = legvander(np.linspace(-1.0, 1.0, samples)[first:stop], 3)
+    highest = max(1, min(_HARMONICS, int(_BELOW * rate / frequency)))
+    harmonics = [part(h * phase) for h in range(2, highest + 1) for part in (np.cos, np.sin)]
+    return np.stack([np.cos(phase), -np.sin(phase), *drift.T, *harmonics])
+
+
+def _fitted(samples: Array, frequency: float, rate: float) -> Array:
+    """Both parts of the amplitude in a long window, shape (channels, 2): its model is never held whole."""
+    size = samples.shape[1]
+    normal, right = 0.0, 0.0
+    for first in range(0, size, _PIECE):
+        model = _model(frequency, rate, size, first, min(first + _PIECE, size))
+        normal = normal + np.einsum("in,jn->ij", model, model)
+        right = right + np.einsum("cn,in->ci", samples[:, first : first + _PIECE], model)
+    return np.asarray(np.einsum("ci,ki->ck", right, np.linalg.inv(normal)[:2]))
 
 
 def lock_in(samples: Array, frequency: float, rate: float, phase: float = 0.0) -> ComplexArray:
@@ -115,5 +136,9 @@ def lock_in(samples: Array, frequency: float, rate: float, phase: float = 0.0) -
     >>> f"{abs(amplitude[0]):.9f}", bool(abs(np.angle(amplitude[0])) < 1e-9)
     ('3.000000000', True)
     """
-    parts = np.einsum("cn,kn->ck", samples, _weights(frequency, rate, samples.shape[1]))
+    size = samples.shape[1]
+    if size <= _PIECE:
+        parts = np.einsum("cn,kn->ck", samples, _weights(frequency, rate, size))
+    else:
+        parts = _fitted(samples, frequency, rate)
     return (parts[:, 0] + 1j * parts[:, 1]) * np.exp(-1j * phase)

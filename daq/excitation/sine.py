@@ -10,7 +10,7 @@ from daq.excitation.settling import Settling
 from daq.excitation.station import Excitation, Station
 from daq.excitation.stepped_sine import GLIDE, settle
 from daq.excitation.tone import Tone
-from daq.excitation.tone_measurement import Gauge
+from daq.excitation.tone_measurement import Gauge, held
 
 if TYPE_CHECKING:
     from rig.scene.excitation import Sine
@@ -70,9 +70,11 @@ def _controlled(station: Station, test: Sine, force: float) -> Excitation:
     if not settled:
         station.warn(f"{test.frequency:.3f} Hz, {force:g} N: no steady state within {_LONGEST:g} s")
     station.report(0.5, f"{test.frequency:.2f} Hz, measuring")
-    first, phase = station.now, tone.phase
+    first = station.now
     window = max(station.samples(test.duration), fewest_samples(test.frequency, station.rate))
-    samples = yield station.drive(tone.hold(window))
-    held = float(abs(gauge.steady(samples, test.frequency, phase)[0]))
-    station.mark("measure", first, station.now, drive=tone.amplitude, force=held, settled=settled, **facts)
+    read = yield from held(station, tone, gauge, window)
+    measured = float(abs(read[0]))
+    station.mark(
+        "measure", first, station.now, drive=tone.amplitude, force=measured, settled=settled, **facts
+    )
     yield station.drive(tone.glide(station.samples(GLIDE), test.frequency, 0.0))

@@ -13,7 +13,7 @@ from daq.excitation.lock_in import fewest_samples, whole_periods
 from daq.excitation.settling import FEWEST_LOOKS, Settling
 from daq.excitation.station import Excitation, Station
 from daq.excitation.tone import Tone
-from daq.excitation.tone_measurement import Gauge
+from daq.excitation.tone_measurement import Gauge, held
 
 if TYPE_CHECKING:
     from rig.scene.excitation import SteppedSine
@@ -99,13 +99,13 @@ def _point(
         station, tone, gauge, control, frequency, drive, test.settle.tolerance, test.settle.longest
     )
     station.mark("settle", first, station.now, drive=tone.amplitude, settled=settled, **facts)
-    first, phase = station.now, tone.phase
+    first = station.now
     asked = round(test.measure.periods * station.rate / frequency)
     window = max(asked, fewest_samples(frequency, station.rate))
-    samples = yield station.drive(tone.hold(window))
+    read = yield from held(station, tone, gauge, window)
     force = level if station.force_is_drive else None
     if control is not None:
-        force = float(abs(gauge.steady(samples, frequency, phase)[0]))
+        force = float(abs(read[0]))
     station.mark("measure", first, station.now, drive=tone.amplitude, force=force, settled=settled, **facts)
     return settled
 

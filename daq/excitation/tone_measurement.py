@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
+
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.excitation.lock_in import lock_in
+from daq.excitation.lock_in import lock_in, whole_periods
 from daq.excitation.station import Station
+from daq.excitation.tone import Tone
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+
+
+# A longer window is driven, and read, in pieces of at least so many samples.
+_PIECE = 1 << 16
 
 
 class Gauge:
@@ -46,3 +53,19 @@ class Gauge:
                 rows[-1][row] = self._station.displacement(row, frequency)
             self._weights = np.array(rows).reshape(len(rows), len(self._station.channels))
         return self._weights
+
+
+def held(station: Station, tone: Tone, gauge: Gauge, samples: int) -> Generator[Array, Array, ComplexArray]:
+    """Hold a tone for so many samples, and give the amplitudes that the gauge reads, shape (quantities,).
+
+    In a long window these are the mean over pieces of whole periods, so that its readings are not all kept.
+    """
+    frequency, left = tone.frequency, samples
+    piece = whole_periods(frequency, station.rate, _PIECE / station.rate)
+    total: ComplexArray = np.zeros(0, dtype=complex)
+    while left:
+        size, phase = (piece if left >= 2 * piece else left), tone.phase
+        readings = yield station.drive(tone.hold(size))
+        read = size / samples * gauge.steady(readings, frequency, phase)
+        total, left = (total + read if total.size else read), left - size
+    return total

@@ -102,7 +102,7 @@ class Chassis:
         self.listeners: list[Callable[[SampleSource, Any], None]] = []
         self.inputs: dict[Runner, InputEngine] = {}
         self.outputs: dict[Runner, Generation] = {}
-        self._output_taken = False
+        self._output_taken = self._read = False
         self._alarms: list[tuple[float, Callable[[], None]]] = []
         self._reserved: dict[Runner, tuple[Hashable, ...]] = {}
         self._awake: weakref.WeakSet[Any] = weakref.WeakSet()
@@ -240,6 +240,7 @@ class Chassis:
 
     def run_input(self, task: Runner, plan: InputPlan) -> InputEngine:
         """Start an acquisition."""
+        self._read = True
         self.inputs[task] = InputEngine(plan, self.rate, self.position, self.source.dtype)
         return self.inputs[task]
 
@@ -247,6 +248,11 @@ class Chassis:
         """Start a generation."""
         self.outputs[task] = Generation(plan, buffer, self.position, self.held[list(plan.rows)])
         return self.outputs[task]
+
+    @property
+    def read_at_rest(self) -> bool:
+        """Whether inputs have been read while nobody took an output and nothing else moves the bench."""
+        return self._read and not self._output_taken and self.source.quiet
 
     def wait(self, ready: Callable[[], bool], missing: Callable[[], int], timeout: float) -> bool:
         """Let time pass until something is ready; see `Clock.wait`."""

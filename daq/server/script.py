@@ -64,9 +64,16 @@ def run_script(
     limit = TimeLimit(chassis, seconds)
     server = Server(chassis, further=(BenchTime(chassis, limit),))
     try:
-        return _run([str(path), *arguments], server.port, chassis.clock.runs_free, limit)
+        code = _run([str(path), *arguments], server.port, chassis.clock.runs_free, limit)
     finally:
         server.close()
+    if chassis.read_at_rest:
+        print(
+            "note: nothing drove the bench while the script read its inputs: it wrote to no output, and the scene "
+            "plays no test; write to an output (daq/examples/live_control.py), or give it a test (rig help test)",
+            file=sys.stderr,
+        )
+    return code
 
 
 def _run(command: list[str], port: int, real: bool, limit: TimeLimit) -> int:

@@ -138,6 +138,11 @@ class SimulatedSignals:
     def leave_outputs(self) -> None:
         """See `SampleSource.leave_outputs`."""
 
+    @property
+    def quiet(self) -> bool:
+        """See `SampleSource.quiet`."""
+        return True
+
     def data_sheet(self, row: int) -> bytes | None:
         """See `SampleSource.data_sheet`."""
         return None

@@ -35,6 +35,11 @@ class BackgroundTest:
         Ticks of the bench per sample; the drive is joined by straight lines.
     physical : callable
         Reads samples in the channels' units.
+
+    Attributes
+    ----------
+    quiet : bool
+        Whether it does nothing: there is no test, none that can be played, or the shaker is a script's.
     """
 
     def __init__(
@@ -49,11 +54,11 @@ class BackgroundTest:
         self._scene, self._inputs, self._physical = scene, tuple(inputs), physical
         self._channels, self._rate = channels, rate
         self._line = DriveLine(len(inputs), ticks)
-        self._quiet = scene.test is None
+        self.quiet = scene.test is None
         self._at = 0
         self._heard: list[Array] = []
         self._drive = np.zeros((len(inputs), 0))
-        if not self._quiet:
+        if not self.quiet:
             self._begin()
 
     def _begin(self) -> None:
@@ -64,7 +69,7 @@ class BackgroundTest:
             self._test = excitation(self._station)
             self._play(next(self._test))
         except ShotrigError as error:
-            self._quiet = True
+            self.quiet = True
             warnings.warn(
                 f"the test of scene {self._scene.name!r} cannot be played, the bench stays quiet until a script "
                 f"drives it: {error}",
@@ -78,21 +83,21 @@ class BackgroundTest:
 
     def leave_shaker(self) -> None:
         """Let a script have the shaker; where there is a hammer, go on hitting with it."""
-        self._quiet |= "hammer" not in self._inputs
+        self.quiet |= "hammer" not in self._inputs
 
     def horizon(self, ticks: int) -> int:
         """Cut a number of ticks at the end of the current window: the next one depends on what is heard."""
-        return ticks if self._quiet else min(ticks, self._drive.shape[1] - self._at)
+        return ticks if self.quiet else min(ticks, self._drive.shape[1] - self._at)
 
     def drive(self, ticks: int) -> Array:
         """Give the drive of the next ticks, shape (inputs, ticks)."""
-        if self._quiet:
+        if self.quiet:
             return np.zeros((len(self._inputs), ticks))
         return self._drive[:, self._at : self._at + ticks]
 
     def hear(self, samples: NDArray[np.float64] | NDArray[np.int32], ticks: int) -> None:
         """Take what the channels gave in so many ticks, shape (channels, samples)."""
-        if self._quiet:
+        if self.quiet:
             return
         self._heard.append(self._physical(samples))
         self._at += ticks
@@ -109,5 +114,5 @@ class BackgroundTest:
         except StopIteration:
             self._begin()
         except ShotrigError as error:
-            self._quiet = True
+            self.quiet = True
             warnings.warn(f"the scene's test has ended: {error}", RuntimeWarning, stacklevel=2)

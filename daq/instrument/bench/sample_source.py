@@ -86,6 +86,10 @@ class SampleSource(Protocol):
     def leave_outputs(self) -> None:
         """Hear that somebody has taken an output."""
 
+    @property
+    def quiet(self) -> bool:
+        """Whether nothing moves the bench but the outputs."""
+
     def wire(self, channels: Sequence[Channel], in_use: Collection[int]) -> None:
         """Set couplings and supplies as channels want them; with -50103 for those in use that have others."""
 
@@ -181,6 +185,11 @@ class SceneSource:
     def leave_outputs(self) -> None:
         """See `SampleSource.leave_outputs`."""
         self._test.leave_shaker()
+
+    @property
+    def quiet(self) -> bool:
+        """See `SampleSource.quiet`."""
+        return self._test.quiet
 
     def wire(self, channels: Sequence[Channel], in_use: Collection[int]) -> None:
         """See `SampleSource.wire`."""

@@ -40,6 +40,24 @@ def test_given_a_script_for_the_package_when_run_then_it_has_the_rig_and_its_arg
     assert capfd.readouterr().out == "10 ['--fast', 'x'] __main__\n"
 
 
+@pytest.mark.parametrize(
+    ("scene", "written", "noted"),
+    [({"test": None}, False, True), ({"test": None}, True, False), ({}, False, False)],
+    ids=["nothing drives", "the script drives", "the test drives"],
+)
+def test_given_a_script_that_reads_when_nothing_drives_the_bench_then_it_is_told_at_the_end(
+    scene, written, noted, script, capfd
+):
+    drive = """
+    with nidaqmx.Task() as out:
+        out.ao_channels.add_ao_voltage_chan(nidaqmx.system.System.local().devices[-1].ao_physical_chans[0].name)
+        out.write(0.1)
+"""
+    path = script(READ + "    task.read(10)\n" + (drive if written else ""))
+    assert run_script(path, scene=rig.load("bare-structure", scene), clock="fast") == 0
+    assert ("nothing drove the bench" in capfd.readouterr().err) is noted
+
+
 def test_given_an_endless_script_when_its_seconds_are_over_then_it_gets_a_ctrl_c(script, capfd):
     path = script(
         READ

@@ -76,6 +76,10 @@ def jumps(frf: Frf) -> list[tuple[float, str]]:
     ]
 
 
+# Of a window, so many samples are searched at most, unless that is less than so many periods.
+_MOST, _PERIODS = 1 << 20, 20
+
+
 @dataclass(frozen=True)
 class DamperMotion:
     """What impacts tell of a damper's motion at one frequency."""
@@ -129,7 +133,8 @@ def damper_motion(
 
     A type is named where blows come a period apart, and impacts are counted where they come again after a few periods:
     else some are missed, or the motion is irregular. Riding is named where the body's least acceleration proves it:
-    flights too short to see would else pass for it; type I where its flights stay below the ceiling.
+    flights too short to see would else pass for it; type I where its flights stay below the ceiling. Of a long window
+    the first million samples are searched, or as many periods as tell a pattern: the search holds all of them.
     """
     gravity = rec.scene.gravity
     place = rec.channels[channel].at
@@ -137,6 +142,7 @@ def damper_motion(
     out = []
     sizes = _acceleration(rec, sweep, channel)
     for frequency, size, (first, stop) in zip(sweep.lines.frequency, sizes, sweep.windows, strict=True):
+        stop = min(int(stop), int(first) + max(_MOST, int(_PERIODS * rec.rate / frequency)))
         found = impacts(rec, channel, int(first), int(stop))
         # The search leaves out the ends of its stretch.
         inner = found.searched * float(frequency)

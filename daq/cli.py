@@ -102,7 +102,10 @@ def import_recording(
         bool, typer.Option("--overwrite", help="Replace the recording if it exists.")
     ] = False,
 ) -> None:
-    """Make a recording of what other programs have measured; without --scene, list what is in their files."""
+    """Make a recording of what other programs have measured; without --scene, list what is in their files.
+
+    The scene's test says what was done. Hits of a hammer, and the steps of a stepped sine, are found in the samples.
+    """
     from daq.importing.report import import_and_report, listing
 
     if scene is None:

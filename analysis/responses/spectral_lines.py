@@ -13,6 +13,7 @@ from scipy import ndimage, signal
 from analysis.responses.aliasing import aliasing_part
 from analysis.responses.frf import Frf, radius
 from analysis.responses.measurands import driven, motion_of, reference_of
+from analysis.responses.ringing import ringing
 from analysis.responses.systematic import (
     RESOLUTION,
     UNSETTLED,
@@ -66,6 +67,9 @@ class Lines:
     """Parts of the mean, each of them turned by the phase that its own reference reads: even noise adds up in these."""
     resolution: NDArray[np.float64] | None = None
     """How far each mean may be off because the converter rounds to counts, at most; shape (channels, n)."""
+    waited: NDArray[np.float64] | None = None
+    lasted: NDArray[np.float64] | None = None
+    """waited, lasted: of tones held one after the other, s, as `ringing` takes them; shape (n,)."""
 
     def frf(
         self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"
@@ -91,6 +95,9 @@ class Lines:
             if each is not None:
                 systematic[name] = np.sum(abs(off) * each, axis=0)
                 doubts.append(np.sum(abs(lower / f) * each, axis=0))
+        if self.waited is not None and self.lasted is not None:
+            rings = ringing(value, self.frequency, self.waited, self.lasted)
+            systematic[UNSETTLED] = np.maximum(systematic.get(UNSETTLED, 0.0), rings)
         bound = np.sqrt(np.sum(np.square([error * radius(0.95, degrees), *systematic.values()]), axis=0))
         systematic |= doubtful_reference_part(bound, np.sqrt(np.sum(np.square(doubts), axis=0)))
         with np.errstate(invalid="ignore", divide="ignore"):

@@ -204,6 +204,10 @@ def _sweep(
 ) -> Sweep:
     level, direction = key
     tones = tuple(tone for tone, _, _ in found)
+    windows = np.array([window for _, window, _ in found])
+    # Where dampers move, what rings dies away otherwise than steady responses tell.
+    alone = all(damper.locked or damper.clearance == 0.0 for damper in rec.scene.dampers)
+    waited = (windows[:, 0] - np.concatenate([[0], windows[:-1, 1]])) / rec.rate
     setting = f", {plainly(level)} N {direction}" if several else ""
     lines = Lines(
         channels=names,
@@ -217,8 +221,10 @@ def _sweep(
         resolution=np.stack([_resolution(rec, names, tone) for tone in tones], axis=1),
         unsteady=np.array([not steady for _, _, steady in found]),
         left_out=np.array(left_out),
+        waited=waited if alone else None,
+        lasted=np.diff(windows)[:, 0] / rec.rate if alone else None,
     )
-    return Sweep(lines, tones, level, direction, np.array([window for _, window, _ in found]))
+    return Sweep(lines, tones, level, direction, windows)
 
 
 def _resolution(rec: Recording, names: Sequence[str], tone: ToneFit) -> NDArray[np.float64]:

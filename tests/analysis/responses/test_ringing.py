@@ -1,0 +1,62 @@
+"""What a resonance rings on from one held tone into the next: held against its closed form, and through a recording."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import analysis
+import daq
+import rig
+from analysis.responses.ringing import ringing
+from rig.system.receptance import receptance
+
+POLE = -0.9 + 2j * np.pi * 19.0
+
+
+def test_given_steps_through_a_resonance_when_each_rings_into_the_next_then_it_is_off_by_no_more_than_told() -> (
+    None
+):
+    frequency = np.linspace(18.55, 19.45, 25)
+    omega, waited, lasted = 2 * np.pi * frequency, 7.0, 1.1
+    steady = 1.0 / (1j * omega - POLE)
+    change = np.diff(steady, prepend=steady[:1])
+    rate = POLE - 1j * omega
+    off = -change * np.exp(rate * waited) * np.expm1(rate * lasted) / (rate * lasted)
+    told = ringing(steady + off, frequency, np.full(25, waited), np.full(25, lasted))
+    assert (told[1:] >= abs(off[1:])).all()
+    # The next tone is taken up within the first half of a window.
+    assert (told[1:] <= 1.8 * abs(off[1:])).all()
+
+
+def test_given_points_far_apart_or_an_antiresonance_when_asked_then_nothing_is_told() -> None:
+    sparse = np.array([10.0, 15.0, 19.0, 24.0, 30.0])
+    assert not ringing(1.0 / (2j * np.pi * sparse - POLE), sparse, np.ones(5), np.ones(5)).any()
+    dense = np.linspace(18.5, 19.5, 25)
+    assert not ringing(2j * np.pi * dense - POLE, dense, np.ones(25), np.ones(25)).any()
+    assert ringing(np.ones(1) + 0j, np.ones(1), np.ones(1), np.ones(1)).tolist() == [0.0]
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_given_fine_steps_and_noise_when_measured_then_bounds_hold_what_is_not_yet_steady(
+    seed: int, tmp_path
+) -> None:
+    scene = rig.loads(
+        f"""
+        structure: {{masses: [1.9 kg, 1.4 kg], springs: [60 kN/m, 40 kN/m], damping: {{modal: 0.7 %}}}}
+        shaker: {{kind: force, body: 1}}
+        test: {{kind: stepped_sine, from: 17.9 Hz, to: 18.8 Hz, points: 25, force: 4 N}}
+        channels:
+          - {{name: force, at: shaker, hammer: {{sensitivity: 20 mV/N}}}}
+          - {{name: a, at: body 2, accelerometer: {{sensitivity: 100 mV/g, noise: 30 ug/sqrt(Hz)}}}}
+        converter: {{rate: 5120 Hz, bits: 24, range: 5 V}}
+        recording: {{display: false}}
+        seed: {seed}
+        """
+    )
+    daq.record(scene, tmp_path / "a.mcap")
+    with daq.open(tmp_path / "a.mcap") as recording:
+        found = analysis.frfs(recording)["a"]
+    missed = abs(found.value - receptance(scene, found.frequency)[1]) / found.bound()
+    assert (missed > 1.0).sum() <= 3
+    assert missed.max() < 1.5

@@ -20,7 +20,7 @@ from rig.response.frequency_response import frequency_response
 from rig.scene.damper import Grains, Landing
 from rig.scene.scene import Scene
 from rig.system.open_loop_drive import with_ideal_force
-from rig.work_precision.motion_study import Point, timed
+from rig.work_precision.motion_study import Point, refused, timed
 from rig.work_precision.steady_study import OTHER_PACKING, SteadyStudy
 
 #: Durations of a landing, s, and the restitution of contacts that last.
@@ -137,7 +137,7 @@ def _point(model: str, setting: str, compute: Callable[[], Compliance], true: Co
     try:
         cpu, found = timed(compute)
     except ShotrigError as problem:
-        return Point(model, setting, np.nan, np.nan, np.nan, False, str(problem))
+        return Point(model, setting, np.nan, np.nan, np.nan, False, refused(problem))
     error = float(np.abs(found - true).max() / np.abs(true).max())
     return Point(model, setting, cpu, error, np.nan, True)
 

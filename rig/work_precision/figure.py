@@ -80,7 +80,7 @@ def _steady_title(steady: SteadyStudy) -> str:
 def _line(point: Point, milliseconds: float, events: str) -> str:
     start = f"{point.method:24}{point.setting:30}"
     if np.isnan(point.error):
-        return f"{start}  failed: {point.note}"
+        return f"{start}  {point.note}"
     times = f"{point.event_error:9.0e} s" if np.isfinite(point.event_error) else f"{'':11}"
     return f"{start}{milliseconds:12.4g}{point.error:9.0e}{times}  {events}  {point.note}"
 

@@ -62,6 +62,11 @@ class Point:
     """What else there is to say, why it failed."""
 
 
+def refused(problem: ShotrigError) -> str:
+    """Note why a method gave nothing: it does not take such a scene, or it failed at it."""
+    return f"{'not applicable' if isinstance(problem, SceneError) else 'failed'}: {problem}"
+
+
 @dataclass(frozen=True)
 class Study:
     """What `motion_study` found."""
@@ -271,7 +276,7 @@ class _Judge:
         try:
             cpu, outcome = timed(compute)
         except ShotrigError as problem:
-            return Point(method, setting, np.nan, np.nan, np.nan, False, str(problem))
+            return Point(method, setting, np.nan, np.nan, np.nan, False, refused(problem))
         # Decimals less doubles: the subtraction must not round the reference.
         values = np.vectorize(Decimal, otypes=[object])(outcome.displacement)
         last_only = values.shape[1] == 1

@@ -21,7 +21,7 @@ from rig.system.receptance import receptance
 from rig.system.structure import natural_modes, structure_matrices
 from rig.work_precision.high_precision import DIGITS
 from rig.work_precision.high_precision_orbit import ExactOrbit, exact_orbit
-from rig.work_precision.motion_study import BETTER, Point, timed
+from rig.work_precision.motion_study import BETTER, Point, refused, timed
 
 #: What the grains of a bed, packed anew, are called among models of it: nothing is known better than that.
 OTHER_PACKING = "grains, other packing"
@@ -134,7 +134,7 @@ def _approximate(scene: Scene, frequency: float, true: ExactOrbit) -> Point:
         try:
             cpu, found = timed(partial(approximate_response, scene, mode, band, weighting=weighting))
         except ShotrigError as refusal:
-            reasons.append(str(refusal))
+            reasons.append(refused(refusal))
             continue
         values = [
             branch.compliance[k] * found.mode.shape
@@ -154,5 +154,5 @@ def _approximate(scene: Scene, frequency: float, true: ExactOrbit) -> Point:
                 True,
                 "the whole curve",
             )
-        reasons.append("finds no stable motion here")
+        reasons.append("failed: finds no stable motion here")
     return Point("approximate", f"mode {mode}", np.nan, np.nan, np.nan, False, reasons[-1])

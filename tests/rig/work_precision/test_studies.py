@@ -5,13 +5,14 @@ from __future__ import annotations
 import csv
 from decimal import Decimal
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
 from mpmath import mp, mpf
 
 import rig
-from rig.errors import SceneError
+from rig.errors import RunError, SceneError
 from rig.system.assembly import assemble
 from rig.system.open_loop_drive import tone_drive, with_ideal_force
 from rig.system.receptance import receptance
@@ -21,9 +22,9 @@ from rig.work_precision.figure import table, write
 from rig.work_precision.first_order_form import PER_PERIOD, FirstOrderForm
 from rig.work_precision.fixed_step_schemes import moreau_jean, penalty_newmark, penalty_runge_kutta
 from rig.work_precision.high_precision import exact_motion
-from rig.work_precision.high_precision_orbit import exact_orbit
-from rig.work_precision.motion_study import Point, Study, hardest_frequency, motion_study
-from rig.work_precision.steady_study import SteadyStudy, steady_study
+from rig.work_precision.high_precision_orbit import ExactOrbit, exact_orbit
+from rig.work_precision.motion_study import Point, Study, hardest_frequency, motion_study, refused
+from rig.work_precision.steady_study import SteadyStudy, _approximate, steady_study
 from tests.rig.engine.exact import Segment
 
 PERIODS = 12
@@ -193,10 +194,25 @@ def test_given_a_scene_without_a_shaker_when_its_cost_is_asked_then_the_error_sa
         hardest_frequency(bare, assemble(bare))
 
 
+def test_given_restitution_when_the_approximate_method_is_tried_then_it_is_said_not_to_apply() -> None:
+    scene = rig.load("fig9", {"dampers[1].restitution": 0.2})
+    # It refuses before it would be compared.
+    point = _approximate(scene, 49.7, cast(ExactOrbit, None))
+    assert point.note.startswith("not applicable: damper at body 2: restitution 0.2")
+
+
 def test_given_a_study_with_a_failure_when_written_then_table_and_file_say_so(tmp_path: Path) -> None:
     points = (
         Point("engine, tone", "warm", 1e-6, 1e-15, float("nan"), True),
-        Point("scipy LSODA", "rtol 1e-09", float("nan"), float("nan"), float("nan"), False, "takes too long"),
+        Point(
+            "scipy LSODA",
+            "rtol 1e-09",
+            float("nan"),
+            float("nan"),
+            float("nan"),
+            False,
+            refused(RunError("takes too long")),
+        ),
     )
     study = Study(rig.load("reference-B"), 49.7, 20, 37, points, "forty digits", 1e9)
     steady = SteadyStudy((), 49.7, "", "no steady state")
@@ -205,5 +221,5 @@ def test_given_a_study_with_a_failure_when_written_then_table_and_file_say_so(tm
     assert all(file.stat().st_size > 0 for file in files)
     with files[2].open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    assert rows[1]["note"] == "takes too long" and rows[1]["error"] == "nan"
+    assert rows[1]["note"] == "failed: takes too long" and rows[1]["error"] == "nan"
     assert "failed: takes too long" in table(study, steady)

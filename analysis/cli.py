@@ -172,7 +172,15 @@ def fit(
 
 
 @app.command()
-def report(files: Files, output: Output = None) -> None:
+def report(
+    files: Files,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="DIR|FILE.html", help="Where to write; default beside the first FILE."
+        ),
+    ] = None,
+) -> None:
     """One self-contained HTML page about recordings."""
     from analysis.presentation.report import write_report
 
@@ -212,7 +220,7 @@ def export(
     ] = "samples",
 ) -> None:
     """Write a recording for other tools: UFF, MATLAB, CSV, NPZ, or WAV to listen to."""
-    from analysis.export.export import expected_bytes
+    from analysis.export.export import expected_bytes, kind_of
     from analysis.export.export import export as export_stretch
     from analysis.export.results import export_results
     from analysis.recordings.slices import Slice
@@ -229,7 +237,7 @@ def export(
         return
     with open_recording(file) as recording:
         stretch = Slice.of(recording, channel, start, stop)
-        size = expected_bytes(stretch, output.suffix.lower())
+        size = expected_bytes(stretch, kind_of(output))
         print(f"writing {output}: about {size / 1e6:.3g} MB", file=sys.stderr)
         with counting("exporting") as progress:
             lines = export_stretch(stretch, output, speed, overwrite, progress)

@@ -134,6 +134,20 @@ def expected_bytes(stretch: Slice, ending: str) -> float:
     return (stretch.stop - stretch.start) * (sample * len(stretch.channels) + line)
 
 
+def kind_of(path: Path) -> str:
+    """Give the ending of a file's name that says its format.
+
+    Raises
+    ------
+    SceneError
+        If it says none that can be written.
+    """
+    kind = path.suffix.lower()
+    if kind not in WRITERS:
+        raise SceneError(f"{path}: expected a name that ends in one of {', '.join(WRITERS)}")
+    return kind
+
+
 def export(
     stretch: Slice,
     path: Path,
@@ -168,9 +182,7 @@ def export(
     RunError
         If the file cannot be written, or would not fit on its disk.
     """
-    kind = path.suffix.lower()
-    if kind not in WRITERS:
-        raise SceneError(f"{path}: expected a name that ends in one of {', '.join(WRITERS)}")
+    kind = kind_of(path)
     if speed != 1.0 and kind != ".wav":
         raise SceneError("--speed is for sound (.wav)")
     if progress is not None:

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 def write_report(
     paths: Sequence[Path], output: Path | None = None, progress: Progress | None = None
 ) -> Result:
-    """Write the page beside the first recording, or into `output`."""
+    """Write the page beside the first recording, into the folder `output`, or as that file if it ends in .html."""
     sweeps: list[Path] = []
     decays: list[Path] = []
     damped: list[Path] = []
@@ -85,11 +85,17 @@ def write_report(
     body.append(f"<h2>To get the same again</h2><pre>{html(chr(10).join(commands))}</pre>")
     title = f"Vibration test: {', '.join(path.stem for path in paths)}"
     page = Template((files("analysis.presentation") / "report.html").read_text(encoding="utf-8"))
-    target = with_ending(output_stem(paths, output, "report"), "html")
+    target = _page(paths, output)
     make_ready(target.parent)
     with replacing(target) as part:
         part.write_text(page.substitute(title=html(title), body="\n".join(body)), encoding="utf-8")
     return Result((target,), (), tuple(dict.fromkeys(notes)))
+
+
+def _page(paths: Sequence[Path], output: Path | None) -> Path:
+    if output is not None and output.suffix.lower() in {".html", ".htm"} and not output.is_dir():
+        return output
+    return with_ending(output_stem(paths, output, "report"), "html")
 
 
 def _typed(paths: Sequence[Path]) -> str:

@@ -265,6 +265,13 @@ def test_given_channels_named_like_paths_when_exported_as_npz_then_members_have_
         assert arrays[".._x_y"].tolist() == [1.0] * 10
 
 
+def test_given_a_name_that_says_no_format_when_the_command_exports_then_it_announces_no_file(
+    recording, tmp_path
+):
+    result = CliRunner().invoke(app, ["export", str(recording.path), "-o", str(tmp_path / "a.tdms")])
+    assert "ends in one of .csv" in str(result.exception) and "writing" not in result.output
+
+
 def test_given_the_command_when_run_then_the_file_is_there_and_named(recording, tmp_path):
     path = tmp_path / "a.csv"
     result = CliRunner().invoke(

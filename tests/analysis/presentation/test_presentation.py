@@ -99,6 +99,12 @@ def test_given_the_same_recording_when_drawn_twice_then_every_byte_is_the_same(f
 
 
 @pytest.mark.thorough
+def test_given_a_name_of_a_page_when_reported_then_that_file_is_the_page(folder, tmp_path):
+    page = tmp_path / "figs" / "report.html"
+    assert write_report([folder / "hit.mcap"], page).files == (page,)
+    assert page.is_file() and [each.name for each in page.parent.iterdir()] == ["report.html"]
+
+
 def test_given_recordings_when_reported_then_one_page_holds_everything(folder, tmp_path):
     paths = [folder / "one.mcap", folder / "hit.mcap"]
     [page] = write_report(paths, tmp_path).files

@@ -117,8 +117,10 @@ def import_recording(
         for line in listing(files):
             print(line)
         return
-    path = _free(output if output is not None else files[0].with_suffix(".mcap"), overwrite)
-    import_and_report(files, loaded(scene, changes), path, table, start, stop, overwrite)
+    what = loaded(scene, changes)
+    path = output if output is not None else files[0].with_suffix(".mcap")
+    _no_other_format(path)
+    import_and_report(files, what, path, table, start, stop, overwrite)
 
 
 @app.command()

@@ -114,9 +114,10 @@ def import_files(
     what = scene if isinstance(scene, Scene) else load(scene)
     paths = [Path(file) for file in ([files] if isinstance(files, str | Path) else files)]
     said = table if isinstance(table, Mapping) else {} if table is None else read_table(Path(table))
-    destination(Path(path), overwrite, RecordingError)
     with ExitStack() as stack:
         signals = [signal for file in paths for signal in signals_of(file, stack)]
+        # Only now: that a file is missing or no such scene is what the user should hear of first.
+        destination(Path(path), overwrite, RecordingError)
         chosen, notes = choose(what, signals, said)
         rate = _common_rate(chosen, what)
         made = _cut(_started_together(assign(what, chosen, rate)), rate, from_s, to_s)

@@ -387,3 +387,8 @@ def test_given_files_when_typed_then_listed_imported_and_never_overwritten(tmp_p
     assert done.exit_code == 0 and "3000 samples of 3 channels" in done.output, done.output
     again = CliRunner().invoke(app, words)
     assert isinstance(again.exception, RecordingError) and "exists" in str(again.exception)
+    # What is missing is said first.
+    no_scene = CliRunner().invoke(app, ["import", "a.csv", "--scene", "nope.yaml"])
+    assert "nope.yaml" in str(no_scene.exception) and "exists" not in str(no_scene.exception)
+    no_file = CliRunner().invoke(app, ["import", "b.csv", "--scene", "bench.yaml", "-o", "a.mcap"])
+    assert "b.csv: no such file" in str(no_file.exception)

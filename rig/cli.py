@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated
@@ -13,7 +14,7 @@ import typer
 
 from rig.arguments import MOST, Changes, Cluster, First, Last, Points, SceneName, completions, loaded
 from rig.command_line import application, run
-from rig.console import counting, saying
+from rig.console import counting, progress, saying
 from rig.errors import SceneError
 
 if TYPE_CHECKING:
@@ -310,7 +311,9 @@ def design(
             metavar="N,N,...", help="Bodies that may carry a damper (default: all); for two, name one twice."
         ),
     ] = None,
-    dampers: Annotated[int, typer.Option(min=1, metavar="N", help="How many dampers.")] = 1,
+    dampers: Annotated[
+        int, typer.Option(min=1, metavar="N", help="How many; fewer where they do as well.")
+    ] = 1,
     clearance: Annotated[
         str | None,
         typer.Option(metavar="LOW,HIGH", help="Clearances to choose from, such as '0.2 mm, 3 mm'."),
@@ -338,7 +341,10 @@ def design(
         Path, typer.Option("-o", "--output", metavar="DIR", help="Where scene, figures and table go.")
     ] = Path(),
 ) -> None:
-    """Choose dampers: mass, clearance and place with the smallest worst peak; what is there of it is not done again."""
+    """Choose dampers: mass, clearance and place with the smallest worst peak; what is there of it is not done again.
+
+    New dampers land as the scene's: with their restitution and contact, those of the first where they differ.
+    """
     from rig.damper_design.design import design as search
     from rig.damper_design.figure import next_step, summary, write
     from rig.output_files import make_ready, stem
@@ -346,7 +352,7 @@ def design(
     setting = loaded(scene, changes)
     make_ready(output)
     table = output / f"{stem('design', setting.name)}.csv"
-    with counting("trying designs") as progress:
+    with progress("trying designs") as tell:
         found = search(
             setting,
             budget=budget,
@@ -359,9 +365,11 @@ def design(
             uncertain=(damping_off, stiffness_off),
             cluster=cluster,
             table=table,
-            progress=progress,
+            progress=lambda done, total: tell(done / total, f"{done} of {total}"),
+            say=partial(tell, 1.0),
         )
-    files = write(found, output)
+        tell(1.0, "writing")
+        files = write(found, output)
     print(summary(found))
     print("\nwritten:", *files, table)
     print(next_step(found, files[0]))

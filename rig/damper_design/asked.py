@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rig.damper_design.choice import Question, Space, variants
+from rig.damper_design.landings import landings_of
 from rig.errors import SceneError
 from rig.motion_map.grid import columns
 from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, MASS, RATIO, Kind, number, parse, positives
@@ -115,13 +116,13 @@ def asked(
         )
     if scene.gravity == 0.0:
         raise SceneError("gravity: got 0; expected more: beds that do not fall do not strike as these do")
-    restitution = scene.dampers[0].restitution if scene.dampers else 0.0
+    landings = landings_of(scene.dampers)
     plain = with_ideal_force(_under_force(scene.replace(dampers=[], channels=None), levels))
     usual = [level_of(plain) * factor for factor in LEVELS]
     forces = tuple(sorted(positives(levels or usual, FORCE, "levels").tolist()))
     ends = _range(band or tuple(columns(plain, points=2).tolist()), FREQUENCY, "band")
     places = Space.places_of(may_carry, dampers)
-    question = Question(variants(plain, *shares), forces, ends, count, restitution)
+    question = Question(variants(plain, *shares), forces, ends, count, landings)
     if clearance is None:
         motion = question.bare.size
         clearance = NARROWEST * motion * forces[0], WIDEST * motion * forces[-1]

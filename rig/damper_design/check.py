@@ -50,7 +50,7 @@ def check(scene: Scene, trial: Trial, question: Question) -> Scene:
         "force": list(question.levels),
         "shaker": getattr(scene.test, "shaker", None),
     }
-    return scene.replace(dampers=trial.choice.dampers(question.restitution), test=test)
+    return scene.replace(dampers=trial.choice.dampers(question.landings), test=test)
 
 
 def _around(peaks: Sequence[float], band: tuple[float, float]) -> Array:

@@ -11,6 +11,7 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.damper_design.landings import INSTANT, Landings
 from rig.damper_design.worst_peak import Peak, linear_peak, peak_at
 from rig.errors import SceneError
 from rig.motion_map.grid import columns, natural_frequencies
@@ -60,10 +61,31 @@ class Choice:
         """Change all clearances by a factor."""
         return replace(self, clearances=tuple(factor * clearance for clearance in self.clearances))
 
-    def dampers(self, restitution: float) -> list[Damper]:
+    @property
+    def heaviest(self) -> int:
+        """Number of the heaviest damper from 0, the first one of equals."""
+        return self.masses.index(max(self.masses))
+
+    def without_lightest(self) -> Choice:
+        """Leave the lightest damper out, and give its mass to the others in proportion to theirs.
+
+        >>> print(Choice((3, 4), (0.0002, 0.0698), (8e-3, 7e-3)).without_lightest())
+        70 g in body 4, clearance 7 mm
+        """
+        light = self.masses.index(min(self.masses))
+        kept = [damper for damper in range(len(self.bodies)) if damper != light]
+        factor = self.mass / sum(self.masses[damper] for damper in kept)
+        return Choice(
+            tuple(self.bodies[damper] for damper in kept),
+            tuple(factor * self.masses[damper] for damper in kept),
+            tuple(self.clearances[damper] for damper in kept),
+        )
+
+    def dampers(self, landings: Landings) -> list[Damper]:
         """Make them, as a scene has them."""
         each = zip(self.bodies, self.masses, self.clearances, strict=True)
-        return [Damper(body=b, mass=m, clearance=c, restitution=restitution) for b, m, c in each]
+        how = {"restitution": landings.restitution, "contact": landings.contact}
+        return [Damper(body=b, mass=m, clearance=c, **how) for b, m, c in each]
 
 
 @dataclass(frozen=True)
@@ -134,7 +156,7 @@ class Question:
         Lowest and highest frequency, Hz.
     bodies : tuple of int
         Bodies whose peaks count, from 1.
-    restitution : float
+    landings : Landings
         Of the dampers.
     density : int
         Frequencies for each natural frequency in the band.
@@ -144,7 +166,7 @@ class Question:
     levels: tuple[float, ...]
     band: tuple[float, float]
     bodies: tuple[int, ...]
-    restitution: float = 0.0
+    landings: Landings = INSTANT
     density: int = COARSE
 
     @cached_property
@@ -164,12 +186,14 @@ class Question:
     def digest(self) -> str:
         """Name for all that the answers depend on."""
         scenes = [scene.to_yaml() for scene in self.scenes]
-        told = scenes, self.levels, self.band, self.bodies, self.restitution, self.density
-        return hashlib.sha256(repr(told).encode()).hexdigest()[:16]
+        told = scenes, self.levels, self.band, self.bodies, self.landings.restitution, self.density
+        contact = self.landings.contact
+        lasting = "" if contact is None else repr(contact)
+        return hashlib.sha256(f"{told}{lasting}".encode()).hexdigest()[:16]
 
     def worst(self, choice: Choice) -> Peak:
         """Worst peak of a choice over levels and structures."""
-        dampers = choice.dampers(self.restitution)
+        dampers = choice.dampers(self.landings)
         return max(self._peak(scene.replace(dampers=dampers), self.levels) for scene in self.scenes)
 
     def _peak(self, scene: Scene, levels: Sequence[float]) -> Peak:

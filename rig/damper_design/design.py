@@ -112,6 +112,7 @@ def design(
     cluster: str | None = None,
     table: Path | None = None,
     progress: Callable[[int, int], None] | None = None,
+    say: Callable[[str], None] | None = None,
 ) -> Design:
     """Choose the dampers that make the worst peak over a band and a range of levels smallest.
 
@@ -121,7 +122,8 @@ def design(
     Parameters
     ----------
     scene : Scene or str
-        Structure, shaker and level; its own dampers are left out, but for the restitution of the first.
+        Structure, shaker and level; its own dampers are left out, but new ones have their restitution and contact,
+        those of the first where they differ.
     budget : float or str, optional
         The most that may be added: kg, ``"50 g"``, or a share of the structure's mass such as ``"5 %"``; unless given,
         a twentieth of it.
@@ -129,7 +131,7 @@ def design(
         Bodies that may carry a damper, from 1; unless given, all. One that is named twice may carry two: their impacts
         are felt by each other at once, so that the motion is simulated and averaged, which takes several times as long.
     dampers : int
-        How many.
+        How many; fewer where they do as well.
     clearance : (float, float) or (str, str), optional
         Smallest and largest, m, or texts with units, as the following; unless given, from where a damper hardly moves
         to where it hardly meets its ceiling.
@@ -147,6 +149,8 @@ def design(
         CSV file of all trials. What stands there of the same search is not computed again.
     progress : callable, optional
         Called with the pieces of work done and of all.
+    say : callable, optional
+        Called with what is done after these pieces.
 
     Raises
     ------
@@ -167,6 +171,8 @@ def design(
         nominal = replace(question, scenes=question.scenes[:1], density=FINE)
         (likely,) = answers.of(nominal, [best.choice])
     answers.put_in_order()
+    if say is not None:
+        say("looking for what the check of the best is to measure")
     checked = check(scene, likely, nominal)
     return Design(
         scene=checked,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.damper_design.check import Expected
-from rig.damper_design.choice import Trial, mass_unit
+from rig.damper_design.choice import Choice, Trial, mass_unit
 from rig.damper_design.design import Design
 from rig.damper_design.ranking import ALIKE
 from rig.escaping import drawn
@@ -42,6 +42,8 @@ def summary(design: Design) -> str:
         f"{design.scene.name}: {len(design.trials)} designs at {levels} N, {question.band[0]:.4g} to "
         f"{question.band[1]:.4g} Hz"
         + (f", {len(question.scenes)} structures" if len(question.scenes) > 1 else ""),
+        "",
+        str(question.landings),
         "",
         f"best: {best.choice}",
         f"worst peak {1e6 * best.peak.size:.4g} µm/N (body {best.peak.body}, {best.peak.frequency:.2f} Hz, "
@@ -179,25 +181,31 @@ def draw_front(axes: Axes, design: Design, **style: Any) -> None:
 
 def _chart(axes: Axes, design: Design) -> None:
     reduction = np.array([[design.reduction(peak) for peak in row] for row in design.chart])
-    clearance = design.clearance_factors * design.best.choice.clearances[0]
+    choice = design.best.choice
+    chosen = choice.clearances[choice.heaviest]
+    clearance = design.clearance_factors * chosen
     borders = cell_edges(design.levels, True), cell_edges(clearance, True)
     mesh = axes.pcolormesh(*borders, reduction, cmap="viridis", rasterized=True)
     axes.figure.colorbar(mesh, ax=axes, pad=0.02, label="reduction at this force / dB")
     levels = design.question.levels
     axes.plot(
-        levels, [design.best.choice.clearances[0]] * len(levels), "o-", color=RED, lw=2.0, ms=4,
+        levels, [chosen] * len(levels), "o-", color=RED, lw=2.0, ms=4,
         label="chosen, at the forces asked for",
     )  # fmt: skip
     axes.grid(False)
-    several = len(design.best.choice.clearances) > 1
-    label = "clearance of the first damper / mm (others in proportion)" if several else "clearance / mm"
-    axes.set(xlabel="force / N", ylabel=label)
+    axes.set(xlabel="force / N", ylabel=_clearance_label(choice))
     plain_logarithmic(axes.xaxis)
     plain_logarithmic(axes.yaxis, factor=1e3)
     axes.set(xlim=borders[0][[0, -1]], ylim=borders[1][[0, -1]])
     # Below, as a legend inside would hide cells.
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
     axes.set_title("Clearance and force")
+
+
+def _clearance_label(choice: Choice) -> str:
+    if len(choice.bodies) == 1:
+        return "clearance / mm"
+    return f"clearance in body {choice.bodies[choice.heaviest]} / mm\n(others in proportion)"
 
 
 def _curves(axes: Axes, design: Design) -> None:
@@ -211,7 +219,8 @@ def _curves(axes: Axes, design: Design) -> None:
     bare = design.levels / design.bare.level * design.bare.acceleration / STANDARD_GRAVITY
     for number, shade, mark in zip(around, (COLOURS[4], BLUE, COLOURS[5]), "v^o", strict=True):
         row = design.chart[number]
-        clearance = 1e3 * design.clearance_factors[number] * design.best.choice.clearances[0]
+        choice = design.best.choice
+        clearance = 1e3 * design.clearance_factors[number] * choice.clearances[choice.heaviest]
         axes.plot(
             bare, [design.bare.size / peak.size for peak in row], f"{mark}-", ms=4, color=shade,
             lw=1.6 if number == chosen else 0.8, label=f"clearance {clearance:.3g} mm",

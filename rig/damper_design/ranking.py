@@ -20,15 +20,21 @@ def ranked(trials: Iterable[Trial]) -> list[Trial]:
     """Put the best first.
 
     The smallest worst peak comes first. Where several are as good at that as can be told, those with the smallest
-    peaks on the average of the levels, in dB, do. Where several are as good at that, too, the lightest do, and of these
-    the one in the middle of their clearances: at the ends it would do so just about.
+    peaks on the average of the levels, in dB, do. Where several are as good at that, too, the lightest do, of these the
+    fewest dampers, and of these the one in the middle of their clearances: at the ends it would do so just about.
     """
     trials = list(trials)
     worst = AS_GOOD * min(trial.peak.size for trial in trials)
     mean = AS_GOOD * min(trial.mean for trial in trials if trial.peak.size <= worst)
 
     def merits(trial: Trial) -> tuple[float, ...]:
-        return max(trial.peak.size, worst), max(trial.mean, mean), round(trial.choice.mass, 9)
+        choice = trial.choice
+        return (
+            max(trial.peak.size, worst),
+            max(trial.mean, mean),
+            round(choice.mass, 9),
+            len(choice.bodies),
+        )
 
     best = min(map(merits, trials))
     alike = [np.log(trial.choice.clearances[0]) for trial in trials if merits(trial) == best]

@@ -62,9 +62,12 @@ def search(question: Question, space: Space, answers: Answers) -> tuple[Trial, l
         starts = _best_of_places(ranked(tried.values()))[:POLISHED]
         polish = partial(_polish, bounds=space.clearance)
         tried |= answers.follow(question, [partial(_wanted, polish, start) for start in starts])
-    # A coarse grid of frequencies may have missed a peak: the first three are compared on a fine one.
+        fewer = ranked(tried.values())[0].choice.without_lightest()
+        tried |= answers.follow(question, [partial(_wanted, refine, fewer)])
+    # A coarse grid of frequencies may have missed a peak: the first three are compared on a fine one, and with them
+    # the first without its lightest damper, which may be next to nothing.
     fine, closely = replace(question, density=FINE), set[Choice]()
-    while first := [t.choice for t in ranked(tried.values())[:COMPARED] if t.choice not in closely]:
+    while first := [choice for choice in _first(tried.values()) if choice not in closely]:
         tried |= {trial.choice: trial for trial in answers.of(fine, first)}
         closely |= set(first)
     return ranked(tried.values())[0], list(tried.values())
@@ -77,6 +80,12 @@ def chart(
     choices = [choice.wider(factor) for factor in factors]
     nominal = replace(question, scenes=question.scenes[:1], levels=tuple(levels))
     return [list(trial.peaks) for trial in answers.of(nominal, choices)]
+
+
+def _first(trials: Iterable[Trial]) -> list[Choice]:
+    """Give the best choices, and the first of them with a damper less."""
+    first = [trial.choice for trial in ranked(trials)[:COMPARED]]
+    return first if len(first[0].bodies) == 1 else [*first, first[0].without_lightest()]
 
 
 def _step(space: Space) -> float:

@@ -21,7 +21,8 @@ from rig.damper_design.asked import asked, mass_of
 from rig.damper_design.check import check, expected
 from rig.damper_design.choice import FINE, Choice, Question, Space, Trial
 from rig.damper_design.design import chart_levels
-from rig.damper_design.figure import next_step, summary, write
+from rig.damper_design.figure import _clearance_label, next_step, summary, write
+from rig.damper_design.landings import INSTANT, landings_of
 from rig.damper_design.ranking import front, ranked
 from rig.damper_design.search import _refine, _row, search
 from rig.damper_design.worst_peak import Peak, curve
@@ -156,6 +157,71 @@ def test_given_a_worst_level_that_any_clearance_suits_when_searched_then_the_oth
     assert best.choice.clearances[0] == pytest.approx(2e-3, rel=0.1)
 
 
+@dataclass(frozen=True)
+class Lone(Question):
+    """Answers at once: only the damper in body 2 does anything, best with all mass and 1 mm."""
+
+    def worst(self, choice: Choice) -> Peak:
+        each = zip(choice.bodies, choice.masses, choice.clearances, strict=True)
+        away = [(m / 0.1 - 1.0) ** 2 + 0.1 * np.log(c / 1e-3) ** 2 for b, m, c in each if b == 2]
+        return Peak(float(1.0 + min(away, default=9.0)), 10.0, max(self.levels), 1, 1.0, 0.0)
+
+
+def test_given_two_dampers_of_which_one_does_as_well_when_searched_then_the_one_is_named() -> None:
+    question = Lone((rig.load("fig9"),), (1.0,), (40.0, 60.0), (1,))
+    answers = Answers(Shuffled(0), None, None, 1)  # type: ignore[arg-type]
+    best, _ = search(question, Space(((1, 2),), 0.1, (1e-4, 1e-2)), answers)
+    assert best.choice.bodies == (2,) and best.choice.masses == pytest.approx((0.1,))
+    assert best.choice.clearances[0] == pytest.approx(1e-3, rel=0.5)
+
+
+def test_given_two_dampers_when_drawn_then_the_clearance_is_that_of_the_heavier() -> None:
+    assert "in body 4 / mm" in _clearance_label(Choice((3, 4), (0.01, 0.06), (8e-3, 7e-3)))
+
+
+LASTING = {"contact": {"duration": "4 ms"}, "restitution": 0.2}
+
+
+def with_dampers(*each: dict[str, Any]) -> rig.Scene:
+    return rig.load(
+        "fig9", {"dampers": [{"body": 2, "mass": "50 g", "clearance": "1 mm"} | one for one in each]}
+    )
+
+
+def test_given_a_scene_whose_dampers_land_lastingly_when_asked_then_new_ones_land_as_they_do() -> None:
+    scene = with_dampers(LASTING, LASTING)
+    question, _ = asked(scene, None, [2], 1, None, [3.3], (48.5, 50.5), [2], (0.0, 0.0))
+    assert str(question.landings) == "new dampers land in 4 ms, restitution 0.2: as the scene's"
+    choice = Choice((2,), (0.1,), (1e-3,))
+    peak = question.worst(choice)
+    trial = Trial(choice, (peak,))
+    checked = check(scene, trial, question)
+    assert [(one.restitution, one.contact) for one in checked.dampers] == [(0.2, scene.dampers[0].contact)]
+    held = checked.replace(
+        channels=None, test={"kind": "sine", "frequency": peak.frequency, "force": "3.3 N"}
+    )
+    settled = rig.frequency_response(held, [peak.frequency])
+    assert peak.size == pytest.approx(abs(settled.compliance[1, 0]), rel=2e-3)
+    instant = replace(question, landings=INSTANT)
+    assert instant.digest != question.digest and instant.worst(choice).size != pytest.approx(
+        peak.size, rel=1e-3
+    )
+
+
+def test_given_dampers_that_land_differently_when_asked_then_the_first_is_taken_and_it_says_so() -> None:
+    landings = landings_of(with_dampers(LASTING, {}).dampers)
+    assert (landings.restitution, landings.taken) == (0.2, "as the scene's first; others of it differ")
+    walls = {"contact": {"floor": {"duration": "4 ms"}, "ceiling": {"duration": "1 ms"}}}
+    assert "in 4 ms on floors and 1 ms on ceilings" in str(landings_of(with_dampers(walls).dampers))
+    assert landings_of(()) == INSTANT and "at once, restitution 0" in str(INSTANT)
+
+
+def test_given_contact_by_stiffness_when_asked_then_it_is_refused_as_that_of_one_mass() -> None:
+    scene = with_dampers({"contact": {"stiffness": "100 kN/m", "damping": "5 N s/m"}})
+    with pytest.raises(SceneError, match=r"dampers\[1\]\.contact: .* expected contact: \{duration"):
+        landings_of(scene.dampers)
+
+
 def test_given_reductions_alike_at_the_worst_level_when_ranked_then_the_mean_of_all_levels_decides() -> None:
     best_at_worst, as_good, poorer = (
         tried(0.1, 1e-3, 2.000, 1.5),
@@ -204,7 +270,7 @@ def test_given_a_table_behind_a_spring_when_expected_then_its_harmonics_and_the_
     assert one.sizes is not None
     low, size, high = one.sizes
     assert low < size < high < 1.01 * low
-    plain = scene.replace(channels=None, dampers=choice.dampers(0.0))
+    plain = scene.replace(channels=None, dampers=choice.dampers(INSTANT))
     for force, bound in ((1.5 * 1.005, low), (1.5, size), (1.5 * 0.995, high)):
         there = plain.replace(test={"kind": "sine", "frequency": peak.frequency, "force": force})
         steady = abs(rig.frequency_response(there, [peak.frequency]).compliance[peak.body - 1, 0])
@@ -314,7 +380,7 @@ def test_given_two_dampers_in_a_body_when_asked_then_the_peak_is_that_of_their_s
     question, _ = asked(rig.load("fig9"), None, None, 1, None, [3.3], (48.5, 50.5), [2], (0.0, 0.0))
     choice = Choice((2, 2), (0.06, 0.04), (1e-3, 1.1e-3))
     peak = question.worst(choice)
-    scene = question.scenes[0].replace(dampers=choice.dampers(0.0))
+    scene = question.scenes[0].replace(dampers=choice.dampers(INSTANT))
     settled = np.abs(rig.frequency_response(scene, np.linspace(48.5, 50.5, 31)).compliance[1])
     assert peak.size == pytest.approx(settled.max(), rel=0.01)
 

@@ -1,0 +1,82 @@
+"""How beds of new dampers land: as those of the scene do."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from rig.errors import SceneError
+from rig.results import plainly
+from rig.scene.damper import Contact, Damper, Landing, SpringDamper, Walls
+
+
+@dataclass(frozen=True)
+class Landings:
+    """Restitution and contact of all new dampers.
+
+    Attributes
+    ----------
+    restitution : float
+        As of a `Damper`.
+    contact : Contact or None
+        Floor and ceiling on which a landing lasts a given time; None: it is instant.
+    taken : str
+        From where that is, in words.
+    """
+
+    restitution: float = 0.0
+    contact: Contact | None = None
+    taken: str = "the scene has none to go by"
+
+    def __str__(self) -> str:
+        """Say how they land.
+
+        >>> print(Landings(0.2, taken="as the scene's"))
+        new dampers land at once, restitution 0.2: as the scene's
+        """
+        return f"new dampers land {_lasting(self.contact)}, restitution {plainly(self.restitution)}: {self.taken}"
+
+
+#: As beds that a scene says nothing of: perfectly plastic.
+INSTANT = Landings()
+
+
+def landings_of(dampers: Sequence[Damper]) -> Landings:
+    """Take how the dampers of a scene land; where they differ, how the first one does.
+
+    Raises
+    ------
+    SceneError
+        If the contact is given by stiffness and damping, which are those of one mass of bed.
+    """
+    if not dampers:
+        return INSTANT
+    first = dampers[0]
+    contact = first.contact
+    if any(isinstance(wall, SpringDamper) for wall in _walls(contact)):
+        raise SceneError(
+            "dampers[1].contact: given by stiffness and damping, which are of its own mass of bed and say nothing of "
+            "another mass; expected contact: {duration: ...} and restitution, such as "
+            "--set 'dampers[1].contact={duration: 4 ms}'"
+        )
+    alike = all(
+        (each.restitution, each.contact, each.grains) == (first.restitution, contact, first.grains)
+        for each in dampers
+    )
+    taken = "as the scene's" if alike else "as the scene's first; others of it differ"
+    if first.grains is not None:
+        taken = "as one mass each, not as the grains of the scene's"
+    return Landings(first.restitution, contact, taken)
+
+
+def _walls(contact: Contact | None) -> tuple[object, ...]:
+    return (contact.floor, contact.ceiling) if isinstance(contact, Walls) else (contact,)
+
+
+def _lasting(contact: Contact | None) -> str:
+    durations = [
+        f"{plainly(1e3 * wall.duration)} ms" for wall in _walls(contact) if isinstance(wall, Landing)
+    ]
+    if len(durations) == 2:
+        return f"in {durations[0]} on floors and {durations[1]} on ceilings"
+    return f"in {durations[0]}" if durations else "at once"

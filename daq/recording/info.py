@@ -41,7 +41,7 @@ def describe(recording: Recording) -> Iterator[str]:
         label = "channels" if place == 0 else ""
         sensor = f"{info.quantity}, {info.sensitivity:.6g} V per {info.unit}"
         yield f"  {label:9} {name:{wide}}  {info.at}, {sensor}, {_SAMPLING[info.sampling]}"
-    if recording.has_truth:
+    if recording.truth_points:
         points, events = ", ".join(recording.truth_points), recording.events.size
         yield f"  truth     of {points}; {events} changes of contact"
     counts = Counter(marker.kind for marker in recording.markers)

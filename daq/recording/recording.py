@@ -18,6 +18,7 @@ from daq.recording.channel_series import Series
 from daq.recording.gap import Gap, gaps_of, unnoted
 from daq.recording.markers import EVENT_TYPE, Marker, event_from_json
 from daq.recording.sample_block import SAMPLE_TYPE
+from daq.recording.truth import points_of
 from daq.signal_chain.channel import UNITS, ChannelInfo
 from daq.signal_chain.field_checks import NAME, check
 from rig.errors import RecordingError, naming
@@ -261,8 +262,12 @@ class Recording(Result):
 
     @property
     def has_truth(self) -> bool:
-        """Whether the true motion was recorded."""
-        return bool(self.truth_points)
+        """Whether the true motion was recorded, of all points and dampers of the scene."""
+        if not self.truth_points:
+            return False
+        dampers = tuple(f"damper {number}" for number in range(1, len(self.scene.dampers) + 1))
+        moving = tuple(self._truth.get("gap", ())), tuple(self._truth.get("contact", ()))
+        return self.truth_points == points_of(self.scene) and moving == (dampers, dampers)
 
     def _range(self, start: int, stop: int | None) -> tuple[int, int]:
         stop = self.samples if stop is None else stop

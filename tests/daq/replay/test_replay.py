@@ -250,3 +250,18 @@ def test_given_an_overloaded_channel_when_saved_then_a_lane_shows_when(tmp_path)
 
 def test_given_a_name_with_spaces_and_slashes_when_it_becomes_an_entity_then_it_is_one_part_of_its_path():
     assert entity("acceleration", "top left/2") == r"/channels/acceleration/top\ left\/2"
+
+
+@pytest.mark.parametrize("change", [{"structure": "more"}, {"dampers": "more"}])
+def test_given_truth_of_another_rig_than_the_scene_when_replayed_then_it_is_left_aside(change, recording):
+    scene = recording.scene
+    if "structure" in change:
+        springs = {"masses": [1.0] * 4, "springs": [1e4] * 4}
+        recording.scene = scene.replace(structure=springs)
+    else:
+        recording.scene = scene.replace(dampers=[*scene.dampers, *scene.dampers])
+    motion = RecordedMotion(recording)
+    assert recording.truth_points and not recording.has_truth
+    assert not motion.gaps_known
+    for _, pose in motion.stretches(0, 512, 64):
+        assert pose.gap is None and len(pose.displacement) == recording.scene.structure.bodies

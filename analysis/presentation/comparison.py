@@ -6,7 +6,13 @@ from collections.abc import Sequence
 from math import isinf
 from pathlib import Path
 
-from analysis.dampers.comparison import PeakChange, describe_changes, highest_left_out, peak_changes
+from analysis.dampers.comparison import (
+    PeakChange,
+    describe_changes,
+    highest_left_out,
+    peak_changes,
+    unresolved,
+)
 from analysis.modal.identification import identify
 from analysis.presentation.expectations import expect
 from analysis.presentation.output_names import output_stem, with_ending
@@ -22,8 +28,8 @@ _HEADING = (
 )  # fmt: skip
 
 _JUMPS = (
-    "A peak that may be higher than measured has a jump of its curve, an end, or points that were left out beside its "
-    "highest point: measure more densely there, upwards and downwards (test: direction: both), without overloads."
+    "A peak that may be higher than measured has a jump of its curve, an end, points that were left out beside its "
+    "highest point, or only three points: measure more densely there, upwards and downwards (test: direction: both), without overloads."
 )
 
 
@@ -61,12 +67,14 @@ def present_compare(
     ]:
         notes += noted(path, group[0].warnings)
         changes = peak_changes(modes, bare, group)
+        notes += noted(paths[0], unresolved([(one.mode, one.response, one.bare) for one in changes]))
+        notes += noted(path, unresolved([(one.mode, one.response, one.damped) for one in changes]))
         lines.append(f"{bare[0].label} -> {group[0].label}")
         lines += [f"  {line}" for line in describe_changes(changes)]
         jumps |= any(isinf(one.bare.bound + one.damped.bound) for one in changes)
         rows += [_row(bare[0].label, group[0].label, change) for change in changes]
     table = write_table(with_ending(output_stem(paths, output, "compare"), "csv"), _HEADING, rows)
-    return Result((table,), tuple(lines), (*notes, *((_JUMPS,) if jumps else ())))
+    return Result((table,), tuple(lines), (*dict.fromkeys(notes), *((_JUMPS,) if jumps else ())))
 
 
 def _row(before: str, after: str, change: PeakChange) -> tuple[str | float, ...]:

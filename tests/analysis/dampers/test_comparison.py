@@ -21,6 +21,7 @@ from analysis.dampers.comparison import (
     highest_left_out,
     peak,
     peak_changes,
+    unresolved,
 )
 from analysis.responses.frf import Frf
 from tests.analysis.responses import synthetic
@@ -80,6 +81,41 @@ def test_given_points_left_out_beside_the_highest_one_when_looked_for_then_the_p
     kept = abs(f - 10.1) > 0.12
     found = peak(replace(curve.at(kept), left_out=f[~kept]), 9.0, 11.0)
     assert found is not None and math.isinf(found.bound) and found.value < abs(curve.value).max()
+
+
+def beneath_dampers(f: np.ndarray) -> np.ndarray:
+    """Receptance whose damping falls where it moves most, as beneath dampers that land late: solved at each point."""
+    stiffness, damping = 1.0 - (f / 18.6) ** 2, np.full(f.size, 0.1)
+    for _ in range(200):
+        amplitude = 1.0 / np.hypot(stiffness, damping)
+        damping = 0.5 * (damping + 0.022 + 0.022 / (1.0 + (amplitude / 25.0) ** 2))
+    return 1.0 / (stiffness + 1j * damping)
+
+
+@pytest.mark.parametrize("step", [0.05, 0.1, 0.2, 1.0 / 3.0, 0.4])
+@pytest.mark.parametrize("offset", np.linspace(0.0, 1.0, 9).tolist())
+def test_given_a_peak_narrower_than_its_damping_when_measured_at_wide_points_then_it_lies_within_the_bound(
+    step, offset
+) -> None:
+    f = 18.6 + step * (np.arange(-5, 5) + offset)
+    found = peak(measured(f, beneath_dampers(f)), f[0], f[-1])
+    exact = abs(beneath_dampers(np.linspace(18.2, 19.0, 4001))).max()
+    assert found is not None and abs(found.value - exact) <= found.bound
+    assert step > 0.05 or found.bound < 0.02 * exact
+
+
+def test_given_points_too_far_apart_for_a_peak_when_told_then_it_says_how_near_together_they_should_be() -> (
+    None
+):
+    close, wide = (Peak(1e-3, 1e-4, 18.5, 18.4, 18.6, share * 1e-3, 0.33) for share in (0.005, 0.09))
+    told = unresolved([(19.0, "a3", close), (19.0, "a4", wide), (44.0, "a4", close)])
+    assert told == [
+        "a4, near 18.50 Hz: between points 0.33 Hz apart the peak may be up to 9 % off what they show, which its "
+        "interval allows for; measure every 0.1 Hz there"
+    ]
+    three = np.linspace(17.0, 20.0, 3)
+    found = peak(measured(three, beneath_dampers(three)), 17.0, 20.0)
+    assert found is not None and math.isinf(found.bound)
 
 
 def test_given_bounds_around_changes_when_told_then_words_say_which_way_and_how_far_at_most() -> None:

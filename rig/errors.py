@@ -31,6 +31,14 @@ class RunError(ShotrigError):
     exit_code = 1
 
 
+class UncoveredMotionError(RunError):
+    """A motion for which orbits are not computed; its only argument says what happens in it."""
+
+    def __str__(self) -> str:
+        instead = "a settled simulation (rig.frequency_response) covers it"
+        return f"{self.args[0]}, for which orbits are not computed; {instead}"
+
+
 class SceneWarning(UserWarning):
     """A scene that can be used, with a value in it that is hardly what was meant."""
 

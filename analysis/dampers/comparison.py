@@ -32,6 +32,8 @@ class Peak:
         out beside the highest one, or that is the last one looked at: the peak is then at least as high as `value`.
     frequency, first, last : float
         Where it is, and between which frequencies it may be, Hz.
+    least : float
+        What it is as high as in any case: its highest point less that one's bound, m/N.
     between : float
         Part of `bound` for what the curve may do between its points, m/N.
     step : float
@@ -43,8 +45,14 @@ class Peak:
     frequency: float
     first: float
     last: float
+    least: float = 0.0
     between: float = 0.0
     step: float = 0.0
+
+    @property
+    def low(self) -> float:
+        """Least height that it may have, m/N."""
+        return self.value if isinf(self.bound) else max(self.value - self.bound, self.least)
 
 
 def peak(frf: Frf, low: float, high: float) -> Peak | None:
@@ -110,6 +118,7 @@ def peak(frf: Frf, low: float, high: float) -> Peak | None:
         float(grid[best]),
         float(high_enough.min()),
         float(high_enough.max()),
+        float(size[top] - around[top]),
         between,
         float(np.diff(f[three]).max()),
     )
@@ -154,8 +163,8 @@ class PeakChange:
         bare, damped = self.bare, self.damped
         return (
             20.0 * log10(damped.value / bare.value),
-            _ratio_dB(damped.value - (0.0 if damped.bound == inf else damped.bound), bare.value + bare.bound),
-            _ratio_dB(damped.value + damped.bound, bare.value - (0.0 if bare.bound == inf else bare.bound)),
+            _ratio_dB(damped.low, bare.value + bare.bound),
+            _ratio_dB(damped.value + damped.bound, bare.low),
         )
 
     @property
@@ -257,8 +266,8 @@ def unresolved(peaks: Sequence[tuple[float, str, Peak]]) -> list[str]:
         off = worst.between / worst.value
         # What interpolation misses falls with the square of the step at least.
         said.append(
-            f"{', '.join(here)}, near {worst.frequency:.2f} Hz: between points {worst.step:.2g} Hz apart the peak may be "
-            f"up to {100 * off:.2g} % off what they show, which its interval allows for; measure every "
+            f"{', '.join(here)}, near {worst.frequency:.2f} Hz: between points {worst.step:.2g} Hz apart the peak may "
+            f"be up to {100 * off:.2g} % off what they show, which its interval allows for; measure every "
             f"{worst.step * sqrt(_RESOLVED / off):.1g} Hz there"
         )
     return said

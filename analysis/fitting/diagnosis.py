@@ -1,8 +1,8 @@
-"""Why a scene does not fit: which channel reads what it should not, is turned round, or swapped with another."""
+"""Why a scene or some points do not fit: channels that read what they should not, motions that are not computed."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import combinations
 
@@ -148,6 +148,28 @@ def _with_sensor(curves: Curves, old: Sensor, new: Sensor) -> Curves:
         sensors=tuple(new if sensor == old else sensor for sensor in curves.sensors),
         reference_sensor=new if curves.reference_sensor == old else curves.reference_sensor,
     )
+
+
+def left_out(curves: Curves, used: NDArray[np.bool_], uncovered: Mapping[int, str]) -> list[str]:
+    """Say which points were left out of a fit, and why.
+
+    Parameters
+    ----------
+    curves : Curves
+    used : ndarray of bool, shape (n,)
+    uncovered : mapping of int to str
+        What happens in the motion that the scene has at a point, where no orbit is computed for it.
+    """
+    why: dict[str, list[str]] = {}
+    for k in np.flatnonzero(~used).tolist():
+        reason = "the rig was in another motion than any that the scene has there, or in none that repeats"
+        if k in uncovered:
+            reason = (
+                f"{uncovered[k]}, which a fit does not compute; a scene whose dampers have restitution 0, or contacts "
+                "that last (contact: {duration: ...}), has none of that"
+            )
+        why.setdefault(reason, []).append(f"{curves.frequency[k]:.4g}")
+    return [f"{curves.label}: left out {', '.join(at)} Hz, where {reason}." for reason, at in why.items()]
 
 
 def _swapped(curves: Curves, one: str, other: str) -> Curves:

@@ -48,11 +48,24 @@ def _compared(ax: Axes, one: Compared) -> None:
     factor, unit = (1.0, "m/m") if one.curves.reference == "table" else (1e6, "µm/N")
     for k, sensor in enumerate(one.curves.sensors):
         size = factor * abs(one.curves.value[k, order])
-        ax.plot(frequency, size, ".", color=colour(k), label=sensor.name)
+        _dots(ax, frequency, size, one.used[order], k, sensor.name)
         ax.plot(*_broken(frequency, factor * abs(one.predicted[k, order])), "-", lw=0.8, color=colour(k))
     decades(ax, [factor * abs(one.curves.value)])
     ax.set_ylabel(f"|x / {one.curves.reference}| / ({unit})")
     heading(ax, one.curves.label)
+
+
+def _dots(
+    ax: Axes,
+    frequency: NDArray[np.float64],
+    size: NDArray[np.float64],
+    used: NDArray[np.bool_],
+    number: int,
+    label: str | None = None,
+) -> None:
+    """Draw points of a response as dots, those left out as crosses."""
+    ax.plot(frequency, np.where(used, size, np.nan), ".", color=colour(number), label=label)
+    ax.plot(frequency, np.where(used, np.nan, size), "x", color=colour(number))
 
 
 def _broken(frequency: NDArray[np.float64], size: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
@@ -67,9 +80,7 @@ def _missed(ax: Axes, one: Compared) -> None:
     order = np.argsort(one.curves.frequency, kind="stable")
     frequency, used = one.curves.frequency[order], one.used[order]
     for k in range(len(one.curves.sensors)):
-        misses = one.misses[k, order]
-        ax.plot(frequency, np.where(used, misses, np.nan), ".", color=colour(k))
-        ax.plot(frequency, np.where(used, np.nan, misses), "x", color=colour(k))
+        _dots(ax, frequency, one.misses[k, order], used, k)
     decades(ax, [one.misses], most=5.0)
     ax.axhline(2.0, color="#555555", lw=0.6)
     ax.set_ylabel("miss / std. deviation")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.fitting.diagnosis import causes, scale_off
+from analysis.fitting.diagnosis import causes, left_out, scale_off
 from analysis.fitting.estimate import CONFIDENCE, Estimate, estimate
 from analysis.fitting.identifiability import together
 from analysis.fitting.measured import Curves, measured
@@ -263,13 +263,8 @@ def _result(problem: Problem, found: Estimate, told: Progress) -> Fit:
             f"The scene misses the curves by up to {worst:.2%}, beyond their errors (mean square of the misses "
             f"{found.variance:.3g}); the intervals are widened by that."
         )
-    for one in compared:
-        if not one.used.all():
-            left = ", ".join(f"{f:.4g}" for f in one.curves.frequency[~one.used])
-            warnings.append(
-                f"{one.curves.label}: left out {left} Hz, where the rig was in another motion than any that the scene "
-                "has there, or in none that repeats."
-            )
+    for one, group in zip(compared, problem.groups, strict=True):
+        warnings += left_out(one.curves, one.used, {} if group.tones is None else group.tones.uncovered)
     names = range(len(problem.parameters))
     deviation = np.sqrt(np.diag(found.covariance))
     each = tuple(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import isnan
 from pathlib import Path
 
 from analysis.fitting.figure import fit_figure
@@ -72,7 +73,10 @@ def describe(found: Fit) -> list[str]:
         )
     for level in found.damping:
         beneath = "beneath its dampers" if level.damped else "without dampers"
-        values = ", ".join(f"{v:.4g} ± {b:.1g}" for v, b in zip(level.value, level.bound, strict=True))
+        values = ", ".join(
+            "not told" if isnan(v) else f"{v:.4g} ± {b:.1g}"
+            for v, b in zip(level.value, level.bound, strict=True)
+        )
         lines.append(f"  {level.label}, {beneath}, up to {level.acceleration:.3g} m/s²: damping {values}")
     lines += [f"  {line}" for line in found.together]
     lines += [

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from analysis.fitting.measured import Curves
 from analysis.fitting.predicted import riding
-from rig.errors import RunError, SceneError
+from rig.errors import RunError, SceneError, UncoveredMotionError
 from rig.orbits.admissibility import survey
 from rig.orbits.event_sequence import Plan
 from rig.orbits.newton import correct
@@ -72,6 +72,8 @@ class SteadyTones:
         The motion at each point; None where all dampers ride, or none repeats.
     given_up : set of int
         Points at which no motion was found; it is not looked for again until this is emptied.
+    uncovered : dict of int to str
+        What happens at points whose motion, looked for last, is none that orbits are computed for.
     """
 
     def __init__(self, curves: Curves) -> None:
@@ -82,6 +84,7 @@ class SteadyTones:
         # What was known last, where a trial has led out of it: the next may lead back.
         self._last = list(self.known)
         self.given_up: set[int] = set()
+        self.uncovered: dict[int, str] = {}
 
     def at(self, bench: Scene, level: Array, frequency: Array, settle: bool = True) -> ComplexArray:
         """Give the displacement of the bodies over the reference; NaN where the motion is irregular.
@@ -126,7 +129,7 @@ class SteadyTones:
                 if answer is not None:
                     yield answer
         for moving in (True, False):
-            answer = rig.searched(frequency[k], level[k], moving)
+            answer = self._searched(rig, frequency, level, k, moving)
             if answer is not None:
                 yield answer
 
@@ -140,10 +143,19 @@ class SteadyTones:
                     return answer
         if k in self.given_up:
             return None
-        answer = rig.searched(frequency[k], level[k], moving=True)
+        answer = self._searched(rig, frequency, level, k, moving=True)
         if answer is None:
             self.given_up.add(k)
         return answer
+
+    def _searched(self, rig: _Rig, frequency: Array, level: Array, k: int, moving: bool) -> Answer | None:
+        """Motion that riding or rest lead to at a point; takes down why none is computed there."""
+        self.uncovered.pop(k, None)
+        try:
+            return rig.searched(frequency[k], level[k], moving)
+        except UncoveredMotionError as error:
+            self.uncovered[k] = error.args[0]
+            return None
 
 
 class _Rig:
@@ -172,7 +184,13 @@ class _Rig:
             self.table = self.problem.system.points.index("table")
 
     def searched(self, frequency: float, level: float, moving: bool) -> Answer | None:
-        """Motion that the one with all dampers riding leads to or, unless `moving`, rest."""
+        """Motion that the one with all dampers riding leads to or, unless `moving`, rest.
+
+        Raises
+        ------
+        UncoveredMotionError
+            If it settles to one for which orbits are not computed.
+        """
         drive = level * (self.spring or 1.0)
         if self.table is not None:
             per_volt = riding_response(self.problem.system, "shaker", 2.0 * np.pi * frequency)[self.table]
@@ -185,6 +203,8 @@ class _Rig:
                 enter(propagator, orbit)
             try:
                 orbit = search(self.problem, setting, propagator, _LONGEST)
+            except UncoveredMotionError:
+                raise
             except (RunError, np.linalg.LinAlgError):
                 return None
             known = Known(orbit.plan, orbit.unknowns, drive)

@@ -28,8 +28,9 @@ _HEADING = (
 )  # fmt: skip
 
 _JUMPS = (
-    "A peak that may be higher than measured has a jump of its curve, an end, points that were left out beside its "
-    "highest point, or only three points: measure more densely there, upwards and downwards (test: direction: both), without overloads."
+    "A peak that may be higher than measured has a jump of its curve, an end, or points that were left out beside its "
+    "highest point, or only three points: measure more densely there, upwards and downwards (test: direction: both), "
+    "without overloads."
 )
 
 

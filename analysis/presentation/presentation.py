@@ -245,7 +245,7 @@ def _read(path: Path, reference: str, channels: Sequence[str] | None, unit: str 
 
 def describe_modes(modes: Modes, theory: np.ndarray | None = None) -> list[str]:
     """List frequency, damping and shape of each mode, and how near it comes to the shapes of theory."""
-    out = [f"{modes.label}: {modes.frequency.size} modes"]
+    out = [f"{modes.label}: {modes.frequency.size} mode{'s' * (modes.frequency.size != 1)}"]
     for i, frequency in enumerate(modes.frequency):
         known = zip(modes.shapes[:, i].real, 2.0 * modes.shape_error[:, i], strict=True)
         shape = ", ".join(_element(value, bound) for value, bound in known)

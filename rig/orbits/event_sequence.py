@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rig.engine.state import CEILING_IMPACT, CEILING_TOUCH, FLIGHT, FLOOR_IMPACT, FLOOR_TOUCH
 from rig.engine.state import RELEASE as RELEASED
 from rig.engine.trajectory import Trajectory
-from rig.errors import RunError
+from rig.errors import UncoveredMotionError
 from rig.orbits.orbit_equations import (
     CEILING,
     CEILING_BOUNCE,
@@ -140,7 +140,7 @@ def plan_from(
 
     Raises
     ------
-    RunError
+    UncoveredMotionError
         If a damper that rebounds comes to rest on a wall, after impacts without end; or one is thrown off its wall
         by another's impact, through a full mass matrix or the body of both.
     """
@@ -154,10 +154,9 @@ def plan_from(
         now = [i for i in range(len(order)) if instants[order[i]] == instants[k]]
         hit = [i for i in now if dampers[i] == damper and kinds[i] in (FLOOR, CEILING)]
         if system.coupled and any(dampers[i] != damper for i in now):
-            raise RunError(
+            raise UncoveredMotionError(
                 f"an impact of a damper is felt by another at once (dampers {damper + 1} and {dampers[now[-1]] + 1}, "
-                "coupled by their body or the mass matrix), for which orbits are not computed; a settled simulation "
-                "(rig.frequency_response) covers it"
+                "coupled by their body or the mass matrix)"
             )
         if system.lasting[damper]:
             kinds.append(_lasting_kind(trajectory, k, system))
@@ -169,9 +168,8 @@ def plan_from(
             kinds[hit[-1]] = BOUNCE[kinds[hit[-1]]]
             continue
         elif system.restitution[damper] > 0:
-            raise RunError(
-                f"damper {damper + 1} rebounds ever lower until it rests on a wall: impacts without end in every "
-                "period, for which orbits are not computed; a settled simulation (rig.frequency_response) covers it"
+            raise UncoveredMotionError(
+                f"damper {damper + 1} rebounds ever lower until it rests on a wall: impacts without end in every period"
             )
         else:
             kinds.append(WITH_LAST if now else SEPARATION)

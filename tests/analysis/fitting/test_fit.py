@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,9 +11,12 @@ import analysis
 import daq
 import rig
 from analysis.fitting.estimate import Estimate
-from analysis.fitting.fit import Compared, _misfit
+from analysis.fitting.figure import fit_figure
+from analysis.fitting.fit import Compared, Fit, Fitted, _misfit
 from analysis.fitting.measured import measured
 from analysis.fitting.parameters import free_parameters, spelt_out, with_values
+from analysis.fitting.presentation import describe
+from analysis.fitting.separation import LevelDamping
 from rig.errors import RecordingError, SceneError
 from tests.analysis.responses import synthetic
 
@@ -213,3 +217,25 @@ def test_given_points_left_out_when_judged_then_those_where_the_model_is_irregul
         if refused
         else ""
     )
+
+
+def test_given_points_left_out_when_drawn_then_they_are_crosses_on_both_sides():
+    used = np.array([True, True, False, True])
+    value = np.full((1, 4), 1e-5 + 0j)
+    with daq.open(DEMO) as recording:
+        [demo] = measured(recording, "demo")
+    curves = replace(demo, frequency=np.arange(10.0, 14.0), value=value, sensors=demo.sensors[:1])
+    found = SimpleNamespace(compared=[Compared(curves, value, used, np.ones((1, 4)), 0.0)])
+    for ax in fit_figure(found).axes:  # type: ignore[arg-type]
+        crosses = [line for line in ax.lines if line.get_marker() == "x"]
+        assert [np.isfinite(line.get_ydata()).tolist() for line in crosses] == [(~used).tolist()]
+
+
+def test_given_damping_that_a_sweep_does_not_tell_when_described_then_words_say_so():
+    level = LevelDamping("a.mcap", False, 1.0, ("x", "y"), np.array([0.01, np.nan]), np.array([1e-4, np.nan]))
+    parameter = Fitted("structure.damping.modal[1]", "", 0.01, 0.01, 0.0099, 0.0101, "determined")
+    found = Fit(
+        rig.load("fig9"), (parameter,), np.eye(1), {}, (), (level,), (), 1.0, "", (), ()
+    )  # fmt: skip
+    [said] = [line for line in describe(found) if "without dampers" in line]
+    assert said.endswith("damping 0.01 ± 0.0001, not told")

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 import daq
+from analysis.fitting.diagnosis import left_out
 from analysis.fitting.measured import measured
 from analysis.fitting.predicted import on_the_bench
 from analysis.fitting.steady_tones import SteadyTones
@@ -44,3 +45,23 @@ def test_given_a_shaken_table_when_motions_are_followed_then_they_change_as_thos
         corrected = tones.at(bench, *there) - here
         tones.known = known
         assert np.isfinite(corrected).all() and abs(followed - corrected).max() < 0.01 * abs(corrected).max()
+
+
+def test_given_rebounds_without_end_when_a_motion_is_looked_for_then_what_happens_is_taken_down_for_the_words():
+    with daq.open(DAMPED) as recording:
+        [curves] = measured(recording, "demo")
+    point = [int(np.argmin(abs(curves.frequency - 49.0)))]
+    assert curves.level is not None
+    frequency, level = curves.frequency[point], curves.level[point]
+    dampers = [one.replace(restitution=0.3) for one in curves.scene.dampers]
+    bouncy = curves.scene.replace(dampers=dampers)
+    one = replace(curves, scene=bouncy, frequency=frequency, level=level)
+    tones = SteadyTones(one)
+    assert np.isnan(tones.at(on_the_bench(bouncy, one), level, frequency)).all()
+    assert "rebounds ever lower until it rests" in tones.uncovered[0]
+    [said] = left_out(one, np.array([False]), tones.uncovered)
+    assert "another motion" not in said and "which a fit does not compute" in said
+    assert "another motion" in left_out(one, np.array([False]), {})[0]
+    tones.given_up.clear()
+    assert np.isfinite(tones.at(on_the_bench(curves.scene, curves), level, frequency)).all()
+    assert not tones.uncovered

@@ -12,6 +12,9 @@ from rig.damper_design.choice import Trial
 ALIKE = 0.05
 #: The same as a ratio of peaks.
 AS_GOOD = 10.0 ** (ALIKE / 20.0)
+#: The same where part of the motion is irregular, whose averages are good to some percent: a clearance changed by one
+#: percent moves them by up to six.
+SCATTERED = 1.03
 #: Part of a dB at the worst level that a dB of the mean over the levels counts for, on the way to a better choice.
 _OTHERS = 0.01
 
@@ -22,6 +25,7 @@ def ranked(trials: Iterable[Trial]) -> list[Trial]:
     The smallest worst peak comes first. Where several are as good at that as can be told, those with the smallest
     peaks on the average of the levels, in dB, do. Where several are as good at that, too, the lightest do, of these the
     fewest dampers, and of these the one in the middle of their clearances: at the ends it would do so just about.
+    Fewer dampers that irregular motion does not tell from the best come before them.
     """
     trials = list(trials)
     worst = AS_GOOD * min(trial.peak.size for trial in trials)
@@ -43,7 +47,23 @@ def ranked(trials: Iterable[Trial]) -> list[Trial]:
     def from_middle(trial: Trial) -> float:
         return abs(float(np.log(trial.choice.clearances[0]) - middle))
 
-    return sorted(trials, key=lambda trial: (merits(trial), from_middle(trial), trial.choice))
+    order = sorted(trials, key=lambda trial: (merits(trial), from_middle(trial), trial.choice))
+    fewer = [trial for trial in order if _with_fewer_as_good(trial, order[0])]
+    first = min(fewer, key=lambda trial: len(trial.choice.bodies), default=order[0])
+    order.remove(first)
+    return [first, *order]
+
+
+def _with_fewer_as_good(trial: Trial, best: Trial) -> bool:
+    """Tell whether fewer dampers, no heavier, do as well as the best ones as far as their motion tells."""
+    one, other = trial.choice, best.choice
+    ratio = SCATTERED if any(peak.simulated for peak in (*trial.peaks, *best.peaks)) else AS_GOOD
+    return (
+        len(one.bodies) < len(other.bodies)
+        and round(one.mass, 9) <= round(other.mass, 9)
+        and trial.peak.size <= ratio * best.peak.size
+        and trial.mean <= ratio * best.mean
+    )
 
 
 def merit(trial: Trial) -> float:

@@ -175,6 +175,20 @@ def test_given_two_dampers_of_which_one_does_as_well_when_searched_then_the_one_
     assert best.choice.clearances[0] == pytest.approx(1e-3, rel=0.5)
 
 
+@pytest.mark.parametrize(("irregular", "bodies"), [(0.0, (1, 2)), (0.3, (2,))])
+def test_given_one_damper_a_percent_behind_two_when_ranked_then_it_is_first_only_if_motion_is_irregular(
+    irregular: float, bodies: tuple[int, ...]
+) -> None:
+    def trial(size: float, *choice: Any) -> Trial:
+        return Trial(Choice(*choice), (Peak(size, 10.0, 1.0, 1, 1.0, irregular),))
+
+    two = trial(1.0, (1, 2), (0.001, 0.099), (1e-3, 1e-3))
+    one = trial(1.01, (2,), (0.1,), (1e-3,))
+    far = trial(1.05, (1,), (0.1,), (1e-3,))
+    order = ranked([two, far, one])
+    assert order[0].choice.bodies == bodies and len(order) == 3 and order[-1] == far
+
+
 def test_given_two_dampers_when_drawn_then_the_clearance_is_that_of_the_heavier() -> None:
     assert "in body 4 / mm" in _clearance_label(Choice((3, 4), (0.01, 0.06), (8e-3, 7e-3)))
 

@@ -23,7 +23,7 @@ from rig.work_precision.first_order_form import PER_PERIOD, FirstOrderForm
 from rig.work_precision.fixed_step_schemes import moreau_jean, penalty_newmark, penalty_runge_kutta
 from rig.work_precision.high_precision import exact_motion
 from rig.work_precision.high_precision_orbit import ExactOrbit, exact_orbit
-from rig.work_precision.motion_study import Point, Study, hardest_frequency, motion_study, refused
+from rig.work_precision.motion_study import Point, Study, _compiled, hardest_frequency, motion_study, refused
 from rig.work_precision.steady_study import SteadyStudy, _approximate, steady_study
 from tests.rig.engine.exact import Segment
 
@@ -192,6 +192,16 @@ def test_given_a_scene_without_a_shaker_when_its_cost_is_asked_then_the_error_sa
     bare = scene.replace(shaker=None)
     with pytest.raises(SceneError, match="no shaker"):
         hardest_frequency(bare, assemble(bare))
+
+
+def test_given_a_motion_that_the_compiled_peer_cannot_follow_when_studied_then_the_peer_is_listed_all_the_same(
+    case: tuple[FirstOrderForm, np.ndarray, rig.Run], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise RunError("takes off and lands for ever at one instant")
+
+    monkeypatch.setattr(DormandPrince, "follow", refuse)
+    assert {name for name, _, _ in _compiled(case[0], 0.02)} == {"compiled DP5"}
 
 
 def test_given_restitution_when_the_approximate_method_is_tried_then_it_is_said_not_to_apply() -> None:

@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Slopes to both sides that differ by less than this share of themselves tell the resonance near by.
-_ALIKE = 1.0
+# Slopes to both sides that differ by less than this share of themselves tell the resonance near by, and points nearer
+# to one another than this part of its distance.
+_ALIKE, _FINE = 1.0, 0.6
 # A resonance farther off than so many of its half-widths beats with the tone, which the window itself shows.
 _NEAR = 4.0
 # The next tone is taken up over part of a window, and the motion rings freely after it.
@@ -57,6 +58,8 @@ def ringing(value: ComplexArray, frequency: Array, waited: Array, lasted: Array)
     unlike = abs(after - before) / np.maximum(abs(inner), 1e-300)
     rate = 1j / np.where(slope == 0.0, 1e-300, slope)
     told = np.concatenate([unlike[:1], unlike, unlike[-1:]]) < _ALIKE
+    wide = np.maximum(np.append(abs(apart), 0.0), np.append(0.0, abs(apart)))
+    told &= wide < _FINE * abs(rate)
     told &= (rate.real < 0.0) & (abs(rate.imag) < _NEAR * abs(rate.real))
     told[0] = False
     free = np.maximum(waited - _TAKEN_UP * lasted, 0.0)

@@ -39,6 +39,8 @@ _WORTH = 0.25
 # Nor is one that holds less than this part of a burst.
 _BURST = 0.5
 _MOST_LINES = 1000
+# Values, of all channels, that stretches with hits may have: with their spectra they take just under a gigabyte.
+_MOST_VALUES = 14_000_000
 #: The systematic part that comes of what moved before a hit, and how much of it is told.
 MOTION_BEFORE = "motion before the hit"
 _MUCH = 0.01
@@ -84,6 +86,8 @@ class WholeStretches:
         found = flaws(rec, self.channels, self.first, self.stop)
         found = sorted([*found, *self.missed], key=lambda flaw: flaw.first)
         stretches, notes = self._worth_fitting(rec, clean_stretches(found, self.first, self.stop))
+        stretches, few = self._in_memory(stretches, rec.rate)
+        notes += few
         if found:
             kept = sum(stop - start for start, stop in stretches) / (self.stop - self.first)
             notes.insert(0, f"{1 - kept:.0%} of the test left out: {told(rec, found)}.")
@@ -127,6 +131,34 @@ class WholeStretches:
         if clean and not worth:
             return [], [f"No stretch longer than {longest / rec.rate:.3g} s is clean."]
         return worth, []
+
+    def _in_memory(
+        self, stretches: list[tuple[int, int]], rate: float
+    ) -> tuple[list[tuple[int, int]], list[str]]:
+        """Keep the first hits, as many as memory takes at once; random tests are read in pieces."""
+        if self.hits is None:
+            return stretches, []
+        left, kept = _MOST_VALUES // len(self.channels), []
+        for whole in stretches:
+            start, stop = whole
+            if stop - start > left:
+                start = max(start, self.hits.inside(*whole)[0][0] - left // 4)
+                begins = [begin for begin, _ in self.hits.inside(start, stop)[1:] if begin - start <= left]
+                # What rings of a single hit is cut where memory ends.
+                stop = begins[-1] if begins else min(stop, start + left)
+            if not self.hits.inside(start, stop):
+                break
+            kept.append((start, stop))
+            left -= stop - start
+            if kept[-1] != whole:
+                break
+        if kept == stretches or not kept:
+            return stretches, []
+        taken, there = (sum(len(self.hits.inside(*each)) for each in some) for some in (kept, stretches))
+        return kept, [
+            f"Only {taken} of {there} hits are taken, those before {kept[-1][1] / rate:.4g} s: all at once take more "
+            "than a gigabyte; a lower rate or a shorter interval between hits needs less."
+        ]
 
     def _driven(self, start: int, stop: int) -> int:
         """Count the samples of a stretch in which bursts were on."""

@@ -231,3 +231,26 @@ def test_given_a_marker_that_misses_its_hit_when_averaged_then_the_force_outside
     path = synthetic.write(tmp_path / "a.mcap", where, infos, rows, [("hit", 640, 655, {})])
     with daq.open(path) as rec, pytest.raises(RecordingError, match="0 N at most where the hit is marked"):
         analysis.frequency_responses(rec)
+
+
+def test_given_more_hits_than_memory_takes_when_analysed_then_the_first_are_taken_and_it_is_told(
+    tmp_path, monkeypatch
+):
+    scene = rig.loads(
+        """
+        structure: {masses: [1 kg], springs: [30 kN/m], damping: {modal: 1 %}}
+        test: {kind: impulse, body: 1, peak: 100 N, width: 1 ms, repeats: 6}
+        channels: [{name: a, at: body 1}, {name: h, at: hammer}]
+        recording: {display: false}
+        """
+    )
+    daq.record(scene, tmp_path / "a.mcap")
+    with daq.open(tmp_path / "a.mcap") as recording:
+        monkeypatch.setattr("analysis.responses.whole_stretches._MOST_VALUES", recording.samples)
+        found = analysis.frfs(recording)["a"]
+    told = [warning for warning in found.warnings if "hits are taken" in warning]
+    assert len(told) == 1
+    assert told[0].startswith("Only 2 of 6 hits")
+    near = (found.frequency > 15.0) & (found.frequency < 60.0)
+    missed = abs(found.value - receptance(scene, found.frequency)[0]) / found.bound()
+    assert (missed[near] < 1.0).mean() > 0.9

@@ -95,7 +95,7 @@ class Curves:
     @property
     def moving(self) -> bool:
         """Whether there are dampers that can move in their cavities."""
-        return any(not damper.locked and damper.clearance > 0.0 for damper in self.scene.dampers)
+        return any(damper.moves for damper in self.scene.dampers)
 
 
 def measured(rec: Recording, name: str, progress: Progress | None = None) -> list[Curves]:
@@ -122,7 +122,7 @@ def measured(rec: Recording, name: str, progress: Progress | None = None) -> lis
     behind_spring = kind != "impulse" and getattr(scene.driven_shaker, "spring", None) is not None
     reference = "table" if behind_spring else "force"
     tones = any(marker.kind == "measure" and "frequency" in marker.fields for marker in rec.markers)
-    if any(not d.locked and d.clearance > 0.0 for d in scene.dampers) and not tones:
+    if any(d.moves for d in scene.dampers) and not tones:
         raise RecordingError(
             f"{name} holds a test {f'of kind {kind}' if kind else 'without tones'} with dampers that move: their "
             "response is fitted from steady tones; record test: {kind: stepped_sine, ...} at one or several levels"

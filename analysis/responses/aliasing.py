@@ -126,10 +126,7 @@ def _blows(scene: Scene, body: int) -> float:
     beds = [
         bed
         for damper, bed in zip(scene.dampers, damper_masses(scene), strict=True)
-        if damper.body == body
-        and not damper.locked
-        and damper.clearance
-        and not (damper.contact or damper.grains)
+        if damper.body == body and damper.moves and not (damper.contact or damper.grains)
     ]
     return float(sum(beds)) * _inverse_mass(scene, body) if beds else 0.0
 

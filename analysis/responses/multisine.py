@@ -128,7 +128,7 @@ def best_linear_approximation(
         tuple(names), frequency, centre, noise / count, averages, rec.scene.name, tuple(notes), unsettled,
         around=SIDE, turned=count, resolution=rounding,
     )  # fmt: skip
-    free = any(not damper.locked and damper.clearance > 0.0 for damper in rec.scene.dampers)
+    free = any(damper.moves for damper in rec.scene.dampers)
     if count == 1:
         if free:
             base = replace(base, warnings=(*notes, ONE_REALISATION))

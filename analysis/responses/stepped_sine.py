@@ -206,7 +206,7 @@ def _sweep(
     tones = tuple(tone for tone, _, _ in found)
     windows = np.array([window for _, window, _ in found])
     # Where dampers move, what rings dies away otherwise than steady responses tell.
-    alone = all(damper.locked or damper.clearance == 0.0 for damper in rec.scene.dampers)
+    alone = not any(damper.moves for damper in rec.scene.dampers)
     waited = (windows[:, 0] - np.concatenate([[0], windows[:-1, 1]])) / rec.rate
     setting = f", {plainly(level)} N {direction}" if several else ""
     lines = Lines(

@@ -262,7 +262,7 @@ def _with_motion_before(frf: Frf, moving: Sequence[float]) -> Frf:
 
 def dampers_move(rec: Recording) -> tuple[str, ...]:
     """Warn of dampers that may move: a response without tones is then that of this excitation alone."""
-    if all(damper.locked or damper.clearance == 0.0 for damper in rec.scene.dampers):
+    if not any(damper.moves for damper in rec.scene.dampers):
         return ()
     return (
         "With dampers that move the structure is not linear: the curve holds for this level and kind of excitation, "

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from rig.errors import SceneError
 from rig.results import plainly
-from rig.scene.damper import Contact, Damper, Landing, SpringDamper, Walls
+from rig.scene.damper import Contact, Damper, Landing, SpringDamper, walls_of
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def landings_of(dampers: Sequence[Damper]) -> Landings:
         return INSTANT
     first = dampers[0]
     contact = first.contact
-    if any(isinstance(wall, SpringDamper) for wall in _walls(contact)):
+    if any(isinstance(wall, SpringDamper) for wall in walls_of(contact)):
         raise SceneError(
             "dampers[1].contact: given by stiffness and damping, which are of its own mass of bed and say nothing of "
             "another mass; expected contact: {duration: ...} and restitution, such as "
@@ -69,13 +69,9 @@ def landings_of(dampers: Sequence[Damper]) -> Landings:
     return Landings(first.restitution, contact, taken)
 
 
-def _walls(contact: Contact | None) -> tuple[object, ...]:
-    return (contact.floor, contact.ceiling) if isinstance(contact, Walls) else (contact,)
-
-
 def _lasting(contact: Contact | None) -> str:
     durations = [
-        f"{plainly(1e3 * wall.duration)} ms" for wall in _walls(contact) if isinstance(wall, Landing)
+        f"{plainly(1e3 * wall.duration)} ms" for wall in walls_of(contact) if isinstance(wall, Landing)
     ]
     if len(durations) == 2:
         return f"in {durations[0]} on floors and {durations[1]} on ceilings"

@@ -72,7 +72,7 @@ def spheres_of(scene: Scene) -> dict[int, Spheres]:
     """
     found = {}
     for row, (damper, mass) in enumerate(zip(scene.dampers, damper_masses(scene), strict=True)):
-        if damper.grains is None or damper.locked or damper.clearance == 0.0:
+        if damper.grains is None or not damper.moves:
             continue
         each = damper.grains.density * math.pi / 6.0 * damper.grains.diameter**3
         # The mean cube of diameters that lie evenly about their mean.

@@ -128,7 +128,7 @@ def _borders(map_: MotionMap) -> tuple[Array, Array]:
 def _own(map_: MotionMap) -> float | None:
     """Give the scene's own value, if it lies on the map and there is only one."""
     if map_.over == "clearance":
-        found = {d.clearance for d in map_.scene.dampers if not d.locked and d.clearance > 0.0}
+        found = {d.clearance for d in map_.scene.dampers if d.moves}
         value = found.pop() if len(found) == 1 else np.inf
     else:
         value = level_of(map_.scene)

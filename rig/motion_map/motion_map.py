@@ -181,7 +181,7 @@ def map_motion(
 
 def _with(scene: Scene, over: str, value: float) -> Scene:
     if over == "clearance":
-        dampers = [d if d.locked or d.clearance == 0.0 else d.replace(clearance=value) for d in scene.dampers]
+        dampers = [d.replace(clearance=value) if d.moves else d for d in scene.dampers]
         return scene.replace(dampers=dampers)
     assert scene.test is not None
     return scene.replace(test=scene.test.replace(**{over: value}))

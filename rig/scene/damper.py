@@ -42,6 +42,13 @@ class Walls(Settings):
 Contact = Annotated[Landing | SpringDamper | Walls, Alternatives(by_key)]
 
 
+def walls_of(contact: Landing | SpringDamper | Walls | None) -> tuple[Landing | SpringDamper, ...]:
+    """Give what floor and ceiling are, once where they are alike; nothing where contact is instant."""
+    if isinstance(contact, Walls):
+        return contact.floor, contact.ceiling
+    return () if contact is None else (contact,)
+
+
 class Grains(Settings):
     """The bed as spheres in an upright cylinder, by the discrete element method; without this it moves as one mass.
 
@@ -100,6 +107,11 @@ class Damper(Settings):
     locked: bool = False
     """Whether the bed is glued to the floor."""
 
+    @property
+    def moves(self) -> bool:
+        """Whether the bed can move in its cavity: it is not locked, and has clearance."""
+        return not self.locked and self.clearance > 0.0
+
     def relations(self) -> Iterable[Mistake]:
         """Check that the restitution is said once, and that a bed is one mass or grains."""
         if self.grains is not None and self.restitution:
@@ -108,10 +120,8 @@ class Damper(Settings):
             yield Mistake(
                 ("contact",), "given beside grains, whose own contact lasts; expected one of the two"
             )
-        walls = (
-            (self.contact.floor, self.contact.ceiling) if isinstance(self.contact, Walls) else (self.contact,)
-        )
-        if self.restitution and self.contact is not None and not any(isinstance(w, Landing) for w in walls):
+        lands = any(isinstance(wall, Landing) for wall in walls_of(self.contact))
+        if self.restitution and self.contact is not None and not lands:
             yield Mistake(
                 ("restitution",),
                 "given beside the stiffness and damping of the contact, in which it lies; expected contact: duration",

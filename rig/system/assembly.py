@@ -37,7 +37,7 @@ def assemble(scene: Scene) -> HybridSystem:
     mass, damping, stiffness = structure_matrices(scene.structure)
     bodies = len(mass)
     masses, at_body = damper_masses(scene), damper_bodies(scene)
-    held = np.array([d.locked or d.clearance == 0.0 for d in scene.dampers], dtype=bool)
+    held = np.array([not d.moves for d in scene.dampers], dtype=bool)
     free = np.flatnonzero(~held)
     lasting = any(scene.dampers[j].contact is not None for j in free)
     # A contact that lasts takes a second bit, to tell the ceiling from the floor.

@@ -94,7 +94,7 @@ def loaded_matrices(
     """
     mass, damping, stiffness = structure_matrices(scene.structure)
     mass, stiffness = mass.copy(), stiffness.copy()
-    always = [k for k, damper in enumerate(scene.dampers) if damper.locked or damper.clearance == 0.0]
+    always = [k for k, damper in enumerate(scene.dampers) if not damper.moves]
     positions = sorted({*always, *(_position(scene, number) for number in riding)})
     bodies = damper_bodies(scene)[positions]
     mass[bodies, bodies] += damper_masses(scene)[positions]

@@ -11,6 +11,7 @@ from daq.dsp.skew import delays
 from daq.importing.channel_table import EXAMPLE, Column
 from daq.importing.signal import Array, Signal
 from daq.importing.units import meaning
+from daq.recording.truth import points_of
 from daq.signal_chain.chain import default_channels, stages
 from daq.signal_chain.channel import ChannelInfo, Quantity
 from daq.signal_chain.channel_description import channel_info
@@ -131,8 +132,7 @@ def of_scene(scene: Scene) -> tuple[Channel, ...]:
     """Give the channels of a scene, also of one that names none."""
     if scene.channels is not None:
         return scene.channels
-    bodies = [f"body {number}" for number in range(1, scene.structure.bodies + 1)]
-    return default_channels(scene, [*bodies, *(name for name, _ in scene.tables)])
+    return default_channels(scene, points_of(scene))
 
 
 def _assigned(scene: Scene, chosen: Choice, rate: float, skew: float) -> Assigned:

@@ -18,7 +18,7 @@ from daq.recording.channel_series import Series
 from daq.recording.gap import Gap, gaps_of, unnoted
 from daq.recording.markers import EVENT_TYPE, Marker, event_from_json
 from daq.recording.sample_block import SAMPLE_TYPE
-from daq.recording.truth import points_of
+from daq.recording.truth import dampers_of, points_of
 from daq.signal_chain.channel import UNITS, ChannelInfo
 from daq.signal_chain.field_checks import NAME, check
 from rig.errors import RecordingError, naming
@@ -265,7 +265,7 @@ class Recording(Result):
         """Whether the true motion was recorded, of all points and dampers of the scene."""
         if not self.truth_points:
             return False
-        dampers = tuple(f"damper {number}" for number in range(1, len(self.scene.dampers) + 1))
+        dampers = dampers_of(self.scene)
         moving = tuple(self._truth.get("gap", ())), tuple(self._truth.get("contact", ()))
         return self.truth_points == points_of(self.scene) and moving == (dampers, dampers)
 

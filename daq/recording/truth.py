@@ -34,6 +34,11 @@ def points_of(scene: Scene) -> tuple[str, ...]:
     return (*bodies, *(name for name, _ in scene.tables))
 
 
+def dampers_of(scene: Scene) -> tuple[str, ...]:
+    """Give the names under which a scene's dampers are recorded."""
+    return tuple(f"damper {number}" for number in range(1, len(scene.dampers) + 1))
+
+
 class Truth:
     """Collects the true motion: of each point its motion, of each damper its gap and contact, and the events.
 
@@ -62,7 +67,7 @@ class Truth:
         self._clock, self._length = clock, group
         self.points = points_of(scene)
         dampers = len(scene.dampers)
-        self.drawn = (*self.points, *(f"damper {number}" for number in range(1, dampers + 1)))
+        self.drawn = (*self.points, *dampers_of(scene))
         self.streams = (
             Grouping(len(MOTION) * len(self.points) + dampers, group, np.dtype("<f8")),
             Grouping(dampers, group, np.dtype("<i4")),
@@ -82,8 +87,7 @@ class Truth:
                 topic = register(f"{TRUTH}{point.replace(' ', '_')}/{quantity}", real, fields)
                 series.append((0, kind * len(self.points) + place, topic))
             self.chunks.append(series)
-        for damper in range(dampers):
-            point = f"damper {damper + 1}"
+        for damper, point in enumerate(dampers_of(scene)):
             gap = {"point": point, "quantity": "gap", "unit": "m"}
             contact = {
                 "point": point,
@@ -91,7 +95,7 @@ class Truth:
                 "unit": "",
                 "values": "0 flight, 1 floor, 2 ceiling",
             }
-            name = f"{TRUTH}damper_{damper + 1}"
+            name = f"{TRUTH}{point.replace(' ', '_')}"
             row = len(MOTION) * len(self.points) + damper
             topics = register(f"{name}/gap", real, gap), register(f"{name}/contact", whole, contact)
             self.chunks.append([(0, row, topics[0]), (1, damper, topics[1])])

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from daq.drawing.rig_view import RigPose
 from daq.recording.displacement import HIGH_PASS_HZ, DisplacementEstimate
+from daq.recording.truth import points_of
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -59,9 +60,7 @@ class RecordedMotion:
     def __init__(self, recording: Recording) -> None:
         self.recording = recording
         scene = recording.scene
-        points = [f"body {body}" for body in range(1, scene.structure.bodies + 1)]
-        points += [name for name, _ in scene.tables]
-        self.sources = tuple(self._source(point) for point in points)
+        self.sources = tuple(self._source(point) for point in points_of(scene))
         self.gaps_known = bool(scene.dampers) and recording.has_truth
 
     def _source(self, point: str) -> MotionSource:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.engine.state import CEILING_IMPACT, CEILING_TOUCH, FLIGHT, FLOOR_IMPACT, FLOOR_TOUCH
+from rig.engine.state import CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPACT, FLOOR_TOUCH
 from rig.engine.state import RELEASE as RELEASED
 from rig.engine.trajectory import Trajectory
 from rig.errors import UncoveredMotionError
@@ -201,7 +201,7 @@ def walls_of(mode: NDArray[Any], system: HybridSystem) -> NDArray[np.int64]:
 
 def mode_of(walls: NDArray[np.int64]) -> NDArray[np.int64]:
     """Give the engine's contact states for walls of a sequence, shape (dampers,)."""
-    return np.where(walls >= FORCELESS, walls - FORCELESS, walls) + FLIGHT
+    return np.where(walls >= FORCELESS, walls - FORCELESS, walls)
 
 
 def configuration_of(walls: NDArray[np.int64]) -> int:

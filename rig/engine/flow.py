@@ -9,6 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+#: Terms of the matrix exponential, which is summed further than the series that guards use.
+TERMS = 25
+
 
 class Flow(NamedTuple):
     """Tables by slot; matrices are stored [column, row] with padded rows.

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.engine.flow import Flow, Model
+from rig.engine.flow import TERMS, Flow, Model
 from rig.numerics.bernstein import LENGTH
 from rig.numerics.complementarity import ROUNDING
 from rig.numerics.simd import SUMS, padded, zeros
@@ -31,8 +31,6 @@ from rig.system.hybrid_system import Drive, HybridSystem
 
 #: Step length times the fastest rate; 0.7^16 / 16! is below the rounding of float64.
 REACH = 0.7
-#: The matrix exponential itself is summed further than the series that guards use.
-TERMS = 25
 #: States, drive included, up to which the matrix powers are tabulated; and up to which they are if there are so
 #: few dampers that the configurations can be counted on two hands.
 TABULATED_UP_TO = 16

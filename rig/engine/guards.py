@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.engine.flow import Flow, Model
-from rig.engine.lasting import examine_lasting, gap_of, lowest_guard, opening, push, push_rate
+from rig.engine.flow import TERMS, Flow, Model
+from rig.engine.lasting import examine_lasting, gap_of, lowest_guard, opening, overlap, push, push_rate
 from rig.engine.power_series import expand
 from rig.engine.state import AMBIGUOUS, FLIGHT, FLOOR, State
 from rig.engine.workspace import Workspace
@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 
 #: Guards of a damper.
 FLOOR_GAP, CEILING_GAP, CONTACT_FORCE = 1, 2, 0
+#: A bound of a fourth derivative from the terms of its series, times this, is one of the fifth, times a step length.
+MOST_OF_NEXT = TERMS - 5
 
 
 @inlined
@@ -168,6 +170,25 @@ def _margin(
 
 
 @inlined
+def _may_recover(
+    model: Model, state: State, workspace: Workspace, j: int, duration: float, error: float
+) -> bool:
+    """Whether a bed that is released within a wall may be pressed there again, or leave it, by the same test."""
+    wall, z, new = state.recovering[j], state.z, workspace.new
+    slope, slope_new = -push_rate(model, z, j, wall) * duration, -push_rate(model, new, j, wall) * duration
+    stiffness, damping = model.wall_stiffness[j, wall - 1], model.wall_damping[j, wall - 1]
+    error_of_push = (stiffness + damping * MOST_OF_NEXT / model.step) * error
+    margin = _margin(-push(model, z, j, wall), slope, -push(model, new, j, wall), slope_new, error_of_push, 0)
+    if margin <= 0.0:
+        return True
+    sinks = -duration if wall == FLOOR else duration
+    slope, slope_new = sinks * opening(model, z, j), sinks * opening(model, new, j)
+    return (
+        _margin(overlap(model, z, j, wall), slope, overlap(model, new, j, wall), slope_new, error, 0) <= 0.0
+    )
+
+
+@inlined
 def _may_change(
     model: Model, state: State, workspace: Workspace, j: int, duration: float, error: float
 ) -> bool:
@@ -177,7 +198,7 @@ def _may_change(
         slope, slope_new = push_rate(model, z, j, mode) * duration, push_rate(model, new, j, mode) * duration
         return _margin(push(model, z, j, mode), slope, push(model, new, j, mode), slope_new, error, 0) <= 0.0
     if state.recovering[j] != FLIGHT:
-        return True
+        return _may_recover(model, state, workspace, j, duration, error)
     gap, gap_new = gap_of(model, z, j), gap_of(model, new, j)
     slope, slope_new = opening(model, z, j) * duration, opening(model, new, j) * duration
     multiplicity = state.multiplicity[j]

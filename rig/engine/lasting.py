@@ -59,7 +59,7 @@ def opening(model: Model, z: Array, j: int) -> float:
 
 
 @inlined
-def _overlap(model: Model, z: Array, j: int, wall: int) -> float:
+def overlap(model: Model, z: Array, j: int, wall: int) -> float:
     """How deep a bed is within a wall, m; negative outside."""
     gap = gap_of(model, z, j)
     return -gap if wall == FLOOR else gap - model.clearance[j]
@@ -70,7 +70,7 @@ def push(model: Model, z: Array, j: int, wall: int) -> float:
     """Force with which a wall pushes, N; negative where it would pull."""
     closing = -opening(model, z, j) if wall == FLOOR else opening(model, z, j)
     stiffness, damping = model.wall_stiffness[j, wall - 1], model.wall_damping[j, wall - 1]
-    return stiffness * _overlap(model, z, j, wall) + damping * closing
+    return stiffness * overlap(model, z, j, wall) + damping * closing
 
 
 @inlined
@@ -88,7 +88,7 @@ def _forceless(model: Model, z: Array, j: int, wall: int) -> bool:
     Only an impact elsewhere, through a full mass matrix, opens or closes a contact at any other force. Without a
     dashpot, or nearly so, there is nothing for the spring's force to cancel: it is what rounding leaves of the overlap.
     """
-    spring = model.wall_stiffness[j, wall - 1] * abs(_overlap(model, z, j, wall))
+    spring = model.wall_stiffness[j, wall - 1] * abs(overlap(model, z, j, wall))
     dashpot = model.wall_damping[j, wall - 1] * abs(opening(model, z, j))
     return abs(push(model, z, j, wall)) <= FORCELESS * (spring + dashpot) + _feigned(model, z, j, wall)
 
@@ -187,7 +187,7 @@ def change_lasting(
     forceless = 1 if _forceless(model, state.z, j, wall) else 0
     if what == RELEASED:
         state.mode[j] = FLIGHT
-        spring = model.wall_stiffness[j, wall - 1] * _overlap(model, state.z, j, wall)
+        spring = model.wall_stiffness[j, wall - 1] * overlap(model, state.z, j, wall)
         if spring > _feigned(model, state.z, j, wall):
             state.recovering[j] = wall
             state.multiplicity[j] = forceless

@@ -48,13 +48,13 @@ def _run(station: Station, test: Random, lines: Lines, period: int, closed: bool
     block = min(total, station.samples(_BLOCK))
     gate = _gate(block, test.burst, station.samples(_EDGE))
     first, done, clipped = station.now, 0, 0
-    length = next_fast_len(2 * period - 1, real=True)
-    spectrum = rfft(shape, length)
+    slower = _slower(lines, period)
+    length = slower * next_fast_len(-(-(2 * period - 1) // slower), real=True)
+    spectrum = rfft(shape, length)[: length // slower // 2 + 1] * np.sqrt(slower)
 
     def shaped_noise() -> Array:
-        return np.asarray(
-            irfft(rfft(random.standard_normal(period), length) * spectrum, length)[: 2 * period - 1]
-        )
+        white = rfft(random.standard_normal(period // slower), length // slower)
+        return np.asarray(irfft(white * spectrum, length)[: 2 * period - 1])
 
     tail = shaped_noise()[period:]
     while done < total:
@@ -75,6 +75,12 @@ def _run(station: Station, test: Random, lines: Lines, period: int, closed: bool
     station.mark("measure", first, station.now, level=level, **facts, **burst)
     if clipped:
         station.warn(f"the amplifier's limit clipped {clipped} of {total} drive samples")
+
+
+def _slower(lines: Lines, period: int) -> int:
+    """How many times slower than the drive white noise may be drawn: at four times the highest frequency."""
+    most = max(1, period // (4 * int(lines[-1])))
+    return next(times for times in range(most, 0, -1) if period % times == 0)
 
 
 def shaping_filter(lines: Lines, amplitudes: Array, gains: Array, level: float, period: int) -> Array:

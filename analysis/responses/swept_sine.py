@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, ndimage
+from scipy import ndimage
 
 from analysis.recordings.slices import read_slices
 from analysis.responses.clean_stretches import cure, flaws, told
@@ -142,21 +142,22 @@ def tracked(
         size = block.shape[1]
         line = max(int(frequency[index] * size / rec.rate), SIDE + 1)
         # Turned so that the frequency falls on a line.
-        shift = frequency[index] - line * rec.rate / size
-        turn = np.exp(-2j * np.pi * shift / rec.rate * np.arange(size))
-        spectrum = fft.fft((block - block.mean(axis=1, keepdims=True)) * turn, axis=1)
-        samples[index] = spectrum[:, line + around]
+        shift = frequency[index] * size / rec.rate - line
+        place = line + ahead * _beyond(line)
+        seen = SIDE < place < size // 2 - SIDE
+        beside = np.arange(place - SIDE - 1, place + SIDE + 2) if seen else np.zeros(0, dtype=np.int64)
+        lines = np.concatenate([line + around, beside])
+        spectrum = at_lines(block - block.mean(axis=1, keepdims=True), lines, shift)
+        samples[index] = spectrum[:, : around.size]
         at[index] = frequency[index] + around * rec.rate / size
         begin, width = bounds[index][0], SIDE * rec.rate / size
         # A logarithmic sweep passes no frequency of zero or less.
         ends = [max(frequency[index] + off, 1e-6 * frequency[index]) for off in (-width, width)]
         near = [first + _passes(marker, end, rec.rate) - begin for end in ends]
         squares[:, index] = _near(block, near, rec.rate / frequency[index]).var(axis=1)
-        place = line + ahead * _beyond(line)
-        if SIDE < place < size // 2 - SIDE:
-            quiet.append(
-                (at[index, SIDE] + (place - line) * rec.rate / size, *_noise(spectrum, place) / size)
-            )
+        if seen:
+            noise = _noise(spectrum[:, around.size :]) / size
+            quiet.append((at[index, SIDE] + (place - line) * rec.rate / size, *noise))
     kept, lengths = np.array(sorted(order)), np.array([end - begin for begin, end in bounds])
     noise = _interpolated(quiet, frequency[kept], len(names))
     # What noise there is at least, at all frequencies, lets rounding scatter.
@@ -233,9 +234,50 @@ def _beyond(line: int) -> int:
     return int(_GROWTH * max((_RATIO**0.5 - 1.0) * line, SIDE)) + 2 * SIDE
 
 
-def _noise(spectrum: ComplexArray, line: int) -> Array:
-    """Power of each channel around a line that nothing drives, without leakage of what is driven elsewhere."""
-    near = spectrum[:, line - SIDE - 1 : line + SIDE + 2]
+def at_lines(block: Array, lines: NDArray[np.int64], shift: float) -> ComplexArray:
+    """Give a few lines of a long stretch's spectrum, as they are after the spectrum was moved.
+
+    The stretch is folded into rows, whose products with few phases are one of matrices: a fraction of a whole
+    transform's work.
+
+    Parameters
+    ----------
+    block : ndarray, shape (channels, samples)
+    lines : ndarray of int, shape (lines,)
+    shift : float
+        How far above each what is wanted lies, in lines.
+
+    Returns
+    -------
+    ndarray of complex, shape (channels, lines)
+
+    Examples
+    --------
+    >>> block = np.random.default_rng(1).standard_normal((1, 1000))
+    >>> moved = np.fft.fft(block * np.exp(-2j * np.pi * 0.3 / 1000 * np.arange(1000)))
+    >>> np.allclose(at_lines(block, np.array([3, 80]), 0.3), moved[:, [3, 80]], rtol=1e-12)
+    True
+    """
+    size = block.shape[1]
+    columns = max(1, int(size**0.5))
+    rows = size // columns
+
+    def turn(at: NDArray[np.int64]) -> ComplexArray:
+        # In whole numbers, the phase of a late sample is as exact as that of an early one.
+        return np.exp(-2j * np.pi * (np.outer(lines, at) % size + shift * at) / size)
+
+    far, near = turn(columns * np.arange(rows)), turn(np.arange(columns))
+    parts = np.concatenate([far.real, far.imag])
+    found = []
+    for row in block:
+        real, imaginary = np.split(parts @ row[: rows * columns].reshape(rows, columns), 2)
+        found.append(np.sum((real + 1j * imaginary) * near, axis=1))
+    rest = np.arange(rows * columns, size)
+    return np.array(found) + block[:, rest] @ turn(rest).T
+
+
+def _noise(near: ComplexArray) -> Array:
+    """Power of each channel by lines that nothing drives, without leakage of what is driven elsewhere."""
     windowed = 0.5 * near[:, 1:-1] - 0.25 * (near[:, :-2] + near[:, 2:])
     # Hann's window leaves three eighths of the power, whose median is ln 2 of its mean; a hum is no noise.
     return np.asarray(np.median(abs(windowed) ** 2, axis=1) / (0.375 * np.log(2.0)))

@@ -128,27 +128,26 @@ def simulate(
         str | None, typer.Option(metavar="F", help="A tone of this frequency at the test's level.")
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="FILE", help="Write the run: .npz or .csv.")
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help="Write the run: .npz or .csv; with grains it goes on where it stopped.",
+        ),
     ] = None,
 ) -> None:
     """Simulate a scene without sensors and controller; print peaks, events and energy."""
-    import rig
     from rig.scene.quantities import FREQUENCY, TIME
-    from rig.simulation.run_output import check_name, duration_of, summary, write
+    from rig.simulation.run_output import simulate_into, summary
 
     setting = loaded(scene, changes)
-    if output is not None:
-        check_name(output)
-    seconds = _quantity(duration, TIME, "--duration")
-    run = rig.simulate(
-        setting,
-        duration_of(setting) if seconds is None else seconds,
-        _quantity(rate, FREQUENCY, "--rate") or 0.0,
-        frequency=_quantity(frequency, FREQUENCY, "--frequency"),
-    )
+    seconds, tone = _quantity(duration, TIME, "--duration"), _quantity(frequency, FREQUENCY, "--frequency")
+    samples = _quantity(rate, FREQUENCY, "--rate") or 0.0
+    with counting("following the motion") as progress:
+        run = simulate_into(output, setting, seconds, samples, tone, progress)
     print(summary(run))
     if output is not None:
-        write(run, output)
         print(f"\nwritten: {output}")
 
 

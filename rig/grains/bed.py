@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -55,38 +57,42 @@ class Bed:
         step: float,
     ) -> None:
         self.mass, self.gravity, self.step = spheres.mass, gravity, step
-        self._lammps = new_lammps()
-        diameters = spheres.diameters().tolist()
-        grains, heavy = spheres.settings, spheres.mass / spheres.count
-        radius = 0.5 * grains.diameter
-        at_end = contact_law(grains, told_restitution(grains, heavy, radius, step))
-        at_side = contact_law(_at_side(grains), told_restitution(grains, heavy, radius, step))
-        of_two = contact_law(grains, told_restitution(grains, 0.5 * heavy, 0.5 * radius, step))
-        self._do(*_set_up(spheres, max(diameters), positions, of_two, gravity, step))
-        heights = {"floor": "0 0 0 0 0 1", "ceiling": f"0 0 {float(ceiling)!r} 0 0 -1"}
         self.walls = tuple(name for name in WALLS if name != "ceiling" or math.isfinite(ceiling))
-        self._do("variable lid internal 0.0", "variable lowered equal v_lid")
-        for name in self.walls:
-            region = (
-                f"plane {heights[name]}" if name in heights else f"cylinder z 0 0 {_side(spheres)} INF INF"
-            )
-            law = at_side if name == "side" else at_end
-            moved = " move NULL NULL v_lowered" if name == "ceiling" else ""
-            self._do(f"region {name} {region}{moved}")
-            self._do(f"fix {name} all wall/gran/region granular {law} region {name} contacts")
+        self._count = len(positions)
+        self._of_two, self._on_walls = _laws(spheres, ceiling, step)
+        self._diameter = float(spheres.diameters().max())
+        self._lammps = new_lammps()
+        self._do(*_BEFORE, *_box(spheres, self._diameter, positions))
+        self._tell()
         flat = np.ascontiguousarray(positions, dtype=np.float64).ravel()
-        self._call(self._lammps.create_atoms, len(positions), None, [1] * len(positions), flat.tolist())
-        for atom, diameter in enumerate(diameters, 1):
+        self._call(self._lammps.create_atoms, self._count, None, [1] * self._count, flat.tolist())
+        for atom, diameter in enumerate(spheres.diameters().tolist(), 1):
             self._do(f"set atom {atom} diameter {diameter!r}")
-        self._do(f"set group all density {spheres.density()!r}", "run 0 post no")
-        count = len(positions)
-        self._position = self._per_atom("x", count)
-        self._velocity = self._per_atom("v", count)
-        self._masses = self._per_atom("rmass", count)
-        self._contacts = {
-            name: self._lammps.numpy.extract_fix(name, _PER_ATOM, _ARRAY) for name in self.walls
-        }
+        self._do(f"set group all density {spheres.density()!r}")
+        self._begin()
         self._centre = self.centre
+
+    def kept(self) -> bytes:
+        """Give all that the grains are at, with the histories of their contacts, for `resume`."""
+        with TemporaryDirectory() as folder:
+            file = Path(folder) / "bed"
+            self._do(f'write_restart "{file}"')
+            return file.read_bytes()
+
+    def resume(self, kept: bytes) -> None:
+        """Go on from what a bed of the same grains in the same cavity was at.
+
+        Neighbours and forces are found anew: what moves on from here has other last digits than what was kept would
+        have had, and the same ones whenever it is resumed.
+        """
+        self._lammps.close()
+        self._lammps = new_lammps()
+        with TemporaryDirectory() as folder:
+            file = Path(folder) / "bed"
+            file.write_bytes(kept)
+            self._do(*_BEFORE, f'read_restart "{file}"')
+            self._tell()
+            self._begin()
 
     def advance(self, steps: int = 1) -> None:
         """Go on by a number of steps."""
@@ -139,9 +145,35 @@ class Bed:
         """Copy of the positions in the order in which they were given, shape (grains, 3)."""
         return self._position.copy()
 
-    def _per_atom(self, name: str, count: int) -> Any:
+    def _tell(self) -> None:
+        """Say what acts on the grains of a box."""
+        self._do(
+            f"neighbor {0.25 * self._diameter!r} bin",
+            "neigh_modify every 1 delay 0 check yes",
+            "comm_modify vel yes",
+            "pair_style granular",
+            f"pair_coeff * * {self._of_two}",
+            "fix move all nve/sphere",
+            f"fix weight all gravity {self.gravity!r} vector 0 0 -1",
+            f"timestep {self.step!r}",
+            "thermo 1000000000",
+            "variable lid internal 0.0",
+            "variable lowered equal v_lid",
+            *self._on_walls,
+        )
+
+    def _begin(self) -> None:
+        """Have neighbours and forces found, and view what LAMMPS holds."""
+        self._do("run 0 post no")
+        self._position, self._velocity = self._per_atom("x"), self._per_atom("v")
+        self._masses = self._per_atom("rmass")
+        self._contacts = {
+            name: self._lammps.numpy.extract_fix(name, _PER_ATOM, _ARRAY) for name in self.walls
+        }
+
+    def _per_atom(self, name: str) -> Any:
         """View what LAMMPS holds of the grains: it lies still, as their number and their order do not change."""
-        return self._lammps.numpy.extract_atom(name)[:count]
+        return self._lammps.numpy.extract_atom(name)[: self._count]
 
     def _do(self, *commands: str) -> None:
         for command in commands:
@@ -175,28 +207,43 @@ def _side(spheres: Spheres) -> float:
     return 0.5 * spheres.settings.cavity
 
 
-def _set_up(
-    spheres: Spheres, largest: float, positions: Array, law: str, gravity: float, step: float
-) -> tuple[str, ...]:
-    """Write the commands that come before the grains."""
+def _laws(spheres: Spheres, ceiling: float, step: float) -> tuple[str, tuple[str, ...]]:
+    """Say what acts between two grains, and write the commands that make the walls."""
+    grains, heavy = spheres.settings, spheres.mass / spheres.count
+    radius = 0.5 * grains.diameter
+    at_end = contact_law(grains, told_restitution(grains, heavy, radius, step))
+    at_side = contact_law(_at_side(grains), told_restitution(grains, heavy, radius, step))
+    of_two = contact_law(grains, told_restitution(grains, 0.5 * heavy, 0.5 * radius, step))
+    shapes = {"floor": "plane 0 0 0 0 0 1", "side": f"cylinder z 0 0 {_side(spheres)} INF INF"}
+    if math.isfinite(ceiling):
+        shapes["ceiling"] = f"plane 0 0 {float(ceiling)!r} 0 0 -1 move NULL NULL v_lowered"
+    commands = []
+    for name in WALLS:
+        if name in shapes:
+            law = at_side if name == "side" else at_end
+            commands += [
+                f"region {name} {shapes[name]}",
+                f"fix {name} all wall/gran/region granular {law} region {name} contacts",
+            ]
+    return of_two, tuple(commands)
+
+
+#: Commands that come before there is a box.
+_BEFORE = (
+    "units si",
+    "atom_style sphere",
+    # Grains keep their order: who looks at them need not look for them.
+    "atom_modify map array sort 0 0",
+    "boundary f f m",
+    "newton off",
+)
+
+
+def _box(spheres: Spheres, largest: float, positions: Array) -> tuple[str, ...]:
+    """Write the commands that make the box the grains are in."""
     side = 1.1 * _side(spheres) + largest
     top = float(positions[:, 2].max()) + largest
     return (
-        "units si",
-        "atom_style sphere",
-        # Grains keep their order: who looks at them need not look for them.
-        "atom_modify map array sort 0 0",
-        "boundary f f m",
-        "newton off",
-        "comm_modify vel yes",
         f"region box block {-side!r} {side!r} {-side!r} {side!r} {-largest!r} {top!r}",
         "create_box 1 box",
-        f"neighbor {0.25 * largest!r} bin",
-        "neigh_modify every 1 delay 0 check yes",
-        "pair_style granular",
-        f"pair_coeff * * {law}",
-        "fix move all nve/sphere",
-        f"fix weight all gravity {gravity!r} vector 0 0 -1",
-        f"timestep {step!r}",
-        "thermo 1000000000",
     )

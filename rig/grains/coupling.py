@@ -40,6 +40,22 @@ class BedStates(NamedTuple):
     lift: Array
 
 
+class CoupledState(NamedTuple):
+    """What a coupled system is at, for `CoupledPropagator.resume`.
+
+    structure : `Propagator.snapshot` of the structure.
+    beds : `Bed.kept` of each.
+    begin, impulse (beds,): momentum at the start, and what the bodies gave since, kg m/s.
+    fallen : steps since the start.
+    """
+
+    structure: tuple[Array, ...]
+    beds: tuple[bytes, ...]
+    begin: Array
+    impulse: Array
+    fallen: int
+
+
 class CoupledPropagator:
     """A system whose beds of grains are followed grain by grain; otherwise as `rig.engine.propagator.Propagator`.
 
@@ -102,12 +118,23 @@ class CoupledPropagator:
         """Put the structure at a state with every damper on its floor; gives the dampers that lifted off at once."""
         columns = np.concatenate([drive[: len(self.system.inputs)], -self._force.sum(axis=1)])
         lifted = self.structure.place(state, np.concatenate([columns, np.zeros(len(columns))]))
-        now = self.structure.present()
-        n = self.system.coordinates
-        self._velocity = now.state[0, n + self.bodies]
-        self._acceleration = self.structure.accelerations(now.state, now.slot)[self.bodies, 0]
+        self._see_bodies()
         self._begin = self.momentum
         return np.asarray(self._others[lifted], dtype=np.int64)
+
+    def state(self) -> CoupledState:
+        """Give all that the motion goes on from."""
+        beds = tuple(bed.kept() for bed in self.beds)
+        return CoupledState(self.structure.snapshot(), beds, self._begin, self._impulse.copy(), self._fallen)
+
+    def resume(self, state: CoupledState) -> None:
+        """Go on from a state of this system: always with the same bits, which are not those of going on without it."""
+        self.structure.resume(state.structure)
+        for bed, kept in zip(self.beds, state.beds, strict=True):
+            bed.resume(kept)
+        self._force = np.array([bed.forces() for bed in self.beds])
+        self._begin, self._impulse, self._fallen = state.begin, state.impulse.copy(), state.fallen
+        self._see_bodies()
 
     def march(self, drive: Array) -> tuple[Trajectory, BedStates]:
         """Go on through the steps between the columns of a drive (inputs, steps + 1).
@@ -147,6 +174,14 @@ class CoupledPropagator:
         self._impulse -= 0.5 * self.step * (ports[:, :-1] + ports[:, 1:]).sum(axis=1)
         self._fallen += steps
         return _joined(self.structure.present(), kept, pages), BedStates(forces, lift)
+
+    def _see_bodies(self) -> None:
+        """See the bodies' motion under the forces that the beds have now."""
+        now = self.structure.present()
+        ports = self.structure.system.states + len(self.system.inputs)
+        now.state[0, ports : ports + len(self.beds)] = -self._force.sum(axis=1)
+        self._velocity = now.state[0, self.system.coordinates + self.bodies]
+        self._acceleration = self.structure.accelerations(now.state, now.slot)[self.bodies, 0]
 
     def _exchange(self, state: Array, foretold: Array) -> None:
         """Kick the grains by what is missing of the change of their bodies' velocities, and see the bodies' motion."""

@@ -7,6 +7,7 @@ taken as the difference of the others, so that the residual tests the engine.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.engine.flow_tables import FlowTables
+from rig.engine.propagator import Propagator
 from rig.engine.state import CEILING, FLIGHT, FLOOR
 from rig.engine.trajectory import Trajectory
 from rig.numerics.bernstein import LENGTH
@@ -64,6 +66,13 @@ class Energy:
         """Work less what is stored, dissipated, lost in impacts and contacts, or with grains; zero but for rounding."""
         lost = self.dissipated + self.impacts + self.contacts + self.grains
         return self.work - (self.stored - self.stored_before) - lost
+
+
+def total(stretches: Sequence[Energy]) -> Energy:
+    """Add up the ledgers of stretches that follow each other."""
+    flows = ("work", "dissipated", "impacts", "contacts", "grains")
+    ends = {"stored": stretches[-1].stored, "stored_before": stretches[0].stored_before}
+    return Energy(**ends, **{name: sum(getattr(each, name) for each in stretches) for name in flows})
 
 
 @dataclass(frozen=True)
@@ -140,6 +149,12 @@ class Ends:
     height: Array
     speed: Array
     mode: NDArray[Any]
+
+
+def ends_of(propagator: Propagator) -> Ends:
+    """Copy the whole state that a propagator is at."""
+    state = propagator.state
+    return Ends(state.z.copy(), state.height.copy(), state.speed.copy(), state.mode.copy())
 
 
 def ledger(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from rig.errors import SceneError
 from rig.output_files import replacing
 from rig.scene.excitation import Impulse
 from rig.scene.scene import Scene
-from rig.simulation.simulate import Run
+from rig.simulation.simulate import Run, simulate
 
 #: File name endings that `write` knows.
 ENDINGS = (".npz", ".csv")
@@ -36,6 +37,39 @@ def check_name(path: Path) -> None:
     """
     if path.suffix not in ENDINGS:
         raise SceneError(f"{path}: expected a name that ends in {' or '.join(ENDINGS)}")
+
+
+def simulate_into(
+    output: Path | None,
+    scene: Scene,
+    duration: float | None,
+    rate: float,
+    frequency: float | None,
+    progress: Callable[[int, int], None],
+) -> Run:
+    """Simulate a scene and write the run; what grains take long for is kept beside the file until that is there.
+
+    Parameters
+    ----------
+    output : Path or None
+        File to write, as `write` does; None: nothing is written, and nothing kept.
+    scene, duration, rate, frequency, progress
+        As `simulate` takes them; without a duration that of the scene's test.
+
+    Raises
+    ------
+    ShotrigError
+        If `simulate` refuses, or a file cannot be written.
+    """
+    if output is not None:
+        check_name(output)
+    keep = None if output is None else output.with_name(f"{output.name}.kept")
+    duration = duration_of(scene) if duration is None else duration
+    run = simulate(scene, duration, rate, frequency=frequency, keep=keep, progress=progress)
+    if output is not None and keep is not None:
+        write(run, output)
+        keep.unlink(missing_ok=True)
+    return run
 
 
 def summary(run: Run) -> str:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +19,7 @@ from rig.results import Result, styled
 from rig.scene.loading import scene_of
 from rig.scene.quantities import FREQUENCY, TIME, number
 from rig.scene.scene import Scene
-from rig.simulation.energy import Ends, Energy, ledger
+from rig.simulation.energy import Energy, ends_of, ledger, total
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import ToneDrive, sampled_drive, tone_drive
@@ -64,7 +66,7 @@ class Run(Result):
     contact: NDArray[np.int8]
     events: NDArray[Any]
     ambiguous: int
-    _books: tuple[Any, ...] = field(repr=False, compare=False)
+    _ledger: Callable[[], Energy] = field(repr=False, compare=False)
 
     def summary(self) -> str:
         """Say what moved, how long and how far."""
@@ -96,7 +98,7 @@ class Run(Result):
     @cached_property
     def energy(self) -> Energy:
         """The energy ledger of the run, J."""
-        return ledger(*self._books)
+        return self._ledger()
 
 
 def simulate(
@@ -105,6 +107,8 @@ def simulate(
     rate: float | str = 5120.0,
     drive: ArrayLike | None = None,
     frequency: float | str | None = None,
+    keep: Path | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Run:
     """Simulate a scene without sensors and controller.
 
@@ -120,11 +124,18 @@ def simulate(
         A sampled drive at `rate`, held to first order, in place of the scene's test.
     frequency : float or str, optional
         Hz: a tone of this frequency at the test's level, in place of the test's own frequencies.
+    keep : Path, optional
+        File for a run with grains, which takes long: what has been computed is kept there, from where the same run
+        goes on, with the same bits as if it had not been stopped. It stays at the end.
+    progress : callable, optional
+        Called, with grains, with samples done and of all.
 
     Raises
     ------
     SceneError
         If duration, rate, drive or frequency make no sense, or the test cannot be run open loop.
+    RunError
+        If what is kept is of another run.
 
     Notes
     -----
@@ -148,19 +159,21 @@ def simulate(
     system = assemble(scene)
     _need_memory(system, duration * rate)
     samples = int(np.floor(duration * rate * (1.0 + 1e-12))) + 1
-    if system.grains.any():
-        return _grains_run(scene, system, drive, frequency, samples, rate)
-    if drive is not None:
-        return _sampled_run(scene, system, _checked_drive(drive, system), rate)
-    tone = tone_drive(scene, system, frequency)
-    if tone is not None:
+    grains = bool(system.grains.any())
+    tone = None if drive is not None else tone_drive(scene, system, frequency)
+    if tone is not None and not grains:
         _need_memory(system, duration * (rate + tone.frequency))
         return _tone_run(scene, system, tone, duration, samples, rate)
-    if samples < 2:
+    if drive is None and samples < 2:
         raise SceneError(
             f"duration: got {duration:g} s, less than a sample at {rate:g} Hz; expected at least {1.0 / rate:g} s"
         )
-    return _sampled_run(scene, system, sampled_drive(scene, system, samples, rate), rate)
+    if grains and tone is not None:
+        return _grains_run(scene, tone, samples, rate, keep, progress)
+    sampled = sampled_drive(scene, system, samples, rate) if drive is None else _checked_drive(drive, system)
+    if grains:
+        return _grains_run(scene, sampled, sampled.shape[1], rate, keep, progress)
+    return _sampled_run(scene, system, sampled, rate)
 
 
 def _need_memory(system: HybridSystem, instants: float) -> None:
@@ -196,7 +209,7 @@ def _tone_run(
     propagator, steps = tone_propagator(system, tone.amplitudes, tone.omega, 1.0 / rate if is_dense else None)
     lifted = propagator.place(tone.state, np.array([1.0, 0.0]))
     times, is_sample, new_period = _marks(duration, samples, rate, tone.frequency)
-    start = _whole(propagator)
+    start = ends_of(propagator)
     first = propagator.present()
     durations = np.diff(times).astype(np.float64)
     lengths = durations / propagator.tables.step
@@ -205,7 +218,7 @@ def _tone_run(
     trajectory = propagator.through_marks(lengths, np.arange(len(durations)), new_period[:-1])
     starts = times[:-1].astype(np.float64)
     begins = np.concatenate([first.state, trajectory.state[:-1]])
-    books = (scene, propagator.tables, start, _whole(propagator), trajectory, begins, durations)
+    books = (scene, propagator.tables, start, ends_of(propagator), trajectory, begins, durations)
     keep = np.flatnonzero(is_sample[1:])
     return _run(scene, system, propagator, rate, samples, first, trajectory, keep, starts, lifted, books)
 
@@ -229,7 +242,7 @@ def _marks(
 def _sampled_run(scene: Scene, system: HybridSystem, drive: Array, rate: float) -> Run:
     propagator, steps = sampled_propagator(system, 1.0 / rate)
     lifted = propagator.place(system.initial, np.concatenate([drive[:, 0], np.zeros(len(system.inputs))]))
-    start = _whole(propagator)
+    start = ends_of(propagator)
     first = propagator.present()
     trajectory = propagator.through_samples(drive, steps)
     intervals = drive.shape[1] - 1
@@ -238,7 +251,7 @@ def _sampled_run(scene: Scene, system: HybridSystem, drive: Array, rate: float) 
     begins[:, ns + inputs : ns + 2 * inputs] = np.diff(drive, axis=1).T
     durations = np.full(intervals, 1.0 / rate)
     starts = np.arange(intervals) / rate
-    books = (scene, propagator.tables, start, _whole(propagator), trajectory, begins, durations)
+    books = (scene, propagator.tables, start, ends_of(propagator), trajectory, begins, durations)
     return _run(
         scene,
         system,
@@ -256,69 +269,48 @@ def _sampled_run(scene: Scene, system: HybridSystem, drive: Array, rate: float) 
 
 def _grains_run(
     scene: Scene,
-    system: HybridSystem,
-    given: ArrayLike | None,
-    frequency: float | None,
+    drive: ToneDrive | Array,
     samples: int,
     rate: float,
+    keep: Path | None,
+    progress: Callable[[int, int], None] | None,
 ) -> Run:
-    """Follow beds of grains; a tone is followed from step to step of theirs."""
-    from rig.grains.coupling import CoupledPropagator, between
+    """Follow beds of grains, from what is kept of the run if there is such a file."""
+    from rig.grains.lammps_library import lammps_version
+    from rig.simulation.grains_run import GrainsRun
+    from rig.simulation.kept_course import read, write
 
-    coupled = CoupledPropagator(scene, 1.0 / rate)
-    tone = None if given is not None else tone_drive(scene, system, frequency)
-    if tone is not None:
-        # Turns are counted, not radians added up: a million periods keep their phase.
-        turns = np.arange((samples - 1) * coupled.substeps + 1) * (coupled.step * tone.frequency)
-        phase = 2.0 * np.pi * (turns - np.floor(turns))
-        drive = np.real(tone.amplitudes[:, None] * np.exp(1j * phase))
-    else:
-        sampled = (
-            sampled_drive(scene, system, samples, rate) if given is None else _checked_drive(given, system)
-        )
-        drive = between(sampled, coupled.substeps)
-    lifted = coupled.place(system.initial if tone is None else tone.state, drive[:, 0])
-    start, first = _whole(coupled.structure), coupled.structure.present()
-    seen = coupled.motion_samples((drive.shape[1] - 1) // coupled.substeps + 1)
-    coupled.sample_present(seen, 0)
-    trajectory, beds = coupled.march(drive)
-    coupled.show(seen, 1, trajectory, beds)
-    ports = np.vstack([drive, -beds.force.sum(axis=1)])
-    begins = np.concatenate([first.state, trajectory.state[:-1]])
-    ns = system.states
-    begins[:, ns : ns + len(ports)] = ports[:, :-1].T
-    begins[:, ns + len(ports) : ns + 2 * len(ports)] = np.diff(ports).T
-    durations = np.full(len(begins), coupled.step)
-    end = _whole(coupled.structure)
-    at_samples = coupled.at_samples(trajectory)
-    times = at_samples.event_segment / rate + at_samples.event_offset
-    zeros = np.zeros(len(lifted))
-    events = event_table(
-        np.concatenate([zeros, times]),
-        np.concatenate([lifted, at_samples.event_damper]),
-        np.concatenate([zeros.astype(np.int64), at_samples.event_kind]),
-        np.concatenate([zeros, at_samples.event_speed]),
-        system,
-    )
-    displacement, velocity, acceleration, gap = coupled.parts(seen)
+    tone = (drive.frequency, drive.amplitudes.tolist()) if isinstance(drive, ToneDrive) else None
+    asked = {
+        "scene": scene.to_yaml(),
+        "duration": samples,
+        "rate": rate,
+        "drive": tone or drive,
+        "version of LAMMPS": lammps_version(),
+    }
+    kept = None if keep is None else read(keep, asked)
+    run = GrainsRun(scene, samples, rate, drive)
+    course = kept or run.begun()
+    while course.samples < samples:
+        course = run.longer(course)
+        if keep is not None:
+            write(keep, asked, course)
+        if progress is not None:
+            progress(course.samples, samples)
+    displacement, velocity, acceleration, gap = run.parts(course)
     return Run(
         scene=scene,
-        points=system.points,
-        time=np.arange(seen.contact.shape[1]) / rate,
+        points=run.coupled.system.points,
+        time=np.arange(samples) / rate,
         displacement=displacement,
         velocity=velocity,
         acceleration=acceleration,
         gap=gap,
-        contact=seen.contact,
-        events=events.astype(np.dtype(EVENT.descr, metadata={"ambiguous": coupled.ambiguous})),
-        ambiguous=coupled.ambiguous,
-        _books=(scene, coupled.structure.tables, start, end, trajectory, begins, durations),
+        contact=course.contact,
+        events=course.events.astype(np.dtype(EVENT.descr, metadata={"ambiguous": course.ambiguous})),
+        ambiguous=course.ambiguous,
+        _ledger=partial(total, course.energy),
     )
-
-
-def _whole(propagator: Propagator) -> Ends:
-    state = propagator.state
-    return Ends(state.z.copy(), state.height.copy(), state.speed.copy(), state.mode.copy())
 
 
 def _run(
@@ -359,5 +351,5 @@ def _run(
         contact=np.concatenate([contact_before, contact[:, keep]], axis=1),
         events=events.astype(np.dtype(EVENT.descr, metadata={"ambiguous": propagator.ambiguous})),
         ambiguous=propagator.ambiguous,
-        _books=books,
+        _ledger=partial(ledger, *books),
     )

@@ -1,0 +1,110 @@
+"""The course of a run with grains in a file, from which it goes on."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import astuple
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.errors import RunError
+from rig.grains.coupling import CoupledState
+from rig.output_files import replacing
+from rig.simulation.energy import Energy
+from rig.simulation.grains_run import Course
+
+#: What such files go by: to be changed with the way in which a run is followed.
+_METHOD = "course of grains 1"
+#: Arrays of a course that are kept as they are.
+_AS_THEY_ARE = ("rows", "contact", "events")
+
+
+def write(path: Path, asked: Mapping[str, Any], course: Course) -> None:
+    """Keep a course, in place of what was kept before; at any moment one of both is there, whole.
+
+    Parameters
+    ----------
+    asked : mapping
+        All that the run depends on, by names for messages.
+
+    Raises
+    ------
+    ShotrigError
+        If it cannot be written.
+    """
+    state = course.state
+    arrays = {name: getattr(course, name) for name in _AS_THEY_ARE}
+    arrays |= {f"asked_{name}": _digest(value) for name, value in asked.items()}
+    arrays |= {f"structure_{number}": part for number, part in enumerate(state.structure)}
+    arrays |= {f"bed_{number}": np.frombuffer(bed, dtype=np.uint8) for number, bed in enumerate(state.beds)}
+    with replacing(path) as part, part.open("wb") as file:
+        np.savez(
+            file,
+            method=_METHOD,
+            begin=state.begin,
+            impulse=state.impulse,
+            counts=(state.fallen, course.ambiguous),
+            energy=[astuple(each) for each in course.energy],
+            **arrays,
+        )
+
+
+def read(path: Path, asked: Mapping[str, Any]) -> Course | None:
+    """Read a course that was kept; None if there is no such file.
+
+    Raises
+    ------
+    RunError
+        If it is of another run, or no such file.
+    """
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+            kept = dict(arrays)
+        if str(kept["method"]) != _METHOD:
+            raise ValueError(kept["method"])
+        others = [name for name, value in asked.items() if str(kept[f"asked_{name}"]) != _digest(value)]
+        course = _course(kept)
+    except FileNotFoundError:
+        return None
+    # Whatever a damaged file leads the reader to.
+    except Exception:
+        raise RunError(
+            f"{path}: cannot be read as the beginning of a run with grains of this version; delete it to begin anew, "
+            "or choose another place with -o"
+        ) from None
+    if others:
+        raise RunError(
+            f"{path}: is the beginning of a run with another {', '.join(others)}; ask for the same to go on, delete it "
+            "to begin anew, or choose another place with -o"
+        )
+    return course
+
+
+def _course(kept: Mapping[str, Any]) -> Course:
+    fallen, ambiguous = kept["counts"].tolist()
+    state = CoupledState(
+        _numbered(kept, "structure"),
+        tuple(bed.tobytes() for bed in _numbered(kept, "bed")),
+        kept["begin"],
+        kept["impulse"],
+        fallen,
+    )
+    energy = tuple(Energy(*each) for each in kept["energy"].tolist())
+    return Course(
+        state=state, energy=energy, ambiguous=ambiguous, **{name: kept[name] for name in _AS_THEY_ARE}
+    )
+
+
+def _numbered(kept: Mapping[str, Any], name: str) -> tuple[Any, ...]:
+    return tuple(
+        kept[f"{name}_{number}"] for number in range(sum(key.startswith(f"{name}_") for key in kept))
+    )
+
+
+def _digest(value: Any) -> str:
+    """Name a value by what its words or its array hold."""
+    told = value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode()
+    return hashlib.sha256(told).hexdigest()[:16]

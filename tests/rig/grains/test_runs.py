@@ -1,0 +1,155 @@
+"""Runs with grains that are stopped and go on: with the bits of one that was not, and with its books in order."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rig
+from rig.errors import RunError
+from rig.grains.coupling import CoupledPropagator
+from rig.simulation import grains_run
+from rig.simulation.run_output import simulate_into
+from rig.simulation.simulate import Run
+from tests.rig.grains.scenes import with_grains
+
+RATE, DURATION = 2000.0, 0.03
+SWEEP = {"kind": "swept_sine", "from": "20 Hz", "to": "60 Hz", "duration": "0.03 s", "force": "0.4 N"}
+
+
+@pytest.fixture(autouse=True)
+def short_stretches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cut runs into stretches of so many steps that several are in each."""
+    monkeypatch.setattr(grains_run, "STRETCH", 400)
+
+
+def beside_a_mass(**changes: object) -> rig.Scene:
+    """Two bodies, one with a bed of grains and one with a mass."""
+    chain = {"masses": [0.01, 0.02], "springs": [400.0, 500.0], "damping": {"modal": 0.01}}
+    scene = with_grains(structure=chain, **changes)
+    other = {"body": 2, "mass": 2e-3, "clearance": 5e-4}
+    return scene.replace(dampers=[other, *scene.dampers])
+
+
+def assert_same_bits(one: Run, other: Run) -> None:
+    for name in ("time", "displacement", "velocity", "acceleration", "gap", "contact", "events"):
+        assert np.array_equal(getattr(one, name), getattr(other, name)), name
+    assert one.energy == other.energy
+    assert one.ambiguous == other.ambiguous
+
+
+class Stop:
+    """Progress that ends a run as Ctrl-C does, after so many stretches."""
+
+    def __init__(self, stretches: int) -> None:
+        self.left = stretches
+
+    def __call__(self, done: int, total: int) -> None:
+        self.left -= 1
+        if not self.left and done < total:
+            raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("test", [{}, {"test": SWEEP}], ids=["tone", "sweep"])
+def test_given_a_run_that_is_stopped_twice_when_it_goes_on_then_it_has_the_bits_of_one_that_was_not(
+    tmp_path: Path, test: dict[str, object]
+) -> None:
+    scene, kept = beside_a_mass(**test), tmp_path / "kept"
+    whole = rig.simulate(scene, DURATION, RATE)
+    for stretches in (1, 2):
+        with pytest.raises(KeyboardInterrupt):
+            rig.simulate(scene, DURATION, RATE, keep=kept, progress=Stop(stretches))
+
+    gone_on = rig.simulate(scene, DURATION, RATE, keep=kept)
+
+    assert len(whole.events) > 1
+    assert_same_bits(gone_on, whole)
+    assert_same_bits(rig.simulate(scene, DURATION, RATE, keep=kept), whole)
+
+
+def test_given_a_run_of_many_stretches_then_momentum_and_energy_add_up_as_in_one() -> None:
+    scene = beside_a_mass()
+    coupled = CoupledPropagator(scene, 1.0 / RATE)
+    drive = np.zeros((1, coupled.substeps * 20 + 1))
+    drive[0] = 0.4 * np.sin(188.5 * coupled.step * np.arange(drive.shape[1]))
+    coupled.place(coupled.system.initial, drive[:, 0])
+    exchanged = 0.0
+
+    for start in range(0, drive.shape[1] - 1, coupled.substeps):
+        coupled.resume(coupled.state())
+        _, beds = coupled.march(drive[:, start : start + coupled.substeps + 1])
+        exchanged += float(np.abs(beds.force).sum()) * coupled.step
+
+    assert np.abs(coupled.momentum_errors).max() < 1e-12 * exchanged
+    energy = rig.simulate(scene, DURATION, RATE).energy
+    assert energy.grains > 0.01 * energy.work
+    assert abs(energy.residual) < 1e-10 * energy.work
+
+
+def test_given_a_bed_that_hangs_on_rough_walls_when_it_is_read_then_its_contacts_remember_their_stretch() -> (
+    None
+):
+    scene = with_grains(mass="2 g", grains={"friction": 0.5})
+    coupled = CoupledPropagator(scene, 1.0 / RATE)
+    (bed,) = coupled.beds
+    bed.slow(1e-3)
+    for _ in range(2000):
+        bed.kick(-0.15 * 9.80665 * bed.step)
+        bed.advance()
+        bed.kick(-0.15 * 9.80665 * bed.step)
+    before = bed.forces()
+
+    bed.resume(bed.kept())
+
+    assert abs(before[2]) > 0.02 * bed.mass * 9.80665, "nothing hangs on the side"
+    assert bed.forces() == pytest.approx(before, rel=1e-6)
+
+
+def test_given_an_output_when_its_run_is_stopped_then_the_same_command_goes_on_and_leaves_the_output_alone(
+    tmp_path: Path,
+) -> None:
+    scene = with_grains()
+    simulate_into(tmp_path / "whole.npz", scene, DURATION, RATE, None, Stop(0))
+    with pytest.raises(KeyboardInterrupt):
+        simulate_into(tmp_path / "run.npz", scene, DURATION, RATE, None, Stop(2))
+    assert [file.name for file in tmp_path.glob("run*")] == ["run.npz.kept"]
+    told: list[int] = []
+
+    simulate_into(tmp_path / "run.npz", scene, DURATION, RATE, None, lambda done, total: told.append(done))
+
+    assert min(told) > 30, "what was done was done again"
+    assert [file.name for file in tmp_path.glob("run*")] == ["run.npz"]
+    assert (tmp_path / "run.npz").read_bytes() == (tmp_path / "whole.npz").read_bytes()
+
+
+def test_given_the_beginning_of_another_run_when_a_run_is_to_go_on_from_it_then_it_says_what_differs(
+    tmp_path: Path,
+) -> None:
+    kept = tmp_path / "kept"
+    rig.simulate(with_grains(), 0.01, RATE, keep=kept)
+
+    for scene, duration, frequency, differs in (
+        (with_grains(mass="0.4 g"), 0.01, None, "scene"),
+        (with_grains(seed=2), 0.01, None, "scene"),
+        (with_grains(), 0.02, None, "duration"),
+        (with_grains(), 0.01, 31.0, "drive"),
+    ):
+        with pytest.raises(RunError, match=f"kept: .* another {differs}"):
+            rig.simulate(scene, duration, RATE, frequency=frequency, keep=kept)
+
+
+@pytest.mark.parametrize("damage", [lambda whole: whole[:-200], lambda whole: b"", lambda whole: b"x" * 300])
+def test_given_a_damaged_file_when_a_run_is_to_go_on_from_it_then_it_says_so_and_leaves_the_file(
+    tmp_path: Path, damage: object
+) -> None:
+    kept = tmp_path / "kept"
+    rig.simulate(with_grains(), 0.005, RATE, keep=kept)
+    kept.write_bytes(damage(kept.read_bytes()))  # type: ignore[operator]
+    left = kept.read_bytes()
+
+    with pytest.raises(RunError, match="delete it to begin anew"):
+        rig.simulate(with_grains(), 0.005, RATE, keep=kept)
+
+    assert kept.read_bytes() == left

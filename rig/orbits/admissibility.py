@@ -57,6 +57,13 @@ def _dip(track: Track, s: int, j: int, offset: float, sign: float, first: int = 
 
 
 @stored
+def _push(equations: Equations, j: int, ceiling: bool, overlap: float, closing: float) -> float:
+    """Force law of a wall, N, from how deep a bed is within it and how fast it closes; or its rate, from theirs."""
+    wall = 1 if ceiling else 0
+    return equations.stiffness[j, wall] * overlap + equations.damping[j, wall] * closing
+
+
+@stored
 def _decided(
     equations: Equations, sequence: Sequence, track: Track, e: int, closing: float, pull: float
 ) -> float:
@@ -66,8 +73,8 @@ def _decided(
     if kind == RELEASE:
         return min(1.0, -before[1] / (pull * omega))
     if kind in (PRESS_FLOOR, PRESS_CEILING):
-        sign, at = (-1.0, 0) if kind == PRESS_FLOOR else (1.0, 1)
-        rising = sign * (equations.stiffness[j, at] * before[1] + equations.damping[j, at] * before[2])
+        into = -1.0 if kind == PRESS_FLOOR else 1.0
+        rising = _push(equations, j, kind == PRESS_CEILING, into * before[1], into * before[2])
         return min(1.0, rising / (equations.mass[j] * pull * omega))
     return min(1.0, closing * omega / pull)
 
@@ -103,12 +110,12 @@ def _lasting_margins(
             within = sequence.wall[s, j]
         first, most, law, risen = 0, -np.inf, np.inf, False
         while within != 0 and first < guard.shape[0]:
-            sign, at, offset = (-1.0, 0, 0.0) if within == ON_FLOOR else (1.0, 1, clearance)
-            overlap, closing = sign * (guard[first, 0] - offset), sign * guard[first, 1]
+            into, height = (-1.0, 0.0) if within == ON_FLOOR else (1.0, clearance)
+            overlap, closing = into * (guard[first, 0] - height), into * guard[first, 1]
             if overlap <= 0.0 and first > 0:
                 within = 0
                 break
-            force = equations.stiffness[j, at] * overlap + equations.damping[j, at] * closing
+            force = _push(equations, j, within != ON_FLOOR, overlap, closing)
             if risen and force < law:
                 most = max(most, law / equations.mass[j])
             risen, law = force > law, force

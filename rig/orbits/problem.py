@@ -126,6 +126,7 @@ class OrbitProblem:
         self.system = assemble(self.scene)
         self.level = level_of(self.scene)
         self._position = self.system.damper_coordinate.astype(np.int64)
+        self._bed = self.system.bed.astype(np.int64)
         self._linear: dict[tuple[tuple[int, ...], float], _Linear] = {}
         self._of_masses: dict[float, HybridSystem] = {}
 
@@ -210,7 +211,7 @@ class OrbitProblem:
             mass=system.damper_mass,
             clearance=system.clearance,
             restitution=system.restitution,
-            bed=system.bed.astype(np.int64),
+            bed=self._bed,
             stiffness=system.wall_stiffness,
             damping=system.wall_damping,
             gravity=float(system.gravity),

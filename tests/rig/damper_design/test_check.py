@@ -1,0 +1,53 @@
+"""The scene that checks a design holds what was asked, and what is expected of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rig
+from rig.damper_design.asked import asked
+from rig.damper_design.check import check, expected
+from rig.damper_design.choice import Choice, Trial
+from rig.damper_design.landings import INSTANT
+from rig.damper_design.worst_peak import Peak
+from rig.scene.excitation import SteppedSine
+
+
+def test_given_peaks_at_two_levels_when_a_check_is_made_then_it_has_both_levels_and_all_peaks() -> None:
+    scene = rig.load("fig9")
+    question, _ = asked(scene, None, None, 1, None, [2.0, 4.0], (30.0, 55.0), None, (0.0, 0.0))
+    choice = Choice((2,), (0.1,), (1e-3,))
+    peaks = tuple(Peak(1e-4, f, level, 1, 1.0, 0.0) for f, level in ((34.1, 2.0), (48.7, 4.0)))
+    test = check(scene, Trial(choice, peaks), question).test
+    assert isinstance(test, SteppedSine) and test.frequencies is not None
+    assert test.levels == (2.0, 4.0)
+    assert {34.1, 48.7, question.bare.frequency} <= set(test.frequencies)
+    apart = np.diff(test.frequencies)
+    # Two ranges, the upper one about two peaks, each as close as about one peak.
+    assert len(test.frequencies) < 70 and np.sum(apart > 0.005 * 48.7) == 1
+
+
+def test_given_a_table_behind_a_spring_when_expected_then_its_harmonics_and_the_held_force_count() -> None:
+    scene = rig.load("fig9", {"shaker": {"kind": "table", "body": 1, "spring": "6.6 kN/m"}})
+    question, _ = asked(scene, None, [2], 1, None, [1.5], None, None, (0.0, 0.0))
+    choice = Choice((2,), (0.1,), (0.969e-3,))
+    peak = question.worst(choice)
+    (one,) = expected(check(scene, Trial(choice, (peak,)), question), Trial(choice, (peak,)))
+    assert one.sizes is not None
+    low, size, high = one.sizes
+    assert low < size < high < 1.01 * low
+    plain = scene.replace(channels=None, dampers=choice.dampers(INSTANT))
+    for force, bound in ((1.5 * 1.005, low), (1.5, size), (1.5 * 0.995, high)):
+        there = plain.replace(test={"kind": "sine", "frequency": peak.frequency, "force": force})
+        steady = abs(rig.frequency_response(there, [peak.frequency]).compliance[peak.body - 1, 0])
+        assert bound == pytest.approx(steady, rel=1.1e-3)
+
+
+def test_given_several_shakers_when_a_check_is_made_then_the_same_one_is_driven() -> None:
+    shakers = [{"kind": "force", "body": 1}, {"kind": "force", "body": 3}]
+    drive = {"kind": "sine", "frequency": "49 Hz", "force": "3 N", "shaker": 2}
+    scene = rig.load("fig9", {"shaker": shakers, "test": drive, "channels": None})
+    question, _ = asked(scene, None, None, 1, None, None, (45.0, 55.0), None, (0.0, 0.0))
+    trial = Trial(Choice((2,), (0.1,), (1e-3,)), (Peak(1e-4, 48.7, 3.0, 1, 1.0, 0.0),))
+    assert check(scene, trial, question).driven == 2

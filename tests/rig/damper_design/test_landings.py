@@ -1,0 +1,52 @@
+"""New dampers land as those of the scene do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+import rig
+from rig.damper_design.asked import asked
+from rig.damper_design.check import check
+from rig.damper_design.choice import Choice, Trial
+from rig.damper_design.landings import INSTANT, landings_of
+from rig.errors import SceneError
+
+LASTING = {"contact": {"duration": "4 ms"}, "restitution": 0.2}
+
+
+def with_dampers(*each: dict[str, Any]) -> rig.Scene:
+    return rig.load(
+        "fig9", {"dampers": [{"body": 2, "mass": "50 g", "clearance": "1 mm"} | one for one in each]}
+    )
+
+
+def test_given_a_scene_whose_dampers_land_lastingly_when_asked_then_new_ones_land_as_they_do() -> None:
+    scene = with_dampers(LASTING, LASTING)
+    question, _ = asked(scene, None, [2], 1, None, [3.3], (48.5, 50.5), [2], (0.0, 0.0))
+    assert str(question.landings) == "new dampers land in 4 ms, restitution 0.2: as the scene's"
+    choice = Choice((2,), (0.1,), (1e-3,))
+    peak = question.worst(choice)
+    trial = Trial(choice, (peak,))
+    checked = check(scene, trial, question)
+    assert [(one.restitution, one.contact) for one in checked.dampers] == [(0.2, scene.dampers[0].contact)]
+    instant = replace(question, landings=INSTANT)
+    assert instant.digest != question.digest and instant.worst(choice).size != pytest.approx(
+        peak.size, rel=1e-3
+    )
+
+
+def test_given_dampers_that_land_differently_when_asked_then_the_first_is_taken_and_it_says_so() -> None:
+    landings = landings_of(with_dampers(LASTING, {}).dampers)
+    assert (landings.restitution, landings.taken) == (0.2, "as the scene's first; others of it differ")
+    walls = {"contact": {"floor": {"duration": "4 ms"}, "ceiling": {"duration": "1 ms"}}}
+    assert "in 4 ms on floors and 1 ms on ceilings" in str(landings_of(with_dampers(walls).dampers))
+    assert landings_of(()) == INSTANT and "at once, restitution 0" in str(INSTANT)
+
+
+def test_given_contact_by_stiffness_when_asked_then_it_is_refused_as_that_of_one_mass() -> None:
+    scene = with_dampers({"contact": {"stiffness": "100 kN/m", "damping": "5 N s/m"}})
+    with pytest.raises(SceneError, match=r"dampers\[1\]\.contact: .* expected contact: \{duration"):
+        landings_of(scene.dampers)

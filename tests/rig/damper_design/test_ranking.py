@@ -1,0 +1,51 @@
+"""Choices are ranked by all levels, and no lighter one that does as well is hidden."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from rig.damper_design.choice import Choice, Trial
+from rig.damper_design.ranking import front, ranked
+from rig.damper_design.worst_peak import Peak
+
+
+@pytest.mark.parametrize(("irregular", "bodies"), [(0.0, (1, 2)), (0.3, (2,))])
+def test_given_one_damper_a_percent_behind_two_when_ranked_then_it_is_first_only_if_motion_is_irregular(
+    irregular: float, bodies: tuple[int, ...]
+) -> None:
+    def trial(size: float, *choice: Any) -> Trial:
+        return Trial(Choice(*choice), (Peak(size, 10.0, 1.0, 1, 1.0, irregular),))
+
+    two = trial(1.0, (1, 2), (0.001, 0.099), (1e-3, 1e-3))
+    one = trial(1.01, (2,), (0.1,), (1e-3,))
+    far = trial(1.05, (1,), (0.1,), (1e-3,))
+    order = ranked([two, far, one])
+    assert order[0].choice.bodies == bodies and len(order) == 3 and order[-1] == far
+
+
+def test_given_reductions_alike_at_the_worst_level_when_ranked_then_the_mean_of_all_levels_decides() -> None:
+    best_at_worst, as_good, poorer = (
+        tried(0.1, 1e-3, 2.000, 1.5),
+        tried(0.1, 2e-3, 2.010, 1.0),
+        tried(0.1, 3e-3, 2.020, 0.1),
+    )
+    assert ranked([best_at_worst, poorer, as_good]) == [as_good, best_at_worst, poorer]
+
+
+def test_given_as_good_at_every_level_when_ranked_then_the_middle_of_the_clearances_comes_first() -> None:
+    low, middle, tall = (tried(0.1, clearance, 2.0, 1.001) for clearance in (1e-3, 3e-3, 1e-2))
+    wider = tried(0.1, 3e-2, 2.0, 1.2)
+    assert ranked([wider, tall, low, middle])[0] == middle and ranked([wider, middle])[1] == wider
+
+
+def tried(mass: float, clearance: float, *sizes: float) -> Trial:
+    peaks = [Peak(size, 10.0, float(level), 1, 1.0, 0.0) for level, size in enumerate(sizes, 1)]
+    return Trial(Choice((1,), (mass,), (clearance,)), tuple(peaks))
+
+
+def test_given_trials_when_their_front_is_taken_then_none_as_light_is_better() -> None:
+    sizes = [(0.1, 3.0), (0.1, 2.0), (0.2, 2.5), (0.3, 1.0), (0.05, 4.0)]
+    trials = [tried(m, 1e-3, size) for m, size in sizes]
+    assert [(t.choice.mass, t.peak.size) for t in front(trials)] == [(0.05, 4.0), (0.1, 2.0), (0.3, 1.0)]

@@ -15,9 +15,10 @@ from analysis.responses.systematic import ALIASING, MODEL, REFERENCE_NOISE, RESO
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Systematic parts that move a pole as a stiffness does, told from so many half-widths around it, and those that may be
-# its width.
-_STIFFENS, _WIDENS = (SENSITIVITY, CLOCK, ALIASING), (ALIASING, RESOLUTION, MODEL, REFERENCE_NOISE)
+# Systematic parts that move a pole as a stiffness does, or as one with a loss, for what folds back has any phase, told
+# from so many half-widths around it; and those that may be its width.
+_STIFFENS, _TURNS = (SENSITIVITY, CLOCK), (ALIASING,)
+_WIDENS = (ALIASING, RESOLUTION, MODEL, REFERENCE_NOISE)
 _FLANKS = 10.0
 # A Hann window's leakage widens a resonance; fitted, half its half-power width comes out too large by so much of the
 # resolution squared over itself, and by no more than half the resolution. Where a peak is narrower than the resolution,
@@ -88,14 +89,14 @@ def systematic_pole_errors(frfs: Sequence[Frf], poles: ComplexArray) -> tuple[Ar
     blurred = np.minimum(SMEAR * resolution**2 / half, _WIDEST * resolution)
     z_error = 2.0 * np.pi * blurred / abs(poles)
     for curve in frfs:
-        stiffens, widens = (_relative(curve, names) for names in (_STIFFENS, _WIDENS))
+        stiffens, turns, widens = (_relative(curve, names) for names in (_STIFFENS, _TURNS, _WIDENS))
         for i, p in enumerate(poles):
             natural = abs(p) / (2.0 * np.pi)
             away = abs(curve.frequency - natural - 1j * half[i])
-            stiff = _shift(stiffens, away, float(half[i]))
+            stiff, turned = (_shift(off, away, float(half[i])) for off in (stiffens, turns))
             peak = float(np.nan_to_num(widens[int(np.argmin(away))], nan=1.0, posinf=1.0)) * float(half[i])
-            f_error[i] = max(f_error[i], float(np.hypot(stiff, peak)))
-            damps = float(np.hypot(half[i] / natural * stiff, peak))
+            f_error[i] = max(f_error[i], float(np.linalg.norm([stiff, turned, peak])))
+            damps = float(np.linalg.norm([half[i] / natural * stiff, turned, peak]))
             z_error[i] = max(z_error[i], damps / natural)
     return f_error, z_error
 

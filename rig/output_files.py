@@ -11,6 +11,9 @@ from secrets import token_hex
 
 from rig.errors import RunError, SceneError, ShotrigError
 
+#: Endings of what commands write, which no folder is meant to have.
+_OF_FILES = (".png", ".svg", ".csv", ".html", ".mcap", ".npz", ".yaml", ".pdf")
+
 
 def make_ready(folder: Path) -> None:
     """Make a folder if it does not exist, before the work whose results go there.
@@ -18,8 +21,12 @@ def make_ready(folder: Path) -> None:
     Raises
     ------
     SceneError
-        If it cannot be written to.
+        If it cannot be written to, or is new and named like one of the files that commands write.
     """
+    if folder.suffix.lower() in _OF_FILES and not folder.exists():
+        raise SceneError(
+            f"{folder}: several files go there; expected the name of a folder, such as -o {folder.with_suffix('')}"
+        )
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rig.errors import RunError
+from rig.output_files import make_ready
 
 # Letters of a channel's name in that of a file.
 _LONGEST_PART = 40
@@ -107,8 +108,8 @@ def _made(folder: Path) -> dict[str, str]:
 
 
 def _note(folder: Path, made: dict[str, str]) -> None:
+    make_ready(folder)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
         (folder / _INDEX).write_text(json.dumps(made, indent=1) + "\n", encoding="utf-8")
     except OSError as error:
         raise RunError(

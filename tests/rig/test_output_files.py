@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from rig.errors import SceneError
-from rig.output_files import replacing
+from rig.output_files import make_ready, replacing
 
 
 def test_given_an_old_file_when_writing_fails_then_it_is_as_it_was(tmp_path: Path) -> None:
@@ -71,3 +71,13 @@ def test_given_what_must_not_be_replaced_when_asked_to_then_it_is_refused(tmp_pa
     with pytest.raises(SceneError, match=expected), replacing(path, overwrite=kind != "file"):
         pass
     assert path.exists() == (kind != "nowhere")
+
+
+def test_given_a_folder_named_like_a_figure_when_made_ready_then_it_is_refused_unless_it_is_there(
+    tmp_path: Path,
+) -> None:
+    folder = tmp_path / "two.png"
+    with pytest.raises(SceneError, match=r"expected the name of a folder, such as -o .*two$"):
+        make_ready(folder)
+    folder.mkdir()
+    make_ready(folder)

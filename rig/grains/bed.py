@@ -73,18 +73,18 @@ class Bed:
         self._centre = self.centre
 
     def kept(self) -> bytes:
-        """Give all that the grains are at, with the histories of their contacts, for `resume`."""
+        """Give all that the grains are at, with the histories of their contacts, for `resume`.
+
+        Neighbours and forces are found anew, as they are there: both beds move on with the same bits, which are not
+        those of going on without this.
+        """
         with TemporaryDirectory() as folder:
             file = Path(folder) / "bed"
-            self._do(f'write_restart "{file}"')
+            self._do(f'write_restart "{file}"', "run 0 post no")
             return file.read_bytes()
 
     def resume(self, kept: bytes) -> None:
-        """Go on from what a bed of the same grains in the same cavity was at.
-
-        Neighbours and forces are found anew: what moves on from here has other last digits than what was kept would
-        have had, and the same ones whenever it is resumed.
-        """
+        """Go on from what a bed of the same grains in the same cavity was at."""
         self._lammps.close()
         self._lammps = new_lammps()
         with TemporaryDirectory() as folder:

@@ -118,23 +118,23 @@ class CoupledPropagator:
         """Put the structure at a state with every damper on its floor; gives the dampers that lifted off at once."""
         columns = np.concatenate([drive[: len(self.system.inputs)], -self._force.sum(axis=1)])
         lifted = self.structure.place(state, np.concatenate([columns, np.zeros(len(columns))]))
-        self._see_bodies()
+        self._feel_beds()
         self._begin = self.momentum
         return np.asarray(self._others[lifted], dtype=np.int64)
 
     def state(self) -> CoupledState:
-        """Give all that the motion goes on from."""
+        """Give all that the motion goes on from, here and where it is resumed with the same bits; see `Bed.kept`."""
         beds = tuple(bed.kept() for bed in self.beds)
+        self._feel_beds()
         return CoupledState(self.structure.snapshot(), beds, self._begin, self._impulse.copy(), self._fallen)
 
     def resume(self, state: CoupledState) -> None:
-        """Go on from a state of this system: always with the same bits, which are not those of going on without it."""
+        """Go on from a state of this system."""
         self.structure.resume(state.structure)
         for bed, kept in zip(self.beds, state.beds, strict=True):
             bed.resume(kept)
-        self._force = np.array([bed.forces() for bed in self.beds])
         self._begin, self._impulse, self._fallen = state.begin, state.impulse.copy(), state.fallen
-        self._see_bodies()
+        self._feel_beds()
 
     def march(self, drive: Array) -> tuple[Trajectory, BedStates]:
         """Go on through the steps between the columns of a drive (inputs, steps + 1).
@@ -175,8 +175,9 @@ class CoupledPropagator:
         self._fallen += steps
         return _joined(self.structure.present(), kept, pages), BedStates(forces, lift)
 
-    def _see_bodies(self) -> None:
-        """See the bodies' motion under the forces that the beds have now."""
+    def _feel_beds(self) -> None:
+        """Take the forces that beds have now, and see what motion of their bodies they make."""
+        self._force = np.array([bed.forces() for bed in self.beds])
         now = self.structure.present()
         ports = self.structure.system.states + len(self.system.inputs)
         now.state[0, ports : ports + len(self.beds)] = -self._force.sum(axis=1)

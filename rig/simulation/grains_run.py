@@ -1,7 +1,8 @@
 """Open-loop runs of scenes with beds of grains, stretch by stretch, so that a run goes on where it was stopped.
 
-A bed that LAMMPS reads from what was kept of it moves on with other last digits than one that never stopped. So every
-stretch of every run begins with beds that are read: a run that was stopped and one that was not have the same bits.
+A bed that LAMMPS reads finds its neighbours and forces anew, and moves on with other last digits than one that goes on.
+So at the end of every stretch of every run the beds find them anew: a run that was stopped and one that was not have
+the same bits.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from rig.scene.scene import Scene
 from rig.simulation.energy import Energy, ends_of, ledger
 from rig.system.open_loop_drive import ToneDrive
 
-#: Steps of the grains in a stretch: reading the beds takes as long as some hundred.
+#: Steps of the grains in a stretch: what comes at its end takes as long as some hundred at most.
 STRETCH = 20_000
 
 
@@ -85,14 +86,18 @@ class GrainsRun:
         events = event_table(zeros, lifted, zeros.astype(np.int64), zeros, coupled.system)
         return Course(coupled.state(), seen.rows, seen.contact, events, (), coupled.ambiguous)
 
+    def resumed(self, course: Course) -> Course:
+        """Put beds and structure at the end of a course, and give that."""
+        self.coupled.resume(course.state)
+        return course
+
     def longer(self, course: Course) -> Course:
-        """Go on for a stretch."""
+        """Go on for a stretch from the end of a course, where this run is."""
         intervals = max(1, round(STRETCH / self.coupled.substeps))
         samples = min(course.samples + intervals, self._samples)
         coupled, structure = self.coupled, self.coupled.structure
         first = course.samples - 1
         drive = self._drive(first, samples - 1)
-        coupled.resume(course.state)
         start, at_start = ends_of(structure), structure.present()
         trajectory, beds = coupled.march(drive)
         seen = coupled.motion_samples(samples - course.samples)

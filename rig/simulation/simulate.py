@@ -290,7 +290,7 @@ def _grains_run(
     }
     kept = None if keep is None else read(keep, asked)
     run = GrainsRun(scene, samples, rate, drive)
-    course = kept or run.begun()
+    course = run.begun() if kept is None else run.resumed(kept)
     while course.samples < samples:
         course = run.longer(course)
         if keep is not None:

@@ -78,7 +78,7 @@ def test_given_a_run_of_many_stretches_then_momentum_and_energy_add_up_as_in_one
     exchanged = 0.0
 
     for start in range(0, drive.shape[1] - 1, coupled.substeps):
-        coupled.resume(coupled.state())
+        coupled.state()
         _, beds = coupled.march(drive[:, start : start + coupled.substeps + 1])
         exchanged += float(np.abs(beds.force).sum()) * coupled.step
 

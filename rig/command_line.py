@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from rig import console
 from rig.ending_signals import ENDINGS
 from rig.errors import RunError, ShotrigError
+from rig.ranks import join
 from rig.shadowing import shadowed
 
 if TYPE_CHECKING:
@@ -86,6 +87,7 @@ def run(module: str) -> NoReturn:
             _answer_signals(put_back)
             console.take_streams(put_back)
             _take_hooks(put_back)
+            join()
             console.say_now_and_then(put_back)
             code = _carry_out(module, words[debug:])
             sys.stdout.flush()

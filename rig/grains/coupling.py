@@ -21,6 +21,7 @@ from rig.engine.state import CEILING, FLIGHT, FLOOR
 from rig.engine.trajectory import Trajectory, gaps_and_contacts
 from rig.grains.bed import WALLS, Bed
 from rig.grains.packing import highest, settled
+from rig.grains.shared_bed import new_bed
 from rig.grains.spheres import Spheres, spheres_of
 from rig.scene.scene import Scene
 from rig.system.assembly import assemble
@@ -311,7 +312,7 @@ def _bed(spheres: Spheres, gravity: float, step: float) -> Bed:
     """Put a settled bed below a ceiling at its clearance."""
     positions = settled(spheres)
     ceiling = highest(spheres, positions) + spheres.clearance
-    return Bed(spheres, positions, ceiling, gravity, step)
+    return new_bed(spheres, positions, ceiling, gravity, step)
 
 
 def _joined(now: Trajectory, kept: StateSamples, pages: list[tuple[int, Trajectory]]) -> Trajectory:

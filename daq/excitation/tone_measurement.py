@@ -41,8 +41,9 @@ class Gauge:
             station.force_weights(1.0)
 
     def steady(self, samples: Array, frequency: float, phase: float) -> ComplexArray:
-        """Amplitudes in a window of a steady tone; shape (quantities,)."""
-        return self._of(frequency) @ lock_in(samples, frequency, self._station.rate, phase)
+        """Amplitudes in a window of a steady tone, by its phase at the window's start; shape (quantities,)."""
+        turned = 2.0 * np.pi * frequency * self._station.latency / self._station.rate
+        return self._of(frequency) @ lock_in(samples, frequency, self._station.rate, phase - turned)
 
     def _of(self, frequency: float) -> ComplexArray:
         if frequency != self._at:

@@ -142,6 +142,7 @@ class MeasurementRun:
             mark=self._mark,
             report=progress if progress is not None else lambda fraction, message: None,
             warn=self._warnings.append,
+            latency=self.bench.latency,
         )
         self._recorder: Recorder | None = None
         self._lost = 0

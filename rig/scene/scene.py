@@ -38,7 +38,7 @@ class Scene(Settings):
     gravity: Annotated[float, Quantity(ACCELERATION, at_least=0.0)] = STANDARD_GRAVITY
     """Downward acceleration [m/s^2]."""
     dampers: tuple[Damper, ...] = ()
-    """Particle dampers, at most one in a body."""
+    """Particle dampers, one or several in a body."""
     shaker: Shakers | None = None
     """One, or a list of several, each with its own body, spring, amplifier and output."""
     test: Test | None = None

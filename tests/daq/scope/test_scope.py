@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -21,6 +22,7 @@ from daq.excitation.manual_tone import Knobs
 from daq.replay.outputs import recording_stream
 from daq.scope.scope import knobs_for, scope
 from rig.errors import RunError, SceneError
+from rig.system.receptance import receptance
 
 # Well damped, so that it settles within seconds.
 SCENE = rig.loads("""
@@ -215,3 +217,15 @@ def test_given_the_end_of_input_when_scoped_live_then_the_recording_is_closed_an
     assert "live.mcap:" in ended.stdout
     with daq.open(tmp_path / "live.mcap") as recording:
         assert recording.samples > 0
+
+
+@pytest.mark.parametrize("remove_delay", [False, True])
+def test_given_a_shaker_that_is_the_force_behind_a_filter_when_held_then_phases_are_those_of_the_receptance(
+    tmp_path, remove_delay
+):
+    converter = {"rate": "5.12 kHz", "filter": "delta_sigma", "remove_delay": remove_delay}
+    scene = SCENE.replace(shaker={"kind": "force", "body": 1}, dampers=[], converter=converter)
+    _, told = run_scope(scene, tmp_path, {0.3: "f 20", 0.5: "F 1.5", 12.0: "q"})
+    exact = np.degrees(np.angle(receptance(scene, [20.0])[:, 0]))
+    shown = [float(part) for part in re.findall(r"\((-?\d+)°\)", told[-1])]
+    np.testing.assert_allclose(shown, exact, atol=1.0)

@@ -40,6 +40,9 @@ def mass_of(budget: float | str | None, scene: Scene) -> float:
     try:
         if budget.rstrip().endswith("g"):
             return parse(budget, MASS)
+        if not budget.rstrip().endswith("%"):
+            # A number alone would be one of kilograms to some and a share to others.
+            raise ValueError
         return parse(budget, RATIO) * total_mass(scene)
     except ValueError:
         raise SceneError(

@@ -10,7 +10,7 @@ import numpy as np
 
 from analysis.modal.modes import Modes
 from analysis.responses.frf import Frf
-from rig.results import rounded
+from rig.results import plainly, rounded
 
 # A peak is looked for within this part of the bare natural frequency below it, and half of it above.
 _BELOW = 0.15
@@ -267,8 +267,8 @@ def unresolved(peaks: Sequence[tuple[float, str, Peak]]) -> list[str]:
         # What interpolation misses falls with the square of the step at least.
         said.append(
             f"{', '.join(here)}, near {worst.frequency:.2f} Hz: between points {worst.step:.2g} Hz apart the peak may "
-            f"be up to {100 * off:.2g} % off what they show, which its interval allows for; measure every "
-            f"{worst.step * sqrt(_RESOLVED / off):.1g} Hz there"
+            f"be up to {plainly(float(f'{100 * off:.2g}'))} % off what they show, which its interval allows for; "
+            f"measure every {worst.step * sqrt(_RESOLVED / off):.1g} Hz there"
         )
     return said
 

@@ -80,8 +80,7 @@ def _groups(
         return [(curves, list(range(1, len(curves) + 1)), 0)]
     with opened(file) as rec:
         groups = frequency_responses(rec, progress=progress)
-        test, shaker = rec.scene.test, rec.scene.driven_shaker
-        driven = getattr(test, "body", None) or (shaker.bodies[0] if shaker is not None else 0)
+        driven = rec.scene.force_on[0] if rec.scene.force_on else 0
         return [
             (group, [uff.node(rec.channels[one.response].at) for one in group], driven) for group in groups
         ]

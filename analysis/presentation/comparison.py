@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import isinf
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from analysis.dampers.comparison import (
     PeakChange,
@@ -20,7 +22,12 @@ from analysis.presentation.presentation import Progress, Result, noted
 from analysis.presentation.tables import write_table
 from analysis.recordings.names import opened, relabelled, scene_labels
 from analysis.responses.frequency_responses import frequency_responses
+from analysis.responses.frf import Frf
+from analysis.responses.measurands import responses
 from rig.errors import SceneError
+
+if TYPE_CHECKING:
+    from daq.recording.recording import Recording
 
 _HEADING = (
     "from", "to", "response", "mode_Hz", "change_dB", "change_low_dB", "change_high_dB", "shift_Hz", "shift_low_Hz",
@@ -51,10 +58,13 @@ def present_compare(
     """
     if len(paths) < 2:
         raise SceneError("one recording: expected at least two, first the one to compare with")
-    found = []
+    found: list[list[list[Frf]]] = []
+    places: list[Places] = []
     for path, label in zip(paths, scene_labels(paths), strict=True):
         with opened(path) as rec:
             expect(rec, path, "frf")
+            places.append(Places.of(path, rec))
+            places[-1].comparable_with(places[0])
             groups = frequency_responses(rec, progress=progress)
             found.append([[relabelled(frf, rec.scene.name, label) for frf in group] for group in groups])
     bare = found[0][0]
@@ -72,10 +82,54 @@ def present_compare(
         notes += noted(path, unresolved([(one.mode, one.response, one.damped) for one in changes]))
         lines.append(f"{bare[0].label} -> {group[0].label}")
         lines += [f"  {line}" for line in describe_changes(changes)]
+        if not changes:
+            notes += noted(path, (f"no resonance of {paths[0]} has points of both curves around it",))
         jumps |= any(isinf(one.bare.bound + one.damped.bound) for one in changes)
         rows += [_row(bare[0].label, group[0].label, change) for change in changes]
     table = write_table(with_ending(output_stem(paths, output, "compare"), "csv"), _HEADING, rows)
     return Result((table,), tuple(lines), (*dict.fromkeys(notes), *((_JUMPS,) if jumps else ())))
+
+
+@dataclass(frozen=True)
+class Places:
+    """What a recording's responses are of: where the force acts, and where each channel is."""
+
+    path: Path
+    force_on: tuple[int, ...]
+    channels: dict[str, str]
+
+    @classmethod
+    def of(cls, path: Path, rec: Recording) -> Places:
+        """Take them from a recording."""
+        return cls(path, rec.scene.force_on, {name: rec.channels[name].at for name in responses(rec)})
+
+    def comparable_with(self, first: Places) -> None:
+        """Raise `SceneError` if no response is in both, or if those of one name are of different places."""
+        if self.force_on != first.force_on:
+            raise SceneError(
+                f"{first.path} is driven at {_bodies(first.force_on)}, {self.path} at {_bodies(self.force_on)}: their "
+                "peaks are those of different responses; expected recordings with the force on the same body"
+            )
+        both = [name for name in first.channels if name in self.channels]
+        for name in both:
+            if self.channels[name] != first.channels[name]:
+                raise SceneError(
+                    f"{name} is at {first.channels[name]} in {first.path} and at {self.channels[name]} in {self.path}; "
+                    "expected channels of the same names on the same bodies"
+                )
+        if not both:
+            raise SceneError(
+                f"no response is in both: {first.path} has {_listed(first.channels)}, {self.path} has "
+                f"{_listed(self.channels)}; expected channels of the same names on the same bodies"
+            )
+
+
+def _bodies(numbers: Sequence[int]) -> str:
+    return " and ".join(f"body {number}" for number in numbers) or "no body"
+
+
+def _listed(channels: dict[str, str]) -> str:
+    return ", ".join(f"{name} (at {at})" for name, at in channels.items()) or "none"
 
 
 def _row(before: str, after: str, change: PeakChange) -> tuple[str | float, ...]:

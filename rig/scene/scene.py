@@ -91,6 +91,13 @@ class Scene(Settings):
         """The shaker that the test drives; None as in `driven`."""
         return None if self.driven is None else self.shakers[self.driven - 1]
 
+    @property
+    def force_on(self) -> tuple[int, ...]:
+        """Bodies on which the test's force acts, from 1: the one that is hit, or those of the driven shaker."""
+        if self.test is not None and self.test.kind == "impulse":
+            return (self.test.body,)
+        return () if self.driven_shaker is None else self.driven_shaker.bodies
+
     def at_driven(self, what: str) -> str:
         """Name an input or a place at the shaker that the test drives: "shaker", "table" or "drive", and which."""
         return at_shaker(what, self.driven or 1, len(self.shakers) or 1)

@@ -1,0 +1,35 @@
+"""Recordings are compared where their responses are the same ones, and refused in words where they are not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from analysis.presentation.comparison import Places
+from rig.errors import SceneError
+
+FIRST = Places(Path("a.mcap"), (1,), {"base": "body 1", "tip": "body 3"})
+
+
+def test_given_the_same_places_when_asked_then_they_are_comparable() -> None:
+    Places(Path("b.mcap"), (1,), {"tip": "body 3", "other": "body 2"}).comparable_with(FIRST)
+
+
+@pytest.mark.parametrize(
+    ("force_on", "channels", "message"),
+    [
+        ((3,), {"tip": "body 3"}, r"a\.mcap is driven at body 1, b\.mcap at body 3: .* on the same body"),
+        ((1,), {"tip": "body 2"}, r"tip is at body 3 in a\.mcap and at body 2 in b\.mcap"),
+        (
+            (1,),
+            {"top": "body 3"},
+            r"no response is in both: a\.mcap has base \(at body 1\), tip .*top \(at body 3\)",
+        ),
+    ],
+)
+def test_given_other_places_when_asked_then_it_says_what_differs_and_what_was_expected(
+    force_on: tuple[int, ...], channels: dict[str, str], message: str
+) -> None:
+    with pytest.raises(SceneError, match=message):
+        Places(Path("b.mcap"), force_on, channels).comparable_with(FIRST)

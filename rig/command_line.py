@@ -157,13 +157,13 @@ def _tell(error: BaseException, debug: bool) -> int:
 
 def _in_words(error: BaseException) -> tuple[int, str]:
     """Give the exit code and the message for what ended a command."""
+    notes = getattr(error, "__notes__", ())
     match error:
         case SystemExit(code=int() | None):
             return int(error.code or 0), ""
         case KeyboardInterrupt():
-            return 130, "interrupted"
+            return 130, "\n".join(["interrupted", *notes])
         case ShotrigError():
-            notes = getattr(error, "__notes__", ())
             return error.exit_code, "\n".join(f"error: {text}" for text in (error, *notes))
         case BrokenPipeError():
             # The reader of a pipe (head, less) has left, which is its right.

@@ -56,14 +56,14 @@ class BedResponse(Result):
 
     def summary(self) -> str:
         """Say how far the two are apart."""
-        apart = [
-            float(np.abs(np.abs(one.compliance) / np.abs(other.compliance) - 1.0).max())
-            for one, other in zip(self.grains, self.mass, strict=True)
-        ]
-        steady = sum(one.steady for one in self.grains)
+        grains, mass = (np.abs([each.compliance for each in motions]) for motions in (self.grains, self.mass))
+        off = mass / grains - 1.0
+        at, body = np.unravel_index(np.argmax(np.abs(off)), off.shape)
+        steady = [sum(each.steady for each in motions) for motions in (self.grains, self.mass)]
         return (
-            f"{len(apart)} frequencies, {steady} of them steady; the compliance of one mass is up to "
-            f"{100 * max(apart):.3g} % off that of grains"
+            f"{len(off)} frequencies, steady at {steady[0]} of them with grains and at {steady[1]} as one mass; as one "
+            f"mass the compliance is {100 * abs(off[at, body]):.3g} % {'below' if off[at, body] < 0 else 'above'} that "
+            f"with grains at most (body {body + 1}, {self.frequency[at]:.6g} Hz)"
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -159,7 +159,7 @@ def bed_response(
 
 
 def text(response: BedResponse) -> str:
-    """Write a response as lines of text: grains, and one mass below, for the first bed and its body that moves most."""
+    """Write a response as lines of text: grains, and one mass below, for the first bed and the body that moves most."""
     titles = ("floor N s", 12), ("ceiling N s", 12), ("J/period", 11), ("landing", 9), ("flies", 7)
     lines = [f"{'Hz':>9}  {'bed':6}{'m/N':>11}{''.join(f'{title:>{wide}}' for title, wide in titles)}  type"]
     for frequency, *both in zip(response.frequency, response.grains, response.mass, strict=True):
@@ -170,7 +170,9 @@ def text(response: BedResponse) -> str:
                 f"{motion.ceiling_impulse[0]:12.4g}{motion.energy[0]:11.4g}{motion.landing[0]:8.1f}°"
                 f"{100 * motion.flight[0]:6.1f}%  {motion.motion_type[0]}{'' if motion.steady else ', not steady'}"
             )
-    return "\n".join([*lines, "", response.summary()])
+    return "\n".join(
+        [*lines, "m/N: of the body that moves most; the rest: of the first bed", "", response.summary()]
+    )
 
 
 def _followed(piece: _Piece) -> tuple[SteadyBed, SteadyBed]:

@@ -65,7 +65,12 @@ def simulate_into(
         check_name(output)
     keep = None if output is None else output.with_name(f"{output.name}.kept")
     duration = duration_of(scene) if duration is None else duration
-    run = simulate(scene, duration, rate, frequency=frequency, keep=keep, progress=progress)
+    try:
+        run = simulate(scene, duration, rate, frequency=frequency, keep=keep, progress=progress)
+    except KeyboardInterrupt as interrupt:
+        if keep is not None and keep.exists():
+            interrupt.add_note(f"{keep} holds what has been computed; the same command goes on from there")
+        raise
     if output is not None and keep is not None:
         write(run, output)
         keep.unlink(missing_ok=True)

@@ -81,6 +81,15 @@ def test_given_an_error_when_a_command_ends_in_it_then_it_says_so_in_a_line(
     assert said in told and told.count("\n") == bool(said) and "Traceback" not in told
 
 
+def test_given_an_interrupt_with_a_note_when_a_command_ends_in_it_then_the_note_is_told(
+    command, capsys
+) -> None:
+    interrupt = KeyboardInterrupt()
+    interrupt.add_note("run.npz.kept holds the rest")
+    assert command(raising(interrupt)) == 130
+    assert capsys.readouterr().err == "interrupted\nrun.npz.kept holds the rest\n"
+
+
 def test_given_a_module_that_makes_an_interrupt_a_failure_of_its_own_when_loaded_then_the_command_is_interrupted(
     command, capsys
 ):

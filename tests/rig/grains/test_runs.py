@@ -112,8 +112,9 @@ def test_given_an_output_when_its_run_is_stopped_then_the_same_command_goes_on_a
 ) -> None:
     scene = with_grains()
     simulate_into(tmp_path / "whole.npz", scene, DURATION, RATE, None, Stop(0))
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt) as stopped:
         simulate_into(tmp_path / "run.npz", scene, DURATION, RATE, None, Stop(2))
+    assert "run.npz.kept holds what has been computed; the same command goes on" in stopped.value.__notes__[0]
     assert [file.name for file in tmp_path.glob("run*")] == ["run.npz.kept"]
     told: list[int] = []
 

@@ -54,7 +54,7 @@ def test_given_a_table_that_a_kill_tore_when_the_study_goes_on_then_only_what_is
     assert steps == [(1, 2), (2, 2)]
     for one, other in zip(first.columns().values(), again.columns().values(), strict=True):
         assert np.array_equal(one, other)
-    assert len(text(again).splitlines()) == 7
+    assert len(text(again).splitlines()) == 8
     assert isinstance(again, BedResponse)
 
 

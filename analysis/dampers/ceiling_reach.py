@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.dampers.impact_detection import Impacts, band
+from analysis.dampers.landing_pulse import landing_pulse
+from analysis.dampers.restitution import hard_speeds
 from analysis.decays.sensor_correction import corrected
 from analysis.recordings.slices import read_slices
 from analysis.responses.systematic import tolerance
@@ -32,8 +34,9 @@ def may_reach_ceiling(rec: Recording, found: Impacts, damper: Damper, start: int
     """Tell whether the only damper on a body may reach its ceiling between its blows on the floor.
 
     After a blow the damper rests on the floor while its body's acceleration exceeds -g, and falls freely from then on:
-    its height above the floor follows from the body's motion alone. It is taken as large as the sensor's tolerance
-    allows, and its median over the stretch is held against the scene's clearance.
+    its height above the floor follows from the body's motion alone. Where landings last, when and how fast it left the
+    floor is not known; but its blow tells the speed at which it came, and that how it fell before. It is taken as large
+    as the sensor's tolerance allows, and its median over the stretch is held against the scene's clearance.
     """
     if not np.isfinite(damper.clearance):
         return False
@@ -44,12 +47,21 @@ def may_reach_ceiling(rec: Recording, found: Impacts, damper: Damper, start: int
         largest * corrected(info, samples, what, *band(rec.rate))
         for what in ("displacement", "velocity", "acceleration")
     )
-    place = found.time[found.jump < 0.0] * rec.rate - start
-    place = place[(place > _ENDS * samples.size) & (place < (1.0 - _ENDS) * samples.size)]
-    heights = [
-        _height(way, speed, acceleration + gravity, (int(left) + _SMEARED, int(met)), rec.rate, gravity)
-        for left, met in pairwise(place)
-    ]
+    place = found.time * rec.rate - start
+    struck = (found.jump < 0.0) & (place > _ENDS * samples.size) & (place < (1.0 - _ENDS) * samples.size)
+    place, weight = place[struck], acceleration + gravity
+    pulse = landing_pulse(rec.scene, info.at, rec.rate)
+    if pulse is not None:
+        closing = largest * hard_speeds(rec, found, damper)[struck] / (1.0 + pulse.restitution)
+        heights = [
+            _height_before(way, speed, weight, (int(left), met), late, rec.rate, gravity)
+            for (left, met), late in zip(pairwise(place), closing[1:], strict=True)
+        ]
+    else:
+        heights = [
+            _height(way, speed, weight, (int(left) + _SMEARED, int(met)), rec.rate, gravity)
+            for left, met in pairwise(place)
+        ]
     return bool(heights) and float(np.median(heights)) > (1.0 - _NEAR) * damper.clearance
 
 
@@ -73,3 +85,25 @@ def _height(
         highest = max(highest, float(height[:end].max(initial=0.0)))
         at = begin + 1 + end
     return highest
+
+
+def _height_before(
+    way: Array,
+    speed: Array,
+    weight: Array,
+    within: tuple[int, float],
+    closing: float,
+    rate: float,
+    gravity: float,
+) -> float:
+    """Greatest height above the floor of what closes on it so fast at a place in samples, after another place, m."""
+    first, met = within
+    # The last sample that the blow does not smear, and what was left to fall then.
+    last = int(met) - _SMEARED
+    left = (met - last) / rate
+    height, closing = left * closing - 0.5 * weight[last] * left**2, closing - weight[last] * left
+    time = np.arange(max(last - first, 0)) / rate
+    own = way[last] + height - (speed[last] - closing) * time - 0.5 * gravity * time**2
+    above = own - way[last - np.arange(time.size)]
+    risen = np.flatnonzero(above < 0.0)
+    return float(above[: int(risen[0]) if risen.size else above.size].max(initial=0.0))

@@ -1,4 +1,4 @@
-"""Impacts of dampers, found in the channels alone: an impact is a jump of its body's velocity."""
+"""Impacts of dampers, found in the channels alone: an impact is a jump of its body's velocity, or a pulse of force."""
 
 from __future__ import annotations
 
@@ -10,27 +10,33 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.dampers.jump_search import RANGE, SIGMAS, JumpSearch, least_sure
+from analysis.dampers.joint_fit import Jump
+from analysis.dampers.jump_search import CERTAINTY, LEFT_OVER, RANGE, SIGMAS, JumpSearch
 from analysis.dampers.jump_signature import Signature, signature
+from analysis.dampers.landing_pulse import Pulse, landing_pulse
 from analysis.decays.sensor_correction import corrected
 from analysis.recordings.slices import read_slices
 from analysis.responses.frf import MOTIONS
 from analysis.responses.measurands import named
 from rig.errors import RecordingError
 from rig.numerics.runs import runs_of
-from rig.scene.damper import Landing, Walls
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
     from daq.signal_chain.channel import ChannelInfo
-    from rig.scene.damper import Damper
 
 Array = NDArray[np.float64]
 
 # Where less than this part of a stretch can be searched, nothing is told of it.
 _LEAST_SEARCHED = 0.5
-# A landing of no more than this part of a sample interval is a jump.
-_INSTANT = 0.25
+# A bed's weight puts off the end of a landing that lasts: so many durations beside it, less than such a part of it is
+# its release. While it rings, less than this part of it is not told from what the fit leaves over.
+RELEASED, _OF_RELEASE, HIDES = 1.6, 0.5, 0.15
+# Such a part of a landing that lasts is not known of it and those beside it, which puts it off by such a part of its
+# width and of a sample interval; and less than such a part of the largest is not told.
+_MISFIT, _LATE, _BETWEEN, _RANGE = 0.03, 0.04, 0.05, 0.02
+# Readings in the time in which nine tenths of a landing are over: samples of a higher rate are taken together.
+_WIDTH = 8
 # Below the lowest frequency of interest, Hz; up to this share of the sample rate.
 _LOW, _HIGH = 2.0, 0.4
 # Acceleration at an impact: from so much time on either side, s, less so many decay times of the sensor's
@@ -51,9 +57,14 @@ class Impacts:
     channel: str
     time: Array
     """s after sample 0; shape (n,)."""
+    time_error: Array
+    """Standard deviation of that, s; shape (n,). Of the fit and, where a landing lasts, of what its other ending and
+    larger ones beside it leave open."""
     jump: Array
     """Velocity jump of the body, m/s: down (negative) from a blow on the floor, up from one on the ceiling;
-    shape (n,)."""
+    shape (n,). Times the body's mass it is the impulse."""
+    jump_error: Array
+    """Standard deviation of that likewise, m/s, without what the sensor's sensitivity is off; shape (n,)."""
     acceleration: Array
     """Smooth acceleration of the body then, m/s²; NaN where the stretch ends before it can be told; shape
     (n,)."""
@@ -62,9 +73,14 @@ class Impacts:
     between the impacts, through the filter that looks for jumps. Where the noise varies, its 95th
     percentile."""
     resolution: float
-    """Impacts nearer to each other than this may be seen as one, the largest, s."""
+    """How near to each other the channel tells two impacts apart, s."""
     ringing: float
-    """How long the channel rings about an impact, s: there one smaller than `LEFT_OVER` of it may be missed."""
+    """How long the channel rings about an impact, s: there one smaller than `hidden` of it may be missed."""
+    threshold: float
+    """Smallest jump that is not missed, m/s: the noise taken `SIGMAS` + 3 times, or a part of the largest one. Beside
+    a larger one, while that rings, it is more: see `ringing`."""
+    lasts: float
+    """How long a landing lasts, s; 0 where it is instant. Beside a landing that lasts a jump may be its end."""
     searched: float
     """Length of what was searched, s: the stretch without its ends and without `left_out`."""
     left_out: Array
@@ -72,12 +88,14 @@ class Impacts:
     impacts are so near to each other that no set of them explains what is seen."""
 
     @property
-    def threshold(self) -> float:
-        """Smallest jump that is not missed, m/s: the noise taken `SIGMAS` + 3 times, or a part of the largest one.
+    def apart(self) -> float:
+        """Impacts nearer to each other than this may be seen as one, the largest, s."""
+        return self.resolution + RELEASED * self.lasts
 
-        Beside a larger one, while that rings, it is more: see `ringing`.
-        """
-        return least_sure(self.noise, float(abs(self.jump).max(initial=0.0)))
+    @property
+    def hidden(self) -> float:
+        """Share of an impact beside which a smaller one may be missed."""
+        return HIDES if self.lasts else LEFT_OVER
 
     @property
     def kind(self) -> NDArray[np.str_]:
@@ -93,7 +111,9 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
     a kink of the acceleration (both come with an impact, on the body itself and on its neighbours) and a
     smooth motion, is fitted to the samples around by least squares. Where a jump explains them best and
     exceeds `SIGMAS` standard deviations, it is an impact. It is then taken out and the search repeated for
-    smaller ones; those that ring into each other are fitted together.
+    smaller ones; those that ring into each other are fitted together. Where contact lasts, jump, step and kink come
+    about as the spring-dashpot of the scene's contact passes them on until a landing ends under no other force; times
+    are those of touches.
 
     Parameters
     ----------
@@ -106,18 +126,26 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
     ------
     RecordingError
         If the channel measures no motion or is blind to blows, the stretch is too short, damaged or without any
-        reading, or contact on its body lasts.
+        reading, or on its body are grains, or landings that differ in how they last.
     """
-    info = _sensitive(rec, channel)
+    info = _measures_motion(rec, channel)
     stop = rec.samples if stop is None else min(stop, rec.samples)
-    choices = [_signature(json.dumps(info.to_metadata()), order) for order in _CURVATURES]
-    least = 4 * max(one.reach for one in choices)
+    pulse = landing_pulse(rec.scene, info.at, info.rate)
+    together = 1 if pulse is None else max(1, int(pulse.width * info.rate / _WIDTH))
+    if together == 1 and _blind(info):
+        raise RecordingError(
+            f"{info.name} takes the acceleration at instants (converter: sampling), and nothing in it spreads a blow "
+            "over time: one between two instants leaves no trace, or tells little; record with sampling: average, a "
+            "filter, an integrator or the resonance of a sensor, or at a rate at which landings last many samples"
+        )
+    choices = [_signature(json.dumps(info.to_metadata()), order, pulse, together) for order in _CURVATURES]
+    least = 4 * max(one.reach for one in choices) * together
     if stop - start < least:
         raise RecordingError(
             f"{stop - start} samples are too few to tell impacts from noise: take at least {least}"
         )
     samples = next(read_slices(rec, [info.name], [(start, stop)]))[0]
-    good = _good(rec, info.name, samples, start, choices[0].ring)
+    good = _good(rec, info.name, samples, start, choices[0].ring * together)
     if np.sum(good) < max(least, _LEAST_SEARCHED * good.size):
         raise RecordingError(
             f"all but {np.sum(good)} of {good.size} samples of {info.name} in this stretch are lost or overloaded: "
@@ -129,46 +157,85 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
     floor = max(0.0 if info.volts_per_count is None else info.unit_per_count / 12.0**0.5, 1e-14 * scale)
     if floor == 0.0:
         raise RecordingError(f"{info.name} reads zero throughout this stretch: check what it is connected to")
-    searches = [JumpSearch(one, samples, good, floor, rec.rate) for one in choices]
+    rate, read, whole = rec.rate / together, _means(samples, together), _means(good, together) == 1.0
+    floor /= together**0.5
+    searches = [JumpSearch(one, read, whole, floor, rate) for one in choices]
     if not all(search.open.any() for search in searches):
         raise RecordingError(
             f"lost or overloaded samples leave no {least} samples of {info.name} together: choose another "
             "stretch, or record with a lower level or a larger converter range"
         )
-    search, place, jump = _searched(searches)
+    search, told = _searched(searches)
     noise = _noise(search)
-    if place.size and abs(jump).max() < _DOUBTFUL * noise:
+    found = max((abs(one.sizes[0]) for one in told), default=0.0 if pulse else np.inf)
+    if found < _DOUBTFUL * noise:
         # Blows that come every few windows pass for noise in most of them, and hide one another.
-        calmer = _searched([JumpSearch(one, samples, good, floor, rec.rate, _CALMEST) for one in choices])
+        calmer = _searched([JumpSearch(one, read, whole, floor, rate, _CALMEST) for one in choices])
         less = _noise(calmer[0])
         if less < _CLEARLY * noise:
-            (search, place, jump), noise = calmer, less
-    clear = abs(jump) > max(SIGMAS * noise, RANGE * float(abs(jump).max(initial=0.0)))
+            (search, told), noise = calmer, less
+    place, adrift, jump, error = (
+        np.array([[one.place, one.adrift, one.sizes[0], one.error] for one in told]).reshape(-1, 4).T
+    )
+    largest, share = float(abs(jump).max(initial=0.0)), RANGE if pulse is None else _RANGE
+    clear = abs(jump) > max(SIGMAS * noise, share * largest)
     unread = (start + np.array(runs_of(~good), dtype=float).reshape(-1, 2)) / rec.rate
     entangled = search.entangled()
     untold = ((place[:, None] >= entangled[:, 0]) & (place[:, None] < entangled[:, 1])).any(axis=1)
-    place, jump = place[clear & ~untold], jump[clear & ~untold]
+    clear &= ~untold
+    resolution, lasts = search.resolution() / rate, 0.0 if pulse is None else pulse.duration
+    ringing = (search.signature.reach + search.signature.ring) / rate
+    if pulse is not None:
+        clear &= ~_left_over(place / rate, jump, resolution + RELEASED * lasts, ringing)
+        others = _largest_beside(place / rate, jump, ringing)
+        error = np.hypot(error, _MISFIT * others)
+        adrift = np.hypot(adrift, (_LATE * pulse.width * rate + _BETWEEN) * others / abs(jump))
+    place, adrift, jump, error = (each[clear] for each in (place, adrift, jump, error))
+    # The mean of readings stands at the last of them.
+    place, entangled = ((each + 1.0) * together - 1.0 for each in (place, entangled))
     return Impacts(
         info.name,
         (start + place) / rec.rate - info.delay,
+        adrift / rate,
         jump,
-        _acceleration(_without_high_pass(filled, info), place, info),
+        error,
+        _acceleration(_without_high_pass(filled, info), place, info, lasts),
         noise,
-        search.resolution() / rec.rate,
-        (search.signature.reach + search.signature.ring) / rec.rate,
-        float(search.told.sum() - np.sum(entangled[:, 1] - entangled[:, 0])) / rec.rate,
+        resolution,
+        ringing,
+        max((SIGMAS + CERTAINTY) * noise, share * largest),
+        lasts,
+        float(search.told.sum()) / rate - float(np.sum(entangled[:, 1] - entangled[:, 0])) / rec.rate,
         np.concatenate([unread, (start + entangled) / rec.rate - info.delay]),
     )
 
 
-def _searched(searches: list[JumpSearch]) -> tuple[JumpSearch, Array, Array]:
-    """Search with the polynomial that the motion follows: which, where in samples, and how large the jumps are, m/s."""
+def _left_over(time: Array, jump: Array, ended: float, ringing: float) -> NDArray[np.bool_]:
+    """Which jumps may be what the bed's weight makes of a larger landing: it lasts longer, and ends otherwise."""
+    apart, size = abs(time[:, None] - time), abs(jump)
+    ends = (apart < ended) & (size[:, None] < _OF_RELEASE * size)
+    return np.asarray((ends | (apart < ringing) & (size[:, None] < HIDES * size)).any(axis=1))
+
+
+def _largest_beside(time: Array, jump: Array, ringing: float) -> Array:
+    """Size of the largest jump so near to each, m/s; its own, if there is none."""
+    near = abs(time[:, None] - time) < ringing
+    return np.asarray(np.where(near, abs(jump), 0.0).max(axis=1, initial=0.0))
+
+
+def _means(row: Array | NDArray[np.bool_], together: int) -> Array:
+    """Means of so many samples each; what is over at the end is left out."""
+    return np.asarray(row[: row.size - row.size % together].reshape(-1, together).mean(axis=1))
+
+
+def _searched(searches: list[JumpSearch]) -> tuple[JumpSearch, list[Jump]]:
+    """Search with the polynomial that the motion follows: which, and the jumps."""
     quiet = [search.signature.gain * float(np.median(search.noise(search.calm)[2])) for search in searches]
     taken = 0
     for k, left in enumerate(quiet):
         if left < _CLEARLY * quiet[taken]:
             taken = k
-    return searches[taken], *searches[taken].run()
+    return searches[taken], searches[taken].run()
 
 
 def _noise(search: JumpSearch) -> float:
@@ -181,26 +248,13 @@ def band(rate: float) -> tuple[float, float]:
     return _LOW, _HIGH * rate
 
 
-def _sensitive(rec: Recording, channel: str) -> ChannelInfo:
-    """Give a channel in which the blows on its body show; raises `RecordingError` where they do not."""
+def _measures_motion(rec: Recording, channel: str) -> ChannelInfo:
+    """Give a channel of motion; raises `RecordingError` where it is another."""
     info = named(rec, channel)
     if info.quantity not in MOTIONS:
         raise RecordingError(
             f"channel {info.name!r} measures {info.quantity}: impacts show in motion channels only"
         )
-    if _blind(info):
-        raise RecordingError(
-            f"{info.name} takes the acceleration at instants (converter: sampling), and nothing in it spreads a blow "
-            "over time: one between two instants leaves no trace; record with sampling: average, a filter, an "
-            "integrator or the resonance of a sensor"
-        )
-    for damper in rec.scene.dampers:
-        if info.at == f"body {damper.body}" and _lasts(damper, info.rate):
-            raise RecordingError(
-                f"{info.name}: the contact of the damper in body {damper.body} lasts (see its scene), so that "
-                "its landings are no jumps of velocity and are not told from a channel; rig.frequency_response tells "
-                "its motion"
-            )
     return info
 
 
@@ -220,20 +274,6 @@ def _blind(info: ChannelInfo) -> bool:
     return info.quantity == "acceleration" and not spread
 
 
-def _lasts(damper: Damper, rate: float) -> bool:
-    """Whether a landing is seen to last: only one named by a time well within a sample interval is not."""
-    if damper.grains is not None and not damper.locked:
-        return True
-    contact = damper.contact
-    walls = (contact.floor, contact.ceiling) if isinstance(contact, Walls) else (contact,)
-    longest = (
-        max(wall.duration if isinstance(wall, Landing) else np.inf for wall in walls if wall)
-        if contact
-        else 0.0
-    )
-    return not damper.locked and longest * rate > _INSTANT
-
-
 def _without_high_pass(samples: Array, info: ChannelInfo) -> Array:
     """Undo the high passes that integrators need: they turn slow motion. What is fast stays as read, and short."""
     zeros, poles = (
@@ -243,12 +283,15 @@ def _without_high_pass(samples: Array, info: ChannelInfo) -> Array:
     return corrected(slow, samples, info.quantity, band(info.rate)[0], info.rate)
 
 
-def _acceleration(samples: Array, places: Array, info: ChannelInfo) -> Array:
-    """Acceleration at jumps at places in samples: a polynomial through what is around, across the jump."""
+def _acceleration(samples: Array, places: Array, info: ChannelInfo, lasts: float) -> Array:
+    """Acceleration at jumps at places in samples: a polynomial through what is around, across the jump.
+
+    That is left out for as long as it lasts, s.
+    """
     order = 2 - MOTIONS.index(info.quantity)
     # What the sensor rings on for is left out; and the average over an interval belongs to its middle.
     slowest = min((-pole.real for pole in info.poles if abs(pole) > info.rate), default=np.inf)
-    gap = 2 + int(np.ceil(_RUNG_OUT * info.rate / slowest))
+    gap = 2 + int(np.ceil(_RUNG_OUT * info.rate / slowest + lasts * info.rate))
     side = max(_FEWEST_AROUND, round(_AROUND * info.rate))
     out = np.full(places.size, np.nan)
     for index, place in enumerate(places):
@@ -266,10 +309,10 @@ def _acceleration(samples: Array, places: Array, info: ChannelInfo) -> Array:
 
 
 @lru_cache(maxsize=16)
-def _signature(metadata: str, curvature: int) -> Signature:
+def _signature(metadata: str, curvature: int, pulse: Pulse | None, together: int) -> Signature:
     from daq.signal_chain.channel import ChannelInfo
 
-    return signature(ChannelInfo.from_metadata(json.loads(metadata)), curvature)
+    return signature(ChannelInfo.from_metadata(json.loads(metadata)), curvature, pulse, together)
 
 
 def score(found: Array, true: Array, tolerance: float) -> tuple[float, NDArray[np.bool_], NDArray[np.bool_]]:

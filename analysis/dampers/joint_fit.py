@@ -31,6 +31,8 @@ class Jump:
     """Standard deviation of the jump, m/s, all else fitted beside it."""
     explains: float
     """Part of the squares that it alone explains, in variances of the noise."""
+    adrift: float = np.inf
+    """Standard deviation of the place, samples."""
 
 
 def shape(of: Signature, place: float) -> tuple[int, Array, Array]:
@@ -113,11 +115,31 @@ def fit_within(
             place=float(places[k]),
             sizes=sizes[k],
             error=float(error[4 * k]),
+            adrift=float(error[4 * k + 3]) if rounds > 1 else np.inf,
             explains=float((sizes[k, 0] / error[4 * k]) ** 2) if error[4 * k] else 0.0,
         )
         for k, one in enumerate(group)
     ]
     return fitted, left
+
+
+def with_errors(rest: Array, of: Signature, one: Jump, noise: float, typical: tuple[float, float]) -> Jump:
+    """Tell the errors of a jump where it is, from what is left around it where that is more than the noise.
+
+    Parameters
+    ----------
+    rest : ndarray
+        Differences with all jumps taken out.
+    noise, typical
+        As for `fit_together`.
+    """
+    first = max(int(np.floor(one.place)) + of.window_start - of.difference, 0)
+    last = min(first + of.window, rest.size)
+    put(rest, of, one, 1.0)
+    [known], left = fit_within(rest, of, [one], (first, last), noise, typical, rounds=2)
+    put(rest, of, one, -1.0)
+    more = max(1.0, (left / (last - first - of.curvature - 5)) ** 0.5 / noise)
+    return replace(one, error=more * known.error, adrift=more * known.adrift)
 
 
 def error_beside(of: Signature, apart: int | None, noise: float, typical: tuple[float, float]) -> float:

@@ -8,7 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.dampers.entangled_jumps import cost, grow
-from analysis.dampers.joint_fit import Jump, error_beside, fit_together, fit_within, put, readings
+from analysis.dampers.joint_fit import (
+    Jump,
+    error_beside,
+    fit_together,
+    fit_within,
+    put,
+    readings,
+    with_errors,
+)
 from analysis.dampers.jump_signature import SHIFT, Signature
 from rig.numerics.runs import runs_of
 
@@ -27,6 +35,8 @@ LEFT_OVER = 0.02
 # An impact on a neighbour kinks the acceleration of a body, and the kink is bent a little; the bend passes for
 # a jump of at most this part of the velocity that the kink brings about in a sample.
 _BEND = 1.0
+# That, in such a part of the time that a landing lasts.
+_OF_LANDING = 1.0 / 6.0
 # Rounds of the search, each for the largest of what is left within reach; and of putting a window around a jump.
 _ROUNDS, _PASSES = 12, 4
 # Jumps nearer to each other than so many samples are taken for one; told apart for certain from so many on.
@@ -44,6 +54,8 @@ _TOGETHER, _STARTS, _BESIDE = 5, (0.0, -2.5, 2.5, -5.0, 5.0), 10.0
 # Steps of the acceleration are such a part of what it goes through, smoothed over so many samples; kinks bring
 # it back at such a frequency, Hz.
 _PART, _CALM, _QUICK = 0.2, 8, 100.0
+# A step of so many times that size is none.
+_NO_WEIGHT = 3.0
 # Noise is taken to be the same over so many windows; it is told from the share of them in which there is least, and
 # what normal deviates are below in as many.
 _STEADY = 8
@@ -83,8 +95,8 @@ class JumpSearch:
         # What all that is read is held against: the smooth motion may bend where jumps alone do not see it.
         self.whole = of
 
-    def run(self) -> tuple[Array, Array]:
-        """Places in samples, and sizes in m/s."""
+    def run(self) -> list[Jump]:
+        """Jumps in their order, with their errors."""
         from scipy.ndimage import maximum_filter1d
 
         of = self.signature
@@ -117,14 +129,20 @@ class JumpSearch:
         for first, last in self.unexplained(_TANGLED * sure):
             self.untangle(first, last, sure)
         self.found.sort(key=lambda one: one.place)
+        # Where a landing lasts, so do kinks: a bed is pressed, or let go.
+        within = max(1.0, _OF_LANDING * self.signature.lasts) / self.rate
         real = [
             one
             for one in self.found
             if self.told[self.at(one)]
             and abs(one.sizes[0]) > SIGMAS * one.error
-            and abs(one.sizes[0]) > _BEND * abs(one.sizes[2]) / self.rate**2
+            and abs(one.sizes[0]) > _BEND * abs(one.sizes[2]) * within**2
         ]
-        return np.array([one.place for one in real]), np.array([one.sizes[0] for one in real])
+        noise = self.noise()[2]
+        return [
+            with_errors(self.rest, self.signature, one, float(noise[self.at(one)]), self.usual)
+            for one in real
+        ]
 
     def at(self, one: Jump) -> int:
         """Where the window of a jump begins, among those that there are."""
@@ -137,7 +155,7 @@ class JumpSearch:
         """
         of = self.signature
         group = [other for other in self.found if abs(other.place - one.place) < of.reach]
-        if len(group) == 1:
+        if len(group) == 1 and not self._odd(one):
             return
         group.sort(key=lambda other: abs(other.place - one.place))
         group, others = group[:_TOGETHER], group[1:_TOGETHER]
@@ -216,7 +234,16 @@ class JumpSearch:
             left = readings(self.rest[None, first : last + of.window], of, last - first + of.window)
             if np.linalg.norm(left) > _MISFIT * largest * self.unit():
                 out.append(ends)
+        odd = [one.place for one in self.found if self._odd(one) and abs(one.sizes[0]) > self.threshold]
+        out += [(place - 0.5 * of.window, place + 0.5 * of.window) for place in odd]
         return np.array(out).reshape(-1, 2)
+
+    def _odd(self, one: Jump) -> bool:
+        """Whether what lasts comes with a step that no bed's weight brings about: one that ends early passes for that.
+
+        Its jump may then go either way.
+        """
+        return self.signature.lasts > 0 and abs(one.sizes[1]) > _NO_WEIGHT * self.usual[0]
 
     def unit(self) -> float:
         """Root of the squares of a jump of 1 m/s in the middle of a window."""

@@ -12,6 +12,7 @@ from scipy import fft
 from analysis.responses.frf import MOTIONS
 
 if TYPE_CHECKING:
+    from analysis.dampers.landing_pulse import Pulse
     from daq.signal_chain.channel import ChannelInfo
 
 Array = NDArray[np.float64]
@@ -63,6 +64,8 @@ class Signature:
     """Place of their first one against sample 0."""
     curvature: int
     """Order of the polynomial that a window's smooth motion follows, in the readings."""
+    lasts: int
+    """Samples until a jump has come about; 0: at once."""
 
     def background(self, length: int) -> int:
         """Order of the polynomial that the smooth motion follows over so many differences."""
@@ -90,7 +93,9 @@ class Signature:
         return float(1.0 / abs(self.triangles[middle, 2, 2]).min())
 
 
-def signature(info: ChannelInfo, curvature: int = 2) -> Signature:
+def signature(
+    info: ChannelInfo, curvature: int = 2, pulse: Pulse | None = None, together: int = 1
+) -> Signature:
     """Work out how a channel reads a jump, from its data sheet.
 
     Parameters
@@ -99,26 +104,32 @@ def signature(info: ChannelInfo, curvature: int = 2) -> Signature:
         Channel of acceleration, velocity or displacement.
     curvature : int
         Order of the polynomial that the acceleration around a jump is let to follow beside step and kink.
+    pulse : Pulse, optional
+        How jump, step and kink come about where they take their time: the wall passes all of them on as it does the
+        jump. None: at once.
+    together : int
+        Samples whose mean is a reading.
     """
-    integrations = 2 - MOTIONS.index(info.quantity)
+    integrations, rate = 2 - MOTIONS.index(info.quantity), info.rate / together
     # Behind a decimation filter nothing beyond half the sample rate rings.
     fastest = np.pi * info.rate if info.filter else np.inf
-    fast = [pole for pole in info.poles if _FAST * info.rate < abs(pole) < fastest]
-    turning = max((abs(pole.imag) for pole in fast), default=0.0) / info.rate
-    ringing = max((-info.rate / pole.real for pole in fast), default=0.0)
+    fast = [pole for pole in info.poles if _FAST * rate < abs(pole) < fastest]
+    turning = max((abs(pole.imag) for pole in fast), default=0.0) / rate if pulse is None else 0.0
+    ringing = max((-rate / pole.real for pole in fast), default=0.0)
+    lasts = 0 if pulse is None else int(np.ceil(pulse.duration * rate))
     # A reading that changes within an instant is smeared: by a resonance most, by the filter's main lobe little.
-    coarse = _FINER if turning else 4 if info.filter else 1
+    coarse = _FINER if turning else 4 if info.filter and together == 1 else 1
     instants = max(_FEWEST, int(np.ceil(turning / _TURN))) * coarse
-    side = _SIDE if integrations == 0 else max(_SIDE, round(_SIDE_TIME * info.rate))
-    look = _FILTER_LOOK if info.filter else 0
+    side = _SIDE if integrations == 0 else max(_SIDE, round(_SIDE_TIME * rate))
+    look = int(np.ceil(_FILTER_LOOK / together)) if info.filter else 0
     before = SHIFT + side + look
-    after = SHIFT + side + integrations + look + int(np.ceil(min(_LOOK * ringing, 4 * side)))
-    extra = _FILTER_GONE if info.filter else 2
+    after = SHIFT + side + integrations + look + lasts + int(np.ceil(min(_LOOK * ringing, 4 * side)))
+    extra = int(np.ceil(_FILTER_GONE / together)) if info.filter else 2
     gone = after + int(np.ceil(_GONE * ringing)) + extra
-    readings = _readings(info, integrations, instants, before + extra, gone)
-    shapes = np.diff(readings, 2, axis=-1) / info.rate**integrations
+    readings = _readings(info, integrations, instants, before + extra, gone, pulse, together)
+    shapes = np.diff(readings, 2, axis=-1) / rate**integrations
     inside = readings[..., extra : extra + before + after]
-    filters, triangles = _fit(inside, integrations, curvature, info.rate)
+    filters, triangles = _fit(inside, integrations, curvature, rate)
     return Signature(
         difference=integrations + 2,
         instants=instants,
@@ -129,13 +140,23 @@ def signature(info: ChannelInfo, curvature: int = 2) -> Signature:
         shapes=shapes,
         shape_start=3 - before - extra,
         curvature=curvature + integrations,
+        lasts=lasts,
     )
 
 
-def _readings(info: ChannelInfo, integrations: int, instants: int, before: int, after: int) -> Array:
+def _readings(
+    info: ChannelInfo,
+    integrations: int,
+    instants: int,
+    before: int,
+    after: int,
+    pulse: Pulse | None,
+    together: int,
+) -> Array:
     """Accelerations read, samples 1 - before to after, for unit jump, step and kink at each instant."""
+    rate = info.rate / together
     size = 2 * fft.next_fast_len(before + after + 2 * SHIFT + 2)
-    frequency = fft.rfftfreq(size * instants, 1.0 / (info.rate * instants))
+    frequency = fft.rfftfreq(size * instants, 1.0 / (rate * instants))
     with np.errstate(divide="ignore", invalid="ignore"):
         response = replace(info, average=False, delay=0.0).response(frequency)
     # High passes take away the mean in the long run; for the moments around a jump there are none.
@@ -143,16 +164,24 @@ def _readings(info: ChannelInfo, integrations: int, instants: int, before: int, 
     if info.filter:
         # Nothing gets through there, and the filter's response is tabulated no further than this.
         response[frequency > info.rate] = 0.0
+    if pulse is not None:
+        # What comes about within half an instant on either side of each.
+        ends = (np.arange(size * instants + 1) - 0.5) / (rate * instants)
+        response *= fft.rfft(np.diff(pulse.exchanged(ends)))
     boxes = integrations + int(info.average)
+    if not info.average:
+        # Means of averages are averages over longer; of samples at instants, sums.
+        late = np.exp(-2j * np.pi * np.outer(np.arange(together), frequency) / info.rate)
+        response *= late.mean(axis=0)
     # Half an instant for each average that is not taken: the sums below run over whole instants.
-    response *= np.exp(2j * np.pi * frequency * 0.5 * (1 - boxes) / (info.rate * instants))
-    fine = fft.irfft(response, size * instants) * info.rate * instants
+    response *= np.exp(2j * np.pi * frequency * 0.5 * (1 - boxes) / (rate * instants))
+    fine = fft.irfft(response, size * instants) * rate * instants
     for _ in range(boxes):
         total = np.cumsum(np.concatenate([fine[-instants:], fine]))
         fine = (total[instants:] - total[:-instants]) / instants
     fine = np.roll(fine, (before + SHIFT) * instants)
-    step = (np.cumsum(fine) - 0.5 * fine) / (info.rate * instants)
-    kink = (np.cumsum(step) - 0.5 * step) / (info.rate * instants)
+    step = (np.cumsum(fine) - 0.5 * fine) / (rate * instants)
+    kink = (np.cumsum(step) - 0.5 * step) / (rate * instants)
     instant = np.arange(-SHIFT * instants, SHIFT * instants)
     sample = np.arange(1 - before, after + 1)
     place = (before + SHIFT + sample) * instants - instant[:, None] - 1

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from analysis.dampers.ceiling_reach import may_reach_ceiling
 from analysis.dampers.impact_detection import Impacts, band, impacts
+from analysis.dampers.landing_pulse import carried
 from analysis.dampers.restitution import Restitution, hard_speeds, restitution
 from analysis.decays.sensor_correction import corrected
 from analysis.recordings.slices import read_slices
@@ -92,7 +93,8 @@ class DamperMotion:
     """Impacts a period."""
     stays: bool | None
     """Whether the damper stays at the ceiling after it struck: it does so while the body's acceleration is below -g.
-    None where that is not told: it is at -g within half a sample interval, or a rebound may last too long for that."""
+    None where that is not told: it is at -g within half a sample interval, a rebound may last too long for that, or a
+    landing lasts and the ceiling may push on."""
     threshold: float
     """Smallest velocity jump that would have been seen for certain, m/s."""
     rides: bool
@@ -138,7 +140,12 @@ def damper_motion(
     """
     gravity = rec.scene.gravity
     place = rec.channels[channel].at
-    inside = [damper for damper in rec.scene.dampers if not damper.locked and f"body {damper.body}" == place]
+    numbers = [
+        number
+        for number, damper in enumerate(rec.scene.dampers, 1)
+        if not damper.locked and f"body {damper.body}" == place
+    ]
+    inside = [rec.scene.dampers[number - 1] for number in numbers]
     out = []
     sizes = _acceleration(rec, sweep, channel)
     for frequency, size, (first, stop) in zip(sweep.lines.frequency, sizes, sweep.windows, strict=True):
@@ -159,12 +166,12 @@ def damper_motion(
                 float(np.sum(struck)) / inner,
                 _stays(
                     found.acceleration[struck] + gravity,
-                    np.pi * frequency / rec.rate * size,
+                    np.pi * frequency * (1.0 / rec.rate + 2.0 * found.lasts) * size,
                     _longest_rebound(rec, found, inside, told),
                     _pushed(found.acceleration[struck], size, gravity, frequency),
                 ),
                 found.threshold,
-                _least_acceleration(rec, channel, frequency, *window) > -gravity,
+                _least_acceleration(rec, channel, numbers, frequency, *window) > -gravity,
                 told,
                 repeats,
                 not struck.any() and any(may_reach_ceiling(rec, found, each, *window) for each in inside),
@@ -218,8 +225,11 @@ def _stays(weight: NDArray[np.float64], change: float, rebound: float, pushed: f
 def _longest_rebound(rec: Recording, found: Impacts, inside: list[Damper], told: Restitution | None) -> float:
     """Give the largest speed at which a damper may leave the ceiling after it struck it, all its bounces together, m/s.
 
-    By what its flights tell; where they tell nothing, or no more than that it may be none, by the scene's word.
+    By what its flights tell; where they tell nothing, or no more than that it may be none, by the scene's word. Where a
+    landing lasts, it is not known when it leaves.
     """
+    if found.lasts:
+        return np.inf
     struck = replace(found, jump=found.jump[found.kind == "ceiling"])
     share = max((damper.restitution for damper in inside), default=0.0)
     if told is not None and (share > 0.0 or told.value > _SURE * told.error):
@@ -244,14 +254,20 @@ def _acceleration(rec: Recording, sweep: Sweep, channel: str) -> NDArray[np.floa
     return np.asarray(read * (2 * np.pi * frequency) ** (2 - MOTIONS.index(info.quantity)), dtype=np.float64)
 
 
-def _least_acceleration(rec: Recording, channel: str, frequency: float, first: int, stop: int) -> float:
-    """Least acceleration of a body that its channel allows, m/s²: noise and tolerance count as motion."""
+def _least_acceleration(
+    rec: Recording, channel: str, inside: list[int], frequency: float, first: int, stop: int
+) -> float:
+    """Least acceleration of what rides in a body that its channel allows, m/s²: noise and tolerance count as motion."""
     info, period = rec.channels[channel], int(np.ceil(rec.rate / frequency))
     samples = next(read_slices(rec, [channel], [(first, stop)]))[0]
     read = corrected(info, samples, "acceleration", *band(rec.rate))
     # At its ends a stretch is taken to go on as its mirror image.
     edge = min(period, samples.size // 4)
-    return float(read[edge:-edge].min() / max(1.0 - tolerance(info), 1e-300))
+    rows, spectrum = [read], np.fft.rfft(read)
+    for number in inside:
+        beds = carried(rec.scene, number, np.asarray(np.fft.rfftfreq(read.size, 1.0 / rec.rate)))
+        rows.append(np.fft.irfft(spectrum * beds, read.size))
+    return float(min(row[edge:-edge].min() for row in rows) / max(1.0 - tolerance(info), 1e-300))
 
 
 def describe_restitution(motions: list[DamperMotion]) -> list[str]:

@@ -64,8 +64,11 @@ def restitution(rec: Recording, found: Impacts, damper: Damper, start: int, stop
     A rebound that ends before it can be told from its impact makes of ``1 + e`` at most ``(1 + e) / (1 - e)``: the
     value is the middle between, and the error holds both, and every rebound that may hide in what the channel resolves.
 
-    None where too few flights explain what is seen, or only by what no wall does.
+    None where too few flights explain what is seen, or only by what no wall does; and where a landing lasts: when it
+    ends is not seen, and how it goes on is part of what it is found by.
     """
+    if found.lasts:
+        return None
     info = rec.channels[found.channel]
     samples = next(read_slices(rec, [found.channel], [(start, stop)]))[0]
     hard = hard_speeds(rec, found, damper)

@@ -33,6 +33,8 @@ KINDS = (
     "tone_dampers",
     "steps_dampers",
     "decay_dampers",
+    "tone_landings",
+    "steps_landings",
     "curves_pairs",
     "multisine_pairs",
     "stepped_sine_pairs",

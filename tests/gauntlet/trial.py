@@ -15,14 +15,15 @@ from analysis.recordings.slices import Slice
 from rig.errors import ShotrigError
 from tests.gauntlet.cavities import DECAY, STEPS, TONE, draw_cavities, draw_decay
 from tests.gauntlet.judges import JUDGES, modes
+from tests.gauntlet.landings import LANDINGS, STEPPED_LANDINGS, draw_landings
 from tests.gauntlet.pairs import CURVES, MULTISINE, STEPPED, draw_pair, exact_curves
 from tests.gauntlet.scenes import draw
 from tests.gauntlet.verdict import Case, Verdict
 
 _FORMS = (".npz", ".csv")
-_DRAWS = {TONE: draw_cavities, STEPS: draw_cavities, DECAY: draw_decay} | dict.fromkeys(
-    (CURVES, MULTISINE, STEPPED), draw_pair
-)
+_DRAWS = {TONE: draw_cavities, STEPS: draw_cavities, DECAY: draw_decay}
+_DRAWS |= dict.fromkeys((LANDINGS, STEPPED_LANDINGS), draw_landings)
+_DRAWS |= dict.fromkeys((CURVES, MULTISINE, STEPPED), draw_pair)
 
 
 def try_out(seed: int, number: int, kind: str) -> list[Verdict]:

@@ -7,11 +7,14 @@ import daq
 import rig
 from analysis.dampers.impact_detection import impacts, score
 from analysis.dampers.jump_search import SIGMAS
+from analysis.dampers.landing_pulse import landing_pulse
+from analysis.responses.systematic import tolerance
 from daq.recording.markers import Marker
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError
 from tests.analysis.responses import synthetic
 from tests.gauntlet.cavities import TONE
+from tests.gauntlet.judges.impacts import seen_for_itself
 from tests.gauntlet.trial import try_out
 
 RATE = synthetic.RATE
@@ -226,19 +229,100 @@ def test_given_too_few_samples_when_searched_then_it_says_how_many_are_needed(tm
         impacts(rec, "body1", 0, 50)
 
 
-def test_given_contact_that_lasts_when_searched_then_it_says_that_landings_are_no_jumps(tmp_path):
-    scene = rig.load("fig9")
-    [damper] = scene.dampers
-    scene = scene.replace(
-        dampers=[damper.replace(contact={"duration": 2e-3})],
+def landed(path, chain, converter, dampers, frequency=49.0, force=3.3):
+    """A tone with dampers in body 2 whose landings last, truth beside."""
+    scene = rig.load("fig8-no-damper").replace(
+        dampers=[{"body": 2, "mass_ratio": 0.06, **damper} for damper in dampers],
         shaker={"kind": "force", "body": 1},
-        test={"kind": "sine", "frequency": 49.0, "force": 2.6, "duration": 0.2},
-        channels=[{"name": "body2", "at": "body 2"}, {"name": "force", "at": "shaker"}],
-        recording={"display": False},
+        test={"kind": "sine", "frequency": frequency, "force": force, "duration": 1.0},
+        channels=[{"name": "body2", "at": "body 2", **chain}, {"name": "force", "at": "shaker"}],
+        converter=converter,
+        recording={"truth": True, "display": False},
     )
-    path = daq.record(scene, tmp_path / "a.mcap")
-    with daq.open(path) as rec, pytest.raises(RecordingError, match="contact of the damper in body 2 lasts"):
+    return daq.record(scene, path)
+
+
+AS_SOLD = {"accelerometer": {"preset": "PCB 352C33"}}, {"preset": "NI 9234", "rate": 51200.0}
+INTEGRATED = {"accelerometer": SENSOR, **INTEGRATORS["velocity"]}, {"rate": 12800.0}
+
+
+@pytest.mark.parametrize(
+    ("chain", "converter", "duration", "restitution", "frequency"),
+    [
+        ({}, {"rate": 5120.0}, 2e-3, 0.0, 49.0),
+        ({}, {"rate": 5120.0}, 6e-3, 0.0, 34.5),
+        (*AS_SOLD, 2e-3, 0.4, 49.0),
+        (*AS_SOLD, 0.7e-3, 0.0, 49.0),
+        (*INTEGRATED, 2e-3, 0.0, 49.0),
+        (*INTEGRATED, 2e-3, 0.4, 34.5),
+    ],
+)
+def test_given_contact_that_lasts_when_detected_then_each_touch_has_its_wall_time_and_size(
+    tmp_path, chain, converter, duration, restitution, frequency
+):
+    damper = {"clearance": 0.98e-3, "restitution": restitution, "contact": {"duration": duration}}
+    with daq.open(landed(tmp_path / "a.mcap", chain, converter, [damper], frequency)) as rec:
+        [window] = [marker for marker in rec.markers if marker.kind == "measure"]
+        found = impacts(rec, "body2", window.first_sample, window.stop)
+        touches = rec.events[rec.events["kind"] == "touch"]
+        gap = rec.truth("gap")[0, (touches["time"] * rec.rate).astype(int)]
+        within = tolerance(rec.channels["body2"])
+        given_back = landing_pulse(rec.scene, "body 2", rec.rate).restitution
+    assert found.lasts == pytest.approx(duration)
+    jump = np.where(gap < 0.49e-3, -1.0, 1.0) * touches["speed"] * 0.06 / 1.06 * (1.0 + given_back)
+    _, right, seen = score(found.time, touches["time"], 0.25 * duration)
+    inner = (touches["time"] > found.time[0] - 1e-3) & (touches["time"] < found.time[-1] + 1e-3)
+    clear = inner & seen_for_itself(touches["time"], jump, found)
+    begin, end = found.left_out.T - 1e-3 * np.array([[1.0], [-1.0]])
+    clear &= ~((touches["time"][:, None] > begin) & (touches["time"][:, None] < end)).any(axis=1)
+    assert right.all() and right.sum() > 15 and seen[clear].all()
+    assert np.all(np.sign(found.jump) == np.sign(jump[seen]))
+    assert np.all(abs(found.time - touches["time"][seen]) < 4.0 * found.time_error)
+    assert np.median(found.time_error) < 0.1 * duration
+    assert np.all(abs(found.jump - jump[seen]) < 4.0 * found.jump_error + within * abs(found.jump))
+
+
+def test_given_samples_at_instants_too_far_apart_for_a_landing_when_searched_then_it_says_so(tmp_path):
+    damper, converter = {"clearance": np.inf, "contact": {"duration": 2e-3}}, {"sampling": "point"}
+    with (
+        daq.open(landed(tmp_path / "a.mcap", {}, {"rate": 5120.0, **converter}, [damper])) as rec,
+        pytest.raises(RecordingError, match="at instants"),
+    ):
         impacts(rec, "body2")
+    with daq.open(landed(tmp_path / "b.mcap", {}, {"rate": 51200.0, **converter}, [damper])) as rec:
+        assert impacts(rec, "body2", rec.samples // 2).time.size > 10
+
+
+def test_given_two_dampers_that_land_alike_in_one_body_when_detected_then_the_touches_of_both_are_found(
+    tmp_path,
+):
+    contact = {"restitution": 0.0, "contact": {"duration": 1e-3}}
+    dampers = [{"clearance": np.inf, **contact}, {"clearance": 0.4e-3, **contact}]
+    with daq.open(landed(tmp_path / "a.mcap", {}, {"rate": 51200.0}, dampers)) as rec:
+        found = impacts(rec, "body2", rec.samples // 2)
+        touches = rec.events[rec.events["kind"] == "touch"]
+    f1, right, _ = score(found.time, touches["time"][touches["time"] > found.time[0] - 1e-3], 2e-4)
+    assert right.all() and f1 > 0.9
+
+
+def test_given_landings_that_differ_in_one_body_when_searched_then_it_says_why_none_is_told(tmp_path):
+    floor, ceiling = {"duration": 2e-3}, {"duration": 4e-3}
+    dampers = [{"clearance": 0.98e-3, "contact": {"floor": floor, "ceiling": ceiling}}]
+    with (
+        daq.open(landed(tmp_path / "a.mcap", {}, {"rate": 5120.0}, dampers)) as rec,
+        pytest.raises(
+            RecordingError, match="body 2: floor and ceiling, or its dampers, differ in how landings last"
+        ),
+    ):
+        impacts(rec, "body2")
+
+
+def test_given_landings_longer_than_half_a_period_when_searched_then_no_false_one_is_told(tmp_path):
+    damper = {"clearance": np.inf, "restitution": 0.0, "contact": {"duration": 12e-3}}
+    with daq.open(landed(tmp_path / "a.mcap", {}, {"rate": 5120.0}, [damper])) as rec:
+        found = impacts(rec, "body2", rec.samples // 2)
+        touches = rec.events[rec.events["kind"] == "touch"]["time"]
+    assert score(found.time, touches, 3e-3)[1].all()
 
 
 def test_given_times_when_scored_then_each_is_matched_once():

@@ -8,8 +8,12 @@ from numpy.typing import NDArray
 from analysis.dampers.impact_detection import impacts, score
 from analysis.dampers.nonlinearity import damper_motion
 from analysis.responses.stepped_sine import sweeps
+from rig.numerics.runs import runs_of
+from rig.response.motion_type import STAY
+from rig.system.assembly import assemble
 from tests.gauntlet.cavities import STEPS
 from tests.gauntlet.judges.impacts import APART, seen_for_itself, true_impacts
+from tests.gauntlet.landings import STEPPED_LANDINGS
 from tests.gauntlet.verdict import Case, Verdict
 
 NAMED = ("riding", "I", "II", "III")
@@ -19,7 +23,7 @@ _ONCE = 0.1
 
 def judge(case: Case, kind: str) -> list[Verdict]:
     """Compare the types of all dampers; the points are those where one is named."""
-    if kind != STEPS:
+    if kind not in (STEPS, STEPPED_LANDINGS):
         return []
     right, points, nameable, notes = 0, 0, 0, []
     for sweep in sweeps(case.recording):
@@ -55,8 +59,7 @@ def _true_type(case: Case, number: int, frequency: float, first: int, stop: int)
     # What is found beside a larger one is that one, a little late.
     matched = score(found.time, time, APART / rec.rate)[2]
     matched[matched] = [
-        abs(jump[k]) >= abs(jump[abs(time - time[k]) < found.resolution]).max()
-        for k in np.flatnonzero(matched)
+        abs(jump[k]) >= abs(jump[abs(time - time[k]) < found.apart]).max() for k in np.flatnonzero(matched)
     ]
     inside &= seen_for_itself(time, jump, found) | matched
     floor, ceiling = time[inside & (jump < 0.0)], time[inside & (jump > 0.0)]
@@ -64,9 +67,20 @@ def _true_type(case: Case, number: int, frequency: float, first: int, stop: int)
     if _once(floor, frequency, periods) and not ceiling.size:
         return "I"
     if _once(floor, frequency, periods) and _once(ceiling, frequency, periods):
-        stays = np.any(rec.truth("contact")[number - 1, first:stop] == 2)
+        stays = _stays(case, number, first, stop)
         return "III" if stays else "II"
     return f"{floor.size / periods:.2f} floor, {ceiling.size / periods:.2f} ceiling"
+
+
+def _stays(case: Case, number: int, first: int, stop: int) -> bool:
+    """Whether a damper stays at the ceiling: for more than two landings, where they last, else at all."""
+    at_ceiling = case.recording.truth("contact")[number - 1, first:stop] == 2
+    if case.scene.dampers[number - 1].contact is None:
+        return bool(at_ceiling.any())
+    system = assemble(case.scene)
+    [j] = np.flatnonzero(system.damper_number == number)
+    longest = max((last - begin for begin, last in runs_of(at_ceiling)), default=0)
+    return longest / case.recording.rate > STAY * system.landing(int(j), 2)[0]
 
 
 def _once(time: NDArray[np.float64], frequency: float, periods: float) -> bool:

@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import rig
+from analysis.dampers.landing_pulse import carried, landing_pulse
+from rig.errors import RecordingError
+
+
+def with_damper(**damper):
+    return rig.load("fig9").replace(dampers=[{"body": 2, "mass": 0.05, "clearance": float("inf"), **damper}])
+
+
+@pytest.mark.parametrize(
+    "contact",
+    [
+        {"contact": {"duration": 2e-3}, "restitution": 0.4},
+        {"contact": {"duration": 2e-3}, "restitution": 0.0},
+        {"contact": {"stiffness": 1e5, "damping": 2.0 * np.sqrt(1e5 * 0.05 * 0.71 / 0.76)}},
+    ],
+)
+def test_given_a_contact_when_followed_by_another_solver_then_the_bodys_velocity_changes_alike(contact):
+    scene = with_damper(**contact)
+    pulse = landing_pulse(scene, "body 2", 5120.0)
+    stiffness, loss = pulse.angular**2, 2.0 * pulse.ratio * pulse.angular
+    time = np.linspace(0.0, pulse.duration, 50)
+    way = solve_ivp(
+        lambda _, z: [z[1], -stiffness * z[0] - loss * z[1]],
+        (0.0, time[-1]),
+        [0.0, 1.0],
+        t_eval=time,
+        rtol=1e-10,
+        atol=1e-14,
+    ).y
+    assert pulse.exchanged(time) == pytest.approx((1.0 - way[1]) / (1.0 - way[1, -1]), abs=1e-5)
+    # Released where the force has fallen to zero, at the restitution.
+    assert stiffness * way[0, -1] + loss * way[1, -1] == pytest.approx(0.0, abs=1e-3 * pulse.angular)
+    assert pulse.restitution == pytest.approx(-way[1, -1], abs=1e-5)
+    if scene.dampers[0].restitution:
+        assert pulse.restitution == pytest.approx(0.4, abs=1e-6)
+
+
+def test_given_landings_well_within_a_sample_interval_when_asked_then_they_are_jumps():
+    scene = with_damper(contact={"duration": 2e-5})
+    assert landing_pulse(scene, "body 2", 5120.0) is None
+    assert landing_pulse(scene, "body 2", 51200.0) is not None
+    assert landing_pulse(with_damper(), "body 2", 5120.0) is None
+
+
+def test_given_an_instant_landing_beside_one_that_lasts_when_asked_then_none_is_told():
+    [damper] = with_damper(contact={"duration": 2e-3}).dampers
+    scene = rig.load("fig9").replace(dampers=[damper, damper.replace(contact=None)])
+    with pytest.raises(RecordingError, match="differ in how landings last"):
+        landing_pulse(scene, "body 2", 5120.0)
+
+
+def test_given_grains_when_asked_then_it_says_that_they_are_not_one_mass():
+    scene = with_damper(grains={"diameter": 2e-3})
+    with pytest.raises(RecordingError, match="body 2: a bed of grains is not one mass"):
+        landing_pulse(scene, "body 2", 5120.0)
+
+
+def test_given_a_floor_that_gives_way_when_it_carries_a_bed_then_the_bed_moves_as_a_mass_on_its_spring():
+    scene = with_damper(contact={"stiffness": 5e4, "damping": 10.0})
+    frequency = np.array([0.0, 30.0, 100.0])
+    s = 2j * np.pi * frequency
+    expected = (5e4 + 10.0 * s) / (5e4 + 10.0 * s + 0.05 * s**2)
+    assert carried(scene, 1, frequency) == pytest.approx(expected, rel=1e-12)
+    assert carried(with_damper(), 1, frequency) == pytest.approx(np.ones(3))

@@ -1,0 +1,99 @@
+"""The paper's rig with beds whose landings last, for judges of what the channels tell of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import yaml
+
+import rig
+from rig.system.landing import spring_damper
+from rig.system.receptance import receptance
+from tests.gauntlet.scenes import Draw, Settings
+
+# Amplitude of the acceleration of the first damper's body without dampers, in g: below 1 nothing flies.
+_LEVELS = (1.3, 8.0)
+_GRAVITY = 9.80665
+_MASSES, _SPRINGS, _MODES = (0.74, 0.71, 0.64), (24.3e3, 21.8e3, 19.8e3), (12.6, 34.8, 49.2)
+# Durations of a landing, s.
+_DURATIONS = (5e-4, 8e-3)
+LANDINGS, STEPPED_LANDINGS = "tone_landings", "steps_landings"
+
+
+def draw_landings(seed: int, number: int, kind: str) -> rig.Scene:
+    """Draw a tone, or steps, near a mode of the paper's rig with one to three dampers, truth beside."""
+    dice = Draw(seed, number)
+    with_damper = sorted({dice.whole(1, 3) for _ in range(dice.whole(1, 3))})
+    near = dice.one(_MODES)
+    first, last = (float(f"{near * dice.even(*share):.4g}") for share in ((0.88, 1.0), (1.01, 1.1)))
+    test: Settings = {"kind": "sine", "frequency": first, "duration": 1.5}
+    if kind == STEPPED_LANDINGS:
+        test = {"kind": "stepped_sine", "from": first, "to": last, "points": 6}
+    rate = dice.one([5120.0, 12800.0, 25600.0, 51200.0])
+    chain, converter = _instruments(dice, rate)
+    settings: Settings = {
+        "name": f"gauntlet {seed}/{number} {kind}",
+        "structure": {
+            "masses": [mass * dice.even(0.8, 1.25) for mass in _MASSES],
+            "springs": [spring * dice.even(0.8, 1.25) for spring in _SPRINGS],
+            "damping": {"modal": dice.log(0.003, 0.02)},
+        },
+        "dampers": [_damper(dice, body) for body in with_damper],
+        "shaker": {"kind": "force", "body": dice.whole(1, 3)},
+        "test": {**test, "force": 1.0},
+        "channels": [
+            *({"name": f"a{body}", "at": f"body {body}", **chain} for body in with_damper),
+            {"name": "force", "at": "shaker"},
+        ],
+        "converter": converter,
+        "recording": {"display": False, "truth": True},
+        "seed": dice.whole(1, 10**6),
+    }
+    scene = rig.loads(yaml.safe_dump(settings, sort_keys=False), where=settings["name"])
+    return scene.replace(test=scene.test.replace(force=_force(dice, scene, with_damper[0])))
+
+
+def _damper(dice: Draw, body: int) -> Settings:
+    ratio, duration = dice.even(0.03, 0.15), dice.log(*_DURATIONS)
+    rebound = dice.one([0.0, dice.even(0.05, 0.6)])
+    damper: Settings = {
+        "body": body,
+        "mass_ratio": ratio,
+        "clearance": dice.one([".inf", f"{dice.log(0.3, 3.0):.3g} mm"]),
+    }
+    if dice.chance(0.7):
+        return {**damper, "restitution": rebound, "contact": {"duration": duration}}
+    reduced = _MASSES[body - 1] * ratio / (1.0 + ratio)
+    stiffness, damping = spring_damper(duration, rebound, reduced)
+    return {**damper, "contact": {"stiffness": float(stiffness), "damping": float(damping)}}
+
+
+def _instruments(dice: Draw, rate: float) -> tuple[Settings, Settings]:
+    """What is on a body, and the converter: ideal, by their data sheets, or a sensor with an integrator."""
+    way = dice.whole(0, 2)
+    if way == 0:
+        return {}, {"rate": rate}
+    if way == 1:
+        sensor = {"accelerometer": {"preset": "PCB 352C33", "bias": 0.0}}
+        return sensor, {"preset": "NI 9234", "rate": rate, "remove_delay": True}
+    sensor = {
+        "accelerometer": {
+            "sensitivity": "100 mV/g",
+            "noise": f"{dice.log(1.0, 300.0):.4g} ug/sqrt(Hz)",
+            "resonance": dice.log(2e4, 5e4),
+            "low_cutoff": dice.log(0.05, 0.8),
+        }
+    }
+    order = dice.whole(0, 2)
+    if order:
+        gain = 50.0 if order == 1 else 2000.0
+        sensor["integrator"] = {"order": order, "corner": dice.log(0.2, 2.0), "gain": gain}
+    return sensor, {"rate": rate, **({"filter": "delta_sigma"} if dice.chance(0.7) else {})}
+
+
+def _force(dice: Draw, scene: rig.Scene, body: int) -> float:
+    """Force that without dampers moves a body by so many g."""
+    test = scene.test
+    frequency = np.array([test.frequency if test.kind == "sine" else 0.5 * (test.from_ + test.to)])
+    linear = abs(receptance(scene.replace(dampers=[]), frequency)[body - 1, 0])
+    asked = dice.log(*_LEVELS) * _GRAVITY / (linear * (2 * np.pi * frequency[0]) ** 2)
+    return float(f"{asked:.4g}")

@@ -30,6 +30,8 @@ _FEW = 50.0
 _DRAWN = 1e-250, 1e250
 # Characters of a note under a figure of that width.
 _NOTE_LINE = 112
+# And of an entry that leaves room for another beside it.
+_HALF_LINE = 46
 
 _STYLE: Any = {
     "font.family": "DejaVu Sans",
@@ -195,8 +197,9 @@ def legend_below(figure: Figure, *sentences: str) -> None:
         caption(figure, *sentences)
         return
     title = _wrapped(figure, sentences) or None
+    wide = max(map(len, entries)) > _HALF_LINE * figure.get_figwidth() / WIDTH_INCH
     legend = figure.legend(
-        list(entries.values()), list(entries), loc="outside lower left", ncols=2,
+        list(entries.values()), list(entries), loc="outside lower left", ncols=1 if wide else 2,
         title=title, title_fontsize=7.5, alignment="left",
     )  # fmt: skip
     legend.get_title().set_color("#555555")

@@ -298,7 +298,7 @@ def _driven(scene: Scene, frequency: float, drive: float) -> Complex:
     scene = scene.replace(test=test)
     # Samples joined by straight lines are a tone of this much less; and to the engine, a table's drive is where the
     # table goes, to its servo where it is told to go.
-    smaller = float(np.sinc(frequency / scene.converter.rate)) ** 2
+    smaller = float(np.sinc(frequency / scene.converter.sample_rate)) ** 2
     smaller /= abs(drive_per_level(scene, assemble(scene), 2.0 * np.pi * frequency))
     scene = scene.replace(test=test.replace(**{name: drive * smaller}))
     response = frequency_response(scene, [frequency], tolerance=EXACT)

@@ -160,7 +160,7 @@ def variants(
     yield from _resonances(scene, highest)
     yield from _integrators(scene, lowest, hardest)
     yield from _filters(scene)
-    rate = scene.converter.rate
+    rate = scene.converter.sample_rate
     for factor in RATES:
         if factor * rate >= SAMPLES_A_PERIOD * highest:
             yield Variant("sample rate", f"{factor * rate:.6g} Hz", _converter(scene, rate=factor * rate))

@@ -43,9 +43,13 @@ def told_apart(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
     --------
     >>> told_apart(["none", "three", "three"], [Path("a.mcap"), Path("b.mcap"), Path("c.mcap")])
     ['none', 'three (b)', 'three (c)']
-    >>> told_apart(["none", "none"], [Path("x/a.mcap"), Path("y/a.mcap")])
-    ['none (x/a.mcap)', 'none (y/a.mcap)']
+    >>> told_apart(["none", "none"], [Path("x/a.mcap"), Path("x/b.mcap")])
+    ['a', 'b']
     """
+    if len(paths) > 1 and len(set(names)) == 1:
+        # What all are called tells nothing.
+        stems = [path.stem for path in paths]
+        return stems if len(set(stems)) == len(paths) else [path.as_posix() for path in paths]
     by_stem = [
         f"{name} ({path.stem})" if names.count(name) > 1 else name
         for name, path in zip(names, paths, strict=True)

@@ -71,7 +71,7 @@ def estimate(scene: Scene) -> Estimate:
     >>> print(estimate(scene.replace(test=scene.test.replace(repeats=200, interval="9 s"))))
     the test takes at least 30.0 min on the bench: 9.22e+06 samples a channel, about 294.9 MB
     """
-    rate = scene.converter.rate
+    rate = scene.converter.sample_rate
     # Without channels of its own a scene has an ideal one on every body and the table.
     channels = scene.structure.bodies + 1 if scene.channels is None else len(scene.channels)
     seconds = _shortest(scene)

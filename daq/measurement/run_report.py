@@ -43,6 +43,13 @@ def record_and_report(name: str, scene: Scene, path: Path, overwrite: bool, bloc
     import daq
 
     print(f"recording {name} to {path.absolute()}", file=sys.stderr)
+    asked, rate = scene.converter.rate, scene.converter.sample_rate
+    if rate != asked:
+        module = scene.converter.preset
+        print(
+            f"{module} samples at {rate:.10g} Hz, the next rate of its clock above {asked:g} Hz",
+            file=sys.stderr,
+        )
     taking = estimate(scene)
     if taking.seconds > WORTH_SAYING_S:
         print(taking, file=sys.stderr)

@@ -117,7 +117,7 @@ def scope(
         screen.show(block, readings)
         keep(block.motion.first + block.motion.displacement.shape[1])
 
-    rate = float(scene.converter.rate)
+    rate = float(scene.converter.sample_rate)
     block = max(1, round(BLOCK_S * rate))
     run = MeasurementRun(scene, path, block, excite=HandTone(knobs, read).excite, heard=heard)
     screen = Screen(stream, scene, run.bench.channels, run.bench.rate)
@@ -133,7 +133,7 @@ def knobs_for(scene: Scene, frequency: float | None, force: float) -> Knobs:
     if frequency is None:
         mass, _, stiffness = structure_matrices(scene.structure)
         frequency = max(1.0, float(natural_modes(mass, stiffness)[0][0] / (2 * np.pi)))
-    return Knobs(frequency, force, highest=float(scene.converter.rate) / FEWEST_SAMPLES)
+    return Knobs(frequency, force, highest=float(scene.converter.sample_rate) / FEWEST_SAMPLES)
 
 
 def listen(knobs: Knobs, lines: TextIO, tell: Callable[[str], None]) -> None:
@@ -170,7 +170,7 @@ def live(
     bench.acquire(np.zeros((len(bench.inputs), 64)))
     with viewing as running, recording_stream() as stream:
         stream.connect_grpc(running.url)
-        pace = Pace(float(scene.converter.rate), say)
+        pace = Pace(float(scene.converter.sample_rate), say)
 
         def keep(position: int) -> None:
             pace.keep(position)

@@ -150,7 +150,7 @@ def _of_one_shaker(test: Test | None) -> Test | None:
 
 
 def _step(name: str, scene: Scene) -> EffectStep:
-    rate = scene.converter.rate
+    rate = scene.converter.sample_rate
 
     def start() -> AbstractContextManager[Callable[[Array], object]]:
         return nullcontext(Plant(scene, rate).advance)

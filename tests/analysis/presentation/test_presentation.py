@@ -68,18 +68,19 @@ def test_given_scenes_of_one_name_when_overlaid_then_their_files_tell_them_apart
     ]
     for body in (1, 2, 3):
         drawn = (tmp_path / f"one+again-frf-body{body}.svg").read_text(encoding="utf-8")
-        assert drawn.count("first scene (one)") == drawn.count("first scene (again)") == 1
-    assert {row["scene"] for row in table(result.files[-1])} == {"first scene (one)", "first scene (again)"}
-    assert sum(line.startswith("first scene (again), body") for line in result.lines) == 3
+        assert drawn.count(">one<") == drawn.count(">again<") == 1
+        assert "first scene" not in drawn
+    assert {row["scene"] for row in table(result.files[-1])} == {"one", "again"}
+    assert sum(line.startswith("again, body") for line in result.lines) == 3
 
 
 def test_given_decays_of_scenes_of_one_name_when_overlaid_then_their_files_tell_them_apart(folder, tmp_path):
     synthetic.impulses(tmp_path / "again.mcap", interval=3.0, name="hit scene")
     result = present_decay([folder / "hit.mcap", tmp_path / "again.mcap"], tmp_path)
     drawn = next(path for path in result.files if path.suffix == ".svg").read_text(encoding="utf-8")
-    assert "hit scene (hit)" in drawn and "hit scene (again)" in drawn
-    assert {row["scene"] for row in table(result.files[-1])} == {"hit scene (hit)", "hit scene (again)"}
-    assert sum(line.startswith("hit scene (again), body3") for line in result.lines) == 1
+    assert ">hit<" in drawn and ">again<" in drawn
+    assert {row["scene"] for row in table(result.files[-1])} == {"hit", "again"}
+    assert sum(line.startswith("again, body3") for line in result.lines) == 1
 
 
 def test_given_a_force_channel_when_a_decay_is_asked_for_then_motion_channels_are_offered(folder):

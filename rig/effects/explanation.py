@@ -16,7 +16,10 @@ from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, Shaker, TableSha
 from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
+from rig.system.structure import natural_modes, structure_matrices
 
+#: Natural frequencies that are told at most.
+_TOLD = 7
 #: Entry points under which packages that build on the rig say what a scene turns on in them.
 GROUP = "shotrig.effects"
 
@@ -113,7 +116,8 @@ def motion_effects(scene: Scene) -> Iterable[Effect]:
     bodies = scene.structure.bodies
     many = "body" if bodies == 1 else "bodies"
     given = "by matrices" if scene.structure.matrices is not None else "on springs"
-    yield Effect("motion", "structure", 2 * bodies, f"{bodies} {many} {given}, {_damping(scene)}")
+    what = f"{bodies} {many} {given}, {_natural_frequencies(scene)}, {_damping(scene)}"
+    yield Effect("motion", "structure", 2 * bodies, what)
     if system.coupled and system.dampers:
         several = np.unique(system.damper_coordinate).size < system.dampers
         why = "several dampers in a body" if several else "full mass matrix"
@@ -121,6 +125,15 @@ def motion_effects(scene: Scene) -> Iterable[Effect]:
     for shaker in scene.shakers:
         yield from _shaker(shaker)
     yield from _dampers(scene, system)
+
+
+def _natural_frequencies(scene: Scene) -> str:
+    """Tell where the structure by itself resonates: a mistaken unit shows there first."""
+    mass, _, stiffness = structure_matrices(scene.structure)
+    told = [f"{omega / (2.0 * np.pi):.4g}" for omega in natural_modes(mass, stiffness)[0]]
+    if len(told) > _TOLD:
+        told = [*told[: _TOLD - 1], "...", told[-1]]
+    return f"{', '.join(told)} Hz"
 
 
 def _damping(scene: Scene) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 import rig
@@ -88,3 +90,13 @@ def test_given_a_bare_scene_when_its_effects_are_measured_then_there_is_nothing_
         "structure: {masses: [1 kg], springs: [4 kN/m]}\nrecording: {display: false}", where="test"
     )
     assert [cost.name for cost in effect_costs(scene)] == ["structure", "channels, ideal", "recording"]
+
+
+def test_given_a_structure_when_explained_then_its_natural_frequencies_are_told_of_many_the_first_and_last() -> (
+    None
+):
+    many = rig.load("bare-structure").replace(
+        structure={"masses": [1.0] * 9, "springs": [4e3] * 9}, channels=None
+    )
+    assert "13.04, 34.78, 49.66 Hz" in str(rig.explain("fig9"))
+    assert re.search(r"9 bodies on springs, ([\d.]+, ){6}\.\.\., 19\.\d+ Hz", str(rig.explain(many)))

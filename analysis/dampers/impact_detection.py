@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.dampers.joint_fit import Jump
-from analysis.dampers.jump_search import CERTAINTY, LEFT_OVER, RANGE, SIGMAS, JumpSearch
+from analysis.dampers.jump_search import LEFT_OVER, SIGMAS, JumpSearch, least_sure, part_told
 from analysis.dampers.jump_signature import Signature, signature
 from analysis.dampers.landing_pulse import Pulse, landing_pulse
 from analysis.decays.sensor_correction import corrected
@@ -33,8 +33,8 @@ _LEAST_SEARCHED = 0.5
 # its release. While it rings, less than this part of it is not told from what the fit leaves over.
 RELEASED, _OF_RELEASE, HIDES = 1.6, 0.5, 0.15
 # Such a part of a landing that lasts is not known of it and those beside it, which puts it off by such a part of its
-# width and of a sample interval; and less than such a part of the largest is not told.
-_MISFIT, _LATE, _BETWEEN, _RANGE = 0.03, 0.04, 0.05, 0.02
+# width and of a sample interval.
+_MISFIT, _LATE, _BETWEEN = 0.03, 0.04, 0.05
 # Readings in the time in which nine tenths of a landing are over: samples of a higher rate are taken together.
 _WIDTH = 8
 # Below the lowest frequency of interest, Hz; up to this share of the sample rate.
@@ -177,8 +177,8 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
     place, adrift, jump, error = (
         np.array([[one.place, one.adrift, one.sizes[0], one.error] for one in told]).reshape(-1, 4).T
     )
-    largest, share = float(abs(jump).max(initial=0.0)), RANGE if pulse is None else _RANGE
-    clear = abs(jump) > max(SIGMAS * noise, share * largest)
+    largest = float(abs(jump).max(initial=0.0))
+    clear = abs(jump) > max(SIGMAS * noise, part_told(search.signature) * largest)
     unread = (start + np.array(runs_of(~good), dtype=float).reshape(-1, 2)) / rec.rate
     entangled = search.entangled()
     untold = ((place[:, None] >= entangled[:, 0]) & (place[:, None] < entangled[:, 1])).any(axis=1)
@@ -203,7 +203,7 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
         noise,
         resolution,
         ringing,
-        max((SIGMAS + CERTAINTY) * noise, share * largest),
+        least_sure(search.signature, noise, largest),
         lasts,
         float(search.told.sum()) / rate - float(np.sum(entangled[:, 1] - entangled[:, 0])) / rec.rate,
         np.concatenate([unread, (start + entangled) / rec.rate - info.delay]),

@@ -30,6 +30,8 @@ SIGMAS = 6.0
 CERTAINTY = 3.0
 # So much smaller than the largest one, a jump is not told from what the model of a channel leaves out.
 RANGE = 3e-3
+# Or from what a bed's weight makes of a landing that lasts.
+_RANGE_LASTING = 0.02
 # What is left of a jump after it was taken out; smaller ones in its ringing are not told from that.
 LEFT_OVER = 0.02
 # An impact on a neighbour kinks the acceleration of a body, and the kink is bent a little; the bend passes for
@@ -62,9 +64,14 @@ _STEADY = 8
 CALM = 0.5
 
 
-def least_sure(noise: float, largest: float) -> float:
+def part_told(of: Signature) -> float:
+    """Give the part of the largest jump below which none is told."""
+    return _RANGE_LASTING if of.lasts else RANGE
+
+
+def least_sure(of: Signature, noise: float, largest: float) -> float:
     """Smallest jump that is not missed: the noise taken `SIGMAS` + 3 times, or a part of the largest one, m/s."""
-    return max((SIGMAS + CERTAINTY) * noise, RANGE * largest)
+    return max((SIGMAS + CERTAINTY) * noise, part_told(of) * largest)
 
 
 class JumpSearch:
@@ -181,7 +188,7 @@ class JumpSearch:
     def threshold(self) -> float:
         """Smallest jump that is not missed, m/s, but beside a larger one."""
         noise = float(np.percentile(self.noise()[2], 95.0)) * self.signature.gain
-        return least_sure(noise, max((abs(one.sizes[0]) for one in self.found), default=0.0))
+        return least_sure(self.signature, noise, max((abs(one.sizes[0]) for one in self.found), default=0.0))
 
     def resolution(self) -> int:
         """Tell from which distance on another jump adds little to the error of one, samples."""

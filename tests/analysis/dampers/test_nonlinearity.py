@@ -228,6 +228,23 @@ def test_given_the_truth_when_energies_are_compared_then_channels_tell_what_impa
     assert np.all(true[1:] > 0.6 * energy.supplied[1:])
 
 
+def test_given_contact_that_lasts_when_motion_and_energy_are_told_then_both_are_the_true_ones(tmp_path):
+    [damper] = rig.load("fig9").dampers
+    scene = rig.load("fig9").replace(
+        dampers=[damper.replace(contact={"duration": 2e-3})],
+        test={"kind": "stepped_sine", "frequencies": (46.0, 48.0, 55.0), "force": 3.3},
+        recording={"truth": True, "display": False},
+    )
+    with daq.open(daq.record(scene, tmp_path / "lasting.mcap")) as rec:
+        [sweep] = sweeps(rec)
+        names = [one.name for one in damper_motion(rec, sweep, "body2")]
+        energy, true = energy_per_cycle(rec, sweep), impact_energy_per_cycle(rec, sweep)
+    assert names[:2] == ["I", "I"] and names[2] in ("riding", "unseen")
+    assert rig.frequency_response(scene, [46.0, 48.0]).motion_type.ravel().tolist() == ["I", "I"]
+    assert np.all(abs(energy.dampers - true) <= energy.bound)
+    assert np.all(true[:2] > 0.6 * energy.supplied[:2])
+
+
 def test_given_a_recording_with_dampers_when_the_command_is_run_then_motion_and_energy_are_told(
     fig9, tmp_path
 ):

@@ -297,7 +297,7 @@ def beds(
     ] = None,
     cluster: Cluster = None,
 ) -> None:
-    """Follow beds of grains and the same as one mass, for the paper's claim on them; takes half an hour."""
+    """Follow beds of grains and the same as one mass, for the paper's claim on them; takes over half an hour."""
     from analysis.paper.bed_study import follow
 
     follow(output, points, _say, cluster)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from analysis.paper.bed_claim import NOT_FAR, apart, certain
-from analysis.paper.contact_study import apart_on, below_ceiling, on_contact, stand_in, where_followed
+from analysis.paper.bed_study import FREQUENCY
+from analysis.paper.contact_study import apart_on, below_ceiling, on_contact, some, stand_in, where_followed
 from analysis.paper.figures import BLACK, Parts
 from rig.figure_style import drawing
 
@@ -45,6 +47,25 @@ def beds(parts: Parts) -> Figure:
             axes.set_title(title)
         for axes in panels[-1]:
             axes.set_xlabel("clearance / mm")
+        figure.colorbar(
+            image, ax=list(panels.flat), label="grains off one mass / %", extend="both", aspect=40
+        )
+    return figure
+
+
+def modes(parts: Parts) -> Figure:
+    """Deviation of the compliance with grains from that with one mass at the other resonances; a row for each depth."""
+    own = some(parts["beds"], parts["beds"]["frequency"] != FREQUENCY)
+    frequencies, layers = np.unique(own["frequency"]), np.unique(own["layers"])
+    with drawing(2.3 * len(layers), 4.0 * len(frequencies)) as figure:
+        panels = figure.subplots(len(layers), len(frequencies), squeeze=False)
+        for (row, depth), (column, frequency) in product(enumerate(layers), enumerate(frequencies)):
+            axes, data = panels[row, column], some(own, own["frequency"] == frequency)
+            off, error = apart(data, "compliance"), certain(data, "compliance")
+            image = _panel(axes, data, data["layers"] == depth, 100.0 * off, 100.0 * error)
+            axes.set(ylabel=f"{depth:g} layers: acceleration / g" if column == 0 else "")
+            axes.set(xlabel="clearance / mm" if row == len(layers) - 1 else "")
+            axes.set_title(f"Compliance at {frequency:g} Hz" if row == 0 else "")
         figure.colorbar(
             image, ax=list(panels.flat), label="grains off one mass / %", extend="both", aspect=40
         )

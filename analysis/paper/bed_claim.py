@@ -83,7 +83,7 @@ def bed_claim(parts: Parts, consequences: Sequence[Claim]) -> Claim:
             ),
         ),
         verdict(beds),
-        ("c7-beds", "trust"),
+        ("c7-beds", "c7-modes", "trust"),
     )  # fmt: skip
 
 

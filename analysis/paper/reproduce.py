@@ -35,6 +35,7 @@ FIGURES: dict[str, Callable[[paper_figures.Parts], Figure]] = {
     "optimum": paper_charts.optimum,
     "trust": paper_charts.trust,
     "c7-beds": bed_chart.beds,
+    "c7-modes": bed_chart.modes,
 }
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.paper import bed_study, contact_study, kept_study
+from analysis.paper import bed_chart, bed_study, contact_study, kept_study
 from analysis.paper.bed_claim import apart, bed_claim, certain, verdict
 from analysis.paper.bed_study import (
     DAMPING,
@@ -156,6 +156,24 @@ def test_given_the_kept_table_when_claim_c7_is_judged_then_its_words_have_its_nu
         assert any(evidence.text.startswith(mode) for evidence in claim.evidence)
     assert claim.verdict == verdict(beds)
     assert any(f"at {len(beds['level'])} settings" in evidence.text for evidence in claim.evidence)
+
+
+def test_given_the_kept_table_then_every_setting_of_the_study_is_in_it() -> None:
+    assert [setting_of(row) for row in rows(TABLE.kept, TABLE)] == settings()
+
+
+def test_given_the_kept_table_when_the_other_resonances_are_drawn_then_each_setting_has_its_deviation() -> (
+    None
+):
+    beds = table()
+
+    figure = bed_chart.modes({"beds": beds})
+
+    written = [text.get_text() for axes in figure.axes for text in axes.texts]
+    others = beds["frequency"] != FREQUENCY
+    assert [f"{100 * off:+.0f}" for off in np.sort(apart(beds, "compliance")[others])] == sorted(
+        (text.split(" ")[0] for text in written), key=float
+    )
 
 
 def test_given_a_mass_that_flies_when_its_measures_are_told_then_they_are_those_of_a_body_it_damps() -> None:

@@ -62,7 +62,8 @@ class Impacts:
     larger ones beside it leave open."""
     jump: Array
     """Velocity jump of the body, m/s: down (negative) from a blow on the floor, up from one on the ceiling;
-    shape (n,). Times the body's mass it is the impulse."""
+    shape (n,). Times the body's mass it is the impulse. Where a landing lasts, in proportion to the duration that the
+    scene gives it; time and direction hardly depend on that."""
     jump_error: Array
     """Standard deviation of that likewise, m/s, without what the sensor's sensitivity is off; shape (n,)."""
     acceleration: Array

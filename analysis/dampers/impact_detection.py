@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.dampers.joint_fit import Jump
-from analysis.dampers.jump_search import LEFT_OVER, SIGMAS, JumpSearch, least_sure, part_told
+from analysis.dampers.jump_search import CERTAINTY, LEFT_OVER, RANGE, SIGMAS, JumpSearch
 from analysis.dampers.jump_signature import Signature, signature
 from analysis.dampers.landing_pulse import Pulse, landing_pulse
 from analysis.decays.sensor_correction import corrected
@@ -78,8 +78,8 @@ class Impacts:
     ringing: float
     """How long the channel rings about an impact, s: there one smaller than `hidden` of it may be missed."""
     threshold: float
-    """Smallest jump that is not missed, m/s: the noise taken `SIGMAS` + 3 times, or a part of the largest one. Beside
-    a larger one, while that rings, it is more: see `ringing`."""
+    """Smallest jump that is not missed, m/s: the noise taken `SIGMAS` + 3 times, or a part of the largest one; more
+    where a landing lasts. Beside a larger one, while that rings, it is more: see `ringing`."""
     lasts: float
     """How long a landing lasts, s; 0 where it is instant. Beside a landing that lasts a jump may be its end."""
     searched: float
@@ -179,7 +179,11 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
         np.array([[one.place, one.adrift, one.sizes[0], one.error] for one in told]).reshape(-1, 4).T
     )
     largest = float(abs(jump).max(initial=0.0))
-    clear = abs(jump) > max(SIGMAS * noise, part_told(search.signature) * largest)
+    threshold = search.least_sure(noise, largest)
+    clear = abs(jump) > max(SIGMAS * noise, RANGE * largest)
+    if pulse is not None:
+        # One that is hardly seen may pass for one on the other wall.
+        clear, threshold = abs(jump) > threshold, threshold + CERTAINTY * noise
     unread = (start + np.array(runs_of(~good), dtype=float).reshape(-1, 2)) / rec.rate
     entangled = search.entangled()
     untold = ((place[:, None] >= entangled[:, 0]) & (place[:, None] < entangled[:, 1])).any(axis=1)
@@ -204,7 +208,7 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
         noise,
         resolution,
         ringing,
-        least_sure(search.signature, noise, largest),
+        threshold,
         lasts,
         float(search.told.sum()) / rate - float(np.sum(entangled[:, 1] - entangled[:, 0])) / rec.rate,
         np.concatenate([unread, (start + entangled) / rec.rate - info.delay]),

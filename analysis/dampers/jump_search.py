@@ -58,20 +58,12 @@ _TOGETHER, _STARTS, _BESIDE = 5, (0.0, -2.5, 2.5, -5.0, 5.0), 10.0
 _PART, _CALM, _QUICK = 0.2, 8, 100.0
 # A step of so many times that size is none.
 _NO_WEIGHT = 3.0
+# Of a landing slower than this part of what such a step brings about while it lasts nothing is told.
+_SLOW = 0.02
 # Noise is taken to be the same over so many windows; it is told from the share of them in which there is least, and
 # what normal deviates are below in as many.
 _STEADY = 8
 CALM = 0.5
-
-
-def part_told(of: Signature) -> float:
-    """Give the part of the largest jump below which none is told."""
-    return _RANGE_LASTING if of.lasts else RANGE
-
-
-def least_sure(of: Signature, noise: float, largest: float) -> float:
-    """Smallest jump that is not missed: the noise taken `SIGMAS` + 3 times, or a part of the largest one, m/s."""
-    return max((SIGMAS + CERTAINTY) * noise, part_told(of) * largest)
 
 
 class JumpSearch:
@@ -142,14 +134,16 @@ class JumpSearch:
             one
             for one in self.found
             if self.told[self.at(one)]
-            and abs(one.sizes[0]) > SIGMAS * one.error
+            and (self.signature.lasts or abs(one.sizes[0]) > SIGMAS * one.error)
             and abs(one.sizes[0]) > _BEND * abs(one.sizes[2]) * within**2
         ]
         noise = self.noise()[2]
-        return [
+        told = [
             with_errors(self.rest, self.signature, one, float(noise[self.at(one)]), self.usual)
             for one in real
         ]
+        # When landings that last were found, others still passed for noise.
+        return [one for one in told if not self.signature.lasts or abs(one.sizes[0]) > SIGMAS * one.error]
 
     def at(self, one: Jump) -> int:
         """Where the window of a jump begins, among those that there are."""
@@ -188,7 +182,16 @@ class JumpSearch:
     def threshold(self) -> float:
         """Smallest jump that is not missed, m/s, but beside a larger one."""
         noise = float(np.percentile(self.noise()[2], 95.0)) * self.signature.gain
-        return least_sure(self.signature, noise, max((abs(one.sizes[0]) for one in self.found), default=0.0))
+        return self.least_sure(noise, max((abs(one.sizes[0]) for one in self.found), default=0.0))
+
+    def least_sure(self, noise: float, largest: float) -> float:
+        """Smallest jump that is not missed, m/s: the noise taken `SIGMAS` + 3 times, or a part of the largest one.
+
+        Where a landing lasts, it is no less than a part of what the motion's usual steps make of that time.
+        """
+        lasts = self.signature.lasts / self.rate
+        part = _RANGE_LASTING if lasts else RANGE
+        return max((SIGMAS + CERTAINTY) * noise, part * largest, _SLOW * self.usual[0] * lasts)
 
     def resolution(self) -> int:
         """Tell from which distance on another jump adds little to the error of one, samples."""

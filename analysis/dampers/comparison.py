@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from math import inf, isinf, log10, sqrt
 
 import numpy as np
 
 from analysis.modal.modes import Modes
-from analysis.responses.frf import Frf
+from analysis.responses.frf import SENSITIVITY, Frf
 from rig.results import plainly, rounded
 
 # A peak is looked for within this part of the bare natural frequency below it, and half of it above.
@@ -156,11 +156,17 @@ class PeakChange:
     """Damping ratio there."""
     bare: Peak
     damped: Peak
+    as_read: tuple[Peak, Peak] | None = None
+    """The same two as read by the same sensors, whose sensitivities are no part of a change; None where it may be."""
+
+    @property
+    def _beside(self) -> tuple[Peak, Peak]:
+        return self.as_read or (self.bare, self.damped)
 
     @property
     def decibel(self) -> tuple[float, float, float]:
         """Change of the peak in dB, and between which values it lies (infinite: not bounded on that side)."""
-        bare, damped = self.bare, self.damped
+        bare, damped = self._beside
         return (
             20.0 * log10(damped.value / bare.value),
             _ratio_dB(damped.low, bare.value + bare.bound),
@@ -170,7 +176,7 @@ class PeakChange:
     @property
     def shift(self) -> tuple[float, float, float]:
         """Shift of the peak in Hz, and between which values it lies."""
-        bare, damped = self.bare, self.damped
+        bare, damped = self._beside
         return (
             damped.frequency - bare.frequency,
             damped.first - bare.last,
@@ -189,7 +195,9 @@ def _ratio_dB(above: float, below: float) -> float:  # noqa: N802
     return inf if below <= 0.0 or above == inf else 20.0 * log10(above / below)
 
 
-def peak_changes(modes: Modes, bare: Sequence[Frf], damped: Sequence[Frf]) -> list[PeakChange]:
+def peak_changes(
+    modes: Modes, bare: Sequence[Frf], damped: Sequence[Frf], same_sensors: Collection[str] = ()
+) -> list[PeakChange]:
     """Compare every resonance of every response, without and with dampers.
 
     Parameters
@@ -198,6 +206,8 @@ def peak_changes(modes: Modes, bare: Sequence[Frf], damped: Sequence[Frf]) -> li
         What the bare curves hold.
     bare, damped : sequence of Frf
         All responses of a recording without, and of one with dampers (or with others).
+    same_sensors : collection of str
+        Responses that were read by the same sensors in both, as was the force.
 
     Returns
     -------
@@ -212,10 +222,23 @@ def peak_changes(modes: Modes, bare: Sequence[Frf], damped: Sequence[Frf]) -> li
         if curve.response not in by_name:
             continue
         for f, zeta, first, last in zip(frequency, damping, low, high, strict=True):
-            before, after = peak(by_name[curve.response], first, last), peak(curve, first, last)
-            if before is not None and after is not None:
-                out.append(PeakChange(curve.response, float(f), float(zeta), before, after))
+            both = by_name[curve.response], curve
+            before, after = (peak(one, first, last) for one in both)
+            if before is None or after is None:
+                continue
+            change = PeakChange(curve.response, float(f), float(zeta), before, after)
+            if curve.response in same_sensors:
+                one, other = (peak(_as_read(each), first, last) for each in both)
+                assert one is not None
+                assert other is not None
+                change = replace(change, as_read=(one, other))
+            out.append(change)
     return out
+
+
+def _as_read(curve: Frf) -> Frf:
+    """Leave out of a curve's bounds what its sensors' sensitivities are off by."""
+    return replace(curve, systematic={k: part for k, part in curve.systematic.items() if k != SENSITIVITY})
 
 
 def _surroundings(modes: Modes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -139,11 +139,15 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
 
 
 def _shape_errors(curves: Sequence[Frf], poles: ComplexArray, residue: ComplexArray) -> Array:
-    """Find standard deviations of shapes with largest element one, from the curves' bounds at each resonance."""
+    """Find standard deviations of shapes with largest element one, from the curves' bounds at each resonance.
+
+    What the sensor of their reference is off by all curves are off by.
+    """
     frequency: Array = np.asarray(abs(poles) / (2 * np.pi), dtype=float)
     at = [_nearest(curve, frequency, np.isfinite(curve.value)) for curve in curves]
     size = np.array([abs(curve.value[lines]) for curve, lines in zip(curves, at, strict=True)])
     bound = np.array([curve.bound()[lines] for curve, lines in zip(curves, at, strict=True)])
+    bound -= np.array([[curve.scale] for curve in curves]) * size
     top, modes = np.argmax(abs(residue), axis=0), np.arange(poles.size)
     share = abs(residue) / abs(residue[top, modes])
     error: Array = 0.5 * np.hypot(bound, share * bound[top, modes]) / size[top, modes]

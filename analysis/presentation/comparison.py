@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import isinf
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,8 +23,8 @@ from analysis.presentation.presentation import Progress, Result, noted
 from analysis.presentation.tables import write_table
 from analysis.recordings.names import opened, relabelled, scene_labels
 from analysis.responses.frequency_responses import frequency_responses
-from analysis.responses.frf import Frf
-from analysis.responses.measurands import responses
+from analysis.responses.frf import SENSITIVITY, Frf
+from analysis.responses.measurands import reference_of, responses
 from rig.errors import SceneError
 
 if TYPE_CHECKING:
@@ -70,6 +71,7 @@ def present_compare(
     bare = found[0][0]
     modes = identify(bare)
     notes = noted(paths[0], (*modes.warnings, *highest_left_out(modes, bare)))
+    at = dict(zip(paths, places, strict=True))
     lines: list[str] = []
     rows: list[tuple[str | float, ...]] = []
     jumps = False
@@ -77,11 +79,17 @@ def present_compare(
         (path, group) for path, groups in zip(paths[1:], found[1:], strict=True) for group in groups
     ]:
         notes += noted(path, group[0].warnings)
-        changes = peak_changes(modes, bare, group)
+        same = at[path].same_sensors(places[0])
+        changes = peak_changes(modes, bare, group, same)
         notes += noted(paths[0], unresolved([(one.mode, one.response, one.bare) for one in changes]))
         notes += noted(path, unresolved([(one.mode, one.response, one.damped) for one in changes]))
         lines.append(f"{bare[0].label} -> {group[0].label}")
         lines += [f"  {line}" for line in describe_changes(changes)]
+        if any(SENSITIVITY in curve.systematic for curve in group if curve.response in same):
+            lines.append(
+                f"  by their data sheets the same sensors read {', '.join(same)} and the force in both: what their "
+                "sensitivities are off by is in no change"
+            )
         if not changes:
             notes += noted(path, (f"no resonance of {paths[0]} has points of both curves around it",))
         jumps |= any(isinf(one.bare.bound + one.damped.bound) for one in changes)
@@ -92,16 +100,30 @@ def present_compare(
 
 @dataclass(frozen=True)
 class Places:
-    """What a recording's responses are of: where the force acts, and where each channel is."""
+    """What a recording's responses are of: where the force acts, and where each channel is.
+
+    sensors : of each response and its force, where one sensor tells that, what tells these two from others
+    """
 
     path: Path
     force_on: tuple[int, ...]
     channels: dict[str, str]
+    sensors: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, path: Path, rec: Recording) -> Places:
         """Take them from a recording."""
-        return cls(path, rec.scene.force_on, {name: rec.channels[name].at for name in responses(rec)})
+        names = responses(rec)
+        below, sensors = reference_of(rec, "force").channels, {}
+        if len(below) == 1:
+            for name in names:
+                both = [rec.channels[one].to_metadata() for one in (name, *below)]
+                sensors[name] = json.dumps([rec.scene.seed, *both], sort_keys=True)
+        return cls(path, rec.scene.force_on, {name: rec.channels[name].at for name in names}, sensors)
+
+    def same_sensors(self, first: Places) -> list[str]:
+        """Name the responses that the same sensors read in both, with the force by the same sensor."""
+        return [name for name, sensor in self.sensors.items() if first.sensors.get(name) == sensor]
 
     def comparable_with(self, first: Places) -> None:
         """Raise `SceneError` if no response is in both, or if those of one name are of different places."""

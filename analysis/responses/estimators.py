@@ -17,6 +17,7 @@ from analysis.responses.systematic import (
     REFERENCE_NOISE,
     clock_deviation,
     clock_part,
+    common_scale,
     reference_noise_part,
     sensitivity_part,
     shared_noise_part,
@@ -133,6 +134,7 @@ class Averages:
             | clock_part(rec, self.channels, self.frequency, *shares, motion)
             | leakage,
             clock=clock_deviation(rec),
+            scale=common_scale(rec, above.channels, below.channels),
         )
 
     def _noise_of_two(self, names: Sequence[str]) -> Array:

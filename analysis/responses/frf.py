@@ -78,6 +78,9 @@ class Frf(Result):
         Hz: frequencies of the test that have no point, as something spoilt them.
     clock : float
         Largest share by which the sample clock puts all frequencies off; what that does to values is a systematic part.
+    scale : float
+        Largest share by which the sensor of the reference puts all values off alike, those of other responses to it as
+        well; what the sensors' sensitivities do holds it.
     """
 
     frequency: NDArray[np.float64]
@@ -97,6 +100,7 @@ class Frf(Result):
     shared: float = 1.0
     left_out: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     clock: float = 0.0
+    scale: float = 0.0
 
     @property
     def name(self) -> str:

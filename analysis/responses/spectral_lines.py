@@ -19,6 +19,7 @@ from analysis.responses.systematic import (
     UNSETTLED,
     clock_deviation,
     clock_part,
+    common_scale,
     doubtful_reference_part,
     sensitivity_part,
 )
@@ -78,7 +79,8 @@ class Lines:
         names: Sequence[str] = self.channels
         above = motion_of(rec, response, motion)
         upper = above.row(rec, names, self.frequency)
-        lower = reference_of(rec, reference).row(rec, names, self.frequency)
+        below = reference_of(rec, reference)
+        lower = below.row(rec, names, self.frequency)
         x, f = np.sum(upper * self.mean, axis=0), np.sum(lower * self.mean, axis=0)
         driven(reference, f)
         value = x / f
@@ -120,6 +122,7 @@ class Lines:
             held=None if self.unsteady is None else abs(f),
             left_out=self.left_out,
             clock=clock_deviation(rec),
+            scale=common_scale(rec, above.channels, below.channels),
         )
 
     def _sway(self, lower: NDArray[np.complex128], degrees: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -84,6 +84,18 @@ def sensitivity_part(
     return {SENSITIVITY: off_by_gains(share, of_reading(share), value, upper, lower)} if share.any() else {}
 
 
+def common_scale(rec: Recording, above: Sequence[str], below: Sequence[str]) -> float:
+    """Tell the largest share by which a reference puts all responses off alike: none where it is of two channels.
+
+    Parameters
+    ----------
+    above, below : sequence of str
+        Channels of the response and of the reference.
+    """
+    alone = len(below) == 1 and below[0] not in above
+    return tolerance(rec.channels[below[0]]) if alone else 0.0
+
+
 def of_reading(share: Array) -> Array:
     """Turn largest deviations as shares of what should be read into shares of what is read: from 1 on infinite.
 

@@ -22,6 +22,7 @@ from analysis.responses.systematic import (
     REFERENCE_NOISE,
     clock_deviation,
     clock_part,
+    common_scale,
     doubtful_reference_part,
     reference_noise_part,
     rounding_part,
@@ -165,6 +166,7 @@ class LocalSpectra:
             warnings=tuple(warnings),
             shared=self._shared,
             clock=clock_deviation(rec),
+            scale=common_scale(rec, above.channels, below.channels),
         )
 
     @property

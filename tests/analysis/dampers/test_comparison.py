@@ -23,7 +23,7 @@ from analysis.dampers.comparison import (
     peak_changes,
     unresolved,
 )
-from analysis.responses.frf import Frf
+from analysis.responses.frf import SENSITIVITY, Frf
 from tests.analysis.responses import synthetic
 
 
@@ -129,6 +129,24 @@ def test_given_bounds_around_changes_when_told_then_words_say_which_way_and_how_
     assert "peak lowered by 14.0 dB (13.5 to 14.5 dB), from 1000 to 200 µm/N" in lowered
     assert "moved down by 0.50 Hz (0.10 to 0.70 Hz), to 9.50 Hz" in lowered
     assert "peak changed by +0.0 dB (-0.3 to +0.3 dB)" in same
+
+
+def test_given_the_same_sensors_when_compared_then_their_sensitivities_are_in_the_peaks_but_in_no_change() -> (
+    None
+):
+    f = np.linspace(9.0, 11.0, 81)
+    bare, damped = (
+        replace(curve, systematic={SENSITIVITY: 0.15 * abs(curve.value)})
+        for curve in (measured(f, two_modes(f, 10.0, ratio)) for ratio in (0.01, 0.02))
+    )
+    modes = analysis.identify([bare])
+    [apart], [alike] = (peak_changes(modes, [bare], [damped], same) for same in ((), ("body1",)))
+    assert alike.bare == apart.bare and alike.bare.bound > 0.15 * alike.bare.value
+    assert apart.decibel[2] - apart.decibel[1] > 4.0
+    fine = np.linspace(9.0, 11.0, 80001)
+    true = 20.0 * math.log10(abs(two_modes(fine, 10.0, 0.02)).max() / abs(two_modes(fine, 10.0, 0.01)).max())
+    assert alike.decibel[1] <= true <= alike.decibel[2]
+    assert alike.decibel[2] - alike.decibel[1] < 0.1
 
 
 def test_given_the_same_structure_twice_when_compared_then_nothing_has_changed(tmp_path) -> None:

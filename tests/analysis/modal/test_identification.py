@@ -287,6 +287,20 @@ def test_given_a_sensor_of_wide_tolerance_when_modes_are_identified_then_its_par
             assert (0.09 < share[response, mode] < 0.15) if wide else share[response, mode] < 0.01
 
 
+def test_given_a_force_sensor_of_wide_tolerance_when_modes_are_identified_then_no_shape_knows_of_it(
+    tmp_path,
+) -> None:
+    with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))) as rec:
+        [curves] = analysis.frequency_responses(rec)
+    wide = [
+        replace(one, systematic=one.systematic | {SENSITIVITY: 0.15 * abs(one.value)}, scale=0.15)
+        for one in curves
+    ]
+    known, modes = analysis.identify(curves), analysis.identify(wide)
+    assert modes.shape_error.max() < 0.01
+    np.testing.assert_allclose(modes.shape_error, known.shape_error, atol=1e-3)
+
+
 @pytest.mark.parametrize(("unsettled", "told"), [(1.5, False), (0.5, True)])
 def test_given_a_bump_when_the_curve_may_be_off_there_by_as_much_then_it_is_no_mode(unsettled, told):
     frequency = np.linspace(10.0, 60.0, 400)

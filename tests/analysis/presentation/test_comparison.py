@@ -33,3 +33,9 @@ def test_given_other_places_when_asked_then_it_says_what_differs_and_what_was_ex
 ) -> None:
     with pytest.raises(SceneError, match=message):
         Places(Path("b.mcap"), force_on, channels).comparable_with(FIRST)
+
+
+def test_given_sensors_when_asked_then_those_responses_are_named_that_the_same_ones_read_in_both() -> None:
+    first = Places(Path("a.mcap"), (1,), {}, {"base": "one", "tip": "two"})
+    second = Places(Path("b.mcap"), (1,), {}, {"base": "one", "tip": "another", "mid": "three"})
+    assert second.same_sensors(first) == ["base"]

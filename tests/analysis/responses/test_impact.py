@@ -14,6 +14,7 @@ from daq.recording.markers import Marker
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError
 from rig.system.receptance import receptance
+from rig.system.structure import natural_modes, structure_matrices
 from tests.analysis.responses import synthetic
 
 HIT = """
@@ -254,3 +255,20 @@ def test_given_more_hits_than_memory_takes_when_analysed_then_the_first_are_take
     near = (found.frequency > 15.0) & (found.frequency < 60.0)
     missed = abs(found.value - receptance(scene, found.frequency)[0]) / found.bound()
     assert (missed[near] < 1.0).mean() > 0.9
+
+
+def test_given_a_hammer_of_wide_tolerance_when_modes_are_identified_then_shapes_are_told_as_if_it_were_exact(
+    tmp_path,
+):
+    text = HIT.format(cutoff="", converter="{rate: 2560 Hz}").replace(", low_cutoff: 0.3 Hz", "")
+    scene = rig.loads(text.replace("hammer: {", "hammer: {sensitivity_tolerance: 15 %, "))
+    with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
+        [curves] = analysis.frequency_responses(rec)
+    modes = analysis.identify(curves)
+    mass, _, stiffness = structure_matrices(scene.structure)
+    exact = natural_modes(mass, stiffness)[1]
+    exact = exact / exact[abs(exact).argmax(axis=0), np.arange(len(mass))]
+    assert {curve.scale for curve in curves} == {0.15}
+    assert modes.shape_error.max() < 0.01
+    rows = [int(rec.channels[name].at.split()[1]) - 1 for name in modes.responses]
+    np.testing.assert_allclose(modes.shapes.real, exact[rows], atol=5e-3)

@@ -29,7 +29,7 @@ class Peak:
     ----------
     value, bound : float
         Height and how far it may be off either way, m/N; `bound` is infinite where the motion jumps or points were left
-        out beside the highest one, or that is the last one looked at: the peak is then at least as high as `value`.
+        out beside the highest one: the peak is then at least as high as `value`.
     frequency, first, last : float
         Where it is, and between which frequencies it may be, Hz.
     least : float
@@ -38,6 +38,9 @@ class Peak:
         Part of `bound` for what the curve may do between its points, m/N.
     step : float
         Widest distance of the points beside the highest one, Hz; 0 where it does not matter.
+    at_end : bool
+        Whether this is but the last point looked at, which no point between is a peak beside: that of another peak's
+        flank, or of one beyond.
     """
 
     value: float
@@ -48,10 +51,13 @@ class Peak:
     least: float = 0.0
     between: float = 0.0
     step: float = 0.0
+    at_end: bool = False
 
     @property
     def low(self) -> float:
         """Least height that it may have, m/N."""
+        if self.at_end:
+            return 0.0
         return self.value if isinf(self.bound) else max(self.value - self.bound, self.least)
 
 
@@ -85,13 +91,13 @@ def peak(frf: Frf, low: float, high: float) -> Peak | None:
         return None
     scatter = np.nan_to_num(part.random_bound()[known])
     around = np.nan_to_num(part.bound()[known])
-    top = int(np.argmax(size))
+    top = _top(size, scatter)
     near = np.arange(max(top - 2, 0), min(top + 3, f.size))
     if top in (0, f.size - 1):
-        return Peak(float(size[top]), inf, float(f[top]), float(f[near[0]]), float(f[near[-1]]))
+        return Peak(float(size[top]), inf, float(f[top]), float(f[0]), float(f[-1]), at_end=True)
     beside = f[[top - 1, top + 1]]
     if np.any((part.left_out > beside[0]) & (part.left_out < beside[1])) or f.size < 4:
-        return Peak(float(size[top]), inf, float(f[top]), *map(float, beside))
+        return Peak(float(size[top]), inf, float(f[top]), float(beside[0]), float(beside[1]))
     foretold = _through(f[near[near != top]], inverse[near[near != top]], f[[top]])
     if abs(abs(1.0 / foretold[0]) / size[top] - 1.0) > _SMOOTH and near.size > 3:
         return Peak(float(size[top]), inf, float(f[top]), float(f[top - 1]), float(f[top + 1]))
@@ -122,6 +128,20 @@ def peak(frf: Frf, low: float, high: float) -> Peak | None:
         between,
         float(np.diff(f[three]).max()),
     )
+
+
+def _top(size: np.ndarray, scatter: np.ndarray) -> int:
+    """Which point is the highest that stands out of its surroundings by more than scatter; without one, the highest."""
+    highest, found = int(np.argmax(size)), -1
+    if 0 < highest < size.size - 1:
+        return highest
+    for k in range(1, size.size - 1):
+        if size[k] < max(size[k - 1], size[k + 1]) or (found >= 0 and size[k] <= size[found]):
+            continue
+        valleys = [int(np.argmin(size[: k + 1])), k + int(np.argmin(size[k:]))]
+        if all(size[k] - size[valley] > scatter[k] + scatter[valley] for valley in valleys):
+            found = k
+    return highest if found < 0 else found
 
 
 def _not_foretold(f: np.ndarray, inverse: np.ndarray, scatter: np.ndarray, top: int) -> float:
@@ -224,7 +244,7 @@ def peak_changes(
         for f, zeta, first, last in zip(frequency, damping, low, high, strict=True):
             both = by_name[curve.response], curve
             before, after = (peak(one, first, last) for one in both)
-            if before is None or after is None:
+            if before is None or after is None or before.at_end:
                 continue
             change = PeakChange(curve.response, float(f), float(zeta), before, after)
             if curve.response in same_sensors:
@@ -298,14 +318,23 @@ def unresolved(peaks: Sequence[tuple[float, str, Peak]]) -> list[str]:
 
 def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
     """One line for each resonance compared."""
-    return [
-        f"{one.response}, mode at {one.mode:.2f} Hz: peak {_change(one.decibel, 'dB', 1, 'lowered', 'raised')}, from "
-        f"{rounded(1e6 * one.bare.value, 1e6 * one.bare.bound)} to "
-        f"{rounded(1e6 * one.damped.value, 1e6 * one.damped.bound)} µm/N; "
-        f"{_change(one.shift, 'Hz', 2, 'moved down', 'moved up')}, to {one.damped.frequency:.2f} Hz; "
+    return [f"{one.response}, mode at {one.mode:.2f} Hz: {_described(one)}" for one in changes]
+
+
+def _described(one: PeakChange) -> str:
+    bare, damped = one.bare, one.damped
+    before = rounded(1e6 * bare.value, 1e6 * bare.bound)
+    if damped.at_end:
+        return (
+            f"of the peak of {before} µm/N none is left between {damped.first:.2f} and {damped.last:.2f} Hz, where the "
+            f"curve reaches {1e6 * damped.value:.4g} µm/N"
+        )
+    return (
+        f"peak {_change(one.decibel, 'dB', 1, 'lowered', 'raised')}, from {before} to "
+        f"{rounded(1e6 * damped.value, 1e6 * damped.bound)} µm/N; "
+        f"{_change(one.shift, 'Hz', 2, 'moved down', 'moved up')}, to {damped.frequency:.2f} Hz; "
         f"{_without_bound(one) or f'as if damped by {100 * one.equivalent_damping:.2g} % of critical'}"
-        for one in changes
-    ]
+    )
 
 
 def _change(value: tuple[float, float, float], unit: str, digits: int, falls: str, rises: str) -> str:
@@ -317,7 +346,7 @@ def _change(value: tuple[float, float, float], unit: str, digits: int, falls: st
     least, most = sorted((sign * low, sign * high))
     limits = f"{least:.{digits}f} to {most:.{digits}f} {unit}"
     if isinf(least) and isinf(most):
-        return f"{word} by an unknown amount"
+        return "changed by an unknown amount"
     if isinf(least) or isinf(most):
         # What is not bounded on one side has no best value.
         return (

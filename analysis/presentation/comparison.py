@@ -90,8 +90,13 @@ def present_compare(
                 f"  by their data sheets the same sensors read {', '.join(same)} and the force in both: what their "
                 "sensitivities are off by is in no change"
             )
-        if not changes:
-            notes += noted(path, (f"no resonance of {paths[0]} has points of both curves around it",))
+        told = {(one.response, one.mode) for one in changes}
+        lines += [
+            f"  {curve.response}, mode at {mode:.2f} Hz: no peak of its own before, or too few points about it"
+            for curve in group
+            for mode in sorted(modes.frequency)
+            if (curve.response, float(mode)) not in told and curve.response in places[0].channels
+        ]
         jumps |= any(isinf(one.bare.bound + one.damped.bound) for one in changes)
         rows += [_row(bare[0].label, group[0].label, change) for change in changes]
     table = write_table(with_ending(output_stem(paths, output, "compare"), "csv"), _HEADING, rows)

@@ -131,6 +131,23 @@ def test_given_bounds_around_changes_when_told_then_words_say_which_way_and_how_
     assert "peak changed by +0.0 dB (-0.3 to +0.3 dB)" in same
 
 
+def test_given_a_small_peak_on_a_flank_when_compared_then_it_counts_and_not_the_flank_beside_it() -> None:
+    f = np.linspace(30.0, 86.0, 400)
+
+    def curve(ratio: float) -> Frf:
+        small = 2e-5 / (1.0 - (f / 79.0) ** 2 + 2j * ratio * f / 79.0)
+        return measured(f, 2e-3 / (1.0 - (f / 40.0) ** 2 + 2j * 0.01 * f / 40.0) - small)
+
+    modes = replace(analysis.identify([curve(0.01)]), frequency=np.array([79.0]), damping=np.array([0.01]))
+    [raised] = peak_changes(modes, [curve(0.01)], [curve(0.004)])
+    [gone] = peak_changes(modes, [curve(0.01)], [curve(0.5)])
+    assert raised.bare.frequency == pytest.approx(79.0, abs=1.0) and not raised.bare.at_end
+    assert raised.decibel[1] > 0.0
+    assert gone.decibel[1:] == (-math.inf, math.inf)
+    assert "none is left between" in describe_changes([gone])[0]
+    assert peak_changes(modes, [curve(0.5)], [curve(0.01)]) == []
+
+
 def test_given_the_same_sensors_when_compared_then_their_sensitivities_are_in_the_peaks_but_in_no_change() -> (
     None
 ):

@@ -35,10 +35,13 @@ class Expected:
         Compliance there through the scene's own shaker, whose spring gives the force harmonics, too, m/N: the least,
         that at the level, and the most, over forces that count as held and motions that count as steady. None where
         none was found steady within `LONGEST` periods.
+    closing_speed : tuple of float
+        Largest speed at which each damper comes to a wall there, m/s.
     """
 
     peak: Peak
     sizes: tuple[float, float, float] | None
+    closing_speed: tuple[float, ...]
 
 
 def check(scene: Scene, trial: Trial, question: Question) -> Scene:
@@ -80,12 +83,15 @@ def expected(scene: Scene, trial: Trial) -> tuple[Expected, ...]:
 
 def _expected(scene: Scene, test: SteppedSine, peak: Peak) -> Expected:
     frequencies = [frequency for frequency in test.order if frequency <= peak.frequency][-APPROACH:]
-    sizes = []
+    sizes, closing_speed, steady = [], np.zeros(len(scene.dampers)), True
     for share in (1.0, 1.0 - FORCE_HELD, 1.0 + FORCE_HELD):
         held = scene.replace(channels=None, test=test.replace(force=share * peak.level))
         response = frequency_response(held, frequencies, tolerance=NEAR, longest=LONGEST)
-        if not response.converged[-1]:
-            return Expected(peak, None)
+        closing_speed = np.maximum(closing_speed, response.closing_speed[:, -1])
+        steady = bool(response.converged[-1])
+        if not steady:
+            break
         sizes.append(float(abs(response.compliance[peak.body - 1, -1])))
     unsteady = test.settle.tolerance
-    return Expected(peak, (min(sizes) * (1.0 - unsteady), sizes[0], max(sizes) * (1.0 + unsteady)))
+    found = (min(sizes) * (1.0 - unsteady), sizes[0], max(sizes) * (1.0 + unsteady)) if steady else None
+    return Expected(peak, found, tuple(closing_speed.tolist()))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rig.damper_design.check import Expected
 from rig.damper_design.choice import Choice, Trial, mass_unit
 from rig.damper_design.design import Design
+from rig.damper_design.overloads import overloads
 from rig.damper_design.ranking import ALIKE
 from rig.escaping import drawn
 from rig.figure_style import COLOURS, cell_edges, drawing, plain_logarithmic, save
@@ -134,6 +135,7 @@ def next_step(design: Design, scene: Path) -> str:
             f"{FORCE_HELD:.1%} and the motion steady within {test.settle.tolerance:.1%}",
             f"{'force, N':>14}{'peak of':>9}{'at Hz':>9}{'under a tone':>15}  of that test",
             *map(_expected, design.expected),
+            *overloads(design.scene, design.expected),
             "",
             "to check it, without and with dampers:",
             f"daq record {file} --set dampers=null --set test.force={plainly(test.levels[0])}N -o {without}",

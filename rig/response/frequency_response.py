@@ -55,6 +55,8 @@ class Response(Result):
         The same for each damper that moves.
     impacts : ndarray, shape (dampers, frequencies)
         Impacts per period of the drive.
+    closing_speed : ndarray, shape (dampers, frequencies)
+        Largest speed at which each damper that moves comes to a wall, m/s; 0 where it does not.
     converged : ndarray of bool, shape (frequencies,)
     repetition : ndarray of int, shape (frequencies,)
         Periods of the drive after which the motion repeats; 0 if none was found.
@@ -69,6 +71,7 @@ class Response(Result):
     motion_type: NDArray[np.str_]
     damper_motion: NDArray[np.str_]
     impacts: Array
+    closing_speed: Array
     converged: NDArray[np.bool_]
     repetition: NDArray[np.int64]
     residual: Array
@@ -127,6 +130,7 @@ class SteadyPoint:
     force: float
     types: list[str]
     impacts: Array
+    closing_speed: Array
     steady: Steady
     end: tuple[Array, ...]
     level: complex
@@ -326,7 +330,9 @@ class Follower:
         else:
             force = complex(spring_force_row(self.scene, system) @ harmonic[: system.states])
         types = motion_types(trajectory, system, steady.repetition, float(durations[0]))
-        struck = trajectory.event_damper[np.isin(trajectory.event_kind, STRIKES)]
+        strikes = np.isin(trajectory.event_kind, STRIKES)
+        struck, closing_speed = trajectory.event_damper[strikes], np.zeros(system.dampers)
+        np.maximum.at(closing_speed, struck, trajectory.event_speed[strikes])
         bodies = self.scene.structure.bodies
         return SteadyPoint(
             frequency=frequency,
@@ -335,6 +341,7 @@ class Follower:
             force=abs(force),
             types=types,
             impacts=np.bincount(struck, minlength=system.dampers)[: system.dampers] / repetition,
+            closing_speed=closing_speed,
             steady=steady,
             end=end,
             level=level,
@@ -363,6 +370,7 @@ def _response(points: list[SteadyPoint], system: HybridSystem) -> Response:
         motion_type=np.array([overall(t) for t in types]),
         damper_motion=np.array(types, dtype=np.str_).reshape(len(points), system.dampers).T,
         impacts=np.array([p.impacts for p in points]).reshape(len(points), system.dampers).T,
+        closing_speed=np.array([p.closing_speed for p in points]).reshape(len(points), system.dampers).T,
         converged=np.array([p.steady.converged for p in points]),
         repetition=np.array([p.steady.repetition for p in points]),
         residual=np.array([p.steady.residual for p in points]),

@@ -1,0 +1,76 @@
+"""Accelerometers that landings overload are told before the check of a design is recorded, and no others."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import daq
+import rig
+from rig.damper_design.check import Expected
+from rig.damper_design.overloads import overloads, shaken_by
+from rig.damper_design.worst_peak import Peak
+from rig.system.assembly import assemble
+
+HZ, FORCE = 49.0, 3.3
+
+
+def _scene(contact: dict[str, Any] | None, sensor: dict[str, Any]) -> rig.Scene:
+    changes = {
+        "dampers": [{"body": 2, "mass_ratio": 0.06, "clearance": 0.98e-3, "contact": contact}],
+        "shaker": {"kind": "force", "body": 1},
+        "test": {
+            "kind": "stepped_sine",
+            "frequencies": [HZ],
+            "force": FORCE,
+            "settle": {"longest": "2 s"},
+        },
+        "channels": [
+            {"name": "force", "at": "shaker"},
+            {"name": "struck", "at": "body 2", "accelerometer": sensor},
+            {"name": "beside", "at": "body 3", "accelerometer": sensor},
+        ],
+        "converter": {"rate": "5120 Hz"},
+    }
+    return rig.load("fig9", changes)
+
+
+def _expected(scene: rig.Scene) -> Expected:
+    response = rig.frequency_response(scene.replace(channels=None), [HZ], tolerance=1e-4)
+    return Expected(Peak(1e-4, HZ, FORCE, 2, 1.0, 0.0), None, tuple(response.closing_speed[:, 0].tolist()))
+
+
+@pytest.mark.thorough
+@pytest.mark.filterwarnings("ignore:.*no steady state:daq.RunWarning")
+@pytest.mark.parametrize("contact", [None, {"duration": "2 ms"}])
+def test_given_landings_and_a_sensor_when_told_to_be_overloaded_then_it_is_and_one_of_four_times_the_range_not(
+    contact: dict[str, Any] | None, tmp_path: Path
+) -> None:
+    resonance = {"resonance": "5 kHz", "q": 30}
+    scene = _scene(contact, resonance)
+    expected = _expected(scene)
+    shaken = shaken_by(assemble(scene), 1, expected.closing_speed, 5000.0)
+    for share in (0.5, 2.0):
+        limited = _scene(contact, {**resonance, "saturation": share * shaken})
+        path = tmp_path / f"{share}.mcap"
+        daq.record(limited, path)
+        with daq.open(path) as recording:
+            recorded = {mark.fields["channel"] for mark in recording.overloads}
+        told = overloads(limited, [expected])
+        assert [line.partition(":")[0] for line in told[1:-1]] == (["struck"] if share < 1.0 else [])
+        assert recorded == ({"struck"} if share < 1.0 else set())
+
+
+def test_given_a_sensor_without_a_resonance_when_landings_are_at_once_then_none_is_followed() -> None:
+    scene = _scene(None, {"saturation": "5000 g"})
+    _, line, cure = overloads(scene, [_expected(scene)])
+    assert line.startswith("struck: landings of up to") and "it follows 5000 g" in line
+    assert "contact: {duration: 2 ms}" in cure
+
+
+def test_given_no_landing_or_no_limit_when_told_then_nothing_is() -> None:
+    limited, unlimited = _scene(None, {"saturation": "1 g"}), _scene(None, {})
+    riding = Expected(Peak(1e-4, HZ, FORCE, 2, 1.0, 0.0), None, (0.0,))
+    assert not overloads(limited, [riding]) and not overloads(unlimited, [_expected(unlimited)])

@@ -92,6 +92,8 @@ class Chassis:
         Who waits for samples to pass.
     listeners : list of callable
         Called with every block of the bench at its own sample rate: the scope, a recording.
+    wired : list of callable
+        Called with the inputs of a task as they are about to be sampled.
     """
 
     def __init__(self, modules: Sequence[Module], source: SampleSource, clock: Clock) -> None:
@@ -100,6 +102,7 @@ class Chassis:
         lock = threading.RLock()
         self.changed, self.sleepers = threading.Condition(lock), Sleepers(lock)
         self.listeners: list[Callable[[SampleSource, Any], None]] = []
+        self.wired: list[Callable[[Sequence[Channel]], None]] = []
         self.inputs: dict[Runner, InputEngine] = {}
         self.outputs: dict[Runner, Generation] = {}
         self._output_taken = self._read = False
@@ -237,6 +240,8 @@ class Chassis:
         """Set the couplings and supplies that a task wants; with -50103 for inputs that run with others."""
         running = [each.acquisition.plan.rows for other, each in self.inputs.items() if other is not task]
         self.source.wire(channels, {row for rows in running for row in rows})
+        for hear in self.wired:
+            hear(channels)
 
     def run_input(self, task: Runner, plan: InputPlan) -> InputEngine:
         """Start an acquisition."""

@@ -19,6 +19,8 @@ from daq.instrument.connecting import connect_scene
 from daq.server.bench_time import BenchTime
 from daq.server.live import LiveRecording, LiveView
 from daq.server.service import Limits, Server
+from daq.server.starter_script import starter_script
+from daq.server.unfed_sensors import tell_unfed_sensors
 from rig.ending_signals import ENDINGS
 from rig.errors import SceneError
 from rig.input_files import read_whole
@@ -103,6 +105,7 @@ def serve(
         )
     credentials = None if certificates is None else certificates.credentials()
     chassis = connect_scene(scene, clock)
+    tell_unfed_sensors(chassis)
     with contextlib.ExitStack() as stack:
         try:
             server = Server(chassis, f"{host}:{port}", credentials, limits, (BenchTime(chassis),))
@@ -130,31 +133,13 @@ def announcement(chassis: Chassis, host: str, port: int, encrypted: bool) -> str
         lines.append(f"{module.name}: {module.product_type}" + (f", {', '.join(kinds)}" if kinds else ""))
         for terminal, row in zip(module.channel_names("ai"), module.inputs, strict=True):
             info = chassis.source.channels[row]
+            fed = "" if chassis.source.supply(row) is None else ", IEPE"
             lines.append(
-                f"  {terminal}: {info.name} at {info.at}, {1e3 * info.sensitivity:.4g} mV per {info.unit}"
+                f"  {terminal}: {info.name} at {info.at}, {1e3 * info.sensitivity:.4g} mV per {info.unit}{fed}"
             )
     opened = "grpc.insecure_channel" if not encrypted else "grpc.secure_channel"
     extra = "" if not encrypted else ', grpc.ssl_channel_credentials(open("ca.pem", "rb").read())'
-    first = next(
-        (
-            chassis.devices.module(name)
-            for name in chassis.devices.names
-            if chassis.devices.module(name).inputs
-        ),
-        None,
-    )
-    if first is not None:
-        lines += [
-            "",
-            "import grpc, nidaqmx",
-            f'channel = {opened}("{host}:{port}"{extra})',
-            'options = nidaqmx.GrpcSessionOptions(channel, session_name="")',
-            "with nidaqmx.Task(grpc_options=options) as task:",
-            f'    task.ai_channels.add_ai_voltage_chan("{first.name}/ai0")',
-            f"    task.timing.cfg_samp_clk_timing({chassis.source.sample_rate:g}, samps_per_chan=1000)",
-            "    print(task.read(1000))",
-        ]
-    return "\n".join(lines)
+    return "\n".join([*lines, *starter_script(chassis, f'{opened}("{host}:{port}"{extra})')])
 
 
 def _span(names: list[str]) -> str:

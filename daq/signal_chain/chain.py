@@ -22,7 +22,7 @@ from daq.signal_chain.stage import CABLE, Stage
 from rig.errors import SceneError
 from rig.scene.excitation import Impulse
 from rig.scene.measurement_chain import Accelerometer, Channel, Converter, Hammer
-from rig.scene.presets import filled_in, input_settings
+from rig.scene.presets import filled_in, input_settings, needs_supply
 from rig.scene.scene import Scene
 from rig.scene.shaker import DRIVE_PER_VOLT, at_shaker
 from rig.simulation.motion import Motion
@@ -197,11 +197,11 @@ def stages(channel: Channel, converter: Converter, seed: int) -> tuple[Stage, ..
         return (CABLE, *coupling(converter))
     if channel.measures_force:
         hammer = filled_in(channel.hammer or Hammer())
-        sensor, iepe = force_sensor(hammer, seed, channel.name), hammer.iepe
+        sensor = force_sensor(hammer, seed, channel.name)
     else:
         settings = filled_in(channel.accelerometer or Accelerometer())
-        sensor, iepe = accelerometer(settings, seed, channel.name), settings.iepe
-    line = [unfed(sensor) if iepe and converter.excitation == 0.0 else sensor]
+        sensor = accelerometer(settings, seed, channel.name)
+    line = [unfed(sensor) if needs_supply(channel) and converter.excitation == 0.0 else sensor]
     if channel.integrator is not None:
         line.append(integrating_amplifier(channel.integrator))
     return (*line, *coupling(converter))

@@ -58,6 +58,21 @@ def origin(settings: Accelerometer | Hammer | None, key: str) -> str:
     return f" by preset {sheet.name}{', from no source' if key in sheet.unchecked else ''}"
 
 
+def needs_supply(channel: Channel) -> bool:
+    """Whether the sensor at a channel works only while its input feeds it with a current (IEPE).
+
+    Examples
+    --------
+    >>> needs_supply(Channel(name="body1", at="body 1", accelerometer={"preset": "PCB 352C33"}))
+    True
+    >>> needs_supply(Channel(name="body1", at="body 1", accelerometer={"sensitivity": "100 mV/g"}))
+    False
+    """
+    if channel.measures_force:
+        return channel.hammer is not None and bool(filled_in(channel.hammer).iepe)
+    return channel.accelerometer is not None and bool(filled_in(channel.accelerometer).iepe)
+
+
 def input_settings(converter: Converter, channel: Channel) -> Converter:
     """Give the converter as it is at one channel: with the channel's own coupling and supply.
 

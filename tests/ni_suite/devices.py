@@ -143,6 +143,10 @@ class SimulatedSignals:
         """See `SampleSource.quiet`."""
         return True
 
+    def supply(self, row: int) -> float | None:
+        """See `SampleSource.supply`."""
+        return None
+
     def data_sheet(self, row: int) -> bytes | None:
         """See `SampleSource.data_sheet`."""
         return None

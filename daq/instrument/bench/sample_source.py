@@ -24,7 +24,7 @@ from daq.signal_chain.converter import SampleClock
 from daq.signal_chain.outputs import Outputs
 from daq.signal_chain.oversampling import oversampling
 from rig.scene.modules import module
-from rig.scene.presets import filled_in, input_settings
+from rig.scene.presets import filled_in, input_settings, needs_supply
 from rig.scene.shaker import DRIVE_PER_VOLT
 from rig.scene.teds import electronic_data_sheet
 from rig.simulation.motion import Motion
@@ -92,6 +92,9 @@ class SampleSource(Protocol):
 
     def wire(self, channels: Sequence[Channel], in_use: Collection[int]) -> None:
         """Set couplings and supplies as channels want them; with -50103 for those in use that have others."""
+
+    def supply(self, row: int) -> float | None:
+        """Give the current that feeds the sensor at a channel now, A; None where it needs none, or is fed somehow."""
 
     def data_sheet(self, row: int) -> bytes | None:
         """Give the electronic data sheet of the sensor at a channel; None if there is none to be read."""
@@ -221,6 +224,11 @@ class SceneSource:
         if channel.settings["ai_excit_src"] == Excitation.NONE:
             return 0.0
         return self._converter.excitation or channel.module.currents[0]
+
+    def supply(self, row: int) -> float | None:
+        """See `SampleSource.supply`."""
+        channel = self.wiring[row]
+        return input_settings(self.scene.converter, channel).excitation if needs_supply(channel) else None
 
     def data_sheet(self, row: int) -> bytes | None:
         """See `SampleSource.data_sheet`."""

@@ -1,0 +1,96 @@
+"""A script for NI's client that reads what is on a bench, each input as its sensor needs it."""
+
+from __future__ import annotations
+
+from itertools import groupby
+
+from daq.instrument.chassis import Chassis
+from daq.instrument.devices.modules import Module
+from daq.signal_chain.channel import ChannelInfo
+
+_G = 9.80665
+# Limits stay this far below full scale, that rounding does not put them above it.
+_BELOW = 1 - 1e-5
+# What makes a channel for a quantity: the driver's call, the unit, and what V per SI unit is as its sensitivity.
+_SENSORS = {
+    "acceleration": ("add_ai_accel_chan", "AccelUnits.METERS_PER_SECOND_SQUARED", 1e3 * _G),
+    "force": ("add_ai_force_iepe_chan", "ForceUnits.NEWTONS", 1e3),
+}
+_TERMINAL = "TERMINAL"
+_CONSTANTS = ("AccelUnits", "Coupling", "ExcitationSource", "ForceUnits")
+
+
+def starter_script(chassis: Chassis, channel: str) -> list[str]:
+    """Write a script that reads the inputs of a bench in their units.
+
+    Modules of one chassis make one task; of devices of their own it is the first.
+
+    Parameters
+    ----------
+    chassis : Chassis
+        The instrument.
+    channel : str
+        Expression for the connection to it.
+
+    Returns
+    -------
+    list of str
+        Its lines, an empty one first.
+    """
+    modules = [each for name in chassis.devices.names if (each := chassis.devices.module(name)).inputs]
+    first = modules[0]
+    together = [each for each in modules if each is first or (each.chassis and each.chassis == first.chassis)]
+    made = [f"    {line}" for module in together for line in _made(chassis, module)]
+    used = [each for each in _CONSTANTS if any(f"{each}." in line for line in made)]
+    return [
+        "",
+        "import grpc, nidaqmx, numpy",
+        *([f"from nidaqmx.constants import {', '.join(used)}"] if used else []),
+        f"channel = {channel}",
+        'options = nidaqmx.GrpcSessionOptions(channel, session_name="")',
+        "with nidaqmx.Task(grpc_options=options) as task:",
+        *made,
+        f"    task.timing.cfg_samp_clk_timing({chassis.source.sample_rate!r}, samps_per_chan=1000)",
+        "    data = numpy.array(task.read(1000))",
+        "print(data)",
+    ]
+
+
+def _made(chassis: Chassis, module: Module) -> list[str]:
+    """Write the statements that make the channels of a module; neighbours that are alike take one."""
+    numbered = [(_making(chassis, module, row), number) for number, row in enumerate(module.inputs)]
+    lines = []
+    for statement, group in groupby(numbered, key=lambda each: each[0]):
+        numbers = [number for _, number in group]
+        span = f"{numbers[0]}:{numbers[-1]}" if len(numbers) > 1 else f"{numbers[0]}"
+        lines += statement.replace(_TERMINAL, f"{module.name}/ai{span}").splitlines()
+    return lines
+
+
+def _making(chassis: Chassis, module: Module, row: int) -> str:
+    """Write the statement that makes a channel, its terminal left open, and what has to be set afterwards."""
+    info = chassis.source.channels[row]
+    fed, current = chassis.source.supply(row) is not None, module.currents[0]
+    if info.quantity in _SENSORS:
+        maker, unit, size = _SENSORS[info.quantity]
+        supply = f"INTERNAL, current_excit_val={current!r}" if fed else "NONE"
+        return (
+            f'task.ai_channels.{maker}(\n    "{_TERMINAL}"{_limits(info, info.sensitivity)}, units={unit},\n'
+            f"    sensitivity={info.sensitivity * size:.9g}, current_excit_source=ExcitationSource.{supply})"
+        )
+    call = f'task.ai_channels.add_ai_voltage_chan("{_TERMINAL}"{_limits(info, 1.0)})'
+    if not fed:
+        return call
+    # A sensor in front of an integrating amplifier: voltage channels take no excitation as they are made.
+    after = ["made.ai_excit_src = ExcitationSource.INTERNAL", f"made.ai_excit_val = {current!r}"]
+    if module.supply_coupling == "AC":
+        after.append("made.ai_coupling = Coupling.AC")
+    return "\n".join([f"made = {call}", *after])
+
+
+def _limits(info: ChannelInfo, volts_per_unit: float) -> str:
+    """Write limits that take the whole range; nothing where it has none."""
+    if info.range is None:
+        return ""
+    largest = info.range if volts_per_unit == 1.0 else _BELOW * info.range / volts_per_unit
+    return f", min_val={-largest:.6g}, max_val={largest:.6g}"

@@ -1,0 +1,37 @@
+"""A word on the bench's terminal where a script reads a sensor that gets no current: hardware would give it noise."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+
+from daq.instrument.chassis import Chassis
+from daq.instrument.settings.channels import Channel
+
+
+def tell_unfed_sensors(chassis: Chassis) -> None:
+    """Say on stderr, once for each input, when a task samples a sensor whose supply it leaves off."""
+    told: set[int] = set()
+
+    def hear(channels: Sequence[Channel]) -> None:
+        unfed = [each for each in channels if chassis.source.supply(each.row) == 0.0]
+        fresh = {each.row: each for each in unfed if each.row not in told}
+        if not fresh:
+            return
+        told.update(fresh)
+        infos = chassis.source.channels
+        inputs = ", ".join(f"{each.port.name} ({infos[row].name})" for row, each in fresh.items())
+        current = next(iter(fresh.values())).module.currents[0]
+        # A terminal that is gone is not the client's affair.
+        with suppress(OSError):
+            print(
+                f"note: no excitation for {inputs}: an IEPE sensor without it gives no more than noise; make the "
+                "channel with add_ai_accel_chan or add_ai_force_iepe_chan, or set its ai_excit_src to "
+                f"ExcitationSource.INTERNAL and its ai_excit_val to {current!r} "
+                "(`daq serve SCENE` prints a script that does)",
+                file=sys.stderr,
+                flush=True,
+            )
+
+    chassis.wired.append(hear)

@@ -1,0 +1,109 @@
+"""The script that `daq serve` prints reads what the sensors feel, and a sensor that gets no current is told of."""
+
+import nidaqmx
+import numpy as np
+import pytest
+from nidaqmx.constants import ExcitationSource
+
+import daq
+import rig
+from daq.server.script import run_script
+from daq.server.serve import announcement
+from daq.server.unfed_sensors import tell_unfed_sensors
+
+SCENE = """
+structure: {masses: [1 kg, 1 kg], springs: [40 kN/m, 40 kN/m], damping: {modal: 1 %}}
+shaker: {kind: force, body: 1}
+test: {kind: free, mode: 1, amplitude: 1 mm, duration: 10 s}
+channels: [CHANNELS]
+converter: {CONVERTER, rate: 5120 Hz}
+"""
+IEPE = "accelerometer: {preset: PCB 352C33}"
+FED = """{name: one, at: body 1, IEPE}, {name: two, at: body 2, IEPE},
+  {name: rough, at: body 2, accelerometer: {sensitivity: 13.7 mV/g, iepe: true}},
+  {name: plain, at: body 2, accelerometer: {sensitivity: 10 mV/g}},
+  {name: speed, at: body 2, IEPE, integrator: {order: 1, gain: 10}},
+  {name: force, at: shaker, hammer: {preset: PCB 208C02}}""".replace("IEPE", IEPE)
+
+
+def scene(channels, converter):
+    return rig.loads(SCENE.replace("CHANNELS", channels).replace("CONVERTER", converter))
+
+
+def starter(connection):
+    """Give the script that is printed for those who connect from another process."""
+    port = int(connection.address.rpartition(":")[2])
+    return announcement(connection.chassis, "127.0.0.1", port, encrypted=False).rpartition("\n\n")[2]
+
+
+@pytest.mark.parametrize(
+    ("channels", "converter", "read"),
+    [
+        (FED, "preset: NI 9234", 6),
+        (FED, "preset: NI 9234, coupling: DC", 6),
+        # Devices of their own do not share a task.
+        (FED, "preset: USB-4431", 4),
+        ("{name: one, at: body 1}, {name: two, at: body 2}", "bits: 24, range: 500 V", 2),
+        ("{name: one, at: body 1}", "sampling: point", 1),
+    ],
+    ids=["IEPE", "coupled for other sensors", "a device of its own", "ideal sensors", "one channel"],
+)
+def test_given_a_scene_when_its_starter_script_is_run_then_it_reads_what_its_sensors_feel(
+    channels, converter, read, capsys
+):
+    blocks = []
+    with daq.connect(scene(channels, converter), clock="fast") as connection:
+        chassis = connection.chassis
+        chassis.listeners.append(lambda source, block: blocks.append(source.physical(block.samples)))
+        tell_unfed_sensors(chassis)
+        namespace = {}
+        exec(starter(connection), namespace)
+        infos = connection.sensors[:read]
+    data = np.atleast_2d(namespace["data"])
+    expected = np.concatenate(blocks, axis=1)[:read, :1000]
+    in_volts = [info.sensitivity if info.quantity == "velocity" else 1.0 for info in infos]
+    np.testing.assert_allclose(data, expected * np.array(in_volts)[:, None], rtol=1e-6, atol=1e-9)
+    # The lower mode at a millimetre is 9 m/s^2 at body 1 and 15 m/s^2 at body 2.
+    moving = [row for row, info in enumerate(infos) if info.quantity == "acceleration"]
+    assert np.all(np.ptp(data[moving], axis=1) > 10.0)
+    out, err = capsys.readouterr()
+    assert str(namespace["data"]) in out
+    assert err == ""
+
+
+def test_given_sensors_without_excitation_when_read_again_and_again_then_the_bench_says_so_once_of_each(
+    capsys,
+):
+    with daq.connect(scene(FED, "preset: NI 9234"), clock="fast") as connection:
+        tell_unfed_sensors(connection.chassis)
+
+        def read(terminals, source):
+            with nidaqmx.Task(grpc_options=connection) as task:
+                task.ai_channels.add_ai_accel_chan(
+                    terminals, current_excit_source=source, current_excit_val=0.002
+                )
+                task.timing.cfg_samp_clk_timing(5120.0, samps_per_chan=10)
+                task.read(10)
+            return capsys.readouterr().err
+
+        assert read("cDAQ1Mod1/ai0", ExcitationSource.INTERNAL) == ""
+        told = read("cDAQ1Mod1/ai0,cDAQ1Mod1/ai3", ExcitationSource.NONE)
+        assert "no excitation for cDAQ1Mod1/ai0 (one): " in told
+        assert "ai_excit_val to 0.002" in told
+        assert "no excitation for cDAQ1Mod1/ai1 (two): " in read("cDAQ1Mod1/ai0:1", ExcitationSource.NONE)
+        assert read("cDAQ1Mod1/ai0:1", ExcitationSource.NONE) == ""
+
+
+def test_given_a_script_that_feeds_no_sensor_when_run_then_it_is_told_where_it_was_started(tmp_path, capfd):
+    script = tmp_path / "script.py"
+    script.write_text("""
+import nidaqmx
+with nidaqmx.Task() as task:
+    task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:3")
+    task.timing.cfg_samp_clk_timing(5120.0, samps_per_chan=10)
+    print(len(task.read(10)))
+""")
+    assert run_script(script, scene=scene(FED, "preset: NI 9234"), clock="fast") == 0
+    out, err = capfd.readouterr()
+    assert out == "4\n"
+    assert "no excitation for cDAQ1Mod1/ai0 (one), cDAQ1Mod1/ai1 (two), cDAQ1Mod1/ai2 (rough): " in err

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rig.damper_design.check import Expected
 from rig.damper_design.choice import Choice, Trial, mass_unit
 from rig.damper_design.design import Design
+from rig.damper_design.one_mass import rests_on
 from rig.damper_design.overloads import overloads
 from rig.damper_design.ranking import ALIKE
 from rig.escaping import drawn
@@ -142,6 +143,8 @@ def next_step(design: Design, scene: Path) -> str:
             f"daq record {file} -o {with_them}",
             f"analysis frf {without} {with_them}",
             f"analysis compare {without} {with_them}",
+            "",
+            *rests_on(design.scene.dampers, design.expected, scene),
         ]
     )
 

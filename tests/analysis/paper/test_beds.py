@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from analysis.paper import bed_chart, bed_study, contact_study, kept_study
-from analysis.paper.bed_claim import apart, bed_claim, certain, verdict
+from analysis.paper.bed_claim import NOT_FAR, apart, bed_claim, certain, verdict
 from analysis.paper.bed_study import (
     DAMPING,
     FREQUENCY,
@@ -31,6 +31,7 @@ from analysis.paper.bed_study import (
 )
 from analysis.paper.kept_study import rows
 from rig.bed_response.steady_bed import as_one_mass, steady_mass
+from rig.damper_design.one_mass import BELOW_CEILING, MIDDLE_HALF, WITHOUT_CEILING
 from rig.errors import RunError
 from rig.response.frequency_response import frequency_response
 from rig.workers import Workers
@@ -204,3 +205,11 @@ def test_given_a_setting_of_the_kept_table_when_followed_again_then_it_is_the_sa
     for name in ("grains_compliance", "grains_floor_impulse", "grains_energy"):
         assert float(again[name]) == pytest.approx(float(row[name]), rel=0.1), name
     assert float(again["mass_compliance"]) == pytest.approx(float(row["mass_compliance"]), rel=1e-4)
+
+
+def test_given_the_kept_table_when_counted_then_it_is_what_a_design_says_of_one_mass() -> None:
+    kept = table()
+    off, high = apart(kept, "compliance"), np.isinf(kept["clearance"])
+    for found, where in ((WITHOUT_CEILING, high), (BELOW_CEILING, ~high)):
+        assert found == (int((np.abs(off[where]) <= NOT_FAR).sum()), int(where.sum()))
+    assert tuple(np.round(100 * np.quantile(off[~high], [0.25, 0.75]))) == MIDDLE_HALF

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -16,14 +17,17 @@ import daq
 import rig
 from rig.damper_design.answers import Answers
 from rig.damper_design.asked import asked, mass_of
+from rig.damper_design.check import Expected
 from rig.damper_design.choice import FINE, Choice
 from rig.damper_design.design import chart_levels
 from rig.damper_design.figure import _clearance_label, next_step, summary, write
 from rig.damper_design.landings import INSTANT
-from rig.damper_design.worst_peak import curve
+from rig.damper_design.one_mass import rests_on
+from rig.damper_design.worst_peak import Peak, curve
 from rig.errors import SceneError
 from rig.orbits.problem import OrbitProblem
-from rig.system.open_loop_drive import with_ideal_force
+from rig.scene.damper import Damper
+from rig.system.open_loop_drive import level_of, with_ideal_force
 from rig.system.receptance import receptance
 from rig.workers import Workers
 
@@ -202,3 +206,26 @@ def test_given_quantities_in_words_when_asked_then_they_are_understood() -> None
     assert (space.places, space.clearance, question.levels) == (((1,), (3,)), (1e-3, 2e-3), (1.0, 3.0))
     with pytest.raises(SceneError, match="band: got 40 Hz; expected two"):
         asked(scene, None, None, 1, None, None, ["40 Hz"], None, (0.0, 0.0))
+
+
+def test_given_a_design_when_told_what_one_mass_is_worth_then_its_command_follows_the_same_dampers_as_grains() -> (
+    None
+):
+    dampers = [
+        Damper(body=2, mass=0.04, clearance=1e-3, contact={"duration": "2 ms"}),
+        Damper(body=3, mass=2.0, clearance=2e-3, restitution=0.3),
+    ]
+    peaks = [
+        Expected(Peak(size, 49.0, level, 2, 1.0, 0.0), None, ()) for size, level in ((1e-4, 2.0), (2e-4, 4.0))
+    ]
+    *_, command = rests_on(dampers, peaks, Path("a folder/check.yaml"))
+    words = shlex.split(command)
+    assert words[:3] == ["rig", "grains", "a folder/check.yaml"]
+    changes = [words[k + 1].split("=", 1) for k, word in enumerate(words) if word == "--set"]
+    followed = rig.load("fig9", {key: yaml.safe_load(value) for key, value in changes})
+    for damper, grains in zip(dampers, followed.dampers, strict=True):
+        assert (grains.body, grains.mass, grains.clearance) == pytest.approx(
+            (damper.body, damper.mass, damper.clearance)
+        )
+        assert grains.grains is not None and grains.grains.diameter == 2e-3
+    assert followed.test is not None and level_of(followed) == 4.0

@@ -1,0 +1,62 @@
+"""What a design rests on: beds that move as one mass. Where that was found to hold, and how to follow grains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from shlex import quote
+from typing import NamedTuple
+
+from rig.damper_design.check import Expected
+from rig.results import plainly
+from rig.scene.damper import Damper
+
+
+class Found(NamedTuple):
+    """In how many settings of a study one mass gave what grains do, within 10 %."""
+
+    near: int
+    settings: int
+
+
+#: Compliance of grains against one mass in the table of `analysis beds`, which a test holds these figures against:
+#: without a ceiling and below one, and by how much, in percent, the middle half of the latter is off.
+WITHOUT_CEILING, BELOW_CEILING, MIDDLE_HALF = Found(21, 36), Found(6, 61), (-46, -16)
+#: Of the shot to follow, m; and how far about the peak, relative, at how many frequencies.
+_SHOT, _REACH, _POINTS = 2e-3, 0.01, 3
+
+
+def rests_on(dampers: Sequence[Damper], expected: Sequence[Expected], scene: Path) -> list[str]:
+    """Say what one mass is worth beside grains, and with which command to follow these dampers as grains.
+
+    Parameters
+    ----------
+    dampers : sequence of Damper
+        Those of the design.
+    expected : sequence of Expected
+        What its check is to measure: it is followed at the largest of these peaks.
+    scene : Path
+        The scene of the check.
+    """
+    peak = max(one.peak for one in expected)
+    beds = ", ".join(_as_shot(damper) for damper in dampers)
+    low, high = (f"{peak.frequency * (1.0 + side):.4g}Hz" for side in (-_REACH, _REACH))
+    (near, settings), (near_below, below) = WITHOUT_CEILING, BELOW_CEILING
+    less, least = (-off for off in MIDDLE_HALF)
+    return [
+        "all this is of beds that move as one mass. Beside beds of grains (analysis beds; README, Limits) that gave",
+        f"the compliance within 10 % in {near} of {settings} settings without a ceiling, and in {near_below} of "
+        f"{below} below one,",
+        f"where the middle half of the grains left {least} to {less} % less. These dampers as shot of "
+        f"{plainly(1e3 * _SHOT)} mm, which may take hours:",
+        f"rig grains {quote(str(scene))} --set {quote(f'dampers=[{beds}]')} --set test.force={plainly(peak.level)}N "
+        f"--from {low} --to {high} --points {_POINTS} -o {quote(str(scene.with_name(f'{scene.stem}-grains.csv')))}",
+    ]
+
+
+def _as_shot(damper: Damper) -> str:
+    assert damper.mass is not None  # as a design's dampers have it
+    mass, clearance, shot = (plainly(1e3 * each) for each in (damper.mass, damper.clearance, _SHOT))
+    return (
+        f"{{body: {damper.body}, mass: {mass} g, clearance: {clearance} mm, grains: {{diameter: {shot} mm}}}}"
+    )

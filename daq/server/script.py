@@ -13,6 +13,7 @@ from pathlib import Path
 from daq.instrument.connecting import connect_scene
 from daq.server.bench_time import BenchTime, TimeLimit
 from daq.server.client_defaults import FAST, LIMITED, SERVER
+from daq.server.passed_signals import signals_passed_on
 from daq.server.service import Server
 from daq.server.unfed_sensors import tell_unfed_sensors
 from rig.errors import SceneError
@@ -49,7 +50,8 @@ def run_script(
     Returns
     -------
     int
-        Exit code: the script's own; 1 if it raised an exception, whose traceback is then on stderr.
+        Exit code: the script's own; 1 if it raised an exception, whose traceback is then on stderr; 128 + n if signal
+        n ended it, which may have come to this process.
 
     Raises
     ------
@@ -86,19 +88,8 @@ def _run(command: list[str], port: int, real: bool, limit: TimeLimit) -> int:
     environment |= ({} if real else {FAST: "1"}) | ({} if limit.endless else {LIMITED: "1"})
     process = subprocess.Popen([sys.executable, *command], env=environment)
     limit.process = process.pid
-    # Ctrl-C is the script's to deal with; it reaches the whole group.
-    before = signal.signal(signal.SIGINT, lambda *_: None) if _in_main_thread() else None
-    try:
+    with signals_passed_on(process):
         code = process.wait()
-    finally:
-        if before is not None:
-            signal.signal(signal.SIGINT, before)
     if code in (-signal.SIGINT, CTRL_C_EXIT):
         return 0 if limit.reached else 130
     return code if code >= 0 else 128 - code
-
-
-def _in_main_thread() -> bool:
-    import threading
-
-    return threading.current_thread() is threading.main_thread()

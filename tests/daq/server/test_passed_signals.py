@@ -1,0 +1,122 @@
+"""Whoever ends `daq run` ends its script: no process is left, and what was logged can be read."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+import daq
+from daq.server import passed_signals
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="elsewhere a signal cannot be sent to one process")
+
+SCRIPT = """
+import os, signal, sys
+import nidaqmx
+from nidaqmx.constants import AcquisitionType, LoggingMode, LoggingOperation
+BEFORE
+with nidaqmx.Task() as task:
+    task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:3", min_val=-500.0, max_val=500.0)
+    task.timing.cfg_samp_clk_timing(5120.0, sample_mode=AcquisitionType.CONTINUOUS)
+    task.in_stream.configure_logging(
+        sys.argv[1], LoggingMode.LOG_AND_READ, operation=LoggingOperation.CREATE_OR_REPLACE
+    )
+    task.start()
+    task.read(5120)
+    print(os.getpid(), flush=True)
+    while True:
+        task.read(512)
+"""
+# Tests that are started in the background may have been made deaf to signals, which processes hand down.
+COMMAND = """
+import signal
+for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    signal.signal(each, signal.SIG_DFL)
+from daq.cli import main
+main()
+"""
+IGNORE = "signal.signal(signal.SIGTERM, signal.SIG_IGN)"
+IN_ORDER = "signal.signal(signal.SIGTERM, lambda *_: sys.exit(7))"
+
+
+@pytest.fixture
+def running(tmp_path):
+    """Start `daq run` of a script that logs and never ends; give its process, that of the script, and the log."""
+    started = []
+
+    def start(before=""):
+        script, log = tmp_path / "script.py", tmp_path / "log.mcap"
+        script.write_text(SCRIPT.replace("BEFORE", before))
+        words = ["run", "--scene", "bare-structure", "--clock", "fast", str(script), str(log)]
+        process = subprocess.Popen(
+            [sys.executable, "-c", COMMAND, *words],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        started.append(process)
+        return process, int(process.stdout.readline()), log
+
+    yield start
+    for process in started:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("before", "how", "send", "code"),
+    [
+        ("", signal.SIGTERM, os.kill, 128 + signal.SIGTERM),
+        ("", signal.SIGHUP, os.kill, 128 + signal.SIGHUP),
+        ("", signal.SIGINT, os.kill, 128 + signal.SIGINT),
+        ("", signal.SIGINT, os.killpg, 128 + signal.SIGINT),
+        ("", signal.SIGTERM, os.killpg, 128 + signal.SIGTERM),
+        (IN_ORDER, signal.SIGTERM, os.kill, 7),
+        (IGNORE, signal.SIGTERM, os.kill, 128 + signal.SIGKILL),
+    ],
+    ids=[
+        "terminated",
+        "hung up",
+        "interrupted",
+        "Ctrl-C",
+        "all terminated",
+        "ends in order",
+        "does not listen",
+    ],
+)
+def test_given_a_script_that_logs_without_end_when_the_command_is_ended_then_so_is_it_and_the_log_is_whole(
+    running, before, how, send, code
+):
+    process, script, log = running(before)
+    send(process.pid, how)
+    assert process.wait(60) == code
+    with pytest.raises(ProcessLookupError):
+        os.kill(script, 0)
+    with daq.open(log) as recording:
+        recording.check()
+        assert recording.samples >= 5120
+
+
+@pytest.fixture
+def hears_ctrl_c():
+    """Have processes that are started hear Ctrl-C, whatever started the tests."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def test_given_a_ctrl_c_when_a_witness_is_asked_then_it_tells_whether_all_of_the_group_heard_it(
+    monkeypatch, hears_ctrl_c
+):
+    monkeypatch.setattr(passed_signals, "_HEARD", 0.0)
+    with passed_signals._Witness() as witness:
+        assert not witness.heard()
+        monkeypatch.setattr(passed_signals, "_HEARD", 60.0)
+        for _ in range(2):
+            os.kill(witness._process.pid, signal.SIGINT)
+            assert witness.heard()

@@ -30,14 +30,6 @@ with nidaqmx.Task() as task:
     while True:
         task.read(512)
 """
-# Tests that are started in the background may have been made deaf to signals, which processes hand down.
-COMMAND = """
-import signal
-for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-    signal.signal(each, signal.SIG_DFL)
-from daq.cli import main
-main()
-"""
 IGNORE = "signal.signal(signal.SIGTERM, signal.SIG_IGN)"
 IN_ORDER = "signal.signal(signal.SIGTERM, lambda *_: sys.exit(7))"
 
@@ -52,7 +44,7 @@ def running(tmp_path):
         script.write_text(SCRIPT.replace("BEFORE", before))
         words = ["run", "--scene", "bare-structure", "--clock", "fast", str(script), str(log)]
         process = subprocess.Popen(
-            [sys.executable, "-c", COMMAND, *words],
+            [sys.executable, "-m", "daq", *words],
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             start_new_session=True,
@@ -102,17 +94,7 @@ def test_given_a_script_that_logs_without_end_when_the_command_is_ended_then_so_
         assert recording.samples >= 5120
 
 
-@pytest.fixture
-def hears_ctrl_c():
-    """Have processes that are started hear Ctrl-C, whatever started the tests."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
-def test_given_a_ctrl_c_when_a_witness_is_asked_then_it_tells_whether_all_of_the_group_heard_it(
-    monkeypatch, hears_ctrl_c
-):
+def test_given_a_ctrl_c_when_a_witness_is_asked_then_it_tells_whether_all_of_the_group_heard_it(monkeypatch):
     monkeypatch.setattr(passed_signals, "_HEARD", 0.0)
     with passed_signals._Witness() as witness:
         assert not witness.heard()

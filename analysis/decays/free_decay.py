@@ -14,6 +14,7 @@ from analysis.decays.sensor_correction import corrected
 from analysis.recordings.channel_delay import arrival
 from analysis.recordings.slices import hits
 from analysis.responses.measurands import motion_channel, responses
+from analysis.responses.systematic import clock_deviation
 from rig.errors import RecordingError, SceneError
 from rig.results import Result, styled
 from rig.scene.scene import STANDARD_GRAVITY
@@ -86,7 +87,7 @@ class Decay(Result):
 
     def summary(self) -> str:
         """Say what decayed, from where, and each mode with its damping ratio at its largest amplitude."""
-        modes = [f"{m.frequency:.4g} Hz ({100 * m.damping[0]:.3g} %)" for m in self.modes if m.damping.size]
+        modes = [f"{m.told_frequency()} ({100 * m.damping[0]:.3g} %)" for m in self.modes if m.damping.size]
         largest = float(abs(self.acceleration).max())
         return (
             f"{self.label}, {self.channel} after hit {self.hit}: from {largest:.3g} m/s²; {', '.join(modes)}"
@@ -202,8 +203,10 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     acceleration = corrected(info, samples, "acceleration", lowest, high)[: stop - before]
     free = begin - before
     found = spectral_peaks(acceleration[free:], rec.rate, most, lowest, min(highest, high))
+    clock = clock_deviation(rec)
     parts = tuple(
-        modal_decay(acceleration, rec.rate, float(f), band_width(found, i), free) for i, f in enumerate(found)
+        modal_decay(acceleration, rec.rate, float(f), band_width(found, i), free, clock=clock)
+        for i, f in enumerate(found)
     )
     if len(parts) < most:
         notes.append(

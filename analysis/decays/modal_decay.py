@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage, signal
 
-from rig.results import Result, styled
+from rig.results import Result, bounded, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,8 +40,11 @@ class ModalDecay(Result):
 
     Attributes
     ----------
-    frequency : float
-        Hz, of the mode at small amplitude.
+    frequency, frequency_error : float
+        Natural frequency at the amplitude at which it is told best, Hz, and its standard uncertainty: noise, what
+        band-pass and fall do, the clock. NaN where no amplitude tells it: it is then the centre.
+    centre : float
+        Of the band-pass, Hz: the peak in the spectrum.
     time, envelope : ndarray, shape (n,)
         s after the hit; amplitude of the acceleration in m/s².
     noise : float
@@ -53,9 +56,13 @@ class ModalDecay(Result):
         Damping ratio at those amplitudes, and its standard uncertainty: noise, and half of `damping_smear`.
     damping_smear : ndarray, shape (levels,)
         How far the damping ratio may be off because band-pass and fall take in what it is at amplitudes around.
+    natural, natural_error : ndarray, shape (levels,)
+        Natural frequency at those amplitudes, Hz, and its standard uncertainty from the same causes.
     """
 
     frequency: float
+    frequency_error: float
+    centre: float
     time: Array
     envelope: Array
     noise: float
@@ -63,10 +70,12 @@ class ModalDecay(Result):
     damping: Array
     damping_error: Array
     damping_smear: Array
+    natural: Array
+    natural_error: Array
 
     def summary(self) -> str:
         """Say which mode, and its damping ratio from the largest amplitude to the smallest."""
-        told = f"{self.frequency:.4g} Hz, {self.damping.size} amplitudes"
+        told = f"{self.told_frequency()}, {self.damping.size} amplitudes"
         if not self.damping.size:
             return told
         return (
@@ -75,18 +84,24 @@ class ModalDecay(Result):
         )
 
     def columns(self) -> dict[str, Array]:
-        """Amplitude, damping ratio there, and its standard uncertainty."""
+        """Amplitude, damping ratio and natural frequency there, and their standard uncertainties."""
         return {
             "amplitude_m/s²": self.amplitude,
             "damping_ratio": self.damping,
             "damping_ratio_std": self.damping_error,
+            "frequency_Hz": self.natural,
+            "frequency_std_Hz": self.natural_error,
         }
+
+    def told_frequency(self) -> str:
+        """Write the natural frequency with its 95 % bound."""
+        return bounded(self.frequency, 2.0 * self.frequency_error, "Hz")
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Damping ratio against amplitude, with its 95 % bound."""
         percent, half = 100.0 * self.damping, 200.0 * self.damping_error
         (line,) = ax.semilogx(
-            self.amplitude, percent, "o-", **styled(style, ms=3, label=f"{self.frequency:.4g} Hz")
+            self.amplitude, percent, "o-", **styled(style, ms=3, label=self.told_frequency())
         )
         ax.fill_between(
             self.amplitude, percent - half, percent + half, color=line.get_color(), alpha=0.2, lw=0
@@ -156,6 +171,7 @@ def modal_decay(
     width: float,
     begin: int,
     amplitudes: Array | None = None,
+    clock: float = 0.0,
 ) -> ModalDecay:
     """Envelope of one mode, and its damping ratio against amplitude.
 
@@ -178,6 +194,8 @@ def modal_decay(
     amplitudes : ndarray, optional
         Amplitudes in m/s² at which the damping ratio is wanted, NaN where the decay has none; omitted, every
         1.5 dB down to the noise.
+    clock : float
+        Share of itself by which the rate may be off.
     """
     analytic, edge = _band_passed(acceleration, rate, frequency, width)
     envelope = np.abs(analytic)
@@ -185,25 +203,44 @@ def modal_decay(
     usable = slice(begin + edge, max(acceleration.size - edge, begin + edge))
     noise = _noise(analytic[usable], rate, frequency, width)
     levels = _levels(envelope[usable]) if amplitudes is None else np.log(amplitudes)
-    damping, kink = _damping(analytic[usable], levels, _HALF)
+    damping, natural, kink = _damping(analytic[usable], levels, _HALF)
     # Half of the noise changes the envelope; at the two levels it is independent.
     amplitude = np.exp(levels)
     relative = np.hypot(np.exp(-_HALF), np.exp(_HALF)) * noise / np.sqrt(2.0) / amplitude / (2.0 * _HALF)
     more, more_edge = _band_passed(acceleration, rate, frequency, width / _SMEAR)
     late = slice(begin + more_edge, max(acceleration.size - more_edge, begin + more_edge))
-    smeared, _ = _damping(more[late], levels, _HALF)
-    longer, _ = _damping(analytic[usable], levels, _FALL * _HALF)
+    smeared, natural_smeared, _ = _damping(more[late], levels, _HALF)
+    longer, natural_longer, _ = _damping(analytic[usable], levels, _FALL * _HALF)
     # What noise bends is no kink.
     kink = np.sqrt(np.maximum(kink**2 - (_KINK * np.sqrt(1.5) * noise / amplitude / _HALF) ** 2, 0.0))
     smear = _smear(damping, smeared, longer, kink)
     error = np.hypot(relative * damping, 0.5 * smear)
+    # The phase at the two levels is as uncertain as the logarithm of the envelope; between them it turns by much more.
+    natural_error = np.hypot(
+        np.hypot(relative * damping, 0.5 * clock) * natural,
+        0.5 * _natural_smear(natural, natural_smeared, natural_longer),
+    )
     good = np.ones(levels.size, dtype=bool)
     if amplitudes is None:
         good = np.isfinite(damping) & (damping > 0) & (relative < WORST)
+    turns = rate / (2.0 * np.pi)
+    natural, natural_error = turns * natural[good], turns * natural_error[good]
     return ModalDecay(
-        frequency, time[begin:], envelope[begin:], noise,
-        amplitude[good], damping[good], error[good], smear[good],
+        *_best(natural, natural_error, frequency), frequency, time[begin:], envelope[begin:], noise,
+        amplitude[good], damping[good], error[good], smear[good], natural, natural_error,
     )  # fmt: skip
+
+
+def _best(natural: Array, error: Array, peak: float) -> tuple[float, float]:
+    """Choose the natural frequency that is told best, with its error; the peak in the spectrum where none is.
+
+    A neighbour that is not told apart and dies away more slowly has the small amplitudes for itself.
+    """
+    own = np.flatnonzero(np.isfinite(error) & (abs(natural / peak - 1.0) < _SAME_MODE))
+    if not own.size:
+        return peak, float("nan")
+    best = own[np.argmin(error[own])]
+    return float(natural[best]), float(error[best])
 
 
 def _band_passed(
@@ -251,15 +288,16 @@ def _levels(envelope: Array) -> Array:
     return np.arange(hull[0] - 1.25 * _HALF, hull[-1] + _HALF, -_HALF / 2.0)
 
 
-def _damping(analytic: ComplexArray, levels: Array, half: float) -> tuple[Array, Array]:
+def _damping(analytic: ComplexArray, levels: Array, half: float) -> tuple[Array, Array, Array]:
     """Damping ratios at levels, each from the fall by `half` nepers on either side; NaN where there is none.
 
-    The frequency is that of the same fall: dampers that come to rest lower it. And the part of each by which a kink
-    in the fall would let it be off.
+    The natural frequency, in radians per sample, is that of the same fall: dampers that come to rest lower it. And the
+    part of each damping ratio by which a kink in the fall would let it be off.
     """
     envelope = np.abs(analytic)
     if envelope.size < 8 or envelope.max() <= 0:
-        return np.full(levels.size, np.nan), np.zeros(levels.size)
+        nothing = np.full(levels.size, np.nan)
+        return nothing, nothing, np.zeros(levels.size)
     hull = _falling(envelope)
     upper, lower = _passed(hull, levels + half), _passed(hull, levels - half)
     logarithm, phase = np.log(np.maximum(envelope, 1e-300)), np.unwrap(np.angle(analytic))
@@ -268,7 +306,8 @@ def _damping(analytic: ComplexArray, levels: Array, half: float) -> tuple[Array,
     fits = [_slope(logarithm, a, b, level) for a, b, level in zip(upper, lower, levels, strict=True)]
     fall, rest = np.array(fits).reshape(-1, 2).T
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(fall / np.hypot(turned / (lower - upper), fall)), _KINK * rest / half
+        natural = np.hypot(turned / (lower - upper), fall)
+        return np.asarray(fall / natural), natural, _KINK * rest / half
 
 
 def _slope(logarithm: Array, first: float, last: float, level: float) -> tuple[float, float]:
@@ -303,6 +342,13 @@ def _smear(damping: Array, smeared: Array, longer: Array, kink: Array) -> Array:
             # At the ends, where more cannot be taken in, what is known nearest counts.
             out += share * np.interp(np.arange(off.size), known, off[known])
     return np.asarray(ndimage.maximum_filter1d(out, 2 * _FELT + 1) if out.size else out)
+
+
+def _natural_smear(natural: Array, smeared: Array, longer: Array) -> Array:
+    """How far natural frequencies may be off for band-pass and fall; NaN where nothing tells what one of them does."""
+    if not (np.isfinite(smeared - natural).any() and np.isfinite(longer - natural).any()):
+        return np.full(natural.size, np.nan)
+    return _smear(natural, smeared, longer, np.zeros(natural.size))
 
 
 def _passed(hull: Array, levels: Array) -> Array:

@@ -98,7 +98,10 @@ def _damping_row(
         plain_logarithmic(axes.xaxis, 5)
         axes.axvline(gravity, color="#777777", lw=0.8, ls=":")
         axes.set_xlabel("amplitude / (m/s²)")
-        axes.set_title(f"{members[0][1].frequency:.1f} Hz", fontsize=9, fontweight="normal")
+        # Where recordings differ, the mode's frequency in one after the other.
+        inturn = sorted(members, key=lambda member: member[0])
+        told = dict.fromkeys(f"{mode.frequency:.1f}" for _, mode in inturn)
+        axes.set_title(f"{', '.join(told)} Hz", fontsize=9, fontweight="normal")
         if column == 0:
             axes.set_ylabel("damping ratio / %")
         else:

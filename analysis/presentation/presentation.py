@@ -167,10 +167,10 @@ def describe_decay(one: Decay) -> list[str]:
     for mode in one.modes:
         if mode.damping.size:
             ends = ", ".join(_damping_at(mode, index) for index in (0, -1))
-            out.append(f"  {mode.frequency:.2f} Hz: damping ratio {ends}; noise {mode.noise:.1g} m/s²")
+            out.append(f"  {mode.told_frequency()}: damping ratio {ends}; noise {mode.noise:.1g} m/s²")
         else:
             out.append(
-                f"  {mode.frequency:.2f} Hz: too short, or too near its noise of {mode.noise:.1g} m/s², for a "
+                f"  {mode.told_frequency()}: too short, or too near its noise of {mode.noise:.1g} m/s², for a "
                 "damping ratio"
             )
     return out

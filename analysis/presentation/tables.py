@@ -81,10 +81,10 @@ def _envelope_rows(decays: Sequence[Decay]) -> Iterator[Row]:
 
 
 def damping_table(path: Path, decays: Sequence[Decay]) -> Path:
-    """Table of damping ratio against amplitude, mode by mode."""
+    """Table of damping ratio and natural frequency against amplitude, mode by mode."""
     heading = [
         "scene", "channel", "hit", "mode_Hz", "amplitude m/s^2", "damping_ratio", "damping_ratio_std",
-        "log_decrement",
+        "log_decrement", "frequency_Hz", "frequency_std_Hz",
     ]  # fmt: skip
     return write_table(path, heading, _damping_rows(decays))
 
@@ -92,12 +92,12 @@ def damping_table(path: Path, decays: Sequence[Decay]) -> Path:
 def _damping_rows(decays: Sequence[Decay]) -> Iterator[Row]:
     for decay in decays:
         for mode in decay.modes:
-            numbers = zip(mode.amplitude, mode.damping, mode.damping_error, mode.decrement, strict=True)
-            for amplitude, damping, error, decrement in numbers:
-                yield (
-                    decay.label, decay.channel, decay.hit, mode.frequency, amplitude, damping, error,
-                    decrement,
-                )  # fmt: skip
+            numbers = zip(
+                mode.amplitude, mode.damping, mode.damping_error, mode.decrement, mode.natural,
+                mode.natural_error, strict=True,
+            )  # fmt: skip
+            for row in numbers:
+                yield (decay.label, decay.channel, decay.hit, mode.frequency, *row)
 
 
 def modes_table(path: Path, found: Sequence[Modes]) -> Path:

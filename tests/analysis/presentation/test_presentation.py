@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -215,6 +216,17 @@ def test_given_five_modes_when_drawn_then_their_titles_do_not_touch():
     assert titles[-1].x1 < figure.bbox.x1
     chart = figure.axes[1]
     assert chart.get_legend().get_window_extent().y0 >= chart.get_window_extent().y1
+
+
+def test_given_recordings_whose_modes_differ_when_overlaid_then_a_panel_is_titled_with_both(folder):
+    with daq.open(folder / "hit.mcap") as rec:
+        decay = analysis.decay(rec)
+    shifted = [replace(mode, frequency=0.97 * mode.frequency) for mode in decay.modes]
+    figure = decay_figure([decay, replace(decay, modes=tuple(shifted))], "Free decay")
+    titles = [axes.get_title(loc="left") for axes in figure.axes[2:]]
+    assert titles == [
+        f"{one.frequency:.1f}, {two.frequency:.1f} Hz" for one, two in zip(decay.modes, shifted, strict=True)
+    ]
 
 
 def test_given_damping_that_hardly_varies_when_drawn_then_its_axis_has_labels(folder):

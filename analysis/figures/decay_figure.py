@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 
 # Two modes of different recordings are the same one when their frequencies differ by less than this.
 _SAME_MODE = 0.15
+# Frequencies that a panel has room for in its title.
+_MOST_TITLED = 3
 
 
 def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
@@ -98,10 +100,7 @@ def _damping_row(
         plain_logarithmic(axes.xaxis, 5)
         axes.axvline(gravity, color="#777777", lw=0.8, ls=":")
         axes.set_xlabel("amplitude / (m/s²)")
-        # Where recordings differ, the mode's frequency in one after the other.
-        inturn = sorted(members, key=lambda member: member[0])
-        told = dict.fromkeys(f"{mode.frequency:.1f}" for _, mode in inturn)
-        axes.set_title(f"{', '.join(told)} Hz", fontsize=9, fontweight="normal")
+        axes.set_title(_frequencies(members), fontsize=9, fontweight="normal")
         if column == 0:
             axes.set_ylabel("damping ratio / %")
         else:
@@ -121,6 +120,17 @@ def _damping_row(
             low, high = min(low, *inside) / 1.3, max(high, *inside) * 1.3
             plain_logarithmic(first.yaxis, 6)
             first.set_ylim(low, high)
+
+
+def _frequencies(members: list[tuple[int, ModalDecay]]) -> str:
+    """Write a mode's frequency in one recording after the other, of many the lowest and the highest."""
+    told = list(
+        dict.fromkeys(f"{mode.frequency:.1f}" for _, mode in sorted(members, key=lambda member: member[0]))
+    )
+    if len(told) > _MOST_TITLED:
+        low, *_, high = sorted(told, key=float)
+        return f"{low} to {high} Hz"
+    return f"{', '.join(told)} Hz"
 
 
 def _columns(decays: Sequence[Decay]) -> list[list[tuple[int, ModalDecay]]]:

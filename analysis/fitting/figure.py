@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.figure_style import colour, decades, drawing, frequency_axis, heading, legend_below
+from rig.results import plainly
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -84,5 +85,6 @@ def _missed(ax: Axes, one: Compared) -> None:
     decades(ax, [one.misses], most=5.0)
     ax.axhline(2.0, color="#555555", lw=0.6)
     ax.set_ylabel("miss / std. deviation")
-    left_out = f", {int((~used).sum())} points left out" if not used.all() else ""
-    heading(ax, f"Off by {100 * one.relative:.2g} % of the curve, rms{left_out}")
+    missing = int((~used).sum())
+    left_out = f", {missing} point{'s' if missing > 1 else ''} left out" if missing else ""
+    heading(ax, f"Off by {plainly(100 * one.relative)} % of the curve, rms{left_out}")

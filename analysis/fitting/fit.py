@@ -19,7 +19,7 @@ from analysis.fitting.problem import Problem, slope
 from analysis.fitting.separation import LevelDamping, damping_by_level
 from analysis.recordings.names import opened
 from rig.errors import RecordingError, SceneError
-from rig.results import Result, styled
+from rig.results import Result, plainly, styled
 from rig.scene.scene import Scene
 from rig.system.structure import natural_modes, structure_matrices
 
@@ -328,7 +328,7 @@ def _misfit(found: Estimate, compared: Sequence[Compared]) -> str:
     if found.variance > NOT_NOISE and worst.relative > ANOTHER:
         return (
             f"{worst.curves.label}: even the nearest values miss the curves by {worst.relative:.1%} of them (root mean "
-            f"square), {np.sqrt(found.variance):.3g} times their stated errors."
+            f"square), {plainly(np.sqrt(found.variance))} times their stated errors."
         )
     return ""
 

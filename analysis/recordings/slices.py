@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.recording.timebase import refuse_reversed
 from rig.errors import RecordingError, SceneError
 
 if TYPE_CHECKING:
@@ -54,6 +55,7 @@ class Slice:
             if name not in recording.channels:
                 known = ", ".join(recording.channels)
                 raise SceneError(f"{recording.path} has no channel {name!r}; its channels are {known}")
+        refuse_reversed(from_s, to_s)
         start = 0 if from_s is None else max(0, math.ceil(from_s * recording.rate))
         stop = recording.samples if to_s is None else min(recording.samples, math.ceil(to_s * recording.rate))
         if start >= stop:

@@ -20,6 +20,7 @@ from daq.importing.signal import Array, Signal
 from daq.importing.steps import StepFinder, mark_steps
 from daq.measurement.run import RunWarning
 from daq.recording.recorder import Recorder
+from daq.recording.timebase import refuse_reversed
 from rig.errors import RecordingError, SceneError
 from rig.numerics.runs import runs_of
 from rig.output_files import destination, replacing
@@ -200,6 +201,7 @@ def _cut(
     """Take the samples between two times."""
     if from_s is None and to_s is None:
         return made
+    refuse_reversed(from_s, to_s)
     longest = max(one.signal.samples for one in made)
     start = 0 if from_s is None else max(0, math.ceil(from_s * rate))
     stop = longest if to_s is None else min(longest, math.ceil(to_s * rate))

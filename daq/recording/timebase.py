@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.signal_chain.field_checks import Check, is_number
-from rig.errors import RecordingError
+from rig.errors import RecordingError, SceneError
 
 CLOCK = {
     "rate": Check(lambda value: is_number(value) and 1e-9 <= value <= 1e12, "a rate from 1e-9 Hz to 1e12 Hz"),
@@ -69,3 +69,15 @@ class Timebase:
         # The subtraction wraps around in 64 bits, which is right for every span below 292 years.
         since = (time_ns - np.uint64(self.start_ns % 2**64)).view(np.int64)
         return np.clip(np.rint(since * (self.rate * 1e-9)), -(2.0**62), 2.0**62).astype(np.int64)
+
+
+def refuse_reversed(from_s: float | None, to_s: float | None) -> None:
+    """Refuse a stretch, in s, whose ends have changed places.
+
+    Raises
+    ------
+    SceneError
+        If it ends before it begins.
+    """
+    if from_s is not None and to_s is not None and to_s < from_s:
+        raise SceneError(f"--from {from_s:g} s is after --to {to_s:g} s: expected the earlier time first")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from daq.drawing.rig_view import Extremes, RigView
+from daq.recording.timebase import refuse_reversed
 from daq.replay.blueprint import OVERLOADS, Content, layout
 from daq.replay.info_page import about
 from daq.replay.marker_log import MarkedSlice, log_lines, overloads, phases
@@ -59,6 +60,7 @@ class Replay:
 
         if not (math.isfinite(speed) and speed > 0):
             raise SceneError(f"--speed {speed:g}: expected a positive factor, such as 0.1 for slow motion")
+        refuse_reversed(begin_s, end_s)
         self.recording = recording
         self.speed = speed
         rate = recording.rate

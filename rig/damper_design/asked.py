@@ -57,7 +57,8 @@ def _bodies(given: Sequence[int | str] | None, scene: Scene, name: str) -> tuple
     except ValueError:
         found = (0,)
     if not set(found) <= set(everywhere):
-        raise SceneError(f"{name}: got {given}; expected numbers of bodies, from 1 to {everywhere[-1]}")
+        got = ", ".join(str(one)[:20] for one in given or ())
+        raise SceneError(f"{name}: got {got}; expected numbers of bodies, from 1 to {everywhere[-1]}")
     return found
 
 

@@ -179,7 +179,7 @@ def test_given_pieces_smaller_than_the_recording_when_exported_then_the_file_is_
     [
         ({"channels": ["body9"]}, "no channel 'body9'; its channels are body1, body2"),
         ({"from_s": 5.0}, "lasts from 0 s to 1.95312 s"),
-        ({"from_s": 1.0, "to_s": 0.5}, "nothing to export"),
+        ({"from_s": 1.0, "to_s": 0.5}, "--from 1 s is after --to 0.5 s"),
     ],
 )
 def test_given_a_stretch_that_is_not_there_when_asked_for_then_the_error_tells_what_is(

@@ -225,8 +225,10 @@ def test_given_points_left_out_when_drawn_then_they_are_crosses_on_both_sides():
     with daq.open(DEMO) as recording:
         [demo] = measured(recording, "demo")
     curves = replace(demo, frequency=np.arange(10.0, 14.0), value=value, sensors=demo.sensors[:1])
-    found = SimpleNamespace(compared=[Compared(curves, value, used, np.ones((1, 4)), 0.0)])
-    for ax in fit_figure(found).axes:  # type: ignore[arg-type]
+    found = SimpleNamespace(compared=[Compared(curves, value, used, np.ones((1, 4)), 1.0)])
+    axes = fit_figure(found).axes  # type: ignore[arg-type]
+    assert axes[1].get_title(loc="left") == "Off by 100 % of the curve, rms, 1 point left out"
+    for ax in axes:
         crosses = [line for line in ax.lines if line.get_marker() == "x"]
         assert [np.isfinite(line.get_ydata()).tolist() for line in crosses] == [(~used).tolist()]
 

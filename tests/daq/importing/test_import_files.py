@@ -176,6 +176,12 @@ def test_given_a_release_that_comes_late_when_imported_then_it_is_told_and_can_b
         np.testing.assert_allclose(recording.read("body2"), rows[1, 3072:5120], rtol=1e-8, atol=1e-9)
 
 
+def test_given_times_that_have_changed_places_when_imported_then_the_error_says_so(tmp_path):
+    csv(tmp_path / "a.csv", histories(600))
+    with pytest.raises(SceneError, match=r"--from 0\.2 s is after --to 0\.1 s"):
+        daq.import_files(tmp_path / "a.csv", bench(), tmp_path / "r.mcap", from_s=0.2, to_s=0.1)
+
+
 def test_given_the_table_as_yaml_or_csv_when_imported_then_both_say_the_same(tmp_path):
     csv(tmp_path / "a.csv", histories(600))
     (tmp_path / "t.yaml").write_text(

@@ -180,7 +180,11 @@ def test_given_accelerations_only_when_replayed_then_the_motion_is_integrated_an
 
 @pytest.mark.parametrize(
     ("begin", "end", "speed", "said"),
-    [(2.0, None, 1.0, "lasts 1.000 s"), (0.6, 0.5, 1.0, "leave no sample"), (None, None, 0.0, "--speed 0")],
+    [
+        (2.0, None, 1.0, "lasts 1.000 s"),
+        (0.6, 0.5, 1.0, "is after --to 0.5 s"),
+        (None, None, 0.0, "--speed 0"),
+    ],
 )
 def test_given_a_part_or_speed_that_cannot_be_when_replayed_then_the_error_says_so(
     recording, begin, end, speed, said

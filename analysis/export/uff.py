@@ -11,6 +11,7 @@ import numpy as np
 from analysis.modal.modes import Modes
 from analysis.recordings.slices import Slice
 from analysis.responses.frf import Frf
+from daq.importing.uff import DEVIATION_LINE, FRF, GENERAL, RESOLUTION_LINE
 from daq.signal_chain.channel import UNITS
 from rig.errors import RunError, SceneError
 from rig.escaping import shown
@@ -69,6 +70,8 @@ def write_uff(stretch: Slice, path: Path) -> None:
 def write_frfs(frfs: Sequence[Frf], path: Path, nodes: Sequence[int], driven: int) -> None:
     """Write frequency responses to a force in text, with a data set 58 (function type 4) for each.
 
+    Behind each stands its standard deviation, as a general function (type 0), which other programs pass over.
+
     Parameters
     ----------
     frfs : sequence of Frf
@@ -92,22 +95,24 @@ def write_frfs(frfs: Sequence[Frf], path: Path, nodes: Sequence[int], driven: in
                 f"{curve.response}: a response to the {curve.reference}; UFF 58 is written of forces"
             )
         steps = np.diff(curve.frequency)
-        _write(
-            file,
-            {
-                "type": 58, "binary": 0, "func_type": 4, "func_id": number,
-                "id1": _line(f"{curve.response}: {curve.name}"), "id2": _line(curve.label),
-                "rsp_ent_name": "NONE", "rsp_node": node, "rsp_dir": 3,
-                "ref_ent_name": "NONE", "ref_node": driven, "ref_dir": 3,
-                "abscissa_spacing": int(np.ptp(steps) < 1e-6 * steps.mean()) if steps.size else 0,
-                "abscissa_spec_data_type": 18, "abscissa_axis_lab": "Frequency", "abscissa_axis_units_lab": "Hz",
-                "ordinate_spec_data_type": KINDS[curve.motion], "ordinate_axis_lab": curve.motion.capitalize(),
-                "ordinate_axis_units_lab": UNITS[curve.motion],
-                "orddenom_spec_data_type": KINDS["force"], "orddenom_axis_lab": "Force",
-                "orddenom_axis_units_lab": "N", "z_axis_spec_data_type": 0,
-                "data": curve.value, "x": curve.frequency,
-            },
-        )  # fmt: skip
+        where = {
+            "type": 58, "binary": 0, "id2": _line(curve.label),
+            # What no field of the format tells: how far leakage smears a line.
+            "id4": f"{RESOLUTION_LINE} {curve.resolution!r} Hz",
+            "rsp_ent_name": "NONE", "rsp_node": node, "rsp_dir": 3,
+            "ref_ent_name": "NONE", "ref_node": driven, "ref_dir": 3,
+            "abscissa_spacing": int(np.ptp(steps) < 1e-6 * steps.mean()) if steps.size else 0,
+            "abscissa_spec_data_type": 18, "abscissa_axis_lab": "Frequency", "abscissa_axis_units_lab": "Hz",
+            "ordinate_spec_data_type": KINDS[curve.motion], "ordinate_axis_lab": curve.motion.capitalize(),
+            "ordinate_axis_units_lab": UNITS[curve.motion],
+            "orddenom_spec_data_type": KINDS["force"], "orddenom_axis_lab": "Force",
+            "orddenom_axis_units_lab": "N", "z_axis_spec_data_type": 0, "x": curve.frequency,
+        }  # fmt: skip
+        title = f"{curve.response}: {curve.name}"
+        _write(file, {**where, "func_type": FRF, "func_id": number, "id1": _line(title), "data": curve.value})
+        if np.isfinite(curve.error).all():
+            told = _line(f"{DEVIATION_LINE} {title}")
+            _write(file, {**where, "func_type": GENERAL, "func_id": number, "id1": told, "data": curve.error})
 
 
 def write_modes(modes: Modes, path: Path, nodes: Sequence[int]) -> None:

@@ -284,8 +284,12 @@ def _sigma(curves: Sequence[Frf]) -> Array:
     size = np.stack([abs(curve.value) for curve in curves])
     error = np.stack([curve.error for curve in curves])
     for row, curve in zip(error, curves, strict=True):
-        if not np.isfinite(row).all():
-            row[~np.isfinite(row)] = scatter(curve.value)[~np.isfinite(row)]
+        told = np.isfinite(row)
+        if not told.all():
+            row[~told] = scatter(curve.value)[~told]
+        if not curve.degrees.any():
+            # What a file says of its errors leaves out what else bounds its lines, of which scatter tells.
+            row[:] = np.maximum(row, scatter(curve.value))
         row[:] = np.maximum(row, _usual(row, curve.degrees))
     # What differs from line to line bends a curve as noise does; what is smooth looks like no mode.
     error = np.hypot(error, 0.5 * _off(curves, _ROUGH))

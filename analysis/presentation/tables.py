@@ -46,7 +46,7 @@ def frf_table(path: Path, frfs: Sequence[Frf]) -> Path:
     heading = [
         "scene", "response", "frequency_Hz", f"real {unit}", f"imag {unit}", f"magnitude {unit}",
         "phase_deg", f"magnitude_std {unit}", "coherence",
-        f"systematic {unit}", "steady",
+        f"systematic {unit}", "steady", "resolution_Hz",
     ]  # fmt: skip
     return write_table(path, heading, _frf_rows(frfs))
 
@@ -59,6 +59,7 @@ def _frf_rows(frfs: Sequence[Frf]) -> Iterator[Row]:
                 frf.label, frf.response, frf.frequency[i], value.real, value.imag, abs(value),
                 float(np.degrees(np.angle(value))), frf.error[i], frf.coherence[i],
                 systematic[i], "" if frf.unsteady is None else "no" if frf.unsteady[i] else "yes",
+                frf.resolution,
             )  # fmt: skip
 
 

@@ -38,7 +38,7 @@ _KINDS = {"r": "real", "i": "imag", "m": "size", "a": "size", "p": "phase"}
 
 
 def read_frfs(path: str | Path, reference: str | None = None, unit: str | None = None) -> FrfSet:
-    r"""Read frequency responses of other programs; they have no error bars, and coherence where the file has it.
+    r"""Read frequency responses of other programs; they have coherence where the file has it.
 
     Parameters
     ----------
@@ -55,7 +55,8 @@ def read_frfs(path: str | Path, reference: str | None = None, unit: str | None =
     Returns
     -------
     FrfSet
-        Named after nodes and directions, or as the file names them. What `identify` and all figures take.
+        Named after nodes and directions, or as the file names them. What `identify` and all figures take. Error bars
+        and resolution are there only where the file is of our own making.
 
     Raises
     ------
@@ -111,16 +112,42 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Frf]:
         for each in sets
         if int(each["func_type"]) == uff.COHERENCE
     }
+    deviation = {
+        (_place(each), uff.title(each)): np.asarray(each["data"]).real
+        for each in sets
+        if int(each["func_type"]) == uff.GENERAL and uff.title(each).startswith(uff.DEVIATION_LINE)
+    }
     curves = []
     for name, each in zip(_names(chosen), chosen, strict=True):
         frequency = _frequencies(path, name, each)
         motion, size = _ratio(f"{path}: {name}", unit or _stated(each))
-        curves.append(
-            _curve(
-                path, name, frequency, size * np.asarray(each["data"]), motion, coherence.get(_place(each))
-            )
+        told = deviation.get((_place(each), f"{uff.DEVIATION_LINE} {uff.title(each)}"))
+        curve = _curve(
+            path,
+            name,
+            frequency,
+            size * np.asarray(each["data"]),
+            motion,
+            coherence=coherence.get(_place(each)),
+            error=None if told is None else size * told,
+            resolution=_stated_resolution(str(each.get("id4") or "")),
         )
+        curves.append(curve)
     return curves
+
+
+def _stated_resolution(line: str) -> float | None:
+    """Read the width over which leakage smears each line, Hz, as our own files tell it; None in others.
+
+    >>> _stated_resolution("shotrig: resolution 0.5 Hz"), _stated_resolution("NONE")
+    (0.5, None)
+    """
+    found = re.fullmatch(rf"{uff.RESOLUTION_LINE} (\S+) Hz", line.strip())
+    try:
+        width = float(found[1]) if found else np.nan
+    except ValueError:
+        return None
+    return width if 0.0 <= width < np.inf else None
 
 
 def _names(sets: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -195,11 +222,14 @@ def _long_curves(path: Path, unit: str | None) -> list[Frf]:
         if real is None or not {"response", "frequency_Hz", real.replace("real", "imag", 1)} <= {*heading}:
             return []
         motion, size = _ratio(str(path), unit or real.removeprefix("real "))
-        rows: dict[str, list[tuple[float, complex]]] = {}
+        imag, deviation = (real.replace("real", name, 1) for name in ("imag", "magnitude_std"))
+        rows: dict[str, list[tuple[float, complex, float, float, float]]] = {}
         for line in reader:
             try:
-                value = complex(float(line[real]), float(line[real.replace("real", "imag", 1)]))
-                point = float(line["frequency_Hz"]), size * value
+                value = size * complex(float(line[real]), float(line[imag]))
+                told = (float(line.get(name) or "nan") for name in (deviation, "coherence", "resolution_Hz"))
+                error, coherence, resolution = told
+                point = float(line["frequency_Hz"]), value, size * error, coherence, resolution
             except (TypeError, ValueError):
                 raise RecordingError(f"{path}, line {reader.line_num}: a cell is no number") from None
             rows.setdefault(f"{line.get('scene') or ''}\0{line['response']}", []).append(point)
@@ -208,16 +238,14 @@ def _long_curves(path: Path, unit: str | None) -> list[Frf]:
         raise SceneError(
             f"{path} holds curves of several tests, {', '.join(sorted(scenes))[:200]}; expected one"
         )
-    return [
-        _curve(
-            path,
-            name.partition("\0")[2],
-            np.array([frequency for frequency, _ in points]),
-            np.array([value for _, value in points]),
-            motion,
+    curves = []
+    for name, points in rows.items():
+        lines, values, errors, coherences, widths = (np.array(one) for one in zip(*points, strict=True))
+        said = float(widths[0]) if 0.0 <= widths[0] < np.inf else None
+        curves.append(
+            _curve(path, name.partition("\0")[2], lines, values, motion, coherences, errors, resolution=said)
         )
-        for name, points in rows.items()
-    ]
+    return curves
 
 
 def _from_table(path: Path, unit: str | None) -> list[Frf]:
@@ -261,24 +289,32 @@ def _curve(
     value: NDArray[Any],
     motion: str,
     coherence: Array | None = None,
+    error: Array | None = None,
+    resolution: float | None = None,
 ) -> Frf:
     """Make a curve of the lines that it can have, by frequency: at zero there is no displacement."""
     keep = _lines(f"{path}: {name}", frequency, value)
     steps = np.diff(frequency[keep])
-    nothing = np.full(keep.size, np.nan)
     evenly = steps.size > 0 and np.ptp(steps) < _EVEN * steps.mean()
-    known = coherence is not None and coherence.size == frequency.size
+    usual = _HANN * float(steps.mean()) if evenly else 0.0
     return Frf(
         frequency=frequency[keep],
         value=np.asarray(value, dtype=complex)[keep],
-        error=nothing,
-        coherence=coherence[keep] if known and coherence is not None else nothing,
-        degrees=np.zeros(nothing.size),
+        error=_told(error, frequency, keep),
+        coherence=_told(coherence, frequency, keep),
+        degrees=np.zeros(keep.size),
         response=name,
         motion=motion,
         label=path.stem,
-        resolution=_HANN * float(steps.mean()) if evenly else 0.0,
+        resolution=usual if resolution is None else resolution,
     )
+
+
+def _told(column: Array | None, frequency: Array, keep: NDArray[np.intp]) -> Array:
+    """Take what a file says of the lines that are kept; unknown where it says nothing, or nothing that can be."""
+    if column is None or column.size != frequency.size:
+        return np.full(keep.size, np.nan)
+    return np.where(np.isfinite(column[keep]) & (column[keep] >= 0.0), column[keep], np.nan)
 
 
 def _lines(where: str, frequency: Array, value: NDArray[Any]) -> NDArray[np.intp]:

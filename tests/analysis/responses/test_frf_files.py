@@ -9,6 +9,8 @@ from typer.testing import CliRunner
 import analysis
 import daq
 from analysis.cli import app
+from analysis.export.uff import write_frfs
+from analysis.presentation.tables import frf_table
 from rig.errors import RecordingError, SceneError
 from tests.daq.importing.files import NAMES, RATE, bench, tdms
 
@@ -208,3 +210,31 @@ def test_given_lines_that_fall_when_read_then_they_are_put_in_order(tmp_path):
     (tmp_path / "a.csv").write_text("f,tip re [m/N],tip im [m/N]\n30,3,0\n10,1,0\n20,2,0\n")
     tip = analysis.read_frfs(tmp_path / "a.csv")["tip"]
     assert tip.frequency.tolist() == [10.0, 20.0, 30.0] and tip.value.real.tolist() == [1.0, 2.0, 3.0]
+
+
+@pytest.mark.parametrize("ending", ["uff", "csv"])
+def test_given_responses_far_off_at_low_lines_when_our_own_file_of_them_is_read_then_errors_and_modes_are_as_before(
+    ending, tmp_path
+):
+    value = accelerance()[:, 1:] / (2j * np.pi * FREQUENCY[1:]) ** 2
+    # As of a hammer behind AC coupling: what neighbouring lines share does not show as scatter.
+    error = 1e-4 * abs(value).max() * (1.0 + 1e3 * np.exp(-FREQUENCY[1:] / 1.5))
+    error = np.where(FREQUENCY[1:] < 15.0, error, 1e-9 * abs(value).max())
+    drift = value + error * np.exp(0.3j * FREQUENCY[1:])
+    nothing = np.ones(error.size)
+    curves = [
+        analysis.Frf(FREQUENCY[1:], row, error, nothing, 30.0 * nothing, f"body{k}", label="own")
+        for k, row in enumerate(drift, 1)
+    ]
+    path = tmp_path / f"own.{ending}"
+    if ending == "uff":
+        write_frfs(curves, path, [1, 2], 1)
+    else:
+        frf_table(path, curves)
+    again = analysis.read_frfs(path)
+    for before, after in zip(curves, again, strict=True):
+        np.testing.assert_allclose(after.error, before.error, rtol=1e-8)
+        assert after.resolution == before.resolution == 0.0
+    found = analysis.identify(again)
+    assert found.model_error == 0.0 and not found.warnings
+    np.testing.assert_allclose(found.frequency, [40.002, 95.00076], rtol=1e-4)

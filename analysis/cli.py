@@ -95,7 +95,7 @@ def decay(
     channel: Annotated[str | None, typer.Option(help="Channel; default the last body's.")] = None,
     hit: Annotated[int, typer.Option(help="Which hit, from 1.")] = 1,
 ) -> None:
-    """Free decays: envelope, and damping ratio against amplitude."""
+    """Free decays: envelope, natural frequencies, and damping ratio against amplitude."""
     from analysis.presentation.presentation import present_decay
 
     _show(present_decay(files, output, channel, hit))

@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 import rig
 from rig.scene.scene_files import bundled
+from rig.scene.yaml_reader import read
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -84,7 +85,7 @@ def test_given_the_readme_when_its_other_tests_take_the_place_of_the_scenes_then
     (tests,) = (block for name, block in BLOCKS if name == "yaml" and block.startswith("test:"))
     for line in filter(lambda line: line.startswith("test:"), tests.splitlines()):
         kind = re.search(r"kind: (\w+)", line)
-        changes = {"test": rig.scene.yaml_reader.read(line).content["test"]}
+        changes = {"test": read(line).content["test"]}
         assert kind is not None and rig.load("mine.yaml", changes).test.kind == kind[1]
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.dampers.nonlinearity import jumps
 from analysis.decays.free_decay import FIRST_FALL, Decay, decay
@@ -27,6 +28,9 @@ from rig.scene.presets import origin
 if TYPE_CHECKING:
     from analysis.decays.modal_decay import ModalDecay
     from daq.recording.recording import Recording
+
+#: From this modal assurance criterion on two shapes are usually taken for the same.
+SAME_SHAPE = 0.9
 
 Progress = Callable[[int, int], None]
 
@@ -218,10 +222,9 @@ def present_modes(
                 found.append(modes)
                 stem = first if number == 0 else first.with_name(f"{first.name}-{number + 1}")
                 files += save(modes_figure(group, modes, f"Modes: {modes.label}"), stem)
-                lines += describe_modes(
-                    modes, theoretical_shapes(rec, modes) if reference == "force" else None
-                )
-                notes += noted(path, modes.warnings)
+                theory = theoretical_shapes(rec, modes) if reference == "force" else None
+                lines += describe_modes(modes, theory)
+                notes += noted(path, [*modes.warnings, *unlike_theory(modes, theory)])
     files.append(modes_table(with_ending(output_stem(paths, output, "modes"), "csv"), found))
     return Result(tuple(files), tuple(lines), tuple(notes))
 
@@ -254,9 +257,33 @@ def describe_modes(modes: Modes, theory: np.ndarray | None = None) -> list[str]:
             f"{modes.damping_told(i)}, shape ({shape})"
         )
         if theory is not None:
-            line += f", MAC with theory {float(np.max(mac(modes.shapes[:, [i]], theory))):.4f}"
+            line += f", MAC with theory {nearest_mac(modes, theory)[i]:.4f}"
         out.append(line)
     return out
+
+
+def nearest_mac(modes: Modes, theory: np.ndarray) -> NDArray[np.float64]:
+    """Give the MAC of each mode's shape with the shape of theory that is most like it, shape (modes,)."""
+    return np.asarray(mac(modes.shapes, theory).max(axis=1))
+
+
+def unlike_theory(modes: Modes, theory: np.ndarray | None) -> list[str]:
+    """Doubt that channels and scene are those of the recording where shapes are known, and none of the scene's."""
+    if theory is None:
+        return []
+    nearest = nearest_mac(modes, theory)
+    # By so much at most what a shape may be off by lowers its MAC.
+    unsure = np.sum((2.0 * modes.shape_error) ** 2, axis=0) / np.sum(abs(modes.shapes) ** 2, axis=0)
+    off = nearest + unsure < SAME_SHAPE
+    if not off.any():
+        return []
+    pairs = zip(modes.frequency[off], nearest[off], strict=True)
+    which = ", ".join(f"{f:.4g} Hz (MAC {m:.2f})" for f, m in pairs)
+    return [
+        f"{which}: like no shape of the scene's structure, which takes a MAC above {SAME_SHAPE:g}: look whether "
+        "channels are swapped, or one has the wrong sign or place, whether the scene is that of this structure "
+        "(analysis fit finds its values), and where dampers fly, at a lower level."
+    ]
 
 
 def _element(value: float, bound: float) -> str:

@@ -4,6 +4,7 @@ import csv
 import hashlib
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +18,12 @@ from analysis.figures.frf_figure import frf_figure
 from analysis.figures.modes_figure import modes_figure
 from analysis.modal.lscf import ChartPole
 from analysis.modal.modes import Modes
-from analysis.presentation.presentation import present_decay, present_frf
+from analysis.presentation.presentation import (
+    present_decay,
+    present_frf,
+    theoretical_shapes,
+    unlike_theory,
+)
 from analysis.presentation.report import write_report
 from analysis.responses.frf import Frf
 from rig.errors import RecordingError
@@ -241,3 +247,15 @@ def test_given_damping_that_hardly_varies_when_drawn_then_its_axis_has_labels(fo
         if tick.get_text() and low <= tick.get_position()[1] <= high
     ]
     assert len(labels) >= 3 and len(set(labels)) == len(labels)
+
+
+def test_given_modes_when_channels_are_swapped_then_it_is_told_which_shapes_are_none_of_the_scenes_and_else_nothing():
+    path = Path(__file__).parents[3] / "recordings" / "demo-sweep-no-damper.mcap"
+    with daq.open(path) as rec:
+        modes = analysis.identify(analysis.frfs(rec))
+        theory = theoretical_shapes(rec, modes)
+    assert not unlike_theory(modes, theory) and not unlike_theory(modes, None)
+    (note,) = unlike_theory(modes, theory[[2, 1, 0]])
+    assert "49.66 Hz (MAC 0." in note and "channels are swapped" in note
+    unknown = replace(modes, shape_error=np.full(modes.shape_error.shape, np.inf))
+    assert not unlike_theory(unknown, theory[[2, 1, 0]])

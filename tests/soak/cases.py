@@ -246,13 +246,9 @@ def rarer_command(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]
     (folder / "x.csv").write_bytes(next(data for (end, _), data in bench.foreign.items() if end == ".csv"))
     (folder / "c.py").write_text(CLIENT)
     words = scenes.rarer_command("s.yaml", chance)
-
-    def strike(process: int, seconds: float) -> None:
-        # What serves and shows goes on until it is told to end.
-        if words[1] in ("serve", "scope") and 15.0 < seconds < 15.1:
-            os.kill(process, signal.SIGTERM)
-
-    return run(words, folder, end=strike), []
+    # What serves and shows goes on until it is told to end; once, for another signal ends what has closed its files.
+    goes_on = words[1] in ("serve", "scope")
+    return run(words, folder, end=_striking(signal.SIGTERM, 15.0) if goes_on else None), []
 
 
 def odd_recording(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:

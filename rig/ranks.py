@@ -11,7 +11,6 @@ import atexit
 import os
 import signal
 import sys
-import traceback
 import weakref
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
@@ -181,6 +180,9 @@ def _follow() -> NoReturn:
         print(f"error: {error}", file=sys.stderr, flush=True)
         _world.Abort(error.exit_code)
     except BaseException:
+        # Every command imports this module, and hardly one needs that.
+        import traceback
+
         traceback.print_exc()
         _world.Abort(1)
     sys.exit(0)

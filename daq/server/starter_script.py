@@ -7,13 +7,13 @@ from itertools import groupby
 from daq.instrument.chassis import Chassis
 from daq.instrument.devices.modules import Module
 from daq.signal_chain.channel import ChannelInfo
+from rig.scene.scene import STANDARD_GRAVITY
 
-_G = 9.80665
 # Limits stay this far below full scale, that rounding does not put them above it.
 _BELOW = 1 - 1e-5
 # What makes a channel for a quantity: the driver's call, the unit, and what V per SI unit is as its sensitivity.
 _SENSORS = {
-    "acceleration": ("add_ai_accel_chan", "AccelUnits.METERS_PER_SECOND_SQUARED", 1e3 * _G),
+    "acceleration": ("add_ai_accel_chan", "AccelUnits.METERS_PER_SECOND_SQUARED", 1e3 * STANDARD_GRAVITY),
     "force": ("add_ai_force_iepe_chan", "ForceUnits.NEWTONS", 1e3),
 }
 _TERMINAL = "TERMINAL"

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.errors import SceneError
-from rig.scene.scene import Scene
+from rig.scene.scene import STANDARD_GRAVITY, Scene
 from rig.system.receptance import driven_bodies
 from rig.system.structure import damper_masses, natural_modes, structure_matrices
 
@@ -89,7 +89,7 @@ def reduce_to_mode(
     force: float,
     dampers: dict[int, float],
     clearance: float,
-    gravity: float = 9.80665,
+    gravity: float = STANDARD_GRAVITY,
     weighting: Weighting = "printed",
     at: int | None = None,
 ) -> SingleMode:

@@ -8,10 +8,11 @@ from typing import Any
 
 from daq.instrument.errors import bad
 from daq.instrument.values import FROM_CUSTOM_SCALE, FROM_TEDS
+from rig.scene.scene import STANDARD_GRAVITY
 
 VOLTAGE, ACCELERATION, FORCE, VELOCITY, MICROPHONE = 10322, 10356, 15895, 15966, 10354
 
-_G, _POUND, _INCH = 9.80665, 4.4482216152605, 0.0254
+_G, _POUND, _INCH = STANDARD_GRAVITY, 4.4482216152605, 0.0254
 
 # Size in SI of the units scripts read in, with their names.
 UNITS: dict[int, tuple[float, str]] = {

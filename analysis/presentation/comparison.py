@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from math import isinf
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,6 +18,7 @@ from analysis.dampers.comparison import (
     unresolved,
 )
 from analysis.modal.identification import identify
+from analysis.modal.modes import Modes
 from analysis.presentation.expectations import expect
 from analysis.presentation.output_names import output_stem, with_ending
 from analysis.presentation.presentation import Progress, Result, noted
@@ -71,15 +73,14 @@ def present_compare(
     bare = found[0][0]
     modes = identify(bare)
     notes = noted(paths[0], (*modes.warnings, *highest_left_out(modes, bare)))
-    at = dict(zip(paths, places, strict=True))
     lines: list[str] = []
     rows: list[tuple[str | float, ...]] = []
     jumps = False
-    for path, group in [
-        (path, group) for path, groups in zip(paths[1:], found[1:], strict=True) for group in groups
+    for place, group in [
+        (place, group) for place, groups in zip(places[1:], found[1:], strict=True) for group in groups
     ]:
+        path, same = place.path, place.same_sensors(places[0])
         notes += noted(path, group[0].warnings)
-        same = at[path].same_sensors(places[0])
         changes = peak_changes(modes, bare, group, same)
         notes += noted(paths[0], unresolved([(one.mode, one.response, one.bare) for one in changes]))
         notes += noted(path, unresolved([(one.mode, one.response, one.damped) for one in changes]))
@@ -90,17 +91,22 @@ def present_compare(
                 f"  by their data sheets the same sensors read {', '.join(same)} and the force in both: what their "
                 "sensitivities are off by is in no change"
             )
-        told = {(one.response, one.mode) for one in changes}
-        lines += [
-            f"  {curve.response}, mode at {mode:.2f} Hz: no peak of its own before, or too few points about it"
-            for curve in group
-            for mode in sorted(modes.frequency)
-            if (curve.response, float(mode)) not in told and curve.response in places[0].channels
-        ]
+        shared = [curve.response for curve in group if curve.response in places[0].channels]
+        lines += _without_peaks(changes, shared, modes)
         jumps |= any(isinf(one.bare.bound + one.damped.bound) for one in changes)
         rows += [_row(bare[0].label, group[0].label, change) for change in changes]
     table = write_table(with_ending(output_stem(paths, output, "compare"), "csv"), _HEADING, rows)
     return Result((table,), tuple(lines), (*dict.fromkeys(notes), *((_JUMPS,) if jumps else ())))
+
+
+def _without_peaks(changes: Sequence[PeakChange], names: Sequence[str], modes: Modes) -> list[str]:
+    """Say of which modes of which responses nothing is told."""
+    told = {(one.response, one.mode) for one in changes}
+    return [
+        f"  {name}, mode at {mode:.2f} Hz: no peak of its own before, or too few points about it"
+        for name, mode in product(names, sorted(modes.frequency))
+        if (name, float(mode)) not in told
+    ]
 
 
 @dataclass(frozen=True)

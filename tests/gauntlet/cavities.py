@@ -51,7 +51,7 @@ def draw_cavities(seed: int, number: int, kind: str) -> rig.Scene:
         "seed": dice.whole(1, 10**6),
     }
     scene = rig.loads(yaml.safe_dump(settings, sort_keys=False), where=settings["name"])
-    return scene.replace(test=scene.test.replace(force=_force(dice, scene, with_damper[0])))
+    return scene.replace(test=scene.test.replace(force=force_that_flies(dice, scene, with_damper[0])))
 
 
 def draw_decay(seed: int, number: int, kind: str) -> rig.Scene:
@@ -105,7 +105,7 @@ def _accelerometer(dice: Draw) -> Settings:
     return {"accelerometer": sensor}
 
 
-def _force(dice: Draw, scene: rig.Scene, body: int) -> float:
+def force_that_flies(dice: Draw, scene: rig.Scene, body: int) -> float:
     """Force that without dampers moves a body by so many g."""
     test = scene.test
     frequency = np.array([test.frequency if test.kind == "sine" else 0.5 * (test.from_ + test.to)])

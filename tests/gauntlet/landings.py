@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
 import yaml
 
 import rig
 from rig.system.landing import spring_damper
-from rig.system.receptance import receptance
+from tests.gauntlet.cavities import force_that_flies
 from tests.gauntlet.scenes import Draw, Settings
 
-# Amplitude of the acceleration of the first damper's body without dampers, in g: below 1 nothing flies.
-_LEVELS = (1.3, 8.0)
-_GRAVITY = 9.80665
 _MASSES, _SPRINGS, _MODES = (0.74, 0.71, 0.64), (24.3e3, 21.8e3, 19.8e3), (12.6, 34.8, 49.2)
 # Durations of a landing, s.
 _DURATIONS = (5e-4, 8e-3)
@@ -49,7 +45,7 @@ def draw_landings(seed: int, number: int, kind: str) -> rig.Scene:
         "seed": dice.whole(1, 10**6),
     }
     scene = rig.loads(yaml.safe_dump(settings, sort_keys=False), where=settings["name"])
-    return scene.replace(test=scene.test.replace(force=_force(dice, scene, with_damper[0])))
+    return scene.replace(test=scene.test.replace(force=force_that_flies(dice, scene, with_damper[0])))
 
 
 def _damper(dice: Draw, body: int) -> Settings:
@@ -88,12 +84,3 @@ def _instruments(dice: Draw, rate: float) -> tuple[Settings, Settings]:
         gain = 50.0 if order == 1 else 2000.0
         sensor["integrator"] = {"order": order, "corner": dice.log(0.2, 2.0), "gain": gain}
     return sensor, {"rate": rate, **({"filter": "delta_sigma"} if dice.chance(0.7) else {})}
-
-
-def _force(dice: Draw, scene: rig.Scene, body: int) -> float:
-    """Force that without dampers moves a body by so many g."""
-    test = scene.test
-    frequency = np.array([test.frequency if test.kind == "sine" else 0.5 * (test.from_ + test.to)])
-    linear = abs(receptance(scene.replace(dampers=[]), frequency)[body - 1, 0])
-    asked = dice.log(*_LEVELS) * _GRAVITY / (linear * (2 * np.pi * frequency[0]) ** 2)
-    return float(f"{asked:.4g}")

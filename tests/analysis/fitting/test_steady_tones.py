@@ -14,12 +14,17 @@ from analysis.fitting.steady_tones import SteadyTones
 DAMPED = Path(__file__).parents[3] / "recordings" / "demo-sweep-three-dampers.mcap"
 
 
-def test_given_a_trial_with_no_steady_motion_when_led_back_then_the_motion_of_before_is_found_again():
+def nearest(*asked):
+    """Curves of the demo, and the frequencies and levels of their points nearest to those asked."""
     with daq.open(DAMPED) as recording:
         [curves] = measured(recording, "demo")
-    point = [int(np.argmin(abs(curves.frequency - 49.66)))]
     assert curves.level is not None
-    frequency, level = curves.frequency[point], curves.level[point]
+    point = [int(np.argmin(abs(curves.frequency - frequency))) for frequency in asked]
+    return curves, curves.frequency[point], curves.level[point]
+
+
+def test_given_a_trial_with_no_steady_motion_when_led_back_then_the_motion_of_before_is_found_again():
+    curves, frequency, level = nearest(49.66)
     tones = SteadyTones(replace(curves, frequency=frequency, level=level))
     bench = on_the_bench(curves.scene, curves)
     before = tones.at(bench, level, frequency)
@@ -29,11 +34,7 @@ def test_given_a_trial_with_no_steady_motion_when_led_back_then_the_motion_of_be
 
 
 def test_given_a_shaken_table_when_motions_are_followed_then_they_change_as_those_that_are_corrected():
-    with daq.open(DAMPED) as recording:
-        [curves] = measured(recording, "demo")
-    assert curves.level is not None
-    point = [int(np.argmin(abs(curves.frequency - f))) for f in (34.4, 48.0, 50.5)]
-    frequency, level = curves.frequency[point], curves.level[point]
+    curves, frequency, level = nearest(34.4, 48.0, 50.5)
     shaken = curves.scene.replace(shaker={"kind": "electrodynamic", "body": 1, "spring": 6600.0})
     tones = SteadyTones(replace(curves, scene=shaken, frequency=frequency, level=level))
     bench = on_the_bench(shaken, tones.curves)
@@ -48,11 +49,7 @@ def test_given_a_shaken_table_when_motions_are_followed_then_they_change_as_thos
 
 
 def test_given_rebounds_without_end_when_a_motion_is_looked_for_then_what_happens_is_taken_down_for_the_words():
-    with daq.open(DAMPED) as recording:
-        [curves] = measured(recording, "demo")
-    point = [int(np.argmin(abs(curves.frequency - 49.0)))]
-    assert curves.level is not None
-    frequency, level = curves.frequency[point], curves.level[point]
+    curves, frequency, level = nearest(49.0)
     dampers = [one.replace(restitution=0.3) for one in curves.scene.dampers]
     bouncy = curves.scene.replace(dampers=dampers)
     one = replace(curves, scene=bouncy, frequency=frequency, level=level)

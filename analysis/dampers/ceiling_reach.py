@@ -12,7 +12,6 @@ from analysis.dampers.impact_detection import Impacts, band
 from analysis.dampers.landing_pulse import landing_pulse
 from analysis.dampers.restitution import hard_speeds
 from analysis.decays.sensor_correction import corrected
-from analysis.recordings.slices import read_slices
 from analysis.responses.systematic import tolerance
 
 if TYPE_CHECKING:
@@ -41,7 +40,7 @@ def may_reach_ceiling(rec: Recording, found: Impacts, damper: Damper, start: int
     if not np.isfinite(damper.clearance):
         return False
     info, gravity = rec.channels[found.channel], rec.scene.gravity
-    samples = next(read_slices(rec, [found.channel], [(start, stop)]))[0]
+    samples = rec.read(found.channel, start, stop)
     largest = 1.0 / max(1.0 - tolerance(info), 1e-300)
     way, speed, acceleration = (
         largest * corrected(info, samples, what, *band(rec.rate))

@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.dampers.joint_fit import Jump
-from analysis.dampers.jump_search import CERTAINTY, LEFT_OVER, RANGE, SIGMAS, JumpSearch
+from analysis.dampers.jump_search import CALM, CERTAINTY, LEFT_OVER, RANGE, SIGMAS, JumpSearch
 from analysis.dampers.jump_signature import Signature, signature
 from analysis.dampers.landing_pulse import Pulse, landing_pulse
 from analysis.decays.sensor_correction import corrected
-from analysis.recordings.slices import read_slices
 from analysis.responses.frf import MOTIONS
 from analysis.responses.measurands import named
 from rig.errors import RecordingError
@@ -145,7 +144,7 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
         raise RecordingError(
             f"{stop - start} samples are too few to tell impacts from noise: take at least {least}"
         )
-    samples = next(read_slices(rec, [info.name], [(start, stop)]))[0]
+    samples = rec.read(info.name, start, stop)
     good = _good(rec, info.name, samples, start, choices[0].ring * together)
     if np.sum(good) < max(least, _LEAST_SEARCHED * good.size):
         raise RecordingError(
@@ -160,18 +159,18 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
         raise RecordingError(f"{info.name} reads zero throughout this stretch: check what it is connected to")
     rate, read, whole = rec.rate / together, _means(samples, together), _means(good, together) == 1.0
     floor /= together**0.5
-    searches = [JumpSearch(one, read, whole, floor, rate) for one in choices]
-    if not all(search.open.any() for search in searches):
+    first = JumpSearch(choices[0], read, whole, floor, rate)
+    if not first.open.any():
         raise RecordingError(
             f"lost or overloaded samples leave no {least} samples of {info.name} together: choose another "
             "stretch, or record with a lower level or a larger converter range"
         )
-    search, told = _searched(searches)
+    search, told = _searched([first.with_signature(each, CALM) for each in choices])
     noise = _noise(search)
     found = max((abs(one.sizes[0]) for one in told), default=0.0 if pulse else np.inf)
     if found < _DOUBTFUL * noise:
         # Blows that come every few windows pass for noise in most of them, and hide one another.
-        calmer = _searched([JumpSearch(one, read, whole, floor, rate, _CALMEST) for one in choices])
+        calmer = _searched([first.with_signature(each, _CALMEST) for each in choices])
         less = _noise(calmer[0])
         if less < _CLEARLY * noise:
             (search, told), noise = calmer, less
@@ -235,7 +234,7 @@ def _means(row: Array | NDArray[np.bool_], together: int) -> Array:
 
 def _searched(searches: list[JumpSearch]) -> tuple[JumpSearch, list[Jump]]:
     """Search with the polynomial that the motion follows: which, and the jumps."""
-    quiet = [search.signature.gain * float(np.median(search.noise(search.calm)[2])) for search in searches]
+    quiet = [search.signature.gain * float(np.median(search.noise(search.calm))) for search in searches]
     taken = 0
     for k, left in enumerate(quiet):
         if left < _CLEARLY * quiet[taken]:
@@ -245,7 +244,7 @@ def _searched(searches: list[JumpSearch]) -> tuple[JumpSearch, list[Jump]]:
 
 def _noise(search: JumpSearch) -> float:
     """Give the standard deviation of a jump's estimate where there is none, m/s: 95th percentile along a stretch."""
-    return float(np.percentile(search.noise()[2], 95.0)) * search.signature.gain
+    return float(np.percentile(search.noise(), 95.0)) * search.signature.gain
 
 
 def band(rate: float) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -64,6 +65,8 @@ _SLOW = 0.02
 # what normal deviates are below in as many.
 _STEADY = 8
 CALM = 0.5
+# Places in one matrix product: so small a product stays in the cache, and BLAS starts no threads for it.
+_PLACES_AT_ONCE = 256
 
 
 class JumpSearch:
@@ -91,8 +94,16 @@ class JumpSearch:
         # A jump beyond the windows, in the last samples of a stretch, passes for another one in the nearest of them.
         self.told = minimum_filter1d(self.open, of.window, mode="constant", cval=False)
         self.found: list[Jump] = []
+        self.levels: dict[float, Array] = {}
         # What all that is read is held against: the smooth motion may bend where jumps alone do not see it.
         self.whole = of
+
+    def with_signature(self, of: Signature, calm: float) -> JumpSearch:
+        """Copy a search that has not begun, with another order of the smooth motion's polynomial and share of calm."""
+        other = copy(self)
+        other.signature = other.whole = of
+        other.calm, other.rest, other.found, other.levels = calm, self.rest.copy(), [], {}
+        return other
 
     def run(self) -> list[Jump]:
         """Jumps in their order, with their errors."""
@@ -114,10 +125,10 @@ class JumpSearch:
             if not where.size:
                 break
             for first in where[np.argsort(-strength[where], kind="stable")]:
-                one = self.fitted(int(first), float(noise[2, first]))
+                one = self.fitted(int(first), float(noise[first]))
                 if any(abs(one.place - other.place) < _APART for other in self.found):
                     continue
-                put(self.rest, of, one, -1.0)
+                self._add(one, -1.0)
                 self.found.append(one)
                 self.settle(one, noise, _STARTS)
         for one in sorted(self.found, key=lambda one: abs(one.sizes[0])):
@@ -137,13 +148,18 @@ class JumpSearch:
             and (self.signature.lasts or abs(one.sizes[0]) > SIGMAS * one.error)
             and abs(one.sizes[0]) > _BEND * abs(one.sizes[2]) * within**2
         ]
-        noise = self.noise()[2]
+        noise = self.noise()
         told = [
             with_errors(self.rest, self.signature, one, float(noise[self.at(one)]), self.usual)
             for one in real
         ]
         # When landings that last were found, others still passed for noise.
         return [one for one in told if not self.signature.lasts or abs(one.sizes[0]) > SIGMAS * one.error]
+
+    def _add(self, one: Jump, share: float) -> None:
+        """Add a share of a jump to the residual."""
+        put(self.rest, self.signature, one, share)
+        self.levels.clear()
 
     def at(self, one: Jump) -> int:
         """Where the window of a jump begins, among those that there are."""
@@ -161,8 +177,8 @@ class JumpSearch:
         group.sort(key=lambda other: abs(other.place - one.place))
         group, others = group[:_TOGETHER], group[1:_TOGETHER]
         for other in group:
-            put(self.rest, of, other, 1.0)
-        deviation = float(noise[2, self.at(one)])
+            self._add(other, 1.0)
+        deviation = float(noise[self.at(one)])
         places = [one.place + start for start in starts]
         tries = [
             fit_together(self.rest, of, [replace(one, place=place), *others], deviation, self.usual)
@@ -176,12 +192,12 @@ class JumpSearch:
                 best = alone
         self.found = [other for other in self.found if all(other is not old for old in group)] + best
         for new in best:
-            put(self.rest, of, new, -1.0)
+            self._add(new, -1.0)
 
     @property
     def threshold(self) -> float:
         """Smallest jump that is not missed, m/s, but beside a larger one."""
-        noise = float(np.percentile(self.noise()[2], 95.0)) * self.signature.gain
+        noise = float(np.percentile(self.noise(), 95.0)) * self.signature.gain
         return self.least_sure(noise, max((abs(one.sizes[0]) for one in self.found), default=0.0))
 
     def least_sure(self, noise: float, largest: float) -> float:
@@ -195,7 +211,7 @@ class JumpSearch:
 
     def resolution(self) -> int:
         """Tell from which distance on another jump adds little to the error of one, samples."""
-        of, noise = self.whole, float(np.median(self.noise()[2]))
+        of, noise = self.whole, float(np.median(self.noise()))
         most = _BESIDE_ANOTHER * error_beside(of, None, noise, self.usual)
         apart = RESOLVED
         while apart < of.reach and error_beside(of, apart, noise, self.usual) > most:
@@ -275,17 +291,17 @@ class JumpSearch:
         places = float(within[0] + self.zero), float(within[1] - of.window + self.zero)
         old = [one for one in self.found if places[0] <= one.place <= places[1]]
         for one in old:
-            put(self.rest, of, one, 1.0)
+            self._add(one, 1.0)
         enough = _LEAVES * (sure * self.unit()) ** 2
         # As noise counts what may be left: steps and kinks are else free to explain what is far above the noise.
-        noise = max(float(self.noise()[2, first]), (enough / of.window) ** 0.5)
+        noise = max(float(self.noise()[first]), (enough / of.window) ** 0.5)
         new, left = grow(self.rest, of, within, places, RESOLVED, enough, noise, self.usual)
         if old:
             before = fit_within(self.rest, of, old, within, noise, self.usual)
             new = min((new, left), before, key=lambda fit: cost(*fit))[0]
         self.found = [one for one in self.found if all(one is not other for other in old)] + new
         for one in new:
-            put(self.rest, of, one, -1.0)
+            self._add(one, -1.0)
 
     def typical(self, samples: Array) -> tuple[float, float]:
         """Size of steps and kinks: a part of what the motion itself goes through, or of what its reading hides."""
@@ -296,42 +312,58 @@ class JumpSearch:
         step = _PART * max(float(np.percentile(abs(motion), 90.0)), self.floor * self.rate**order)
         return step, step * 2 * np.pi * _QUICK
 
-    def coordinates(self, row: int) -> Array:
-        """Kink, step and jump coordinates at every place, shape (3, places), for one instant."""
-        from scipy import signal
-
-        long = self.rest.size * self.signature.window > 1 << 20
-        how = "fft" if long and self.signature.window > 32 else "direct"
-        return np.stack(
-            [signal.correlate(self.rest, part, "valid", how) for part in self.signature.filters[row]]
-        )
-
     def noise(self, calm: float = CALM) -> Array:
-        """Find the standard deviation of the coordinates at every place, shape (3, places), from quantiles."""
+        """Estimate the standard deviation of the jump coordinate at every place, from quantiles; shape (places,).
+
+        Stored until a jump is put into the residual or taken out of it.
+        """
+        if calm not in self.levels:
+            self.levels[calm] = self._noise_level(calm)
+        return self.levels[calm]
+
+    def _noise_level(self, calm: float) -> Array:
         from scipy.ndimage import maximum_filter1d
         from scipy.special import ndtri
 
         of = self.signature
-        size = abs(self.coordinates((2 * SHIFT + 1) * of.instants // 2))
-        middle = np.quantile(size[:, self.open], calm, axis=1)[:, None]
-        parts = np.array_split(
-            np.where(self.open, size, middle), max(1, size.shape[1] // (_STEADY * of.window)), axis=1
-        )
-        medians = np.stack([np.quantile(part, calm, axis=1) for part in parts], axis=1)
-        steady = np.maximum(maximum_filter1d(medians, 3, axis=1), middle)
-        return np.maximum(
-            np.repeat(steady, [part.shape[1] for part in parts], axis=1) / ndtri(0.5 + 0.5 * calm), self.floor
-        )
+        middle = of.filters[(2 * SHIFT + 1) * of.instants // 2, 2]
+        size = abs(self._correlated(middle[None])[0])
+        typical = np.quantile(size[self.open], calm)
+        size[~self.open] = typical
+        parts = max(1, size.size // (_STEADY * of.window))
+        # The first parts have a place more than the others.
+        length, longer = divmod(size.size, parts)
+        lengths = np.full(parts, length) + (np.arange(parts) < longer)
+        split = longer * (length + 1)
+        rows = size[:split].reshape(longer, length + 1), size[split:].reshape(-1, length)
+        levels = np.concatenate([np.quantile(row, calm, axis=1) for row in rows if row.size])
+        steady = np.maximum(maximum_filter1d(levels, 3), typical)
+        return np.asarray(np.maximum(np.repeat(steady, lengths) / ndtri(0.5 + 0.5 * calm), self.floor))
+
+    def _correlated(self, filters: Array) -> Array:
+        """Correlate filters with the residual; shape (filters, places)."""
+        windows = np.lib.stride_tricks.sliding_window_view(self.rest, self.signature.window)
+        out = np.empty((len(filters), len(windows)))
+        for begin in range(0, len(windows), _PLACES_AT_ONCE):
+            part = slice(begin, begin + _PLACES_AT_ONCE)
+            np.matmul(filters, np.ascontiguousarray(windows[part].T), out=out[:, part])
+        return out
 
     def scan(self) -> tuple[Array, Array]:
-        """Largest squared jump coordinate at every place, in variances, and the noise."""
-        of = self.signature
+        """Largest squared jump coordinate at every place, in variances, and the noise.
+
+        The filters of all instants lie in a space of few dimensions. The coordinates of a window there bound its
+        coordinates along every filter, so that these are computed only where a jump may count.
+        """
         noise = self.noise(self.calm)
-        best = np.zeros(noise.shape[1])
-        first = SHIFT * of.instants + of.coarse // 2
-        for row in range(first, first + of.instants, of.coarse):
-            np.maximum(best, (self.coordinates(row)[2] / noise[2]) ** 2, out=best)
-        return best, noise
+        basis, weights = self.signature.scan_space
+        projected = self._correlated(basis)
+        bound = np.abs(weights).max(axis=0) @ np.abs(projected)
+        strength = np.zeros(noise.size)
+        places = np.flatnonzero(bound > SIGMAS * noise)
+        for part in np.array_split(places, 1 + places.size // _PLACES_AT_ONCE):
+            strength[part] = np.square(weights @ projected[:, part]).max(axis=0)
+        return strength / np.square(noise), noise
 
     def fitted(self, first: int, noise: float) -> Jump:
         """Best jump near a place, in a window that has it in its middle."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,6 +33,8 @@ _FAST = 0.3
 _GONE, _LOOK = 14.0, 3.0
 # A decimation filter rings so many samples to either side, and is looked at over so many.
 _FILTER_GONE, _FILTER_LOOK = 40, 12
+# Singular values of the filters below this part of the largest are rounding.
+_RANK_TOLERANCE = 1e-12
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,18 @@ class Signature:
     """Order of the polynomial that a window's smooth motion follows, in the readings."""
     lasts: int
     """Samples until a jump has come about; 0: at once."""
+
+    @cached_property
+    def scan_space(self) -> tuple[Array, Array]:
+        """Orthonormal basis of the jump filters that suffice to find a jump, and their weights on it.
+
+        Shapes (rank, window) and (filters, rank): a few dozen filters have a rank of about ten to rounding.
+        """
+        first = SHIFT * self.instants + self.coarse // 2
+        filters = self.filters[first : first + self.instants : self.coarse, 2]
+        left, singular, basis = np.linalg.svd(filters, full_matrices=False)
+        rank = int(np.sum(singular > _RANK_TOLERANCE * singular[0]))
+        return np.ascontiguousarray(basis[:rank]), left[:, :rank] * singular[:rank]
 
     def background(self, length: int) -> int:
         """Order of the polynomial that the smooth motion follows over so many differences."""

@@ -120,6 +120,8 @@ def carried(scene: Scene, number: int, frequency: Array) -> NDArray[np.complex12
 
     It leaves the floor where its own acceleration falls below -g: on one that gives way, the body's may not.
     """
+    if scene.dampers[number - 1].contact is None:
+        return np.ones(frequency.size, dtype=complex)
     from rig.system.assembly import assemble
 
     system = assemble(scene)

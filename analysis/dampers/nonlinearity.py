@@ -14,7 +14,6 @@ from analysis.dampers.impact_detection import Impacts, band, impacts
 from analysis.dampers.landing_pulse import carried
 from analysis.dampers.restitution import Restitution, hard_speeds, restitution
 from analysis.decays.sensor_correction import corrected
-from analysis.recordings.slices import read_slices
 from analysis.responses.frf import MOTIONS, Frf
 from analysis.responses.systematic import tolerance
 
@@ -149,7 +148,8 @@ def damper_motion(
     out = []
     sizes = _acceleration(rec, sweep, channel)
     for frequency, size, (first, stop) in zip(sweep.lines.frequency, sizes, sweep.windows, strict=True):
-        stop = min(int(stop), int(first) + max(_MOST, int(_PERIODS * rec.rate / frequency)))
+        most = max(_MOST, int(_PERIODS * rec.rate / frequency))
+        stop = min(int(stop), int(first) + most, rec.samples)
         found = impacts(rec, channel, int(first), int(stop))
         # The search leaves out the ends of its stretch.
         inner = found.searched * float(frequency)
@@ -259,7 +259,7 @@ def _least_acceleration(
 ) -> float:
     """Least acceleration of what rides in a body that its channel allows, m/s²: noise and tolerance count as motion."""
     info, period = rec.channels[channel], int(np.ceil(rec.rate / frequency))
-    samples = next(read_slices(rec, [channel], [(first, stop)]))[0]
+    samples = rec.read(channel, first, stop)
     read = corrected(info, samples, "acceleration", *band(rec.rate))
     # At its ends a stretch is taken to go on as its mirror image.
     edge = min(period, samples.size // 4)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from analysis.dampers.impact_detection import Impacts, band
 from analysis.dampers.jump_search import LEFT_OVER
 from analysis.decays.sensor_correction import corrected
-from analysis.recordings.slices import read_slices
 from analysis.responses.systematic import tolerance
 
 if TYPE_CHECKING:
@@ -70,7 +69,7 @@ def restitution(rec: Recording, found: Impacts, damper: Damper, start: int, stop
     if found.lasts:
         return None
     info = rec.channels[found.channel]
-    samples = next(read_slices(rec, [found.channel], [(start, stop)]))[0]
+    samples = rec.read(found.channel, start, stop)
     hard = hard_speeds(rec, found, damper)
     if not np.isfinite([*samples, *hard]).all() or found.time.size < _FEWEST:
         return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Iterator
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 # file must not make the memory overflow.
 LARGE_RANGE = 1 << 22
 LEAST_SHARE = 16
+# Decoded samples of a channel that stay in memory, 1 MB: a measured window is read several times.
+RECENT_SAMPLES = 1 << 17
 
 
 class Series:
@@ -39,7 +42,7 @@ class Series:
         self._container, self._channel = container, channel.id
         self._schema = summary.schemas[channel.schema_id].name
         self._chunks = summary.holders.get(channel.id, np.empty(0, np.int64))
-        self._cached: tuple[int, list[SampleBlock]] = (-1, [])
+        self._recent: OrderedDict[int, list[SampleBlock]] = OrderedDict()
         self.scale = self._number("scale", 1.0)
         if not NOT_ZERO.holds(self.scale):
             raise self._error(f"scale = {self.scale!r}; expected {NOT_ZERO.expected}")
@@ -92,9 +95,9 @@ class Series:
         return self.clock.samples_at(self._container.summary.ends[self._chunks])
 
     def _decoded(self, chunk: int, clock: Timebase | None) -> list[SampleBlock]:
-        """Decode this topic's blocks of a chunk; the last chunk is kept for readers that take small steps."""
-        if clock is not None and self._cached[0] == chunk:
-            return self._cached[1]
+        """Decode this topic's blocks of a chunk; recent chunks are stored for readers that come back to a stretch."""
+        if clock is not None and chunk in self._recent:
+            return self._recent[chunk]
         blocks = []
         for message in self._container.messages(chunk):
             if message.channel != self._channel:
@@ -107,8 +110,13 @@ class Series:
             if clock is not None:
                 self._check(block, message.log_time, clock)
         if clock is not None:
-            self._cached = (chunk, blocks)
+            self._recent[chunk] = blocks
+            while len(self._recent) > 1 and self._recent_samples() > RECENT_SAMPLES:
+                self._recent.popitem(last=False)
         return blocks
+
+    def _recent_samples(self) -> int:
+        return sum(block.stop - block.first_sample for blocks in self._recent.values() for block in blocks)
 
     def _check(self, block: SampleBlock, log_time: int, clock: Timebase) -> None:
         """Hold a block against the layout, on which finding samples relies."""

@@ -161,8 +161,8 @@ def _recorded(scene: Scene) -> Iterator[Callable[[Array], object]]:
 
         def advance(drive: Array) -> None:
             block = bench.acquire(drive)
-            recorder.write(block.samples)
             if scene.recording.truth:
                 recorder.write_truth(block.motion)
+            recorder.write(block.samples)
 
         yield advance

@@ -228,9 +228,9 @@ class MeasurementRun:
         for start in range(0, size, block):
             part = slice(start, min(start + block, size))
             got = self.bench.acquire(drive[:, part])
-            self._write(got.samples, got.first)
             if self.bench.scene.recording.truth:
                 self._recorder.write_truth(got.motion)
+            self._write(got.samples, got.first)
             # Where a filter's latency is hidden in the sample numbers, nothing comes out at first.
             came = slice(part.stop - got.samples.shape[1], part.stop)
             readings[:, came] = self.bench.physical(got.samples)

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 # What packs best for its time: nothing shrinks float64 samples by more than a tenth, and what does not shrink
 # lz4 unpacks eight times as fast as zstd; counts shrink by a fifth under zstd.
 COMPRESSION = {"float64": "lz4", "float32": "zstd", "counts": "zstd"}
-# Groups of samples that wait for the truth beside them before something must be wrong.
-AHEAD = 16
 # Room kept on the disk for the end of the file, whose index grows with every chunk, and for the display.
 RESERVE = 1 << 20
 RESERVE_PER_CHUNK = 256
@@ -46,8 +44,8 @@ class Recorder:
     """Writes samples, markers and truth into a new recording.
 
     Samples are put together into blocks on a fixed grid, and into groups of about half a second that go to
-    the disk together; the bytes of the file do not depend on how `write` calls are split. Leaving the context
-    by an exception closes the file properly and notes the reason in it.
+    the disk together; the bytes of the file do not depend on how `write` calls are split. A process that is killed
+    loses less than one group. Leaving the context by an exception closes the file properly and notes the reason in it.
 
     Parameters
     ----------
@@ -118,6 +116,8 @@ class Recorder:
     def write(self, samples: NDArray[np.float64] | NDArray[np.int32]) -> None:
         """Write the next samples of all channels.
 
+        A group goes to the disk with its last sample. Where the truth is recorded, it must be written first.
+
         Parameters
         ----------
         samples : ndarray, (channels, any number)
@@ -129,10 +129,9 @@ class Recorder:
             If the disk is full or fails; the file then holds everything up to the flush before.
         """
         self._need_open()
-        if self._truth is not None and self._raw.position - self._truth.position > AHEAD * self._group:
-            raise RunError("the scene records the truth, but none is written beside the samples")
         if samples.ndim != 2 or samples.shape[0] != len(self.channels):
             raise ValueError(f"expected samples of shape ({len(self.channels)}, n), got {samples.shape}")
+        self._need_truth(samples.shape[1])
         counts = np.issubdtype(samples.dtype, np.integer)
         if self._stored == "counts" and not counts:
             raise RunError(
@@ -140,16 +139,21 @@ class Recorder:
             )
         if self._stored != "counts" and counts:
             samples = samples * np.array([[info.volts_per_count or 1.0] for info in self.channels])
-        self._raw.add(samples)
-        if self._display is not None:
-            self._shown.add(samples)
-        self._emit()
+        taken = 0
+        while taken < samples.shape[1]:
+            group_end = taken + self._group - self._raw.position % self._group
+            part, taken = samples[:, taken:group_end], group_end
+            self._raw.add(part)
+            if self._display is not None:
+                self._shown.add(part)
+            self._emit()
 
     def gap(self, lost_samples: int) -> None:
         """Pass over samples that were never acquired; they read as NaN, and a marker `gap` says so."""
         self._need_open()
         if lost_samples < 1:
             raise ValueError(f"expected a number of lost samples, at least 1, got {lost_samples}")
+        self._need_truth(lost_samples)
         first = self._raw.position
         self._raw.skip(lost_samples)
         if self._display is not None:
@@ -168,12 +172,11 @@ class Recorder:
         self._marks.append((marker.end, marker))
 
     def write_truth(self, motion: Motion) -> None:
-        """Write the next samples of the true motion, for a scene that records it."""
+        """Take the next samples of the true motion, for a scene that records it; they are stored with the channels'."""
         self._need_open()
         if self._truth is None:
             raise ValueError("the scene does not record the truth (recording: {truth: true})")
         self._truth.add(motion)
-        self._emit()
 
     def close(self, status: str = "complete", reason: str = "") -> None:
         """Write what is left and end the file.
@@ -218,6 +221,11 @@ class Recorder:
     def _need_open(self) -> None:
         if not self.takes_more:
             raise RunError(f"the recording {self.path} takes no more: it has ended")
+
+    def _need_truth(self, samples: int) -> None:
+        """Raise `RunError` unless the truth of the next samples is there: it goes to the disk with them."""
+        if self._truth is not None and self._truth.position < self._raw.position + samples:
+            raise RunError("the scene records the truth: write it before the samples that belong to it")
 
     # -- the beginning and the end of the file -----------------------------------------------------------
 
@@ -310,9 +318,9 @@ class Recorder:
     # -- its middle: group after group -------------------------------------------------------------------
 
     def _emit(self, to_the_end: bool = False) -> None:
-        """Write the groups that all streams have passed, in order."""
+        """Write the groups that the samples have passed, in order."""
         streams = [self._raw, *(() if self._truth is None else self._truth.streams)]
-        passed = min(stream.position for stream in streams) // self._group
+        passed = self._raw.position // self._group
         for number in sorted({number for stream in streams for number in stream.complete}):
             if number < passed or to_the_end:
                 with held_back():

@@ -57,9 +57,9 @@ def write(
         while place < samples.shape[1]:
             size = (pieces or [samples.shape[1]])[turn % len(pieces or [0])]
             part = samples[:, place : place + size]
-            recorder.write(part)
             if of.recording.truth:
                 recorder.write_truth(motion(place, part.shape[1], len(of.dampers)))
+            recorder.write(part)
             place, turn = place + size, turn + 1
         recorder.mark("measure", 100, 199, frequency=13.5)
     return path

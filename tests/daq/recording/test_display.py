@@ -118,11 +118,11 @@ def test_given_recorded_truth_when_drawn_then_dampers_ride_on_their_bodies(tmp_p
 def test_given_truth_no_longer_at_hand_when_drawn_then_everything_stays_where_it_was(tmp_path):
     path, of = tmp_path / "a.mcap", scene(recording=ALL, **DAMPERS)
     with Recorder(path, of, channels(), RATE) as recorder:
+        recorder.write_truth(motion(0, 9000, dampers=1))
         for part in (noise(2000), noise(2000)):
             if recorder.position:
                 recorder.gap(5000)
             recorder.write(part)
-        recorder.write_truth(motion(0, 9000, dampers=1))
     times, links = transforms(path)
     samples = np.rint(times * RATE)
     gap = np.array(links["damper_1"][1]) - links["damper_1"][1][0]

@@ -12,8 +12,10 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 
 import daq
+from daq.recording.committed_file import Disk
 from daq.recording.interrupts import held_back
 from daq.recording.recorder import Recorder
+from daq.recording.recovery import recover
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError, RunError
 from tests.daq.recording.recordings import (
@@ -235,14 +237,40 @@ def test_given_wrong_calls_when_recording_then_they_are_refused(tmp_path):
         recorder.write(noise(10))
 
 
-def test_given_truth_that_never_comes_when_recording_then_it_is_missed(tmp_path):
+def test_samples_without_their_truth_are_refused(tmp_path):
     of = scene(recording={"truth": True})
     with (
-        pytest.raises(RunError, match="truth"),
+        pytest.raises(RunError, match="write it before the samples"),
         Recorder(tmp_path / "a.mcap", of, channels(), RATE) as recorder,
     ):
-        for _ in range(40):
-            recorder.write(noise(GROUP))
+        recorder.write(noise(10))
+
+
+@pytest.mark.parametrize("truth", [False, True])
+def test_each_group_is_on_disk_once_complete(tmp_path, truth, monkeypatch):
+    path, of, flushed = tmp_path / "a.mcap", scene(recording={"truth": truth}), []
+
+    class WatchedDisk(Disk):
+        def commit(self):
+            super().commit()
+            if recorders:
+                flushed.append(recorders[0].position)
+
+    monkeypatch.setattr("daq.recording.recorder.Disk", WatchedDisk)
+    recorders = []
+    recorders.append(Recorder(path, of, channels(), RATE))
+    samples, first = noise(6 * GROUP), 0
+    for size in (1000, 3 * GROUP, 100):
+        part = samples[:, first : first + size]
+        if truth:
+            recorders[0].write_truth(motion(first, size))
+        recorders[0].write(part)
+        first += size
+    assert flushed == [GROUP, 2 * GROUP, 3 * GROUP]
+    # A killed process closes nothing: recover what is on the disk now.
+    kept = recover(path, tmp_path / "fixed.mcap").kept
+    assert set(kept.values()) == {3 * GROUP}
+    recorders[0].close()
 
 
 def test_given_truth_out_of_order_when_recording_then_it_is_refused(tmp_path):

@@ -85,7 +85,8 @@ def destination(path: Path, overwrite: bool, refusal: type[ShotrigError] = Scene
 def replacing(path: Path, overwrite: bool = True) -> Iterator[Path]:
     """Make a file beside its final place, and put it there once it is complete.
 
-    Whatever happens meanwhile, at `path` is what was there before, whole, or the new file, whole.
+    Whatever happens meanwhile, at `path` is what was there before, whole, or the new file, whole. A finished file that
+    cannot get its name is kept under another name, which the message gives.
 
     Parameters
     ----------
@@ -102,7 +103,8 @@ def replacing(path: Path, overwrite: bool = True) -> Iterator[Path]:
     Raises
     ------
     SceneError
-        If `path` must not be written, see `destination`.
+        If `path` must not be written, see `destination`; if a file of that name, which is to stay, was created in
+        the meantime.
     RunError
         If the disk is full or fails.
     """
@@ -110,16 +112,23 @@ def replacing(path: Path, overwrite: bool = True) -> Iterator[Path]:
     part = file.with_name(f".{token_hex(6)}{file.suffix}")
     try:
         yield part
-        put_in_place(part, file, overwrite)
-    except FileExistsError:
-        raise SceneError(
-            f"{path} has come into being meanwhile and is left as it is; choose another name"
-        ) from None
-    except OSError as error:
-        raise RunError(f"cannot write {path}: {error.strerror or error}") from error
-    finally:
+        _sync(part)
+    except BaseException as error:
         with suppress(OSError):
             part.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise RunError(f"cannot write {path}: {error.strerror or error}") from error
+        raise
+    try:
+        _name(part, file, overwrite)
+    except FileExistsError:
+        raise SceneError(
+            f"{path}: this file was created in the meantime and is left as it is. The result is in {_kept(part, file)}."
+        ) from None
+    except OSError as error:
+        raise RunError(
+            f"cannot write {path}: {error.strerror or error}. The result is in {_kept(part, file)}."
+        ) from error
 
 
 def put_in_place(part: Path, file: Path, overwrite: bool) -> None:
@@ -132,9 +141,17 @@ def put_in_place(part: Path, file: Path, overwrite: bool) -> None:
     OSError
         If the disk fails.
     """
-    # The new bytes must be on the disk before the old ones have no name any more; Windows syncs what is open to write.
+    _sync(part)
+    _name(part, file, overwrite)
+
+
+def _sync(part: Path) -> None:
+    """Put the new bytes on the disk before the old ones lose their name; Windows syncs what is open to write."""
     with part.open("r+b") as written:
         os.fsync(written.fileno())
+
+
+def _name(part: Path, file: Path, overwrite: bool) -> None:
     if overwrite:
         with suppress(FileNotFoundError):
             part.chmod(stat.S_IMODE(file.stat().st_mode))
@@ -146,11 +163,25 @@ def put_in_place(part: Path, file: Path, overwrite: bool) -> None:
         raise
     except OSError:
         # Some disks know no second name for a file.
-        if file.exists():
+        if os.path.lexists(file):
             raise FileExistsError(str(file)) from None
         part.rename(file)
         return
     part.unlink()
+
+
+def _kept(part: Path, file: Path) -> Path:
+    """Give a finished file the first free name next to the intended name; it keeps its own where that fails."""
+    for number in range(2, 100):
+        free = file.with_name(f"{file.stem}-{number}{file.suffix}")
+        try:
+            _name(part, free, overwrite=False)
+        except FileExistsError:
+            continue
+        except OSError:
+            return part
+        return free
+    return part
 
 
 def stem(study: str, scene: str) -> str:

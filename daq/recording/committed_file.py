@@ -42,7 +42,7 @@ class Disk:
 
     def __init__(self, path: Path, overwrite: bool) -> None:
         self.path = path
-        self.failed = False
+        self.failed = self._whole = False
         self._waiting: list[bytes] = []
         self._committed = self._end = 0
         self._final = self.at = destination(path, overwrite, RecordingError)
@@ -109,6 +109,7 @@ class Disk:
             If the disk is full or fails.
         """
         self.commit()
+        self._whole = True
         if self.at == self._final:
             return
         # Windows replaces no file that is open: whoever locks the old one from here on replaces the new one in turn.
@@ -135,12 +136,13 @@ class Disk:
 
     @contextmanager
     def removed_on_failure(self) -> Iterator[None]:
-        """Leave no new file behind if the body fails."""
+        """Leave no new file behind if the body fails, except a whole one that could not get its name."""
         try:
             yield
         except BaseException:
             self.close()
-            self.at.unlink(missing_ok=True)
+            if not self._whole:
+                self.at.unlink(missing_ok=True)
             raise
 
 

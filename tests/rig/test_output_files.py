@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rig.errors import SceneError
+from rig.errors import RunError, SceneError
 from rig.output_files import make_ready, replacing
 
 
@@ -29,14 +29,22 @@ def test_given_a_name_when_written_then_the_file_is_there_alone(tmp_path: Path, 
     assert path.read_text(encoding="utf-8") == "new" and list(tmp_path.iterdir()) == [path]
 
 
-def test_given_a_file_that_is_to_stay_when_it_comes_into_being_meanwhile_then_it_stays(
-    tmp_path: Path,
-) -> None:
-    path = tmp_path / "table.csv"
-    with pytest.raises(SceneError, match="meanwhile"), replacing(path, overwrite=False) as part:
+def test_result_is_kept_where_its_name_was_taken(tmp_path: Path) -> None:
+    path, taken = tmp_path / "table.csv", tmp_path / "table-2.csv"
+    taken.write_text("older")
+    with pytest.raises(SceneError, match=r"table-3\.csv"), replacing(path, overwrite=False) as part:
         part.write_text("new")
         path.write_text("another's")
-    assert path.read_text(encoding="utf-8") == "another's" and list(tmp_path.iterdir()) == [path]
+    contents = {each.name: each.read_text(encoding="utf-8") for each in tmp_path.iterdir()}
+    assert contents == {"table.csv": "another's", "table-2.csv": "older", "table-3.csv": "new"}
+
+
+def test_result_is_kept_where_a_folder_took_its_name(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    with pytest.raises(RunError, match=r"table-2\.csv"), replacing(path) as part:
+        part.write_text("new")
+        path.mkdir()
+    assert path.is_dir() and (tmp_path / "table-2.csv").read_text(encoding="utf-8") == "new"
 
 
 def test_given_a_link_when_overwritten_then_what_it_points_to_is_replaced(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 import daq
 from daq.recording.recorder import Recorder
 from daq.recording.recovery import recover
-from rig.errors import RecordingError
+from rig.errors import RecordingError, RunError
 from tests.daq.recording.recordings import GROUP, RATE, channels, scene, signal, write
 
 OLD, NEW = signal(GROUP, seed=1), signal(2 * GROUP, seed=2)
@@ -87,3 +87,15 @@ def test_given_a_device_when_recorded_or_recovered_to_then_it_is_refused_and_sta
         with pytest.raises(RecordingError, match="no ordinary file"):
             act()
     assert Path(os.devnull).is_char_device()
+
+
+def test_recovered_file_is_kept_where_its_name_was_taken(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    target = write(path.with_name("fixed.mcap"), OLD)
+
+    def taken(self: Path, other: Path) -> Path:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "replace", taken)
+    with pytest.raises(RunError, match=r"the new one is .*fixed\.mcap\.part"):
+        recover(path, target, overwrite=True)
+    assert np.allclose(volts(path.with_name("fixed.mcap.part")), OLD, rtol=1e-15)

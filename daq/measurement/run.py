@@ -19,6 +19,7 @@ from daq.excitation import Excitation, Station, excitation
 from daq.measurement.estimate import estimate, refuse_too_much
 from daq.measurement.force_reference import force_untold
 from daq.measurement.limits import ControlLoss, Limits, Stretches
+from daq.recording.committed_file import DiskError
 from daq.recording.interrupts import answered
 from daq.recording.recorder import Recorder
 from daq.signal_chain.bench import AcquiredBlock, Bench
@@ -187,6 +188,9 @@ class MeasurementRun:
                 raise KeyboardInterrupt(self._holds())
         except _Stopped as stopped:
             raise KeyboardInterrupt(self._holds()) from stopped
+        except DiskError:
+            # The recorder knows what the file holds.
+            raise
         except ShotrigError as error:
             if self._recorder is None:
                 raise

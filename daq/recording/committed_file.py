@@ -19,6 +19,10 @@ from rig.output_files import destination, put_in_place
 _AT_ONCE = 256
 
 
+class DiskError(RunError):
+    """The disk is full or fails; the message says what became of the file."""
+
+
 class Disk:
     """What the MCAP writer writes into: bytes wait here until `commit` puts them into the file together.
 
@@ -78,7 +82,7 @@ class Disk:
 
         Raises
         ------
-        RunError
+        DiskError
             If the disk is full or fails. The file is cut back to the commit before.
         """
         waiting, self._waiting = self._waiting, []
@@ -90,10 +94,7 @@ class Disk:
         except OSError as error:
             self.failed = True
             os.ftruncate(self._file.fileno(), self._committed)
-            raise RunError(
-                f"cannot write to {self.at}: {error.strerror}; it holds what was flushed before, without "
-                f"an end: `daq recover {self.at} -o FIXED.mcap` makes it whole"
-            ) from error
+            raise DiskError(f"cannot write to {self.at}: {error.strerror}") from error
         self._committed = self._end
 
     def free(self) -> int:
@@ -105,8 +106,10 @@ class Disk:
 
         Raises
         ------
-        RunError
+        DiskError
             If the disk is full or fails.
+        RunError
+            If the file cannot get its name.
         """
         self.commit()
         self._whole = True

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from daq.mcap_file.metadata_checksum import checked
 from daq.mcap_file.writer import Message, Messages
 from daq.recording import layout
-from daq.recording.committed_file import Disk
+from daq.recording.committed_file import Disk, DiskError
 from daq.recording.interrupts import held_back
 from daq.recording.markers import MARKER_SCHEMA, Marker
 from daq.recording.protobuf import Schema
@@ -68,7 +69,7 @@ class Recorder:
     ------
     RecordingError
         If the file exists, or cannot be made.
-    RunError
+    DiskError
         If the disk is full or fails.
     """
 
@@ -126,6 +127,8 @@ class Recorder:
         Raises
         ------
         RunError
+            If the truth of the samples was not written, or they are volts where counts are to be stored.
+        DiskError
             If the disk is full or fails; the file then holds everything up to the flush before.
         """
         self._need_open()
@@ -190,7 +193,7 @@ class Recorder:
 
         Raises
         ------
-        RunError
+        DiskError
             If the disk is full or fails; `daq recover` then completes the file.
         """
         if self.closed:
@@ -216,6 +219,9 @@ class Recorder:
         try:
             self.close(status, str(error) or type(error).__name__)
         except RunError as another:
+            if isinstance(error, DiskError):
+                # The second error says all that the first one says, and what to do with a file without an end.
+                raise another from error
             error.add_note(str(another))
 
     def _need_open(self) -> None:
@@ -293,27 +299,41 @@ class Recorder:
         return self._file.add_channel(topic, schema.message_encoding, number, metadata)
 
     def _end(self, status: str, reason: str) -> None:
+        full = None
         if not self._full:
-            self._raw.close_group()
-            if self._truth is not None:
-                self._truth.close_groups()
-            self._emit(to_the_end=True)
-            self._written = self._raw.position
-            if self._truth is not None:
-                self._send(self._truth.events_before(None))
-            if self._display is not None:
-                self._shown.close_group()
-                self._show(None)
-                self._send(self._display.finish())
+            try:
+                self._flush()
+            except DiskError as error:
+                if self._disk.failed:
+                    raise
+                # There still is room to end the file properly.
+                full, status, reason = error, "failed", str(error)
         self._write_markers(None)
         outcome = {"status": status, "reason": reason, "samples": str(self._written)}
         self._file.add_metadata("outcome", checked(outcome | {"markers": str(self._marked)}))
         self._file.finish()
         if self._written == 0 and status != "complete":
-            self._disk.commit()
+            self._commit()
             self._disk.give_up()
         else:
-            self._disk.finish()
+            with self._torn_on_failure():
+                self._disk.finish()
+        if full is not None:
+            raise full
+
+    def _flush(self) -> None:
+        """Write the groups in progress, and what is left of truth and display."""
+        self._raw.close_group()
+        if self._truth is not None:
+            self._truth.close_groups()
+        self._emit(to_the_end=True)
+        self._written = self._raw.position
+        if self._truth is not None:
+            self._send(self._truth.events_before(None))
+        if self._display is not None:
+            self._shown.close_group()
+            self._show(None)
+            self._send(self._display.finish())
 
     # -- its middle: group after group -------------------------------------------------------------------
 
@@ -336,7 +356,6 @@ class Recorder:
             blocks = self._blocks(raw)
             for row, topic in enumerate(self._topics):
                 self._send(of_row(blocks, row, topic))
-            self._written = raw.spans[-1][1]
         if self._truth is not None:
             streams = [[] if group is None else self._blocks(group) for group in self._truth.take(number)]
             for chunk in self._truth.chunks:
@@ -344,7 +363,9 @@ class Recorder:
                     each for stream, row, topic in chunk for each in of_row(streams[stream], row, topic)
                 )
             self._send(self._truth.events_before((number + 1) * self._group))
-        self._disk.commit()
+        self._commit()
+        if raw is not None:
+            self._written = raw.spans[-1][1]
 
     def _need_disk_space(self) -> None:
         """Stop while there still is room to end the file properly."""
@@ -352,8 +373,29 @@ class Recorder:
         group = sum(stream.group_bytes for stream in streams)
         if self._disk.free() < group + RESERVE + RESERVE_PER_CHUNK * self._chunks:
             self._full = True
-            seconds = self._written / self.clock.rate
-            raise RunError(f"the disk is full: {self._disk.path} holds the first {seconds:.2f} s")
+            raise DiskError(
+                f"the disk is full: {self._disk.at} holds {self._holds}. Free disk space or use another disk"
+            )
+
+    @property
+    def _holds(self) -> str:
+        return f"the first {self._written / self.clock.rate:.2f} s"
+
+    def _commit(self) -> None:
+        with self._torn_on_failure():
+            self._disk.commit()
+
+    @contextmanager
+    def _torn_on_failure(self) -> Iterator[None]:
+        """Say what the file holds, and what to do, where the disk takes no more."""
+        try:
+            yield
+        except DiskError as error:
+            at = self._disk.at
+            raise DiskError(
+                f"{error}; the file holds {self._holds}, without an end. Free disk space, then run "
+                f"`daq recover {at} -o FIXED.mcap`"
+            ) from error
 
     def _blocks(self, group: Group) -> list[Messages]:
         """Encode the blocks of a group, all rows together: their topics are still missing."""

@@ -17,7 +17,7 @@ from daq.mcap_file.reader import Container
 from daq.mcap_file.summary import CHANNEL, SCHEMA, parse
 from daq.mcap_file.writer import Message
 from daq.recording import layout
-from daq.recording.committed_file import Disk
+from daq.recording.committed_file import Disk, DiskError
 from daq.recording.markers import Marker
 from daq.recording.sample_block import SAMPLE_TYPE, decode
 from daq.recording.timebase import Timebase
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from mcap.records import Attachment, Channel, Metadata, Schema
 
 Span = tuple[int, int]
+
+_ANOTHER_DISK = "Free disk space, or choose a place on another disk with -o"
 
 
 @dataclass(frozen=True)
@@ -91,8 +93,8 @@ def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Sal
     ------
     RecordingError
         If the file cannot be read, nothing in it can be recovered, or the new one cannot be made.
-    RunError
-        If the disk is full.
+    DiskError
+        If the disk has no room for the new file, or fails.
     """
     source, target = Path(path), Path(fixed)
     if source.exists() and target.exists() and source.samefile(target):
@@ -102,7 +104,15 @@ def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Sal
         registry = _Registry.of(source, wreck)
         disk = Disk(target, overwrite)
         with disk.removed_on_failure():
-            salvage = _Salvage(source, target, registry, disk).run(wreck)
+            if disk.free() < wreck.size:
+                raise DiskError(
+                    f"{target}: the recovered recording may take {wreck.size / 1e6:.1f} MB, and its disk has "
+                    f"{disk.free() / 1e6:.1f} MB left. {_ANOTHER_DISK}"
+                )
+            try:
+                salvage = _Salvage(source, target, registry, disk).run(wreck)
+            except DiskError as error:
+                raise DiskError(f"{error}; {source} is left as it is. {_ANOTHER_DISK}") from error
         disk.close()
     return salvage
 

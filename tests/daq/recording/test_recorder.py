@@ -3,7 +3,7 @@ import os
 import resource
 import shutil
 import signal
-from contextlib import contextmanager
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
@@ -25,6 +25,7 @@ from tests.daq.recording.recordings import (
     GROUP,
     RATE,
     channels,
+    file_size_limit,
     messages,
     motion,
     scene,
@@ -145,17 +146,6 @@ def test_given_a_folder_that_may_not_be_written_when_recorded_then_the_error_is_
         tmp_path.chmod(0o700)
 
 
-@contextmanager
-def file_size_limit(size):
-    """The kernel refuses to let any file grow beyond this, as a full disk does."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-
 def test_given_a_disk_that_refuses_when_recorded_then_all_that_was_flushed_can_be_recovered(tmp_path):
     samples, path = noise(20 * GROUP), tmp_path / "a.mcap"
     with pytest.raises(RunError, match="daq recover"), Recorder(path, scene(), channels(), RATE) as recorder:
@@ -186,6 +176,18 @@ def test_given_a_disk_that_fills_up_when_recorded_then_the_recording_is_ended_in
         assert recording.status == "failed"
         assert "disk is full" in recording.metadata["outcome"]["reason"]
         recording.check()
+
+
+def test_full_disk_is_reported_once(tmp_path, monkeypatch):
+    path, usage = tmp_path / "a.mcap", shutil.disk_usage(tmp_path)
+    said = pytest.raises(RunError, match=r"first 0\.50 s, without an end.*daq recover")
+    with ExitStack() as limited, said as full, Recorder(path, scene(), channels(), RATE) as recorder:
+        recorder.write(noise(GROUP))
+        monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=1 << 20))
+        # Not even the end of the file fits.
+        limited.enter_context(file_size_limit(path.stat().st_size))
+        recorder.write(noise(GROUP))
+    assert not hasattr(full.value, "__notes__")
 
 
 @pytest.mark.parametrize(

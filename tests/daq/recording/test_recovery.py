@@ -1,5 +1,6 @@
 import os
 import random
+import shutil
 import signal as signals
 import subprocess
 import sys
@@ -14,8 +15,18 @@ from typer.testing import CliRunner
 import daq
 from daq.cli import app
 from daq.recording.recorder import Recorder
-from rig.errors import RecordingError, ShotrigError
-from tests.daq.recording.recordings import DAMPERS, GROUP, RATE, channels, motion, scene, signal, write
+from rig.errors import RecordingError, RunError, ShotrigError
+from tests.daq.recording.recordings import (
+    DAMPERS,
+    GROUP,
+    RATE,
+    channels,
+    file_size_limit,
+    motion,
+    scene,
+    signal,
+    write,
+)
 
 SAMPLES = 4 * GROUP + 300
 TRUE = signal(SAMPLES) * np.array([[1 / 500.0], [1 / 0.01]])
@@ -276,6 +287,23 @@ def test_given_wrong_targets_when_recovered_then_nothing_is_touched(whole, tmp_p
         daq.recover(tmp_path / "none.mcap", tmp_path / "c.mcap")
     with pytest.raises(RecordingError, match="no file"):
         daq.recover(tmp_path, tmp_path / "c.mcap")
+
+
+def test_recovery_needs_room_before_it_begins(whole, tmp_path, monkeypatch):
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=whole.stat().st_size - 1))
+    with pytest.raises(RunError, match=r"its disk has 0\.\d MB left.*another disk with -o"):
+        daq.recover(whole, tmp_path / "fixed.mcap")
+    assert not list(tmp_path.iterdir())
+
+
+def test_recovery_onto_a_full_disk_leaves_nothing(whole, tmp_path):
+    with (
+        pytest.raises(RunError, match=r"is left as it is.*another disk with -o") as full,
+        file_size_limit(20_000),
+    ):
+        daq.recover(whole, tmp_path / "fixed.mcap")
+    assert "daq recover" not in str(full.value) and not list(tmp_path.iterdir())
 
 
 def test_given_random_bytes_when_recovered_then_the_error_is_clear_and_no_file_is_left(tmp_path):

@@ -261,6 +261,10 @@ def _take_hooks(put_back: ExitStack) -> None:
         setattr(module, name, ours)
     import logging
 
+    # Without any handler Python prints the warnings that other packages log.
+    silent = logging.NullHandler()
+    logging.getLogger().addHandler(silent)
+    put_back.callback(logging.getLogger().removeHandler, silent)
     log = logging.getLogger("shotrig")
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter("%(message)s"))

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.importing.signal import TIME_NAMES, Array, Signal, clock_of_times, rate_of_interval
+from daq.importing.signal import TIME_NAMES, Array, Signal, clock_of_times, rate_of_interval, tell
 from rig.errors import RecordingError, RunError
 from rig.scene.quantities import TIME, parse
+
+if TYPE_CHECKING:
+    from logging import LogRecord
 
 # LabVIEW's zero of time, which stands for a date that was not set.
 _NO_DATE = np.datetime64("1904-01-02")
@@ -28,6 +31,7 @@ def tdms_signals(path: Path, stack: ExitStack) -> list[Signal]:
     except ImportError:
         raise RunError("TDMS files need the package npTDMS: pip install 'shotrig[tdms]'") from None
     try:
+        stack.enter_context(log_as_warning(path))
         file = stack.enter_context(nptdms.TdmsFile.open(path))
         groups = file.groups()
         return _signals(path, [channel for group in groups for channel in group.channels()])
@@ -36,6 +40,26 @@ def tdms_signals(path: Path, stack: ExitStack) -> list[Signal]:
     except Exception as error:
         # The reader meets damage as whatever it happens to lead to.
         raise RecordingError(f"{path} is no TDMS file, or it is damaged: {_told(error)}") from error
+
+
+@contextmanager
+def log_as_warning(path: Path) -> Iterator[None]:
+    """Turn what npTDMS logs of a file, by default to standard error, into one warning at the end."""
+    from nptdms.log import log_manager
+
+    messages: list[str] = []
+
+    def take(record: LogRecord) -> bool:
+        messages.append(record.getMessage())
+        return False
+
+    with ExitStack() as put_back:
+        for log in log_manager.loggers.values():
+            log.addFilter(take)
+            put_back.callback(log.removeFilter, take)
+        yield
+    if messages:
+        tell(f"{path} is cut off or damaged ({messages[0]}). What can be read of it is taken")
 
 
 def _signals(path: Path, channels: list[Any]) -> list[Signal]:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.importing.tdms import log_as_warning
 from daq.instrument.errors import Code, DaqError
 from daq.instrument.values import LoggingMode, LoggingOperation
 from daq.measurement.limits import Stretches
@@ -109,7 +110,8 @@ class _Tdms:
                 Code.UNKNOWN,
             ) from None
         if append and path.exists():
-            taken = {each.name for each in nptdms.TdmsFile.read_metadata(path).groups()}
+            with log_as_warning(path):
+                taken = {each.name for each in nptdms.TdmsFile.read_metadata(path).groups()}
             wanted, number = group, 1
             while group in taken:
                 group, number = f"{wanted} #{number}", number + 1

@@ -18,6 +18,7 @@ from scipy.io import savemat, wavfile
 
 import daq
 from daq.importing.channel_table import Column
+from daq.measurement.run import RunWarning
 from rig.errors import RecordingError, SceneError, ShotrigError
 from tests.daq.importing.files import NAMES, RATE, WRITERS, bench, histories, uff
 from tests.daq.recording.recordings import signal, write
@@ -259,3 +260,14 @@ def test_given_modules_of_the_users_beside_a_matlab_file_when_imported_then_they
     daq.import_files(tmp_path / "a.mat", bench(), tmp_path / "r.mcap", table=TABLE)
     with daq.open(tmp_path / "r.mcap") as recording:
         assert recording.samples == 600
+
+
+def test_log_of_a_cut_tdms_file_is_one_warning(tmp_path, caplog):
+    WRITERS["tdms"][1](tmp_path / "whole.tdms", histories(600))
+    data = (tmp_path / "whole.tdms").read_bytes()
+    (tmp_path / "cut.tdms").write_bytes(data[: len(data) - 1000])
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always", RunWarning)
+        daq.import_files(tmp_path / "cut.tdms", bench(), tmp_path / "r.mcap")
+    assert [str(each.message) for each in heard if "cut.tdms is cut off or damaged" in str(each.message)]
+    assert not caplog.records

@@ -169,9 +169,7 @@ def replay(
 @app.command()
 def info(
     files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings.")],
-    check: Annotated[
-        bool, typer.Option("--check", help="Read all of it and verify every checksum there is.")
-    ] = False,
+    check: Annotated[bool, typer.Option("--check", help="Read all of it and check every record.")] = False,
 ) -> None:
     """Say what recordings hold: scene, channels, markers, what was lost; and what can be done with them."""
     from daq.measurement.run_report import next_steps
@@ -186,9 +184,7 @@ def info(
                 print(f"  {'' if number else 'next':9} {step}")
             if check:
                 recording.check()
-                print(
-                    "  checked   all was read; what carries a checksum matches it (message indexes carry none)"
-                )
+                print("  checked   all checksums match, and all records agree with each other")
 
 
 @app.command()

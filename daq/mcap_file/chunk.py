@@ -149,7 +149,12 @@ def messages_in(records: memoryview, stored: int) -> Iterator[Stored]:
     """Yield the messages among the records of a chunk, as `records_in`."""
     for opcode, content in records_in(records, stored):
         if opcode == MESSAGE:
-            if len(content) < _MESSAGE_HEAD.size:
-                raise Damage("a message in it is cut short")
-            channel, sequence, log_time, publish_time = _MESSAGE_HEAD.unpack_from(content)
-            yield Stored(channel, sequence, log_time, publish_time, content[_MESSAGE_HEAD.size :])
+            yield parse_message(content)
+
+
+def parse_message(content: memoryview) -> Stored:
+    """Parse a message record; raise `Damage` if it is cut short."""
+    if len(content) < _MESSAGE_HEAD.size:
+        raise Damage("a message in it is cut short")
+    channel, sequence, log_time, publish_time = _MESSAGE_HEAD.unpack_from(content)
+    return Stored(channel, sequence, log_time, publish_time, content[_MESSAGE_HEAD.size :])

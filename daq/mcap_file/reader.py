@@ -168,13 +168,6 @@ class Container:
                     raise self.error(f"is damaged: {damage}") from damage
         return None
 
-    def check(self) -> None:
-        """Read every chunk and attachment; raise `RecordingError` at the first that is damaged."""
-        for number in range(len(self.summary.offsets)):
-            self.chunk(number)
-        for index in self.summary.attachments:
-            self.attachment(index.name)
-
     def close(self) -> None:
         """Close the file."""
         self._file.close()

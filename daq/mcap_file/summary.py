@@ -39,7 +39,7 @@ def parse(opcode: int, content: memoryview) -> Any:
     Returns
     -------
     mcap record
-        Schema, Channel, Metadata, Attachment, Statistics or an index of these.
+        Schema, Channel, Metadata, Attachment, Statistics, an index of these, or a record that begins or ends a section.
     """
     from mcap import records
     from mcap.data_stream import ReadDataStream
@@ -49,7 +49,11 @@ def parse(opcode: int, content: memoryview) -> Any:
         SCHEMA: records.Schema, CHANNEL: records.Channel, STATISTICS: records.Statistics,
         METADATA: records.Metadata, METADATA_INDEX: records.MetadataIndex,
         ATTACHMENT: records.Attachment, ATTACHMENT_INDEX: records.AttachmentIndex,
+        HEADER: records.Header, FOOTER: records.Footer, DATA_END: records.DataEnd,
+        CHUNK_INDEX: records.ChunkIndex, SUMMARY_OFFSET: records.SummaryOffset,
     }  # fmt: skip
+    if opcode not in kinds:
+        raise Damage(f"a record of kind {opcode}, which does not belong there")
     stream = ReadDataStream(BytesIO(content))
     try:
         record = kinds[opcode].read(stream)

@@ -365,14 +365,16 @@ class Recording(Result):
             raise RecordingError(f"{self.path}: {layout.SCENE_FILE} is no text: {error}") from error
 
     def check(self) -> None:
-        """Read the whole file and verify every checksum in it, and that what it lacks is noted.
+        """Read the whole file, check every record, and that what it lacks is noted.
 
         Raises
         ------
         RecordingError
             At the first damage, or the first samples that are missing without a word.
         """
-        self._container.check()
+        from daq.mcap_file.file_check import check_file
+
+        check_file(self._container)
         _ = self.metadata, self.markers, self.events
         for series in (each for of in self._truth.values() for each in of.values()):
             for _ in series.blocks(0, series.stop):

@@ -1,0 +1,324 @@
+"""Checking every record of an MCAP file: its own checksum, and all that other records say of it.
+
+MCAP has checksums for chunks, attachments and the summary. Records without one are compared with what they repeat:
+message indexes and the times of a chunk with its messages, indexes and counts of the summary with the records in the
+file. Two kinds of damage have no effect and are not detected: another name of the writing program in the header, and
+packed bytes that unpack to the same records. A checksum of the data section covers both and is verified where there is
+one. https://mcap.dev/spec describes the records.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from array import array
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from mcap.data_stream import RecordBuilder
+from numpy.typing import NDArray
+
+from daq.mcap_file.chunk import (
+    CHUNK_HEAD,
+    LARGEST_CHUNK,
+    RECORD_HEAD,
+    SCHEMA,
+    Damage,
+    parse_message,
+    records_in,
+    unpack_chunk,
+)
+from daq.mcap_file.metadata_checksum import is_intact
+from daq.mcap_file.reader import LARGEST_RECORD, MAGIC, Container
+from daq.mcap_file.summary import (
+    ATTACHMENT,
+    ATTACHMENT_INDEX,
+    CHANNEL,
+    CHUNK,
+    CHUNK_INDEX,
+    DATA_END,
+    FOOTER,
+    HEADER,
+    MESSAGE,
+    MESSAGE_INDEX,
+    METADATA,
+    METADATA_INDEX,
+    STATISTICS,
+    SUMMARY_OFFSET,
+    parse,
+)
+
+# Opcodes from here on belong to applications; readers pass over them.
+_PRIVATE = 0x80
+_ENTRY = np.dtype([("log_time", "<u8"), ("place", "<u8")])
+_AT_ONCE = 1 << 20
+
+
+def check_file(container: Container) -> None:
+    """Read a whole file and check every record.
+
+    Raises
+    ------
+    RecordingError
+        At the first record that is damaged or contradicts another.
+    """
+    check = _Check(container)
+    try:
+        check.run()
+    except Damage as damage:
+        raise container.error(f"is damaged at byte {check.place}: {damage}") from damage
+
+
+@dataclass
+class _Chunk:
+    """A chunk as it stands in the file, in the terms of its index."""
+
+    place: int
+    length: int
+    start: int
+    end: int
+    compression: str
+    packed: int
+    unpacked: int
+    messages: dict[int, NDArray[Any]]
+    """Of each channel the log times and the places of its messages; structured array."""
+    indexes: dict[int, int] = field(default_factory=dict)  # Of each channel the place of its message index
+    index_length: int = 0
+
+
+class _Check:
+    """One check: `place` is the byte at which the record being checked begins."""
+
+    def __init__(self, container: Container) -> None:
+        self.place = 0
+        self._file = container
+        self._ours = container.checksums_needed
+        self._schemas: dict[int, Any] = {}
+        self._channels: dict[int, Any] = {}
+        # The records of the data section as the summary should list them.
+        self._chunks: dict[int, tuple[Any, ...]] = {}
+        self._attachments: dict[int, tuple[Any, ...]] = {}
+        self._metadata: dict[int, tuple[Any, ...]] = {}
+        self._counts: Counter[int] = Counter()
+        self._times: list[int] = []
+        self._chunk: _Chunk | None = None
+
+    def run(self) -> None:
+        """Walk through the data section and the summary."""
+        self.place = len(MAGIC)
+        opcode, content = self._next()
+        if opcode != HEADER:
+            raise Damage("no header begins the file")
+        self._plain(parse(HEADER, content), content)
+        while opcode != DATA_END:
+            begin = self.place
+            opcode, content = self._next(move=False)
+            if opcode != MESSAGE_INDEX:
+                self._end_chunk()
+            self._data_record(opcode, content)
+            self.place = begin + RECORD_HEAD.size + len(content)
+        self._data_checksum(begin, parse(DATA_END, content).data_section_crc)
+        self._summary()
+
+    def _next(self, move: bool = True) -> tuple[int, memoryview]:
+        """Read the record at `place`."""
+        head = self._file.read(self.place, RECORD_HEAD.size)
+        if len(head) < RECORD_HEAD.size:
+            raise Damage("the file ends within a record")
+        opcode, length = RECORD_HEAD.unpack(head)
+        largest = LARGEST_CHUNK + (1 << 16) if opcode in (CHUNK, MESSAGE_INDEX) else LARGEST_RECORD
+        if length > min(largest, self._file.size - self.place - RECORD_HEAD.size):
+            raise Damage(f"a record of kind {opcode} claims {length} bytes")
+        content = memoryview(self._file.read(self.place + RECORD_HEAD.size, length))
+        if move:
+            self.place += RECORD_HEAD.size + length
+        return opcode, content
+
+    # -- the data section --------------------------------------------------------------------------------
+
+    def _data_record(self, opcode: int, content: memoryview) -> None:
+        length = RECORD_HEAD.size + len(content)
+        if opcode == CHUNK:
+            self._begin_chunk(content)
+        elif opcode == MESSAGE_INDEX:
+            self._message_index(content)
+        elif opcode == ATTACHMENT:
+            record = parse(opcode, content)
+            if self._ours and not any(content[-4:]):
+                raise Damage("an attachment has no checksum")
+            times = record.log_time, record.create_time
+            self._attachments[self.place] = (
+                length, *times, len(record.data), record.name, record.media_type
+            )  # fmt: skip
+        elif opcode == METADATA:
+            record = parse(opcode, content)
+            if (self._ours or "crc32" in record.metadata) and not is_intact(record.metadata):
+                raise Damage(f"the checksum of the metadata {record.name!r} is wrong")
+            self._plain(record, content)
+            self._metadata[self.place] = (length, record.name)
+        elif opcode in (SCHEMA, CHANNEL) and not self._ours:
+            self._announce(opcode, content)
+        elif opcode == MESSAGE and not self._ours:
+            message = parse_message(content)
+            self._counts[message.channel] += 1
+            self._times += message.log_time, message.log_time
+        elif opcode != DATA_END and (opcode < _PRIVATE or self._ours):
+            raise Damage(f"a record of kind {opcode}, which does not belong there")
+
+    def _plain(self, record: Any, content: memoryview) -> None:
+        """Refuse a record of ours that is not encoded as we do: lengths in it have no checksum."""
+        builder = RecordBuilder()
+        record.write(builder)
+        if self._ours and builder.end()[RECORD_HEAD.size :] != content:
+            raise Damage(f"a {type(record).__name__} record is malformed")
+
+    def _announce(self, opcode: int, content: memoryview) -> None:
+        """Note a schema or channel; all records of one number must be the same."""
+        record = parse(opcode, content)
+        known = self._schemas if opcode == SCHEMA else self._channels
+        if known.setdefault(record.id, record) != record:
+            raise Damage(f"two different schemas or channels have the number {record.id}")
+
+    def _begin_chunk(self, content: memoryview) -> None:
+        records = unpack_chunk(content, self._ours)
+        start, end, size, _, name_length = CHUNK_HEAD.unpack_from(content)
+        name = bytes(content[CHUNK_HEAD.size : CHUNK_HEAD.size + name_length]).decode()
+        times: dict[int, tuple[array[int], array[int]]] = {}
+        place = 0
+        for opcode, inside in records_in(records, len(content)):
+            if opcode == MESSAGE:
+                message = parse_message(inside)
+                log_times, places = times.setdefault(message.channel, (array("Q"), array("Q")))
+                log_times.append(message.log_time)
+                places.append(place)
+            else:
+                self._announce(opcode, inside)
+            place += RECORD_HEAD.size + len(inside)
+        messages = {}
+        for channel, (log_times, places) in times.items():
+            messages[channel] = np.empty(len(places), _ENTRY)
+            messages[channel]["log_time"], messages[channel]["place"] = log_times, places
+            self._counts[channel] += len(places)
+        stamps = [stamp for of in messages.values() for stamp in (of["log_time"].min(), of["log_time"].max())]
+        if (start, end) != ((min(stamps), max(stamps)) if stamps else (0, 0)):
+            raise Damage("the times of a chunk are not those of its messages")
+        self._times += [int(start), int(end)] if stamps else []
+        packed = len(content) - CHUNK_HEAD.size - name_length - 8
+        self._chunk = _Chunk(
+            self.place, RECORD_HEAD.size + len(content), start, end, name, packed, size, messages
+        )
+
+    def _message_index(self, content: memoryview) -> None:
+        """Compare a message index with the messages of the chunk before it."""
+        chunk = self._chunk
+        if chunk is None or len(content) < 6:
+            raise Damage("a message index without a chunk")
+        channel, size = struct.unpack_from("<HI", content)
+        if size != len(content) - 6 or size % _ENTRY.itemsize or channel in chunk.indexes:
+            raise Damage("a message index is malformed")
+        listed = np.frombuffer(content, _ENTRY, offset=6)
+        there = chunk.messages.get(channel, np.empty(0, _ENTRY))
+        if not np.array_equal(np.sort(listed, order="place"), there):
+            raise Damage(f"the message index of channel {channel} does not agree with the chunk before it")
+        chunk.indexes[channel] = self.place
+        chunk.index_length += RECORD_HEAD.size + len(content)
+
+    def _end_chunk(self) -> None:
+        """Note a chunk, all its message indexes read."""
+        chunk, self._chunk = self._chunk, None
+        if chunk is None:
+            return
+        missing = chunk.messages.keys() - chunk.indexes.keys()
+        if missing and (self._ours or chunk.indexes):
+            raise Damage(f"the chunk before has no message index of channel {min(missing)}")
+        self._chunks[chunk.place] = (
+            chunk.length, chunk.start, chunk.end, chunk.compression, chunk.packed, chunk.unpacked,
+            chunk.indexes, chunk.index_length,
+        )  # fmt: skip
+
+    def _data_checksum(self, end: int, expected: int) -> None:
+        if not expected:
+            return
+        found = 0
+        for begin in range(0, end, _AT_ONCE):
+            found = zlib.crc32(self._file.read(begin, min(_AT_ONCE, end - begin)), found)
+        if found != expected:
+            raise Damage("the checksum of the data section is wrong")
+
+    # -- the summary -------------------------------------------------------------------------------------
+
+    def _summary(self) -> None:
+        """Compare the summary, whose checksum was verified when the file was opened, with the data section."""
+        records: dict[int, list[Any]] = {}
+        groups: dict[int, tuple[int, int]] = {}
+        begin, offsets = self.place, 0
+        while True:
+            place = self.place
+            opcode, content = self._next()
+            if opcode == FOOTER:
+                footer = parse(FOOTER, content)
+                break
+            if opcode == SUMMARY_OFFSET:
+                offsets = offsets or place
+            else:
+                first, _ = groups.get(opcode, (place, 0))
+                groups[opcode] = first, self.place - first
+            if opcode < _PRIVATE:
+                records.setdefault(opcode, []).append(parse(opcode, content))
+        if self.place != self._file.size - len(MAGIC) or footer.summary_start not in (0, begin):
+            raise Damage("the footer does not agree with the file")
+        if footer.summary_offset_start not in (0, offsets or self.place):
+            raise Damage("the footer does not say where the summary offsets begin")
+        for offset in records.get(SUMMARY_OFFSET, ()):
+            if groups.get(offset.group_opcode, (offset.group_start, 0)) != (
+                offset.group_start, offset.group_length,
+            ):  # fmt: skip
+                raise Damage("a summary offset does not agree with the summary")
+        self._indexes(records)
+        for statistics in records.get(STATISTICS, ()):
+            self._statistics(statistics)
+
+    def _indexes(self, records: dict[int, list[Any]]) -> None:
+        """Compare the indexes, schemas and channels with the records they list."""
+        chunks = {
+            each.chunk_start_offset: (
+                each.chunk_length, each.message_start_time, each.message_end_time, each.compression,
+                each.compressed_size, each.uncompressed_size, each.message_index_offsets,
+                each.message_index_length,
+            )
+            for each in records.get(CHUNK_INDEX, ())
+        }  # fmt: skip
+        attachments = {
+            each.offset: (
+                each.length, each.log_time, each.create_time, each.data_size, each.name, each.media_type
+            )
+            for each in records.get(ATTACHMENT_INDEX, ())
+        }  # fmt: skip
+        metadata = {each.offset: (each.length, each.name) for each in records.get(METADATA_INDEX, ())}
+        for kind, listed, there in (
+            ("chunks", chunks, self._chunks),
+            ("attachments", attachments, self._attachments),
+            ("metadata", metadata, self._metadata),
+        ):
+            # Another program may leave out a kind of index.
+            if (listed or self._ours) and listed != there:
+                raise Damage(f"the index of its {kind} does not agree with them")
+        for opcode, known in ((SCHEMA, self._schemas), (CHANNEL, self._channels)):
+            for record in records.get(opcode, ()):
+                if known.get(record.id, record) != record:
+                    raise Damage(f"the summary describes the schema or channel {record.id} in another way")
+
+    def _statistics(self, statistics: Any) -> None:
+        stated = {number: count for number, count in statistics.channel_message_counts.items() if count}
+        times = (min(self._times), max(self._times)) if self._times else (0, 0)
+        if (
+            (stated and stated != self._counts)
+            or statistics.message_count != self._counts.total()
+            or statistics.chunk_count != len(self._chunks)
+            or statistics.attachment_count != len(self._attachments)
+            or statistics.metadata_count != len(self._metadata)
+            or (statistics.message_start_time, statistics.message_end_time) != times
+        ):
+            raise Damage("the statistics of the summary do not agree with the file")

@@ -9,20 +9,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.importing.matlab_file import matlab_arrays
+from daq.importing.memory import need_for_import
 from daq.importing.signal import (
     Array,
     Signal,
-    clock_of_times,
     held,
     looks_like_times,
     rate_of_interval,
     tell_times,
 )
+from daq.importing.time_gaps import Missing, clock_with_gaps, with_missing
 from rig.errors import RecordingError, ShotrigError
-from rig.numerics.memory import need
 
+# Rate in Hz, first time in s, gaps.
+Clock = tuple[float, float, list[Missing]]
 # What programs call the sample rate, the sample interval and the times.
 _RATES = re.compile(
     r"(.*[._])?(f_?s|sr|rate|(samp|sample|sampling)_?(rate|freq|frequency))(_?hz)?", re.IGNORECASE
@@ -32,6 +35,8 @@ _TIMES = re.compile(r"(.*[._])?(t|time|times|zeit)(_s)?", re.IGNORECASE)
 # Shorter arrays are settings, not samples.
 _SHORTEST = 16
 _DEEPEST = 8
+# Memory that finding the clock takes of each time, bytes: the times, those of an even grid and their differences.
+_CLOCK_BYTES = 48
 
 
 def numpy_signals(path: Path) -> list[Signal]:
@@ -53,11 +58,10 @@ def _numpy_arrays(path: Path) -> dict[str, Any]:
     with path.open("rb") as file:
         if file.read(6) == b"\x93NUMPY":
             array = np.load(path, mmap_mode="r", allow_pickle=False)
-            # Doubles are read in place.
-            need(0.0 if array.dtype == np.float64 else 8.0 * array.size, f"{path}: its {array.size} numbers")
+            # It is read in place.
             return {"array": array}
     with zipfile.ZipFile(path) as packed:
-        need(sum(each.file_size for each in packed.infolist()), f"{path}, unpacked,")
+        need_for_import(sum(each.file_size for each in packed.infolist()), path)
     with np.load(path, allow_pickle=False) as archive:
         return {name: archive[name] for name in archive.files}
 
@@ -98,24 +102,27 @@ def _signals(path: Path, arrays: Mapping[str, Any]) -> list[Signal]:
     texts = {
         name: np.asarray(value) for name, value in arrays.items() if np.asarray(value).dtype.kind in "UO"
     }
-    rows: dict[str, Array] = {}
-    clocks: dict[str, tuple[float, float]] = {}
+    held_bytes = sum(array.nbytes for array in numbers.values() if not isinstance(array, np.memmap))
+    rows: dict[str, NDArray[Any]] = {}
+    clocks: dict[str, Clock] = {}
     for name, array in numbers.items():
         if array.size < _SHORTEST or array.ndim > 2 or (array.ndim == 2 and min(array.shape) > 4096):
             continue
         where = f"{path}: {name!r}"
         if _TIMES.fullmatch(name) and array.ndim == 1:
-            clocks[name] = clock_of_times(array.astype(float), 0.0, where)
+            need_for_import(held_bytes + _CLOCK_BYTES * array.size, path)
+            clocks[name] = clock_with_gaps(array.astype(float), 0.0, where)
         elif array.ndim == 1:
             rows[name] = held(array, str(path), len(rows) + 1, name)
         else:
             # Samples of a channel are more than there are channels, whichever way they lie.
             across = array if array.shape[0] <= array.shape[1] else array.T
+            need_for_import(held_bytes + _CLOCK_BYTES * across.shape[1], path)
             times = across[0].astype(float)
             timed = len(across) > 1 and looks_like_times(times, float(times[-1]), times.size)
             if timed:
                 tell_times(f"{where}: its first row or column", times[1] - times[0])
-                clocks[f"{name}(1)"] = clock_of_times(times, 0.0, where)
+                clocks[f"{name}(1)"] = clock_with_gaps(times, 0.0, where)
             for number, row in enumerate(across[int(timed) :], 1 + timed):
                 rows[f"{name}({number})"] = held(row, str(path), len(rows) + 1, f"{name}({number})")
     if not rows:
@@ -124,20 +131,21 @@ def _signals(path: Path, arrays: Mapping[str, Any]) -> list[Signal]:
     units = _units(texts)
     found = []
     for number, (name, row) in enumerate(rows.items(), 1):
-        rate, start = _clock(path, name, scalars, clocks)
+        rate, start, missing = _clock(path, name, scalars, clocks)
         unit = units.get(name) or units.get(name.partition("(")[0]) or ""
 
-        def read(first: int, stop: int, row: Array = row) -> Array:
-            return row[first:stop]
+        def read(first: int, stop: int, row: NDArray[Any] = row) -> Array:
+            return row[first:stop].astype(np.float64)
 
-        found.append(Signal(path.name, number, name, unit, row.size, rate, read, start))
+        signal = Signal(path.name, number, name, unit, row.size, rate, read, start)
+        found.append(with_missing(signal, missing))
     return found
 
 
 def _clock(
-    path: Path, name: str, scalars: Mapping[str, float], clocks: Mapping[str, tuple[float, float]]
-) -> tuple[float | None, float]:
-    """Find the rate and the first time of a signal: what stands in its own structure goes before what is for all."""
+    path: Path, name: str, scalars: Mapping[str, float], clocks: Mapping[str, Clock]
+) -> tuple[float | None, float, list[Missing]]:
+    """Find the rate, first time and gaps of a signal: its own structure overrides what is for all."""
     of_array = f"{name.partition('(')[0]}(1)"
     if of_array in clocks:
         return clocks[of_array]
@@ -156,13 +164,13 @@ def _clock(
     for key in nearest(_RATES, scalars):
         if not 0 < scalars[key] < 1e12:
             raise RecordingError(f"{path}: {key} = {scalars[key]!r}; expected a sample rate in Hz")
-        return scalars[key], start
+        return scalars[key], start, []
     for key in nearest(_INTERVALS, scalars):
         try:
-            return rate_of_interval(scalars[key]), start
+            return rate_of_interval(scalars[key]), start, []
         except RecordingError as error:
             raise RecordingError(f"{path}: {key}: {error}") from None
-    return None, start
+    return None, start, []
 
 
 def _units(texts: Mapping[str, Any]) -> dict[str, str]:

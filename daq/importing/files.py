@@ -78,7 +78,7 @@ def _read(path: Path, stack: ExitStack) -> list[Signal]:
     if ending == ".mcap":
         from daq.importing.float_topics import mcap_signals
 
-        return mcap_signals(path, stack)
+        return mcap_signals(path)
     if ending in ENDINGS:
         from daq.importing.text_table import text_signals
 

@@ -13,10 +13,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from daq.importing.memory import PROGRAM
 from rig.errors import RecordingError, RunError
 from rig.numerics.memory import ALLOWED, most
 
-_NO_HDF5 = "needs h5py"
+_NO_HDF5, _TOO_MUCH = "needs h5py", "needs more memory"
 
 
 def matlab_arrays(path: Path) -> dict[str, Any]:
@@ -30,7 +31,14 @@ def matlab_arrays(path: Path) -> dict[str, Any]:
         If it is of version 7.3 and h5py is not installed.
     """
     # Modules are found where this process finds them: -m alone would look in the user's folder first.
-    program = [sys.executable, "-P", "-m", __name__, str(path.resolve()), str(int(most()))]
+    program = [
+        sys.executable,
+        "-P",
+        "-m",
+        __name__,
+        str(path.resolve()),
+        str(int(max(most() - PROGRAM, most() / 2))),
+    ]
     here = {**os.environ, "PYTHONPATH": os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)}
     with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=here) as reader:
         assert reader.stdout is not None
@@ -43,6 +51,12 @@ def matlab_arrays(path: Path) -> dict[str, Any]:
         raise RunError(
             f"{path} is a MATLAB file of version 7.3 (HDF5), which needs the package h5py: pip install "
             "'shotrig[matlab]'; or in MATLAB: save(name, ..., '-v7')"
+        )
+    if content == _TOO_MUCH:
+        raise RecordingError(
+            f"{path}: importing it would take more than the {most() / 1e9:.3g} GB of memory that are allowed: save "
+            f"the channels one by one, or as TDMS or WAV; the environment variable {ALLOWED} allows more, such as "
+            f"{ALLOWED}=8GB"
         )
     if isinstance(content, str):
         raise RecordingError(f"{path} {content}")
@@ -57,9 +71,9 @@ def _read(name: str, memory: int) -> dict[str, Any] | str:
     try:
         content = loadmat(name, squeeze_me=True, struct_as_record=True, chars_as_strings=True)
     except NotImplementedError:
-        return _read_hdf5(name, memory)
+        return _read_hdf5(name)
     except MemoryError:
-        return _too_much(memory)
+        return _TOO_MUCH
     except Exception as error:
         # The reader meets damage as whatever it happens to lead to.
         return f"is no MATLAB file, or it is damaged: {type(error).__name__}: {error}"[:300]
@@ -78,14 +92,7 @@ def _limit(memory: int) -> None:
         resource.setrlimit(resource.RLIMIT_DATA, (memory, hard))
 
 
-def _too_much(memory: int) -> str:
-    return (
-        f"does not fit into the memory that is taken, {memory / 1e9:.3g} GB: save the channels one by one, or as TDMS "
-        f"or WAV; the environment variable {ALLOWED} allows more, such as {ALLOWED}=8GB"
-    )
-
-
-def _read_hdf5(name: str, memory: int) -> dict[str, Any] | str:
+def _read_hdf5(name: str) -> dict[str, Any] | str:
     from daq.importing.matlab_hdf5 import hdf5_variables
 
     try:
@@ -93,7 +100,7 @@ def _read_hdf5(name: str, memory: int) -> dict[str, Any] | str:
     except ImportError:
         return _NO_HDF5
     except MemoryError:
-        return _too_much(memory)
+        return _TOO_MUCH
     except Exception as error:
         # The reader meets damage as whatever it happens to lead to.
         return f"is damaged: {type(error).__name__}: {error}"[:300]

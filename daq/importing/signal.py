@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,7 +155,7 @@ def clock_of_times(times: Array, resolution: float, where: str) -> tuple[float, 
         )
     else:
         rate = rate_between(first, last, times.size, max(resolution, 2.0 * off), where)
-    even(times, 0, first, rate, resolution, where)
+    even(times, np.arange(times.size), first, rate, resolution, where)
     return rate, first
 
 
@@ -213,24 +214,26 @@ def rate_between(first: float, last: float, samples: int, resolution: float, whe
     return rate_of_interval((last - first) / (samples - 1), resolution / (samples - 1))
 
 
-def even(times: Array, number: int, start: float, rate: float, resolution: float, where: str) -> None:
-    """Refuse times that are not evenly spaced; the first one is that of sample `number`."""
-    off = abs(times - start - np.arange(number, number + times.size) / rate)
+def even(
+    times: Array, numbers: NDArray[np.int64], start: float, rate: float, resolution: float, where: str
+) -> None:
+    """Refuse times, in s, that are not those of samples of the given numbers."""
+    off = abs(times - start - numbers / rate)
     wrong = np.flatnonzero(~(off * rate <= _OFF_GRID + resolution * rate))
     if wrong.size:
         at = int(wrong[0])
         raise RecordingError(
-            f"{where} are not evenly spaced: sample {number + at + 1} is at {float(times[at]):.9g} s, where "
-            f"{rate:.6g} Hz from {start:.6g} s on would have it at {start + (number + at) / rate:.9g} s; samples are "
+            f"{where} are not evenly spaced: sample {numbers[at] + 1} is at {float(times[at]):.9g} s, where "
+            f"{rate:.6g} Hz from {start:.6g} s on would have it at {start + numbers[at] / rate:.9g} s; samples are "
             "missing there, or the clock is none: resample the file, or import the stretches on either side"
         )
 
 
-def held(samples: NDArray[np.generic], file: str, number: int, name: str) -> Array:
-    """Give an array of numbers as samples; raise `RecordingError` if it is none."""
+def held(samples: NDArray[np.generic], file: str, number: int, name: str) -> NDArray[Any]:
+    """Give back a row of real numbers; raise `RecordingError` if it is something else."""
     if samples.ndim != 1 or samples.dtype.kind not in "fiub":
         what = "complex numbers" if samples.dtype.kind == "c" else f"{samples.dtype} of shape {samples.shape}"
         raise RecordingError(
             f"{file}: {name!r} (number {number}) holds {what}; expected a row of real numbers"
         )
-    return samples.astype(np.float64, copy=False)
+    return samples

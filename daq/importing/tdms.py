@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.importing.signal import TIME_NAMES, Array, Signal, clock_of_times, rate_of_interval, tell
+from daq.importing.signal import TIME_NAMES, Array, Signal, rate_of_interval, tell
+from daq.importing.time_gaps import Missing, clock_with_gaps, with_missing
 from rig.errors import RecordingError, RunError
 from rig.scene.quantities import TIME, parse
 
@@ -86,8 +87,8 @@ def _is_clock(channel: Any, among: list[Any]) -> bool:
     )
 
 
-def _clock(path: Path, channel: Any) -> tuple[float, float]:
-    """Find the rate and the first time of a channel of times: seconds, or dates with times of day."""
+def _clock(path: Path, channel: Any) -> tuple[float, float, list[Missing]]:
+    """Find the rate, the first time and the gaps of a channel of times: seconds, or dates with times of day."""
     where = f"{path}: the times in {channel.name!r}"
     try:
         times = np.asarray(channel[:])
@@ -101,11 +102,11 @@ def _clock(path: Path, channel: Any) -> tuple[float, float]:
         seconds = seconds * parse(f"1 {unit}", TIME)
     except ValueError as error:
         raise RecordingError(f"{where}: {error}; expected a unit of time such as s or ms") from None
-    return clock_of_times(seconds, 0.0, where)
+    return clock_with_gaps(seconds, 0.0, where)
 
 
 def _signal(
-    path: Path, number: int, channel: Any, several: bool, clock: tuple[float, float] | None
+    path: Path, number: int, channel: Any, several: bool, clock: tuple[float, float, list[Missing]] | None
 ) -> Signal:
     properties: Mapping[str, Any] = channel.properties
     name = f"{channel.group_name}/{channel.name}" if several else str(channel.name)
@@ -113,9 +114,9 @@ def _signal(
     interval, offset = properties.get("wf_increment"), properties.get("wf_start_offset", 0.0)
     try:
         rate = None if not interval else rate_of_interval(float(interval))
-        start = float(offset)
+        start, missing = float(offset), []
         if clock is not None:
-            rate, start = clock
+            rate, start, missing = clock
     except (TypeError, ValueError):
         raise RecordingError(
             f"{where}: its wf_increment is {interval!r}, its wf_start_offset {offset!r}"
@@ -132,17 +133,9 @@ def _signal(
             raise RecordingError(f"{where} cannot be read from sample {first} on: {_told(error)}") from error
 
     unit = str(properties.get("unit_string") or properties.get("NI_UnitDescription") or "")
-    return Signal(
-        path.name,
-        number,
-        name,
-        unit,
-        len(channel),
-        rate,
-        read,
-        start,
-        _nanoseconds(properties.get("wf_start_time")),
-    )
+    start_ns = _nanoseconds(properties.get("wf_start_time"))
+    signal = Signal(path.name, number, name, unit, len(channel), rate, read, start, start_ns)
+    return with_missing(signal, missing)
 
 
 def _nanoseconds(time: Any) -> int:

@@ -14,16 +14,17 @@ import numpy as np
 
 from daq.importing import labview_text
 from daq.importing.labview_text import LabviewHeading
+from daq.importing.memory import need_for_import
 from daq.importing.signal import (
     TIME_NAMES,
     Array,
     Signal,
     even,
     looks_like_times,
-    rate_between,
     tell,
     tell_times,
 )
+from daq.importing.time_gaps import Missing, missing_rows, numbers_of_rows, rate_with_gaps, with_missing
 from daq.importing.time_stamps import resolution_of_stamp, seconds_of_stamp
 from rig.errors import RecordingError
 from rig.scene.quantities import TIME, parse
@@ -40,6 +41,10 @@ _ROUGH = 2e-5
 UNNAMED = "column {}"
 # Lines from which the digits of times are told.
 _SAMPLED = 50
+# Fewer lines do not show how many digits their numbers have.
+_FEW = 10
+# Lines that are read at a time, and memory that a byte of them takes, bytes, measured: text and numbers.
+PIECE, _READ_BYTES = 1 << 16, 4
 
 
 class Layout(NamedTuple):
@@ -78,7 +83,10 @@ def text_signals(path: Path, stack: ExitStack) -> list[Signal]:
     if not table.rows:
         raise RecordingError(f"{path} holds no line of numbers")
     return [
-        Signal(path.name, number, name, unit, table.rows, rate, table.column(first + number - 1), start)
+        with_missing(
+            Signal(path.name, number, name, unit, table.rows, rate, table.column(first + number - 1), start),
+            table.missing,
+        )
         for number, (name, unit) in enumerate(columns[first:], 1)
     ]
 
@@ -113,17 +121,20 @@ def _labview_signals(path: Path, heading: LabviewHeading, encoding: str, stack: 
             f"{rate + error:.6g} Hz; {rate:.6g} Hz is taken: say rate: in the table if it was another"
         )
     return [
-        Signal(
-            path.name,
-            number,
-            channel.name,
-            channel.unit,
-            # Lines are added to a file without a word in its heading; only a shorter channel is told from it.
-            table.rows if channel.samples in (-1, longest) else min(channel.samples, table.rows),
-            clock[0] if clock else channel.rate,
-            table.column(number - 1 + heading.times),
-            clock[1] if clock else channel.start_s,
-            channel.start_ns,
+        with_missing(
+            Signal(
+                path.name,
+                number,
+                channel.name,
+                channel.unit,
+                # Lines are added to a file without a word in its heading; only a shorter channel is told from it.
+                table.rows if channel.samples in (-1, longest) else min(channel.samples, table.rows),
+                clock[0] if clock else channel.rate,
+                table.column(number - 1 + heading.times),
+                clock[1] if clock else channel.start_s,
+                channel.start_ns,
+            ),
+            table.missing,
         )
         for number, channel in enumerate(channels, 1)
     ]
@@ -140,16 +151,37 @@ class _Table:
         self._clock: tuple[float, float, float, float] | None = None
         self._ends: list[str] = []
         self.rows = 0
-        for _, line in self._lines():
+        self.missing: list[Missing] = []
+        before, last = "", (0, "")
+        for each in self._lines():
             if self.rows < _SAMPLED:
-                self._ends.append(line)
-            last = line
+                self._ends.append(each[1])
+            before, last = last[1], each
             self.rows += 1
+        if self.rows > 1 and (why := self._torn(*last)):
+            tell(f"{path}: its last line is cut off and is left out ({why})")
+            self.rows -= 1
+            self._ends = self._ends[: self.rows]
+            last = (0, before)
         if self.rows:
-            self._ends.append(last)
+            self._ends.append(last[1])
+            piece = min(1.0, PIECE / self.rows) * path.stat().st_size
+            need_for_import(_READ_BYTES * piece, path)
         self._reading = self._lines()
         self._position = 0
         self._held: tuple[int, int, Array] = (-1, -1, np.empty((0, 0)))
+
+    def _torn(self, number: int, line: str) -> str:
+        """Say why the last line cannot be whole; empty if it can: who writes may be cut off anywhere."""
+        try:
+            self._row(number, line)
+        except RecordingError as error:
+            return str(error)
+        cells = [_cells(each, self._layout.delimiter)[-1] for each in (*self._ends[:-1], line)]
+        lengths = [len(cell.lstrip("+-")) for cell in cells]
+        if not line.endswith(("\n", "\r")) and len(lengths) > _FEW and lengths[-1] < min(lengths[:-1]):
+            return f"line {number}: {cells[-1]!r:.40} is shorter than in other lines, and the line has no end"
+        return ""
 
     def has_stamps(self) -> bool:
         """Whether the first column holds dates with times of day."""
@@ -183,12 +215,28 @@ class _Table:
         else:
             largest = max(abs(begin), abs(end), 1e-300)
             resolution = 10.0 ** (np.floor(np.log10(largest)) + 1 - max(map(_digits, cells)))
-        rate = rate_between(begin, end, self.rows, resolution, where)
+        self.missing = missing_rows(self._times(scale), resolution)
+        rate = rate_with_gaps(begin, end, self.rows, self.missing, resolution, where)
         self._clock = begin, rate, resolution, scale
         return rate, begin
 
     def _first_cell(self, line: str) -> str:
         return _cells(line, self._layout.delimiter)[0]
+
+    def _times(self, scale: float) -> Iterator[Array]:
+        """Yield the first column in pieces, s."""
+        lines = islice(self._lines(), self.rows)
+        while piece := list(islice(lines, PIECE)):
+            yield np.array([self._time(number, line) for number, line in piece]) * scale
+
+    def _time(self, number: int, line: str) -> float:
+        cell = (
+            self._first_cell(line)
+            if self._layout.delimiter is None
+            else line.split(self._layout.delimiter, 1)[0]
+        )
+        value = _value(cell.strip(' "\r\n'), self._layout.decimal_comma)
+        return self._row(number, line)[0] if value is None else value
 
     def column(self, index: int) -> Callable[[int, int], Array]:
         """Give the reader of a column."""
@@ -209,7 +257,7 @@ class _Table:
             begin, rate, resolution, scale = self._clock
             even(
                 values[:, 0] * scale,
-                start,
+                numbers_of_rows(np.arange(start, start + len(values)), self.missing),
                 begin,
                 rate,
                 resolution,

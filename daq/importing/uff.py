@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from daq.importing.signal import Signal, clock_of_times, held, rate_of_interval
+from daq.importing.memory import need_for_import
+from daq.importing.signal import Signal, held, rate_of_interval
+from daq.importing.time_gaps import Missing, clock_with_gaps, with_missing
 from rig.errors import RecordingError, RunError
 
 TIME_RESPONSE, FRF, COHERENCE, GENERAL = 1, 4, 6, 0
@@ -19,6 +21,8 @@ RESOLUTION_LINE, DEVIATION_LINE = "shotrig: resolution", "standard deviation of"
 # Units that a label leaves out, by the kind of the data, where data set 164 says that the file is in SI.
 UNITS = {8: "m", 11: "m/s", 12: "m/s^2", 9: "N", 13: "N"}
 _TIME, _SI = 17, 1
+# Memory that reading a byte of the file takes, bytes, measured: text, its numbers as objects, and an array of them.
+_READ_BYTES = 6
 _DIRECTIONS = {1: "+X", 2: "+Y", 3: "+Z", 4: "+RX", 5: "+RY", 6: "+RZ"}
 
 
@@ -51,6 +55,7 @@ def functions(path: Path) -> list[dict[str, Any]]:
         import pyuff
     except ImportError:
         raise RunError("Universal Files need the package pyuff: pip install 'shotrig[export]'") from None
+    need_for_import(_READ_BYTES * path.stat().st_size, path)
     found: list[dict[str, Any]] = []
     units = None
     with path.open("rb") as stream:
@@ -125,6 +130,7 @@ def is_time(each: Mapping[str, Any]) -> bool:
 def _signal(path: Path, number: int, name: str, each: Mapping[str, Any]) -> Signal:
     data = held(np.asarray(each["data"]), str(path), number, name)
     where = f"{path}: times of {name!r}"
+    missing: list[Missing] = []
     if int(each["abscissa_spacing"]):
         interval, start = float(each["abscissa_inc"]), float(each["abscissa_min"])
         try:
@@ -133,12 +139,13 @@ def _signal(path: Path, number: int, name: str, each: Mapping[str, Any]) -> Sign
             raise RecordingError(f"{where}: {error}") from None
     else:
         times = np.asarray(each["x"], dtype=float)
-        rate, start = clock_of_times(times, _resolution(times, each), where)
+        rate, start, missing = clock_with_gaps(times, _resolution(times, each), where)
 
     def read(first: int, stop: int) -> np.ndarray:
-        return data[first:stop]
+        return data[first:stop].astype(np.float64)
 
-    return Signal(path.name, number, name, label(each, "ordinate"), data.size, rate, read, start)
+    signal = Signal(path.name, number, name, label(each, "ordinate"), data.size, rate, read, start)
+    return with_missing(signal, missing)
 
 
 def _stated_rate(each: Mapping[str, Any]) -> float | None:

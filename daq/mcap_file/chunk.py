@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 import threading
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 # The largest chunk that is unpacked, bytes; what a recorder writes is a thousandth of it.
@@ -37,7 +37,9 @@ class Stored(NamedTuple):
     data: memoryview
 
 
-def unpack_chunk(content: memoryview, checksum_needed: bool = False) -> memoryview:
+def unpack_chunk(
+    content: memoryview, checksum_needed: bool = False, largest: int | None = None
+) -> memoryview:
     """Unpack the content of a chunk record and verify its checksum.
 
     Parameters
@@ -46,6 +48,9 @@ def unpack_chunk(content: memoryview, checksum_needed: bool = False) -> memoryvi
         The record without opcode and length.
     checksum_needed : bool
         Whether a chunk that was written without one is refused.
+    largest : int, optional
+        The largest size that is unpacked, bytes, however well it packs; by default `LARGEST_CHUNK`, and a chunk that
+        packs better than samples do is refused.
 
     Returns
     -------
@@ -55,7 +60,7 @@ def unpack_chunk(content: memoryview, checksum_needed: bool = False) -> memoryvi
     Raises
     ------
     Damage
-        If it is damaged, or larger than `LARGEST_CHUNK` when unpacked.
+        If it is damaged, or too large when unpacked.
     """
     if len(content) < CHUNK_HEAD.size + 8:
         raise Damage("it is cut short")
@@ -65,9 +70,9 @@ def unpack_chunk(content: memoryview, checksum_needed: bool = False) -> memoryvi
         raise Damage("its compression has no name")
     compression = bytes(content[CHUNK_HEAD.size : begin])
     (packed,) = struct.unpack_from("<Q", content, begin)
-    if size > LARGEST_CHUNK:
-        raise Damage(f"it claims to unpack to {size} bytes; at most {LARGEST_CHUNK} are accepted")
-    if size > PACKS_FREELY + PACKS_AT_MOST * len(content):
+    if size > (LARGEST_CHUNK if largest is None else largest):
+        raise Damage(f"it claims to unpack to {size} bytes; at most {largest or LARGEST_CHUNK} are accepted")
+    if largest is None and size > PACKS_FREELY + PACKS_AT_MOST * len(content):
         raise Damage(f"it claims to unpack from {len(content)} bytes to {size}")
     if begin + 8 + packed != len(content):
         raise Damage(f"it claims {packed} bytes of records in {len(content) - begin - 8}")
@@ -117,6 +122,29 @@ def _decompressor() -> Any:
 
         _of_thread.zstd = zstandard.ZstdDecompressor(max_window_size=LARGEST_CHUNK)
     return _of_thread.zstd
+
+
+def record_at(
+    read: Callable[[int, int], bytes], place: int, end: int, largest: int
+) -> tuple[int, memoryview]:
+    """Read opcode and content of the record at a place in a file; raise `Damage` where there is none.
+
+    Parameters
+    ----------
+    read : callable
+        ``read(place, length)`` gives bytes of the file.
+    place, end : int
+        Where the record begins, and where the file ends.
+    largest : int
+        The longest content that is accepted, bytes.
+    """
+    head = read(place, RECORD_HEAD.size)
+    if len(head) < RECORD_HEAD.size:
+        raise Damage("the file ends within a record")
+    opcode, length = RECORD_HEAD.unpack(head)
+    if length > min(largest, end - place - RECORD_HEAD.size):
+        raise Damage(f"a record of kind {opcode} claims {length} bytes")
+    return opcode, memoryview(read(place + RECORD_HEAD.size, length))
 
 
 def records_in(records: memoryview, stored: int) -> Iterator[tuple[int, memoryview]]:

@@ -27,11 +27,12 @@ from daq.mcap_file.chunk import (
     SCHEMA,
     Damage,
     parse_message,
+    record_at,
     records_in,
     unpack_chunk,
 )
 from daq.mcap_file.metadata_checksum import is_intact
-from daq.mcap_file.reader import LARGEST_RECORD, MAGIC, Container
+from daq.mcap_file.reader import MAGIC, Container
 from daq.mcap_file.summary import (
     ATTACHMENT,
     ATTACHMENT_INDEX,
@@ -97,12 +98,14 @@ class _Check:
         self._ours = container.checksums_needed
         self._schemas: dict[int, Any] = {}
         self._channels: dict[int, Any] = {}
-        # The records of the data section as the summary should list them.
-        self._chunks: dict[int, tuple[Any, ...]] = {}
-        self._attachments: dict[int, tuple[Any, ...]] = {}
-        self._metadata: dict[int, tuple[Any, ...]] = {}
+        # Places of the records that the summary should list, by the kind of their index, with a hash of their fields:
+        # of a million empty chunks the fields themselves would take a gigabyte.
+        self._unlisted: dict[int, dict[int, int]] = {
+            CHUNK_INDEX: {}, ATTACHMENT_INDEX: {}, METADATA_INDEX: {}
+        }  # fmt: skip
+        self._listed: Counter[int] = Counter()
         self._counts: Counter[int] = Counter()
-        self._times: list[int] = []
+        self._times: tuple[int, int] | None = None
         self._chunk: _Chunk | None = None
 
     def run(self) -> None:
@@ -124,16 +127,9 @@ class _Check:
 
     def _next(self, move: bool = True) -> tuple[int, memoryview]:
         """Read the record at `place`."""
-        head = self._file.read(self.place, RECORD_HEAD.size)
-        if len(head) < RECORD_HEAD.size:
-            raise Damage("the file ends within a record")
-        opcode, length = RECORD_HEAD.unpack(head)
-        largest = LARGEST_CHUNK + (1 << 16) if opcode in (CHUNK, MESSAGE_INDEX) else LARGEST_RECORD
-        if length > min(largest, self._file.size - self.place - RECORD_HEAD.size):
-            raise Damage(f"a record of kind {opcode} claims {length} bytes")
-        content = memoryview(self._file.read(self.place + RECORD_HEAD.size, length))
+        opcode, content = record_at(self._file.read, self.place, self._file.size, LARGEST_CHUNK + (1 << 16))
         if move:
-            self.place += RECORD_HEAD.size + length
+            self.place += RECORD_HEAD.size + len(content)
         return opcode, content
 
     # -- the data section --------------------------------------------------------------------------------
@@ -149,21 +145,21 @@ class _Check:
             if self._ours and not any(content[-4:]):
                 raise Damage("an attachment has no checksum")
             times = record.log_time, record.create_time
-            self._attachments[self.place] = (
-                length, *times, len(record.data), record.name, record.media_type
-            )  # fmt: skip
+            self._unlisted[ATTACHMENT_INDEX][self.place] = hash(
+                (length, *times, len(record.data), record.name, record.media_type)
+            )
         elif opcode == METADATA:
             record = parse(opcode, content)
             if (self._ours or "crc32" in record.metadata) and not is_intact(record.metadata):
                 raise Damage(f"the checksum of the metadata {record.name!r} is wrong")
             self._plain(record, content)
-            self._metadata[self.place] = (length, record.name)
+            self._unlisted[METADATA_INDEX][self.place] = hash((length, record.name))
         elif opcode in (SCHEMA, CHANNEL) and not self._ours:
             self._announce(opcode, content)
         elif opcode == MESSAGE and not self._ours:
             message = parse_message(content)
             self._counts[message.channel] += 1
-            self._times += message.log_time, message.log_time
+            self._span(message.log_time, message.log_time)
         elif opcode != DATA_END and (opcode < _PRIVATE or self._ours):
             raise Damage(f"a record of kind {opcode}, which does not belong there")
 
@@ -204,11 +200,16 @@ class _Check:
         stamps = [stamp for of in messages.values() for stamp in (of["log_time"].min(), of["log_time"].max())]
         if (start, end) != ((min(stamps), max(stamps)) if stamps else (0, 0)):
             raise Damage("the times of a chunk are not those of its messages")
-        self._times += [int(start), int(end)] if stamps else []
+        if stamps:
+            self._span(start, end)
         packed = len(content) - CHUNK_HEAD.size - name_length - 8
         self._chunk = _Chunk(
             self.place, RECORD_HEAD.size + len(content), start, end, name, packed, size, messages
         )
+
+    def _span(self, start: int, end: int) -> None:
+        before = self._times or (start, end)
+        self._times = min(before[0], start), max(before[1], end)
 
     def _message_index(self, content: memoryview) -> None:
         """Compare a message index with the messages of the chunk before it."""
@@ -233,9 +234,9 @@ class _Check:
         missing = chunk.messages.keys() - chunk.indexes.keys()
         if missing and (self._ours or chunk.indexes):
             raise Damage(f"the chunk before has no message index of channel {min(missing)}")
-        self._chunks[chunk.place] = (
-            chunk.length, chunk.start, chunk.end, chunk.compression, chunk.packed, chunk.unpacked,
-            chunk.indexes, chunk.index_length,
+        self._unlisted[CHUNK_INDEX][chunk.place] = hash(
+            (chunk.length, chunk.start, chunk.end, chunk.compression, chunk.packed, chunk.unpacked,
+             chunk.index_length, frozenset(chunk.indexes.items()))
         )  # fmt: skip
 
     def _data_checksum(self, end: int, expected: int) -> None:
@@ -251,7 +252,7 @@ class _Check:
 
     def _summary(self) -> None:
         """Compare the summary, whose checksum was verified when the file was opened, with the data section."""
-        records: dict[int, list[Any]] = {}
+        written = {kind: len(there) for kind, there in self._unlisted.items()}
         groups: dict[int, tuple[int, int]] = {}
         begin, offsets = self.place, 0
         while True:
@@ -262,63 +263,60 @@ class _Check:
                 break
             if opcode == SUMMARY_OFFSET:
                 offsets = offsets or place
-            else:
-                first, _ = groups.get(opcode, (place, 0))
-                groups[opcode] = first, self.place - first
+                offset = parse(opcode, content)
+                stated = offset.group_start, offset.group_length
+                if groups.get(offset.group_opcode, (offset.group_start, 0)) != stated:
+                    raise Damage("a summary offset does not agree with the summary")
+                continue
+            first, _ = groups.get(opcode, (place, 0))
+            groups[opcode] = first, self.place - first
             if opcode < _PRIVATE:
-                records.setdefault(opcode, []).append(parse(opcode, content))
+                self._summary_record(opcode, parse(opcode, content), written)
         if self.place != self._file.size - len(MAGIC) or footer.summary_start not in (0, begin):
             raise Damage("the footer does not agree with the file")
         if footer.summary_offset_start not in (0, offsets or self.place):
             raise Damage("the footer does not say where the summary offsets begin")
-        for offset in records.get(SUMMARY_OFFSET, ()):
-            if groups.get(offset.group_opcode, (offset.group_start, 0)) != (
-                offset.group_start, offset.group_length,
-            ):  # fmt: skip
-                raise Damage("a summary offset does not agree with the summary")
-        self._indexes(records)
-        for statistics in records.get(STATISTICS, ()):
-            self._statistics(statistics)
-
-    def _indexes(self, records: dict[int, list[Any]]) -> None:
-        """Compare the indexes, schemas and channels with the records they list."""
-        chunks = {
-            each.chunk_start_offset: (
-                each.chunk_length, each.message_start_time, each.message_end_time, each.compression,
-                each.compressed_size, each.uncompressed_size, each.message_index_offsets,
-                each.message_index_length,
-            )
-            for each in records.get(CHUNK_INDEX, ())
-        }  # fmt: skip
-        attachments = {
-            each.offset: (
-                each.length, each.log_time, each.create_time, each.data_size, each.name, each.media_type
-            )
-            for each in records.get(ATTACHMENT_INDEX, ())
-        }  # fmt: skip
-        metadata = {each.offset: (each.length, each.name) for each in records.get(METADATA_INDEX, ())}
-        for kind, listed, there in (
-            ("chunks", chunks, self._chunks),
-            ("attachments", attachments, self._attachments),
-            ("metadata", metadata, self._metadata),
-        ):
+        for kind, left in self._unlisted.items():
             # Another program may leave out a kind of index.
-            if (listed or self._ours) and listed != there:
-                raise Damage(f"the index of its {kind} does not agree with them")
-        for opcode, known in ((SCHEMA, self._schemas), (CHANNEL, self._channels)):
-            for record in records.get(opcode, ()):
-                if known.get(record.id, record) != record:
-                    raise Damage(f"the summary describes the schema or channel {record.id} in another way")
+            if left and (self._ours or self._listed[kind]):
+                raise Damage(f"the summary does not list the record at byte {min(left)}")
 
-    def _statistics(self, statistics: Any) -> None:
+    def _summary_record(self, opcode: int, record: Any, written: dict[int, int]) -> None:
+        """Compare a record of the summary with what it repeats."""
+        if opcode == CHUNK_INDEX:
+            self._index(
+                opcode, record.chunk_start_offset,
+                (record.chunk_length, record.message_start_time, record.message_end_time, record.compression,
+                 record.compressed_size, record.uncompressed_size, record.message_index_length,
+                 frozenset(record.message_index_offsets.items())),
+            )  # fmt: skip
+        elif opcode == ATTACHMENT_INDEX:
+            self._index(
+                opcode, record.offset,
+                (record.length, record.log_time, record.create_time, record.data_size, record.name,
+                 record.media_type),
+            )  # fmt: skip
+        elif opcode == METADATA_INDEX:
+            self._index(opcode, record.offset, (record.length, record.name))
+        elif opcode in (SCHEMA, CHANNEL):
+            known = self._schemas if opcode == SCHEMA else self._channels
+            if known.get(record.id, record) != record:
+                raise Damage(f"the summary describes the schema or channel {record.id} in another way")
+        elif opcode == STATISTICS:
+            self._statistics(record, written)
+
+    def _index(self, kind: int, place: int, fields: tuple[Any, ...]) -> None:
+        self._listed[kind] += 1
+        if self._unlisted[kind].pop(place, None) != hash(fields):
+            raise Damage(f"an index of the summary does not agree with the record at byte {place}")
+
+    def _statistics(self, statistics: Any, written: dict[int, int]) -> None:
         stated = {number: count for number, count in statistics.channel_message_counts.items() if count}
-        times = (min(self._times), max(self._times)) if self._times else (0, 0)
+        counts = statistics.chunk_count, statistics.attachment_count, statistics.metadata_count
         if (
             (stated and stated != self._counts)
             or statistics.message_count != self._counts.total()
-            or statistics.chunk_count != len(self._chunks)
-            or statistics.attachment_count != len(self._attachments)
-            or statistics.metadata_count != len(self._metadata)
-            or (statistics.message_start_time, statistics.message_end_time) != times
+            or counts != tuple(written.values())
+            or (statistics.message_start_time, statistics.message_end_time) != (self._times or (0, 0))
         ):
             raise Damage("the statistics of the summary do not agree with the file")

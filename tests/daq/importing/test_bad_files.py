@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import gc
+import json
 import struct
 import sys
+import tracemalloc
 import warnings
 import zipfile
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,10 +17,12 @@ import h5py
 import nptdms
 import numpy as np
 import pytest
+from mcap.writer import Writer
 from scipy.io import savemat, wavfile
 
 import daq
 from daq.importing.channel_table import Column
+from daq.importing.files import signals_of
 from daq.measurement.run import RunWarning
 from rig.errors import RecordingError, SceneError, ShotrigError
 from tests.daq.importing.files import NAMES, RATE, WRITERS, bench, histories, uff
@@ -79,7 +84,6 @@ ODD = {
     "word in it.csv": b"time [s],a,b,c\n" + LINE + b"0.1,1,two,3\n0.2,1,2,3\n",
     "backwards.csv": b"time [s],a,b,c\n0.2,1,2,3\n0.1,1,2,3\n0.0,1,2,3\n",
     "standing.csv": b"time [s],a,b,c\n" + 5 * LINE,
-    "jump.csv": b"time [s],a,b,c\n" + b"".join(b"%.1f,1,2,3\n" % (k / 10 + (k > 20)) for k in range(40)),
     "no such time.csv": b"time [kg],a,b,c\n0,1,2,3\n1,1,2,3\n",
     "nan times.csv": b"time [s],a,b,c\nnan,1,2,3\nnan,1,2,3\n",
     "zeros inside.csv": b"time,a\n" + bytes(100),
@@ -204,29 +208,58 @@ def test_given_a_dead_and_an_absurd_channel_when_imported_then_both_are_told(tmp
     assert "force ('force' of a.tdms) reads up to" in told and "wrong unit or sensitivity" in told
 
 
+def json_topic(path: Path, messages: list[bytes]) -> None:
+    """Write one topic into one chunk, whatever it unpacks to."""
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=1 << 40)
+        writer.start()
+        channel = writer.register_channel("/a", "json", 0)
+        for time, data in enumerate(messages):
+            writer.add_message(channel, 1_000_000 * time, data, 1_000_000 * time)
+        writer.finish()
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="not every system can limit a process")
-@pytest.mark.parametrize("ending", [".npz", ".mat"])
-def test_given_a_small_file_of_very_many_zeros_when_imported_then_it_says_what_memory_it_would_take(
-    ending, tmp_path, monkeypatch
-):
-    monkeypatch.setenv("SHOTRIG_MEMORY", "200 MB")
-    path = tmp_path / f"zeros{ending}"
-    if ending == ".npz":
-        zeros_in_an_archive(path, 40_000_000)
-    else:
-        savemat(path, {"body1": np.zeros(40_000_000)}, do_compression=True)
-    with pytest.raises(ShotrigError, match=r"0\.2 GB.*SHOTRIG_MEMORY"):
+@pytest.mark.parametrize("form", ["npz", "mat", "chunk", "message", "fields", "uff", "csv"])
+def test_file_that_needs_too_much_memory_is_refused(form, tmp_path, monkeypatch):
+    monkeypatch.setenv("SHOTRIG_MEMORY", "200 MB" if form != "csv" else "202 MB")
+    path = tmp_path / f"zeros.{form}"
+    match form:
+        case "npz":
+            zeros_in_an_archive(path, 40_000_000)
+        case "mat":
+            savemat(path, {"body1": np.zeros(40_000_000)}, do_compression=True)
+        case "uff" | "csv":
+            WRITERS["csv" if form == "csv" else "uff text"][1](path, histories(20_000))
+        case _:
+            path = path.with_suffix(".mcap")
+            contents = {
+                "chunk": [b'{"a": 1.0}' + 100_000_000 * b" "],
+                "message": [b'{"a": [' + 10_000_000 * b"0.0," + b"0.0]}"],
+                "fields": [json.dumps({f"{k}": 1.0 for k in range(100_000)}).encode()],
+            }
+            json_topic(path, contents[form])
+            assert path.stat().st_size < 200_000
+    with pytest.raises(ShotrigError, match=rf"{path.name}.* 0\.2(02)? GB.*SHOTRIG_MEMORY"):
         daq.import_files(path, bench(), tmp_path / "r.mcap", table=TABLE)
     assert not (tmp_path / "r.mcap").exists()
 
 
-def test_given_doubles_in_an_array_file_when_imported_then_they_are_read_in_place(tmp_path, monkeypatch):
-    np.save(tmp_path / "a.npy", histories(600))
-    monkeypatch.setenv("SHOTRIG_MEMORY", "1 B")
-    table = {name: replace(column, rate=RATE) for name, column in TABLE.items()}
-    daq.import_files(tmp_path / "a.npy", bench(), tmp_path / "r.mcap", table=table)
-    with daq.open(tmp_path / "r.mcap") as recording:
-        np.testing.assert_allclose(recording.read("force"), histories(600)[2], rtol=1e-12)
+@pytest.mark.parametrize("ending", ["npz", "npy"])
+def test_short_numbers_take_no_more_memory_than_the_file(ending, tmp_path):
+    numbers, path = np.zeros(3_000_000, np.int8), tmp_path / f"a.{ending}"
+    if ending == "npz":
+        np.savez(path, body1=numbers, fs=RATE)
+    else:
+        np.save(path, numbers)
+    tracemalloc.start()
+    try:
+        with ExitStack() as stack:
+            signals_of(path, stack)[0].read(0, 1000)
+            peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 8_000_000
 
 
 def test_given_a_tdms_file_that_scales_by_what_it_does_not_say_when_imported_then_it_is_refused(tmp_path):

@@ -1,0 +1,132 @@
+"""Rows that a file lacks become lost samples in their places; a last line that is cut off is left out."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import nptdms
+import numpy as np
+import pytest
+import pyuff
+
+import daq
+from daq.importing.channel_table import Column
+from daq.importing.text_table import PIECE
+from daq.importing.time_gaps import missing_rows
+from rig.errors import RecordingError
+from tests.daq.importing.files import IN_SI, NAMES, UNITS, bench, histories
+
+RATE = 2560.0
+ROWS = histories(4000)
+# Samples that were never written.
+LOST = [(700, 701), (2000, 2003), (2500, 3500)]
+KEPT = np.ones(4000, bool)
+for first, stop in LOST:
+    KEPT[first:stop] = False
+TABLE = {name: Column(name, unit=unit) for name, unit in zip(NAMES, UNITS, strict=True)}
+
+
+def text(path: Path, times: np.ndarray, rows: np.ndarray) -> None:
+    heading = ",".join(["time [s]", *NAMES])
+    np.savetxt(path, np.vstack([times, rows]).T, ["%.6f", *3 * ["%.9e"]], ",", header=heading, comments="")
+
+
+def labview(path: Path, times: np.ndarray, rows: np.ndarray) -> None:
+    heading = (
+        "LabVIEW Measurement\t\nSeparator\tTab\nDecimal_Separator\t.\nX_Columns\tOne\n***End_of_Header***\t\n"
+        "Channels\t3\nDelta_X\t0\t0\t0\n***End_of_Header***\t\nX_Value\t" + "\t".join(NAMES) + "\n"
+    )
+    lines = ["\t".join(f"{cell:.9e}" for cell in line) for line in np.vstack([times, rows]).T]
+    path.write_text(heading + "\n".join(lines) + "\n")
+
+
+def tdms(path: Path, times: np.ndarray, rows: np.ndarray) -> None:
+    with nptdms.TdmsWriter(str(path)) as writer:
+        columns = zip(("Time", *NAMES), np.vstack([times, rows]), strict=True)
+        writer.write_segment([nptdms.ChannelObject("a", name, column) for name, column in columns])
+
+
+def uff(path: Path, times: np.ndarray, rows: np.ndarray) -> None:
+    for number, (name, row) in enumerate(zip(NAMES, rows, strict=True), 1):
+        pyuff.UFF(str(path)).write_sets(
+            {
+                "type": 58, "binary": 1, "func_type": 1, "id1": name, "rsp_node": number, "rsp_dir": 3,
+                "ref_node": 0, "ref_dir": 0, "abscissa_spacing": 0, "abscissa_spec_data_type": 17,
+                "ordinate_spec_data_type": 12, "orddenom_spec_data_type": 0, "data": row, "x": times,
+            },
+            mode="add",
+        )  # fmt: skip
+
+
+def npz(path: Path, times: np.ndarray, rows: np.ndarray) -> None:
+    np.savez(path, time=times, **dict(zip(NAMES, rows, strict=True)))
+
+
+def imported(path: Path, target: Path) -> tuple[daq.Recording, list[str]]:
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        recording = daq.open(daq.import_files(path, bench(), target, table=TABLE))
+    return recording, [str(each.message) for each in heard]
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize(
+    ("ending", "make"), [("csv", text), ("lvm", labview), ("tdms", tdms), ("uff", uff), ("npz", npz)]
+)
+def test_missing_rows_are_imported_as_lost_samples(ending, make, tmp_path):
+    path = tmp_path / f"a.{ending}"
+    make(path, np.arange(4000)[KEPT] / RATE, ROWS[:, KEPT])
+    recording, heard = imported(path, tmp_path / "r.mcap")
+    with recording:
+        assert recording.rate == RATE and recording.samples == 4000
+        for name, row in zip(NAMES, ROWS * IN_SI, strict=True):
+            read = recording.read(name)
+            assert np.array_equal(np.isfinite(read), KEPT)
+            np.testing.assert_allclose(read[KEPT], row[KEPT], rtol=1e-6)
+            gaps = [gap for gap in recording.gaps if name in gap.channels]
+            assert [(gap.first_sample, gap.last_sample + 1) for gap in gaps] == LOST
+    assert any("gaps in 3 places" in each and "1004 samples are missing" in each for each in heard)
+
+
+def test_gaps_are_found_across_pieces():
+    number = np.arange(3 * PIECE)
+    kept = np.delete(number, [PIECE, PIECE + 1, 2 * PIECE + 5])
+    pieces = np.split(kept / RATE, [PIECE, 2 * PIECE - 1])
+    assert missing_rows(pieces, 0.0) == [(PIECE, 2), (2 * PIECE + 3, 1)]
+
+
+@pytest.mark.parametrize(
+    "times",
+    [
+        np.cumsum(np.random.default_rng(1).exponential(1.0, 500)),
+        np.arange(500) + 0.4 * (np.arange(500) > 250),
+        np.where(np.arange(500) > 250, np.arange(500) + 2000.0, np.arange(500)),
+        np.where(np.arange(500) > 250, np.arange(500) - 20.0, np.arange(500)),
+    ],
+    ids=["random", "half a sample", "mostly lost", "backwards"],
+)
+def test_times_without_even_steps_have_no_gaps(times):
+    assert missing_rows([times], 0.0) == []
+
+
+@pytest.mark.parametrize("cut", [1, 4, 10, 20, 40, 48])
+def test_torn_last_line_is_left_out(cut, tmp_path):
+    path = tmp_path / "a.csv"
+    text(path, np.arange(4000) / RATE, ROWS)
+    data = path.read_bytes()
+    path.write_bytes(data[: -1 - cut])
+    recording, heard = imported(path, tmp_path / "r.mcap")
+    with recording:
+        assert recording.samples == 3999
+        np.testing.assert_allclose(recording.read("force"), ROWS[2, :3999], rtol=1e-9)
+    assert any("last line is cut off and is left out" in each for each in heard)
+
+
+def test_torn_line_elsewhere_is_refused(tmp_path):
+    path = tmp_path / "a.csv"
+    text(path, np.arange(4000) / RATE, ROWS)
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join([*lines[:2000], lines[2000][:9] + "\n", *lines[2001:]]))
+    with pytest.raises(RecordingError, match="line 2001: 2 columns"):
+        imported(path, tmp_path / "r.mcap")

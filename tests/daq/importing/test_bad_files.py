@@ -10,7 +10,6 @@ import tracemalloc
 import warnings
 import zipfile
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 
 import h5py

@@ -6,6 +6,7 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
+from daq.recording.committed_file import RESERVE
 from daq.recording.layout import block_length, flush_length
 from rig.errors import SceneError
 from rig.numerics.memory import need
@@ -17,6 +18,8 @@ from rig.scene.scene import Scene
 MOST_SAMPLES = 1e12
 # Bytes that a sample takes in a recording with display, about; and as little as it ever packs to.
 BYTES, FEWEST_BYTES = 8.0, 0.05
+# Bytes that a sample of a true quantity takes, measured on random motion with dampers.
+TRUTH_BYTES = 6.0
 # What a recording process holds, bytes, measured: libraries and kernels; of each channel the state of its devices, with
 # and without a decimation filter.
 PROGRAM, CHANNEL, FILTERED_CHANNEL = 0.33e9, 0.15e6, 0.4e6
@@ -82,7 +85,10 @@ def estimate(scene: Scene) -> Estimate:
     memory = PROGRAM + channels * state + 8.0 * stretch * (COPIES * channels + motion)
     if isinstance(scene.test, Multisine):
         memory += 8.0 * PERIOD_COPIES * _period(scene.test) * rate
-    return Estimate(seconds, samples, BYTES * samples * channels, memory, isinstance(scene.test, SteppedSine))
+    points = scene.structure.bodies + len(scene.tables)
+    true_series = 3 * points + len(scene.dampers) if scene.recording.truth else 0
+    disk = samples * (BYTES * channels + TRUTH_BYTES * true_series)
+    return Estimate(seconds, samples, disk, memory, isinstance(scene.test, SteppedSine))
 
 
 def refuse_too_much(what: Estimate, path: Path) -> None:
@@ -103,7 +109,7 @@ def refuse_too_much(what: Estimate, path: Path) -> None:
     need(what.memory, "the test with half a second of all its channels, as held before it is written,")
     folder = next(folder for folder in path.absolute().parents if folder.is_dir())
     free = shutil.disk_usage(folder).free
-    if what.disk * FEWEST_BYTES / BYTES > free:
+    if what.disk * FEWEST_BYTES / BYTES + RESERVE > free:
         raise SceneError(
             f"the test would take about {_size(what.disk)}, and the disk of {path} has {_size(free)} left; choose "
             "another disk (-o FILE.mcap), a shorter test, or a lower rate"

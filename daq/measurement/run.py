@@ -34,6 +34,8 @@ Progress = Callable[[float, str], None]
 # where they have no limits and can only lose the control.
 _WATCH, _WATCH_LONG = 0.1, 0.5
 _RAMP = 0.05
+# Part of a test after which its recording shows how large it will be.
+_ENOUGH = 0.02
 
 
 class RunWarning(UserWarning):
@@ -132,7 +134,7 @@ class MeasurementRun:
     ) -> None:
         self._path = path
         self._excite, self._heard = excite, heard
-        self._block = block
+        self._block, self._progress = block, progress
         self.bench = Bench(scene)
         self._warnings: list[str] = []
         self._station = Station(
@@ -141,7 +143,7 @@ class MeasurementRun:
             self.bench.inputs,
             self.bench.rate,
             mark=self._mark,
-            report=progress if progress is not None else lambda fraction, message: None,
+            report=self._report,
             warn=self._warnings.append,
             latency=self.bench.latency,
         )
@@ -288,6 +290,17 @@ class MeasurementRun:
     def _last_sample(self) -> int:
         """Number of the last sample that has come out of the converter."""
         return max(0, self._station.now - self.bench.latency - 1)
+
+    def _report(self, fraction: float, message: str) -> None:
+        """Pass progress on, with a warning where the disk has no room for the rest: no estimate knows the waits."""
+        if self._progress is None:
+            return
+        if self._recorder is not None and fraction > _ENOUGH:
+            rest, free = self._recorder.size * (1.0 / fraction - 1.0), self._recorder.free
+            if rest > free:
+                sizes = f"{rest / 1e6:.3g} MB to come, {free / 1e6:.3g} MB free"
+                message += f"; the disk will be full before the end: {sizes}"
+        self._progress(fraction, message)
 
     def _holds(self) -> str:
         return f"{self._path} holds the {self._station.now / self.bench.rate:.2f} s up to there"

@@ -17,6 +17,8 @@ from rig.output_files import destination, put_in_place
 
 # Pieces that are put together for the disk: all at once, those of thousands of channels would be in memory twice.
 _AT_ONCE = 256
+# Room kept on the disk for the end of the file, and for the display, bytes.
+RESERVE = 1 << 20
 
 
 class DiskError(RunError):

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from daq.mcap_file.metadata_checksum import checked
 from daq.mcap_file.writer import Message, Messages
 from daq.recording import layout
-from daq.recording.committed_file import Disk, DiskError
+from daq.recording.committed_file import RESERVE, Disk, DiskError
 from daq.recording.interrupts import held_back
 from daq.recording.markers import MARKER_SCHEMA, Marker
 from daq.recording.protobuf import Schema
@@ -34,8 +34,7 @@ if TYPE_CHECKING:
 # What packs best for its time: nothing shrinks float64 samples by more than a tenth, and what does not shrink
 # lz4 unpacks eight times as fast as zstd; counts shrink by a fifth under zstd.
 COMPRESSION = {"float64": "lz4", "float32": "zstd", "counts": "zstd"}
-# Room kept on the disk for the end of the file, whose index grows with every chunk, and for the display.
-RESERVE = 1 << 20
+# The index at the end of the file grows with every chunk.
 RESERVE_PER_CHUNK = 256
 # Finding it takes longer than ten groups of samples do.
 _version = cache(metadata.version)
@@ -108,6 +107,16 @@ class Recorder:
     def position(self) -> int:
         """Number of the next sample to be written."""
         return self._raw.position
+
+    @property
+    def size(self) -> int:
+        """Length of the file so far, bytes."""
+        return self._disk.tell()
+
+    @property
+    def free(self) -> int:
+        """Free bytes of its disk, less the room that is kept for its end."""
+        return max(0, self._disk.free() - RESERVE - RESERVE_PER_CHUNK * self._chunks)
 
     @property
     def takes_more(self) -> bool:
@@ -371,7 +380,7 @@ class Recorder:
         """Stop while there still is room to end the file properly."""
         streams = [self._raw, *(() if self._truth is None else self._truth.streams)]
         group = sum(stream.group_bytes for stream in streams)
-        if self._disk.free() < group + RESERVE + RESERVE_PER_CHUNK * self._chunks:
+        if self.free < group:
             self._full = True
             raise DiskError(
                 f"the disk is full: {self._disk.at} holds {self._holds}. Free disk space or use another disk"

@@ -55,3 +55,12 @@ def test_given_hundreds_of_channels_when_recorded_with_display_then_the_recorder
     # The groups that begin, of the file and of the display, have room but take no memory yet.
     begun = 2 * samples.nbytes
     assert peak - begun < COPIES * 8.0 * (group + 2 * block_length(RATE)) * count
+
+
+def test_truth_is_part_of_the_estimated_size() -> None:
+    scene = rig.load("fig8-three-dampers")
+    sizes = [
+        estimate(scene.replace(recording=scene.recording.replace(truth=truth))).disk
+        for truth in (False, True)
+    ]
+    assert sizes[1] > 2.0 * sizes[0]

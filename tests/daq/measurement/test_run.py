@@ -325,6 +325,23 @@ def test_given_a_disk_that_fills_up_when_recording_then_that_is_what_is_said(
         assert "disk is full" in rec.metadata["outcome"]["reason"]
 
 
+def test_progress_warns_of_a_disk_that_will_be_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    usage, said = shutil.disk_usage(tmp_path), []
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=(1 << 20) + 60_000))
+    scene = hit().replace(test={**HIT, "repeats": 20})
+    with pytest.raises(RunError, match="disk is full"):
+        daq.record(scene, tmp_path / "a.mcap", progress=lambda _, message: said.append(message))
+    assert any("the disk will be full before the end" in message for message in said)
+
+
+def test_nothing_begins_on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=1 << 19))
+    with pytest.raises(SceneError, match=r"has 0\.5 MB left"):
+        daq.record(hit(), tmp_path / "a.mcap")
+    assert not list(tmp_path.iterdir())
+
+
 def run_command(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
     """Exit code of the daq command."""
     monkeypatch.setattr(sys, "argv", ["daq", *arguments])

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.importing.matlab_file import matlab_arrays
-from daq.importing.memory import need_for_import
 from daq.importing.signal import (
     Array,
     Signal,
@@ -23,6 +22,7 @@ from daq.importing.signal import (
 )
 from daq.importing.time_gaps import Missing, clock_with_gaps, with_missing
 from rig.errors import RecordingError, ShotrigError
+from rig.numerics.memory import need_beside_program
 
 # Rate in Hz, first time in s, gaps.
 Clock = tuple[float, float, list[Missing]]
@@ -61,7 +61,7 @@ def _numpy_arrays(path: Path) -> dict[str, Any]:
             # It is read in place.
             return {"array": array}
     with zipfile.ZipFile(path) as packed:
-        need_for_import(sum(each.file_size for each in packed.infolist()), path)
+        need_beside_program(sum(each.file_size for each in packed.infolist()), f"{path}: importing it")
     with np.load(path, allow_pickle=False) as archive:
         return {name: archive[name] for name in archive.files}
 
@@ -110,14 +110,14 @@ def _signals(path: Path, arrays: Mapping[str, Any]) -> list[Signal]:
             continue
         where = f"{path}: {name!r}"
         if _TIMES.fullmatch(name) and array.ndim == 1:
-            need_for_import(held_bytes + _CLOCK_BYTES * array.size, path)
+            need_beside_program(held_bytes + _CLOCK_BYTES * array.size, f"{path}: importing it")
             clocks[name] = clock_with_gaps(array.astype(float), 0.0, where)
         elif array.ndim == 1:
             rows[name] = held(array, str(path), len(rows) + 1, name)
         else:
             # Samples of a channel are more than there are channels, whichever way they lie.
             across = array if array.shape[0] <= array.shape[1] else array.T
-            need_for_import(held_bytes + _CLOCK_BYTES * across.shape[1], path)
+            need_beside_program(held_bytes + _CLOCK_BYTES * across.shape[1], f"{path}: importing it")
             times = across[0].astype(float)
             timed = len(across) > 1 and looks_like_times(times, float(times[-1]), times.size)
             if timed:

@@ -14,7 +14,6 @@ from typing import IO, Any
 
 import numpy as np
 
-from daq.importing.memory import need_for_import
 from daq.importing.signal import Array, Signal, rate_of_interval
 from daq.importing.time_gaps import Missing, clock_with_gaps, with_missing
 from daq.mcap_file.chunk import (
@@ -34,6 +33,7 @@ from daq.mcap_file.reader import MAGIC
 from daq.mcap_file.summary import CHUNK, DATA_END, parse
 from daq.recording import layout
 from rig.errors import RecordingError, ShotrigError
+from rig.numerics.memory import need_beside_program
 
 # Messages of ROS 2 in CDR that are rows of numbers.
 _MULTI_ARRAYS = {"std_msgs/msg/Float32MultiArray": "f4", "std_msgs/msg/Float64MultiArray": "f8"}
@@ -124,7 +124,7 @@ class _Topics:
         return unpack_chunk(content, largest=size)
 
     def _need(self, further: float) -> None:
-        need_for_import(self._held + further, self._path)
+        need_beside_program(self._held + further, f"{self._path}: importing it")
 
     def _record(self, opcode: int, content: memoryview, around: int) -> None:
         """Take a record; `around` is the size of the chunk that is in memory with it, bytes."""

@@ -13,9 +13,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from daq.importing.memory import PROGRAM
 from rig.errors import RecordingError, RunError
-from rig.numerics.memory import ALLOWED, most
+from rig.numerics.memory import ALLOWED, PROGRAM, most
 
 _NO_HDF5, _TOO_MUCH = "needs h5py", "needs more memory"
 

@@ -114,7 +114,7 @@ def _signal(
     interval, offset = properties.get("wf_increment"), properties.get("wf_start_offset", 0.0)
     try:
         rate = None if not interval else rate_of_interval(float(interval))
-        start, missing = float(offset), []
+        start, missing = float(offset), list[Missing]()
         if clock is not None:
             rate, start, missing = clock
     except (TypeError, ValueError):

@@ -14,7 +14,6 @@ import numpy as np
 
 from daq.importing import labview_text
 from daq.importing.labview_text import LabviewHeading
-from daq.importing.memory import need_for_import
 from daq.importing.signal import (
     TIME_NAMES,
     Array,
@@ -27,6 +26,7 @@ from daq.importing.signal import (
 from daq.importing.time_gaps import Missing, missing_rows, numbers_of_rows, rate_with_gaps, with_missing
 from daq.importing.time_stamps import resolution_of_stamp, seconds_of_stamp
 from rig.errors import RecordingError
+from rig.numerics.memory import need_beside_program
 from rig.scene.quantities import TIME, parse
 
 # Lines in which the first line of numbers has to come.
@@ -166,7 +166,7 @@ class _Table:
         if self.rows:
             self._ends.append(last[1])
             piece = min(1.0, PIECE / self.rows) * path.stat().st_size
-            need_for_import(_READ_BYTES * piece, path)
+            need_beside_program(_READ_BYTES * piece, f"{path}: importing it")
         self._reading = self._lines()
         self._position = 0
         self._held: tuple[int, int, Array] = (-1, -1, np.empty((0, 0)))

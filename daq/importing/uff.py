@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from daq.importing.memory import need_for_import
 from daq.importing.signal import Signal, held, rate_of_interval
 from daq.importing.time_gaps import Missing, clock_with_gaps, with_missing
 from rig.errors import RecordingError, RunError
+from rig.numerics.memory import need_beside_program
 
 TIME_RESPONSE, FRF, COHERENCE, GENERAL = 1, 4, 6, 0
 #: Beginnings of lines in which our own files say what the format has no field for: the width over which leakage smears
@@ -55,7 +55,7 @@ def functions(path: Path) -> list[dict[str, Any]]:
         import pyuff
     except ImportError:
         raise RunError("Universal Files need the package pyuff: pip install 'shotrig[export]'") from None
-    need_for_import(_READ_BYTES * path.stat().st_size, path)
+    need_beside_program(_READ_BYTES * path.stat().st_size, f"{path}: importing it")
     found: list[dict[str, Any]] = []
     units = None
     with path.open("rb") as stream:

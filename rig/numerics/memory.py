@@ -9,6 +9,8 @@ from rig.errors import RunError
 
 # What a command takes unless it is allowed more, bytes.
 USUAL = 1e9
+# What a process that reads files takes before it reads one, bytes, measured.
+PROGRAM = 0.2e9
 ALLOWED = "SHOTRIG_MEMORY"
 _PREFIXES = {"": 1.0, "M": 1e6, "G": 1e9, "T": 1e12}
 
@@ -40,6 +42,15 @@ def need(size: float, what: str) -> None:
             f"{what} would take {size / 1e9:.4g} GB of memory; at most {allowed / 1e9:.3g} GB is taken unless the "
             f"environment variable {ALLOWED} allows more, such as {ALLOWED}=8GB"
         )
+
+
+def need_beside_program(size: float, what: str) -> None:
+    """Refuse what would take more memory than is allowed, together with what a process takes at its start.
+
+    Parameters and errors as `need`; 0 bytes are never refused.
+    """
+    if size > 0.0:
+        need(PROGRAM + size, what)
 
 
 def most() -> float:

@@ -115,16 +115,14 @@ def _bound(
     """
     lines = sweep.lines
     scatter, gains, turns, along = [], [], [], []
-    for slope, tone, covariance in zip(slopes, sweep.tones, lines.covariance, strict=True):
+    for slope, tone in zip(slopes, sweep.tones, strict=True):
         # Every harmonic scatters as the fundamental does.
-        scatter.append(2.0 * np.einsum("ck,cd,dk->", slope.conj(), covariance, slope).real)
+        scatter.append(2.0 * np.sum(np.square(np.abs(tone.scatter() @ slope.conj()))))
         product = 2.0 * slope * tone.amplitude.conj()
         gains.append(product.real.sum(axis=1))
         turns.append(abs(product).sum(axis=1))
         along.append(2.0 * abs(slope[:, 0]))
-    parts = [
-        np.sqrt(np.nan_to_num(scatter)) * stats.t.ppf(0.975, np.maximum(2.0 * (lines.averages - 1.0), 1.0))
-    ]
+    parts = [np.sqrt(np.nan_to_num(scatter)) * stats.t.ppf(0.975, np.maximum(lines.scatter.degrees, 1.0))]
     tolerances = np.array([tolerance(rec.channels[name]) for name in lines.channels])
     parts.append(abs(np.array(gains)) @ (tolerances / np.maximum(1.0 - tolerances, 1e-300)))
     _, folded = folded_shares(rec, lines.channels, lines.frequency, compliance, of_force, "displacement")

@@ -33,13 +33,12 @@ class ToneFit:
     residual: Array
     """Root mean square of what the fit leaves; shape (channels,)."""
 
-    def covariance(self) -> ComplexArray:
-        """Covariance of the fundamentals, shape (channels, channels), from the scatter of the parts."""
+    def scatter(self) -> ComplexArray:
+        """Factor of the fundamentals' covariance from the scatter of the parts, shape (parts, channels)."""
         count = len(self.parts)
         if count < 2:
-            return np.full((self.parts.shape[1],) * 2, np.nan, dtype=complex)
-        scatter = self.parts - self.parts.mean(axis=0)
-        return scatter.T @ scatter.conj() / ((count - 1) * count)
+            return np.full(self.parts.shape, np.nan, dtype=complex)
+        return np.asarray((self.parts - self.parts.mean(axis=0)) / np.sqrt((count - 1.0) * count))
 
     def distortion(self) -> Array:
         """Total harmonic distortion of each channel: harmonics' root sum of squares over the fundamental."""

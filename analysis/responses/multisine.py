@@ -15,6 +15,7 @@ from analysis.responses.clean_stretches import flaws, told
 from analysis.responses.frf import Frf
 from analysis.responses.local_models.local_spectra import SIDE
 from analysis.responses.measurands import located, reference_of
+from analysis.responses.scatter import Scatter
 from analysis.responses.spectral_lines import Lines, remainder
 from analysis.responses.systematic import counts_of, in_counts, scattered, tone_gain
 from rig.errors import RecordingError
@@ -50,9 +51,9 @@ class BestLinearApproximation:
     """What the periods and the realisations of a multisine say."""
 
     total: Lines
-    """Mean over realisations, its covariance from their scatter: noise and nonlinear distortion together."""
+    """Mean over realisations with their scatter: noise and nonlinear distortion together."""
     noise: Lines
-    """The same mean, its covariance from the scatter of the periods alone."""
+    """The same mean with the scatter of the periods alone."""
     realisations: int
 
     def frf(
@@ -110,8 +111,10 @@ def best_linear_approximation(
     count, frequency = len(kept), kept[0].frequency
     stack = np.stack([one.mean for one in kept])
     centre = stack.mean(axis=0)
-    noise: ComplexArray = np.mean([one.noise for one in kept], axis=0)
-    averages = np.full(frequency.size, float(sum(one.periods - 1 for one in kept) + 1))
+    noise = Scatter(
+        np.concatenate([one.noise for one in kept]) / count,
+        np.full(frequency.size, 2.0 * sum(one.periods - 1 for one in kept)),
+    )
     unsettled = np.mean([one.remainder for one in kept], axis=0)
     counts = counts_of(rec, names)
     samples = rec.rate / (frequency[1] - frequency[0]) if frequency.size > 1 else rec.rate / frequency[0]
@@ -125,7 +128,7 @@ def best_linear_approximation(
     gain = np.minimum(tone_gain(in_counts(rec, names, np.sum(amplitude**2, axis=1) / 2.0)), 0.5)
     rounding = same[:, None] * (counts[:, None] / np.sqrt(samples) + gain[:, None] * amplitude)
     base = Lines(
-        tuple(names), frequency, centre, noise / count, averages, rec.scene.name, tuple(notes), unsettled,
+        tuple(names), frequency, centre, noise, rec.scene.name, tuple(notes), unsettled,
         around=SIDE, turned=count, resolution=rounding,
     )  # fmt: skip
     free = any(damper.moves for damper in rec.scene.dampers)
@@ -133,9 +136,9 @@ def best_linear_approximation(
         if free:
             base = replace(base, warnings=(*notes, ONE_REALISATION))
         return BestLinearApproximation(base, base, 1)
-    off = stack - centre
-    covariance = np.einsum("min,mjn->nij", off, off.conj()) / (count * (count - 1.0))
-    total = replace(base, covariance=covariance, averages=np.full(frequency.size, float(count)))
+    rows = (stack - centre) / np.sqrt(count * (count - 1.0))
+    realisations = Scatter(rows, np.full(frequency.size, 2.0 * (count - 1.0)))
+    total = replace(base, scatter=realisations, noise=noise)
     if _distorted(total, base):
         total = replace(total, warnings=(*notes, NONLINEAR))
     elif free:
@@ -185,6 +188,7 @@ class _Realisation:
     notes: tuple[str, ...]
     mean: ComplexArray
     noise: ComplexArray
+    """Rows of the mean's `Scatter`; shape (periods, channels, lines)."""
     remainder: Array
     scatter: Array
     """Variance of the samples from period to period; shape (channels,)."""
@@ -218,8 +222,7 @@ def _realisation(rec: Recording, names: Sequence[str], marker: Marker, reference
     mean = spectra.mean(axis=0)
     turn = np.sum(reference_of(rec, reference).row(rec, names, frequency) * mean, axis=0)
     turn = turn.conj() / np.maximum(abs(turn), 1e-300)
-    scatter = (spectra - mean) * turn
-    noise = np.einsum("pin,pjn->nij", scatter, scatter.conj()) / (len(clean) * (len(clean) - 1.0))
+    noise = (spectra - mean) * turn / np.sqrt(len(clean) * (len(clean) - 1.0))
     varies = whole.var(axis=0, ddof=1).mean(axis=1)
     return _Realisation(frequency, len(clean), tuple(notes), mean * turn, noise, remainder(spectra), varies)
 
@@ -241,8 +244,8 @@ def _without_drift(periods: Array, numbers: NDArray[np.int64]) -> Array:
 
 
 def _distorted(total: Lines, noise: Lines) -> bool:
-    """Whether realisations scatter more than noise and what was left of transients explain."""
-    seen, expected = (np.sqrt(np.einsum("nii->in", lines.covariance).real) for lines in (total, noise))
-    unsettled = 0.0 if total.remainder is None else total.remainder
-    beyond = (seen > _BEYOND * expected + unsettled) & (seen > _SEEN * abs(total.mean))
+    """Whether realisations scatter more than noise, residual transients and rounding to counts explain."""
+    seen, expected = (np.linalg.norm(lines.scatter.rows, axis=0) for lines in (total, noise))
+    others = [part for part in (total.remainder, total.resolution) if part is not None]
+    beyond = (seen > _BEYOND * expected + np.sum(others, axis=0)) & (seen > _SEEN * abs(total.mean))
     return bool(np.max(beyond.mean(axis=1)) > _SHARE)

@@ -14,6 +14,7 @@ from analysis.responses.aliasing import aliasing_part
 from analysis.responses.frf import Frf, radius
 from analysis.responses.measurands import driven, motion_of, reference_of
 from analysis.responses.ringing import ringing
+from analysis.responses.scatter import Scatter, moderated
 from analysis.responses.systematic import (
     RESOLUTION,
     UNSETTLED,
@@ -50,10 +51,8 @@ class Lines:
     """Hz, in the order measured; shape (n,)."""
     mean: NDArray[np.complex128]
     """Amplitude as recorded: not yet corrected for the sensors; complex, shape (channels, n)."""
-    covariance: NDArray[np.complex128]
-    """Of the mean; complex, shape (n, channels, channels)."""
-    averages: NDArray[np.float64]
-    """Number of parts behind each mean; shape (n,)."""
+    scatter: Scatter
+    """Random deviation of the mean."""
     label: str = ""  # Setting, for legends
     warnings: tuple[str, ...] = field(default=())  # What went wrong on the way
     remainder: NDArray[np.float64] | None = None
@@ -64,6 +63,8 @@ class Lines:
     """Frequencies that were measured but spoilt, Hz."""
     around: int = 0
     """Lines to either side whose noise is alike, where each has so few averages that its own says little."""
+    noise: Scatter | None = None
+    """What noise alone contributes to `scatter`; None: all of it."""
     turned: int = 1
     """Parts of the mean, each of them turned by the phase that its own reference reads: even noise adds up in these."""
     resolution: NDArray[np.float64] | None = None
@@ -86,11 +87,15 @@ class Lines:
         value = x / f
         # d(x/f) = (dx - value df) / f, and both are sums over the same channels.
         off = (upper - value * lower) / f
-        variance = np.einsum("in,nij,jn->n", off, self.covariance, off.conj()).real
+        noise = self.scatter if self.noise is None else self.noise
+        variance, degrees = self.scatter.variance(off), self.scatter.degrees
+        if self.around:
+            expected = noise.nearby(off, self.around)
+            variance, degrees = moderated(variance, degrees, expected, self.around)
         shares = value, upper * self.mean / f, lower * self.mean / f
-        error, degrees = np.sqrt(variance / 2.0), 2.0 * np.maximum(self.averages - 1.0, 0.0)
+        error = np.sqrt(variance / 2.0)
         systematic = aliasing_part(rec, names, self.frequency, *shares, motion)
-        doubts = [self._sway(lower, degrees) / abs(f)]
+        doubts = [self._reference_noise(lower, noise) / abs(f)]
         # What is left of transients, and of rounding, adds up in the worst case.
         unsettled = None if self.remainder is None else _AT_MOST * self.remainder
         for name, each in ((RESOLUTION, self.resolution), (UNSETTLED, unsettled)):
@@ -103,7 +108,8 @@ class Lines:
         bound = np.sqrt(np.sum(np.square([error * radius(0.95, degrees), *systematic.values()]), axis=0))
         systematic |= doubtful_reference_part(bound, np.sqrt(np.sum(np.square(doubts), axis=0)))
         with np.errstate(invalid="ignore", divide="ignore"):
-            coherence = 1.0 / (1.0 + self.averages * variance / abs(value) ** 2)
+            averages = 1.0 + self.scatter.degrees / 2.0
+            coherence = 1.0 / (1.0 + averages * variance / abs(value) ** 2)
         return Frf(
             frequency=self.frequency,
             value=value,
@@ -125,17 +131,16 @@ class Lines:
             scale=common_scale(rec, above.channels, below.channels),
         )
 
-    def _sway(self, lower: NDArray[np.complex128], degrees: NDArray[np.float64]) -> NDArray[np.float64]:
-        """How far noise can put the reference off at each line; shape (n,).
+    def _reference_noise(self, lower: NDArray[np.complex128], noise: Scatter) -> NDArray[np.float64]:
+        """Largest amplitude that noise gives the reference at each line; shape (n,).
 
         In all but one of a thousand lines: where nothing is driven all others are left out, and what is left must not
-        be noise that passed for a reference.
+        be noise that passed for a reference. Realisations turned by the phase of their own reference scatter in its
+        amplitude alone; their periods scatter by all of the noise.
         """
-        width = 2 * self.around + 1
-        noise = ndimage.uniform_filter1d(self.covariance, width, axis=0, mode="nearest")
-        # Rounding can leave a variance of nothing slightly below it.
-        variance = np.maximum(np.nan_to_num(np.einsum("in,nij,jn->n", lower, noise, lower.conj()).real), 0.0)
-        return np.asarray(np.sqrt(self.turned * variance / 2.0) * radius(_SURE, degrees * width))
+        variance = np.nan_to_num(noise.nearby(lower, self.around))
+        degrees = noise.degrees * (2 * self.around + 1)
+        return np.asarray(np.sqrt(self.turned * variance / 2.0) * radius(_SURE, degrees))
 
 
 def _noise(changes: NDArray[np.complex128]) -> NDArray[np.float64]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from analysis.recordings.slices import read_slices
 from analysis.responses.clean_stretches import flaws, told
 from analysis.responses.lock_in import LockIn, ToneFit, parts_of_whole_periods
+from analysis.responses.scatter import Scatter, stacked
 from analysis.responses.spectral_lines import Lines, remainder
 from analysis.responses.systematic import counts_of, scattered
 from rig.errors import RecordingError
@@ -213,8 +214,10 @@ def _sweep(
         channels=names,
         frequency=np.array([tone.frequency for tone in tones]),
         mean=np.stack([tone.amplitude[:, 0] for tone in tones], axis=1),
-        covariance=np.stack([tone.covariance() for tone in tones]),
-        averages=np.array([float(len(tone.parts)) for tone in tones]),
+        scatter=Scatter(
+            stacked([tone.scatter() for tone in tones]),
+            np.array([2.0 * (len(tone.parts) - 1.0) for tone in tones]),
+        ),
         label=f"{rec.scene.name}{setting}",
         warnings=tuple(notes),
         remainder=np.stack([remainder(tone.parts[:, :, None])[:, 0] for tone in tones], axis=1),

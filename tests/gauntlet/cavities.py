@@ -7,7 +7,7 @@ import yaml
 
 import rig
 from rig.system.receptance import receptance
-from tests.gauntlet.scenes import Draw, Settings, structure
+from tests.gauntlet.scenes import INSTRUMENTS, Draw, Settings, coupling, instrumented, structure
 
 # Amplitude of the acceleration of a damper's body without dampers, in g: below 1 nothing flies.
 _LEVELS = (1.3, 8.0)
@@ -46,17 +46,21 @@ def draw_cavities(seed: int, number: int, kind: str) -> rig.Scene:
             *({"name": f"a{body}", "at": f"body {body}", **_accelerometer(dice)} for body in with_damper),
             {"name": "force", "at": "shaker"},
         ],
-        "converter": {"rate": 5120.0, "filter": "delta_sigma"},
+        "converter": {
+            "rate": Draw(seed, number + INSTRUMENTS).one([5120.0, 12800.0]),
+            "filter": "delta_sigma",
+        },
         "recording": {"display": False, "truth": True},
         "seed": dice.whole(1, 10**6),
     }
     scene = rig.loads(yaml.safe_dump(settings, sort_keys=False), where=settings["name"])
-    return scene.replace(test=scene.test.replace(force=force_that_flies(dice, scene, with_damper[0])))
+    scene = scene.replace(test=scene.test.replace(force=force_that_flies(dice, scene, with_damper[0])))
+    return instrumented(Draw(seed, number + INSTRUMENTS + 1), scene)
 
 
 def draw_decay(seed: int, number: int, kind: str) -> rig.Scene:
     """Draw the free decay of a single body from where its damper flies to where it rides."""
-    dice = Draw(seed, number)
+    dice, more = Draw(seed, number), Draw(seed, number + INSTRUMENTS)
     mass, frequency, ratio = dice.log(0.3, 3.0), dice.even(12.0, 40.0), dice.log(0.002, 0.01)
     damper = {
         "body": 1,
@@ -76,7 +80,11 @@ def draw_decay(seed: int, number: int, kind: str) -> rig.Scene:
         "channels": [
             {"name": "a1", "at": "body 1", "accelerometer": {"sensitivity": "100 mV/g", "noise": 2e-4}}
         ],
-        "converter": {"rate": 5120.0, "filter": "delta_sigma"},
+        "converter": {
+            "rate": more.one([2560.0, 5120.0]),
+            "filter": "delta_sigma",
+            **coupling(more, False),
+        },
         "recording": {"display": False},
         "seed": dice.whole(1, 10**6),
     }

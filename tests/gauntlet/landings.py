@@ -7,7 +7,7 @@ import yaml
 import rig
 from rig.system.landing import spring_damper
 from tests.gauntlet.cavities import force_that_flies
-from tests.gauntlet.scenes import Draw, Settings
+from tests.gauntlet.scenes import INSTRUMENTS, Draw, Settings, instrumented
 
 _MASSES, _SPRINGS, _MODES = (0.74, 0.71, 0.64), (24.3e3, 21.8e3, 19.8e3), (12.6, 34.8, 49.2)
 # Durations of a landing, s.
@@ -45,7 +45,8 @@ def draw_landings(seed: int, number: int, kind: str) -> rig.Scene:
         "seed": dice.whole(1, 10**6),
     }
     scene = rig.loads(yaml.safe_dump(settings, sort_keys=False), where=settings["name"])
-    return scene.replace(test=scene.test.replace(force=force_that_flies(dice, scene, with_damper[0])))
+    scene = scene.replace(test=scene.test.replace(force=force_that_flies(dice, scene, with_damper[0])))
+    return instrumented(Draw(seed, number + INSTRUMENTS), scene)
 
 
 def _damper(dice: Draw, body: int) -> Settings:

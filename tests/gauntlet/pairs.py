@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 import rig
 from analysis.responses.frf import Frf
 from rig.system.receptance import receptance
-from tests.gauntlet.scenes import Draw, Settings
+from tests.gauntlet.scenes import INSTRUMENTS, Draw, Settings, instrumented
 
 Array = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ _LEAST_SHARE = 0.25
 
 def draw_pair(seed: int, number: int, kind: str) -> rig.Scene:
     """Draw a structure of 2 to 4 bodies with a pair, and a test that resolves it behind noisy accelerometers."""
-    dice = Draw(seed, number)
+    dice, more = Draw(seed, number), Draw(seed, number + INSTRUMENTS)
     apart, ratio = _EXACT if kind == CURVES else _NOISY
     bodies = dice.whole(2, 4)
     first = dice.even(20.0, 40.0)
@@ -54,11 +54,14 @@ def draw_pair(seed: int, number: int, kind: str) -> rig.Scene:
             *({"name": f"a{body}", "at": f"body {body}", **sensor} for body in (1, 2)),
             {"name": "force", "at": "shaker"},
         ],
-        "converter": {"rate": 1024.0, "bits": 24, "range": 10.0},
+        "converter": {"rate": more.one([1024.0, 2048.0]), "bits": 24, "range": 10.0},
         "recording": {"display": False},
         "seed": dice.whole(1, 10**6),
     }
-    return rig.loads(yaml.safe_dump(settings, sort_keys=False), where=settings["name"])
+    if more.chance(0.5):
+        settings["converter"] |= {"filter": "delta_sigma"}
+    scene = rig.loads(yaml.safe_dump(settings, sort_keys=False), where=settings["name"])
+    return scene if kind == CURVES else instrumented(more, scene)
 
 
 def exact_curves(scene: rig.Scene, seed: int, number: int) -> list[Frf]:

@@ -43,6 +43,10 @@ KINDS = (
 _SLOWEST = 1.6
 # Shares of the scenes in which something is amiss.
 _TIGHT_RANGE, _LOST, _DOUBLE_HIT, _SATURATED = 0.2, 0.15, 0.2, 0.2
+# Share of the inputs that are AC coupled, and their corners, Hz.
+_AC_COUPLED, _AC_CORNERS = 0.4, (0.05, 0.8)
+# Numbers of draws that leave all others of a scene as they are.
+_COUPLINGS, INSTRUMENTS = 2_000_000, 3_000_000
 
 
 class Draw:
@@ -81,6 +85,10 @@ def draw(seed: int, number: int, kind: str) -> rig.Scene:
     settings["test"] = _test(dice, test, modes, bodies, settings)
     settings["channels"] = _channels(dice, settings, bodies)
     settings["converter"] = _converter(dice, settings, modes)
+    if not any("preset" in channel.get("accelerometer", {}) for channel in settings["channels"]):
+        # Sensors of a data sheet are fed by their module, which couples them as they need.
+        module = "preset" in settings["converter"]
+        settings["converter"] |= coupling(Draw(seed, number + _COUPLINGS), module)
     if kind.startswith("imported_"):
         # What was measured came through a filter; an import without one warns that what folded back is in no bound.
         settings["converter"] |= {"filter": "delta_sigma"}
@@ -271,8 +279,6 @@ def _converter(dice: Draw, settings: Settings, modes: list[float]) -> Settings:
     if preset or dice.chance(0.3):
         converter["preset"] = "NI 9234"
         converter["rate"] = max(converter["rate"], 1652.0)
-        if not preset:
-            converter["coupling"] = "DC"
     elif dice.chance(0.5):
         converter |= {
             "bits": dice.one([12, 16, 24]),
@@ -293,6 +299,34 @@ def _converter(dice: Draw, settings: Settings, modes: list[float]) -> Settings:
             {"at": dice.even(1.0, length), "samples": dice.whole(1, 3000)} for _ in range(dice.whole(1, 3))
         ]
     return {key: value for key, value in converter.items() if value is not None}
+
+
+def coupling(dice: Draw, module: bool) -> Settings:
+    """Draw the coupling of all inputs; the corner of a module is its own."""
+    if not dice.chance(_AC_COUPLED):
+        return {"coupling": "DC"}
+    return {"coupling": "AC"} | ({} if module else {"ac_corner": dice.log(*_AC_CORNERS)})
+
+
+def instrumented(dice: Draw, scene: rig.Scene, tolerances: bool = True) -> rig.Scene:
+    """Draw what a scene of real sensors leaves open: coupling, resolution, clock, tolerances."""
+    converter = scene.converter
+    if converter.preset is None:
+        converter = converter.replace(**coupling(dice, False))
+    if converter.preset is None and dice.chance(0.5):
+        # Impacts are read as much more than what the linear response brings about.
+        largest = max(volts for volts, _ in _largest(scene).values())
+        volts = float(f"{largest * dice.log(10.0, 50.0):.3g}")
+        converter = converter.replace(bits=dice.one([16, 24]), range=volts)
+    if dice.chance(0.3):
+        converter = converter.replace(clock_error=dice.even(-5e-5, 5e-5))
+    channels = []
+    for channel in scene.channels:
+        sensor = channel.accelerometer
+        if tolerances and sensor is not None and sensor.preset is None and dice.chance(0.4):
+            sensor = sensor.replace(sensitivity_tolerance=dice.one([0.02, 0.05, 0.1]))
+        channels.append(channel.replace(accelerometer=sensor))
+    return scene.replace(converter=converter, channels=tuple(channels))
 
 
 def _ranged(dice: Draw, scene: rig.Scene) -> rig.Scene:
@@ -330,8 +364,10 @@ def _largest(scene: rig.Scene) -> dict[str, tuple[float, float]]:
 
     By the linear response without dampers.
     """
-    test, sweep = scene.test, scene.test.kind in ("stepped_sine", "swept_sine")
-    if test.kind == "impulse":
+    test, sweep = scene.test, scene.test.kind in ("sine", "stepped_sine", "swept_sine")
+    if test.kind == "sine":
+        band, level = np.array([test.frequency]), test.force
+    elif test.kind == "impulse":
         band, level = np.linspace(2.0, 1.0 / test.width, 2000), test.peak
     else:
         band = np.linspace(min(test.from_, test.to), max(test.from_, test.to), 2000)

@@ -1,0 +1,116 @@
+"""Scatter of a mean of several channels, as a square-root factor of its covariance.
+
+A variance formed as a quadratic form ``w C w*`` comes out negative by rounding where the covariance C has a null
+space, as that of two averages of four channels. From the factor it is a sum of squares. Variances of few degrees of
+freedom are moderated by those of the lines around [1]_: by chance some of them are next to nothing.
+
+References
+----------
+.. [1] G. K. Smyth, Linear models and empirical Bayes methods for assessing differential expression in microarray
+   experiments, Statistical Applications in Genetics and Molecular Biology 3 (2004), article 3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage, special
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# Ratios of variances beyond this say that one of them has no noise at all.
+_LARGEST_RATIO = 1e30
+# Steps of Newton's method for the inverse of the trigamma function, which converges from below.
+_STEPS = 20
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Random deviation of means at some lines."""
+
+    rows: ComplexArray
+    """Factor S: the covariance of channels i and j is the sum over rows of ``S_i conj(S_j)``; complex, shape (rows,
+    channels, lines)."""
+    degrees: Array
+    """Degrees of freedom, two for each complex average beyond the mean; shape (lines,)."""
+
+    def variance(self, weights: ComplexArray) -> Array:
+        """Variance of a weighted sum of the channels; weights of shape (channels, lines).
+
+        Examples
+        --------
+        >>> scatter = Scatter(np.array([[[3.0], [4.0]]]) + 0j, np.array([2.0]))
+        >>> scatter.variance(np.array([[4.0], [-3.0]]) + 0j).tolist()
+        [0.0]
+        """
+        return np.asarray(np.sum(np.square(np.abs(np.einsum("in,rin->rn", weights, self.rows))), axis=0))
+
+    def nearby(self, weights: ComplexArray, side: int) -> Array:
+        """Mean over so many lines to either side of the variances that the weights of each line give."""
+        last = self.degrees.size - 1
+        total = np.zeros(last + 1)
+        for step in range(-side, side + 1):
+            lines = np.clip(np.arange(last + 1) + step, 0, last)
+            total += Scatter(self.rows[:, :, lines], self.degrees).variance(weights)
+        return total / (2 * side + 1)
+
+
+def stacked(parts: list[ComplexArray]) -> ComplexArray:
+    """Join factors of single lines, each of shape (rows, channels), filled up with rows of zeros.
+
+    Examples
+    --------
+    >>> stacked([np.ones((1, 2)) + 0j, np.ones((3, 2)) + 0j]).shape
+    (3, 2, 2)
+    """
+    most = max(len(part) for part in parts)
+    return np.stack([np.pad(part, ((0, most - len(part)), (0, 0))) for part in parts], axis=2)
+
+
+def moderated(variance: Array, degrees: Array, expected: Array, side: int) -> tuple[Array, Array]:
+    """Variances moderated by those of the lines around, and the degrees of freedom that they then have.
+
+    The logarithms of ``variance / expected`` scatter from line to line by what the degrees of freedom explain, and by
+    what the true ratios differ. The less these differ, the more the lines around count.
+
+    Parameters
+    ----------
+    variance, degrees : ndarray, shape (lines,)
+        Of each line alone; the same degrees at all lines.
+    expected : ndarray, shape (lines,)
+        Variance that the noise of the lines around gives.
+    side : int
+        Lines to either side that count.
+
+    Examples
+    --------
+    >>> random = np.random.default_rng(1)
+    >>> alone = random.chisquare(2.0, 400) / 2.0
+    >>> better, degrees = moderated(alone, np.full(400, 2.0), np.ones(400), 12)
+    >>> f"least {alone.min():.3f} and {better.min():.2f}, {degrees[0]:.0f} degrees of freedom"
+    'least 0.007 and 0.52, 50 degrees of freedom'
+    """
+    if variance.size < 2 or not (np.isfinite(variance).all() and np.all(expected > 0.0)):
+        return variance, degrees
+    half, width = degrees / 2.0, min(2 * side + 1, variance.size)
+    logarithm = np.log(np.clip(variance / expected, 1.0 / _LARGEST_RATIO, _LARGEST_RATIO))
+    logarithm += np.log(half) - special.digamma(half)
+    around = ndimage.uniform_filter1d(logarithm, 2 * side + 1, mode="nearest")
+    differs = float(np.mean(np.square(logarithm - around)) * width / (width - 1.0))
+    more = float(np.mean(special.polygamma(1, half)))
+    most = (width - 1.0) * degrees
+    prior = most if differs <= more else np.minimum(2.0 * _inverse_trigamma(differs - more), most)
+    drawn = (prior * expected * np.exp(around) + degrees * variance) / (prior + degrees)
+    return np.asarray(drawn), np.asarray(prior + degrees)
+
+
+def _inverse_trigamma(value: float) -> float:
+    """Solve ``trigamma(x) = value`` by Newton's method for its reciprocal, which is convex [1]_."""
+    x = 0.5 + 1.0 / value
+    for _ in range(_STEPS):
+        now = float(special.polygamma(1, x))
+        x += now * (1.0 - now / value) / float(special.polygamma(2, x))
+    return x

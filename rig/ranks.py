@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import atexit
 import os
+import select
 import signal
+import stat
 import sys
+import time
 import weakref
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
@@ -177,21 +180,53 @@ def _follow() -> NoReturn:
                 # It went wrong on all ranks alike, and the first one tells of it.
                 continue
     except OneRankError as error:
-        print(f"error: {error}", file=sys.stderr, flush=True)
-        _world.Abort(error.exit_code)
+        print(f"error: {error}", file=sys.stderr)
+        _abort(error.exit_code)
     except BaseException:
         # Every command imports this module, and hardly one needs that.
         import traceback
 
         traceback.print_exc()
-        _world.Abort(1)
+        _abort(1)
     sys.exit(0)
 
 
 def _end() -> None:
     """Let the other ranks end, or end them where they wait for what will not come."""
     if _midway:
-        sys.stdout.flush()
-        sys.stderr.flush()
-        _world.Abort(_midway)
+        _abort(_midway)
     _world.bcast(None)
+
+
+def _abort(code: int) -> None:
+    """End all ranks, once mpiexec has read what this one has written: it drops the rest of an aborted rank's output."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    await_reader(1)
+    await_reader(2)
+    _world.Abort(code)
+
+
+def await_reader(descriptor: int, longest: float = 60.0) -> None:
+    """Wait until all that was written to a pipe is read, or its reader is gone; at most so many seconds.
+
+    What is no pipe, such as a file or a terminal, has nothing to wait for.
+    """
+    # Only a rank that fails needs them, and not every system has them.
+    try:
+        import fcntl
+        import termios
+    except ImportError:
+        return
+    try:
+        if not stat.S_ISFIFO(os.fstat(descriptor).st_mode):
+            return
+        poll = select.poll()
+        poll.register(descriptor, 0)
+        end = time.monotonic() + longest
+        while any(fcntl.ioctl(descriptor, termios.FIONREAD, bytes(4))) and time.monotonic() < end:
+            # Only an error, that nobody reads any more, ends this before its millisecond is over.
+            if poll.poll(1):
+                return
+    except OSError:
+        return

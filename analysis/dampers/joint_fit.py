@@ -107,7 +107,7 @@ def fit_within(
         if turn and turn < rounds - 1:
             moved = places + np.clip(solution[3::4], -_STRIDE, _STRIDE)
             places = np.where(abs(moved - [one.place for one in group]) < _FARTHEST, moved, places)
-    error = noise * np.sqrt(np.diag(np.linalg.inv(normal))) / scale
+    error = noise * np.linalg.norm(np.linalg.inv(np.linalg.cholesky(normal)), axis=0) / scale
     left = float(np.sum((seen - matrix @ (solution * scale)) ** 2) + np.sum((ridge * solution) ** 2))
     fitted = [
         replace(

@@ -37,6 +37,8 @@ _FEWEST = 256
 _STILL_MUCH = 0.02
 #: Levels of the energy between which its first fall is told, dB.
 FIRST_FALL = -1.0, -11.0
+# Share of a decay's energy that is rounding.
+_LEAST_ENERGY = 1e-30
 # A decay that is clipped for more than this part has no amplitudes worth reporting.
 _MOST_CLIPPED = 0.1
 
@@ -222,9 +224,10 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     where, _ = signal.find_peaks(abs(shown), distance=max(cycle, 1))
     power = np.cumsum(shown[::-1] ** 2)[::-1]
     after = _energy_after(shown)
-    energy = (
-        np.zeros(shown.size) if np.isinf(after) else 10.0 * np.log10((power + after) / (power[0] + after))
-    )
+    energy = np.zeros(shown.size)
+    if not np.isinf(after):
+        # A reading that ends in zeros has no energy left, whose logarithm is none.
+        energy = 10.0 * np.log10(np.maximum((power + after) / (power[0] + after), _LEAST_ENERGY))
     if energy.min() > FIRST_FALL[1]:
         notes.append(
             f"The energy of {info.name}'s motion does not fall by {-FIRST_FALL[1]:.0f} dB within the record: nothing "

@@ -44,15 +44,27 @@ class Estimate:
     Attributes
     ----------
     x : ndarray, shape (unknowns,)
-    covariance : ndarray, shape (unknowns, unknowns)
-        With what is known beforehand; the larger of what the stated errors and what the misses themselves imply.
+    factor : ndarray, shape (unknowns, columns)
+        Of the covariance, as its product with its transpose; with what is known beforehand, the larger of what the
+        stated errors and what the misses themselves imply.
     variance : float
         Mean square of the misses, in standard deviations: 1 where the stated errors explain them.
     """
 
     x: Array
-    covariance: Array
+    factor: Array
     variance: float
+
+    @property
+    def deviation(self) -> Array:
+        """Standard deviations, shape (unknowns,)."""
+        return np.asarray(np.linalg.norm(self.factor, axis=1))
+
+    @property
+    def correlation(self) -> Array:
+        """Correlation coefficients, shape (unknowns, unknowns)."""
+        unit = self.factor / self.deviation[:, None]
+        return np.asarray(unit @ unit.T)
 
 
 def estimate(problem: Problem, told: Told) -> Estimate:
@@ -175,7 +187,7 @@ def _rechosen(problem: Problem, x: Array, damped: Sequence[Group]) -> bool:
 
 
 def _certainty(problem: Problem, x: Array) -> tuple[Array, float]:
-    """Covariance of the unknowns, and the mean square of the misses.
+    """Factor of the covariance of the unknowns, as in `Estimate`, and the mean square of the misses.
 
     Systematic parts, which do not scatter, shift the unknowns as a whole: what each would do is added. Misses beyond
     the stated errors enlarge the covariance by their mean square. Misses that have causes in common,
@@ -186,12 +198,12 @@ def _certainty(problem: Problem, x: Array) -> tuple[Array, float]:
     .. [1] K.-Y. Liang, S. L. Zeger, Longitudinal data analysis using generalized linear models, Biometrika 73 (1986).
     """
     shifts: list[Array] = []
-    data, scores, square, count = np.zeros((problem.size,) * 2), np.zeros((problem.size,) * 2), 0.0, 0
+    data, scores, square, count = np.zeros((0, problem.size)), [np.diag(1.0 / problem.spread)], 0.0, 0
     for group in problem.groups:
         jacobian = problem.jacobian(x, [group])[: -problem.size]
         misses = problem.residual(x, [group])[: -problem.size]
         used = int(group.used.sum())
-        data += jacobian.T @ jacobian
+        data = np.linalg.qr(np.concatenate([data, jacobian]), mode="r")
         shifts += [jacobian.T @ off for off in _systematic(group)]
         square += float(misses @ misses)
         count += misses.size
@@ -200,17 +212,23 @@ def _certainty(problem: Problem, x: Array) -> tuple[Array, float]:
         rank[order] = np.arange(used)
         width = 1 if group.curves.level is not None else max(1, used // _CLUSTERS)
         cluster = np.tile(np.repeat(rank // width, misses.size // (2 * used)), 2)
-        for one in range(cluster.max() + 1):
-            score = jacobian[cluster == one].T @ misses[cluster == one]
-            scores += np.outer(score, score)
-    prior = np.diag(1.0 / problem.spread**2)
+        clusters = range(cluster.max() + 1)
+        scores.append(
+            np.stack([jacobian[cluster == one].T @ misses[cluster == one] for one in clusters], axis=1)
+        )
     variance = square / max(count - problem.size, 1)
-    stated = np.linalg.inv(data / max(variance, 1.0) + prior)
-    bread = np.linalg.inv(data + prior)
-    clustered = bread @ (scores + prior) @ bread
-    wider = np.sqrt(np.maximum(np.diag(clustered) / np.diag(stated), 1.0))
-    moved = bread @ np.array(shifts).T
-    return stated * np.outer(wider, wider) + moved @ moved.T, variance
+    stated = _inverse_root(data / np.sqrt(max(variance, 1.0)), problem.spread)
+    bread = _inverse_root(data, problem.spread)
+    clustered = bread @ (bread.T @ np.concatenate(scores, axis=1))
+    wider = np.maximum(np.linalg.norm(clustered, axis=1) / np.linalg.norm(stated, axis=1), 1.0)
+    moved = bread @ (bread.T @ np.array(shifts).T)
+    return np.concatenate([wider[:, None] * stated, moved], axis=1), variance
+
+
+def _inverse_root(rows: Array, spread: Array) -> Array:
+    """Factor F of the inverse ``F F^T`` of ``rows^T rows`` and the precision that the prior deviations give."""
+    root = np.linalg.qr(np.concatenate([rows, np.diag(1.0 / spread)]), mode="r")
+    return np.asarray(np.linalg.inv(root))
 
 
 def _systematic(group: Group) -> Iterator[Array]:

@@ -266,7 +266,7 @@ def _result(problem: Problem, found: Estimate, told: Progress) -> Fit:
     for one, group in zip(compared, problem.groups, strict=True):
         warnings += left_out(one.curves, one.used, {} if group.tones is None else group.tones.uncovered)
     names = range(len(problem.parameters))
-    deviation = np.sqrt(np.diag(found.covariance))
+    deviation = found.deviation
     each = tuple(
         _fitted(one, x[k], deviation[k], bool(misfit) or found.variance > NOT_NOISE)
         for k, one in enumerate(problem.parameters)
@@ -277,7 +277,7 @@ def _result(problem: Problem, found: Estimate, told: Progress) -> Fit:
     return Fit(
         scene=scene,
         parameters=each,
-        correlation=(found.covariance / np.outer(deviation, deviation))[np.ix_(names, names)],
+        correlation=found.correlation[np.ix_(names, names)],
         sensitivities={
             sensor.name: (problem.deviation(x, sensor), CONFIDENCE * float(deviation[len(names) + k]))
             for k, sensor in enumerate(problem.sensors)
@@ -348,7 +348,7 @@ def _beyond(problem: Problem, x: Array) -> str:
 
 
 def _modes(problem: Problem, found: Estimate) -> tuple[Mode, ...]:
-    """Modes of the structure alone; bounds by first-order propagation of the covariance."""
+    """Modes of the structure alone; bounds by first-order propagation of the covariance's factor."""
 
     def at(x: Array) -> Array:
         mass, damping, stiffness = structure_matrices(problem.scene(x).structure)
@@ -360,7 +360,7 @@ def _modes(problem: Problem, found: Estimate) -> tuple[Mode, ...]:
     here, step = at(found.x), 1e-6
     columns = [(at(found.x + step * row) - here) / step for row in np.eye(problem.size)]
     jacobian = np.stack(columns, axis=1)
-    bound = CONFIDENCE * np.sqrt(np.einsum("ij,jk,ik->i", jacobian, found.covariance, jacobian))
+    bound = CONFIDENCE * np.linalg.norm(jacobian @ found.factor, axis=1)
     count = here.size // 2
     return tuple(
         Mode(*(float(v) for v in (here[k], bound[k], here[count + k], bound[count + k])))

@@ -29,9 +29,9 @@ def together(problem: Problem, found: Estimate, told: Sequence[str]) -> tuple[st
             lines.append(f"{one.key} is not told by these recordings{why}; it stays about where it was.")
     if not known:
         return tuple(lines)
-    size, axes = np.linalg.eigh(found.covariance[np.ix_(known, known)])
-    for variance, axis in sorted(zip(size, axes.T, strict=True), key=lambda pair: -pair[0]):
-        half = CONFIDENCE * float(np.sqrt(variance)) * float(abs(axis).max())
+    axes, size, _ = np.linalg.svd(found.factor[known], full_matrices=False)
+    for deviation, axis in zip(size, axes.T, strict=True):
+        half = CONFIDENCE * float(deviation) * float(abs(axis).max())
         members = [k for k, share in zip(known, abs(axis), strict=True) if share > _SHARE * abs(axis).max()]
         if half < _WIDE:
             break
@@ -48,7 +48,6 @@ def together(problem: Problem, found: Estimate, told: Sequence[str]) -> tuple[st
 def _calibrations(problem: Problem, found: Estimate, parameter: int) -> str:
     """Name the sensors whose tolerance decides a value."""
     count = len(problem.parameters)
-    deviation = np.sqrt(np.diag(found.covariance))
-    related = found.covariance[parameter] / (deviation[parameter] * deviation)
+    related = found.correlation[parameter]
     names = [sensor.name for k, sensor in enumerate(problem.sensors) if abs(related[count + k]) > 0.7]
     return f" (only the calibration of {', '.join(names)} decides)" if names else ""

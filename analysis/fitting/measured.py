@@ -158,7 +158,8 @@ def _of_lines(rec: Recording, lines: Lines, names: Sequence[str], reference: str
             for name, frf in zip(names, frfs, strict=True)
         ]
     )
-    covariance = np.einsum("ikn,nkl,jln->nij", off, lines.covariance, off.conj())
+    rows = np.einsum("ikn,rkn->nir", off, lines.scatter.rows)
+    covariance = rows @ rows.conj().swapaxes(1, 2)
     return _curves(rec, frfs, covariance, lower, reference, label, np.abs(amplitude))
 
 

@@ -53,8 +53,8 @@ def damping_by_level(problem: Problem, found: Estimate) -> tuple[LevelDamping, .
         jacobian = problem.jacobian(x, [group], 0.0, active)
         misses = problem.residual(x, [group])[: -problem.size]
         variance = max(float(np.mean(misses**2)), 1.0)
-        covariance = np.linalg.inv(jacobian.T @ jacobian) * variance
-        half = CONFIDENCE * np.sqrt(np.diag(covariance))
+        root = np.linalg.inv(np.linalg.qr(jacobian, mode="r"))
+        half = CONFIDENCE * np.sqrt(variance) * np.linalg.norm(root, axis=1)
         value = problem.values(x)[active]
         size = (2.0 * np.pi * curves.frequency) ** (2 if curves.reference in ("table", "force") else 0)
         out.append(

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import signal
 
 from analysis.modal.order_selection import correlation, half_width
 from analysis.modal.pole_residue import Curves, Fit
@@ -33,6 +34,8 @@ _IS_NOISE = 0.3
 # to see in the misfit: no damping ratio is claimed to be known better than this, and no frequency better than this
 # part of half the half-power width.
 _UNSEEN = 5e-4
+# Eigenvalues of the information below this part of the largest are rounding.
+_RANK = 1e-15
 
 
 def pole_errors(curves: Curves, model: Fit) -> tuple[Array, Array]:
@@ -52,15 +55,14 @@ def pole_errors(curves: Curves, model: Fit) -> tuple[Array, Array]:
     count = model.poles.size
     decay, damped, size = -model.poles.real, model.poles.imag, abs(model.poles)
     f_error, z_error = np.empty(count), np.empty(count)
-    covariances = _covariances(curves, model)
+    factors = _factors(curves, model)
     for i in range(count):
         # The parameters are the logarithm of the decay rate and the damped frequency in decay rates.
         to_f = np.array([decay[i], damped[i]]) * decay[i] / size[i] / (2 * np.pi)
         to_z = np.array([damped[i] ** 2, -decay[i] * damped[i]]) * decay[i] / size[i] ** 3
-        pairs = [matrix[np.ix_([i, i + count], [i, i + count])] for matrix in covariances]
-        # Rounding can leave a variance of nothing slightly below it.
+        pairs = [factor[[i, i + count]] for factor in factors]
         f_error[i], z_error[i] = (
-            np.sqrt(max(*(to @ pair @ to for pair in pairs), 0.0)) for to in (to_f, to_z)
+            max(float(np.linalg.norm(to @ pair)) for pair in pairs) for to in (to_f, to_z)
         )
     # Errors of any phase put a pole off in any direction: of few lines the error along it may come out small by chance.
     f_error = np.maximum(f_error, np.hypot(f_error, z_error * size / (2 * np.pi)) / np.sqrt(2.0))
@@ -120,8 +122,8 @@ def _shift(off: Array, away: Array, half: float) -> float:
     return float(np.quantile(moved[near], 0.75, method="higher"))
 
 
-def _covariances(curves: Curves, model: Fit) -> tuple[Array, Array, Array]:
-    """Covariance of the parameters for three kinds of errors.
+def _factors(curves: Curves, model: Fit) -> tuple[Array, Array, Array]:
+    """Factors F of the covariance ``F F^T`` of the parameters for three kinds of errors, shape (parameters, columns).
 
     Independent ones; those shared by responses and neighbours, as the misfit shows them; and those of a reference,
     by which all responses are divided: a line's errors are the same part of each response, so that poles follow them
@@ -130,29 +132,31 @@ def _covariances(curves: Curves, model: Fit) -> tuple[Array, Array, Array]:
     parameters = model.slope.shape[0]
     slope = model.slope.reshape(parameters, -1)
     information = (slope @ slope.conj().T).real
-    normal = np.linalg.pinv(information)
+    size, axes = np.linalg.eigh(information)
+    known = size > _RANK * size[-1]
+    root = axes[:, known] / np.sqrt(size[known])
+    normal = root @ root.T
     degrees = curves.degrees(model.poles.size)
     score = np.einsum("pmn,mn->pn", model.slope.conj(), model.rest).real
-    middle = score @ score.T
     # Weights that fall to nothing within the correlation itself would miss half of it.
     reach = max(correlation(model.rest), curves.shared)
     lags = int(np.clip(round(_REACH * reach), 1, max(score.shape[1] // 4, 1)))
-    for lag in range(1, lags):
-        beside = score[:, lag:] @ score[:, :-lag].T
-        middle += (1.0 - lag / lags) * (beside + beside.T)
+    # Sums over so many neighbours have the covariance with Bartlett's weights.
+    sums = signal.convolve(score, np.ones((1, lags)), method="direct") / np.sqrt(lags)
     # The misfit has fewer degrees of freedom than numbers: the fit has taken its share.
-    plain = np.asarray(normal * (model.misfit / degrees * reach), dtype=float)
+    plain = root * np.sqrt(model.misfit / degrees * reach)
     # Of what no line tells, as the width of a pole far narrower than their spacing, a pseudoinverse has nothing.
     with np.errstate(divide="ignore"):
         least = model.misfit / degrees * reach / np.diag(information)
-    np.fill_diagonal(plain, np.maximum(np.diag(plain), least))
+    missing = np.maximum(least - np.sum(np.square(plain), axis=1), 0.0)
+    plain = np.concatenate([plain, np.diag(np.sqrt(missing))], axis=1)
     # Of few numbers it has taken most of each, and what is left is the smaller still (MacKinnon and White's HC3).
-    seen = np.asarray(normal @ middle @ normal * (curves.numbers / degrees) ** 2, dtype=float)
+    seen = np.asarray(normal @ sums * (curves.numbers / degrees), dtype=float)
     # Of a line that no response tells, which weighs nothing, there is nothing to have in common.
     surest = np.max(curves.weight * abs(curves.value), axis=0)
     relative = np.divide(1.0, surest, out=np.zeros_like(surest), where=surest > 0.0)
     scored = np.einsum("pmn,mn->pn", model.slope.conj(), curves.weight * curves.value) * relative
     # What neighbours share of the misfit they share of the curves' own errors, where that is what the misfit is.
     alike = reach if model.misfit > _IS_NOISE * degrees else curves.shared
-    common = alike * (scored @ scored.conj().T).real
-    return plain, seen, np.asarray(normal @ common @ normal, dtype=float)
+    common = normal @ np.concatenate([scored.real, scored.imag], axis=1) * np.sqrt(alike)
+    return plain, seen, np.asarray(common, dtype=float)

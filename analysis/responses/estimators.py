@@ -92,17 +92,21 @@ class Averages:
         upper = above.row(rec, self.channels, self.frequency)
         below = reference_of(rec, reference)
         lower = below.row(rec, self.channels, self.frequency)
-        sxx = np.einsum("in,nij,jn->n", upper, self.cross, upper.conj()).real
-        sff = np.einsum("in,nij,jn->n", lower, self.cross, lower.conj()).real
-        sxf = np.einsum("in,nij,jn->n", upper, self.cross, lower.conj())
+        factor = square_root(self.cross)
+        x, f = (np.einsum("in,nir->nr", row, factor) for row in (upper, lower))
+        sxx, sff = (np.sum(np.square(np.abs(each)), axis=1) for each in (x, f))
+        sxf = np.sum(x * f.conj(), axis=1)
         driven(reference, sff)
         value = estimate(estimator, sxx, sff, sxf)
-        coherence = np.minimum(abs(sxf) ** 2 / (sxx * sff), 1.0)
+        # Power of the response that does not follow the reference, over that which does.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            other = np.sum(np.square(np.abs(x - (sxf / sff)[:, None] * f)), axis=1) / (abs(sxf) ** 2 / sff)
+        coherence = 1.0 / (1.0 + other)
         # Of every channel, how much it reads per unit of the reference.
         reads = np.einsum("nij,jn->in", self.cross, lower.conj()) / sff
         if self.averages > 1.0:
             # Coherence from few blocks is biased towards one; the scatter belongs to averages - 1 of them.
-            error = abs(value) * np.sqrt((1.0 - coherence) / (2.0 * coherence * (self.averages - 1.0)))
+            error = abs(value) * np.sqrt(other / (2.0 * (self.averages - 1.0)))
         else:
             error = np.full(value.shape, np.nan)
         leakage: dict[str, Array] = {}
@@ -139,14 +143,37 @@ class Averages:
 
     def _noise_of_two(self, names: Sequence[str]) -> Array:
         """Power of noise that the channels of a spring's force can hold at most: what they have not in common."""
-        one, other = (self.channels.index(name) for name in names)
-        own, second = self.cross[:, one, one].real, self.cross[:, other, other].real
-        common = abs(self.cross[:, one, other]) ** 2
+        rows = [self.channels.index(name) for name in names]
+        readings = square_root(self.cross)[:, rows]
         noise = np.zeros((len(self.channels), self.frequency.size))
-        noise[one] = own - common / np.maximum(second, 1e-300)
-        noise[other] = second - common / np.maximum(own, 1e-300)
+        for row, own, second in zip(rows, (0, 1), (1, 0), strict=True):
+            reading, other = readings[:, own], readings[:, second]
+            power = np.sum(np.square(np.abs(other)), axis=1)
+            common = np.sum(reading * other.conj(), axis=1) / np.maximum(power, 1e-300)
+            noise[row] = np.sum(np.square(np.abs(reading - common[:, None] * other)), axis=1)
         # Few blocks have more in common by chance.
-        return np.asarray(np.maximum(noise, 0.0) * self.averages / max(self.averages - 1.0, 1e-300))
+        return np.asarray(noise * self.averages / max(self.averages - 1.0, 1e-300))
+
+
+def square_root(matrices: ComplexArray) -> ComplexArray:
+    """Factor F of positive semidefinite matrices ``F F^H``, to the rounding of each of their diagonal elements.
+
+    What rounding leaves below zero is projected onto zero, the nearest semidefinite matrix (Higham 1988).
+
+    Parameters
+    ----------
+    matrices : ndarray of complex, shape (n, size, size)
+
+    Examples
+    --------
+    >>> factor = square_root(np.array([[[1.0, 2e9j], [-2e9j, 4e18]]]))
+    >>> np.allclose(factor @ factor.conj().swapaxes(1, 2), [[[1.0, 2e9j], [-2e9j, 4e18]]])
+    True
+    """
+    scale = np.sqrt(np.einsum("nii->ni", matrices).real)
+    unit = scale + (scale == 0.0)
+    power, axes = np.linalg.eigh(matrices / (unit[:, :, None] * unit[:, None, :]))
+    return np.asarray(unit[:, :, None] * axes * np.sqrt(np.maximum(power, 0.0))[:, None, :])
 
 
 def independent_blocks(window: Array, step: int, blocks: int) -> float:

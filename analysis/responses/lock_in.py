@@ -84,7 +84,8 @@ class LockIn:
         self._basis: dict[int, Array] = {}
         self._grams: dict[int, Array] = {}
         self._parts: list[tuple[int, int, Array]] = []
-        self._squares: list[Array] = []
+        # Of each part, what its own fit of all terms leaves.
+        self._left: list[Array] = []
         self._samples = 0
 
     def add(self, samples: Array) -> None:
@@ -94,7 +95,7 @@ class LockIn:
         for start, turn, basis in self._pieces(length):
             projection += turn @ (basis @ samples[:, start : start + basis.shape[1]].T)
         self._parts.append((self._samples, length, projection))
-        self._squares.append(np.einsum("ij,ij->i", samples, samples))
+        self._left.append(self._left_over(samples, projection))
         self._samples += length
 
     def tone(self) -> ToneFit:
@@ -117,10 +118,24 @@ class LockIn:
             local = linalg.solve(gram[2:, 2:], left_over, assume_a="pos")
             turn = np.exp(-2j * np.pi * np.fmod(self.frequency * first / self.rate, 1.0))
             parts[row] = amplitude[:, 0] + (local[0] + 1j * local[1]) * turn
-        left = np.sum(self._squares, axis=0) - np.einsum("ij,ij->j", solution, right)
-        degrees = max(self._samples - size, 1)
-        residual = np.sqrt(np.maximum(left, 0.0) / degrees)
+        # What the common fit leaves: what the parts' own fits leave, and by how much these differ from it.
+        left = np.sum(self._left, axis=0)
+        for matrix, (_, length, projection) in zip(to_local, self._parts, strict=True):
+            factor = linalg.cholesky(self._gram(length), lower=True)
+            own = linalg.solve_triangular(factor, projection, lower=True)
+            left += np.sum(np.square(own - factor.T @ (matrix @ solution)), axis=0)
+        residual = np.sqrt(left / max(self._samples - size, 1))
         return ToneFit(self.frequency, amplitude, parts, residual)
+
+    def _left_over(self, samples: Array, projection: Array) -> Array:
+        """Sum of squares that a part's own fit leaves of its samples, shape (channels,)."""
+        length = samples.shape[1]
+        own = linalg.solve(self._gram(length), projection, assume_a="pos")
+        left = np.zeros(len(samples))
+        for start, turn, basis in self._pieces(length):
+            missed = samples[:, start : start + basis.shape[1]] - (own.T @ turn) @ basis
+            left += np.einsum("ij,ij->i", missed, missed)
+        return left
 
     def _gram(self, length: int) -> Array:
         """Gram matrix of a part's rows 1, slope, cos k, -sin k; parts differ by a sample at most."""

@@ -19,7 +19,7 @@ from scipy.signal import fftconvolve
 from analysis.responses.clean_stretches import clean_stretches, cure, flaws, told
 from analysis.responses.force_pulse import high_passes
 from analysis.responses.frf import Frf
-from analysis.responses.local_models.jitter import jitter_covariance
+from analysis.responses.local_models.jitter import jitter_factor
 from analysis.responses.local_models.local_spectra import SIDE, LocalSpectra
 from analysis.responses.local_models.low_spectra import low_spectra
 from analysis.responses.measurands import motion_of, reference_of, responses
@@ -184,7 +184,7 @@ class WholeStretches:
         reach = slice(first, min(max(int(lines[-1]) + side, first + 2 * side), size // 2) + 1)
         bins = np.arange(reach.stop)
         lengths, rests = [stop - start for start, stop in stretches], [False] * len(stretches)
-        jitter = np.zeros((len(names), len(names)))
+        jitter = np.zeros((0, len(names)))
         if self.hits is None:
             found = [low_spectra(rec, names, *each, size, reach.stop) for each in stretches]
             samples = [spectra for spectra, _ in found]
@@ -207,7 +207,7 @@ class WholeStretches:
             for each in samples:
                 each[names.index(self.hits.channel)] *= turn
             inside = [hit for each in stretches for hit in self.hits.inside(*each)]
-            jitter = jitter_covariance(rec, names, inside, size, side)
+            jitter = jitter_factor(rec, names, inside, size, side)
             gain = self.hits.rounding(rec, names, stretches, blocks, samples, lines, side)
         begins = np.exp(np.outer((size - np.array(lengths)) / size, -2j * np.pi * bins))
         ends = np.where(np.array(rests)[:, None], 0.0, begins)

@@ -144,8 +144,9 @@ class PeriodicMotion:
 
     def homogeneous(self, phase: MotionPhase, t: Array) -> tuple[Array, Array, Array, Array]:
         """Responses after a time `t`: q to unit q and to unit q', then q' to unit q and to unit q'."""
-        _, decay, stiffness = self._oscillator(phase)
-        s = np.sqrt(stiffness - decay**2)
+        inertia, decay, stiffness = self._oscillator(phase)
+        # The root of stiffness - decay**2, whose difference may round to zero near critical damping.
+        s = np.sqrt(inertia - self.setting.damping**2) / (self.setting.ratio * inertia)
         fading = np.exp(-decay * t)
         c, si = fading * np.cos(s * t), fading * np.sin(s * t) / s
         return c + decay * si, si, -stiffness * si, c - decay * si

@@ -142,14 +142,14 @@ def reduce_to_mode(
         )
     if not clearance >= 0:
         raise SceneError(f"clearance {clearance} m: expected 0 or more")
-    _, shapes = natural_modes(mass, stiffness)
+    frequencies, shapes = natural_modes(mass, stiffness)
     shape = shapes[:, mode - 1]
     if at is not None:
         shape = shape / shape[at - 1]
     modal_mass, modal_damping, modal_stiffness = (
         float(shape @ a @ shape) for a in (mass, damping, stiffness)
     )
-    if not modal_stiffness > 0:
+    if not frequencies[mode - 1] > 0:
         raise SceneError(
             f"mode {mode} is a rigid-body motion: the approximate method needs one that vibrates"
         )

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import sys
+import threading
+from pathlib import Path
 
 import pytest
 
@@ -50,6 +53,40 @@ def test_given_two_ranks_when_one_fails_alone_then_it_says_why_and_both_end(rank
     assert done.returncode == 1
     assert "memory has run out here" in done.stderr
     assert "went on" not in done.stdout
+
+
+def test_output_is_awaited_until_it_is_read() -> None:
+    reader, writer = os.pipe()
+    os.write(writer, b"why it failed")
+    heard: list[bytes] = []
+    waiting = threading.Thread(target=ranks.await_reader, args=(writer,))
+    waiting.start()
+    waiting.join(0.05)
+
+    assert waiting.is_alive()
+    heard.append(os.read(reader, 5))
+    waiting.join(0.05)
+    assert waiting.is_alive()
+    heard.append(os.read(reader, 100))
+    waiting.join()
+
+    assert b"".join(heard) == b"why it failed"
+
+
+def test_output_without_a_reader_is_not_awaited() -> None:
+    reader, writer = os.pipe()
+    os.write(writer, b"why it failed")
+    os.close(reader)
+
+    ranks.await_reader(writer)
+
+
+def test_output_to_a_file_is_not_awaited(tmp_path: Path) -> None:
+    with (tmp_path / "log").open("wb") as file:
+        file.write(b"why it failed")
+        file.flush()
+
+        ranks.await_reader(file.fileno())
 
 
 def test_given_two_ranks_when_ctrl_c_comes_in_the_middle_then_both_end() -> None:

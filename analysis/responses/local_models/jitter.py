@@ -24,10 +24,10 @@ _AT_MOST = 2.0
 _BENDS = 2 * ORDER
 
 
-def jitter_covariance(
+def jitter_factor(
     rec: Recording, names: Sequence[str], hits: Sequence[tuple[int, int]], size: int, side: int
 ) -> Array:
-    """Covariance of what jitter adds to the spectra of a hit and passes for response, shape (channels, channels).
+    """Factor of the covariance of what jitter adds to a hit's spectra and passes for response, (rows, channels).
 
     A sample taken late by t is off by t times the slope of its signal. Slopes are steepest while a hit lasts and soon
     after it; what is off there is as smooth over the lines as the response is, so that no scatter tells of it. As much
@@ -38,16 +38,16 @@ def jitter_covariance(
     names : sequence of str
         Channels.
     hits : sequence of (int, int)
-        First and last sample of each; the covariance is their mean, in the product of both channels' units.
+        First and last sample of each; the covariance is their mean.
     size : int
         Samples that a spectrum is made of.
     side : int
         Lines to either side that a fit takes in.
     """
     deviation = (rec.scene.converter.jitter or 0.0) * rec.rate
-    covariance = np.zeros((len(names), len(names)))
+    factor = np.zeros((0, len(names)))
     if not deviation:
-        return covariance
+        return factor
     # By the weights of a polynomial fitted to the lines nearby, from the hit to where they first end.
     reach = size * (_BENDS + 1) // (2 * side + 1)
     weights = signal.savgol_coeffs(2 * side + 1, _BENDS)
@@ -57,17 +57,17 @@ def jitter_covariance(
         readings = np.stack([rec.read(name, max(begin - 1, 0), begin + reach) for name in names])
         slopes = np.diff(readings, axis=1)
         slopes *= deviation * passed[: slopes.shape[1]]
-        covariance += slopes @ slopes.T / len(hits)
-    return covariance
+        factor = np.linalg.qr(np.concatenate([factor, slopes.T / np.sqrt(len(hits))]), mode="r")
+    return factor
 
 
-def jitter_part(covariance: Array, off: ComplexArray, power: Array) -> dict[str, Array]:
+def jitter_part(factor: Array, off: ComplexArray, power: Array) -> dict[str, Array]:
     """How far jitter while hits last, and soon after, can put a response off.
 
     Parameters
     ----------
-    covariance : ndarray, shape (channels, channels)
-        As `jitter_covariance` gives it.
+    factor : ndarray, shape (rows, channels)
+        As `jitter_factor` gives it.
     off : ndarray of complex, shape (channels, lines)
         ``u - H l`` of the weights u and l by which readings make response and reference.
     power : ndarray, shape (lines,)
@@ -75,11 +75,10 @@ def jitter_part(covariance: Array, off: ComplexArray, power: Array) -> dict[str,
 
     Examples
     --------
-    >>> part = jitter_part(np.array([[4.0, 2.0], [2.0, 1.0]]), np.array([[1.0], [-2.0]]) + 0j, np.ones(1))
+    >>> part = jitter_part(np.array([[2.0, 1.0]]), np.array([[1.0], [-2.0]]) + 0j, np.ones(1))
     >>> {name: size.tolist() for name, size in part.items()}  # what both read is off by the same
     {'jitter of the sampling instants': [0.0]}
     """
-    if not covariance.any():
+    if not factor.any():
         return {}
-    variance = np.einsum("cn,cd,dn->n", off.conj(), covariance, off).real
-    return {JITTER: _AT_MOST * np.sqrt(np.maximum(variance, 0.0) / np.maximum(power, 1e-300))}
+    return {JITTER: _AT_MOST * np.linalg.norm(factor @ off, axis=0) / np.sqrt(np.maximum(power, 1e-300))}

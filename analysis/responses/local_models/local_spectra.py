@@ -62,7 +62,7 @@ class LocalSpectra:
     noise: Array
     """Power of each channel's noise at each line, as far as known; shape (channels, lines)."""
     jitter: Array
-    """Of hits, as `jitter_covariance` gives it; shape (channels, channels)."""
+    """Of hits, as `jitter_factor` gives it; shape (rows, channels)."""
     fits: dict[tuple[str, Measurand], LocalFit] = field(default_factory=dict)
     """Made so far, of a channel to a reference: responses share the channels of their reference."""
     spectra: dict[Measurand, ComplexArray] = field(default_factory=dict)
@@ -77,7 +77,7 @@ class LocalSpectra:
             samples=self.samples[:, rows],
             gain=self.gain[rows],
             noise=self.noise[rows],
-            jitter=self.jitter[np.ix_(rows, rows)],
+            jitter=self.jitter[:, rows],
         )
 
     def frf(

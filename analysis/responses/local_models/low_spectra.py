@@ -61,13 +61,16 @@ def low_spectra(
     beyond, before, piece = filters.shape[1], size - (stop - start), max(1, PIECE // step) * step
     kept = np.zeros((len(names), beyond + size // step))
     total, squares = np.zeros((2, len(names)))
+    # Squares are taken about a first sample: those of an offset would hide what varies.
+    offset = np.array([rec.read(name, start, start + 1)[0] for name in names])
     for first in range(before // step * step, size, piece):
         read = np.zeros((len(names), min(piece, size - first)))
         begin, end = max(first, before), first + read.shape[1]
         for row, name in enumerate(names):
             read[row, begin - first :] = rec.read(name, begin - before + start, end - before + start)
         total += read.sum(axis=1)
-        squares += np.einsum("cn,cn->c", read, read)
+        varies = read[:, begin - first :] - offset[:, None]
+        squares += np.einsum("cn,cn->c", varies, varies)
         rows = np.arange(0, read.shape[1] // step, few)
         frames = np.split(read.reshape(len(names), -1, step), rows[1:], axis=1)
         parts = np.concatenate([each @ filters for each in frames], axis=1)
@@ -81,4 +84,4 @@ def low_spectra(
     mean = total / (stop - start)
     spectra[:, 0] = 0.0
     spectra[:, 1:] += mean[:, None] * (np.expm1(before * turn[1:]) / np.expm1(turn[1:]))
-    return spectra, squares / (stop - start) - mean**2
+    return spectra, np.maximum(squares / (stop - start) - (mean - offset) ** 2, 0.0)

@@ -57,7 +57,8 @@ gauntlet: $(STAMP)
 fits: $(STAMP)
 	$(BIN)/python -m tests.gauntlet.fits --seed $(SEED)
 
-# The tests as on other machines: vector width, BLAS kernel, threads, locale, Pythons, oldest dependencies.
+# The tests as on other machines: vector width, threads, locale, Pythons, oldest dependencies; the quick ones under every
+# kernel of OpenBLAS.
 matrix: $(STAMP)
 	$(BIN)/python -m tests.matrix
 

@@ -15,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -38,8 +38,22 @@ SETTINGS: dict[str, dict[str, str]] = {
         "PYTHONUTF8": "0",
     },
 }
-# What CI runs: examples in docstrings, where digits are printed, and the engine against its references.
+# Kernels of OpenBLAS by name, each of which rounds in its own way, and the instructions that it needs.
+KERNELS = {
+    "Prescott": "SSE3",
+    "Nehalem": "SSE42",
+    "Sandybridge": "AVX",
+    "Haswell": "AVX2",
+    "Zen": "AVX2",
+    "SkylakeX": "AVX512_SKX",
+    "Cooperlake": "AVX512BF16",
+    "Sapphirerapids": "AVX512_SPR",
+}
+QUICK = ["-m", "not thorough"]
+# What CI runs: examples in docstrings, where digits are printed, and the engine against its references; and the quick
+# tests of the analysis under a narrow and a wide kernel.
 SHORT = ["rig", "daq", "analysis", "tests/rig/engine", "tests/rig/numerics"]
+SHORT_KERNELS = ("Nehalem", "SkylakeX")
 
 OLDEST = "oldest dependencies"
 # Pythons that the product is made for.
@@ -55,6 +69,17 @@ def features() -> str:
     return subprocess.run(
         [sys.executable, "-c", code], check=True, capture_output=True, text=True
     ).stdout.strip()
+
+
+def supported(kernels: Iterable[str]) -> list[str]:
+    """Keep the kernels that this processor can run; name the others."""
+    code = "from numpy._core._multiarray_umath import __cpu_features__ as f; print(*(name for name in f if f[name]))"
+    known = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
+    kept = [kernel for kernel in kernels if KERNELS[kernel] in known.split()]
+    for kernel in kernels:
+        if kernel not in kept:
+            print(f"== OpenBLAS kernel {kernel}: not here (no {KERNELS[kernel]})", flush=True)
+    return kept
 
 
 def pythons() -> Iterator[tuple[str, str]]:
@@ -97,7 +122,9 @@ def passes(python: str, tests: list[str], setting: dict[str, str]) -> bool:
 def main() -> int:
     """Run the tests under each setting and in each environment; say where they failed."""
     words = argparse.ArgumentParser(description=__doc__)
-    words.add_argument("--short", action="store_true", help="the part that CI runs, under the first setting")
+    words.add_argument(
+        "--short", action="store_true", help="the part that CI runs, under the first setting and two kernels"
+    )
     words.add_argument("tests", nargs="*", help="what to run; default everything")
     told = words.parse_args()
     chosen = dict(list(SETTINGS.items())[:1]) if told.short else SETTINGS
@@ -108,6 +135,12 @@ def main() -> int:
         print(f"== {name}: {' '.join(f'{key}={value}' for key, value in filled.items())}", flush=True)
         if not passes(sys.executable, tests, filled):
             failed.append(name)
+    kernels = supported(SHORT_KERNELS if told.short else KERNELS)
+    for kernel in kernels:
+        chosen_tests = told.tests or (["tests/analysis"] if told.short else [])
+        print(f"== quick tests, OPENBLAS_CORETYPE={kernel}", flush=True)
+        if not passes(sys.executable, [*QUICK, *chosen_tests], {"OPENBLAS_CORETYPE": kernel}):
+            failed.append(f"OpenBLAS kernel {kernel}")
     others = {} if told.short else {OLDEST: sys.executable, **dict(pythons())}
     for name, python in others.items():
         print(f"== {name}", flush=True)
@@ -115,7 +148,7 @@ def main() -> int:
             made = environment(python, Path(folder), lower_bounds() if name == OLDEST else "")
             if not passes(made, tests, {}):
                 failed.append(name)
-    tried = len(chosen) + len(others)
+    tried = len(chosen) + len(kernels) + len(others)
     print(f"failed under: {', '.join(failed)}" if failed else f"all {tried} settings pass")
     return 1 if failed else 0
 

@@ -103,7 +103,7 @@ class Lines:
                 systematic[name] = np.sum(abs(off) * each, axis=0)
                 doubts.append(np.sum(abs(lower / f) * each, axis=0))
         if self.waited is not None and self.lasted is not None:
-            rings = ringing(value, self.frequency, self.waited, self.lasted)
+            rings = ringing(value, self.frequency, self.waited, self.lasted, error)
             systematic[UNSETTLED] = np.maximum(systematic.get(UNSETTLED, 0.0), rings)
         bound = np.sqrt(np.sum(np.square([error * radius(0.95, degrees), *systematic.values()]), axis=0))
         systematic |= doubtful_reference_part(bound, np.sqrt(np.sum(np.square(doubts), axis=0)))

@@ -23,18 +23,39 @@ def test_given_steps_through_a_resonance_when_each_rings_into_the_next_then_it_i
     change = np.diff(steady, prepend=steady[:1])
     rate = POLE - 1j * omega
     off = -change * np.exp(rate * waited) * np.expm1(rate * lasted) / (rate * lasted)
-    told = ringing(steady + off, frequency, np.full(25, waited), np.full(25, lasted))
+    told = ringing(steady + off, frequency, np.full(25, waited), np.full(25, lasted), np.zeros(25))
     assert (told[1:] >= abs(off[1:])).all()
     # The next tone is taken up within the first half of a window.
     assert (told[1:] <= 1.8 * abs(off[1:])).all()
 
 
+def test_two_close_resonances_ring_within_the_bound() -> None:
+    frequency = np.linspace(36.1, 41.5, 40)
+    omega, waited, lasted = 2 * np.pi * frequency, 6.0, 0.52
+    poles = np.array([[-1.2 + 2j * np.pi * 38.44], [-1.3 + 2j * np.pi * 39.0]])
+    steady = np.array([[1.0], [-0.6]]) / (1j * omega - poles)
+    change = np.diff(steady, axis=1, prepend=steady[:, :1])
+    rate = poles - 1j * omega
+    off = np.sum(-change * np.exp(rate * waited) * np.expm1(rate * lasted) / (rate * lasted), axis=0)
+    random = np.random.default_rng(1)
+    error = np.full(40, 1e-5 * abs(steady).max())
+    noise = error * (random.standard_normal(40) + 1j * random.standard_normal(40))
+
+    rings = ringing(
+        steady.sum(axis=0) + off + noise, frequency, np.full(40, waited), np.full(40, lasted), error
+    )
+
+    lingers = abs(off) > 3.0 * error
+    assert lingers.sum() > 5
+    assert (rings >= 0.9 * abs(off))[lingers].all()
+
+
 def test_given_points_far_apart_or_an_antiresonance_when_asked_then_nothing_is_told() -> None:
     sparse = np.array([10.0, 15.0, 19.0, 24.0, 30.0])
-    assert not ringing(1.0 / (2j * np.pi * sparse - POLE), sparse, np.ones(5), np.ones(5)).any()
+    assert not ringing(1.0 / (2j * np.pi * sparse - POLE), sparse, np.ones(5), np.ones(5), np.zeros(5)).any()
     dense = np.linspace(18.5, 19.5, 25)
-    assert not ringing(2j * np.pi * dense - POLE, dense, np.ones(25), np.ones(25)).any()
-    assert ringing(np.ones(1) + 0j, np.ones(1), np.ones(1), np.ones(1)).tolist() == [0.0]
+    assert not ringing(2j * np.pi * dense - POLE, dense, np.ones(25), np.ones(25), np.zeros(25)).any()
+    assert ringing(np.ones(1) + 0j, *[np.ones(1)] * 4).tolist() == [0.0]
 
 
 @pytest.mark.parametrize("seed", [1, 2])

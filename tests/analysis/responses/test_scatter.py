@@ -1,0 +1,103 @@
+"""Variances of weighted sums: never below zero, and moderated where few averages are behind them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from analysis.responses.estimators import Averages, square_root
+from analysis.responses.local_models.jitter import jitter_part
+from analysis.responses.lock_in import LockIn
+from analysis.responses.scatter import Scatter, moderated
+from daq.recording.recording import Recording
+from tests.analysis.responses.synthetic import stepped_sine
+
+
+def complex_noise(seed, *shape):
+    random = np.random.default_rng(seed)
+    return random.standard_normal(shape) + 1j * random.standard_normal(shape)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_variance_in_a_null_space_is_not_negative(seed):
+    rows = complex_noise(seed, 2, 4, 50) * np.array([1.0, 1e3, 1e-3, 1e6])[:, None]
+    # Weights at right angles to both rows.
+    weights = np.stack([np.linalg.svd(rows[:, :, n])[2][-1].conj() for n in range(50)], axis=1)
+
+    variance = Scatter(rows, np.full(50, 2.0)).variance(weights)
+
+    assert (variance >= 0.0).all()
+    assert np.sqrt(variance).max() < 1e-9 * abs(rows).max()
+
+
+@pytest.mark.parametrize("degrees", [2, 4, 10])
+def test_moderated_bounds_hold_of_few_averages(degrees):
+    lines = 4000
+    error = complex_noise(1, lines) / np.sqrt(2.0)
+    alone = np.random.default_rng(2).chisquare(degrees, lines) / degrees
+
+    variance, known = moderated(alone, np.full(lines, float(degrees)), np.full(lines, 3.0), 12)
+
+    missed = abs(error) / np.sqrt(variance * stats.f.ppf(0.95, 2.0, known))
+    assert 0.94 < np.mean(missed <= 1.0) < 0.96
+    assert missed.max() < 3.0
+
+
+def test_variances_that_differ_are_hardly_moderated():
+    lines = 400
+    true = np.exp(3.0 * np.random.default_rng(3).standard_normal(lines))
+    alone = true * np.random.default_rng(4).chisquare(8.0, lines) / 8.0
+
+    variance, known = moderated(alone, np.full(lines, 8.0), np.ones(lines), 12)
+
+    assert known.max() < 10.0
+    assert np.median(abs(np.log(variance / alone))) < 0.3
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_coherence_of_dependent_channels_is_one(seed, tmp_path):
+    # Of two readings of one motion the spring's force is a small difference: its power is next to nothing.
+    path = stepped_sine(tmp_path / "a.mcap", [20.0], periods=2)
+    motion = complex_noise(seed, 40)
+    reads = np.array([1.0, 0.3, 0.2, 1.0 + 1e-7])
+    cross = abs(motion)[:, None, None] ** 2 * np.outer(reads, reads) + 0j
+    with Recording(path) as recording:
+        averages = Averages(tuple(recording.channels), np.linspace(10.0, 50.0, 40), cross, 30.0, 0.0)
+
+        frf = averages.frf(recording, "body3")
+
+    assert np.isfinite(frf.error).all()
+    assert ((frf.coherence >= 0.0) & (frf.coherence <= 1.0)).all()
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_square_root_keeps_what_is_small(seed):
+    scale = np.array([1e-9, 1.0, 1e9])
+    factor = scale[:, None] * complex_noise(seed, 5, 3, 1)
+    matrices = factor @ factor.conj().swapaxes(1, 2)
+
+    found = square_root(matrices)
+
+    again = found @ found.conj().swapaxes(1, 2)
+    assert (abs(again - matrices) <= 1e-12 * np.outer(scale, scale) * 100.0).all()
+
+
+def test_residual_survives_a_large_offset():
+    time = np.arange(4000) / 5120.0
+    noise = 1e-4 * np.random.default_rng(5).standard_normal((1, 4000))
+    lock_in = LockIn(10.24, 5120.0, 3)
+    for part in np.split(1e5 + 2.0 * np.cos(2 * np.pi * 10.24 * time)[None] + noise, 4, axis=1):
+        lock_in.add(part)
+
+    assert lock_in.tone().residual[0] == pytest.approx(1e-4, rel=0.05)
+
+
+def test_jitter_that_cancels_is_not_negative():
+    factor = np.random.default_rng(6).standard_normal((2, 3))
+    away = np.cross(factor[0], factor[1])[:, None].repeat(5, axis=1) + 0j
+
+    (part,) = jitter_part(factor, away, np.ones(5)).values()
+
+    assert (part >= 0.0).all()
+    assert part.max() < 1e-12

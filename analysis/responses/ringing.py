@@ -103,4 +103,4 @@ def _local_poles(
         left = polynomial.polyval(at, above) - read * polynomial.polyval(at, below)
         if np.sqrt(np.mean(np.square(np.abs(left)))) * size <= least:
             break
-    return 1j * (middle + half * roots), 1j * half * size * share
+    return np.asarray(1j * (middle + half * roots)), np.asarray(1j * half * size * share)

@@ -313,7 +313,9 @@ def instrumented(dice: Draw, scene: rig.Scene, tolerances: bool = True) -> rig.S
     converter = scene.converter
     if converter.preset is None:
         converter = converter.replace(**coupling(dice, False))
-    if converter.preset is None and dice.chance(0.5):
+    # Counts behind an integrator hide every impact: the result says so, and nothing is left to judge.
+    integrated = any(channel.integrator is not None for channel in scene.channels)
+    if converter.preset is None and not integrated and dice.chance(0.5):
         # Impacts are read as much more than what the linear response brings about.
         largest = max(volts for volts, _ in _largest(scene).values())
         volts = float(f"{largest * dice.log(10.0, 50.0):.3g}")

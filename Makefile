@@ -83,11 +83,12 @@ peers: $(STAMP)
 	$(BIN)/python -m tests.peers.ours build/peers
 	MPLBACKEND=agg $(VENV)-peers/bin/python tests/peers/theirs.py build/peers
 
-# The API reference from the docstrings and the reference of scene files, in build/docs.
+# The documentation as a site, in build/docs: the pages of the guides, and the reference generated from the code.
 docs: $(STAMP)
 	$(PIP) -e ".[dev,docs]"
-	$(BIN)/python -m tests.api_reference build/docs
+	$(BIN)/python -m sphinx -q -W --keep-going -c .docs . build/docs
+	@echo "open build/docs/index.html"
 
 clean:
-	rm -rf $(VENV) $(VENV)-peers build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(VENV)-peers .docs/reference build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,66 @@
+"""Sphinx configuration: the pages lie with their packages; the reference is generated from the code (`make docs`)."""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import typer
+from typer.testing import CliRunner
+
+ROOT = Path(__file__).parents[1]
+REFERENCE = ROOT / ".docs" / "reference"
+sys.path.insert(0, str(ROOT))
+
+project = "shotrig"
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "numpydoc"]
+root_doc = ".docs/index"
+include_patterns = [
+    ".docs/index.md",
+    ".docs/reference/*",
+    "README.md",
+    "*/README.md",
+    "*/guide/*.md",
+    "recordings/README.md",
+    "daq/recording/LAYOUT.md",
+]
+html_theme = "furo"
+html_title = "shotrig"
+# The first page, which leads to the root document.
+html_extra_path = ["extra"]
+myst_enable_extensions = ["dollarmath"]
+myst_heading_anchors = 3
+numpydoc_show_class_members = False
+numpydoc_xref_param_type = False
+autodoc_typehints = "none"
+autodoc_member_order = "bysource"
+
+
+def write_reference() -> None:
+    """Write a page for each package's public names, for the commands and for the keys of scene files."""
+    from rig.scene.reference import page
+
+    REFERENCE.mkdir(exist_ok=True)
+    for package in ("rig", "daq", "analysis"):
+        module = import_module(package)
+        lines = [f"# {package}: Python names", "", "```{eval-rst}", f".. currentmodule:: {package}", ""]
+        for name in module.__all__:
+            kind = "class" if isinstance(getattr(module, name), type) else "function"
+            lines += [f".. auto{kind}:: {name}", *(["   :members:"] if kind == "class" else []), ""]
+        (REFERENCE / f"{package}.md").write_text("\n".join([*lines, "```", ""]), encoding="utf-8")
+        (REFERENCE / f"{package}-commands.md").write_text(commands(package), encoding="utf-8")
+    (REFERENCE / "scenes.md").write_text(page(), encoding="utf-8")
+
+
+def commands(package: str) -> str:
+    """Give the help of every command of a package as a page."""
+    app = import_module(f"{package}.cli").app
+    text = f"# {package}: commands\n"
+    for name in typer.main.get_command(app).commands:
+        shown = CliRunner().invoke(app, [name, "--help"], prog_name=package, terminal_width=100).output
+        text += f"\n## {package} {name}\n\n```text\n{shown}```\n"
+    return text
+
+
+write_reference()

@@ -1,0 +1,131 @@
+"""Commands, Python and links in the README and the guides: `sh` and `python` blocks run, `bash` blocks are parsed.
+
+`bash` marks commands that take long, need an extra or wait for a user.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import warnings
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+import rig
+from rig.scene.scene_files import bundled
+from rig.scene.yaml_reader import read
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted(ROOT.glob("*/guide/*.md"))]
+NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
+PROGRAMS = ("rig", "daq", "analysis")
+
+
+def blocks(page: Path) -> list[tuple[str, str]]:
+    return re.findall(r"^```(\w+)\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+
+
+def commands(page: Path, *kinds: str) -> list[list[str]]:
+    lines = [
+        shlex.split(line, comments=True)
+        for kind, block in blocks(page)
+        if kind in kinds
+        for line in block.splitlines()
+    ]
+    return [words for words in lines if words and words[0] in PROGRAMS]
+
+
+def scenes() -> dict[str, str]:
+    """Scene files that pages tell their reader to save, by name."""
+    found = {}
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        for name, block in re.findall(
+            r"[Ss]ave this as `(\w+\.yaml)`:\n\n```yaml\n(.*?)^```", text, re.S | re.M
+        ):
+            found[name] = block
+    return found
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder with the repository's recordings and the scenes of all pages."""
+    (tmp_path / "recordings").mkdir()
+    for file in (ROOT / "recordings").glob("*.mcap"):
+        os.link(file, tmp_path / "recordings" / file.name)
+    for name, block in scenes().items():
+        (tmp_path / name).write_text(block, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    return tmp_path
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("page", [page for page in PAGES if commands(page, "sh")], ids=lambda page: page.stem)
+def test_commands_of_pages_run_as_typed(page, folder) -> None:
+    for words in commands(page, "sh"):
+        with warnings.catch_warnings():
+            # A few coarse steps do not settle, and the recording reports it.
+            warnings.simplefilter("ignore")
+            done = CliRunner().invoke(import_module(f"{words[0]}.cli").app, words[1:])
+        assert done.exit_code == 0, (words, done.output, done.exception)
+        assert done.output, words
+
+
+@pytest.mark.thorough
+def test_readme_quotes_the_comparison_it_prints(folder) -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    (words,) = [words for words in commands(ROOT / "README.md", "sh") if words[1] == "compare"]
+    (quoted,) = re.findall(r"^    (body3.*?)(?: \.\.\.)?$", text, re.MULTILINE)
+    assert quoted in CliRunner().invoke(import_module("analysis.cli").app, words[1:]).output
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if "python" in dict(blocks(page))], ids=lambda page: page.stem
+)
+def test_python_of_pages_runs(page, folder) -> None:
+    for kind, block in blocks(page):
+        if kind == "python":
+            exec(compile(block, str(page), "exec"), {})
+
+
+@pytest.mark.parametrize("page", PAGES, ids=NAMES)
+def test_commands_of_pages_have_existing_options(page, folder) -> None:
+    (folder / "your_script.py").touch()
+    for words in commands(page, "sh", "bash"):
+        command = typer.main.get_command(import_module(f"{words[0]}.cli").app).commands[words[1]]
+        command.make_context(words[1], words[2:])
+        for word in words[2:]:
+            assert word not in (*scenes(), *bundled()) or rig.load(word)
+
+
+def test_tests_of_the_guide_replace_the_scene_test(folder) -> None:
+    lines = [
+        line
+        for kind, block in blocks(ROOT / "daq" / "guide" / "choose-a-test.md")
+        if kind == "yaml"
+        for line in block.splitlines()
+    ]
+    assert len(lines) == 6
+    for line in lines:
+        kind = re.search(r"kind: (\w+)", line)
+        assert (
+            kind is not None
+            and rig.load("mine.yaml", {"test": read(line).content["test"]}).test.kind == kind[1]
+        )
+
+
+@pytest.mark.parametrize("page", PAGES, ids=NAMES)
+def test_links_of_pages_lead_somewhere(page) -> None:
+    links = re.findall(r"\]\(([^)#:]+)\)", page.read_text(encoding="utf-8"))
+    assert all((page.parent / link).exists() for link in links), links
+
+
+def test_readme_fits_ten_minutes() -> None:
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150

@@ -18,6 +18,9 @@ from rig.system.receptance import receptance
 
 Array = NDArray[np.float64]
 
+#: A body whose largest compliance on the grid is below this share of another's peak is not refined.
+RIVAL = 0.7
+
 
 @dataclass(frozen=True, order=True)
 class Peak:
@@ -107,8 +110,11 @@ def linear_peak(scene: Scene, level: float, frequencies: Array, bodies: Sequence
 def peak_at(problem: OrbitProblem, level: float, frequencies: Array, bodies: Iterable[int]) -> Peak:
     """Find the largest peak of some bodies at one level."""
     response = curve(problem, level, frequencies)
-    found = []
-    for body in bodies:
+    on_grid = {body: float(np.abs(response.compliance[body - 1]).max()) for body in bodies}
+    found: list[Peak] = []
+    for body in sorted(on_grid, key=lambda body: -on_grid[body]):
+        if found and on_grid[body] < RIVAL * max(found).size:
+            continue
         size, where = resonance(problem, response, body)
         acceleration = size * level * (2 * np.pi * where) ** 2
         found.append(Peak(size, where, level, body, acceleration, float(response.simulated.mean())))

@@ -333,8 +333,9 @@ def _averaged(problem: OrbitProblem, setting: OperatingPoint, propagator: Propag
     steps = period_steps(propagator, setting)
     trajectory, begins = one_cycle(propagator, steps, 1.0, AVERAGED)
     # The mean over evenly spaced instants: kinks of the velocity leave an error of some 1e-5 of the motion.
-    turns: NDArray[np.complex128] = np.exp(-2j * np.pi * np.arange(len(begins)) / MARKS)
-    harmonic = 2 / len(begins) * (turns @ begins)
+    mean_period = begins.reshape(AVERAGED, MARKS, -1).mean(axis=0)
+    turns: NDArray[np.complex128] = np.exp(-2j * np.pi * np.arange(MARKS) / MARKS)
+    harmonic = 2 / MARKS * (turns @ mean_period)
     if isinstance(problem.scene.driven_shaker, ForceShaker):
         force = -1j * setting.force
     else:

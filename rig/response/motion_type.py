@@ -48,8 +48,8 @@ def type_of(
     kinds: NDArray[np.int64], times: Array, system: HybridSystem, damper: int, repetition: int, cycle: float
 ) -> str:
     """Name the motion of a damper (from 0) from its events over a cycle [s], kinds as in `rig.engine.state`."""
-    floor = int(np.isin(kinds, (FLOOR_IMPACT, FLOOR_TOUCH)).sum())
-    ceiling = int(np.isin(kinds, (CEILING_IMPACT, CEILING_TOUCH)).sum())
+    floor = np.count_nonzero((kinds == FLOOR_IMPACT) | (kinds == FLOOR_TOUCH))
+    ceiling = np.count_nonzero((kinds == CEILING_IMPACT) | (kinds == CEILING_TOUCH))
     if floor + ceiling == 0:
         return "riding" if repetition else "irregular"
     if repetition == 0:

@@ -127,7 +127,7 @@ def asked(
     ends = _range(band or tuple(columns(plain, points=2).tolist()), FREQUENCY, "band")
     places = Space.places_of(may_carry, dampers)
     question = Question(variants(plain, *shares), forces, ends, count, landings)
-    if clearance is None:
-        motion = question.bare.size
-        clearance = NARROWEST * motion * forces[0], WIDEST * motion * forces[-1]
-    return question, Space(places, most, _range(clearance, LENGTH, "clearance"))
+    if clearance is not None:
+        return question, Space(places, most, _range(clearance, LENGTH, "clearance"), without_ceiling=False)
+    motion = question.bare.size
+    return question, Space(places, most, (NARROWEST * motion * forces[0], WIDEST * motion * forces[-1]))

@@ -32,9 +32,13 @@ def mass_unit(mass: float) -> tuple[float, str]:
     return (1e3, "g") if mass < 1.0 else (1.0, "kg")
 
 
+def _clearance(clearance: float) -> str:
+    return "no ceiling" if np.isinf(clearance) else f"clearance {plainly(1e3 * clearance)} mm"
+
+
 @dataclass(frozen=True, order=True)
 class Choice:
-    """Dampers: their bodies (from 1), masses [kg] and clearances [m], one each.
+    """Dampers: their bodies (from 1), masses [kg] and clearances [m, infinite without a ceiling], one each.
 
     >>> print(Choice((2,), (0.0451,), (1.18e-3,)))
     45.1 g in body 2, clearance 1.18 mm
@@ -46,16 +50,28 @@ class Choice:
 
     def __str__(self) -> str:
         each = zip(self.masses, self.bodies, self.clearances, strict=True)
-        told = [(*mass_unit(m), m, b, c) for m, b, c in each]
+        rows = [(*mass_unit(m), m, b, c) for m, b, c in each]
         return "; ".join(
-            f"{plainly(factor * m)} {unit} in body {b}, clearance {plainly(1e3 * c)} mm"
-            for factor, unit, m, b, c in told
+            f"{plainly(factor * m)} {unit} in body {b}, {_clearance(c)}" for factor, unit, m, b, c in rows
         )
 
     @property
     def mass(self) -> float:
         """Added mass in all, kg."""
         return sum(self.masses)
+
+    @property
+    def has_ceiling(self) -> bool:
+        """Whether any damper has a ceiling."""
+        return bool(np.isfinite(self.clearances).any())
+
+    def without_ceiling(self) -> Choice:
+        """Take all ceilings away."""
+        return self.with_clearance(np.inf)
+
+    def with_clearance(self, clearance: float) -> Choice:
+        """Give all dampers the same clearance."""
+        return replace(self, clearances=(clearance,) * len(self.clearances))
 
     def wider(self, factor: float) -> Choice:
         """Change all clearances by a factor."""
@@ -121,25 +137,35 @@ class Space:
     Attributes
     ----------
     places : tuple of tuple of int
-        Bodies that the dampers may be on, a tuple for each design.
+        Bodies that the dampers may be on, a tuple for each design; those with few dampers first.
     mass : float
         The most that may be added, kg.
     clearance : tuple of float
         Smallest and largest, m.
+    without_ceiling : bool
+        Whether dampers may have no ceiling.
     """
 
     places: tuple[tuple[int, ...], ...]
     mass: float
     clearance: tuple[float, float]
+    without_ceiling: bool = True
+
+    @property
+    def dampers(self) -> int:
+        """Largest number of dampers."""
+        return max(map(len, self.places))
 
     @staticmethod
     def places_of(bodies: tuple[int, ...], dampers: int) -> tuple[tuple[int, ...], ...]:
-        """List the ways to place some dampers, as many at most on a body as it is named.
+        """List the ways to place up to some dampers, as many at most on a body as it is named.
 
         >>> Space.places_of((1, 2, 2), 2)
-        ((1, 2), (2, 2))
+        ((1,), (2,), (1, 2), (2, 2))
         """
-        return tuple(sorted(set(combinations(bodies, dampers))))
+        return tuple(
+            place for count in range(1, dampers + 1) for place in sorted(set(combinations(bodies, count)))
+        )
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,12 @@ from numpy.typing import NDArray
 from rig.damper_design.answers import Answers
 from rig.damper_design.asked import asked
 from rig.damper_design.check import Expected, check, expected
-from rig.damper_design.choice import FINE, Question, Space, Trial
-from rig.damper_design.ranking import front
+from rig.damper_design.choice import FINE, Choice, Question, Space, Trial
+from rig.damper_design.flight import Flight, flight, shortfall
+from rig.damper_design.other_modes import ModePeaks, best_outside, mode_peaks
+from rig.damper_design.ranking import ALIKE, equally_good, front
 from rig.damper_design.search import chart, pieces, search
+from rig.damper_design.tolerance import Tolerance, tolerance
 from rig.damper_design.worst_peak import Peak
 from rig.results import Result
 from rig.scene.loading import scene_of
@@ -48,6 +51,12 @@ class Design(Result):
         The dampers and their worst peak at each level.
     bare : Peak
         Worst peak without dampers.
+    tolerance : Tolerance
+        The interval of clearances that do nearly as well.
+    modes : tuple of ModePeaks
+        Peaks of the modes in the band and next to it, with and without the dampers.
+    flight : Flight
+        What makes the dampers fly.
     trials : tuple of Trial
         All that were tried, and `front`: those that none as light is better than.
     question : Question
@@ -55,7 +64,9 @@ class Design(Result):
     levels : ndarray, shape (levels,)
         Forces of the chart, those of the question among them, N.
     clearance_factors : ndarray, shape (factors,)
-        Clearances of the chart, relative to the best ones.
+        Clearances of the chart, relative to those of `charted`.
+    charted : Choice
+        The best dampers; where these have no ceiling, with the largest clearance searched.
     chart : tuple of tuple of Peak
         Worst peak over clearance (rows) and level.
     """
@@ -64,16 +75,34 @@ class Design(Result):
     expected: tuple[Expected, ...]
     best: Trial
     bare: Peak
+    tolerance: Tolerance
+    modes: tuple[ModePeaks, ...]
+    flight: Flight
     trials: tuple[Trial, ...]
     question: Question
     space: Space
     levels: Array
     clearance_factors: Array
+    charted: Choice
     chart: tuple[tuple[Peak, ...], ...]
 
     def summary(self) -> str:
-        """Say which dampers are best, and what they do."""
-        return f"{self.scene.name}: {self.best.choice}, worst peak reduced by {self.reduction(self.best.peak):.1f} dB"
+        """Say which dampers reduce the worst peak most, and by how much."""
+        reduction = self.reduction(self.best.peak)
+        if not self.serves:
+            return f"{self.scene.name}: no dampers reduce the worst peak ({self.best.choice}: {-reduction:+.1f} dB)"
+        return f"{self.scene.name}: {self.best.choice}, worst peak reduced by {reduction:.1f} dB"
+
+    @property
+    def serves(self) -> bool:
+        """Whether the best dampers reduce the worst peak by more than the search resolves."""
+        return self.reduction(self.best.peak) > ALIKE
+
+    @property
+    def shortfall(self) -> list[str]:
+        """Levels at which the best dampers do nothing, why, and levels at which they serve; empty if they serve."""
+        row = self.chart[int(np.argmin(np.abs(np.log(self.clearance_factors))))]
+        return shortfall(self.best, self.bare, self.flight, self.levels.tolist(), row)
 
     def columns(self) -> dict[str, Array]:
         """Give the added mass of all that were tried, and by how much it reduces the worst peak."""
@@ -117,7 +146,7 @@ def design(
     """Choose the dampers that make the worst peak over a band and a range of levels smallest.
 
     Of those that reduce it as much within 0.05 dB, it chooses those that reduce the peaks at all levels most, on the
-    average of their decibels.
+    average of their decibels, and of equals in that, too, those that reduce the other modes of the structure most.
 
     Parameters
     ----------
@@ -134,7 +163,7 @@ def design(
         How many; fewer where they do as well.
     clearance : (float, float) or (str, str), optional
         Smallest and largest, m, or texts with units, as the following; unless given, from where a damper hardly moves
-        to where it hardly meets its ceiling.
+        to where it hardly meets its ceiling, and no ceiling at all.
     levels : sequence of float or str, optional
         Forces that it has to do well at, N; unless given, half, once and twice that of the scene's test.
     band : (float, float) or (str, str), optional
@@ -167,7 +196,15 @@ def design(
             workers, table, progress, pieces(question, space) + CHART_CLEARANCES.size * forces.size
         )
         best, trials = search(question, space, answers)
-        found = chart(question, best.choice, CHART_CLEARANCES.tolist(), forces.tolist(), answers)
+        equal = best_outside(question, trials, best, answers)
+        if equal != best:
+            (closely,) = answers.of(replace(question, density=FINE), [equal.choice])
+            trials = [closely, *(trial for trial in trials if trial.choice != equal.choice)]
+            best = closely if equally_good(closely, best) else best
+        modes = mode_peaks(question, best, answers)
+        interval = tolerance(question, space, best, trials, answers)
+        charted = best.choice if best.choice.has_ceiling else best.choice.with_clearance(space.clearance[1])
+        found = chart(question, charted, CHART_CLEARANCES.tolist(), forces.tolist(), answers)
         nominal = replace(question, scenes=question.scenes[:1], density=FINE)
         (likely,) = answers.of(nominal, [best.choice])
     answers.put_in_order()
@@ -179,11 +216,15 @@ def design(
         expected=expected(checked, likely),
         best=best,
         bare=question.bare,
+        tolerance=interval,
+        modes=modes,
+        flight=flight(question, best, unreached=np.isinf(interval.high)),
         trials=tuple(trials),
         question=question,
         space=space,
         levels=forces,
         clearance_factors=CHART_CLEARANCES,
+        charted=charted,
         chart=tuple(map(tuple, found)),
     )
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import takewhile
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
@@ -11,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.damper_design.check import Expected
-from rig.damper_design.choice import Choice, Trial, mass_unit
+from rig.damper_design.choice import Choice, mass_unit
 from rig.damper_design.design import Design
 from rig.damper_design.one_mass import rests_on
 from rig.damper_design.overloads import overloads
-from rig.damper_design.ranking import ALIKE
+from rig.damper_design.ranking import MACHINABLE
 from rig.escaping import drawn
 from rig.figure_style import COLOURS, cell_edges, drawing, plain_logarithmic, save
 from rig.output_files import replacing, stem
@@ -28,76 +27,94 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
-# Clearances that do as well are told where they reach over such a ratio.
-_WIDE = 1.3
 BLUE, RED, GREY = *COLOURS[:2], "#a0a0a0"
 
 
 def summary(design: Design) -> str:
-    """Say which dampers are best, what they do, what lighter ones would, and where the search found its limits."""
-    best, question = design.best, design.question
+    """Say which dampers reduce the worst peak most, what they do to every mode, and what lighter ones would."""
+    best, question, space = design.best, design.question, design.space
     levels = ", ".join(plainly(level) for level in question.levels)
-    simulated = best.peak.simulated
-    factor, unit = mass_unit(max(trial.choice.mass for trial in design.front))
-    forces = [f"{plainly(level)} N" for level in question.levels]
+    smallest, largest = (plainly(1e3 * clearance) for clearance in space.clearance)
     lines = [
         f"{design.scene.name}: {len(design.trials)} designs at {levels} N, {question.band[0]:.4g} to "
         f"{question.band[1]:.4g} Hz"
         + (f", {len(question.scenes)} structures" if len(question.scenes) > 1 else ""),
+        f"clearances searched: {smallest} to {largest} mm{', and no ceiling' if space.without_ceiling else ''}",
         "",
         str(question.landings),
         "",
-        f"best: {best.choice}",
-        f"worst peak {1e6 * best.peak.size:.4g} µm/N (body {best.peak.body}, {best.peak.frequency:.2f} Hz, "
-        f"{plainly(best.peak.level)} N): {design.reduction(best.peak):.1f} dB below the bare structure's "
-        f"{1e6 * design.bare.size:.4g} µm/N",
+        *_verdict(design),
         "",
-        f"{'':14}  reduction in dB at",
-        f"{f'added mass, {unit}':>14}{''.join(f'{force:>9}' for force in forces)}  dampers",
+        *_masses(design),
+        "",
+        *_modes(design),
     ]
-    lines += [
-        f"{factor * trial.choice.mass:14.1f}"
-        f"{''.join(f'{design.reduction(peak):9.1f}' for peak in trial.peaks)}  {trial.choice}"
-        for trial in design.front
-    ]
-    lines += _alike(design)
-    if simulated > 0.0:
+    if best.peak.simulated > 0.0:
         lines += [
             "",
-            f"{simulated:.0%} of that curve is irregular motion, averaged over periods: good to some percent",
+            f"{best.peak.simulated:.0%} of that curve is irregular motion, averaged over periods: good to some percent",
         ]
-    for bound, name in zip(design.space.clearance, ("smallest", "largest"), strict=True):
+    for bound, name in zip(space.clearance, ("smallest", "largest"), strict=True):
         if any(abs(np.log(clearance / bound)) < 0.02 for clearance in best.choice.clearances):
-            lines += ["", f"the best clearance is the {name} that was allowed: allow more (--clearance)"]
+            lines += ["", f"the clearance chosen is the {name} that was allowed: allow more (--clearance)"]
     return "\n".join(lines)
 
 
-def _alike(design: Design) -> list[str]:
-    """Say over which clearances a single damper does as well at every level, where that is a wide range."""
-    best = design.best
-
-    def as_good(trial: Trial) -> bool:
-        pairs = zip(trial.peaks, best.peaks, strict=True)
-        return all(abs(design.reduction(one) - design.reduction(other)) < ALIKE for one, other in pairs)
-
-    tried = {
-        trial.choice.clearances[0]: as_good(trial)
-        for trial in design.trials
-        if len(trial.choice.bodies) == 1
-        and (trial.choice.bodies, trial.choice.masses) == (best.choice.bodies, best.choice.masses)
-    }
-    below = takewhile(
-        tried.__getitem__, sorted((c for c in tried if c <= best.choice.clearances[0]), reverse=True)
+def _verdict(design: Design) -> list[str]:
+    """Name the dampers, their worst peak, and the clearances that do as well; or say that no dampers help."""
+    peak, bare = design.best.peak, design.bare
+    reduction = design.reduction(peak)
+    side = "below" if reduction > 0.0 else "above"
+    heading = (
+        "best" if design.serves else "no dampers reduce the worst peak at all of these levels; the closest"
     )
-    above = takewhile(tried.__getitem__, sorted(c for c in tried if c >= best.choice.clearances[0]))
-    alike = [*below, *above]
-    if not alike or max(alike) < _WIDE * min(alike):
-        return []
-    low, high = (plainly(1e3 * clearance) for clearance in (min(alike), max(alike)))
-    every = " at every level" if len(best.peaks) > 1 else ""
+    lines = [
+        f"{heading}: {design.best.choice}",
+        f"worst peak {1e6 * peak.size:.4g} µm/N (body {peak.body}, {peak.frequency:.2f} Hz, {plainly(peak.level)} N): "
+        f"{abs(reduction):.1f} dB {side} the bare structure's {1e6 * bare.size:.4g} µm/N",
+        *design.shortfall,
+        str(design.tolerance),
+    ]
+    height = design.flight.height
+    if np.isfinite(height) and height < max(design.best.choice.clearances):
+        lines.append(
+            f"any clearance above {plainly(1e3 * height)} mm does the same as no ceiling: the dampers do not reach the "
+            "ceiling in the band"
+        )
+    if min(design.best.choice.clearances) < MACHINABLE:
+        lines.append(
+            f"no larger clearance does as well, and one below {1e3 * MACHINABLE:g} mm is hard to build"
+        )
+    return lines
+
+
+def _masses(design: Design) -> list[str]:
+    """Write the reduction of the best dampers of each mass at each level."""
+    factor, unit = mass_unit(max(trial.choice.mass for trial in design.front))
+    forces = "".join(f"{f'{plainly(level)} N':>9}" for level in design.question.levels)
     return [
-        "",
-        f"any of the clearances tried from {low} to {high} mm does as well{every}, within {ALIKE:g} dB",
+        f"{'':14}  reduction in dB at",
+        f"{f'added mass, {unit}':>14}{forces}  dampers",
+        *(
+            f"{factor * trial.choice.mass:14.1f}"
+            f"{''.join(f'{design.reduction(peak):9.1f}' for peak in trial.peaks)}  {trial.choice}"
+            for trial in design.front
+        ),
+    ]
+
+
+def _modes(design: Design) -> list[str]:
+    """Write the peaks of each mode without dampers and with them at each level."""
+    forces = "".join(f"{f'{plainly(level)} N':>9}" for level in design.question.levels)
+    return [
+        f"{'':14}  largest peak in µm/N",
+        f"{'mode, Hz':>14}{'without':>10}{forces}",
+        *(
+            f"{mode.frequency:14.2f}{1e6 * mode.bare.size:10.4g}"
+            f"{''.join(f'{1e6 * peak.size:9.4g}' for peak in mode.damped)}"
+            f"{'' if mode.inside else '  outside the band'}"
+            for mode in design.modes
+        ),
     ]
 
 
@@ -186,7 +203,7 @@ def draw_front(axes: Axes, design: Design, **style: Any) -> None:
 
 def _chart(axes: Axes, design: Design) -> None:
     reduction = np.array([[design.reduction(peak) for peak in row] for row in design.chart])
-    choice = design.best.choice
+    choice = design.charted
     chosen = choice.clearances[choice.heaviest]
     clearance = design.clearance_factors * chosen
     borders = cell_edges(design.levels, True), cell_edges(clearance, True)
@@ -195,7 +212,7 @@ def _chart(axes: Axes, design: Design) -> None:
     levels = design.question.levels
     axes.plot(
         levels, [chosen] * len(levels), "o-", color=RED, lw=2.0, ms=4,
-        label="chosen, at the forces asked for",
+        label=f"{'chosen' if design.best.choice.has_ceiling else 'largest searched'}, at the forces asked for",
     )  # fmt: skip
     axes.grid(False)
     axes.set(xlabel="force / N", ylabel=_clearance_label(choice))
@@ -224,7 +241,7 @@ def _curves(axes: Axes, design: Design) -> None:
     bare = design.levels / design.bare.level * design.bare.acceleration / STANDARD_GRAVITY
     for number, shade, mark in zip(around, (COLOURS[4], BLUE, COLOURS[5]), "v^o", strict=True):
         row = design.chart[number]
-        choice = design.best.choice
+        choice = design.charted
         clearance = 1e3 * design.clearance_factors[number] * choice.clearances[choice.heaviest]
         axes.plot(
             bare, [design.bare.size / peak.size for peak in row], f"{mark}-", ms=4, color=shade,

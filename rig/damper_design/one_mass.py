@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isinf
 from pathlib import Path
 from shlex import quote
 from typing import NamedTuple
@@ -56,7 +57,6 @@ def rests_on(dampers: Sequence[Damper], expected: Sequence[Expected], scene: Pat
 
 def _as_shot(damper: Damper) -> str:
     assert damper.mass is not None  # as a design's dampers have it
-    mass, clearance, shot = (plainly(1e3 * each) for each in (damper.mass, damper.clearance, _SHOT))
-    return (
-        f"{{body: {damper.body}, mass: {mass} g, clearance: {clearance} mm, grains: {{diameter: {shot} mm}}}}"
-    )
+    mass, shot = (plainly(1e3 * each) for each in (damper.mass, _SHOT))
+    clearance = ".inf" if isinf(damper.clearance) else f"{plainly(1e3 * damper.clearance)} mm"
+    return f"{{body: {damper.body}, mass: {mass} g, clearance: {clearance}, grains: {{diameter: {shot} mm}}}}"

@@ -15,6 +15,8 @@ AS_GOOD = 10.0 ** (ALIKE / 20.0)
 #: The same where part of the motion is irregular, whose averages are good to some percent: a clearance changed by one
 #: percent moves them by up to six.
 SCATTERED = 1.03
+#: A clearance below this, m, is not built to: the depth of a bed of shot is uncertain by about as much.
+MACHINABLE = 1e-4
 #: Part of a dB at the worst level that a dB of the mean over the levels counts for, on the way to a better choice.
 _OTHERS = 0.01
 
@@ -22,10 +24,11 @@ _OTHERS = 0.01
 def ranked(trials: Iterable[Trial]) -> list[Trial]:
     """Put the best first.
 
-    The smallest worst peak comes first. Where several are as good at that as can be told, those with the smallest
-    peaks on the average of the levels, in dB, do. Where several are as good at that, too, the lightest do, of these the
-    fewest dampers, and of these the one in the middle of their clearances: at the ends it would do so just about.
-    Fewer dampers that irregular motion does not tell from the best come before them.
+    The smallest worst peak comes first. Where several are equally good at that (`ALIKE`), those with the smallest
+    peaks on the average of the levels, in dB, come first. Of equals in that, too, the lightest come first, then the
+    fewest dampers, then clearances that can be built, then no ceiling, and last the middle of the clearances: near the
+    ends the worst peak is about to change. Fewer dampers that irregular motion does not distinguish from the best come
+    before them.
     """
     trials = list(trials)
     worst = AS_GOOD * min(trial.peak.size for trial in trials)
@@ -38,6 +41,8 @@ def ranked(trials: Iterable[Trial]) -> list[Trial]:
             max(trial.mean, mean),
             round(choice.mass, 9),
             len(choice.bodies),
+            min(choice.clearances) < MACHINABLE,
+            choice.has_ceiling,
         )
 
     best = min(map(merits, trials))
@@ -45,13 +50,30 @@ def ranked(trials: Iterable[Trial]) -> list[Trial]:
     middle = 0.5 * (min(alike) + max(alike))
 
     def from_middle(trial: Trial) -> float:
-        return abs(float(np.log(trial.choice.clearances[0]) - middle))
+        clearance = float(np.log(trial.choice.clearances[0]))
+        return 0.0 if clearance == middle else abs(clearance - middle)
 
     order = sorted(trials, key=lambda trial: (merits(trial), from_middle(trial), trial.choice))
     fewer = [trial for trial in order if _with_fewer_as_good(trial, order[0])]
     first = min(fewer, key=lambda trial: len(trial.choice.bodies), default=order[0])
     order.remove(first)
     return [first, *order]
+
+
+def equally_good(trial: Trial, best: Trial) -> bool:
+    """Whether a trial does as well as the best one at the worst level, and on the average."""
+    return trial.peak.size <= AS_GOOD * best.peak.size and trial.mean <= AS_GOOD * best.mean
+
+
+def equals(trials: Iterable[Trial], best: Trial) -> list[Trial]:
+    """Give the trials with the dampers of the best one that are as good in their other clearances, rising."""
+    alike = {
+        trial.choice: trial
+        for trial in [*trials, best]
+        if (trial.choice.bodies, trial.choice.masses) == (best.choice.bodies, best.choice.masses)
+        and equally_good(trial, best)
+    }
+    return sorted(alike.values(), key=lambda trial: trial.choice.clearances)
 
 
 def _with_fewer_as_good(trial: Trial, best: Trial) -> bool:

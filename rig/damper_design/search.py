@@ -28,6 +28,10 @@ POLISHED = 2
 UNEVEN = 300.0
 #: Places whose best on the grid is at most this much worse than the best of all are looked at closely.
 PROMISING = 1.4
+#: The same for the smaller masses, and of all places for making several dampers different; and at most so many of them.
+CLOSE, LIGHTER = 1.25, 2
+#: Relative difference of two sums of the same masses.
+ROUNDING = 1e-9
 #: Ratio of clearances in one body to begin with.
 APART = 1.1
 #: How many of the best are compared in the end.
@@ -36,38 +40,46 @@ COMPARED = 3
 
 def pieces(question: Question, space: Space) -> int:
     """Count the pieces of a search, as far as that can be known."""
-    grid, each = len(space.places) * len(SHARES) * CLEARANCES, len(question.parts)
-    return grid + int(0.4 * grid * each) + (len(space.places) + len(SHARES)) * REFINEMENTS * each
+    grid, each = len(space.places) * len(SHARES) * (CLEARANCES + 1), len(question.parts)
+    return grid + int(0.4 * grid * each) + (len(space.places) + 2 * len(SHARES)) * REFINEMENTS * each
 
 
 def search(question: Question, space: Space, answers: Answers) -> tuple[Trial, list[Trial]]:
-    """Find the dampers with the smallest worst peak, and of those that do as well there the best at all levels.
+    """Find the dampers with the smallest worst peak for each mass, and of equals those that are best at all levels.
 
     Returns
     -------
     best : Trial
-        Its peaks computed on a finer grid of frequencies, as those of the next best.
+        Its peaks computed on a finer grid of frequencies, as those of the next best and of the best of each mass.
     trials : list of Trial
         All that were tried, the best among them.
     """
     grid = [[c for place in space.places for c in _row(space, place, share)] for share in SHARES]
     tried = _bounded(question, grid, answers)
-    full, *lighter = (ranked(tried[c] for c in row if c in tried) for row in grid)
-    limit = PROMISING * full[0].peak.size
-    starts = _best_of_places(trial for trial in full if trial.peak.size <= limit)
-    starts += [row[0].choice for row in lighter]
+    rows = [ranked(tried[c] for c in row if c in tried) for row in grid]
+    starts = [
+        start
+        for number, row in enumerate(rows)
+        for start in _best_of_places(row, CLOSE if number else PROMISING)[: LIGHTER if number else None]
+    ]
     refine = partial(_refine, step=_step(space), bounds=space.clearance)
     tried |= answers.follow(question, [partial(_wanted, refine, start) for start in starts])
-    if len(space.places[0]) > 1:
-        starts = _best_of_places(ranked(tried.values()))[:POLISHED]
+    if space.dampers > 1:
+        rows = [ranked(tried[c] for c in tried if _same_mass(c, row[0].choice)) for row in rows]
+        starts = [
+            start
+            for number, row in enumerate(rows)
+            for start in _several(_best_of_places(row, CLOSE))[: 1 if number else POLISHED]
+        ]
         polish = partial(_polish, bounds=space.clearance)
         tried |= answers.follow(question, [partial(_wanted, polish, start) for start in starts])
-        fewer = ranked(tried.values())[0].choice.without_lightest()
-        tried |= answers.follow(question, [partial(_wanted, refine, fewer)])
+        first = [ranked(tried[c] for c in tried if _same_mass(c, row[0].choice))[0].choice for row in rows]
+        fewer = [choice.without_lightest() for choice in _several(first) if choice.has_ceiling]
+        tried |= answers.follow(question, [partial(_wanted, refine, each) for each in fewer])
     # A coarse grid of frequencies may have missed a peak: the first three are compared on a fine one, and with them
-    # the first without its lightest damper, which may be next to nothing.
+    # the first without its lightest damper, which may be next to nothing; and so is the first of each smaller mass.
     fine, closely = replace(question, density=FINE), set[Choice]()
-    while first := [choice for choice in _first(tried.values()) if choice not in closely]:
+    while first := [choice for choice in _first(tried.values(), space) if choice not in closely]:
         tried |= {trial.choice: trial for trial in answers.of(fine, first)}
         closely |= set(first)
     return ranked(tried.values())[0], list(tried.values())
@@ -82,10 +94,25 @@ def chart(
     return [list(trial.peaks) for trial in answers.of(nominal, choices)]
 
 
-def _first(trials: Iterable[Trial]) -> list[Choice]:
-    """Give the best choices, and the first of them with a damper less."""
+def _first(trials: Iterable[Trial], space: Space) -> list[Choice]:
+    """Give the best choices, the first of them with a damper less, and the best of each smaller mass."""
+    trials = list(trials)
     first = [trial.choice for trial in ranked(trials)[:COMPARED]]
-    return first if len(first[0].bodies) == 1 else [*first, first[0].without_lightest()]
+    if len(first[0].bodies) > 1:
+        first.append(first[0].without_lightest())
+    for share in SHARES[1:]:
+        light = [trial for trial in trials if trial.choice.mass <= (1.0 + ROUNDING) * share * space.mass]
+        first += [trial.choice for trial in ranked(light)[:1]]
+    return list(dict.fromkeys(first))
+
+
+def _same_mass(one: Choice, other: Choice) -> bool:
+    return abs(one.mass - other.mass) <= ROUNDING * other.mass
+
+
+def _several(choices: Iterable[Choice]) -> list[Choice]:
+    """Keep the choices of more than one damper."""
+    return [choice for choice in choices if len(choice.bodies) > 1]
 
 
 def _step(space: Space) -> float:
@@ -94,19 +121,30 @@ def _step(space: Space) -> float:
 
 
 def _row(space: Space, place: tuple[int, ...], share: float) -> list[Choice]:
-    """Choices of all clearances, the same for each body."""
+    """Choices of all clearances, the same for each body, and the one without ceilings."""
     count, (low, high) = len(place), space.clearance
     # Equal ones in one body would move as one until rounding sets them apart.
     apart = [APART ** place[:k].count(body) for k, body in enumerate(place)]
     first = Choice(place, (share * space.mass / count,) * count, tuple(apart))
-    return [first.wider(c) for c in np.geomspace(low, high / max(apart), CLEARANCES).tolist()]
+    row = [first.wider(c) for c in np.geomspace(low, high / max(apart), CLEARANCES).tolist()]
+    # Two in one body without ceilings move as one of their mass.
+    return row if len(set(place)) < count or not space.without_ceiling else [*row, first.without_ceiling()]
 
 
-def _best_of_places(trials: Iterable[Trial]) -> list[Choice]:
-    """Give the first choice of each place."""
+def _best_of_places(row: Sequence[Trial], within: float) -> list[Choice]:
+    """Give the best choice with ceilings of each place, the best place first, of those nearly as good as the best.
+
+    Parameters
+    ----------
+    row : sequence of Trial
+        The best first.
+    within : float
+        Largest ratio of peaks.
+    """
     best: dict[tuple[int, ...], Choice] = {}
-    for trial in trials:
-        best.setdefault(trial.choice.bodies, trial.choice)
+    for trial in row:
+        if trial.choice.has_ceiling and trial.peak.size <= within * row[0].peak.size:
+            best.setdefault(trial.choice.bodies, trial.choice)
     return list(best.values())
 
 

@@ -103,7 +103,7 @@ def _across(dice: Draw, chain: Settings) -> Settings:
 
 def brute_force(found: rig.Design, places: list[tuple[int, ...]]) -> Iterator[Choice]:
     """List choices, evenly spread over places, masses and clearances, that cost so much more than a search."""
-    levels, dampers = len(found.question.levels), len(places[0])
+    levels, dampers = len(found.question.levels), found.space.dampers
     searched = (
         len(found.trials) * levels
         + len(places) * len(SHARES) * CLEARANCES
@@ -166,7 +166,7 @@ def try_out(seed: int, number: int, workers: ProcessPoolExecutor) -> bool:
     begun = time.perf_counter()
     found = rig.design(scene, **told)
     seconds = time.perf_counter() - begun
-    places = list(found.space.places)
+    places = [place for place in found.space.places if len(place) == found.space.dampers]
     choices = list(brute_force(found, places))
     best = best_of(found, choices, workers)
     seconds_more = time.perf_counter() - begun - seconds

@@ -1,0 +1,107 @@
+"""What dampers do at every mode of a structure, in the band that they are chosen for and outside it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rig.damper_design.answers import Answers
+from rig.damper_design.choice import Question, Trial
+from rig.damper_design.ranking import ALIKE, MACHINABLE, equals
+from rig.damper_design.worst_peak import Peak
+from rig.system.receptance import loaded_matrices
+from rig.system.structure import natural_modes
+
+#: Largest distance from a natural frequency at which a peak is that of its mode, relative.
+REACH = 0.15
+#: Modes that are looked at: those next to the band.
+_MOST_MODES = 6
+#: Of equal choices, so many are compared outside the band.
+_COMPARED = 5
+
+
+@dataclass(frozen=True)
+class ModePeaks:
+    """Peaks of a mode.
+
+    Attributes
+    ----------
+    frequency : float
+        Natural frequency of the structure without dampers, Hz.
+    inside : bool
+        Whether it lies in the band of the question.
+    bare : Peak
+        Without dampers.
+    damped : tuple of Peak
+        With them, at each level.
+    """
+
+    frequency: float
+    inside: bool
+    bare: Peak
+    damped: tuple[Peak, ...]
+
+
+def modes_of(question: Question) -> list[tuple[float, Question]]:
+    """Give the natural frequencies next to the band and in it, and the same question about each mode alone."""
+    nominal = question.scenes[0]
+    mass, _, stiffness = loaded_matrices(nominal)
+    natural = natural_modes(mass, stiffness)[0] / (2.0 * np.pi)
+    natural = natural[natural > 0.0]
+    low, high = question.band
+    away = np.maximum(np.log(low / natural), np.log(natural / high))
+    near = np.sort(np.argsort(away, kind="stable")[:_MOST_MODES])
+    middles = np.sqrt(natural[1:] * natural[:-1])
+    below = np.maximum(natural * (1.0 - REACH), np.concatenate([[0.0], middles]))
+    above = np.minimum(natural * (1.0 + REACH), np.concatenate([middles, [np.inf]]))
+    each = []
+    for k in near.tolist():
+        inside = low < natural[k] < high
+        bounds = (max(below[k], low), min(above[k], high)) if inside else (below[k], above[k])
+        band = float(bounds[0]), float(bounds[1])
+        if band[0] < natural[k] < band[1]:
+            each.append((float(natural[k]), replace(question, scenes=(nominal,), band=band)))
+    return each
+
+
+def mode_peaks(question: Question, trial: Trial, answers: Answers) -> tuple[ModePeaks, ...]:
+    """Compute the peaks of every mode with the dampers of a trial.
+
+    Where a single mode lies in the band, its peaks are those of the trial.
+    """
+    low, high = question.band
+    modes = modes_of(question)
+    alone = sum(low < frequency < high for frequency, _ in modes) == 1 and len(question.scenes) == 1
+    found = []
+    for frequency, about in modes:
+        inside = low < frequency < high
+        if inside and alone:
+            found.append(ModePeaks(frequency, True, question.bare, trial.peaks))
+        else:
+            (damped,) = answers.of(about, [trial.choice])
+            found.append(ModePeaks(frequency, inside, about.bare, damped.peaks))
+    return tuple(found)
+
+
+def best_outside(question: Question, trials: Sequence[Trial], best: Trial, answers: Answers) -> Trial:
+    """Of equal choices in the band, take the one that reduces the peaks of the modes outside it most.
+
+    The mean over modes and levels counts, in dB. Of equals in that, too, the first in the order of `ranked` is kept.
+    Clearances too small to be built are compared only where there are no others.
+    """
+    low, high = question.band
+    outside = [about for frequency, about in modes_of(question) if not low < frequency < high]
+    alike = equals(trials, best)
+    buildable = [trial for trial in alike if min(trial.choice.clearances) >= MACHINABLE] or alike
+    if not outside or len(buildable) < 2:
+        return best
+    spread = np.linspace(0, len(buildable) - 1, min(_COMPARED, len(buildable))).round().astype(int)
+    rivals = list(dict.fromkeys([best, *(buildable[k] for k in spread)]))
+    sizes = np.zeros(len(rivals))
+    for about in outside:
+        sizes += [20.0 * np.log10(trial.mean) for trial in answers.of(about, [r.choice for r in rivals])]
+    sizes /= len(outside)
+    first = 0 if sizes[0] <= sizes.min() + ALIKE else int(sizes.argmin())
+    return rivals[first]

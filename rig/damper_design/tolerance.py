@@ -1,0 +1,148 @@
+"""The interval of clearances in which the worst peak of some dampers stays nearly the same."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.damper_design.answers import Answers
+from rig.damper_design.choice import Choice, Question, Space, Trial
+from rig.results import plainly
+
+#: Rise of the worst peak at the ends of the interval, dB.
+RISE = 0.5
+#: The ends are known within this ratio of clearances.
+_RESOLUTION = 1.06
+#: Ratio of clearances in steps outwards, where none was tried.
+_STEP = 1.6
+#: The choice is near an end of the interval if it is within this share of it, in the logarithm.
+_NEAR = 0.15
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """Clearances of the heaviest damper between which the worst peak rises by at most `RISE`; others in proportion.
+
+    Attributes
+    ----------
+    low, high : float
+        m. Infinite `high`: no ceiling does as well.
+    limited : tuple of bool
+        Whether an end is that of the clearances searched, so that the interval may be wider.
+    chosen : float
+        Clearance of the choice, m.
+    """
+
+    low: float
+    high: float
+    limited: tuple[bool, bool]
+    chosen: float
+
+    def __str__(self) -> str:
+        """Say the interval, and where to aim at if the choice is near an end.
+
+        >>> print(Tolerance(0.0035, 0.00475, (False, False), 0.00462))
+        the worst peak stays within 0.5 dB for clearances from 3.5 to 4.75 mm: build to the middle, 4.08 mm ± 16 %
+        >>> print(Tolerance(7e-6, float("inf"), (False, False), float("inf")))
+        the worst peak stays within 0.5 dB for every clearance above 0.007 mm
+        """
+        if np.isinf(self.low):
+            return f"with any clearance searched the worst peak is more than {RISE:g} dB higher: build no ceiling"
+        low = plainly(1e3 * self.low)
+        if np.isinf(self.high):
+            return f"the worst peak stays within {RISE:g} dB for every clearance above {low} mm"
+        text = f"the worst peak stays within {RISE:g} dB for clearances from {low} to {plainly(1e3 * self.high)} mm"
+        if any(self.limited):
+            ends = " and ".join(
+                name for name, end in zip(("smallest", "largest"), self.limited, strict=True) if end
+            )
+            text += f" ({ends} searched)"
+        width, place = np.log(self.high / self.low), np.log(self.chosen / self.low)
+        if width > 0.0 and min(place, width - place) < _NEAR * width:
+            middle = (self.low * self.high) ** 0.5
+            text += (
+                f": build to the middle, {plainly(1e3 * middle)} mm ± {100.0 * np.expm1(0.5 * width):.0f} %"
+            )
+        return text
+
+
+def tolerance(
+    question: Question, space: Space, best: Trial, trials: Iterable[Trial], answers: Answers
+) -> Tolerance:
+    """Compute the interval: outwards through the trials with the same dampers, then by bisection.
+
+    Parameters
+    ----------
+    best : Trial
+        The choice, whose interval is computed.
+    trials : iterable of Trial
+        All that were tried.
+    """
+    most = best.peak.size * 10.0 ** (RISE / 20.0)
+    choice, heaviest = best.choice, best.choice.heaviest
+    shape = choice
+    if not choice.has_ceiling:
+        shape = choice.with_clearance(space.clearance[1])
+    known = {1.0: True} if choice.has_ceiling else {}
+    for trial in trials:
+        factor = trial.choice.clearances[heaviest] / shape.clearances[heaviest]
+        if _same_but_wider(trial.choice, shape, factor):
+            known.setdefault(factor, trial.peak.size <= most)
+
+    def serves(factor: float) -> bool:
+        if factor not in known:
+            (trial,) = answers.of(question, [shape.wider(factor)])
+            known[factor] = trial.peak.size <= most
+        return known[factor]
+
+    reference = shape.clearances[heaviest]
+    if not serves(1.0):
+        return Tolerance(np.inf, np.inf, (False, False), np.inf)
+    smallest, largest = (
+        space.clearance[0] / min(shape.clearances),
+        space.clearance[1] / max(shape.clearances),
+    )
+    low, low_limited = _end(serves, known, min(smallest, 1.0))
+    if not choice.has_ceiling:
+        return Tolerance(reference * low, np.inf, (low_limited, False), np.inf)
+    high, high_limited = _end(serves, known, max(largest, 1.0))
+    if high_limited and space.without_ceiling and len(set(choice.bodies)) == len(choice.bodies):
+        (unlimited,) = answers.of(question, [choice.without_ceiling()])
+        if unlimited.peak.size <= most:
+            high, high_limited = np.inf, False
+    return Tolerance(reference * low, reference * high, (low_limited, high_limited), reference)
+
+
+def _same_but_wider(choice: Choice, shape: Choice, factor: float) -> bool:
+    return (
+        np.isfinite(factor)
+        and (choice.bodies, choice.masses) == (shape.bodies, shape.masses)
+        and np.allclose(choice.clearances, shape.wider(factor).clearances, rtol=1e-6)
+    )
+
+
+def _end(serves: Callable[[float], bool], known: Iterable[float], limit: float) -> tuple[float, bool]:
+    """Give the last factor from 1 towards a limit that serves, and whether that is the limit."""
+    outwards = limit > 1.0
+    between = {f for f in known if (1.0 < f < limit if outwards else limit < f < 1.0)}
+    points = sorted({*between, limit}, reverse=not outwards)
+    last = 1.0
+    for point in points:
+        steps = max(1, int(np.ceil(abs(np.log(point / last)) / np.log(_STEP) - 0.01)))
+        for following in [*np.geomspace(last, point, steps + 1)[1:-1].tolist(), point]:
+            if not serves(following):
+                return _bisected(serves, last, following), False
+            last = following
+    return limit, True
+
+
+def _bisected(serves: Callable[[float], bool], last: float, beyond: float) -> float:
+    while abs(np.log(beyond / last)) > np.log(_RESOLUTION):
+        middle = float(np.sqrt(beyond * last))
+        if serves(middle):
+            last = middle
+        else:
+            beyond = middle
+    return last

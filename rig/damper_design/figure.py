@@ -13,7 +13,7 @@ from rig.damper_design.check import Expected
 from rig.damper_design.choice import Choice, mass_unit
 from rig.damper_design.design import Design
 from rig.damper_design.one_mass import rests_on
-from rig.damper_design.overloads import overloads
+from rig.damper_design.overloads import named, overloads
 from rig.damper_design.ranking import MACHINABLE
 from rig.escaping import drawn
 from rig.figure_style import COLOURS, cell_edges, drawing, plain_logarithmic, save
@@ -138,6 +138,9 @@ def next_step(design: Design, scene: Path) -> str:
     test = design.scene.test
     assert isinstance(test, SteppedSine) and test.frequencies is not None
     levels = ", ".join(plainly(level) for level in test.levels)
+    beyond = overloads(design.scene, design.expected, design.bare)
+    changes = "".join(f" --set {quote(change)}" for each in beyond for change in each.changes)
+    lasting = all(damper.contact is not None for damper in design.scene.dampers)
     file, with_them, without = (
         quote(str(each))
         for each in (scene, scene.with_suffix(".mcap"), scene.with_name(f"{scene.stem}-without.mcap"))
@@ -153,11 +156,11 @@ def next_step(design: Design, scene: Path) -> str:
             f"{FORCE_HELD:.1%} and the motion steady within {test.settle.tolerance:.1%}",
             f"{'force, N':>14}{'peak of':>9}{'at Hz':>9}{'under a tone':>15}  of that test",
             *map(_expected, design.expected),
-            *overloads(design.scene, design.expected),
+            *named(beyond, lasting),
             "",
             "to check it, without and with dampers:",
-            f"daq record {file} --set dampers=null --set test.force={plainly(test.levels[0])}N -o {without}",
-            f"daq record {file} -o {with_them}",
+            f"daq record {file} --set dampers=null --set test.force={plainly(test.levels[0])}N{changes} -o {without}",
+            f"daq record {file}{changes} -o {with_them}",
             f"analysis frf {without} {with_them}",
             f"analysis compare {without} {with_them}",
             "",

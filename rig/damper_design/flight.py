@@ -115,7 +115,8 @@ def shortfall(
     lasting = [level for level in serving if level > max(idle)]
     if lasting:
         lines.append(
-            f"they reduce the peak by {SERVES:g} dB and more from {plainly(min(lasting))} N on: give such levels (--levels)"
+            f"they reduce the peak by {SERVES:g} dB and more from {plainly(min(lasting))} N on: give such levels "
+            "(--levels)"
         )
     else:
         lines.append(

@@ -1,14 +1,18 @@
-"""Accelerometers that landings overload, told before a check of a design is recorded."""
+"""Sensors and inputs that a check of a design overloads, named before it is recorded."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from shlex import quote
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.damper_design.check import Expected
+from rig.damper_design.worst_peak import Peak
 from rig.results import plainly
+from rig.scene.measurement_chain import Accelerometer, Integrator
 from rig.scene.presets import filled_in
 from rig.scene.scene import STANDARD_GRAVITY, Scene
 from rig.system.assembly import assemble
@@ -20,8 +24,24 @@ Array = NDArray[np.float64]
 _SWING = 2.0
 
 
-def overloads(scene: Scene, expected: Sequence[Expected]) -> list[str]:
-    """Say which accelerometers cannot follow the landings at the peaks that a check is to measure, and what helps.
+@dataclass(frozen=True)
+class Overload:
+    """A part of the bench that a check overloads.
+
+    Attributes
+    ----------
+    reason : str
+        Which, by how much, and at which levels.
+    changes : tuple of str
+        Changes of the scene, as ``--set`` takes them, with which it follows.
+    """
+
+    reason: str
+    changes: tuple[str, ...]
+
+
+def overloads(scene: Scene, expected: Sequence[Expected], bare: Peak) -> list[Overload]:
+    """Name the accelerometers and converter inputs that cannot follow the motion of a check, and what helps.
 
     Parameters
     ----------
@@ -29,31 +49,110 @@ def overloads(scene: Scene, expected: Sequence[Expected]) -> list[str]:
         The check.
     expected : sequence of Expected
         What it is to measure at each level.
-
-    Returns
-    -------
-    list of str
-        Behind an empty line one for each sensor, then one that says what to do; nothing where all follow.
+    bare : Peak
+        Largest peak without dampers, recorded at the smallest of these levels.
     """
     system = assemble(scene)
-    lines: list[str] = []
-    for channel in scene.channels or ():
+    lowest = min(each.peak.level for each in expected)
+    motions = [(each.peak, each.peak.level) for each in expected] + [(bare, lowest)]
+    found: list[Overload] = []
+    most_volts, widest = 0.0, ""
+    for number, channel in enumerate(scene.channels or (), 1):
         sensor = None if channel.accelerometer is None else filled_in(channel.accelerometer)
-        if sensor is None or sensor.saturation is None:
+        if sensor is None:
+            continue
+        steady = [_steady(scene, channel.at, peak, level) for peak, level in motions]
+        volts = max(
+            _volts(sensor, channel.integrator, size, peak.frequency)
+            for size, (peak, _) in zip(steady, motions, strict=True)
+        )
+        if volts > most_volts:
+            most_volts, widest = volts, channel.name
+        if sensor.saturation is None:
             continue
         row = system.points.index(channel.at)
         shaken = [shaken_by(system, row, each.closing_speed, sensor.resonance) for each in expected]
-        beyond = [k for k, size in enumerate(shaken) if size > sensor.saturation]
+        largest = [max(pair) for pair in zip(shaken, steady, strict=False)] + steady[-1:]
+        beyond = [k for k, size in enumerate(largest) if size > sensor.saturation]
         if beyond:
-            levels = ", ".join(plainly(expected[k].peak.level) for k in beyond)
-            levels = ", ".join(plainly(expected[k].peak.level) for k in beyond)
-            fastest = max(max(expected[k].closing_speed) for k in beyond)
-            lines.append(
-                f"{channel.name}: landings of up to {fastest:.2g} m/s shake its accelerometer with up to "
-                f"{_acceleration(max(shaken))}, and it follows {_acceleration(sensor.saturation)}: points about the "
-                f"peaks at {levels} N will be overloaded, and left out by the analysis"
+            levels = ", ".join(dict.fromkeys(plainly(motions[k][1]) for k in beyond))
+            found.append(
+                Overload(
+                    f"{channel.name}: up to {_acceleration(max(largest))} at {levels} N, where its accelerometer "
+                    f"follows {_acceleration(sensor.saturation)}{_landings(expected, max(shaken), max(steady))}",
+                    _unlimited(number, channel.accelerometer, max(largest)),
+                )
             )
-    return ["", *lines, _cure(system)] if lines else []
+    converter = None if scene.converter is None else filled_in(scene.converter)
+    if converter is not None and converter.range is not None and most_volts > converter.range:
+        volts = float(f"{1.5 * most_volts:.2g}")
+        found.append(
+            Overload(
+                f"{widest}: up to {plainly(most_volts)} V, where the converter takes {plainly(converter.range)} V",
+                (f"converter.range={plainly(volts)}V",),
+            )
+        )
+    return found
+
+
+def named(overloads: Sequence[Overload], lasting: bool) -> list[str]:
+    """Write overloads as lines behind an empty one, with what to do on a bench; nothing where all follow."""
+    if not overloads:
+        return []
+    cure = "a bench needs sensors of a larger range, or lower levels"
+    if not lasting:
+        cure += (
+            "; or landings that last, as those of shot do: contact: {duration: 2 ms} in the first damper of the scene, "
+            "and the design again"
+        )
+    changes = " ".join(f"--set {quote(change)}" for each in overloads for change in each.changes)
+    return [
+        "",
+        "overloaded by this test:",
+        *(each.reason for each in overloads),
+        f"the commands below lift these limits ({changes}); {cure}",
+    ]
+
+
+def _steady(scene: Scene, at: str, peak: Peak, level: float) -> float:
+    """Upper bound of the steady acceleration at a point under a peak, m/s^2: that of the body that moves most.
+
+    A table moves by the spring's stretch more.
+    """
+    displacement = peak.size * level
+    spring = None if scene.driven_shaker is None else scene.driven_shaker.spring
+    if not at.startswith("body") and spring:
+        displacement += level / spring
+    return displacement * (2.0 * np.pi * peak.frequency) ** 2
+
+
+def _volts(
+    sensor: Accelerometer, integrator: Integrator | None, acceleration: float, frequency: float
+) -> float:
+    volts = (sensor.sensitivity or 1.0) * acceleration
+    if integrator is None:
+        return volts
+    return volts * integrator.gain / (2.0 * np.pi * frequency) ** integrator.order
+
+
+def _landings(expected: Sequence[Expected], shaken: float, steady: float) -> str:
+    if shaken <= steady:
+        return ""
+    fastest = max(max(each.closing_speed, default=0.0) for each in expected)
+    return f", from landings of up to {fastest:.2g} m/s"
+
+
+def _unlimited(number: int, sensor: Accelerometer | None, acceleration: float) -> tuple[str, ...]:
+    """Changes of a channel's accelerometer with which it follows an acceleration, m/s^2."""
+    assert sensor is not None
+    key = f"channels[{number}].accelerometer"
+    if np.isfinite(acceleration):
+        g = float(f"{2.0 * acceleration / STANDARD_GRAVITY:.1g}")
+        return (f"{key}.saturation={plainly(g)}g",)
+    if sensor.preset is None:
+        recovery = () if sensor.overload_recovery is None else (f"{key}.overload_recovery=null",)
+        return (*recovery, f"{key}.saturation=null")
+    return (f"{key}.resonance=30kHz", f"{key}.saturation=1e6 g")
 
 
 def shaken_by(
@@ -104,12 +203,3 @@ def _acceleration(size: float) -> str:
     if np.isinf(size):
         return "more than any sensor withstands"
     return f"{plainly(float(f'{size / STANDARD_GRAVITY:.2g}'))} g"
-
-
-def _cure(system: HybridSystem) -> str:
-    if system.lasting.all():
-        return "what helps: sensors of a larger range, or lower levels"
-    return (
-        "what helps: contact: {duration: 2 ms} in the first damper of the scene that the design was for, and the "
-        "design again: its landings last then, as those of shot do; or sensors of a larger range"
-    )

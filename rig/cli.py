@@ -14,7 +14,7 @@ import typer
 
 from rig.arguments import MOST, Changes, Cluster, First, Last, Points, SceneName, completions, loaded
 from rig.command_line import application, run
-from rig.console import counting, progress, saying
+from rig.console import counting, goes_on, progress, saying
 from rig.errors import SceneError
 
 if TYPE_CHECKING:
@@ -208,7 +208,7 @@ def grains(
     setting = loaded(scene, changes)
     ends = (_quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to"))
     frequencies, _ = frequencies_of(setting, *ends, points, None)
-    with counting("following the grains") as progress:
+    with goes_on(output is not None), counting("following the grains") as progress:
         result = bed_response(setting, frequencies, periods, output, cluster, progress)
     print(text(result))
     if output is not None:
@@ -272,9 +272,12 @@ def map_(
         Path, typer.Option("-o", "--output", metavar="DIR", help="Where to write the figure and the table.")
     ] = Path(),
 ) -> None:
-    """Map where it gets hard: type of motion and time to settle over level (or clearance) and frequency."""
+    """Map where it gets hard: type of motion and time to settle over level (or clearance) and frequency.
+
+    Started again after an interruption, it goes on where it stopped.
+    """
     import rig
-    from rig.motion_map.figure import summary, write
+    from rig.motion_map.figure import place, summary, write
     from rig.motion_map.grid import KIND_OF_UNIT, columns, rows_of, vertical_axis
     from rig.output_files import make_ready
     from rig.scene.quantities import FREQUENCY
@@ -287,9 +290,11 @@ def map_(
     ends = _quantity(least, kind, "--least"), _quantity(most, kind, "--most")
     values = rows_of(setting, over, frequencies, *ends, rows)
     make_ready(output)
-    with counting("following the motion") as progress:
-        found = rig.map_motion(setting, over, values, frequencies, progress, cluster)
+    kept = place(setting, over, output).with_suffix(".csv.kept")
+    with goes_on(), counting("following the motion") as progress:
+        found = rig.map_motion(setting, over, values, frequencies, progress, cluster, kept)
     files = write(found, output)
+    kept.unlink()
     print(summary(found))
     print("\nwritten:", *files)
 
@@ -351,7 +356,7 @@ def design(
     setting = loaded(scene, changes)
     make_ready(output)
     table = output / f"{stem('design', setting.name)}.csv"
-    with progress("trying designs") as tell:
+    with goes_on(), progress("trying designs") as tell:
         found = search(
             setting,
             budget=budget,

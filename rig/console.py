@@ -194,6 +194,17 @@ def progress(title: str) -> Iterator[Callable[[float, str], None]]:
 
 
 @contextmanager
+def goes_on(kept: bool = True) -> Iterator[None]:
+    """Add to an interruption of the body that the same command goes on where it stopped, if results are kept."""
+    try:
+        yield
+    except KeyboardInterrupt as interruption:
+        if kept:
+            interruption.add_note("what was computed is kept: the same command goes on where it stopped")
+        raise
+
+
+@contextmanager
 def counting(title: str) -> Iterator[Callable[[int, int], None]]:
     """Show how many pieces of work are done: ``tell(done, total)``."""
     with progress(title) as tell:

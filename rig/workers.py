@@ -9,13 +9,14 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from multiprocessing import active_children, get_context, parent_process
 from multiprocessing.resource_tracker import ensure_running
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from threading import Thread, current_thread, main_thread
 from time import sleep
 from types import TracebackType
@@ -32,6 +33,8 @@ Result = TypeVar("Result")
 LIVES = 2
 # Milliseconds that a thread may take to note that a worker which was killed has ended.
 _PATIENCE = 1000
+# Seconds without a result after which a cluster's workers are counted.
+_WITHOUT_WORKERS = 5.0
 
 
 def cores() -> int:
@@ -56,6 +59,8 @@ class Workers:
 
     def __init__(self, cluster: str | None = None) -> None:
         self._cluster = cluster
+        self._client: Any = None
+        self._reported = False
         self._open = ExitStack()
         try:
             self._pool = self._start()
@@ -102,7 +107,7 @@ class Workers:
                             jobs[job] = number
                             job.add_done_callback(finished.put)
                     handed_out = len(pieces)
-                    job = finished.get()
+                    job = self._next(finished)
                     result = job.result()
                     done.add(jobs[job])
                     yield jobs.pop(job), result
@@ -118,8 +123,28 @@ class Workers:
             "memory runs out; close other programs, or make the study smaller"
         )
 
+    def _next(self, finished: SimpleQueue[Future[Result]]) -> Future[Result]:
+        """Wait for a piece that is done; a cluster without workers is reported once, while it waits for some."""
+        while self._cluster is not None:
+            with suppress(Empty):
+                return finished.get(timeout=_WITHOUT_WORKERS)
+            if self._client.nthreads():
+                break
+            if not self._reported:
+                warnings.warn(
+                    f"--cluster {self._cluster}: the scheduler has no workers, and the study waits for one. Start it with: "
+                    f"dask worker {self._client.scheduler.address} --nthreads 1",
+                    stacklevel=2,
+                )
+                self._reported = True
+        return finished.get()
+
     def _start(self) -> Executor:
-        return _processes(self._open) if self._cluster is None else _dask(self._cluster, self._open)
+        if self._cluster is None:
+            return _processes(self._open)
+        self._client = _dask(self._cluster, self._open)
+        pool: Executor = self._client.get_executor()
+        return pool
 
 
 def _processes(until: ExitStack) -> Executor:
@@ -204,7 +229,7 @@ def _end_with_parent() -> None:
     os._exit(1)
 
 
-def _dask(address: str, until: ExitStack) -> Executor:
+def _dask(address: str, until: ExitStack) -> Any:
     try:
         from distributed import Client, LocalCluster
     except ImportError:
@@ -224,5 +249,4 @@ def _dask(address: str, until: ExitStack) -> Executor:
             f"--cluster {address}: no Dask scheduler answers ({error}); expected its address, such as "
             "tcp://host:8786, or local"
         ) from None
-    pool: Executor = client.get_executor()
-    return pool
+    return client

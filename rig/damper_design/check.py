@@ -12,7 +12,10 @@ from rig.damper_design.choice import Question, Trial
 from rig.damper_design.worst_peak import Peak
 from rig.response.frequency_response import frequency_response
 from rig.scene.excitation import FORCE_HELD, SteppedSine
+from rig.scene.measurement_chain import Channel, Hammer
+from rig.scene.presets import filled_in
 from rig.scene.scene import Scene
+from rig.scene.shaker import ForceShaker
 
 Array = NDArray[np.float64]
 
@@ -53,7 +56,49 @@ def check(scene: Scene, trial: Trial, question: Question) -> Scene:
         "force": list(question.levels),
         "shaker": getattr(scene.test, "shaker", None),
     }
-    return scene.replace(dampers=trial.choice.dampers(question.landings), test=test)
+    checked = scene.replace(dampers=trial.choice.dampers(question.landings), test=test)
+    missing = missing_channels(checked, trial.peak.body)
+    return checked.replace(channels=[*(checked.channels or ()), *missing]) if missing else checked
+
+
+def missing_channels(scene: Scene, body: int) -> list[Channel]:
+    """Give the channels that a check needs and the scene lacks: the force, and the body with the largest peak.
+
+    The force is measured itself, or at both ends of the coil spring. New channels have the sensor and amplifier of the
+    scene's first accelerometer, or a force sensor whose output fills half of the converter's range.
+    """
+    if scene.channels is None:
+        return []
+    shaker = scene.driven_shaker
+    assert shaker is not None
+    needed = [f"body {body}"]
+    if isinstance(shaker, ForceShaker):
+        needed.append(scene.at_driven("shaker"))
+    else:
+        needed += [f"body {shaker.bodies[0]}", scene.at_driven("table")]
+    present = {channel.at for channel in scene.channels}
+    names = {channel.name for channel in scene.channels}
+    like = next((channel for channel in scene.channels if channel.accelerometer is not None), None)
+    found = []
+    for at in dict.fromkeys(needed):
+        if at in present:
+            continue
+        name = at.replace("shaker", "force").replace(" ", "")
+        name = name if name not in names else f"{name}.check"
+        if at.startswith("shaker"):
+            found.append(Channel(name=name, at=at, hammer=_force_sensor(scene)))
+        else:
+            sensors = (None, None) if like is None else (like.accelerometer, like.integrator)
+            found.append(Channel(name=name, at=at, accelerometer=sensors[0], integrator=sensors[1]))
+    return found
+
+
+def _force_sensor(scene: Scene) -> Hammer | None:
+    converter = None if scene.converter is None else filled_in(scene.converter)
+    if converter is None or converter.range is None:
+        return None
+    assert isinstance(scene.test, SteppedSine)
+    return Hammer(sensitivity=float(f"{0.5 * converter.range / max(scene.test.levels):.2g}"))
 
 
 def _around(peaks: Sequence[float], band: tuple[float, float]) -> Array:

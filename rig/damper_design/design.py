@@ -45,6 +45,8 @@ class Design(Result):
     ----------
     scene : Scene
         With these dampers, and a stepped sine about the peaks at all levels, to check them by.
+    added_channels : tuple of str
+        Channels that this test needs and the scene lacked.
     expected : tuple of Expected
         What that is to measure at each level.
     best : Trial
@@ -72,6 +74,7 @@ class Design(Result):
     """
 
     scene: Scene
+    added_channels: tuple[str, ...]
     expected: tuple[Expected, ...]
     best: Trial
     bare: Peak
@@ -211,8 +214,11 @@ def design(
     if say is not None:
         say("looking for what the check of the best is to measure")
     checked = check(scene, likely, nominal)
+    before = {channel.name for channel in scene.channels or ()}
+    added = tuple(channel.name for channel in checked.channels or () if channel.name not in before)
     return Design(
         scene=checked,
+        added_channels=added,
         expected=expected(checked, likely),
         best=best,
         bare=question.bare,

@@ -150,6 +150,7 @@ def next_step(design: Design, scene: Path) -> str:
             f"{scene}: the structure and shaker as given, these dampers, and a stepped sine from "
             f"{test.frequencies[0]:.4g} to {test.frequencies[-1]:.4g} Hz at {levels} N, about the largest peaks with "
             "and without dampers",
+            *_added(design),
             "",
             "largest peaks expected, in µm/N: under a pure tone of force, as designed; and of that test, through its "
             "shaker, whose spring adds\nharmonics if it has one, with the force held within "
@@ -167,6 +168,14 @@ def next_step(design: Design, scene: Path) -> str:
             *rests_on(design.scene.dampers, design.expected, scene),
         ]
     )
+
+
+def _added(design: Design) -> list[str]:
+    if not design.added_channels:
+        return []
+    places = {channel.name: channel.at for channel in design.scene.channels or ()}
+    added = ", ".join(f"{name} (at {places[name]})" for name in design.added_channels)
+    return [f"channels added to those of the scene, as this test needs them: {added}"]
 
 
 def _expected(one: Expected) -> str:

@@ -143,7 +143,7 @@ def _landings(expected: Sequence[Expected], shaken: float, steady: float) -> str
 
 
 def _unlimited(number: int, sensor: Accelerometer | None, acceleration: float) -> tuple[str, ...]:
-    """Changes of a channel's accelerometer with which it follows an acceleration, m/s^2."""
+    """Give the changes of a channel's accelerometer with which it follows an acceleration, m/s^2."""
     assert sensor is not None
     key = f"channels[{number}].accelerometer"
     if np.isfinite(acceleration):

@@ -13,6 +13,7 @@ from rig.escaping import drawn
 from rig.figure_style import cell_edges, drawing, plain_logarithmic, save_with_table
 from rig.motion_map.motion_map import KINDS, TOLERANCE, MotionMap
 from rig.output_files import stem
+from rig.scene.scene import Scene
 from rig.system.open_loop_drive import level_of
 
 if TYPE_CHECKING:
@@ -62,9 +63,14 @@ def write(map_: MotionMap, folder: Path) -> list[Path]:
     SceneError
         If a file cannot be written.
     """
-    study = "map-clearance" if map_.over == "clearance" else "map"
-    name = folder / stem(study, map_.scene.name)
-    return save_with_table(_draw(map_), name, lambda path: _write_csv(map_, path))
+    return save_with_table(
+        _draw(map_), place(map_.scene, map_.over, folder), lambda path: _write_csv(map_, path)
+    )
+
+
+def place(scene: Scene, over: str, folder: Path) -> Path:
+    """Give the path of a map's files without their ending."""
+    return folder / stem("map-clearance" if over == "clearance" else "map", scene.name)
 
 
 def _write_csv(map_: MotionMap, path: Path) -> None:

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.engine.trajectory import Array
+from rig.kept_table import KeptTable
 from rig.motion_map.grid import KIND_OF_UNIT, columns, rows_of, take_off, vertical_axis
-from rig.response.frequency_response import Follower, SteadyPoint
+from rig.response.frequency_response import Follower
 from rig.results import Result
 from rig.scene.loading import scene_of
 from rig.scene.quantities import FREQUENCY, positives
@@ -33,6 +37,7 @@ TOLERANCE = 1e-6
 PATIENCE = 3.0
 #: Fewest and most periods that are waited.
 FEWEST, MOST = 2000, 20_000
+_HEADER = ["row", "points"]
 
 
 @dataclass(frozen=True, repr=False)
@@ -120,6 +125,7 @@ def map_motion(
     frequencies: ArrayLike | None = None,
     progress: Callable[[int, int], None] | None = None,
     cluster: str | None = None,
+    kept: Path | None = None,
 ) -> MotionMap:
     """Follow the steady motion over a grid of levels, or of clearances, and frequencies.
 
@@ -140,9 +146,13 @@ def map_motion(
         Called with the number of points done and of all.
     cluster : str, optional
         As for `rig.design`.
+    kept : Path, optional
+        CSV file with every row as soon as it is done; rows of the same map that are in it are not computed again.
 
     Raises
     ------
+    RunError
+        If that file cannot be read or written.
     SceneError
         If the scene has no damper that moves, no shaker or no level, or a value is not positive.
     """
@@ -155,26 +165,39 @@ def map_motion(
     value = np.unique(positives(levels, KIND_OF_UNIT[unit], "values"))
     longest = _longest(scene, frequency)
     rows = [_Row(_with(scene, over, float(each)), frequency, longest) for each in value]
-    found: list[list[tuple[SteadyPoint, float]]] = [[] for _ in rows]
-    with Workers(cluster) as workers:
-        for done, (number, row) in enumerate(workers.compute(_followed, rows), 1):
-            found[number] = row
-            if progress is not None:
-                progress(done * frequency.size, value.size * frequency.size)
-    types = [[point.types for point, _ in row] for row in found]
-    points = [[point for point, _ in row] for row in found]
+    digests = [_digest(row) for row in rows]
+    table = None if kept is None else KeptTable(kept, _HEADER, "rows of a map")
+    known = {} if table is None else _known(table.rows)
+    missing = [number for number, digest in enumerate(digests) if digest not in known]
+
+    def report() -> None:
+        if progress is not None:
+            done = sum(digest in known for digest in digests)
+            progress(done * frequency.size, value.size * frequency.size)
+
+    if missing:
+        with Workers(cluster) as workers:
+            for number, row in workers.compute(_followed, [rows[k] for k in missing]):
+                digest = digests[missing[number]]
+                known[digest] = row
+                if table is not None:
+                    table.append([digest, json.dumps(row)])
+                report()
+    else:
+        report()
+    points = [known[digest] for digest in digests]
     return MotionMap(
         scene=scene,
         over=over,
         unit=unit,
         value=value,
         frequency=frequency,
-        kind=np.array([[max(map(_kind, each)) for each in row] for row in types]),
-        motion=np.array([["/".join(each) for each in row] for row in types]),
-        impacts=np.array([[point.impacts.sum() for point in row] for row in points]),
-        repetition=np.array([[point.steady.repetition for point in row] for row in points]),
-        periods=np.array([[point.steady.periods for point in row] for row in points]),
-        cpu=np.array([[cpu for _, cpu in row] for row in found]),
+        kind=np.array([[max(map(_kind, point.types)) for point in row] for row in points]),
+        motion=np.array([["/".join(point.types) for point in row] for row in points]),
+        impacts=np.array([[point.impacts for point in row] for row in points]),
+        repetition=np.array([[point.repetition for point in row] for row in points]),
+        periods=np.array([[point.periods for point in row] for row in points]),
+        cpu=np.array([[point.cpu for point in row] for row in points]),
         take_off=take_off(scene, frequency),
     )
 
@@ -207,15 +230,44 @@ class _Row(NamedTuple):
     longest: int
 
 
-def _followed(row: _Row) -> list[tuple[SteadyPoint, float]]:
+class _Point(NamedTuple):
+    """What a map shows of a steady motion."""
+
+    types: list[str]
+    impacts: float
+    repetition: int
+    periods: int
+    cpu: float
+
+
+def _followed(row: _Row) -> list[_Point]:
     """Every point of a row with the CPU time it took."""
     # What is compiled or loaded from disk at first use is no part of the cost.
     Follower(row.scene, TOLERANCE, 1).point(float(row.frequency[0]), None)
     found, points = [], Follower(row.scene, TOLERANCE, row.longest).follow(row.frequency)
     for _ in row.frequency:
         begun = time.thread_time()
-        found.append((next(points), time.thread_time() - begun))
+        point = next(points)
+        cpu = time.thread_time() - begun
+        steady, impacts = point.steady, float(point.impacts.sum())
+        found.append(_Point(list(point.types), impacts, steady.repetition, steady.periods, cpu))
     return found
+
+
+def _digest(row: _Row) -> str:
+    """Name a row by all that its points depend on."""
+    parts = row.scene.to_yaml(), row.frequency.tolist(), row.longest
+    return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
+
+
+def _known(rows: Sequence[Sequence[str]]) -> dict[str, list[_Point]]:
+    known = {}
+    for digest, points in rows:
+        try:
+            known[digest] = [_Point(*point) for point in json.loads(points)]
+        except (ValueError, TypeError):
+            continue
+    return known
 
 
 def _kind(damper_motion: str) -> int:

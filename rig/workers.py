@@ -132,7 +132,7 @@ class Workers:
                 break
             if not self._reported:
                 warnings.warn(
-                    f"--cluster {self._cluster}: the scheduler has no workers, and the study waits for one. Start it with: "
+                    f"--cluster {self._cluster}: the scheduler has no workers. The study waits for one; start it with: "
                     f"dask worker {self._client.scheduler.address} --nthreads 1",
                     stacklevel=2,
                 )

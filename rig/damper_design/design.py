@@ -15,9 +15,9 @@ from rig.damper_design.answers import Answers
 from rig.damper_design.asked import asked
 from rig.damper_design.check import Expected, check, expected
 from rig.damper_design.choice import FINE, Choice, Question, Space, Trial
-from rig.damper_design.flight import Flight, flight, shortfall
+from rig.damper_design.flight import Flight, flight, idle_levels, shortfall
 from rig.damper_design.other_modes import ModePeaks, best_outside, mode_peaks
-from rig.damper_design.ranking import ALIKE, equally_good, front
+from rig.damper_design.ranking import equally_good, front
 from rig.damper_design.search import chart, pieces, search
 from rig.damper_design.tolerance import Tolerance, tolerance
 from rig.damper_design.worst_peak import Peak
@@ -93,19 +93,20 @@ class Design(Result):
         """Say which dampers reduce the worst peak most, and by how much."""
         reduction = self.reduction(self.best.peak)
         if not self.serves:
-            return f"{self.scene.name}: no dampers reduce the worst peak ({self.best.choice}: {-reduction:+.1f} dB)"
+            return f"{self.scene.name}: no dampers serve at all levels ({self.best.choice}: {-reduction:+.1f} dB)"
         return f"{self.scene.name}: {self.best.choice}, worst peak reduced by {reduction:.1f} dB"
 
     @property
     def serves(self) -> bool:
-        """Whether the best dampers reduce the worst peak by more than the search resolves."""
-        return self.reduction(self.best.peak) > ALIKE
+        """Whether the best dampers fly at every level, and reduce the peak by more than the search resolves."""
+        return not idle_levels(self.best, self.bare, self.flight)
 
     @property
     def shortfall(self) -> list[str]:
         """Levels at which the best dampers do nothing, why, and levels at which they serve; empty if they serve."""
         row = self.chart[int(np.argmin(np.abs(np.log(self.clearance_factors))))]
-        return shortfall(self.best, self.bare, self.flight, self.levels.tolist(), row)
+        charted = dict(zip(self.levels.tolist(), row, strict=True))
+        return shortfall(self.best, self.bare, self.flight, charted, self.trials)
 
     def columns(self) -> dict[str, Array]:
         """Give the added mass of all that were tried, and by how much it reduces the worst peak."""

@@ -73,10 +73,11 @@ def _verdict(design: Design) -> list[str]:
         f"worst peak {1e6 * peak.size:.4g} µm/N (body {peak.body}, {peak.frequency:.2f} Hz, {plainly(peak.level)} N): "
         f"{abs(reduction):.1f} dB {side} the bare structure's {1e6 * bare.size:.4g} µm/N",
         *design.shortfall,
-        str(design.tolerance),
     ]
+    if design.serves:
+        lines.append(str(design.tolerance))
     height = design.flight.height
-    if np.isfinite(height) and height < max(design.best.choice.clearances):
+    if 0.0 < height < max(design.best.choice.clearances):
         lines.append(
             f"any clearance above {plainly(1e3 * height)} mm does the same as no ceiling: the dampers do not reach the "
             "ceiling in the band"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,42 +85,69 @@ def _frequencies(question: Question, trial: Trial) -> np.ndarray:
     return np.unique(np.concatenate([columns(scene, low, high, COARSE), natural, peaks]))
 
 
+def idle_levels(trial: Trial, bare: Peak, flight_: Flight) -> list[float]:
+    """Give the levels at which the dampers of a trial do not fly, or reduce the peak by no more than is resolved."""
+    return sorted(
+        peak.level
+        for peak in trial.peaks
+        if _reduction(bare, peak) <= ALIKE or flight_.reach(peak.level) <= 1.0
+    )
+
+
 def shortfall(
-    trial: Trial, bare: Peak, flight_: Flight, levels: Sequence[float], charted: Sequence[Peak]
+    trial: Trial, bare: Peak, flight_: Flight, charted: Mapping[float, Peak], trials: Iterable[Trial]
 ) -> list[str]:
-    """Say at which levels the dampers do nothing, why, and at which they serve; nothing if they serve everywhere.
+    """Say at which levels the dampers do not serve, why, and at which some do; nothing if they serve everywhere.
 
     Parameters
     ----------
-    levels, charted
-        Levels, N, and the peak of these dampers at each.
+    charted : mapping of float to Peak
+        Peak of these dampers by level, N.
+    trials : iterable of Trial
+        All that were tried.
     """
-
-    def reduction(peak: Peak) -> float:
-        return 20.0 * float(np.log10(bare.size / peak.size))
-
-    idle = [peak.level for peak in trial.peaks if reduction(peak) <= ALIKE]
-    asked = dict(zip([peak.level for peak in trial.peaks], trial.peaks, strict=True))
+    idle = idle_levels(trial, bare, flight_)
     if not idle:
         return []
+    reached = {peak.level: _reduction(bare, peak) for peak in trial.peaks}
     lines = []
-    for level in sorted(idle):
+    for level in idle:
         reach = flight_.reach(level)
         does = "cannot fly" if reach <= 1.0 else "hardly fly"
         lines.append(
             f"at {plainly(level)} N the dampers {does}: that needs more than 1 g, and body {flight_.body} reaches "
-            f"{plainly(reach)} g; they change the peak by {-reduction(asked[level]):+.1f} dB"
+            f"{plainly(reach)} g; they change the peak by {-reached[level]:+.1f} dB"
         )
-    serving = [level for level, peak in zip(levels, charted, strict=True) if reduction(peak) >= SERVES]
-    lasting = [level for level in serving if level > max(idle)]
-    if lasting:
+    most = {
+        level: max(
+            (_reduction(bare, p) for each in trials for p in each.peaks if p.level == level), default=0.0
+        )
+        for level in sorted(reached)
+        if level > max(idle)
+    }
+    served = [level for level in most if most[level] >= SERVES]
+    later = [
+        level
+        for level in charted
+        if level > max(idle) and flight_.reach(level) > 1.0 and _reduction(bare, charted[level]) >= SERVES
+    ]
+    if served:
+        forces = ",".join(f"{plainly(level)}N" for level in served)
+        by = ", ".join(f"{most[level]:.1f} dB" for level in served)
         lines.append(
-            f"they reduce the peak by {SERVES:g} dB and more from {plainly(min(lasting))} N on: give such levels "
-            "(--levels)"
+            f"--levels {forces} gives levels at which dampers serve: each alone reduced by up to {by}"
+        )
+    elif later:
+        lines.append(
+            f"these dampers reduce the peak by {SERVES:g} dB from {plainly(min(later))} N on (--levels)"
         )
     else:
+        lively = plainly(_LIVELY * flight_.take_off)
         lines.append(
-            f"dampers usually serve from {_LIVELY:g} g on: give levels from {plainly(_LIVELY * flight_.take_off)} N on "
-            "(--levels)"
+            f"dampers usually serve from {_LIVELY:g} g on: give levels from {lively} N on (--levels)"
         )
     return lines
+
+
+def _reduction(bare: Peak, peak: Peak) -> float:
+    return 20.0 * float(np.log10(bare.size / peak.size))

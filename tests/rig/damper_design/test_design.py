@@ -164,7 +164,7 @@ def test_given_uncertain_damping_when_asked_then_the_structure_with_the_least_co
 
 def test_given_a_body_named_twice_when_asked_then_it_may_carry_two_and_counts_once() -> None:
     question, space = asked(rig.load("fig9"), None, [2, 1, 2], 2, None, [3.3], None, [2, 2], (0.0, 0.0))
-    assert (space.places, question.bodies) == (((1, 2), (2, 2)), (2,))
+    assert (space.places, question.bodies) == (((1,), (2,), (1, 2), (2, 2)), (2,))
 
 
 def test_given_two_dampers_in_a_body_when_asked_then_the_peak_is_that_of_their_settled_motion() -> None:

@@ -10,11 +10,12 @@ import pytest
 import daq
 import rig
 from rig.damper_design.check import Expected
-from rig.damper_design.overloads import overloads, shaken_by
+from rig.damper_design.overloads import named, overloads, shaken_by
 from rig.damper_design.worst_peak import Peak
 from rig.system.assembly import assemble
 
 HZ, FORCE = 49.0, 3.3
+SMALL = Peak(1e-6, HZ, FORCE, 2, 1.0, 0.0)
 
 
 def _scene(contact: dict[str, Any] | None, sensor: dict[str, Any]) -> rig.Scene:
@@ -58,19 +59,40 @@ def test_given_landings_and_a_sensor_when_told_to_be_overloaded_then_it_is_and_o
         daq.record(limited, path)
         with daq.open(path) as recording:
             recorded = {mark.fields["channel"] for mark in recording.overloads}
-        told = overloads(limited, [expected])
-        assert [line.partition(":")[0] for line in told[1:-1]] == (["struck"] if share < 1.0 else [])
+        names = [each.reason.partition(":")[0] for each in overloads(limited, [expected], SMALL)]
+        assert names == (["struck"] if share < 1.0 else [])
         assert recorded == ({"struck"} if share < 1.0 else set())
 
 
 def test_given_a_sensor_without_a_resonance_when_landings_are_at_once_then_none_is_followed() -> None:
     scene = _scene(None, {"saturation": "5000 g"})
-    _, line, cure = overloads(scene, [_expected(scene)])
-    assert line.startswith("struck: landings of up to") and "it follows 5000 g" in line
-    assert "contact: {duration: 2 ms}" in cure
+    (found,) = overloads(scene, [_expected(scene)], SMALL)
+    assert (
+        found.reason.startswith("struck: up to") and "follows 5000 g, from landings of up to" in found.reason
+    )
+    assert found.changes == ("channels[2].accelerometer.saturation=null",)
+    lines = named([found], lasting=False)
+    assert "contact: {duration: 2 ms}" in lines[-1] and found.changes[0] in lines[-1]
 
 
 def test_given_no_landing_or_no_limit_when_told_then_nothing_is() -> None:
-    limited, unlimited = _scene(None, {"saturation": "1 g"}), _scene(None, {})
+    limited, unlimited = _scene(None, {"saturation": "5 g"}), _scene(None, {})
     riding = Expected(Peak(1e-4, HZ, FORCE, 2, 1.0, 0.0), None, (0.0,))
-    assert not overloads(limited, [riding]) and not overloads(unlimited, [_expected(unlimited)])
+    assert not overloads(limited, [riding], SMALL)
+    assert not overloads(unlimited, [_expected(unlimited)], SMALL)
+
+
+def test_steady_motion_overloads_a_small_sensor() -> None:
+    riding = Expected(Peak(1e-4, HZ, FORCE, 2, 1.0, 0.0), None, (0.0,))
+    found = overloads(_scene(None, {"saturation": "2 g"}), [riding], SMALL)
+    assert [each.changes for each in found] == [
+        ("channels[2].accelerometer.saturation=6g",),
+        ("channels[3].accelerometer.saturation=6g",),
+    ]
+
+
+def test_a_small_converter_range_is_named() -> None:
+    riding = Expected(Peak(1e-4, HZ, FORCE, 2, 1.0, 0.0), None, (0.0,))
+    scene = _scene(None, {"sensitivity": "1 V/g"}).replace(converter={"rate": "5120 Hz", "range": "2 V"})
+    (found,) = overloads(scene, [riding], SMALL)
+    assert found.changes == ("converter.range=4.8V",)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 from rig.damper_design.choice import Choice, Trial
@@ -38,6 +39,11 @@ def test_given_as_good_at_every_level_when_ranked_then_the_middle_of_the_clearan
     low, middle, tall = (tried(0.1, clearance, 2.0, 1.001) for clearance in (1e-3, 3e-3, 1e-2))
     wider = tried(0.1, 3e-2, 2.0, 1.2)
     assert ranked([wider, tall, low, middle])[0] == middle and ranked([wider, middle])[1] == wider
+
+
+def test_of_equals_no_ceiling_comes_first_and_unbuildable_last() -> None:
+    tiny, usual, none = (tried(0.1, clearance, 2.0) for clearance in (1.4e-5, 1e-3, np.inf))
+    assert ranked([tiny, usual, none]) == [none, usual, tiny]
 
 
 def tried(mass: float, clearance: float, *sizes: float) -> Trial:

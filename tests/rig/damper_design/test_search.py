@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 import rig
 from rig.damper_design.answers import Answers
 from rig.damper_design.choice import Choice, Question, Space, Trial
+from rig.damper_design.ranking import front
 from rig.damper_design.search import _refine, _row, search
 from rig.damper_design.worst_peak import Peak
 from rig.errors import RunError
@@ -68,6 +69,31 @@ def test_given_two_dampers_of_which_one_does_as_well_when_searched_then_the_one_
     best, _ = search(question, Space(((1, 2),), 0.1, (1e-4, 1e-2)), answers)
     assert best.choice.bodies == (2,) and best.choice.masses == pytest.approx((0.1,))
     assert best.choice.clearances[0] == pytest.approx(1e-3, rel=0.5)
+
+
+def test_search_finds_the_best_number_of_dampers_for_each_mass() -> None:
+    question = Lone((rig.load("fig9"),), (1.0,), (40.0, 60.0), (1,))
+    answers = Answers(Shuffled(0), None, None, 1)  # type: ignore[arg-type]
+    _, trials = search(question, Space(Space.places_of((1, 2), 2), 0.1, (1e-4, 1e-2)), answers)
+    for row in front(trials):
+        alone = Choice((2,), (row.choice.mass,), (1e-3,))
+        assert row.peak.size <= 1.005 * question.worst(alone).size
+
+
+def test_dampers_without_a_ceiling_are_tried_for_each_mass() -> None:
+    question = Tall((rig.load("fig9"),), (1.0,), (40.0, 60.0), (1,))
+    answers = Answers(Shuffled(0), None, None, 1)  # type: ignore[arg-type]
+    best, trials = search(question, Space(((1,),), 0.1, (1e-4, 1e-2)), answers)
+    assert best.choice == Choice((1,), (0.1,), (np.inf,))
+    assert sum(not trial.choice.has_ceiling for trial in trials) == 3
+
+
+@dataclass(frozen=True)
+class Tall(Question):
+    """Answers at once: the higher the ceiling, the better."""
+
+    def worst(self, choice: Choice) -> Peak:
+        return Peak(1.0 / choice.mass + 1e-3 / choice.clearances[0], 10.0, max(self.levels), 1, 1.0, 0.0)
 
 
 class Shuffled:
@@ -133,7 +159,7 @@ def test_given_any_place_when_tried_then_clearances_are_allowed_and_no_two_of_a_
         assert len(set(each)) == len(each) and choice.mass == pytest.approx(0.1)
         return sum(choice.clearances)
 
-    row = _row(Space((place,), 0.1, (1e-4, 1e-2)), place, 1.0)
+    row = _row(Space((place,), 0.1, (1e-4, 1e-2), without_ceiling=False), place, 1.0)
     for choice in row:
         seen(choice)
     _refine(row[start], seen, step, (1e-4, 1e-2))

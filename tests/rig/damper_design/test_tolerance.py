@@ -1,0 +1,148 @@
+"""The interval of clearances that do nearly as well, and the choice among equals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rig
+from rig.damper_design.answers import Answers
+from rig.damper_design.asked import asked
+from rig.damper_design.choice import Choice, Question, Space, Trial
+from rig.damper_design.flight import Flight, flight, idle_levels, shortfall
+from rig.damper_design.other_modes import best_outside, mode_peaks, modes_of
+from rig.damper_design.tolerance import tolerance
+from rig.damper_design.worst_peak import Peak
+
+SPACE = Space(((1,),), 0.1, (1e-4, 1e-2))
+
+
+class AtOnce:
+    """Workers that compute in this process."""
+
+    def compute(self, function: Callable[[Any], Any], pieces: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+        number = 0
+        while number < len(pieces):
+            yield number, function(pieces[number])
+            number += 1
+
+
+@dataclass(frozen=True)
+class Plateau(Question):
+    """Answers at once: good from 3.5 to 4.62 mm in the band, and outside it the lower the better."""
+
+    def worst(self, choice: Choice) -> Peak:
+        clearance = choice.clearances[0]
+        size = 1.0 if 3.5e-3 <= clearance <= 4.62e-3 else 2.0
+        if self.band[1] < 40.0:
+            size = 1.0 + min(clearance, 1.0)
+        return Peak(size, 49.0, max(self.levels), 1, 1.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Unreached(Question):
+    """Answers at once: a ceiling above 7 micrometres changes nothing."""
+
+    def worst(self, choice: Choice) -> Peak:
+        return Peak(2.0 if choice.clearances[0] < 7e-6 else 1.0, 49.0, max(self.levels), 1, 1.0, 0.0)
+
+
+def _question(kind: type[Question]) -> Question:
+    return kind((rig.load("fig9"),), (1.0,), (40.0, 60.0), (1,))
+
+
+def _answers() -> Answers:
+    return Answers(AtOnce(), None, None, 1)  # type: ignore[arg-type]
+
+
+def _trial(question: Question, clearance: float) -> Trial:
+    choice = Choice((1,), (0.1,), (clearance,))
+    return Trial(choice, (question.worst(choice),))
+
+
+def test_tolerance_gives_both_edges_of_a_plateau() -> None:
+    question = _question(Plateau)
+    tried = [_trial(question, clearance) for clearance in np.geomspace(1e-4, 1e-2, 10)]
+    found = tolerance(question, SPACE, _trial(question, 4.6e-3), tried, _answers())
+    assert found.low == pytest.approx(3.5e-3, rel=0.06) and found.high == pytest.approx(4.62e-3, rel=0.06)
+    assert not any(found.limited) and "build to the middle" in str(found)
+
+
+@pytest.mark.parametrize("chosen", [1e-3, np.inf])
+def test_tolerance_is_open_where_no_ceiling_is_reached(chosen: float) -> None:
+    question = _question(Unreached)
+    space = Space(((1,),), 0.1, (1e-6, 1e-2))
+    found = tolerance(question, space, _trial(question, chosen), [], _answers())
+    assert found.low == pytest.approx(7e-6, rel=0.06) and np.isinf(found.high)
+    assert "for every clearance above" in str(found)
+
+
+def test_equals_are_decided_by_the_modes_outside() -> None:
+    question = _question(Plateau)
+    tried = [_trial(question, clearance) for clearance in (3.6e-3, 4e-3, 4.6e-3)]
+    low = best_outside(replace_levels(question), tried, tried[-1], _answers())
+    assert low.choice.clearances == (3.6e-3,)
+
+
+def replace_levels(question: Question) -> Question:
+    # So far outside that decibels differ by more than equals do.
+    return Steep(question.scenes, question.levels, question.band, question.bodies)
+
+
+@dataclass(frozen=True)
+class Steep(Plateau):
+    """As the plateau, with a steep rise outside the band."""
+
+    def worst(self, choice: Choice) -> Peak:
+        peak = super().worst(choice)
+        if self.band[1] >= 40.0:
+            return peak
+        return Peak(choice.clearances[0], 30.0, peak.level, 1, 1.0, 0.0)
+
+
+def test_modes_inside_and_outside_the_band_are_listed() -> None:
+    question, _ = asked(rig.load("fig9"), None, [2], 1, None, [0.01], (46.0, 54.0), None, (0.0, 0.0))
+    choice = Choice((2,), (1e-6,), (1e-3,))
+    trial = Trial(choice, (question.worst(choice),))
+    modes = mode_peaks(question, trial, _answers())
+    assert [mode.inside for mode in modes] == [False, False, True]
+    assert [frequency for frequency, _ in modes_of(question)] == [mode.frequency for mode in modes]
+    for mode in modes:
+        # So light, and so weakly driven, that it changes nothing.
+        assert mode.damped[0].size == pytest.approx(mode.bare.size, rel=1e-3)
+
+
+def test_height_of_flight_is_that_of_the_simulated_motion() -> None:
+    question, _ = asked(rig.load("fig9"), None, [2], 1, None, [0.25], (47.0, 52.0), None, (0.0, 0.0))
+    choice = Choice((2,), (0.04,), (np.inf,))
+    trial = Trial(choice, (question.worst(choice),))
+    found = flight(question, trial, unreached=True)
+    assert found.body == 2 and 1.0 < found.reach(0.25) < 3.0
+    scene = question.scenes[0].replace(dampers=choice.dampers(question.landings))
+    scene = scene.replace(test=scene.test.replace(force=0.25))
+    frequency = trial.peak.frequency
+    run = rig.simulate(scene, 600.0 / frequency, rate=64.0 * frequency, frequency=frequency)
+    assert 0.9 * run.gap[0, -640:].max() < found.height < 5.0 * run.gap[0, -640:].max()
+
+
+def test_levels_too_weak_for_flight_are_named_with_better_ones() -> None:
+    bare = Peak(1e-4, 62.0, 0.5, 2, 1.0, 0.0)
+    peaks = tuple(Peak(size, 61.0, level, 2, 1.0, 0.0) for size, level in ((1.01e-4, 0.5), (5e-5, 4.0)))
+    trial = Trial(Choice((1,), (0.1,), (1e-3,)), peaks)
+    charted = {level: Peak(size, 61.0, level, 2, 1.0, 0.0) for level, size in ((1.0, 9.5e-5), (1.41, 8e-5))}
+    lines = shortfall(trial, bare, Flight(0.8, 1, np.nan), charted, [trial])
+    assert "at 0.5 N the dampers cannot fly" in lines[0] and "body 1 reaches 0.625 g" in lines[0]
+    assert lines[1].startswith("--levels 4N ")
+    weak = Trial(trial.choice, peaks[:1])
+    assert "from 1.41 N on" in shortfall(weak, bare, Flight(0.8, 1, np.nan), charted, [weak])[1]
+    assert not shortfall(Trial(trial.choice, peaks[1:]), bare, Flight(0.8, 1, np.nan), charted, [])
+
+
+def test_mass_that_never_flies_is_no_damper_that_serves() -> None:
+    # At rest it detunes the structure by a little, which is no work of a damper.
+    trial = Trial(Choice((1,), (0.3,), (np.inf,)), (Peak(0.9e-4, 61.0, 1.0, 2, 1.0, 0.0),))
+    assert idle_levels(trial, Peak(1e-4, 62.0, 1.0, 2, 1.0, 0.0), Flight(1.2, 1, 0.0)) == [1.0]

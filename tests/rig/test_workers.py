@@ -8,10 +8,12 @@ import signal
 import subprocess
 import sys
 import threading
+import warnings
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
 import pytest
+from distributed import LocalCluster
 
 from rig.errors import RunError, SceneError
 from rig.workers import Workers
@@ -138,6 +140,25 @@ def test_given_ctrl_c_when_a_cluster_of_our_own_starts_then_it_is_closed(monkeyp
     with pytest.raises(KeyboardInterrupt):
         Workers("local")
     assert ClusterWithCtrlC.closed == 1 and not deaf_to_ctrl_c(0)
+
+
+@pytest.mark.thorough
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_cluster_without_workers_is_reported_and_waited_for(monkeypatch) -> None:
+    monkeypatch.setattr("rig.workers._WITHOUT_WORKERS", 0.05)
+    with LocalCluster(n_workers=0, threads_per_worker=1, processes=False, dashboard_address=None) as cluster:
+        reported: list[str] = []
+
+        def start_a_worker(message: Warning | str, *_: object, **__: object) -> None:
+            reported.append(str(message))
+            cluster.scale(1)
+
+        with warnings.catch_warnings(), Workers(cluster.scheduler_address) as workers:
+            warnings.showwarning = start_a_worker
+            warnings.simplefilter("always", UserWarning)
+            assert sorted(workers.compute(square, [2, 3])) == [(0, 4), (1, 9)]
+    (message,) = [text for text in reported if "no workers" in text]
+    assert f"dask worker {cluster.scheduler_address}" in message
 
 
 @pytest.mark.thorough

@@ -134,6 +134,23 @@ def test_given_progress_that_is_interrupted_when_mapping_then_the_rows_that_run_
     assert not multiprocessing.active_children()
 
 
+def test_interrupted_map_goes_on_with_the_rows_kept(tmp_path: Path) -> None:
+    asked = {"values": [0.5, 1.0, 3.3], "frequencies": [49.0, 50.0], "kept": tmp_path / "map.kept"}
+
+    def interrupt(done: int, total: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        rig.map_motion("fig9", **asked, progress=interrupt)
+    counts: list[int] = []
+    found = rig.map_motion("fig9", **asked, progress=lambda done, total: counts.append(done))
+    assert counts[0] == 4 and counts[-1] == 6
+    again = rig.map_motion("fig9", **asked, progress=lambda done, total: counts.append(done))
+    assert counts[-1] == 6 and len(counts) == 3
+    for name in ("kind", "motion", "impacts", "repetition", "periods", "cpu"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(again, name))
+
+
 @pytest.mark.thorough
 def test_given_a_map_when_written_then_the_file_has_a_row_for_every_point(
     fig9_map: rig.MotionMap, tmp_path: Path

@@ -1,0 +1,65 @@
+"""The commands that a design prints run as printed, with what they need of the bench named."""
+
+from __future__ import annotations
+
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import rig
+from rig.damper_design.asked import asked
+from rig.damper_design.check import check, missing_channels
+from rig.damper_design.choice import Choice, Trial
+from rig.damper_design.figure import next_step, summary, write
+from rig.damper_design.worst_peak import Peak
+
+BRACKET = """
+name: bracket
+structure: {masses: [4.2 kg, 1.1 kg], springs: [839 kN/m, 964 kN/m], damping: {modal: 2 %}}
+shaker: {kind: SHAKER}
+test: {kind: stepped_sine, from: 58 Hz, to: 66 Hz, points: 9, force: 4 N}
+channels: [{name: arm, at: body 2, accelerometer: {sensitivity: 100 mV/g, saturation: 2 g}}]
+converter: {rate: 4096 Hz, bits: 24, range: 10 V}
+"""
+FORCE, TABLE = "force, body: 1", "table, body: 1, spring: 60 kN/m"
+
+
+def _bracket(shaker: str) -> rig.Scene:
+    return rig.loads(BRACKET.replace("SHAKER", shaker))
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("shaker", [FORCE, TABLE])
+def test_printed_commands_run(shaker: str, tmp_path: Path) -> None:
+    design = rig.design(
+        _bracket(shaker), bodies=[2], levels=["4 N"], clearance=("0.3 mm", "0.5 mm"), budget="30 g"
+    )
+    scene = write(design, tmp_path)[0]
+    printed = next_step(design, scene)
+    assert "channels added" in printed and "channels[1].accelerometer.saturation=" in printed
+    assert "170.97" in summary(design) and "outside the band" in summary(design)
+    commands = [shlex.split(line) for line in printed.splitlines() if line.startswith(("daq ", "analysis "))]
+    assert len(commands) == 4
+    for program, *words in commands:
+        ran = subprocess.run(
+            [sys.executable, "-m", program, *words], cwd=tmp_path, capture_output=True, text=True, check=False
+        )
+        assert ran.returncode == 0, ran.stderr
+
+
+@pytest.mark.parametrize(
+    ("shaker", "added"),
+    [(FORCE, ["body 1", "shaker"]), (TABLE, ["body 1", "table"])],
+)
+def test_channels_that_a_check_needs_are_added(shaker: str, added: list[str]) -> None:
+    scene = _bracket(shaker)
+    question, _ = asked(scene, None, None, 1, None, None, None, None, (0.0, 0.0))
+    trial = Trial(Choice((2,), (0.1,), (1e-3,)), (Peak(1e-4, 62.0, 4.0, 1, 1.0, 0.0),))
+    checked = check(scene, trial, question)
+    channels = {channel.at: channel for channel in checked.channels or ()}
+    assert list(channels) == ["body 2", *added]
+    assert channels["body 1"].accelerometer == channels["body 2"].accelerometer
+    assert not missing_channels(checked, 1)

@@ -10,7 +10,7 @@ import typer
 
 from rig.arguments import Changes, Cluster, SceneName, loaded
 from rig.command_line import application, run
-from rig.console import counting
+from rig.console import counting, goes_on
 
 if TYPE_CHECKING:
     from analysis.presentation.presentation import Result
@@ -286,7 +286,8 @@ def paper(
     """Reproduce the paper's figures and judge its claims; goes on where it stopped."""
     from analysis.paper.reproduce import reproduce
 
-    reproduce(output, _say, fresh or (), cluster)
+    with goes_on():
+        reproduce(output, _say, fresh or (), cluster)
 
 
 @app.command()
@@ -300,7 +301,8 @@ def beds(
     """Follow beds of grains and the same as one mass, for the paper's claim on them; takes over half an hour."""
     from analysis.paper.bed_study import follow
 
-    follow(output, points, _say, cluster)
+    with goes_on():
+        follow(output, points, _say, cluster)
     print(f"\nwritten: {output}")
 
 
@@ -312,7 +314,8 @@ def contacts(
     """Follow one mass on floors and ceilings that give way, at the settings of `analysis beds`; takes minutes."""
     from analysis.paper.contact_study import follow
 
-    follow(output, _say, cluster)
+    with goes_on():
+        follow(output, _say, cluster)
     print(f"\nwritten: {output}")
 
 

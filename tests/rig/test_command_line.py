@@ -90,6 +90,14 @@ def test_given_an_interrupt_with_a_note_when_a_command_ends_in_it_then_the_note_
     assert capsys.readouterr().err == "interrupted\nrun.npz.kept holds the rest\n"
 
 
+def test_interrupted_study_says_that_it_goes_on() -> None:
+    with pytest.raises(KeyboardInterrupt) as kept, console.goes_on():
+        raise KeyboardInterrupt
+    with pytest.raises(KeyboardInterrupt) as lost, console.goes_on(kept=False):
+        raise KeyboardInterrupt
+    assert "goes on where it stopped" in kept.value.__notes__[0] and not hasattr(lost.value, "__notes__")
+
+
 def test_given_a_module_that_makes_an_interrupt_a_failure_of_its_own_when_loaded_then_the_command_is_interrupted(
     command, capsys
 ):

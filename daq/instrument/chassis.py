@@ -16,7 +16,7 @@ import time
 import traceback
 import weakref
 from bisect import bisect_right
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -107,7 +107,7 @@ class Chassis:
         self.outputs: dict[Runner, Generation] = {}
         self._output_taken = self._read = False
         self._alarms: list[tuple[float, Callable[[], None]]] = []
-        self._reserved: dict[Runner, tuple[Hashable, ...]] = {}
+        self._reserved: dict[Runner, Mapping[Hashable, str]] = {}
         self._awake: weakref.WeakSet[Any] = weakref.WeakSet()
         self._silent: weakref.WeakKeyDictionary[Runner, int] = weakref.WeakKeyDictionary()
         self.tasks: dict[str, Runner] = {}
@@ -181,15 +181,15 @@ class Chassis:
             self._awake.discard(task)
             self.tasks.pop(task.name, None)
 
-    def reserve(self, task: Runner, resources: tuple[Hashable, ...]) -> None:
+    def reserve(self, task: Runner, resources: Mapping[Hashable, str]) -> None:
         """Reserve what a task needs.
 
         Parameters
         ----------
         task : Runner
             The task.
-        resources : tuple
-            Names of modules' inputs; numbers of the bench's drives.
+        resources : mapping of hashable to str
+            Names by what is reserved: the inputs of a module, and numbers of the bench's drives.
 
         Raises
         ------
@@ -198,11 +198,11 @@ class Chassis:
         """
         with self.changed:
             for other, theirs in self._reserved.items():
-                shared = [str(each) for each in resources if each in theirs]
+                shared = [name for each, name in resources.items() if each in theirs]
                 if other is not task and shared:
                     raise DaqError(
-                        f"the resource is reserved: {', '.join(sorted(shared))} is in use by task "
-                        f"{other.name!r}; stop or close that task, or put the channels into one task",
+                        f"{', '.join(sorted(shared))} is in use by task {other.name!r}; stop or close that task, or "
+                        "put the channels into one task",
                         Code.PAL_RESOURCE_RESERVED,
                     )
             if any(isinstance(each, int) for each in resources) and not self._output_taken:

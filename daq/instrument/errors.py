@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from nidaqmx.error_codes import DAQmxErrors
+from nidaqmx.error_codes import DAQmxErrors, DAQmxWarnings
 
+from daq.instrument.driver_texts import DRIVER_TEXTS
 from rig.errors import ShotrigError
 
 Code = DAQmxErrors
-STOPPED_BEFORE_DONE = 200010
+STOPPED_BEFORE_DONE = int(DAQmxWarnings.STOPPED_BEFORE_DONE)
 
 
 def meaning(code: int) -> str:
-    """Say what a code means; empty if it is none of these.
+    """Give the driver's text of a code, or its name where that text is not known; empty for an unknown code.
 
     Examples
     --------
-    >>> meaning(-200077)
-    'Requested value is not a supported value for this property.'
+    >>> meaning(-200220), meaning(-200709), meaning(-1)
+    ('Device identifier is invalid.', 'Teds sensor not detected.', '')
     """
-    if code == STOPPED_BEFORE_DONE:
-        return "A finite acquisition or generation was stopped before it was complete."
-    if code == Code.INVALID_ATTRIBUTE_VALUE:
-        return "Requested value is not a supported value for this property."
+    if code in DRIVER_TEXTS:
+        return DRIVER_TEXTS[code]
     return f"{Code(code).name.replace('_', ' ').capitalize()}." if code in list(Code) else ""
 
 

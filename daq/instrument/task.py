@@ -113,9 +113,9 @@ class Task:
     def reserve(self) -> None:
         """Reserve the modules and outputs that the task needs; see `Chassis.reserve`."""
         if self.settings.kind == "ao":
-            self.chassis.reserve(self, tuple(each.row for each in self.settings.channels))
+            self.chassis.reserve(self, {each.row: each.port.name for each in self.settings.channels})
         else:
-            self.chassis.reserve(self, tuple(f"{name}/ai" for name in self.settings.device_names))
+            self.chassis.reserve(self, {f"{name}/ai": f"{name}/ai" for name in self.settings.device_names})
 
     def _run(self) -> None:
         self.verify()

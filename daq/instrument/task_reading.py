@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +32,13 @@ class Reading:
     error: DaqError | None = None
 
 
-def read(task: Task, samples: int, timeout: float, raw: bool = False) -> Reading:
+def read(
+    task: Task,
+    samples: int,
+    timeout: float,
+    raw: bool = False,
+    check: Callable[[int], None] = lambda samples: None,
+) -> Reading:
     """Read samples, starting the task if need be.
 
     Parameters
@@ -43,6 +49,8 @@ def read(task: Task, samples: int, timeout: float, raw: bool = False) -> Reading
         Seconds to wait; 0 tries once, negative waits for ever.
     raw : bool
         Whether to give the converter's counts instead of readings in the channels' units.
+    check : callable, optional
+        Called with the samples per channel before any is read; what it raises ends the read.
 
     Returns
     -------
@@ -61,6 +69,7 @@ def read(task: Task, samples: int, timeout: float, raw: bool = False) -> Reading
             )
         if samples < 0:
             samples = default_count(task)
+        check(samples)
         rows = task.settings.rows_to_read()
         out = memory(len(rows), samples, np.int32 if raw else np.float64)
         if not task.settings.clocked:
@@ -278,7 +287,7 @@ def overloaded(task: Task) -> list[str]:
 
 def raw_width(task: Task) -> int:
     """Bytes of a converter count."""
-    return 2 if task.settings.channels and (task.settings.channels[0].module.bits or 32) <= 16 else 4
+    return 2 if all((each.module.bits or 32) <= 16 for each in task.settings.channels) else 4
 
 
 def time_of_sample(task: Task, sample: int) -> int:

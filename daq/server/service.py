@@ -17,6 +17,7 @@ from google.protobuf.message import DecodeError
 
 from daq.instrument.devices.names import Port
 from daq.instrument.devices.teds import TedsMemory
+from daq.instrument.driver_texts import DRIVER_TEXTS
 from daq.instrument.errors import Code, DaqError, bad, meaning
 from daq.instrument.settings.storage import Storage
 from daq.instrument.task import Task
@@ -158,8 +159,7 @@ class Server:
         """Say what an error number means; what was last said of it to this client."""
         if (peer, code) in self._said:
             return self._said[peer, code]
-        found = meaning(code)
-        return f"{found}\n\nStatus Code: {code}" if found else ""
+        return meaning(code)
 
     def _handler(self, method: Method) -> Any:
         # Requests come as bytes: of those that are none, gRPC would write a traceback to our terminal.
@@ -200,7 +200,7 @@ class Server:
                 grpc.StatusCode.INVALID_ARGUMENT, f"{name}: what was sent is no request of that call"
             )
         except DaqError as error:
-            task = call.fields.get("task", "")
+            task = self.sessions.task_name(call.fields.get("task", ""))
             message = _text(error, task)
             kind = "written" if "Write" in name else "read"
             told = [("ni-error", str(error.code))]
@@ -277,7 +277,7 @@ def _cut(text: str, most: int = _LONGEST_TEXT) -> str:
 
 def _text(error: DaqError, task: str) -> str:
     named = f"Task Name: {_cut(task, _LONGEST_NAME)}" if task else ""
-    lines = [_cut(str(error)), named, f"Status Code: {error.code}"]
+    lines = [DRIVER_TEXTS.get(error.code, ""), _cut(str(error)), named, f"Status Code: {error.code}"]
     return "\n\n".join(line for line in lines if line)
 
 

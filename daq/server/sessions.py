@@ -130,6 +130,12 @@ class Sessions:
             session.left_at = None
             return session.task
 
+    def task_name(self, name: str) -> str:
+        """Give the name of a session's task; the session's own if it is not open."""
+        with self._lock:
+            session = self._open.get(name)
+            return name if session is None else session.task.name
+
     def close(self, name: str, peer: str) -> None:
         """End a session; a client that only attached to it leaves it to the one that made it."""
         with self._lock:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,26 +19,79 @@ from daq.server.calls.call import Answer, Call
 _BY_CHANNEL = 0
 
 
-def _read(raw: bool = False, name: str = "read_array") -> Callable[[Call], Answer]:
-    def read(call: Call) -> Answer:
-        given = call.fields
-        samples, size = given["num_samps_per_chan"], given.get("array_size_in_samps", 0)
-        task = call.task
-        if samples > 0 and samples * len(task.settings.rows_to_read()) > size:
+@dataclass(frozen=True)
+class _Counts:
+    """The numbers that a call transfers converter counts in; unsigned, they are two's complement of the count."""
+
+    dtype: type[np.signedinteger[Any]] | type[np.unsignedinteger[Any]]
+
+    @property
+    def bits(self) -> int:
+        """Width of a number."""
+        return np.iinfo(self.dtype).bits
+
+    def check_width(self, count: int, code: Code) -> None:
+        """Refuse converters whose counts are wider, with the code."""
+        if count > self.bits:
             raise DaqError(
-                f"the array has room for {size} samples, {samples} of {len(task.settings.rows_to_read())} channels are "
-                "to be read: make it larger",
-                Code.READ_BUFFER_TOO_SMALL,
+                f"the converter's counts have {count} bits: use numbers of {count} bits in place of {self.bits}",
+                code,
                 done=0,
             )
-        call.server.check_size(max(samples, 0) * len(task.settings.rows_to_read()) * 8)
-        reading = read_task(task, samples, given["timeout"], raw)
+
+    def from_numbers(self, values: Sequence[int]) -> NDArray[np.float64]:
+        """Give the counts that a client sent; with -200561 for numbers that its type does not have."""
+        limits, numbers = np.iinfo(self.dtype), np.array(values, dtype=np.int64)
+        wrong = (numbers < limits.min) | (numbers > limits.max)
+        if wrong.any():
+            raise DaqError(
+                f"{numbers[wrong][0]} is not a number of {self.bits} bits: write {limits.min} to {limits.max}",
+                Code.INVALID_AO_DATA_WRITE,
+                done=0,
+            )
+        return numbers.astype(f"i{self.bits // 8}").astype(np.float64)
+
+
+_COUNTS = {
+    "I16": _Counts(np.int16),
+    "I32": _Counts(np.int32),
+    "U16": _Counts(np.uint16),
+    "U32": _Counts(np.uint32),
+}
+
+
+def _check_room(room: int, needed: int, what: str) -> None:
+    """Make sure that a client's array takes what is to be read."""
+    if needed > room:
+        raise DaqError(
+            f"the array has room for {room} {what}, {needed} are to be read: make it larger",
+            Code.READ_BUFFER_TOO_SMALL,
+            done=0,
+        )
+
+
+def _read(counts: _Counts | None = None) -> Callable[[Call], Answer]:
+    def read(call: Call) -> Answer:
+        given, task = call.fields, call.task
+        task.settings.require("ai")
+        if counts is not None:
+            counts.check_width(8 * raw_width(task), Code.READ_DATA_TYPE_TOO_SMALL)
+        channels, samples = len(task.settings.rows_to_read()), given["num_samps_per_chan"]
+
+        def check(wanted: int) -> None:
+            _check_room(given["array_size_in_samps"], wanted * channels, "samples")
+            call.server.check_size(wanted * channels * 8)
+
+        reading = read_task(task, samples, given["timeout"], counts is not None, check)
         by_channel, values = given["fill_mode"] == _BY_CHANNEL, reading.samples
-        if by_channel and reading.error is None and values.shape[1] < samples:
+        done = values.shape[1]
+        if counts is not None:
+            values = values.astype(counts.dtype)
+        if by_channel and reading.error is None and done < samples:
             # All that a finite task had left: each channel keeps its place in the array.
-            values = np.pad(values, ((0, 0), (0, samples - values.shape[1])))
+            values = np.pad(values, ((0, 0), (0, samples - done)))
         values = values if by_channel else values.T
-        return _told(call, reading, {name: values, "samps_per_chan_read": reading.samples.shape[1]})
+        return _told(call, reading, {"read_array": values, "samps_per_chan_read": done})
 
     return read
 
@@ -63,19 +117,17 @@ def _read_scalar(call: Call) -> Answer:
 
 def _read_raw(call: Call) -> Answer:
     given, task = call.fields, call.task
-    width = raw_width(task)
-    channels = len(task.settings.rows_to_read())
-    samples = given["num_samps_per_chan"]
-    if samples > 0 and samples * channels * width > given["array_size_in_bytes"]:
-        raise DaqError(
-            f"the array has room for {given['array_size_in_bytes']} bytes, {samples * channels * width} are to be "
-            "read: make it larger",
-            Code.READ_BUFFER_TOO_SMALL,
-            done=0,
-        )
-    reading = read_task(task, samples, given["timeout"], raw=True)
+    task.settings.require("ai")
+    width, room = raw_width(task), given["array_size_in_bytes"]
+    channels, samples = len(task.settings.rows_to_read()), given["num_samps_per_chan"]
+    call.server.check_size(room)
+
+    def check(wanted: int) -> None:
+        _check_room(room, wanted * channels * width, "bytes")
+
+    reading = read_task(task, samples, given["timeout"], True, check)
     kind = np.int16 if width == 2 else np.int32
-    data = reading.samples.T.astype(kind).tobytes().ljust(given["array_size_in_bytes"], b"\0")
+    data = reading.samples.T.astype(kind).tobytes().ljust(room, b"\0")
     count = reading.samples.shape[1]
     return _told(
         call, reading, {"read_array": data, "samps_read": count, "num_bytes_per_samp": channels * width}
@@ -121,25 +173,35 @@ def _table(task: Task, data: NDArray[np.float64], samples: int, by_channel: bool
     return data.reshape(channels, samples) if by_channel else data.reshape(samples, channels).T
 
 
-def _write(
-    scale: Callable[[Task, NDArray[Any]], NDArray[np.float64]] | None = None,
-) -> Callable[[Call], Answer]:
+def _write(counts: _Counts | None = None) -> Callable[[Call], Answer]:
     def write(call: Call) -> Answer:
         given, task = call.fields, call.task
-        data = np.asarray(given["write_array"], dtype=np.float64)
+        if counts is None:
+            data = np.asarray(given["write_array"], dtype=np.float64)
+        else:
+            counts.check_width(_count_bits(task), Code.WRITE_DATA_TYPE_TOO_SMALL)
+            data = counts.from_numbers(given["write_array"])
         table = _table(task, data, given["num_samps_per_chan"], given["data_layout"] == _BY_CHANNEL)
-        volts = table if scale is None else scale(task, table)
+        volts = table if counts is None else table * _volts_per_count(task)
         return {"samps_per_chan_written": write_task(task, volts, given["auto_start"], given["timeout"])}
 
     return write
 
 
-def _from_counts(task: Task, counts: NDArray[Any]) -> NDArray[np.float64]:
-    """Turn converter counts into volts."""
-    bits = task.settings.channels[0].module.output_bits if task.settings.channels else None
-    if bits is None:
-        raise unsupported("an unscaled write", "The rig's output has no counts: write volts.")
-    return counts * (task.settings.channels[0].module.output_range / 2.0 ** (bits - 1))
+def _count_bits(task: Task) -> int:
+    """Give the width of the counts that the outputs of a task take."""
+    task.settings.require("ao")
+    return 16 if all((each.module.output_bits or 32) <= 16 for each in task.settings.channels) else 32
+
+
+def _volts_per_count(task: Task) -> NDArray[np.float64]:
+    """Give what a count of each output is in volts, shape (channels, 1)."""
+    sizes = []
+    for each in task.settings.channels:
+        if each.module.output_bits is None:
+            raise unsupported("an unscaled write", "The rig's output has no counts: write volts.")
+        sizes.append([each.module.output_range / 2.0 ** (each.module.output_bits - 1)])
+    return np.array(sizes)
 
 
 def _write_scalar(call: Call) -> Answer:
@@ -150,14 +212,13 @@ def _write_scalar(call: Call) -> Answer:
 
 def _write_raw(call: Call) -> Answer:
     given, task = call.fields, call.task
-    task.settings.require("ao")
-    kind = np.int16 if (task.settings.channels[0].module.output_bits or 32) <= 16 else np.int32
-    # What is left over of an array that is no whole number of samples is not put out.
+    kind = np.dtype(f"i{_count_bits(task) // 8}")
+    # An incomplete sample at the end of the array is not written.
     whole = given["num_samps"] * len(task.settings.channels)
-    count = min(whole, len(given["write_array"]) // np.dtype(kind).itemsize)
+    count = min(whole, len(given["write_array"]) // kind.itemsize)
     data = np.frombuffer(given["write_array"], dtype=kind, count=max(count, 0))
     table = _table(task, data.astype(float), given["num_samps"], by_channel=False)
-    written = write_task(task, _from_counts(task, table), given["auto_start"], given["timeout"])
+    written = write_task(task, table * _volts_per_count(task), given["auto_start"], given["timeout"])
     return {"samps_per_chan_written": written}
 
 
@@ -173,12 +234,12 @@ def _write_waveforms(call: Call) -> Answer:
 CALLS: dict[str, Callable[[Call], Answer]] = {
     "ReadAnalogF64": _read(),
     "ReadAnalogScalarF64": _read_scalar,
-    **{f"ReadBinary{kind}": _read(raw=True) for kind in ("I16", "I32", "U16", "U32")},
+    **{f"ReadBinary{kind}": _read(counts) for kind, counts in _COUNTS.items()},
     "ReadRaw": _read_raw,
     "ReadAnalogWaveforms": _read_waveforms,
     "WriteAnalogF64": _write(),
     "WriteAnalogScalarF64": _write_scalar,
-    **{f"WriteBinary{kind}": _write(_from_counts) for kind in ("I16", "I32", "U16", "U32")},
+    **{f"WriteBinary{kind}": _write(counts) for kind, counts in _COUNTS.items()},
     "WriteRaw": _write_raw,
     "WriteAnalogWaveforms": _write_waveforms,
 }

@@ -1,0 +1,167 @@
+"""Any value of a field's type in a read or a write gives the specified value or the driver's error."""
+
+import grpc
+import nidaqmx
+import numpy as np
+import pytest
+from google.protobuf import message_factory
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+from nidaqmx.constants import AcquisitionType, ReadRelativeTo
+from nidaqmx.error_codes import DAQmxErrors
+
+import daq
+import rig
+from daq.server.grpc_channel import open_channel
+from daq.server.protocol import SERVICE, methods
+
+COUNTS = {"I16": np.int16, "I32": np.int32, "U16": np.uint16, "U32": np.uint32}
+TRANSFERS = [each for each in methods() if each.name.startswith(("Read", "Write"))]
+QUICK = settings(
+    max_examples=10,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+
+
+def scene(bits):
+    converter = {"rate": "5120 Hz", "bits": bits, "range": "5 V"}
+    output = {"range": "10 V", "bits": bits}
+    return rig.load("bare-structure", {"converter": converter, "shaker.output": output})
+
+
+@pytest.fixture(scope="module", params=[16, 24])
+def bench(request):
+    with daq.connect(scene(request.param), clock="fast") as connection:
+        yield connection, request.param, open_channel(connection.address)
+
+
+def sent(channel, method, **fields):
+    """Send a request of any fields; give the answer, or the error."""
+    message = message_factory.GetMessageClass(SERVICE.methods_by_name[method].input_type)(**fields)
+    answer = message_factory.GetMessageClass(SERVICE.methods_by_name[method].output_type)
+    call = channel.unary_unary(
+        f"/{SERVICE.full_name}/{method}",
+        request_serializer=lambda each: each.SerializeToString(),
+        response_deserializer=answer.FromString,
+    )
+    return call(message)
+
+
+def code_of(error):
+    """Give the driver's code of an error; fail if it is not the driver's."""
+    codes = [int(value) for key, value in error.trailing_metadata() if key == "ni-error"]
+    assert error.code() is grpc.StatusCode.UNKNOWN and codes and codes[0] < 0, error.details()
+    assert "something unexpected" not in error.details()
+    return codes[0]
+
+
+def numbers(field):
+    """Draw any value of a field's type."""
+    kinds = {
+        field.CPPTYPE_INT32: st.integers(-(2**31), 2**31 - 1),
+        field.CPPTYPE_UINT32: st.integers(0, 2**32 - 1),
+        field.CPPTYPE_INT64: st.integers(-(2**63), 2**63 - 1),
+        field.CPPTYPE_UINT64: st.integers(0, 2**64 - 1),
+        field.CPPTYPE_DOUBLE: st.floats() | st.floats(-10.0, 10.0),
+        field.CPPTYPE_BOOL: st.booleans(),
+        field.CPPTYPE_ENUM: st.integers(-(2**31), 2**31 - 1),
+        field.CPPTYPE_STRING: st.binary(max_size=40)
+        if field.type == field.TYPE_BYTES
+        else st.text(st.characters(exclude_categories=["Cs"]), max_size=40),
+    }
+    return kinds[field.cpp_type]
+
+
+@st.composite
+def requests(draw, method, task):
+    """Draw a request of a call with any fields, about a task."""
+    of_request = SERVICE.methods_by_name[method].input_type.fields
+    fields = {"task": {"name": task}} if "task" in [each.name for each in of_request] else {}
+    for field in of_request:
+        if field.name == "waveforms":
+            fields[field.name] = [{"y_data": draw(st.lists(st.floats(), max_size=4))}]
+        if field.message_type is None and draw(st.integers(0, 4)):
+            value = numbers(field)
+            if field.name == "timeout":
+                value = st.sampled_from([0.0, 0.01, float("nan")])
+            if field.name.startswith(("num_samps", "array_size")):
+                value = st.integers(-1 if field.name.startswith("num") else 0, 8) | value
+            fields[field.name] = draw(st.lists(value, max_size=8) if field.is_repeated else value)
+    return fields
+
+
+@pytest.mark.parametrize("bench", [16], indirect=True)
+@pytest.mark.parametrize("method", [each.name for each in TRANSFERS])
+def test_any_request_gives_answer_or_driver_error(bench, method):
+    connection, _, channel = bench
+    with (
+        nidaqmx.Task("in", grpc_options=connection) as inputs,
+        nidaqmx.Task("out", grpc_options=connection) as outputs,
+    ):
+        inputs.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:1")
+        inputs.timing.cfg_samp_clk_timing(5120.0, sample_mode=AcquisitionType.CONTINUOUS)
+        outputs.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
+        inputs.start()
+
+        @QUICK
+        @given(st.data())
+        def try_any(data):
+            fields = data.draw(requests(method, data.draw(st.sampled_from(["in", "out", ""]))))
+            try:
+                sent(channel, method, **fields)
+            except grpc.RpcError as error:
+                code_of(error)
+
+        try_any()
+
+
+@pytest.mark.parametrize("kind", COUNTS)
+def test_counts_read_are_twos_complement(bench, kind):
+    connection, bits, channel = bench
+    with nidaqmx.Task("signed", grpc_options=connection) as task:
+        task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:3")
+        task.timing.cfg_samp_clk_timing(5120.0, samps_per_chan=200)
+        wanted = {
+            "task": {"name": "signed"},
+            "num_samps_per_chan": 200,
+            "timeout": 10.0,
+            "array_size_in_samps": 800,
+        }
+        task.start()
+        signed = np.array(sent(channel, "ReadBinaryI32", **wanted).read_array)
+        task.in_stream.relative_to, task.in_stream.offset = ReadRelativeTo.FIRST_SAMPLE, 0
+        if bits > np.iinfo(COUNTS[kind]).bits:
+            with pytest.raises(grpc.RpcError) as caught:
+                sent(channel, f"ReadBinary{kind}", **wanted)
+            assert code_of(caught.value) == DAQmxErrors.READ_DATA_TYPE_TOO_SMALL
+            return
+        found = sent(channel, f"ReadBinary{kind}", **wanted)
+    assert signed.min() < 0 < signed.max()
+    assert np.array_equal(found.read_array, signed.astype(COUNTS[kind]))
+
+
+@pytest.mark.parametrize("kind", COUNTS)
+def test_counts_written_are_twos_complement(bench, kind):
+    connection, bits, channel = bench
+    width = np.iinfo(COUNTS[kind]).bits
+    with nidaqmx.Task("counts", grpc_options=connection) as task:
+        task.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
+        row = connection.chassis.held
+
+        @settings(QUICK, max_examples=40)
+        @given(st.integers(-(2 ** (bits - 1)), 2 ** (bits - 1) - 1))
+        @example(-1)
+        def write(count):
+            number = int(np.int64(count).astype(COUNTS[kind]))
+            wanted = {"num_samps_per_chan": 1, "write_array": [number], "auto_start": True}
+            sent(channel, f"WriteBinary{kind}", task={"name": "counts"}, **wanted)
+            assert row[0] == count * 10.0 / 2 ** (bits - 1)
+
+        if bits <= width:
+            write()
+            return
+        with pytest.raises(grpc.RpcError) as caught:
+            write()
+        assert code_of(caught.value) == DAQmxErrors.WRITE_DATA_TYPE_TOO_SMALL

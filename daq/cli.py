@@ -273,7 +273,10 @@ def serve_a_rig(
     changes: Changes = None,
     clock: Clock = None,
     address: Annotated[
-        str, typer.Option(metavar="HOST", help="Where to listen; other than this machine needs certificates.")
+        str,
+        typer.Option(
+            metavar="HOST[:PORT]", help="Where to listen; other than this machine needs certificates."
+        ),
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(metavar="N", help="Port; 0 takes a free one.")] = 31763,
     certificate: Annotated[
@@ -300,6 +303,12 @@ def serve_a_rig(
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")] = False,
     viewer: Annotated[bool, typer.Option("--viewer", help="Show live what the channels see.")] = False,
+    protocol: Annotated[
+        Path | None,
+        typer.Option(
+            "--proto", metavar="FOLDER", help="Write the .proto files for clients in other languages."
+        ),
+    ] = None,
 ) -> None:
     """Put the instrument on the network, for any client of NI's gRPC device protocol; Ctrl-C ends it."""
     from daq.server.serve import Certificates, serve
@@ -319,7 +328,18 @@ def serve_a_rig(
     path = None if output is None else _free(output, overwrite)
     limits = Limits(patience=session_timeout)
     with waiting():
-        serve(_bench(scene, changes), clock, address, port, certificates, limits, path, overwrite, viewer)
+        serve(
+            _bench(scene, changes),
+            clock,
+            address,
+            port,
+            certificates,
+            limits,
+            path,
+            overwrite,
+            viewer,
+            protocol,
+        )
 
 
 def _bench(scene: str | None, changes: Sequence[str] | None) -> Scene | None:

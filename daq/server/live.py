@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import queue
+import sys
 import threading
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -105,7 +107,16 @@ class LiveRecording:
             self._recorder = None
 
     def close(self) -> None:
-        """Complete the recording."""
+        """Complete the recording; report on stderr that there is none."""
         with self._chassis.changed:
             self._chassis.listeners.remove(self._hear)
             self._complete()
+        if not self.paths:
+            # A closed terminal cannot show it.
+            with suppress(OSError):
+                print(
+                    f"note: {self._path}: nothing was recorded, because no client ran a task. Start a task before the "
+                    "server ends.",
+                    file=sys.stderr,
+                    flush=True,
+                )

@@ -13,6 +13,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+import session_pb2
 from google.protobuf import message_factory
 from google.protobuf.timestamp_pb2 import Timestamp
 from nidaqmx._stubs import nidaqmx_pb2
@@ -21,6 +22,8 @@ from daq.instrument.errors import bad
 from daq.recording.protobuf import varint
 
 SERVICE = nidaqmx_pb2.DESCRIPTOR.services_by_name["NiDAQmx"]
+# The service of NI's server for devices of any driver.
+SESSION_SERVICE = session_pb2.DESCRIPTOR.services_by_name["SessionUtilities"]
 # Entries of a list but for samples, and letters of a text, which may name thousands of channels.
 _MOST, _LONGEST = 10_000, 1 << 16
 _SAMPLES = ("write_array", "waveforms")
@@ -47,8 +50,8 @@ class Method:
     streams: bool
 
 
-def methods() -> list[Method]:
-    """List the calls of the service."""
+def methods(service: Any = SERVICE) -> list[Method]:
+    """List the calls of a service."""
     return [
         Method(
             each.name,
@@ -56,7 +59,7 @@ def methods() -> list[Method]:
             message_factory.GetMessageClass(each.output_type),
             each.server_streaming,
         )
-        for each in SERVICE.methods
+        for each in service.methods
     ]
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import gc
 import ipaddress
+import re
 import signal
+import socket
 import sys
 import threading
 from dataclasses import dataclass
@@ -17,6 +19,7 @@ import grpc
 from daq.instrument.chassis import Chassis
 from daq.instrument.connecting import connect_scene
 from daq.server.bench_time import BenchTime
+from daq.server.discovery import write_proto_files
 from daq.server.live import LiveRecording, LiveView
 from daq.server.service import Limits, Server
 from daq.server.starter_script import starter_script
@@ -73,6 +76,7 @@ def serve(
     record: Path | None = None,
     overwrite: bool = False,
     viewer: bool = False,
+    protocol: Path | None = None,
 ) -> None:
     """Serve a rig until Ctrl-C, SIGTERM or the end of its terminal.
 
@@ -81,7 +85,7 @@ def serve(
     scene, clock
         As `daq.connect` takes them.
     host, port : str and int
-        Where to listen.
+        Where to listen; an IPv6 address may be in brackets, and a port may follow the host.
     certificates : Certificates, optional
         Needed for any address that other machines can reach.
     limits : Limits, optional
@@ -92,25 +96,33 @@ def serve(
         Whether it may replace a file.
     viewer : bool
         Whether to show it in the rerun viewer.
+    protocol : Path, optional
+        Folder for the .proto files of the protocol.
 
     Raises
     ------
     SceneError
         If the scene cannot be used, the address needs certificates, or cannot be listened at.
     """
+    host, port = parse_address(host, port)
     if certificates is None and not _is_loopback(host):
         raise SceneError(
             f"{host} can be reached by other machines, which needs certificates: give --certificate and --key "
             "(and --client-ca to let in only clients that have one too), or leave the address out"
         )
     credentials = None if certificates is None else certificates.credentials()
+    if protocol is not None:
+        written = write_proto_files(protocol)
+        print(f"{protocol}: {len(written)} files of the protocol", flush=True)
     chassis = connect_scene(scene, clock)
     tell_unfed_sensors(chassis)
     with contextlib.ExitStack() as stack:
         try:
-            server = Server(chassis, f"{host}:{port}", credentials, limits, (BenchTime(chassis),))
+            server = Server(chassis, _endpoint(host, port), credentials, limits, (BenchTime(chassis),))
         except RuntimeError:
-            raise SceneError(f"cannot listen at {host}:{port}: choose another port with --port") from None
+            raise SceneError(
+                f"cannot listen at {_endpoint(host, port)}: choose another port with --port, or another --address"
+            ) from None
         stack.callback(server.close)
         if record is not None:
             stack.callback(LiveRecording(chassis, record, overwrite).close)
@@ -126,7 +138,8 @@ def serve(
 
 def announcement(chassis: Chassis, host: str, port: int, encrypted: bool) -> str:
     """Say where the rig is, what is on it, and how a script reaches it."""
-    lines = [f"Server listening on port {port} ({host}:{port}{', with TLS' if encrypted else ''})", ""]
+    address = _endpoint(host, port)
+    lines = [f"Server listening on port {port} ({address}{', with TLS' if encrypted else ''})", ""]
     modules = [chassis.devices.module(name) for name in chassis.devices.names]
     for module in modules:
         kinds = [each for kind in ("ai", "ao") if (each := _span(module.channel_names(kind)))]
@@ -139,7 +152,7 @@ def announcement(chassis: Chassis, host: str, port: int, encrypted: bool) -> str
             )
     opened = "grpc.insecure_channel" if not encrypted else "grpc.secure_channel"
     extra = "" if not encrypted else ', grpc.ssl_channel_credentials(open("ca.pem", "rb").read())'
-    return "\n".join([*lines, *starter_script(chassis, f'{opened}("{host}:{port}"{extra})')])
+    return "\n".join([*lines, *starter_script(chassis, f'{opened}("{address}"{extra})')])
 
 
 def _span(names: list[str]) -> str:
@@ -149,13 +162,40 @@ def _span(names: list[str]) -> str:
     return first if len(names) == 1 else f"{first}:{len(names) - 1}"
 
 
+def parse_address(address: str, port: int) -> tuple[str, int]:
+    """Give host and port of an address, where an IPv6 address may be in brackets; `port` if it names none.
+
+    Raises
+    ------
+    SceneError
+        If what follows the host is not a port.
+
+    Examples
+    --------
+    >>> parse_address("::1", 31763), parse_address("[::1]:4000", 31763), parse_address("localhost:0", 31763)
+    (('::1', 31763), ('::1', 4000), ('localhost', 0))
+    """
+    match = re.fullmatch(
+        r"\[(?P<six>[^\[\]]*)\](?P<port>:.*)?|(?P<six_only>[^:]*:.*:.*)|(?P<name>[^:]*)(?P<at>:.*)?", address
+    )
+    host = match and (match["six"] or match["six_only"] or match["name"])
+    given = match and (match["port"] or match["at"] or "")[1:]
+    if not host or (given and not (given.isdecimal() and int(given) < 65536)):
+        raise SceneError(f"address {address!r}: expected HOST, HOST:PORT or [IPV6]:PORT")
+    return host, int(given) if given else port
+
+
+def _endpoint(host: str, port: int) -> str:
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
 def _is_loopback(host: str) -> bool:
-    if host == "localhost":
-        return True
+    """Whether only this machine reaches a host, by all addresses of its name."""
     try:
-        return ipaddress.ip_address(host.strip("[]")).is_loopback
-    except ValueError:
+        found = {str(each[4][0]).partition("%")[0] for each in socket.getaddrinfo(host, None)}
+    except (OSError, UnicodeError):
         return False
+    return bool(found) and all(ipaddress.ip_address(each).is_loopback for each in found)
 
 
 def _wait_for_signal() -> None:

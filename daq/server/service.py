@@ -23,8 +23,11 @@ from daq.instrument.settings.storage import Storage
 from daq.instrument.task import Task
 from daq.server.calls.answers import answer_to
 from daq.server.calls.call import Call
+from daq.server.calls.session_utilities import Reservations
+from daq.server.calls.unsupported import refusal
 from daq.server.client_defaults import STRICT
-from daq.server.protocol import SERVICE, Method, decode, encode, methods
+from daq.server.discovery import Discovery
+from daq.server.protocol import SERVICE, SESSION_SERVICE, Method, decode, encode, methods
 from daq.server.sessions import SessionExists, Sessions
 from rig.command_line import unexpected
 
@@ -111,10 +114,14 @@ class Server:
                 ("grpc.so_reuseport", 0),
             ],
         )
-        handlers = {each.name: self._handler(each) for each in methods()}
-        self._server.add_generic_rpc_handlers(
-            (grpc.method_handlers_generic_handler(SERVICE.full_name, handlers), *further)
-        )
+        self.reservations, self._discovery = Reservations(), Discovery()
+        own = [
+            grpc.method_handlers_generic_handler(
+                service.full_name, {each.name: self._handler(each) for each in methods(service)}
+            )
+            for service in (SERVICE, SESSION_SERVICE)
+        ]
+        self._server.add_generic_rpc_handlers((*own, *self._discovery.handlers, *further))
         if credentials is None:
             self.port = self._server.add_insecure_port(address)
         else:
@@ -133,6 +140,7 @@ class Server:
     def close(self, grace: float | None = 0.5) -> None:
         """End all sessions and stop listening; calls have so many seconds to end, or none."""
         self._closing.set()
+        self._discovery.end()
         sys.setswitchinterval(self._switching)
         self.sessions.close_all()
         self._server.stop(grace).wait()
@@ -168,15 +176,10 @@ class Server:
         return grpc.unary_unary_rpc_method_handler(self._unary(method))
 
     def _unary(self, method: Method) -> Callable[[Any, grpc.ServicerContext], Any]:
-        act = answer_to(method.name)
+        act = answer_to(method.name) or refusal(method.name)
 
         def respond(request: bytes, context: grpc.ServicerContext) -> Any:
             with self._telling(method, request, context) as call:
-                if act is None:
-                    raise DaqError(
-                        f"{method.name} is not among what the rig's instrument can do",
-                        Code.ATTRIBUTE_NOT_SUPPORTED_IN_TASK_CONTEXT,
-                    )
                 answer = act(call)
                 if method.name.startswith(("Read", "Write", "Start")):
                     self.sessions.check_memory(call.fields["task"], self.limits.memory)
@@ -189,7 +192,7 @@ class Server:
         """Read a request, and tell errors as the protocol does."""
         peer, name = context.peer(), method.name
         key = dict(context.invocation_metadata()).get("ni-api-key", "")
-        call = Call(self, peer, strict=key == STRICT)
+        call = Call(self, peer, strict=key == STRICT, is_active=context.is_active)
         try:
             self._answer_one_more(peer, context)
             call.message = method.request.FromString(request)

@@ -7,7 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from daq.instrument.devices.measurements import ACCELERATION, FORCE, MICROPHONE, VELOCITY, VOLTAGE
+from daq.instrument.devices.measurements import (
+    ACCELERATION,
+    FORCE,
+    MEASUREMENTS,
+    MICROPHONE,
+    VELOCITY,
+    VOLTAGE,
+)
 from daq.instrument.errors import Code, DaqError, bad
 from daq.instrument.values import Coupling, SampleMode, Wiring
 from rig.errors import SceneError
@@ -166,6 +173,14 @@ class Module:
         if not 0 <= number < len(rows):
             raise self.no_channel(kind, number)
         return rows[number]
+
+    def no_measurement(self, where: str) -> DaqError:
+        """Make the error for a measurement that it does not support (-200431)."""
+        names = ", ".join(name for name, each in MEASUREMENTS.items() if each.type in self.measurements)
+        return DaqError(
+            f"{where}: {self.product_type} does not support this measurement; it measures {names}",
+            Code.PHYS_CHAN_MEAS_TYPE,
+        )
 
     def no_channel(self, kind: str, number: int) -> DaqError:
         """Make the error for a terminal that is not there, or is of the other kind (-200170)."""

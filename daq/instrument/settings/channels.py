@@ -150,11 +150,7 @@ class Channel:
         """
         row = module.row("ai", port.number)
         if kind.type not in module.measurements:
-            raise DaqError(
-                f"{port.name}: {module.product_type} does not support this measurement; it measures "
-                + ", ".join(name for name, each in MEASUREMENTS.items() if each.type in module.measurements),
-                Code.PHYS_CHAN_MEAS_TYPE,
-            )
+            raise module.no_measurement(port.name)
         defaults = _defaults(kind)
         # A module whose supply needs AC coupling couples so where it feeds a sensor, unless something else is said.
         feeds = given.get("ai_excit_src") == Excitation.INTERNAL and module.supply_coupling == "AC"

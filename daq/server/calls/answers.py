@@ -6,14 +6,14 @@ from collections.abc import Callable
 
 from daq.instrument.devices.measurements import MEASUREMENTS
 from daq.server.attributes import attribute_call
-from daq.server.calls import channels, devices, samples, scales, tasks, timing
+from daq.server.calls import channels, devices, samples, scales, session_utilities, tasks, timing
 from daq.server.calls.call import Answer, Call
 from daq.server.calls.channels import create_input, create_teds_input
 
 
 def answer_to(name: str) -> Callable[[Call], Answer] | None:
     """Find what answers a call of the service; None if the instrument has no answer to it."""
-    for group in (tasks, channels, timing, samples, scales, devices):
+    for group in (tasks, channels, timing, samples, scales, devices, session_utilities):
         if name in group.CALLS:
             return group.CALLS[name]
     kind = name.replace("ChanWithExcit", "WithExcitChan").removesuffix("Chan")

@@ -32,6 +32,8 @@ class Call:
         What it holds, see `daq.server.protocol.decode`.
     strict : bool
         Whether the client wants a name that is taken told as the driver does, not as the network does.
+    is_active : callable
+        Whether the client still waits for the answer.
     """
 
     server: Server
@@ -39,6 +41,7 @@ class Call:
     message: Any = None
     fields: dict[str, Any] = field(default_factory=dict)
     strict: bool = False
+    is_active: Callable[[], bool] = lambda: True
 
     @property
     def task(self) -> Task:

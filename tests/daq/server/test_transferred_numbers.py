@@ -80,7 +80,7 @@ def requests(draw, method, task):
     of_request = SERVICE.methods_by_name[method].input_type.fields
     fields = {"task": {"name": task}} if "task" in [each.name for each in of_request] else {}
     for field in of_request:
-        if field.name == "waveforms":
+        if field.name == "waveforms" and "Analog" in method:
             fields[field.name] = [{"y_data": draw(st.lists(st.floats(), max_size=4))}]
         if field.message_type is None and draw(st.integers(0, 4)):
             value = numbers(field)

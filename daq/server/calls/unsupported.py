@@ -1,0 +1,58 @@
+"""Calls of the driver that no device on a bench can carry out: each is refused as hardware refuses it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import NoReturn
+
+from daq.instrument.devices.names import parse_port, unflatten
+from daq.instrument.errors import Code, DaqError, unsupported
+from daq.server.calls.call import Call
+
+_CHANNEL = re.compile(r"Create(TEDS)?([ACD][IO])(\w*Chan\w*)")
+_WORDS = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
+
+
+def script_function(method: str) -> str:
+    """Name the function that a script calls: that of the package nidaqmx for channels and timing, else the driver's.
+
+    Examples
+    --------
+    >>> script_function("CreateTEDSAIRTDChan"), script_function("ReadDigitalU32")
+    ('add_teds_ai_rtd_chan', 'DAQmxReadDigitalU32')
+    """
+    channel = _CHANNEL.fullmatch(method)
+    if channel:
+        words = filter(None, (channel[1], channel[2], _WORDS.sub("_", channel[3])))
+        return f"add_{'_'.join(words).lower()}"
+    return _WORDS.sub("_", method).lower() if method.startswith("Cfg") else f"DAQmx{method}"
+
+
+def refusal(method: str) -> Callable[[Call], NoReturn]:
+    """Make the answer to a call that the instrument does not have.
+
+    The answer is -200220 for a device that is not on the bench, -200170 for a counter or a digital line, -200431 for a
+    measurement that no input supports, and -200452 for anything else.
+    """
+    function = script_function(method)
+
+    def refuse(call: Call) -> NoReturn:
+        fields, modules = call.fields, call.server.chassis.devices
+        for name in ("lines", "counter"):
+            if name in fields:
+                module = modules.module(fields[name])
+                raise DaqError(
+                    f"{function}: {module.name} has no {fields[name]!r}; the devices of the rig have analog inputs and "
+                    "outputs only",
+                    Code.PHYSICAL_CHAN_DOES_NOT_EXIST,
+                )
+        terminals = next((fields[name] for name in fields if name.endswith("physical_channel")), "")
+        for terminal in unflatten(terminals):
+            port = parse_port(terminal)
+            module = modules.module(port.device)
+            module.row(port.kind, port.number)
+            raise module.no_measurement(f"{port.name}: {function}")
+        raise unsupported(function)
+
+    return refuse

@@ -1,0 +1,91 @@
+"""Writes a protocol's description as the text of a .proto file, which compilers of all languages read.
+
+Reference: the grammar at https://protobuf.dev/reference/protobuf/proto3-spec/. Options are left out, but for those
+that change the meaning of the text or the bytes: `allow_alias`, `packed`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from google.protobuf import descriptor_pb2
+
+_FIELD = descriptor_pb2.FieldDescriptorProto
+_INDENT = "  "
+
+
+def proto_text(file: Any) -> str:
+    """Write a file.
+
+    Parameters
+    ----------
+    file : FileDescriptor
+        In syntax proto3.
+    """
+    described = descriptor_pb2.FileDescriptorProto()
+    file.CopyToProto(described)
+    lines = ['syntax = "proto3";', ""]
+    lines += [f'import "{each}";' for each in described.dependency]
+    lines += ["", f"package {described.package};", ""]
+    for enum in described.enum_type:
+        lines += [*_enum(enum), ""]
+    for message in described.message_type:
+        lines += [*_message(message, f".{described.package}"), ""]
+    for service in described.service:
+        lines += [*_block(f"service {service.name}", map(_method, service.method)), ""]
+    return "\n".join(lines)
+
+
+def _block(head: str, body: Iterator[str] | Any) -> Iterator[str]:
+    yield f"{head} {{"
+    for line in body:
+        yield f"{_INDENT}{line}"
+    yield "}"
+
+
+def _method(method: Any) -> str:
+    given = f"{'stream ' if method.client_streaming else ''}{method.input_type}"
+    answer = f"{'stream ' if method.server_streaming else ''}{method.output_type}"
+    return f"rpc {method.name}({given}) returns ({answer});"
+
+
+def _enum(enum: Any) -> Iterator[str]:
+    alias = ["option allow_alias = true;"] if enum.options.allow_alias else []
+    return _block(f"enum {enum.name}", [*alias, *(f"{each.name} = {each.number};" for each in enum.value)])
+
+
+def _message(message: Any, scope: str) -> Iterator[str]:
+    scope = f"{scope}.{message.name}"
+    maps = {f"{scope}.{each.name}": each for each in message.nested_type if each.options.map_entry}
+    body: list[str] = []
+    for enum in message.enum_type:
+        body += _enum(enum)
+    for nested in message.nested_type:
+        body += [] if nested.options.map_entry else _message(nested, scope)
+    body += [_field(each, maps) for each in message.field if not _in_choice(each)]
+    for number, choice in enumerate(message.oneof_decl):
+        members = [each for each in message.field if _in_choice(each) and each.oneof_index == number]
+        body += _block(f"oneof {choice.name}", [_field(each, maps) for each in members]) if members else []
+    return _block(f"message {message.name}", body)
+
+
+def _in_choice(field: Any) -> bool:
+    """Whether a field belongs to a choice that is written; that of an optional field is not."""
+    return field.HasField("oneof_index") and not field.proto3_optional
+
+
+def _field(field: Any, maps: dict[str, Any]) -> str:
+    entry = maps.get(field.type_name)
+    if entry is not None:
+        key, value = (_type(each) for each in entry.field)
+        return f"map<{key}, {value}> {field.name} = {field.number};"
+    repeated = field.label == _FIELD.LABEL_REPEATED
+    label = "repeated " if repeated else "optional " if field.proto3_optional else ""
+    packed = f" [packed = {str(field.options.packed).lower()}]" if field.options.HasField("packed") else ""
+    return f"{label}{_type(field)} {field.name} = {field.number}{packed};"
+
+
+def _type(field: Any) -> str:
+    """Name a field's type; messages and enumerations by their whole name."""
+    return str(field.type_name) or _FIELD.Type.Name(field.type).removeprefix("TYPE_").lower()

@@ -20,7 +20,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from rig import console
-from rig.ending_signals import ENDINGS
+from rig.ending_signals import ENDINGS, came
 from rig.errors import RunError, ShotrigError
 from rig.ranks import join
 from rig.shadowing import shadowed
@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 LARGEST = 1e12
 # New objects after which Python looks for those that only hold each other, where it usually takes 700.
 _OBJECTS = 200_000
-# Signals that asked this command to end.
-_came: list[int] = []
+# Exit code of a command that Ctrl-C ended: 128 and the number of the signal.
+_INTERRUPTED = 128 + signal.SIGINT
 
 
 def application(help_text: str) -> typer.Typer:
@@ -79,7 +79,7 @@ def run(module: str) -> NoReturn:
     """
     # What imports make stays: looking through it for what may go, and once more at the end, takes a tenth of a start.
     gc.set_threshold(_OBJECTS)
-    _came.clear()
+    came.clear()
     words = sys.argv[1:]
     debug = words[:1] == ["--debug"]
     with ExitStack() as put_back:
@@ -97,7 +97,7 @@ def run(module: str) -> NoReturn:
             _set_signals(signal.SIG_DFL)
             code = _tell(error, debug)
     gc.disable()
-    sys.exit(code)
+    sys.exit(128 + came[0] if code == _INTERRUPTED and came else code)
 
 
 def _carry_out(module: str, words: Sequence[str]) -> int:
@@ -162,7 +162,7 @@ def _in_words(error: BaseException) -> tuple[int, str]:
         case SystemExit(code=int() | None):
             return int(error.code or 0), ""
         case KeyboardInterrupt():
-            return 130, "\n".join(["interrupted", *notes])
+            return _INTERRUPTED, "\n".join(["interrupted", *notes])
         case ShotrigError():
             return error.exit_code, "\n".join(f"error: {text}" for text in (error, *notes))
         case BrokenPipeError():
@@ -185,8 +185,8 @@ def _in_words(error: BaseException) -> tuple[int, str]:
         usage = "" if context is None else f"{context.get_usage()}\n"
         return 2, f"{usage}error: {error.format_message()}"
     # Modules of other languages may tell of an interrupt while they are loaded as of a failure without a cause.
-    if _came or _comes_of_interruption(error):
-        return 130, "interrupted"
+    if came or _comes_of_interruption(error):
+        return _INTERRUPTED, "interrupted"
     if isinstance(error, ImportError | AttributeError) and (found := shadowed(Path(sys.path[0]))):
         return 1, "\n".join(f"error: {text}" for text in found)
     return 1, unexpected(error)
@@ -243,7 +243,7 @@ def _set_signals(answer: Any) -> None:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    _came.append(number)
+    came.append(number)
     raise KeyboardInterrupt
 
 

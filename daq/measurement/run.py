@@ -23,6 +23,7 @@ from daq.recording.committed_file import DiskError
 from daq.recording.interrupts import answered
 from daq.recording.recorder import Recorder
 from daq.signal_chain.bench import AcquiredBlock, Bench
+from rig.ending_signals import came
 from rig.errors import RecordingError, RunError, SceneError, ShotrigError
 from rig.scene.loading import load
 from rig.scene.scene import Scene
@@ -338,6 +339,7 @@ def _interruptible() -> Iterator[Callable[[], bool]]:
 
     def press(number: int, frame: FrameType | None) -> None:
         pressed.set()
+        came.append(number)
         for each, earlier in before.items():
             signal.signal(each, earlier)
 

@@ -48,7 +48,8 @@ class Discovery:
 def _handler(service: Any, servicer: Any) -> grpc.GenericRpcHandler:
     """Make the handler of a service; a request that cannot be read is the client's error, without a traceback here."""
     made = {}
-    for method in service.methods:
+    # Releases of the packages describe calls that their servicers do not carry out.
+    for method in (each for each in service.methods if each.name in vars(type(servicer))):
         request, answer = message_factory.GetMessageClass(method.input_type), getattr(servicer, method.name)
         if method.client_streaming:
             made[method.name] = grpc.stream_stream_rpc_method_handler(

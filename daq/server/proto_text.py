@@ -63,10 +63,17 @@ def _message(message: Any, scope: str) -> Iterator[str]:
         body += _enum(enum)
     for nested in message.nested_type:
         body += [] if nested.options.map_entry else _message(nested, scope)
-    body += [_field(each, maps) for each in message.field if not _in_choice(each)]
-    for number, choice in enumerate(message.oneof_decl):
-        members = [each for each in message.field if _in_choice(each) and each.oneof_index == number]
-        body += _block(f"oneof {choice.name}", [_field(each, maps) for each in members]) if members else []
+    written: set[int] = set()
+    for field in message.field:
+        if not _in_choice(field):
+            body.append(_field(field, maps))
+        elif field.oneof_index not in written:
+            written.add(field.oneof_index)
+            members = [
+                each for each in message.field if _in_choice(each) and each.oneof_index == field.oneof_index
+            ]
+            name = message.oneof_decl[field.oneof_index].name
+            body += _block(f"oneof {name}", [_field(each, maps) for each in members])
     return _block(f"message {message.name}", body)
 
 

@@ -159,8 +159,8 @@ def test_given_text_of_a_file_when_printed_then_what_a_terminal_would_obey_is_sh
 
 
 @pytest.mark.parametrize("ending", ENDINGS)
-def test_given_a_signal_to_end_when_at_work_then_it_ends_as_by_ctrl_c(command, capsys, ending):
-    assert command(lambda: os.kill(os.getpid(), ending)) == 130
+def test_signal_to_end_gives_its_exit_code(command, capsys, ending):
+    assert command(lambda: os.kill(os.getpid(), ending)) == 128 + ending
     assert capsys.readouterr().err == "interrupted\n"
 
 

@@ -68,7 +68,7 @@ class Ended:
         if self.memory > MEMORY:
             found.append("memory")
         # Whoever still tells how far it is after so long was stopped here, and is not at fault.
-        if self.code not in (0, 1, 2, 130, 143) and self.seconds < LONGEST:
+        if self.code not in (0, 1, 2, 129, 130, 143) and self.seconds < LONGEST:
             found.append(f"exit code {self.code}")
         if any(ord(letter) < 32 and letter not in "\n\t\r" for letter in self.output):
             found.append("control character")

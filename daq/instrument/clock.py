@@ -14,6 +14,7 @@ wait (a read, a write into a full buffer, `wait_until_done`) asks the clock; tim
 
 from __future__ import annotations
 
+import logging
 import math
 import threading
 import time
@@ -22,8 +23,11 @@ from collections.abc import Callable
 from typing import Protocol
 
 from daq.instrument.errors import bad
+from daq.instrument.priority import raise_priority
 from daq.instrument.sleepers import Sleepers
 from rig.errors import SceneError
+
+_LOG = logging.getLogger("shotrig.clock")
 
 
 def seconds(timeout: float) -> float:
@@ -204,6 +208,8 @@ class RealClock:
     TICK = 0.004
     # It moves by no more than this at once, s: others have to come by.
     MOST = 0.04
+    # A bench that is behind catches up at this multiple of real time: faster, it would overrun clients that keep up.
+    CATCH_UP = 2.0
     # Who waits looks up this often, s.
     NAP = 0.02
 
@@ -245,11 +251,53 @@ class RealClock:
 _COMPILING, _COMPILATIONS = 1.0, 20
 
 
+# A machine that is behind by less than this, s, is not reported.
+_REPORTED_DELAY = 0.25
+# Reports are at least this far apart, s.
+_REPORT_INTERVAL = 10.0
+
+
+class _Delays:
+    """Reports how far the machine was behind the wall clock, once it has caught up."""
+
+    def __init__(self) -> None:
+        self._largest, self._reported = 0.0, -math.inf
+
+    def note(self, delay: float, now: float) -> None:
+        """Hear how far the bench is behind at a time of the wall clock, both in s."""
+        self._largest = max(self._largest, delay)
+        caught_up = delay < RealClock.MOST
+        if self._largest >= _REPORTED_DELAY and caught_up and now - self._reported >= _REPORT_INTERVAL:
+            _LOG.warning(
+                "the machine was up to %.2f s behind real time; samples came late, none were lost. Run fewer programs, "
+                "or enlarge the buffers of tasks",
+                self._largest,
+            )
+            self._largest, self._reported = 0.0, now
+
+
+def longest_step(elapsed: float) -> float:
+    """Limit a step of a bench in real time, s.
+
+    Parameters
+    ----------
+    elapsed : float
+        Seconds of the wall clock since the previous step.
+
+    Examples
+    --------
+    >>> longest_step(0.004), longest_step(1.0)
+    (0.008, 0.04)
+    """
+    return min(RealClock.MOST, RealClock.CATCH_UP * max(elapsed, RealClock.TICK / 4))
+
+
 def _follow(reference: weakref.ref[Timeline], moving: weakref.WeakSet[Timeline]) -> None:
     """Keep a bench at wall-clock time for as long as it wants."""
-    pause = threading.Event()
+    raise_priority()
+    pause, delays = threading.Event(), _Delays()
     origin: tuple[int, int, float] | None = None
-    compilations = 0
+    compilations, last = 0, time.monotonic_ns()
     while True:
         bench = reference()
         if bench is None:
@@ -264,9 +312,10 @@ def _follow(reference: weakref.ref[Timeline], moving: weakref.WeakSet[Timeline])
                 origin = (now, bench.position, bench.rate)
                 bench.anchor()
             due = origin[1] + (now - origin[0]) * bench.rate // 10**9 - bench.position
+            elapsed, last = (now - last) * 1e-9, now
             if due > 0:
                 try:
-                    bench.advance(int(min(due, math.ceil(RealClock.MOST * bench.rate))))
+                    bench.advance(int(min(due, math.ceil(longest_step(elapsed) * bench.rate))))
                 except BaseException as error:
                     moving.discard(bench)
                     bench.fail(error)
@@ -276,6 +325,7 @@ def _follow(reference: weakref.ref[Timeline], moving: weakref.WeakSet[Timeline])
                 compilations += compiled
                 if compiled or bench.lag(due / bench.rate):
                     origin, due = None, 0
+            delays.note(due / bench.rate, now * 1e-9)
         behind = due > RealClock.MOST * bench.rate
         del bench
         # A bench that is behind goes on almost at once, but lets others have the lock in between.

@@ -176,7 +176,8 @@ def parse_address(address: str, port: int) -> tuple[str, int]:
     (('::1', 31763), ('::1', 4000), ('localhost', 0))
     """
     match = re.fullmatch(
-        r"\[(?P<six>[^\[\]]*)\](?P<port>:.*)?|(?P<six_only>[^:]*:.*:.*)|(?P<name>[^:]*)(?P<at>:.*)?", address
+        r"\[(?P<six>[^\[\]]*)\](?P<port>:.*)?|(?P<six_only>[^\[\]]*:[^\[\]]*:[^\[\]]*)|(?P<name>[^:\[\]]*)(?P<at>:.*)?",
+        address,
     )
     host = match and (match["six"] or match["six_only"] or match["name"])
     given = match and (match["port"] or match["at"] or "")[1:]

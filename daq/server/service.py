@@ -19,6 +19,7 @@ from daq.instrument.devices.names import Port
 from daq.instrument.devices.teds import TedsMemory
 from daq.instrument.driver_texts import DRIVER_TEXTS
 from daq.instrument.errors import Code, DaqError, bad, meaning
+from daq.instrument.priority import raise_priority
 from daq.instrument.settings.storage import Storage
 from daq.instrument.task import Task
 from daq.server.calls.answers import answer_to
@@ -106,7 +107,9 @@ class Server:
         self._answering, self._counting = Counter[str](), threading.Lock()
         self._closing = threading.Event()
         self._server = grpc.server(
-            ThreadPoolExecutor(self.limits.all_calls, thread_name_prefix="client"),
+            ThreadPoolExecutor(
+                self.limits.all_calls, thread_name_prefix="client", initializer=raise_priority
+            ),
             maximum_concurrent_rpcs=self.limits.all_calls,
             options=[
                 ("grpc.max_receive_message_length", self.limits.message),
@@ -114,7 +117,8 @@ class Server:
                 ("grpc.so_reuseport", 0),
             ],
         )
-        self.reservations, self._discovery = Reservations(), Discovery()
+        self.reservations: Reservations = Reservations()
+        self._discovery = Discovery()
         own = [
             grpc.method_handlers_generic_handler(
                 service.full_name, {each.name: self._handler(each) for each in methods(service)}

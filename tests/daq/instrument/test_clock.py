@@ -5,7 +5,7 @@ import pytest
 from nidaqmx.constants import AcquisitionType
 from nidaqmx.errors import DaqError, DaqReadError
 
-from daq.instrument.clock import FastClock, ManualClock, RealClock, clock
+from daq.instrument.clock import FastClock, ManualClock, RealClock, _Delays, clock, longest_step
 from daq.instrument.sleepers import Sleepers
 from rig.errors import SceneError
 from tests.daq.client import Task, connect
@@ -142,3 +142,20 @@ def test_given_the_real_clock_when_a_task_reads_then_its_samples_are_those_of_th
             task.start()
             read.append(np.concatenate([np.array(task.read(100, timeout=60.0)) for _ in range(5)], axis=1))
     assert np.array_equal(*read)
+
+
+def test_bench_catches_up_at_limited_rate():
+    # After a second's delay, steps every 5 ms: clients that read at twice real time are not overrun.
+    steps = [longest_step(1.0)] + [longest_step(0.005) for _ in range(20)]
+    assert steps[0] == RealClock.MOST
+    assert sum(steps[1:]) == pytest.approx(2.0 * 20 * 0.005)
+
+
+def test_delay_of_machine_is_logged_once(caplog):
+    delays = _Delays()
+    for now, delay in ((1.0, 0.5), (1.1, 0.2), (1.2, 0.01), (2.0, 0.3), (2.1, 0.0), (3.0, 0.1)):
+        delays.note(delay, now)
+    assert [each.getMessage() for each in caplog.records if "0.50 s behind" in each.getMessage()]
+    assert len(caplog.records) == 1
+    delays.note(0.0, 12.0)
+    assert "0.30 s behind" in caplog.records[-1].getMessage()

@@ -1,6 +1,7 @@
 """A served rig: seen live in the viewer, and open to those alone who have certificates."""
 
 import contextlib
+import socket
 import subprocess
 
 import grpc
@@ -13,9 +14,11 @@ from rerun.chunk import RrdReader
 import daq
 from daq.instrument.connecting import connect_scene
 from daq.replay.outputs import recording_stream
-from daq.server.live import LiveView
-from daq.server.serve import Certificates
+from daq.server.grpc_channel import open_channel
+from daq.server.live import LiveRecording, LiveView
+from daq.server.serve import Certificates, _endpoint, _is_loopback, parse_address
 from daq.server.service import Server
+from rig.errors import SceneError
 
 
 def test_given_a_viewer_when_a_client_reads_then_it_shows_what_the_channels_see(tmp_path):
@@ -89,3 +92,39 @@ def test_given_certificates_when_served_then_only_clients_that_have_one_of_them_
         with pytest.raises(Exception, match=r"(?i)unavailable|certificate|connect"):
             devices(*friend, root=stranger[0])
         assert "cDAQ1Mod1" in devices(*friend)
+
+
+@pytest.mark.parametrize("address", ["::1", "[::1]", "[::1]:0", "localhost:0"])
+def test_ipv6_and_names_can_be_listened_at(address):
+    host, port = parse_address(address, 0)
+    try:
+        socket.getaddrinfo(host, 0)
+        with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
+            probe.bind((host, 0))
+    except OSError:
+        pytest.skip("this machine has no IPv6")
+    assert _is_loopback(host)
+    server = Server(connect_scene("bare-structure", "fast"), _endpoint(host, port))
+    try:
+        options = nidaqmx.GrpcSessionOptions(open_channel(_endpoint(host, server.port)), "")
+        assert "cDAQ1Mod1" in System.remote(options).devices.device_names
+    finally:
+        server.close()
+
+
+@pytest.mark.parametrize("address", ["", "[::1", "[::1]x:4", "localhost:port", "localhost:70000", "[::1]:-1"])
+def test_address_without_meaning_is_refused(address):
+    with pytest.raises(SceneError, match="HOST:PORT"):
+        parse_address(address, 0)
+
+
+def test_name_of_other_machines_is_no_loopback(monkeypatch):
+    for found, expected in ((["::1", "127.0.0.1"], True), (["::1", "192.0.2.1"], False)):
+        answer = [(0, 0, 0, "", (each, 0)) for each in found]
+        monkeypatch.setattr(socket, "getaddrinfo", lambda *_, answer=answer: answer)
+        assert _is_loopback("a.name") is expected
+
+
+def test_recording_without_samples_is_reported(tmp_path, capsys):
+    LiveRecording(connect_scene("bare-structure", "fast"), tmp_path / "run.mcap").close()
+    assert "run.mcap: nothing was recorded" in capsys.readouterr().err

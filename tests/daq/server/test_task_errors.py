@@ -1,11 +1,25 @@
+import importlib
+import re
+
 import nidaqmx
 import numpy as np
 import pytest
-from nidaqmx.constants import AcquisitionType, Edge, RegenerationMode, TerminalConfiguration, VoltageUnits
+from nidaqmx._grpc_interpreter import _ERROR_MESSAGES
+from nidaqmx.constants import (
+    AcquisitionType,
+    Edge,
+    RegenerationMode,
+    TaskMode,
+    TerminalConfiguration,
+    VoltageUnits,
+)
 from nidaqmx.errors import DaqError, DaqReadError, DaqResourceWarning, DaqWriteError
 
 import rig
 from daq.instrument.clock import ManualClock
+from daq.server.calls.answers import answer_to
+from daq.server.calls.unsupported import script_function
+from daq.server.protocol import methods
 from tests.daq.client import Task, connect, options, pass_samples
 
 RATE = 5120.0
@@ -292,18 +306,71 @@ def test_given_an_offset_before_the_first_sample_when_reading_then_it_says_so_an
         assert task.in_stream.curr_read_pos == 20
 
 
-def test_given_what_the_instrument_lacks_when_called_then_the_error_names_the_call(chassis):
+def test_unsupported_call_names_function_of_script(chassis):
     with Task() as task:
         inputs(task)
-        for call, name in (
-            (lambda: task.ai_channels.add_ai_thrmcpl_chan("Dev1/ai1"), "CreateAIThrmcplChan"),
-            (lambda: task.timing.ai_conv_rate, "ai_conv_rate"),
-            (lambda: task.ci_channels.add_ci_count_edges_chan("Dev1/ctr0"), "CreateCICountEdgesChan"),
-            (lambda: task.ai_channels.add_ai_bridge_chan("Dev1/ai1"), "does not support this measurement"),
+        for call, name, code in (
+            (lambda: task.ai_channels.add_ai_thrmcpl_chan("Dev1/ai1"), "add_ai_thrmcpl_chan", -200431),
+            (lambda: task.ai_channels.add_ai_rtd_chan("Dev1/ai99"), "ai99", -200170),
+            (
+                lambda: task.ai_channels.add_ai_bridge_chan("Dev1/ai1"),
+                "does not support this measurement",
+                -200431,
+            ),
+            (lambda: task.ai_channels.add_ai_pos_lvdt_chan("Dev1/ai1"), "does not support", -200431),
+            (lambda: task.timing.ai_conv_rate, "ai_conv_rate", -200452),
+            (lambda: task.timing.cfg_handshaking_timing(), "cfg_handshaking_timing", -200452),
+            (
+                lambda: task.ci_channels.add_ci_count_edges_chan("Dev1/ctr0"),
+                "add_ci_count_edges_chan",
+                -200170,
+            ),
+            (lambda: task.di_channels.add_di_chan("Dev1/port0/line0"), "add_di_chan", -200170),
+            (lambda: task.di_channels.add_di_chan("nowhere/port0"), "nowhere", -200220),
         ):
             with raised() as caught:
                 call()
             assert name in str(caught.value)
+            assert caught.value.error_code == code
+
+
+def test_unsupported_channel_calls_exist_in_client():
+    channels = [
+        each.name for each in methods() if re.fullmatch(r"Create(TEDS)?[ACD][IO]\w*Chan\w*", each.name)
+    ]
+    collections = ("AI", "AO", "CI", "CO", "DI", "DO")
+    known = {
+        name
+        for kind in collections
+        for name in dir(
+            getattr(importlib.import_module("nidaqmx.task.collections"), f"{kind}ChannelCollection")
+        )
+    }
+    lacking = {script_function(each) for each in channels if answer_to(each) is None}
+    assert lacking and lacking <= known
+
+
+def test_timeout_has_text_of_driver(chassis):
+    with Task("waiting") as task:
+        inputs(task)
+        task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=100)
+        task.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/PFI0")
+        with raised(DaqReadError) as caught:
+            task.read(100, timeout=0.01)
+    # The client has the driver's text of this error alone.
+    assert str(caught.value).startswith(_ERROR_MESSAGES[-200284])
+    assert "Task Name: waiting" in str(caught.value)
+
+
+def test_reserved_resource_names_terminal_and_task(chassis):
+    with Task("first") as first, Task("second") as second:
+        for task in (first, second):
+            task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
+        first.control(TaskMode.TASK_RESERVE)
+        with raised() as caught:
+            second.control(TaskMode.TASK_RESERVE)
+    assert "Dev1/ao0 is in use by task 'first'" in str(caught.value)
+    assert "Task Name: second" in str(caught.value)
 
 
 def test_given_a_finite_task_when_stopped_early_then_the_status_says_so(chassis):

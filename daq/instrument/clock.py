@@ -269,8 +269,8 @@ class _Delays:
         caught_up = delay < RealClock.MOST
         if self._largest >= _REPORTED_DELAY and caught_up and now - self._reported >= _REPORT_INTERVAL:
             _LOG.warning(
-                "the machine was up to %.2f s behind real time, so samples came late. Run fewer programs, or enlarge the "
-                "buffers of tasks",
+                "the machine was up to %.2f s behind real time, so samples came late. Run fewer programs, or enlarge "
+                "the buffers of tasks",
                 self._largest,
             )
             self._largest, self._reported = 0.0, now

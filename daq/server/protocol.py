@@ -13,7 +13,6 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-import session_pb2
 from google.protobuf import message_factory
 from google.protobuf.timestamp_pb2 import Timestamp
 from nidaqmx._stubs import nidaqmx_pb2
@@ -23,11 +22,17 @@ from daq.recording.protobuf import varint
 
 SERVICE = nidaqmx_pb2.DESCRIPTOR.services_by_name["NiDAQmx"]
 # The service of NI's server for devices of any driver.
-SESSION_SERVICE = session_pb2.DESCRIPTOR.services_by_name["SessionUtilities"]
+_SESSION_FILE = next(
+    each for each in nidaqmx_pb2.DESCRIPTOR.dependencies if each.name.endswith("session.proto")
+)
+SESSION_SERVICE = _SESSION_FILE.services_by_name["SessionUtilities"]
 # Entries of a list but for samples, and letters of a text, which may name thousands of channels.
 _MOST, _LONGEST = 10_000, 1 << 16
 _SAMPLES = ("write_array", "waveforms")
 _SESSION, _TIMESTAMP, _ENUM = "nidevice_grpc.Session", "google.protobuf.Timestamp", "_enum"
+
+
+DeviceProperties = message_factory.GetMessageClass(_SESSION_FILE.message_types_by_name["DeviceProperties"])
 
 
 @dataclass(frozen=True)

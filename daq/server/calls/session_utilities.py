@@ -5,10 +5,9 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-from session_pb2 import DeviceProperties
-
 from daq.instrument.errors import Code, DaqError, bad
 from daq.server.calls.call import Answer, Call
+from daq.server.protocol import DeviceProperties
 
 # A client that waits for a reservation is looked after this often, s: it may have gone.
 _LOOK = 0.1

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rig.arguments import Changes, Cluster, SceneName, loaded
+from rig.arguments import Changes, Cluster, Overwrite, SceneName, loaded
 from rig.command_line import application, run
 from rig.console import counting, goes_on
+from rig.provenance import overwriting
 
 if TYPE_CHECKING:
     from analysis.presentation.presentation import Result
@@ -66,11 +67,12 @@ def frf(
     theory: Annotated[
         bool, typer.Option("--theory", help="Add the exact curve of the bare structure.")
     ] = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Frequency responses: compliance against frequency, with error bars and coherence."""
     from analysis.presentation.presentation import present_frf
 
-    with counting("analysing") as progress:
+    with overwriting(overwrite), counting("analysing") as progress:
         result = present_frf(
             files,
             output,
@@ -94,11 +96,14 @@ def decay(
     output: Output = None,
     channel: Annotated[str | None, typer.Option(help="Channel; default the last body's.")] = None,
     hit: Annotated[int, typer.Option(help="Which hit, from 1.")] = 1,
+    overwrite: Overwrite = False,
 ) -> None:
     """Free decays: envelope, natural frequencies, and damping ratio against amplitude."""
     from analysis.presentation.presentation import present_decay
 
-    _show(present_decay(files, output, channel, hit))
+    with overwriting(overwrite):
+        result = present_decay(files, output, channel, hit)
+    _show(result)
 
 
 @app.command()
@@ -109,31 +114,32 @@ def modes(
     modes: Count = None,
     block: Block = None,
     unit: Unit = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Natural frequencies, damping ratios and mode shapes, of recordings or of responses in .uff or .csv."""
     from analysis.presentation.presentation import present_modes
 
-    with counting("analysing") as progress:
+    with overwriting(overwrite), counting("analysing") as progress:
         result = present_modes(files, output, reference, modes, block, progress, unit)
     _show(result)
 
 
 @app.command()
-def dampers(files: Files, output: Output = None) -> None:
+def dampers(files: Files, output: Output = None, overwrite: Overwrite = False) -> None:
     """Motion of the dampers and energy they take out, at each frequency of a stepped sine."""
     from analysis.presentation.damper_findings import present_dampers
 
-    with counting("analysing") as progress:
+    with overwriting(overwrite), counting("analysing") as progress:
         result = present_dampers(files, output, progress)
     _show(result)
 
 
 @app.command()
-def compare(files: Files, output: Output = None) -> None:
+def compare(files: Files, output: Output = None, overwrite: Overwrite = False) -> None:
     """How far every resonance peak of the first recording is lowered and moved in the others, with bounds."""
     from analysis.presentation.comparison import present_compare
 
-    with counting("analysing") as progress:
+    with overwriting(overwrite), counting("analysing") as progress:
         result = present_compare(files, output, progress)
     _show(result)
 
@@ -180,11 +186,12 @@ def report(
             "--output", "-o", metavar="DIR|FILE.html", help="Where to write; default beside the first FILE."
         ),
     ] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """One self-contained HTML page about recordings."""
     from analysis.presentation.report import write_report
 
-    with counting("analysing") as progress:
+    with overwriting(overwrite), counting("analysing") as progress:
         result = write_report(files, output, progress)
     _show(result)
 
@@ -194,11 +201,13 @@ def demo(
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="DIR", help="Where recordings and figures go.")
     ] = Path("recordings"),
+    overwrite: Overwrite = False,
 ) -> None:
     """Record the paper's sweep and impulse tests and draw its figures from the recordings."""
     from analysis.presentation.demo import demonstrate
 
-    demonstrate(output, _say)
+    with overwriting(overwrite):
+        demonstrate(output, _say)
 
 
 @app.command()
@@ -260,16 +269,21 @@ def cost(
         Path,
         typer.Option("--output", "-o", metavar="DIR", help="Where to write the figure and the table."),
     ] = Path(),
+    overwrite: Overwrite = False,
 ) -> None:
     """Measure what the measurement chain costs: error of the compliance against time, one effect at a time."""
-    from analysis.chain_cost.figure import table, write
+    from analysis.chain_cost.figure import output_files, table, write
     from analysis.chain_cost.study import chain_study
     from rig.output_files import make_ready
+    from rig.provenance import made_from, refuse_others
 
+    setting = loaded(scene, changes)
     make_ready(output)
-    with counting("recording and analysing") as progress:
-        study = chain_study(loaded(scene, changes), frequency, progress)
-    files = write(study, output)
+    with overwriting(overwrite), made_from("chain-cost", setting.to_yaml()):
+        refuse_others(*output_files(setting, output))
+        with counting("recording and analysing") as progress:
+            study = chain_study(setting, frequency, progress)
+        files = write(study, output)
     print(table(study))
     for path in files:
         print(f"wrote {path}")
@@ -282,11 +296,12 @@ def paper(
     ] = Path("recordings/paper"),
     fresh: Annotated[list[str] | None, typer.Option(help="Compute this part again; may be repeated.")] = None,
     cluster: Cluster = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Reproduce the paper's figures and judge its claims; goes on where it stopped."""
     from analysis.paper.reproduce import reproduce
 
-    with goes_on():
+    with goes_on(), overwriting(overwrite):
         reproduce(output, _say, fresh or (), cluster)
 
 

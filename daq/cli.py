@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rig.arguments import Changes, SceneName, SceneNames, loaded
+from rig.arguments import Changes, Overwrite, SceneName, SceneNames, loaded
 from rig.command_line import application, run
 from rig.console import handed_over, progress, waiting
 from rig.errors import RecordingError
@@ -61,10 +61,16 @@ def record(
     ] = None,
 ) -> None:
     """Run the tests of scenes and record them; Ctrl-C ends it early (exit code 130) and keeps what there is."""
-    from daq.measurement.run_report import record_and_report
+    from daq.measurement.run_report import is_recorded, record_and_report
 
-    paths = [_free(path, overwrite) for path in _recordings(scenes, output)]
-    tests = [(scene, loaded(scene, changes), path) for scene, path in zip(scenes, paths, strict=True)]
+    tests = [
+        (scene, loaded(scene, changes), path)
+        for scene, path in zip(scenes, _recordings(scenes, output), strict=True)
+    ]
+    there = [path for _, setting, path in tests if not overwrite and is_recorded(setting, path)]
+    for path in there:
+        print(f"{path}: holds the whole test of this scene already; --overwrite records it again")
+    tests = [(scene, setting, _free(path, overwrite)) for scene, setting, path in tests if path not in there]
     for scene, setting, path in tests:
         if code := record_and_report(scene, setting, path, overwrite, block):
             raise typer.Exit(code)
@@ -140,11 +146,13 @@ def replay(
     start: Annotated[float | None, typer.Option("--from", metavar="S", help="Begin at this time.")] = None,
     stop: Annotated[float | None, typer.Option("--to", metavar="S", help="End at this time.")] = None,
     speed: Annotated[float, typer.Option(metavar="X", help="Playback speed; 0.1 is slow motion.")] = 1.0,
+    overwrite: Overwrite = False,
 ) -> None:
     """Look at a recording: the rig in motion, channels, dampers, test marks."""
     import daq
     from daq.replay import outputs as show
     from daq.replay.replay import Replay
+    from rig.provenance import overwriting
 
     if sum([save is not None, screenshot is not None, web]) > 1:
         raise typer.BadParameter("choose one of --save, --screenshot and --web")
@@ -152,7 +160,7 @@ def replay(
         raise typer.BadParameter("--at is the time of a picture: give --screenshot FILE.png too")
     if speed != 1.0 and screenshot is not None:
         raise typer.BadParameter("--speed is of a replay that plays; a picture stands still")
-    with daq.open(file) as recording, progress(file.stem) as tell:
+    with daq.open(file) as recording, overwriting(overwrite), progress(file.stem) as tell:
         part = Replay(recording, start, stop, speed)
         if save is not None:
             show.save(part, save, tell)

@@ -49,6 +49,11 @@ Cluster = Annotated[
     str | None, typer.Option(metavar="ADDRESS", help="A Dask scheduler that computes, or 'local'.")
 ]
 
+Overwrite = Annotated[
+    bool,
+    typer.Option("--overwrite", help="Replace files that are not unchanged outputs from the same input."),
+]
+
 
 def loaded(scene: str, changes: Sequence[str] | None) -> Scene:
     """Load the scene that a command names, with its changes.

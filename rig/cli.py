@@ -12,7 +12,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rig.arguments import MOST, Changes, Cluster, First, Last, Points, SceneName, completions, loaded
+from rig.arguments import (
+    MOST,
+    Changes,
+    Cluster,
+    First,
+    Last,
+    Overwrite,
+    Points,
+    SceneName,
+    completions,
+    loaded,
+)
 from rig.command_line import application, run
 from rig.console import counting, goes_on, progress, saying
 from rig.errors import SceneError
@@ -136,15 +147,21 @@ def simulate(
             help="Write the run: .npz or .csv; with grains it goes on where it stopped.",
         ),
     ] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Simulate a scene without sensors and controller; print peaks, events and energy."""
+    from rig.provenance import made_from, overwriting
     from rig.scene.quantities import FREQUENCY, TIME
     from rig.simulation.run_output import simulate_into, summary
 
     setting = loaded(scene, changes)
     seconds, tone = _quantity(duration, TIME, "--duration"), _quantity(frequency, FREQUENCY, "--frequency")
     samples = _quantity(rate, FREQUENCY, "--rate") or 0.0
-    with counting("following the motion") as progress:
+    with (
+        overwriting(overwrite),
+        made_from("simulate", setting.to_yaml()),
+        counting("following the motion") as progress,
+    ):
         run = simulate_into(output, setting, seconds, samples, tone, progress)
     print(summary(run))
     if output is not None:
@@ -165,21 +182,26 @@ def response(
         Path | None,
         typer.Option("-o", "--output", metavar="FILE.csv", help="Write the table with all digits."),
     ] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Steady response over frequency at the test's level; the frequencies are the test's unless told."""
     import rig
+    from rig.provenance import made_from, overwriting, refuse_others
     from rig.response.response_output import frequencies_of, text, write
     from rig.scene.quantities import FREQUENCY
 
     setting = loaded(scene, changes)
     ends = (_quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to"))
     frequencies, order = frequencies_of(setting, *ends, points, direction)
-    with counting("following the motion") as progress:
-        result = rig.frequency_response(setting, frequencies, direction=order, progress=progress)
-    print(text(result))
-    if output is not None:
-        write(result, output)
-        print(f"\nwritten: {output}")
+    with overwriting(overwrite), made_from("response", setting.to_yaml()):
+        if output is not None:
+            refuse_others(output)
+        with counting("following the motion") as progress:
+            result = rig.frequency_response(setting, frequencies, direction=order, progress=progress)
+        print(text(result))
+        if output is not None:
+            write(result, output)
+            print(f"\nwritten: {output}")
 
 
 @app.command()
@@ -229,18 +251,21 @@ def cost(
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="DIR", help="Where to write the figure and the table.")
     ] = Path(),
+    overwrite: Overwrite = False,
 ) -> None:
     """Measure what accuracy costs: every way to compute this scene, its error against its time, here and now.
 
     Of a scene with a bed of grains: what one mass, one mass on contacts that last, and coarser grains are worth.
     """
-    from rig.output_files import make_ready
+    from rig.output_files import make_ready, stem
+    from rig.provenance import made_from, overwriting, refuse_others
     from rig.scene.quantities import FREQUENCY
     from rig.work_precision.cost import cost as cost_of
 
     setting = loaded(scene, changes)
     make_ready(output)
-    with saying() as say:
+    with overwriting(overwrite), made_from("cost", setting.to_yaml()), saying() as say:
+        refuse_others(*_figure_and_table(output / stem("cost", setting.name)))
         tone = _quantity(frequency, FREQUENCY, "--frequency")
         text, files = cost_of(setting, tone, periods, output, say)
     print(text)
@@ -271,6 +296,7 @@ def map_(
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="DIR", help="Where to write the figure and the table.")
     ] = Path(),
+    overwrite: Overwrite = False,
 ) -> None:
     """Map where it gets hard: type of motion and time to settle over level (or clearance) and frequency.
 
@@ -280,6 +306,7 @@ def map_(
     from rig.motion_map.figure import place, summary, write
     from rig.motion_map.grid import KIND_OF_UNIT, columns, rows_of, vertical_axis
     from rig.output_files import make_ready
+    from rig.provenance import made_from, overwriting, refuse_others
     from rig.scene.quantities import FREQUENCY
 
     setting = loaded(scene, changes)
@@ -290,10 +317,13 @@ def map_(
     ends = _quantity(least, kind, "--least"), _quantity(most, kind, "--most")
     values = rows_of(setting, over, frequencies, *ends, rows)
     make_ready(output)
-    kept = place(setting, over, output).with_suffix(".csv.kept")
-    with goes_on(), counting("following the motion") as progress:
-        found = rig.map_motion(setting, over, values, frequencies, progress, cluster, kept)
-    files = write(found, output)
+    name = place(setting, over, output)
+    kept = name.with_suffix(".csv.kept")
+    with goes_on(), overwriting(overwrite), made_from("map", setting.to_yaml()):
+        refuse_others(*_figure_and_table(name))
+        with counting("following the motion") as progress:
+            found = rig.map_motion(setting, over, values, frequencies, progress, cluster, kept)
+        files = write(found, output)
     kept.unlink()
     print(summary(found))
     print("\nwritten:", *files)
@@ -344,6 +374,7 @@ def design(
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="DIR", help="Where scene, figures and table go.")
     ] = Path(),
+    overwrite: Overwrite = False,
 ) -> None:
     """Choose dampers: mass, clearance and place with the smallest worst peak; what is there of it is not done again.
 
@@ -352,11 +383,19 @@ def design(
     from rig.damper_design.design import design as search
     from rig.damper_design.figure import next_step, summary, write
     from rig.output_files import make_ready, stem
+    from rig.provenance import made_from, overwriting, refuse_others
 
     setting = loaded(scene, changes)
     make_ready(output)
-    table = output / f"{stem('design', setting.name)}.csv"
-    with goes_on(), progress("trying designs") as tell:
+    name = output / stem("design", setting.name)
+    table = name.with_suffix(".csv")
+    with (
+        goes_on(),
+        overwriting(overwrite),
+        made_from("design", setting.to_yaml()),
+        progress("trying designs") as tell,
+    ):
+        refuse_others(*(name.with_suffix(ending) for ending in (".yaml", ".png", ".svg")))
         found = search(
             setting,
             budget=budget,
@@ -377,6 +416,10 @@ def design(
     print(summary(found))
     print("\nwritten:", *files, table)
     print(next_step(found, files[0]))
+
+
+def _figure_and_table(name: Path) -> list[Path]:
+    return [name.with_name(f"{name.name}.{ending}") for ending in ("png", "svg", "csv")]
 
 
 def _listed(text: str | None) -> list[str] | None:

@@ -55,7 +55,7 @@ class KeptTable:
 
     def put_in_order(self, rows: Iterable[Sequence[object]]) -> None:
         """Write all rows anew: the same results make the same file, in whatever order they came."""
-        with replacing(self._path) as part:
+        with replacing(self._path, overwrite=True) as part:
             part.write_text(_text([self._header, *rows]), encoding="utf-8", newline="")
 
 

@@ -6,10 +6,12 @@ import os
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from filecmp import cmp
 from pathlib import Path
 from secrets import token_hex
 
 from rig.errors import RunError, SceneError, ShotrigError
+from rig.provenance import add_mark, carries_mark, is_own, may_overwrite, refusal
 
 #: Endings of what commands write, which no folder is meant to have.
 _OF_FILES = (".png", ".svg", ".csv", ".html", ".mcap", ".npz", ".yaml", ".pdf")
@@ -82,7 +84,7 @@ def destination(path: Path, overwrite: bool, refusal: type[ShotrigError] = Scene
 
 
 @contextmanager
-def replacing(path: Path, overwrite: bool = True) -> Iterator[Path]:
+def replacing(path: Path, overwrite: bool | None = None) -> Iterator[Path]:
     """Make a file beside its final place, and put it there once it is complete.
 
     Whatever happens meanwhile, at `path` is what was there before, whole, or the new file, whole. A finished file that
@@ -92,8 +94,8 @@ def replacing(path: Path, overwrite: bool = True) -> Iterator[Path]:
     ----------
     path : Path
         File to make or to replace, in an existing folder.
-    overwrite : bool
-        Whether an existing file may be replaced.
+    overwrite : bool, optional
+        Whether an existing file may be replaced; omitted, as `rig.provenance` says of outputs.
 
     Yields
     ------
@@ -108,10 +110,23 @@ def replacing(path: Path, overwrite: bool = True) -> Iterator[Path]:
     RunError
         If the disk is full or fails.
     """
-    file = destination(path, overwrite)
+    marked, unmarked = overwrite is None and carries_mark(path), overwrite is None and not carries_mark(path)
+    if overwrite is None:
+        overwrite = may_overwrite() or is_own(path)
+        if marked and not overwrite and path.is_file():
+            raise refusal(path)
+    # Only once it is complete is it known whether a file without a mark comes out the same.
+    file = destination(path, overwrite or unmarked)
     part = file.with_name(f".{token_hex(6)}{file.suffix}")
     try:
         yield part
+        if marked:
+            add_mark(part)
+        elif unmarked and not overwrite and file.exists():
+            if not cmp(part, file, shallow=False):
+                raise refusal(path)
+            part.unlink()
+            return
         _sync(part)
     except BaseException as error:
         with suppress(OSError):

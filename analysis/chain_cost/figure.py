@@ -17,6 +17,8 @@ from rig.output_files import stem
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from rig.scene.scene import Scene
+
 OWN, REST, FAINT = COLOURS[1], COLOURS[0], "#a0a0a0"
 
 
@@ -63,6 +65,12 @@ def write(study: ChainStudy, folder: Path) -> list[Path]:
     """
     name = folder / stem("chain-cost", study.scene.name)
     return save_with_table(_draw(study), name, lambda path: _write_csv(study, path))
+
+
+def output_files(scene: Scene, folder: Path) -> list[Path]:
+    """Name the files of a study."""
+    name = stem("chain-cost", scene.name)
+    return [folder / f"{name}.{ending}" for ending in ("png", "svg", "csv")]
 
 
 def _draw(study: ChainStudy) -> Figure:

@@ -164,7 +164,7 @@ def export(
     speed : float
         For sound only: how much faster it plays.
     overwrite : bool
-        Whether an existing file may be replaced.
+        Whether an existing file with another content may be replaced.
     progress : callable, optional
         Called with (samples read, samples to read in all).
 
@@ -187,7 +187,7 @@ def export(
         raise SceneError("--speed is for sound (.wav)")
     if progress is not None:
         stretch = replace(stretch, told=_counted(stretch, _PASSES.get(kind, 1), progress))
-    with replacing(path, overwrite) as part:
+    with replacing(path, overwrite or None) as part:
         needed, free = expected_bytes(stretch, kind), shutil.disk_usage(part.parent).free
         # Where numbers are short, a table takes a quarter of it.
         if needed > 4 * free:

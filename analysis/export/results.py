@@ -34,7 +34,7 @@ def export_results(
         File to make, ``.uff``, ``.unv`` or ``.mat``; of several sweeps the later ones get a number.
     what : {'frfs', 'modes'}
     overwrite : bool
-        Whether existing files may be replaced.
+        Whether existing files with another content may be replaced.
 
     Returns
     -------
@@ -51,11 +51,11 @@ def export_results(
         raise SceneError(f"unknown --what {what!r}: expected samples, frfs or modes")
     if kind not in ENDINGS:
         raise SceneError(f"{path}: expected a name that ends in one of {', '.join(ENDINGS)} for {what}")
-    destination(path, overwrite)
+    destination(path, overwrite=True)
     lines = []
     for number, (curves, nodes, driven) in enumerate(_groups(file, progress), start=1):
         target = path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
-        with replacing(target, overwrite) as part:
+        with replacing(target, overwrite or None) as part:
             if what == "frfs":
                 mat.write_frfs(curves, part) if kind == ".mat" else uff.write_frfs(
                     curves, part, nodes, driven

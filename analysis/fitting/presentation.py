@@ -11,6 +11,7 @@ from analysis.fitting.fit import Fit, fit
 from rig.errors import RunError, SceneError
 from rig.figure_style import save
 from rig.output_files import make_ready, replacing
+from rig.provenance import made_from, overwriting, refuse_others, relative
 from rig.results import bounded
 from rig.scene.scene import Scene
 
@@ -38,20 +39,23 @@ def present_fit(
     """
     if output.suffix not in (".yaml", ".yml"):
         raise SceneError(f"--output {output}: expected the name of a scene file, such as fitted.yaml")
-    if output.exists() and not overwrite:
-        raise SceneError(f"{output} is there already; expected another name, or --overwrite")
-    found = fit(list(recordings), scene, free)
-    files = save(fit_figure(found), output.with_name(f"{output.stem}-residuals"))
-    if found.misfit:
-        for path in files:
-            say(f"wrote {path}")
-        raise RunError(f"the scene does not fit the recordings, no scene is written. {found.misfit}")
-    for line in describe(found):
-        say(line)
-    make_ready(output.parent)
-    with replacing(output) as part:
-        part.write_text(found.scene.to_yaml(), encoding="utf-8")
-    return [output, *files], found.warnings
+    with overwriting(overwrite), made_from("fit", scene.to_yaml(), *relative(recordings, output.parent)):
+        residuals = output.with_name(f"{output.stem}-residuals")
+        refuse_others(
+            output, *(residuals.with_name(f"{residuals.name}.{ending}") for ending in ("png", "svg"))
+        )
+        found = fit(list(recordings), scene, free)
+        files = save(fit_figure(found), residuals)
+        if found.misfit:
+            for path in files:
+                say(f"wrote {path}")
+            raise RunError(f"the scene does not fit the recordings, no scene is written. {found.misfit}")
+        for line in describe(found):
+            say(line)
+        make_ready(output.parent)
+        with replacing(output) as part:
+            part.write_text(found.scene.to_yaml(), encoding="utf-8")
+        return [output, *files], found.warnings
 
 
 def describe(found: Fit) -> list[str]:

@@ -16,6 +16,7 @@ from analysis.paper.parts import all_parts
 from analysis.paper.store import Arrays, PaperPart, remove_partial
 from rig.errors import SceneError
 from rig.figure_style import save
+from rig.provenance import made_from
 from rig.workers import Workers, cores
 
 if TYPE_CHECKING:
@@ -96,10 +97,11 @@ def reproduce(
             stored[part.name] = arrays
             progress.add(part)
     files: list[Path] = []
-    for name, draw in FIGURES.items():
-        files += save(draw(stored), folder / name)
     judged = claims(stored)
-    files += write_pages(folder, judged, stored)
+    with made_from("paper"):
+        for name, draw in FIGURES.items():
+            files += save(draw(stored), folder / name)
+        files += write_pages(folder, judged, stored)
     for claim in judged:
         say(f"  {claim.name}: {claim.verdict}")
     say(f"Done in {time.monotonic() - began:.0f} s. Read {folder / 'index.html'} or {folder / 'index.md'}.")

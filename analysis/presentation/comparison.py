@@ -95,7 +95,8 @@ def present_compare(
         lines += _without_peaks(changes, shared, modes)
         jumps |= any(isinf(one.bare.bound + one.damped.bound) for one in changes)
         rows += [_row(bare[0].label, group[0].label, change) for change in changes]
-    table = write_table(with_ending(output_stem(paths, output, "compare"), "csv"), _HEADING, rows)
+    with output_stem(paths, output, "compare", "csv") as stem:
+        table = write_table(with_ending(stem, "csv"), _HEADING, rows)
     return Result((table,), tuple(lines), (*dict.fromkeys(notes), *((_JUMPS,) if jumps else ())))
 
 

@@ -74,16 +74,16 @@ def present_dampers(
                     lines += [f"  {line}" for line in describe_energy(energy, true)]
                 rows += _rows(name, sweep, motions, energy, true)
                 drawn.append((motions, energy, name, sweep.lines, true))
-        stem = output_stem([path], output, "dampers")
-        for number, (motions, energy, name, of_sweep, true) in enumerate(drawn):
-            part = stem if number == 0 else stem.with_name(f"{stem.name}-{number + 1}")
-            if motions:
-                files += save(dampers_figure(motions, energy, name, of_sweep, true), part)
         heading = [
             "scene", "frequency_Hz", "supplied_J", "structure_J", "dampers_J", "dampers_bound_J", "true_impacts_J",
             "channel", "motion", "floor_per_period", "ceiling_per_period",
         ]  # fmt: skip
-        files.append(write_table(with_ending(stem, "csv"), heading, rows))
+        with output_stem([path], output, "dampers", "csv") as stem:
+            for number, (motions, energy, name, of_sweep, true) in enumerate(drawn):
+                part = stem if number == 0 else stem.with_name(f"{stem.name}-{number + 1}")
+                if motions:
+                    files += save(dampers_figure(motions, energy, name, of_sweep, true), part)
+            files.append(write_table(with_ending(stem, "csv"), heading, rows))
     return Result(tuple(files), tuple(lines), tuple(notes))
 
 

@@ -5,11 +5,18 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from analysis.presentation.presentation import present_decay, present_frf, present_modes
+from daq.measurement.run_report import is_recorded
+from rig.errors import SceneError
+from rig.provenance import may_overwrite
 from rig.workers import Workers
+
+if TYPE_CHECKING:
+    from rig.scene.scene import Scene
 
 SWEEPS = ("fig8-no-damper", "fig8-three-dampers")
 IMPULSES = ("fig10b-no-damper", "fig10b-three-dampers")
@@ -49,6 +56,14 @@ def demonstrate(folder: Path, say: Callable[[str], None], at: Sequence[float] | 
     folder.mkdir(parents=True, exist_ok=True)
     say("Recording two stepped sines (without and with three dampers) and two impulse tests ...")
     recordings = {name: folder / f"{name}.mcap" for name in (*SWEEPS, *IMPULSES)}
+    for name, path in recordings.items():
+        if path.exists() and not (
+            may_overwrite() or is_recorded(_scene(name, tuple(at or frequencies())), path)
+        ):
+            raise SceneError(
+                f"{path} exists and is not the demonstration's: it is left as it is. Choose another folder with "
+                "--output, or pass --overwrite"
+            )
     for name, seconds in _recorded(recordings, tuple(at or frequencies())):
         say(f"  {recordings[name]} holds {seconds:.0f} s ({time.monotonic() - began:.0f} s after the start)")
     files = list(recordings.values())
@@ -87,26 +102,26 @@ def _recorded(recordings: dict[str, Path], at: tuple[float, ...]) -> Iterator[tu
             yield jobs[number][0], seconds
 
 
+def _scene(name: str, at: tuple[float, ...]) -> Scene:
+    import rig
+
+    scene = rig.load(name)
+    if name not in SWEEPS:
+        return scene
+    test = {"kind": "stepped_sine", "frequencies": at, "force": 2.6, "settle": {"longest": 20.0}}
+    return scene.replace(test=test)
+
+
 def _record(job: tuple[str, Path, tuple[float, ...]]) -> float:
     """Record one scene; the length of its recording in s."""
     import warnings
 
     import daq
-    import rig
 
     name, path, at = job
-    scene = rig.load(name)
-    if name in SWEEPS:
-        test = {
-            "kind": "stepped_sine",
-            "frequencies": at,
-            "force": 2.6,
-            "settle": {"longest": 20.0},
-        }
-        scene = scene.replace(test=test)
     with warnings.catch_warnings():
         # What the test has to warn of is in the recording's markers, and the analysis says it.
         warnings.simplefilter("ignore", daq.RunWarning)
-        daq.record(scene, path, overwrite=True)
+        daq.record(_scene(name, at), path, overwrite=True)
     with daq.open(path) as rec:
         return rec.samples / rec.rate

@@ -3,44 +3,52 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from rig.errors import RunError
-from rig.output_files import make_ready
+from rig.provenance import is_from_another_source, made_from, may_overwrite, refuse_others, relative
 
 # Letters of a channel's name in that of a file.
 _LONGEST_PART = 40
 # Longest name of a file made of the names of several recordings.
 _LONGEST_NAME = 60
-# Which inputs the files in a folder were made from.
-_INDEX = ".made-from.json"
 
 
-def output_stem(paths: Sequence[Path], output: Path | None, kind: str) -> Path:
-    """Name the files made from some recordings, beside the first one unless told otherwise.
+@contextmanager
+def output_stem(paths: Sequence[Path], output: Path | None, kind: str, *endings: str) -> Iterator[Path]:
+    """Name the files made from some recordings, next to the first one unless a folder is given.
 
-    Recordings of one name in different folders get their folder's name before it.
+    Recordings of one name in different folders get their folder's name before it. What is written inside the `with`
+    follows the rule of `rig.provenance`: the source is the recordings, by their places relative to the folder.
+
+    Parameters
+    ----------
+    endings : str
+        Of the files that will be written in any case.
 
     Raises
     ------
     RunError
-        If the names are taken by files made from other recordings, or the folder cannot be written.
+        If the names are taken by files made from other recordings.
+    SceneError
+        If they are taken by files that are not of our making, or were changed since.
     """
     folder = output if output is not None else paths[0].parent
-    key = _digest("\n".join(str(path.resolve()) for path in paths))
-    made = _made(folder)
-    for name in (joined([path.stem for path in paths]), joined([_with_folder(path) for path in paths])):
-        stem = f"{name}-{kind}"
-        free = not any(file.name.startswith((f"{stem}.", f"{stem}-")) for file in _files(folder))
-        if made.get(stem, key) == key or free:
-            _note(folder, made | {stem: key})
-            return folder / stem
-    raise RunError(
-        f"{folder / stem} was made from other recordings of that name; choose another folder with --output"
-    )
+    with made_from(kind, *relative(paths, folder)):
+        for name in (joined([path.stem for path in paths]), joined([_with_folder(path) for path in paths])):
+            stem = folder / f"{name}-{kind}"
+            files = [with_ending(stem, ending) for ending in endings]
+            if may_overwrite() or not any(is_from_another_source(file) for file in files):
+                refuse_others(*files)
+                yield stem
+                return
+        raise RunError(
+            f"{stem} was made from other recordings of that name. Choose another folder with --output, or pass "
+            "--overwrite"
+        )
 
 
 def joined(names: Sequence[str]) -> str:
@@ -93,25 +101,3 @@ def _digest(names: str) -> str:
 
 def _with_folder(path: Path) -> str:
     return f"{path.resolve().parent.name}-{path.stem}"
-
-
-def _files(folder: Path) -> list[Path]:
-    return list(folder.iterdir()) if folder.is_dir() else []
-
-
-def _made(folder: Path) -> dict[str, str]:
-    try:
-        found = json.loads((folder / _INDEX).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return {str(name): str(key) for name, key in found.items()} if isinstance(found, dict) else {}
-
-
-def _note(folder: Path, made: dict[str, str]) -> None:
-    make_ready(folder)
-    try:
-        (folder / _INDEX).write_text(json.dumps(made, indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise RunError(
-            f"cannot write {folder}: {error.strerror}; choose another place with --output"
-        ) from None

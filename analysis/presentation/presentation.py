@@ -60,9 +60,7 @@ def present_frf(
     unit: str | None = None,
 ) -> Result:
     """Draw and tabulate frequency responses; several files are overlaid, one figure per response."""
-    from analysis.figures.frf_figure import frf_figure
     from analysis.presentation.tables import frf_table
-    from rig.figure_style import save
 
     curves: list[Frf] = []
     exact: list[Frf] = []
@@ -81,22 +79,30 @@ def present_frf(
             doubts += stated_tolerances(rec, [frf for group in groups for frf in group])
             if theory:
                 exact += [linear_theory(rec, frf) for frf in groups[0]]
-    stem = output_stem(paths, output, "frf")
+    with output_stem(paths, output, "frf", "csv") as stem:
+        files = _drawn(curves, exact, stem)
+        files.append(frf_table(with_ending(stem, "csv"), curves))
+    return Result(tuple(files), (*(frf.summary() for frf in curves), *dict.fromkeys(doubts)), tuple(notes))
+
+
+def _drawn(curves: Sequence[Frf], exact: Sequence[Frf], stem: Path) -> list[Path]:
+    """Draw curves: those of one recording together, those of several by their responses."""
+    from analysis.figures.frf_figure import frf_figure
+    from rig.figure_style import save
+
     names = list(dict.fromkeys(frf.response for frf in curves))
     settings = list(dict.fromkeys(frf.label for frf in curves))
     what = f"{curves[0].name.capitalize()}"
-    files: list[Path] = []
     if len(settings) == 1:
         shown = [replace(frf, label=frf.response) for frf in curves]
-        files += save(frf_figure(shown, f"{what}: {settings[0]}", _once(exact), _marks(shown)), stem)
-    else:
-        for name in names:
-            shown = [frf for frf in curves if frf.response == name]
-            some = [frf for frf in exact if frf.response == name]
-            part = stem if len(names) == 1 else of_part(stem, name)
-            files += save(frf_figure(shown, f"{what} of {name}", _once(some), _marks(shown)), part)
-    files.append(frf_table(stem.with_name(stem.name + ".csv"), curves))
-    return Result(tuple(files), (*(frf.summary() for frf in curves), *dict.fromkeys(doubts)), tuple(notes))
+        return save(frf_figure(shown, f"{what}: {settings[0]}", _once(exact), _marks(shown)), stem)
+    files = []
+    for name in names:
+        shown = [frf for frf in curves if frf.response == name]
+        some = [frf for frf in exact if frf.response == name]
+        part = stem if len(names) == 1 else of_part(stem, name)
+        files += save(frf_figure(shown, f"{what} of {name}", _once(some), _marks(shown)), part)
+    return files
 
 
 def stated_tolerances(rec: Recording, frfs: Sequence[Frf]) -> list[str]:
@@ -149,12 +155,12 @@ def present_decay(
             decays.append(relabelled(decay(rec, channel, hit), rec.scene.name, label))
             struck = getattr(rec.scene.test, "kind", "") != "free"
         notes += noted(path, decays[-1].warnings)
-    stem = output_stem(paths, output, "decay")
     first = decays[0]
     title = f"Free decay of {first.channel}{f' after hit {hit}' if struck else ''}"
-    files = save(decay_figure(decays, title), stem)
-    files.append(envelope_table(stem.with_name(stem.name + "-envelope.csv"), decays))
-    files.append(damping_table(stem.with_name(stem.name + "-damping.csv"), decays))
+    with output_stem(paths, output, "decay", "png", "svg") as stem:
+        files = save(decay_figure(decays, title), stem)
+        files.append(envelope_table(stem.with_name(stem.name + "-envelope.csv"), decays))
+        files.append(damping_table(stem.with_name(stem.name + "-damping.csv"), decays))
     return Result(tuple(files), tuple(line for one in decays for line in describe_decay(one)), tuple(notes))
 
 
@@ -205,12 +211,12 @@ def present_modes(
     lines: list[str] = []
     notes = expect_all(paths, "modes", Blocks(block=block), unit=unit)
     for path, label in zip(paths, _labels(paths), strict=True):
-        first = output_stem([path], output, "modes")
         if is_frf_file(path):
             curves = _read(path, reference, None, unit)
             modes = replace(identify(curves, count), label=label)
             found.append(modes)
-            files += save(modes_figure(curves, modes, f"Modes: {modes.label}"), first)
+            with output_stem([path], output, "modes", "png", "svg") as stem:
+                files += save(modes_figure(curves, modes, f"Modes: {modes.label}"), stem)
             lines += describe_modes(modes)
             notes += noted(path, modes.warnings)
             continue
@@ -220,12 +226,14 @@ def present_modes(
             for number, group in enumerate(groups):
                 modes = relabelled(identify(group, count), rec.scene.name, label)
                 found.append(modes)
-                stem = first if number == 0 else first.with_name(f"{first.name}-{number + 1}")
-                files += save(modes_figure(group, modes, f"Modes: {modes.label}"), stem)
+                with output_stem([path], output, "modes", "png", "svg") as first:
+                    stem = first if number == 0 else first.with_name(f"{first.name}-{number + 1}")
+                    files += save(modes_figure(group, modes, f"Modes: {modes.label}"), stem)
                 theory = theoretical_shapes(rec, modes) if reference == "force" else None
                 lines += describe_modes(modes, theory)
                 notes += noted(path, [*modes.warnings, *unlike_theory(modes, theory)])
-    files.append(modes_table(with_ending(output_stem(paths, output, "modes"), "csv"), found))
+    with output_stem(paths, output, "modes", "csv") as stem:
+        files.append(modes_table(with_ending(stem, "csv"), found))
     return Result(tuple(files), tuple(lines), tuple(notes))
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import base64
 import shlex
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from importlib.resources import files
 from math import isfinite
@@ -27,6 +28,7 @@ from analysis.recordings.names import opened
 from rig.errors import ShotrigError
 from rig.escaping import html
 from rig.output_files import make_ready, replacing
+from rig.provenance import made_from, refuse_others, relative
 from rig.results import plainly
 
 if TYPE_CHECKING:
@@ -53,6 +55,9 @@ def write_report(
             free = rec.scene.test is not None and rec.scene.test.kind == "free"
             has_hits = free or any(marker.kind == "hit" for marker in rec.markers)
         (decays if has_hits else sweeps).append(path)
+    with _page(paths, output):
+        # Refused before the work, not after it.
+        pass
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         if sweeps:
@@ -85,17 +90,23 @@ def write_report(
     body.append(f"<h2>To get the same again</h2><pre>{html(chr(10).join(commands))}</pre>")
     title = f"Vibration test: {', '.join(path.stem for path in paths)}"
     page = Template((files("analysis.presentation") / "report.html").read_text(encoding="utf-8"))
-    target = _page(paths, output)
-    make_ready(target.parent)
-    with replacing(target) as part:
-        part.write_text(page.substitute(title=html(title), body="\n".join(body)), encoding="utf-8")
+    with _page(paths, output) as target:
+        make_ready(target.parent)
+        with replacing(target) as part:
+            part.write_text(page.substitute(title=html(title), body="\n".join(body)), encoding="utf-8")
     return Result((target,), (), tuple(dict.fromkeys(notes)))
 
 
-def _page(paths: Sequence[Path], output: Path | None) -> Path:
+@contextmanager
+def _page(paths: Sequence[Path], output: Path | None) -> Iterator[Path]:
+    """Name the page, which follows the rule for outputs inside the `with`."""
     if output is not None and output.suffix.lower() in {".html", ".htm"} and not output.is_dir():
-        return output
-    return with_ending(output_stem(paths, output, "report"), "html")
+        with made_from("report", *relative(paths, output.parent)):
+            refuse_others(output)
+            yield output
+        return
+    with output_stem(paths, output, "report", "html") as stem:
+        yield with_ending(stem, "html")
 
 
 def _typed(paths: Sequence[Path]) -> str:

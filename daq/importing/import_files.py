@@ -20,8 +20,9 @@ from daq.importing.signal import Array, Signal
 from daq.importing.steps import StepFinder, mark_steps
 from daq.measurement.run import RunWarning
 from daq.recording.recorder import Recorder
+from daq.recording.recording import open as open_recording
 from daq.recording.timebase import refuse_reversed
-from rig.errors import RecordingError, SceneError
+from rig.errors import RecordingError, SceneError, ShotrigError
 from rig.numerics.runs import runs_of
 from rig.output_files import destination, replacing
 from rig.scene.excitation import Free, Impulse, Multisine, Random, Sine, SteppedSine, SweptSine
@@ -118,7 +119,7 @@ def import_files(
     with ExitStack() as stack:
         signals = [signal for file in paths for signal in signals_of(file, stack)]
         # Only now: that a file is missing or no such scene is what the user should hear of first.
-        destination(Path(path), overwrite, RecordingError)
+        destination(Path(path), overwrite or _is_import_of(Path(path), paths), RecordingError)
         chosen, notes = choose(what, signals, said)
         rate = _common_rate(chosen, what)
         made = _cut(_started_together(assign(what, chosen, rate)), rate, from_s, to_s)
@@ -129,6 +130,15 @@ def import_files(
     for note in dict.fromkeys([*notes, *(str(each.message) for each in heard)]):
         warnings.warn(note, RunWarning, stacklevel=2)
     return Path(path)
+
+
+def _is_import_of(path: Path, files: Sequence[Path]) -> bool:
+    """Whether a file is a recording of other programs' files with these names."""
+    try:
+        with open_recording(path) as recording:
+            return bool(recording.source) and recording.source in ", ".join(file.name for file in files)
+    except ShotrigError:
+        return False
 
 
 def _common_rate(chosen: Sequence[Choice], scene: Scene) -> float:
@@ -268,7 +278,7 @@ class _Import:
         start_ns += round(self._made[0].signal.start_s * 1e9) if start_ns else 0
         infos = self._infos
         with (
-            replacing(path, overwrite) as part,
+            replacing(path, overwrite or None) as part,
             Recorder(part, self._scene, infos, self._rate, max(start_ns, 0), source=self._source) as recorder,
         ):
             for first in range(0, self._samples, _PIECE):

@@ -70,6 +70,23 @@ def record_and_report(name: str, scene: Scene, path: Path, overwrite: bool, bloc
     return code
 
 
+def is_recorded(scene: Scene, path: Path) -> bool:
+    """Whether a file holds the whole test of a scene as this version records it, so that another run adds nothing."""
+    from importlib.metadata import version
+
+    import daq
+
+    if not path.is_file():
+        return False
+    try:
+        with daq.open(path) as rec:
+            ours = rec.metadata.get("run", {}).get("shotrig") == version("shotrig") and not rec.source
+            # What is recorded live, for the scope or clients, has no markers of a test.
+            return ours and rec.status == "complete" and bool(rec.markers) and rec.scene == scene
+    except ShotrigError:
+        return False
+
+
 def summary(path: Path) -> str:
     """Describe a recording just made: what it holds, what went wrong in it, what to type next."""
     import daq

@@ -28,6 +28,7 @@ from daq.replay.rerun_viewer import (
 from rig.console import waiting
 from rig.errors import RunError, SceneError
 from rig.output_files import replacing
+from rig.provenance import made_from, may_overwrite, refuse_others, relative
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -54,7 +55,7 @@ def save(replay: Replay, file: Path, progress: Progress | None = None) -> None:
     """
     _need_suffix(file, ".rrd", "--save")
 
-    with replacing(file) as part, _stream_into(part) as (stream, check):
+    with replacing(file, may_overwrite()) as part, _stream_into(part) as (stream, check):
 
         def drain() -> None:
             stream.flush(timeout_sec=SINK_S)
@@ -143,13 +144,16 @@ def photograph(
         raise SceneError(
             f"--at {at:g} s lies outside the replay ({replay.start / rate:g} s to {replay.stop / rate:g} s)"
         )
+    source = ("replay", *relative([replay.recording.path], file.parent))
+    with made_from(*source):
+        refuse_others(file)
     with tempfile.TemporaryDirectory(prefix="shotrig-") as folder:
         drawn = Path(folder) / "replay.rrd"
         save(replay, drawn, progress)
         png, views = picture(
             drawn, at - replay.start / rate, size, (replay.stop - 1 - replay.start) / rate, LAST
         )
-    with replacing(file) as part:
+    with made_from(*source), replacing(file) as part:
         part.write_bytes(png)
     problems = [f"{view.name}: {report.summary}" for view in views for report in view.reports]
     if problems:

@@ -40,7 +40,7 @@ def write(path: Path, asked: Mapping[str, Any], course: Course) -> None:
     arrays |= {f"asked_{name}": _digest(value) for name, value in asked.items()}
     arrays |= {f"structure_{number}": part for number, part in enumerate(state.structure)}
     arrays |= {f"bed_{number}": np.frombuffer(bed, dtype=np.uint8) for number, bed in enumerate(state.beds)}
-    with replacing(path) as part, part.open("wb") as file:
+    with replacing(path, overwrite=True) as part, part.open("wb") as file:
         np.savez(
             file,
             method=_METHOD,

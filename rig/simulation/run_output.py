@@ -12,6 +12,7 @@ import numpy as np
 from rig.engine.trajectory import KINDS
 from rig.errors import SceneError
 from rig.output_files import replacing
+from rig.provenance import refuse_others
 from rig.scene.excitation import Impulse
 from rig.scene.scene import Scene
 from rig.simulation.simulate import Run, simulate
@@ -63,6 +64,7 @@ def simulate_into(
     """
     if output is not None:
         check_name(output)
+        refuse_others(output)
     keep = None if output is None else output.with_name(f"{output.name}.kept")
     duration = duration_of(scene) if duration is None else duration
     try:

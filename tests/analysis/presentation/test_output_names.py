@@ -6,20 +6,23 @@ from pathlib import Path
 import pytest
 
 from analysis.presentation.output_names import of_part, output_stem, with_ending
-from rig.errors import RunError
+from analysis.presentation.tables import write_table
+from rig.errors import RunError, SceneError
 
 
-def written(stem):
-    """What a command would write under a name."""
-    path = with_ending(stem, "csv")
-    path.write_text("")
-    return path
+def written(paths, output, kind):
+    """Write a table as a command does."""
+    with output_stem(paths, output, kind, "csv") as stem:
+        return write_table(with_ending(stem, "csv"), ["a"], [])
+
+
+def stem_of(paths, output, kind):
+    with output_stem(paths, output, kind) as stem:
+        return stem
 
 
 def test_given_names_with_dots_when_outputs_are_named_then_each_keeps_its_own(tmp_path):
-    files = [
-        written(output_stem([tmp_path / name], None, "report")).name for name in ("a0.5.mcap", "a0.7.mcap")
-    ]
+    files = [written([tmp_path / name], None, "report").name for name in ("a0.5.mcap", "a0.7.mcap")]
     assert files == ["a0.5-report.csv", "a0.7-report.csv"]
 
 
@@ -27,27 +30,42 @@ def test_given_two_recordings_of_one_name_when_written_to_one_folder_then_neithe
     tmp_path,
 ):
     paths = [tmp_path / folder / "a.mcap" for folder in ("x", "y", "z/y")]
-    first, second = (written(output_stem([path], tmp_path / "out", "modes")) for path in paths[:2])
+    first, second = (written([path], tmp_path / "out", "modes") for path in paths[:2])
     assert (first.name, second.name) == ("a-modes.csv", "y-a-modes.csv")
     with pytest.raises(RunError, match="other recordings of that name"):
-        output_stem([paths[2]], tmp_path / "out", "modes")
+        written([paths[2]], tmp_path / "out", "modes")
 
 
 def test_given_the_same_recording_again_when_named_then_its_own_files_are_replaced(tmp_path):
     path = tmp_path / "a.mcap"
-    names = [written(output_stem([path], None, kind)).name for kind in ("frf", "modes", "frf")]
+    names = [written([path], None, kind).name for kind in ("frf", "modes", "frf")]
     assert names == ["a-frf.csv", "a-modes.csv", "a-frf.csv"]
+
+
+def test_a_table_moved_with_its_recording_is_renewed(tmp_path):
+    for folder in (tmp_path / "before", tmp_path / "after"):
+        path = folder / "a.mcap"
+        if folder.name == "after":
+            (tmp_path / "before").rename(folder)
+        assert written([path], None, "frf").name == "a-frf.csv"
+
+
+def test_a_users_table_of_that_name_stays(tmp_path):
+    (tmp_path / "a-frf.csv").write_text("mine")
+    with pytest.raises(SceneError, match=r"a-frf\.csv exists"):
+        written([tmp_path / "a.mcap"], None, "frf")
+    assert (tmp_path / "a-frf.csv").read_text(encoding="utf-8") == "mine"
 
 
 def test_given_many_recordings_that_begin_alike_when_named_then_the_sets_are_told_apart(tmp_path):
     first = [tmp_path / f"{'long' * 8}-{number}.mcap" for number in (1, 2, 3)]
     second = [*first[:2], tmp_path / f"{'long' * 8}-4.mcap"]
-    assert output_stem(first, None, "frf") != output_stem(second, None, "frf")
+    assert stem_of(first, None, "frf") != stem_of(second, None, "frf")
 
 
 def test_given_a_name_that_is_not_utf_8_when_outputs_are_named_then_they_keep_it(tmp_path):
     path = tmp_path / os.fsdecode(b"a\xff.mcap")
-    names = [output_stem([path] * count, None, "frf").name for count in (1, 40)]
+    names = [stem_of([path] * count, None, "frf").name for count in (1, 40)]
     assert os.fsencode(names[0]) == b"a\xff-frf" and names[1].startswith(os.fsdecode(b"a\xff+39-more-"))
 
 

@@ -1,0 +1,178 @@
+"""Which outputs a command may replace: those that shotrig wrote from the same source and nobody has changed since.
+
+An output carries a mark, `shotrig SOURCE CONTENT`: the digest of what it was made from, and that of the file without
+the mark. A file without a mark, with another source, or whose content no longer has its digest is the user's. The mark
+is where other programs pass over it: a last cell of a table's heading, the text chunk `Software` of a PNG, a comment at
+the end of SVG, HTML, Markdown and YAML, the comment of a zip archive. Files for other programs (UFF, MATLAB, WAV, RRD,
+exported tables) carry none and are left alone if the same file comes out again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import struct
+import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path
+
+from rig.errors import SceneError
+
+_DIGITS = 16
+_MARK = re.compile(rb"shotrig ([0-9a-f]{16}) ([0-9a-f]{16})")
+_MARK_BYTES = len("shotrig ") + _DIGITS + 1 + _DIGITS
+# What stands before and after the mark in formats of text.
+_FRAMES = {
+    ".csv": (b",", b""),
+    ".svg": (b"<!-- ", b" -->\n"),
+    ".html": (b"<!-- ", b" -->\n"),
+    ".htm": (b"<!-- ", b" -->\n"),
+    ".md": (b"<!-- ", b" -->\n"),
+    ".yaml": (b"# ", b"\n"),
+    ".yml": (b"# ", b"\n"),
+}
+_PNG_KEYWORD = b"Software\0"
+# Length, type and checksum of a PNG chunk; its last chunk, IEND, is nothing more.
+_PNG_CHUNK = 12
+# A zip archive ends with the length of its comment, and the comment.
+_ZIP_NO_COMMENT = b"\0\0"
+
+_source: ContextVar[str] = ContextVar("source", default="")
+_overwriting: ContextVar[bool] = ContextVar("overwriting", default=False)
+
+
+@contextmanager
+def made_from(*what: str) -> Iterator[None]:
+    """Say what the outputs written inside the `with` are made from: the command, and what identifies its input."""
+    token = _source.set(_digest("\0".join(what).encode("utf-8", errors="surrogateescape")))
+    try:
+        yield
+    finally:
+        _source.reset(token)
+
+
+@contextmanager
+def overwriting(allowed: bool) -> Iterator[None]:
+    """Let the outputs written inside the `with` replace any file, if allowed."""
+    token = _overwriting.set(allowed)
+    try:
+        yield
+    finally:
+        _overwriting.reset(token)
+
+
+def relative(paths: Sequence[Path], folder: Path) -> list[str]:
+    """Say where input files are as seen from the folder of the outputs, so that both can be moved together."""
+    return [_relative(path.resolve(), folder.resolve()) for path in paths]
+
+
+def _relative(path: Path, folder: Path) -> str:
+    try:
+        return Path(os.path.relpath(path, folder)).as_posix()
+    except ValueError:
+        # Another drive.
+        return path.as_posix()
+
+
+def may_overwrite() -> bool:
+    """Whether outputs may replace any file here."""
+    return _overwriting.get()
+
+
+def is_own(path: Path) -> bool:
+    """Whether a file was written from the present source and has not been changed since."""
+    source = _mark_of(path)
+    return bool(_source.get()) and source == _source.get()
+
+
+def is_from_another_source(path: Path) -> bool:
+    """Whether a file was written by shotrig from something else, and has not been changed since."""
+    return _mark_of(path) not in ("", _source.get())
+
+
+def carries_mark(path: Path) -> bool:
+    """Whether a file of this name carries a mark when it is written here."""
+    return bool(_source.get()) and path.suffix.lower() in (*_FRAMES, ".png", ".npz")
+
+
+def refuse_others(*paths: Path) -> None:
+    """Refuse to begin work whose results would replace files that are to stay.
+
+    Raises
+    ------
+    SceneError
+        If one of the files exists and is not an unchanged output from the same source.
+    """
+    if may_overwrite():
+        return
+    for path in paths:
+        if path.is_file() and not is_own(path):
+            raise refusal(path)
+
+
+def refusal(path: Path) -> SceneError:
+    """Say that a file is the user's, or was made from something else."""
+    why = "was changed since shotrig wrote it, or another program wrote it"
+    if _mark_of(path):
+        why = "was made from another source"
+    return SceneError(
+        f"{path} exists and {why}: it is left as it is. Choose another name or folder with -o, or pass --overwrite"
+    )
+
+
+def add_mark(path: Path) -> None:
+    """Add the mark to a complete file."""
+    content = path.read_bytes()
+    mark = f"shotrig {_source.get()} {_digest(content)}".encode()
+    ending = path.suffix.lower()
+    place = _place(ending, content)
+    path.write_bytes(content[: place - _replaced(ending)] + _framed(ending, mark) + content[place:])
+
+
+def _mark_of(path: Path) -> str:
+    """Give the source in the mark of an unchanged file; empty where there is none."""
+    ending = path.suffix.lower()
+    try:
+        if ending not in (*_FRAMES, ".png", ".npz") or not path.is_file():
+            return ""
+        content = path.read_bytes()
+    except OSError:
+        return ""
+    stop = _place(ending, content)
+    start = stop - len(_framed(ending, bytes(_MARK_BYTES)))
+    found = _MARK.search(content, max(start, 0), stop)
+    if start < 0 or found is None or content[start:stop] != _framed(ending, found[0]):
+        return ""
+    rest = content[:start] + _ZIP_NO_COMMENT[: _replaced(ending)] + content[stop:]
+    return found[1].decode() if _digest(rest) == found[2].decode() else ""
+
+
+def _place(ending: str, content: bytes) -> int:
+    """Where in a file the mark ends, or goes."""
+    if ending == ".csv":
+        line = content.partition(b"\n")[0]
+        return len(line) - line.endswith(b"\r")
+    return len(content) - (_PNG_CHUNK if ending == ".png" else 0)
+
+
+def _framed(ending: str, mark: bytes) -> bytes:
+    """Give the bytes that hold a mark."""
+    if ending == ".png":
+        data = b"tEXt" + _PNG_KEYWORD + mark
+        return struct.pack(">I", len(data) - 4) + data + struct.pack(">I", zlib.crc32(data))
+    if ending == ".npz":
+        return struct.pack("<H", len(mark)) + mark
+    before, after = _FRAMES[ending]
+    return before + mark + after
+
+
+def _replaced(ending: str) -> int:
+    """How many bytes of an unmarked file the mark replaces."""
+    return len(_ZIP_NO_COMMENT) if ending == ".npz" else 0
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:_DIGITS]

@@ -1,0 +1,84 @@
+"""Outputs are renewed for the same source; what others wrote or changed stays."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig.errors import SceneError
+from rig.figure_style import drawing, save_with_table
+from rig.output_files import replacing
+from rig.provenance import made_from, overwriting
+
+TEXTS = {".csv": "a,b\n1,2\n", ".svg": "<svg/>\n", ".html": "<p>\n", ".yaml": "a: 1\n", ".md": "# a\n"}
+
+
+def written(path: Path, content: bytes, source: str = "s") -> None:
+    with made_from("test", source), replacing(path) as part:
+        part.write_bytes(content)
+
+
+@pytest.mark.parametrize("ending", TEXTS)
+def test_an_unchanged_output_is_renewed(tmp_path: Path, ending: str) -> None:
+    path, text = tmp_path / f"out{ending}", TEXTS[ending].encode()
+    written(path, text)
+    written(path, text.replace(b"a", b"new"))
+    assert b"new" in path.read_bytes()
+
+
+@pytest.mark.parametrize("ending", TEXTS)
+def test_an_edited_output_is_the_users(tmp_path: Path, ending: str) -> None:
+    path, text = tmp_path / f"out{ending}", TEXTS[ending].encode()
+    written(path, text)
+    edited = path.read_bytes().replace(b"a", b"mine", 1)
+    path.write_bytes(edited)
+    with pytest.raises(SceneError, match="exists and was changed"):
+        written(path, text)
+    assert path.read_bytes() == edited
+
+
+def test_an_output_from_another_source_stays(tmp_path: Path) -> None:
+    path = tmp_path / "out.csv"
+    written(path, b"a\n1\n", "first")
+    with pytest.raises(SceneError, match="another source"):
+        written(path, b"a\n2\n", "second")
+    with overwriting(True):
+        written(path, b"a\n2\n", "second")
+    assert path.read_bytes().endswith(b"\n2\n")
+
+
+def test_a_users_file_stays_unless_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "out.csv"
+    path.write_text("mine")
+    with pytest.raises(SceneError, match="--overwrite"):
+        written(path, b"a\n1\n")
+    assert path.read_text(encoding="utf-8") == "mine" and list(tmp_path.iterdir()) == [path]
+
+
+def test_a_file_without_mark_stays_if_it_comes_out_the_same(tmp_path: Path) -> None:
+    path = tmp_path / "out.uff"
+    written(path, b"a")
+    written(path, b"a")
+    with pytest.raises(SceneError, match="exists"):
+        written(path, b"b")
+    assert path.read_bytes() == b"a" and list(tmp_path.iterdir()) == [path]
+
+
+def test_marked_figures_and_archives_can_be_read(tmp_path: Path) -> None:
+    from matplotlib.image import imread
+
+    for value in (1.0, 2.0):
+        with made_from("test"), drawing(1.0) as figure:
+            figure.subplots().plot([value])
+            files = save_with_table(figure, tmp_path / "out", lambda path: path.write_text(f"a\n{value}\n"))
+            with replacing(tmp_path / "out.npz") as part:
+                np.savez(part, value=value)
+    assert imread(files[0]).ndim == 3 and float(np.load(tmp_path / "out.npz")["value"]) == 2.0
+    (row,) = csv.DictReader(files[2].open(encoding="utf-8"))
+    assert row["a"] == "2.0"
+    files[0].write_bytes(files[0].read_bytes().replace(b"IDAT", b"IDAX", 1))
+    with pytest.raises(SceneError, match="changed"), made_from("test"), replacing(files[0]):
+        pass

@@ -52,7 +52,7 @@ def test_given_a_link_when_overwritten_then_what_it_points_to_is_replaced(tmp_pa
     target.write_text("old")
     target.chmod(0o640)
     link.symlink_to(target)
-    with replacing(link) as part:
+    with replacing(link, overwrite=True) as part:
         part.write_text("new")
     assert (
         link.is_symlink()

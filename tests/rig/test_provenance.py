@@ -13,7 +13,13 @@ from rig.figure_style import drawing, save_with_table
 from rig.output_files import replacing
 from rig.provenance import made_from, overwriting
 
-TEXTS = {".csv": "a,b\n1,2\n", ".svg": "<svg/>\n", ".html": "<p>\n", ".yaml": "a: 1\n", ".md": "# a\n"}
+TEXTS = {
+    ".csv": "a,b\n1,2\n",
+    ".svg": "<svg><a/></svg>\n",
+    ".html": "<a>\n",
+    ".yaml": "a: 1\n",
+    ".md": "# a\n",
+}
 
 
 def written(path: Path, content: bytes, source: str = "s") -> None:
@@ -73,11 +79,12 @@ def test_marked_figures_and_archives_can_be_read(tmp_path: Path) -> None:
     for value in (1.0, 2.0):
         with made_from("test"), drawing(1.0) as figure:
             figure.subplots().plot([value])
-            files = save_with_table(figure, tmp_path / "out", lambda path: path.write_text(f"a\n{value}\n"))
+            table = f"a\n{value}\n"
+            files = save_with_table(figure, tmp_path / "out", lambda path, text=table: path.write_text(text))
             with replacing(tmp_path / "out.npz") as part:
                 np.savez(part, value=value)
     assert imread(files[0]).ndim == 3 and float(np.load(tmp_path / "out.npz")["value"]) == 2.0
-    (row,) = csv.DictReader(files[2].open(encoding="utf-8"))
+    (row,) = csv.DictReader(files[2].read_text(encoding="utf-8").splitlines())
     assert row["a"] == "2.0"
     files[0].write_bytes(files[0].read_bytes().replace(b"IDAT", b"IDAX", 1))
     with pytest.raises(SceneError, match="changed"), made_from("test"), replacing(files[0]):

@@ -47,10 +47,12 @@ def write_mat(stretch: Slice, path: Path) -> None:
 
 
 def write_frfs(frfs: Sequence[Frf], path: Path) -> None:
-    """Write ``frequency`` [Hz], ``unit``, and each response by its NAME, with ``bound_NAME`` and ``coherence_NAME``."""
+    """Write ``frequency`` [Hz], ``unit``, ``reference``; by each response's NAME it, ``bound_NAME``, ``coherence_NAME``."""
     curves = [frf.sorted() for frf in frfs]
-    names = variables([curve.response for curve in curves], {"frequency", "unit", "channels"})
-    content: dict[str, Any] = {"frequency": curves[0].frequency, "unit": curves[0].unit}
+    names = variables([curve.response for curve in curves], {"frequency", "unit", "reference", "channels"})
+    content: dict[str, Any] = {
+        "frequency": curves[0].frequency, "unit": curves[0].unit, "reference": curves[0].input,
+    }  # fmt: skip
     for name, curve in zip(names, curves, strict=True):
         content |= {name: curve.value, f"bound_{name}": curve.bound(), f"coherence_{name}": curve.coherence}
     _save(path, content | {"channels": np.array(names, dtype=object)})

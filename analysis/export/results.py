@@ -61,7 +61,8 @@ def export_results(
                     curves, part, nodes, driven
                 )
                 lines.append(
-                    f"{curves[0].label}: {curves[0].name} of {', '.join(one.response for one in curves)}"
+                    f"{curves[0].label}: {curves[0].name} of {', '.join(one.response for one in curves)} by "
+                    f"{curves[0].input}"
                 )
             else:
                 modes = identify(curves)
@@ -80,7 +81,8 @@ def _groups(
         return [(curves, list(range(1, len(curves) + 1)), 0)]
     with opened(file) as rec:
         groups = frequency_responses(rec, progress=progress)
-        driven = rec.scene.force_on[0] if rec.scene.force_on else 0
+        # A force on several bodies at once has no node of its own.
+        driven = rec.scene.force_on[0] if len(rec.scene.force_on) == 1 else 0
         return [
             (group, [uff.node(rec.channels[one.response].at) for one in group], driven) for group in groups
         ]

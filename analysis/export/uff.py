@@ -96,7 +96,7 @@ def write_frfs(frfs: Sequence[Frf], path: Path, nodes: Sequence[int], driven: in
             )
         steps = np.diff(curve.frequency)
         where = {
-            "type": 58, "binary": 0, "id2": _line(curve.label),
+            "type": 58, "binary": 0, "id2": _line(curve.label), "id3": _line(curve.ratio),
             # What no field of the format tells: how far leakage smears a line.
             "id4": f"{RESOLUTION_LINE} {curve.resolution!r} Hz",
             "rsp_ent_name": "NONE", "rsp_node": node, "rsp_dir": 3,

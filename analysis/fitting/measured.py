@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.responses.frequency_responses import frequency_responses
+from analysis.responses.frequency_responses import checked, frequency_responses
 from analysis.responses.frf import CLOCK, SENSITIVITY, Frf
 from analysis.responses.measurands import Measurand, concerned, motion_of, reference_of, responses
 from analysis.responses.stepped_sine import sweeps
@@ -148,7 +148,7 @@ def measured(rec: Recording, name: str, progress: Progress | None = None) -> lis
 
 
 def _of_lines(rec: Recording, lines: Lines, names: Sequence[str], reference: str, label: str) -> Curves:
-    frfs = [lines.frf(rec, name, reference) for name in names]
+    frfs = checked(rec, [lines.frf(rec, name, reference) for name in names])
     lower = reference_of(rec, reference)
     weights = lower.row(rec, lines.channels, lines.frequency)
     amplitude = np.sum(weights * lines.mean, axis=0)

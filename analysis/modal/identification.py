@@ -132,6 +132,7 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
         model_error=error,
         label=curves[0].label,
         warnings=(),
+        input=curves[0].input,
     )
     left_out = [frf.response for frf in frfs if frf.response not in result.responses]
     notes = doubts(result, curves, count, dropped, loose, unseen, left_out)

@@ -54,6 +54,8 @@ class Modes(Result):
         Scene and setting.
     warnings : tuple of str
         Doubts about the numbers, in full sentences.
+    input : str
+        What drove the structure and where, such as ``force at body 1``.
     """
 
     frequency: Array
@@ -69,6 +71,7 @@ class Modes(Result):
     model_error: float
     label: str
     warnings: tuple[str, ...]
+    input: str = ""
 
     def summary(self) -> str:
         """List frequency and damping ratio of each mode."""

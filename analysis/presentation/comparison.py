@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 _HEADING = (
-    "from", "to", "response", "mode_Hz", "change_dB", "change_low_dB", "change_high_dB", "shift_Hz", "shift_low_Hz",
-    "shift_high_Hz", "peak_from m/N", "bound_from m/N", "peak_to m/N", "bound_to m/N",
+    "from", "to", "response", "reference", "mode_Hz", "change_dB", "change_low_dB", "change_high_dB", "shift_Hz",
+    "shift_low_Hz", "shift_high_Hz", "peak_from m/N", "bound_from m/N", "peak_to m/N", "bound_to m/N",
 )  # fmt: skip
 
 _JUMPS = (
@@ -84,7 +84,7 @@ def present_compare(
         changes = peak_changes(modes, bare, group, same)
         notes += noted(paths[0], unresolved([(one.mode, one.response, one.bare) for one in changes]))
         notes += noted(path, unresolved([(one.mode, one.response, one.damped) for one in changes]))
-        lines.append(f"{bare[0].label} -> {group[0].label}")
+        lines.append(f"{bare[0].label} -> {group[0].label}, by {bare[0].input}")
         lines += [f"  {line}" for line in describe_changes(changes)]
         if any(SENSITIVITY in curve.systematic for curve in group if curve.response in same):
             lines.append(
@@ -94,7 +94,7 @@ def present_compare(
         shared = [curve.response for curve in group if curve.response in places[0].channels]
         lines += _without_peaks(changes, shared, modes)
         jumps |= any(isinf(one.bare.bound + one.damped.bound) for one in changes)
-        rows += [_row(bare[0].label, group[0].label, change) for change in changes]
+        rows += [_row(bare[0], group[0], change) for change in changes]
     with output_stem(paths, output, "compare", "csv") as stem:
         table = write_table(with_ending(stem, "csv"), _HEADING, rows)
     return Result((table,), tuple(lines), (*dict.fromkeys(notes), *((_JUMPS,) if jumps else ())))
@@ -166,6 +166,15 @@ def _listed(channels: dict[str, str]) -> str:
     return ", ".join(f"{name} (at {at})" for name, at in channels.items()) or "none"
 
 
-def _row(before: str, after: str, change: PeakChange) -> tuple[str | float, ...]:
+def _row(before: Frf, after: Frf, change: PeakChange) -> tuple[str | float, ...]:
     peaks = (change.bare.value, change.bare.bound, change.damped.value, change.damped.bound)
-    return (before, after, change.response, change.mode, *change.decibel, *change.shift, *peaks)
+    return (
+        before.label,
+        after.label,
+        change.response,
+        before.input,
+        change.mode,
+        *change.decibel,
+        *change.shift,
+        *peaks,
+    )

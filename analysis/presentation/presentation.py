@@ -69,7 +69,9 @@ def present_frf(
     doubts: list[str] = []
     for path, label in zip(paths, _labels(paths), strict=True):
         if is_frf_file(path):
-            curves += [replace(frf.to(motion), label=label) for frf in _read(path, reference, channels, unit)]
+            read = _read(path, reference, channels, unit)
+            curves += [replace(frf.to(motion), label=label) for frf in read]
+            notes += noted(path, read[0].warnings)
             continue
         with opened(path) as rec:
             acting = vars(blocks.acting_on(kind_of(rec)))
@@ -86,23 +88,34 @@ def present_frf(
 
 
 def _drawn(curves: Sequence[Frf], exact: Sequence[Frf], stem: Path) -> list[Path]:
-    """Draw curves: those of one recording together, those of several by their responses."""
+    """Draw curves: those of one recording together, those of several by their outputs and inputs."""
     from analysis.figures.frf_figure import frf_figure
     from rig.figure_style import save
 
-    names = list(dict.fromkeys(frf.response for frf in curves))
     settings = list(dict.fromkeys(frf.label for frf in curves))
     what = f"{curves[0].name.capitalize()}"
+    groups = _by_ratio(curves)
     if len(settings) == 1:
-        shown = [replace(frf, label=frf.response) for frf in curves]
+        shown = [replace(frf, label=frf.ratio) for frf in curves]
         return save(frf_figure(shown, f"{what}: {settings[0]}", _once(exact), _marks(shown)), stem)
+    inputs = {shown[0].input for shown in groups}
     files = []
-    for name in names:
-        shown = [frf for frf in curves if frf.response == name]
-        some = [frf for frf in exact if frf.response == name]
-        part = stem if len(names) == 1 else of_part(stem, name)
-        files += save(frf_figure(shown, f"{what} of {name}", _once(some), _marks(shown)), part)
+    for shown in groups:
+        first = shown[0]
+        some = [frf for frf in exact if (frf.response, frf.input) == (first.response, first.input)]
+        name = first.response if len(inputs) == 1 else first.ratio.replace(" / ", "-by-").replace(" ", "-")
+        part = stem if len(groups) == 1 else of_part(stem, name)
+        files += save(frf_figure(shown, f"{what}, {first.ratio}", _once(some), _marks(shown)), part)
     return files
+
+
+def _by_ratio(curves: Sequence[Frf]) -> list[list[Frf]]:
+    """Group curves by output and input; curves of files that name no input go with the first that has one."""
+    groups: dict[tuple[str, str], list[Frf]] = {}
+    for curve in sorted(curves, key=lambda one: not one.input_at):
+        known = next((key for key in groups if key[0] == curve.response and not curve.input_at), None)
+        groups.setdefault(known or (curve.response, curve.input), []).append(curve)
+    return list(groups.values())
 
 
 def stated_tolerances(rec: Recording, frfs: Sequence[Frf]) -> list[str]:
@@ -136,7 +149,7 @@ def linear_theory(rec: Recording, frf: Frf) -> Frf:
         frequency, rows[body - 1], nothing, nothing + 1.0, nothing, frf.response, frf.reference,
         label="linear theory, no dampers",
     )  # fmt: skip
-    return curve.to(frf.motion)
+    return replace(curve.to(frf.motion), output_at=frf.output_at, input_at=frf.input_at)
 
 
 def present_decay(
@@ -256,7 +269,10 @@ def _read(path: Path, reference: str, channels: Sequence[str] | None, unit: str 
 
 def describe_modes(modes: Modes, theory: np.ndarray | None = None) -> list[str]:
     """List frequency, damping and shape of each mode, and how near it comes to the shapes of theory."""
-    out = [f"{modes.label}: {modes.frequency.size} mode{'s' * (modes.frequency.size != 1)}"]
+    out = [
+        f"{modes.label}{f', {modes.input}' * bool(modes.input)}: "
+        f"{modes.frequency.size} mode{'s' * (modes.frequency.size != 1)}"
+    ]
     for i, frequency in enumerate(modes.frequency):
         known = zip(modes.shapes[:, i].real, 2.0 * modes.shape_error[:, i], strict=True)
         shape = ", ".join(_element(value, bound) for value, bound in known)
@@ -322,10 +338,10 @@ def _marks(curves: Sequence[Frf]) -> list[tuple[float, str]]:
 
 
 def _once(curves: Sequence[Frf]) -> list[Frf]:
-    """Keep one legend entry for theory and one curve per response."""
+    """Keep one legend entry for theory and one curve for each output and input."""
     out: list[Frf] = []
     for curve in curves:
-        if all(curve.response != other.response for other in out):
+        if all(curve.ratio != other.ratio for other in out):
             out.append(replace(curve, label=curve.label if not out else ""))
     return out
 

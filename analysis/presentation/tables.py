@@ -44,7 +44,7 @@ def frf_table(path: Path, frfs: Sequence[Frf]) -> Path:
     """Table of frequency responses, one line per curve and frequency."""
     unit = frfs[0].unit.replace("²", "^2")
     heading = [
-        "scene", "response", "frequency_Hz", f"real {unit}", f"imag {unit}", f"magnitude {unit}",
+        "scene", "response", "reference", "frequency_Hz", f"real {unit}", f"imag {unit}", f"magnitude {unit}",
         "phase_deg", f"magnitude_std {unit}", "coherence",
         f"systematic {unit}", "steady", "resolution_Hz",
     ]  # fmt: skip
@@ -56,7 +56,7 @@ def _frf_rows(frfs: Sequence[Frf]) -> Iterator[Row]:
         systematic = frf.systematic_bound()
         for i, value in enumerate(frf.value):
             yield (
-                frf.label, frf.response, frf.frequency[i], value.real, value.imag, abs(value),
+                frf.label, frf.response, frf.input, frf.frequency[i], value.real, value.imag, abs(value),
                 float(np.degrees(np.angle(value))), frf.error[i], frf.coherence[i],
                 systematic[i], "" if frf.unsteady is None else "no" if frf.unsteady[i] else "yes",
                 frf.resolution,
@@ -105,7 +105,7 @@ def modes_table(path: Path, found: Sequence[Modes]) -> Path:
     """Table of natural frequencies, damping ratios and shapes."""
     channels = list(dict.fromkeys(name for modes in found for name in modes.responses))
     heading = [
-        "scene", "mode", "frequency_Hz", "frequency_std_Hz", "omega_rad_s", "damping_ratio",
+        "scene", "reference", "mode", "frequency_Hz", "frequency_std_Hz", "omega_rad_s", "damping_ratio",
         "damping_ratio_std",
         *(f"shape {name}" for name in channels), *(f"shape {name} std" for name in channels), "phase_collinearity",
     ]  # fmt: skip
@@ -118,7 +118,7 @@ def _mode_rows(found: Sequence[Modes], channels: Sequence[str]) -> Iterator[Row]
             shape = dict(zip(modes.responses, modes.shapes[:, i].real, strict=True))
             error = dict(zip(modes.responses, modes.shape_error[:, i], strict=True))
             yield (
-                modes.label, i + 1, frequency, modes.frequency_error[i], 2 * np.pi * frequency,
+                modes.label, modes.input, i + 1, frequency, modes.frequency_error[i], 2 * np.pi * frequency,
                 modes.damping[i], modes.damping_error[i], *(shape.get(name, np.nan) for name in channels),
                 *(error.get(name, np.nan) for name in channels),
                 modes.collinearity[i],

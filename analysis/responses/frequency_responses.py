@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 from analysis.responses.estimators import ESTIMATORS, Averages
 from analysis.responses.frf import MOTIONS, Frf, FrfSet
-from analysis.responses.measurands import concerned, responses
+from analysis.responses.measurands import concerned, input_place, place, responses
+from analysis.responses.passivity import reversed_force
 from rig.errors import RecordingError, SceneError
 from rig.scene.quantities import FORCE, number
 
@@ -136,7 +137,21 @@ def frequency_responses(
                     progress(done, len(names))
             out.append(curves)
     said = _unfiltered(rec, channels)
-    return [[replace(curve, warnings=(*curve.warnings, *said)) for curve in curves] for curves in out]
+    return [
+        checked(rec, [replace(curve, warnings=(*curve.warnings, *said)) for curve in each]) for each in out
+    ]
+
+
+def checked(rec: Recording, curves: Sequence[Frf]) -> list[Frf]:
+    """Locate curves of one sweep, and add a warning to all where the force has the wrong sign."""
+    located = [_located(rec, curve) for curve in curves]
+    warning = reversed_force(located)
+    return [replace(curve, warnings=(*curve.warnings, warning)) for curve in located] if warning else located
+
+
+def _located(rec: Recording, curve: Frf) -> Frf:
+    """Say where a curve's response is and where its reference acts."""
+    return replace(curve, output_at=place(rec, curve.response), input_at=input_place(rec, curve.reference))
 
 
 def _unfiltered(rec: Recording, channels: Sequence[str]) -> tuple[str, ...]:
@@ -247,7 +262,7 @@ def frfs(
         have = "; ".join(f"level={sweep.level:g}, direction={sweep.direction!r}" for sweep in found)
         what = "several sweeps fit" if fitting else "no sweep fits"
         raise SceneError(f"{what}: choose one of {have}, or take them all with analysis.frequency_responses")
-    return FrfSet(fitting[0].lines.frf(rec, name, reference, motion) for name in names)
+    return FrfSet(checked(rec, [fitting[0].lines.frf(rec, name, reference, motion) for name in names]))
 
 
 def compliance(

@@ -81,6 +81,9 @@ class Frf(Result):
     scale : float
         Largest share by which the sensor of the reference puts all values off alike, those of other responses to it as
         well; what the sensors' sensitivities do holds it.
+    output_at, input_at : str
+        Where the response is, and where the reference acts: bodies by their names, or ``body 1``; empty where that is
+        not known.
     """
 
     frequency: NDArray[np.float64]
@@ -101,6 +104,23 @@ class Frf(Result):
     left_out: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     clock: float = 0.0
     scale: float = 0.0
+    output_at: str = ""
+    input_at: str = ""
+
+    @property
+    def input(self) -> str:
+        """What the response is divided by and where it acts: ``force at body 1``."""
+        return f"{self.reference} at {self.input_at}" if self.input_at else self.reference
+
+    @property
+    def ratio(self) -> str:
+        """Output and input: ``arm / force at base``."""
+        return f"{self.response} / {self.input}"
+
+    @property
+    def is_driving_point(self) -> bool:
+        """Whether the response is where the force acts, and along it."""
+        return self.reference == "force" and bool(self.input_at) and self.output_at == self.input_at
 
     @property
     def name(self) -> str:
@@ -119,7 +139,7 @@ class Frf(Result):
 
     def summary(self) -> str:
         """Say which ratio this is, between which frequencies, its highest point and what bounds that."""
-        what = f"{self.label}, {self.response}: {self.name}, {self.frequency.size} points"
+        what = f"{self.label}, {self.ratio}: {self.name}, {self.frequency.size} points"
         if not np.isfinite(self.value).any():
             return what
         size, (unit, factor) = abs(self.value), self.shown_in

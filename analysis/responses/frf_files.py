@@ -6,6 +6,7 @@ import csv
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.responses.frf import MOTIONS, Frf, FrfSet
+from analysis.responses.passivity import reversed_force
 from daq.importing import uff
 from daq.importing.files import signals_of
 from daq.importing.units import meaning
@@ -132,8 +134,17 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Frf]:
             error=None if told is None else size * told,
             resolution=_stated_resolution(str(each.get("id4") or "")),
         )
-        curves.append(curve)
-    return curves
+        output, force = (_node(each, which) for which in ("rsp", "ref"))
+        curves.append(replace(curve, output_at=output, input_at=force))
+    warning = reversed_force(curves)
+    return [replace(curve, warnings=(*curve.warnings, warning)) for curve in curves] if warning else curves
+
+
+def _node(each: Mapping[str, Any], which: str) -> str:
+    """Name the node of a response or reference; in files of our own it is a body."""
+    if str(each.get("id4") or "").startswith(uff.RESOLUTION_LINE):
+        return f"body {int(each[f'{which}_node'])}"
+    return f"node {uff.point(each, which)}"
 
 
 def _stated_resolution(line: str) -> float | None:
@@ -224,6 +235,7 @@ def _long_curves(path: Path, unit: str | None) -> list[Frf]:
         motion, size = _ratio(str(path), unit or real.removeprefix("real "))
         imag, deviation = (real.replace("real", name, 1) for name in ("imag", "magnitude_std"))
         rows: dict[str, list[tuple[float, complex, float, float, float]]] = {}
+        inputs: dict[str, str] = {}
         for line in reader:
             try:
                 value = size * complex(float(line[real]), float(line[imag]))
@@ -232,7 +244,9 @@ def _long_curves(path: Path, unit: str | None) -> list[Frf]:
                 point = float(line["frequency_Hz"]), value, size * error, coherence, resolution
             except (TypeError, ValueError):
                 raise RecordingError(f"{path}, line {reader.line_num}: a cell is no number") from None
-            rows.setdefault(f"{line.get('scene') or ''}\0{line['response']}", []).append(point)
+            name = f"{line.get('scene') or ''}\0{line['response']}"
+            rows.setdefault(name, []).append(point)
+            inputs[name] = (line.get("reference") or "").removeprefix("force at ")
     scenes = {name.partition("\0")[0] for name in rows}
     if len(scenes) > 1:
         raise SceneError(
@@ -242,9 +256,10 @@ def _long_curves(path: Path, unit: str | None) -> list[Frf]:
     for name, points in rows.items():
         lines, values, errors, coherences, widths = (np.array(one) for one in zip(*points, strict=True))
         said = float(widths[0]) if 0.0 <= widths[0] < np.inf else None
-        curves.append(
-            _curve(path, name.partition("\0")[2], lines, values, motion, coherences, errors, resolution=said)
+        curve = _curve(
+            path, name.partition("\0")[2], lines, values, motion, coherences, errors, resolution=said
         )
+        curves.append(replace(curve, input_at=inputs[name] if inputs[name] != "force" else ""))
     return curves
 
 

@@ -138,6 +138,22 @@ def reference_of(rec: Recording, reference: str) -> Measurand:
     return Measurand((ends[0].name, ends[1].name), (shaker.spring, -shaker.spring), "displacement")
 
 
+def input_place(rec: Recording, reference: str) -> str:
+    """Say where a reference acts: the driven body, or bodies; nothing for the table, which is its own place."""
+    return " and ".join(_body(rec, number) for number in rec.scene.force_on) if reference == "force" else ""
+
+
+def place(rec: Recording, channel: str) -> str:
+    """Say on which body a channel is."""
+    at = rec.channels[channel].at
+    return _body(rec, int(at.removeprefix("body "))) if at.startswith("body ") else at
+
+
+def _body(rec: Recording, number: int) -> str:
+    names = getattr(rec.scene.structure, "names", None)
+    return str(names[number - 1]) if names else f"body {number}"
+
+
 def concerned(rec: Recording, responses: Sequence[str], reference: str) -> list[str]:
     """Name the channels that some responses and their reference are made of."""
     made_of = [motion_of(rec, name).channels for name in responses]

@@ -320,7 +320,8 @@ def test_given_responses_and_modes_when_exported_then_other_programs_and_we_read
     theirs = loadmat(tmp_path / "frfs.mat", squeeze_me=True)
     np.testing.assert_array_equal(theirs["body3"], curves["body3"].value[order])
     np.testing.assert_array_equal(loadmat(tmp_path / "modes.mat")["damping_ratio"].ravel(), modes.damping)
-    with pytest.raises(SceneError, match="exists and is left"):
+    (tmp_path / "modes.mat").write_bytes(b"mine")
+    with pytest.raises(SceneError, match="exists and was"):
         export_results(path, tmp_path / "modes.mat", "modes")
     with pytest.raises(SceneError, match="expected a name that ends in"):
         export_results(path, tmp_path / "modes.csv", "modes")

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from typer.testing import CliRunner
 import daq
 from daq.cli import app
 from daq.importing.channel_table import Column
-from rig.errors import RecordingError, SceneError
+from rig.errors import RecordingError, SceneError, ShotrigError
 from tests.daq.importing.files import IN_SI, NAMES, RATE, WRITERS, bench, csv, histories, tdms
 
 # pyuff leaves a binary file open that it wrote.
@@ -391,8 +392,14 @@ def test_given_files_when_typed_then_listed_imported_and_never_overwritten(tmp_p
     words = ["import", "a.csv", "--scene", "bench.yaml"]
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0 and "3000 samples of 3 channels" in done.output, done.output
-    again = CliRunner().invoke(app, words)
-    assert isinstance(again.exception, RecordingError) and "exists" in str(again.exception)
+    content = Path("a.mcap").read_bytes()
+    assert CliRunner().invoke(app, words).exit_code == 0
+    again = CliRunner().invoke(app, [*words, "--to", "1"])
+    assert isinstance(again.exception, ShotrigError) and "exists" in str(again.exception)
+    assert Path("a.mcap").read_bytes() == content
+    Path("user.mcap").write_bytes(b"mine")
+    refused = CliRunner().invoke(app, [*words, "-o", "user.mcap"])
+    assert isinstance(refused.exception, RecordingError) and "exists" in str(refused.exception)
     # What is missing is said first.
     no_scene = CliRunner().invoke(app, ["import", "a.csv", "--scene", "nope.yaml"])
     assert "nope.yaml" in str(no_scene.exception) and "exists" not in str(no_scene.exception)

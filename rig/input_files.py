@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+import hashlib
+from collections.abc import Sequence
 from pathlib import Path
 
 MOST_BYTES = 64_000_000
@@ -23,3 +25,23 @@ def read_whole(path: Path) -> bytes:
     if len(data) > MOST_BYTES:
         raise OSError(errno.EFBIG, f"larger than {MOST_BYTES // 1_000_000} MB", str(path))
     return data
+
+
+def repeated(paths: Sequence[Path]) -> list[tuple[Path, Path]]:
+    """Pair each file with the first one given that has the same content, under whatever name."""
+    by_size: dict[int, list[Path]] = {}
+    for path in paths:
+        if path.is_file():
+            by_size.setdefault(path.stat().st_size, []).append(path)
+    pairs = []
+    for alike in by_size.values():
+        if len(alike) == 1:
+            continue
+        first: dict[bytes, Path] = {}
+        for path in alike:
+            with path.open("rb") as file:
+                digest = hashlib.file_digest(file, "sha256").digest()
+            if digest in first:
+                pairs.append((first[digest], path))
+            first.setdefault(digest, path)
+    return pairs

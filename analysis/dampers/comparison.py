@@ -246,6 +246,8 @@ def peak_changes(
             before, after = (peak(one, first, last) for one in both)
             if before is None or after is None or before.at_end:
                 continue
+            if after.at_end and not covers(curve, before.frequency):
+                continue
             change = PeakChange(curve.response, float(f), float(zeta), before, after)
             if curve.response in same_sensors:
                 one, other = (peak(_as_read(each), first, last) for each in both)
@@ -254,6 +256,11 @@ def peak_changes(
                 change = replace(change, as_read=(one, other))
             out.append(change)
     return out
+
+
+def covers(curve: Frf, frequency: float) -> bool:
+    """Whether a frequency lies in the band of a curve."""
+    return bool(curve.frequency.min() <= frequency <= curve.frequency.max())
 
 
 def _as_read(curve: Frf) -> Frf:

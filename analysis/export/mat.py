@@ -47,7 +47,7 @@ def write_mat(stretch: Slice, path: Path) -> None:
 
 
 def write_frfs(frfs: Sequence[Frf], path: Path) -> None:
-    """Write ``frequency`` [Hz], ``unit``, ``reference``; by each response's NAME it, ``bound_NAME``, ``coherence_NAME``."""
+    """Write ``frequency`` [Hz], ``unit``, ``reference``; of each response NAME, ``bound_NAME``, ``coherence_NAME``."""
     curves = [frf.sorted() for frf in frfs]
     names = variables([curve.response for curve in curves], {"frequency", "unit", "reference", "channels"})
     content: dict[str, Any] = {

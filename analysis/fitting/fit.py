@@ -19,6 +19,7 @@ from analysis.fitting.problem import Problem, slope
 from analysis.fitting.separation import LevelDamping, damping_by_level
 from analysis.recordings.names import opened
 from rig.errors import RecordingError, SceneError
+from rig.input_files import repeated
 from rig.results import Result, plainly, styled
 from rig.scene.scene import Scene
 from rig.system.structure import natural_modes, structure_matrices
@@ -232,6 +233,11 @@ def fit(
     parameters = free_parameters(model, free)
     told("reading")
     several = recordings if isinstance(recordings, list | tuple) else [recordings]
+    paths = [Path(one) if isinstance(one, str | Path) else one.path for one in several]
+    for first, again in repeated(paths):
+        raise SceneError(
+            f"{again}: the same content as {first}, which would count twice. Give each recording once."
+        )
     curves = [one for recording in several for one in _curves(recording)]
     if not curves:
         raise RecordingError("no recordings: expected at least one")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from analysis.dampers.comparison import (
     PeakChange,
+    covers,
     describe_changes,
     highest_left_out,
     peak_changes,
@@ -19,7 +20,7 @@ from analysis.dampers.comparison import (
 )
 from analysis.modal.identification import identify
 from analysis.modal.modes import Modes
-from analysis.presentation.expectations import expect
+from analysis.presentation.expectations import expect, repeats
 from analysis.presentation.output_names import output_stem, with_ending
 from analysis.presentation.presentation import Progress, Result, noted
 from analysis.presentation.tables import write_table
@@ -72,7 +73,7 @@ def present_compare(
             found.append([[relabelled(frf, rec.scene.name, label) for frf in group] for group in groups])
     bare = found[0][0]
     modes = identify(bare)
-    notes = noted(paths[0], (*modes.warnings, *highest_left_out(modes, bare)))
+    notes = repeats(paths) + noted(paths[0], (*modes.warnings, *highest_left_out(modes, bare)))
     lines: list[str] = []
     rows: list[tuple[str | float, ...]] = []
     jumps = False
@@ -91,8 +92,7 @@ def present_compare(
                 f"  by their data sheets the same sensors read {', '.join(same)} and the force in both: what their "
                 "sensitivities are off by is in no change"
             )
-        shared = [curve.response for curve in group if curve.response in places[0].channels]
-        lines += _without_peaks(changes, shared, modes)
+        lines += _without_peaks(changes, ((paths[0], bare), (path, group)), modes)
         jumps |= any(isinf(one.bare.bound + one.damped.bound) for one in changes)
         rows += [_row(bare[0], group[0], change) for change in changes]
     with output_stem(paths, output, "compare", "csv") as stem:
@@ -100,14 +100,24 @@ def present_compare(
     return Result((table,), tuple(lines), (*dict.fromkeys(notes), *((_JUMPS,) if jumps else ())))
 
 
-def _without_peaks(changes: Sequence[PeakChange], names: Sequence[str], modes: Modes) -> list[str]:
-    """Say of which modes of which responses nothing is told."""
-    told = {(one.response, one.mode) for one in changes}
-    return [
-        f"  {name}, mode at {mode:.2f} Hz: no peak of its own before, or too few points about it"
-        for name, mode in product(names, sorted(modes.frequency))
-        if (name, float(mode)) not in told
-    ]
+def _without_peaks(
+    changes: Sequence[PeakChange], measured: Sequence[tuple[Path, Sequence[Frf]]], modes: Modes
+) -> list[str]:
+    """Say which modes of which responses are not compared, and why."""
+    compared = {(one.response, one.mode) for one in changes}
+    curves = [{curve.response: curve for curve in group} for _, group in measured]
+    lines = []
+    for name, mode in product((name for name in curves[1] if name in curves[0]), sorted(modes.frequency)):
+        if (name, float(mode)) in compared:
+            continue
+        bands = [
+            f"{path.name} was measured from {each[name].frequency.min():.4g} to {each[name].frequency.max():.4g} Hz"
+            for (path, _), each in zip(measured, curves, strict=True)
+            if not covers(each[name], float(mode))
+        ]
+        why = "; ".join(bands) or "no peak of its own before, or too few points about it"
+        lines.append(f"  {name}, mode at {mode:.2f} Hz: not compared: {why}")
+    return lines
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from analysis.recordings.names import opened
 from analysis.responses.frequency_responses import BLOCK_OPTIONS, TAKEN, Blocks, kind_of
 from analysis.responses.frf_files import is_frf_file
 from rig.errors import RecordingError, SceneError
+from rig.input_files import repeated
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -55,6 +56,14 @@ def expect(rec: Recording, path: Path, command: str) -> None:
             )
 
 
+def repeats(paths: Sequence[Path]) -> list[str]:
+    """Warn of files that were given twice: what they show is right, but is one measurement."""
+    return [
+        f"{again}: the same content as {first}. Give each measurement once; these are no two results."
+        for first, again in repeated(paths)
+    ]
+
+
 def expect_all(
     paths: Sequence[Path], command: str, blocks: Blocks, theory: bool = False, unit: str | None = None
 ) -> list[str]:
@@ -63,7 +72,7 @@ def expect_all(
     Returns
     -------
     list of str
-        Of options that act on some of the files, on which they do not, and why.
+        Files given twice; of options that act on some of the files, on which they do not, and why.
     """
     asked = {**vars(blocks), "theory": theory or None, "unit": unit}
     idle: dict[str, list[str]] = {name: [] for name, value in asked.items() if value is not None}
@@ -81,4 +90,5 @@ def expect_all(
     for name, where in idle.items():
         if len(where) == len(paths):
             raise SceneError(f"--{name} would change nothing; leave it out ({where[0]})")
-    return [f"--{name} changes nothing in {text}" for name, where in idle.items() for text in where]
+    unused = [f"--{name} changes nothing in {text}" for name, where in idle.items() for text in where]
+    return [*repeats(paths), *unused]

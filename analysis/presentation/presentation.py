@@ -14,7 +14,7 @@ from analysis.dampers.nonlinearity import jumps
 from analysis.decays.free_decay import FIRST_FALL, Decay, decay
 from analysis.modal.identification import identify
 from analysis.modal.modes import Modes, mac
-from analysis.presentation.expectations import expect, expect_all
+from analysis.presentation.expectations import expect, expect_all, repeats
 from analysis.presentation.output_names import of_part, output_stem, with_ending
 from analysis.recordings.names import opened, relabelled, scene_labels
 from analysis.responses.frequency_responses import Blocks, frequency_responses, kind_of
@@ -161,7 +161,7 @@ def present_decay(
     from rig.figure_style import save
 
     decays: list[Decay] = []
-    notes: list[str] = []
+    notes = repeats(paths)
     for path, label in zip(paths, scene_labels(paths), strict=True):
         with opened(path) as rec:
             expect(rec, path, "decay")

@@ -1,9 +1,9 @@
 """Direction of energy at the driving point: a passive structure takes energy from the force that drives it.
 
-The receptance at the driving point has a negative imaginary part at every frequency (the real part of its mobility is
-positive; Ewins, Modal Testing, 2nd ed., section 2.6). It is positive throughout if the force, or the response there,
-has the wrong sign. Near resonances the imaginary part is large, so that phase errors of filters and delays of up to a
-third of a period at the lowest modes do not change its sign.
+The mobility at the driving point has a positive real part at every frequency, the power that the force supplies (Ewins,
+Modal Testing, 2nd ed., section 2.6). It is negative throughout if the force, or the response there, has the wrong sign.
+Near resonances the real part is large, so that phase errors of filters and delays well below a quarter of a period do
+not change its sign.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import numpy as np
 
 from analysis.responses.frf import Frf
 
-# Points count whose imaginary part is a larger share of their magnitude, and whose bound is a smaller one.
+# Points count whose real part is a larger share of their magnitude, and whose bound is a smaller one.
 _CLEAR_SHARE = 0.3
-# Share of the imaginary part, over the logarithm of frequency, that must be positive. Errors of phase far from
-# resonances give either sign; a reversed channel gives 1.
+# Share of the real part, over the logarithm of frequency, that must be negative. Errors of phase far from resonances
+# give either sign; a reversed channel gives 1.
 _REVERSED_SHARE = 0.8
 # Share that points that count must have of the whole curve: an antiresonance alone has less.
 _LEAST_SHARE = 0.02
@@ -44,16 +44,17 @@ def reversed_force(curves: Sequence[Frf]) -> str:
 
 def takes_energy(curve: Frf) -> bool:
     """Whether the reference takes energy from the structure at the resonances of a driving-point response."""
-    receptance = curve.to("displacement").sorted()
-    value, size = receptance.value, abs(receptance.value)
-    known = np.isfinite(value) & (size > 0.0) & (np.nan_to_num(receptance.bound()) < _CLEAR_SHARE * size)
+    mobility = curve.to("velocity").sorted()
+    power, size = mobility.value.real, abs(mobility.value)
+    known = np.isfinite(power) & (size > 0.0) & (np.nan_to_num(mobility.bound()) < _CLEAR_SHARE * size)
     if not known.any():
         return False
-    frequency = np.log(receptance.frequency[known])
+    frequency = np.log(mobility.frequency[known])
     width = (
         np.gradient(frequency) if np.ptp(frequency) > 0.0 and frequency.size > 1 else np.ones(frequency.size)
     )
-    taken, whole = value.imag[known] * width, float(size[known] @ width)
-    clear = abs(value.imag[known]) > _CLEAR_SHARE * size[known]
-    total = float(abs(taken[clear]).sum())
-    return total > _LEAST_SHARE * whole and float(taken[clear].sum()) > _REVERSED_SHARE * total
+    whole = float(size[known] @ width)
+    clear = abs(power[known]) > _CLEAR_SHARE * size[known]
+    supplied = (power[known] * width)[clear]
+    total = float(abs(supplied).sum())
+    return total > _LEAST_SHARE * whole and -float(supplied.sum()) > _REVERSED_SHARE * total

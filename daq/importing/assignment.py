@@ -22,6 +22,8 @@ from rig.scene.presets import filled_in, input_settings
 from rig.scene.quantities import ACCELERATION_SENSITIVITY, FORCE_SENSITIVITY, parse
 from rig.scene.scene import Scene
 
+# Units whose sizes differ by a smaller share are the same, written with fewer digits.
+_SAME_UNIT = 1e-3
 # Orders of integration after which an ideal channel reads what a vibrometer or a distance sensor does.
 _ORDERS: dict[Quantity, int] = {"velocity": 1, "displacement": 2}
 
@@ -105,6 +107,29 @@ def choose(
     if unused:
         notes.append(f"signals that are no channel of the scene, left out: {', '.join(unused)[:300]}")
     return chosen, notes
+
+
+def contradicted_units(chosen: Sequence[Choice]) -> list[str]:
+    """Warn of units in the table other than those that the files state; what volts mean only the table can say."""
+    notes = []
+    for one in chosen:
+        signal, unit = one.signal, one.column.unit
+        try:
+            (stated, size), (said, said_size) = meaning(signal.unit), meaning(unit or signal.unit)
+        except ValueError:
+            continue
+        factor = said_size / size
+        if stated == said and abs(factor - 1.0) > _SAME_UNIT:
+            how = f", {factor:.4g} times as large"
+        elif stated not in (said, "voltage"):
+            how = f", {said} instead of {stated}"
+        else:
+            continue
+        notes.append(
+            f"{one.channel.name}: the table says {unit}, {signal.file} says {signal.unit} of {signal.name!r}. The "
+            f"table's unit is used{how}. Remove unit from the table if the file is right."
+        )
+    return notes
 
 
 def assign(scene: Scene, chosen: Sequence[Choice], rate: float) -> list[Assigned]:

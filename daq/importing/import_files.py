@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.importing.assignment import Assigned, Choice, assign, choose
+from daq.importing.assignment import Assigned, Choice, assign, choose, contradicted_units
 from daq.importing.channel_table import Column, read_table
 from daq.importing.files import signals_of
 from daq.importing.force_pulses import ForcePulses
@@ -23,6 +23,7 @@ from daq.recording.recorder import Recorder
 from daq.recording.recording import open as open_recording
 from daq.recording.timebase import refuse_reversed
 from rig.errors import RecordingError, SceneError, ShotrigError
+from rig.input_files import repeated
 from rig.numerics.runs import runs_of
 from rig.output_files import destination, replacing
 from rig.scene.excitation import Free, Impulse, Multisine, Random, Sine, SteppedSine, SweptSine
@@ -116,11 +117,14 @@ def import_files(
     what = scene if isinstance(scene, Scene) else load(scene)
     paths = [Path(file) for file in ([files] if isinstance(files, str | Path) else files)]
     said = table if isinstance(table, Mapping) else {} if table is None else read_table(Path(table))
+    for first, again in repeated(paths):
+        raise RecordingError(f"{again}: the same content as {first}. Give each file once.")
     with ExitStack() as stack:
         signals = [signal for file in paths for signal in signals_of(file, stack)]
         # Only now: that a file is missing or no such scene is what the user should hear of first.
         destination(Path(path), overwrite or _is_import_of(Path(path), paths), RecordingError)
         chosen, notes = choose(what, signals, said)
+        notes += contradicted_units(chosen)
         rate = _common_rate(chosen, what)
         made = _cut(_started_together(assign(what, chosen, rate)), rate, from_s, to_s)
         notes += _lengths(made)

@@ -405,3 +405,31 @@ def test_given_files_when_typed_then_listed_imported_and_never_overwritten(tmp_p
     assert "nope.yaml" in str(no_scene.exception) and "exists" not in str(no_scene.exception)
     no_file = CliRunner().invoke(app, ["import", "b.csv", "--scene", "bench.yaml", "-o", "a.mcap"])
     assert "b.csv: no such file" in str(no_file.exception)
+
+
+def test_a_unit_against_the_files_own_is_reported(tmp_path):
+    csv(tmp_path / "a.csv", histories(3000))
+    for unit, said in (("m/s^2", "0.102 times"), ("mm", "displacement instead of acceleration"), ("g", "")):
+        channels = bench()
+        if unit == "mm":
+            channels = bench(more="").replace(
+                channels=[
+                    one.replace(accelerometer=None) if one.name == "body1" else one
+                    for one in bench().channels
+                ]
+            )
+        recording, heard = imported(
+            tmp_path / "a.csv",
+            channels,
+            tmp_path / f"{said}.mcap",
+            table={"body1": Column("body1", unit=unit)},
+        )
+        recording.close()
+        assert any(said in each for each in heard) if said else not heard
+
+
+def test_a_file_given_twice_is_refused(tmp_path):
+    csv(tmp_path / "a.csv", histories(3000))
+    (tmp_path / "b.csv").write_bytes((tmp_path / "a.csv").read_bytes())
+    with pytest.raises(RecordingError, match=r"b\.csv: the same content as .*a\.csv"):
+        daq.import_files([tmp_path / "a.csv", tmp_path / "b.csv"], bench(), tmp_path / "r.mcap")

@@ -1,0 +1,55 @@
+"""A reversed force is detected from the direction of energy at the driving point, and nothing else is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from analysis.responses.frf import Frf
+from analysis.responses.passivity import reversed_force
+
+MASS, STIFFNESS = np.diag([4.2, 1.1]), np.array([[1.8e6, -0.9e6], [-0.9e6, 0.9e6]])
+LINES = np.arange(20.0, 300.0, 0.5)
+
+
+def measured(response: int = 1, *, grounded: bool = True, noise: float = 1e-3) -> Frf:
+    """Receptance of a bracket with modes at 64 and 166 Hz to a force on body 1, with noise and its bound."""
+    spring = STIFFNESS if grounded else STIFFNESS - np.diag([0.9e6, 0.0])
+    value = np.array(
+        [np.linalg.inv(spring * (1 + 0.016j) - (2 * np.pi * f) ** 2 * MASS)[response - 1, 0] for f in LINES]
+    )
+    random, size = np.random.default_rng(response), noise * abs(value)
+    value += size * (random.standard_normal(LINES.size) + 1j * random.standard_normal(LINES.size))
+    return Frf(
+        LINES, value, size, np.ones(LINES.size), np.full(LINES.size, 38.0), f"body{response}",
+        output_at=f"body {response}", input_at="body 1",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("motion", ["displacement", "velocity", "acceleration"])
+@pytest.mark.parametrize("grounded", [True, False])
+def test_a_reversed_force_is_reported_once(motion: str, grounded: bool) -> None:
+    curves = [replace(each, value=-each.value) for each in (measured(1, grounded=grounded), measured(2))]
+    warning = reversed_force([each.to(motion) for each in curves])
+    assert "body1 / force at body 1" in warning and "sign: -1" in warning and "body2" not in warning
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 20e-6, 1e-3, -1e-3])
+@pytest.mark.parametrize("noise", [1e-4, 0.05, 1.0])
+def test_delays_and_noise_are_no_reversed_force(delay_s: float, noise: float) -> None:
+    for grounded in (True, False):
+        curve = measured(1, grounded=grounded, noise=noise)
+        late = replace(curve, value=curve.value * np.exp(-2j * np.pi * LINES * delay_s))
+        assert not reversed_force([late])
+
+
+def test_a_response_elsewhere_may_have_any_phase() -> None:
+    curve = measured(2)
+    assert not reversed_force([curve, replace(curve, value=-curve.value)])
+
+
+def test_points_that_are_not_known_do_not_count() -> None:
+    curve = measured(1, noise=0.5)
+    assert not reversed_force([replace(curve, value=-curve.value)])

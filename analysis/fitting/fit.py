@@ -232,7 +232,7 @@ def fit(
     model = spelt_out(scene)
     parameters = free_parameters(model, free)
     told("reading")
-    several = recordings if isinstance(recordings, list | tuple) else [recordings]
+    several: Sequence[Any] = recordings if isinstance(recordings, list | tuple) else [recordings]
     paths = [Path(one) if isinstance(one, str | Path) else one.path for one in several]
     for first, again in repeated(paths):
         raise SceneError(

@@ -1,9 +1,7 @@
 """Direction of energy at the driving point: a passive structure takes energy from the force that drives it.
 
-The mobility at the driving point has a positive real part at every frequency, the power that the force supplies (Ewins,
-Modal Testing, 2nd ed., section 2.6). It is negative throughout if the force, or the response there, has the wrong sign.
-Near resonances the real part is large, so that phase errors of filters and delays well below a quarter of a period do
-not change its sign.
+The mobility at the driving point has a positive real part at every frequency, the power that the force supplies; see
+`daq.importing.driving_power`.
 """
 
 from __future__ import annotations
@@ -13,14 +11,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from analysis.responses.frf import Frf
+from daq.importing.driving_power import returns_energy
 
-# Points count whose real part is a larger share of their magnitude, and whose bound is a smaller one.
-_CLEAR_SHARE = 0.3
-# Share of the real part, over the logarithm of frequency, that must be negative. Errors of phase far from resonances
-# give either sign; a reversed channel gives 1.
-_REVERSED_SHARE = 0.8
-# Share that points that count must have of the whole curve: an antiresonance alone has less.
-_LEAST_SHARE = 0.02
+# Points count whose bound is a smaller share of their magnitude.
+_KNOWN_SHARE = 0.3
 
 
 def reversed_force(curves: Sequence[Frf]) -> str:
@@ -45,16 +39,9 @@ def reversed_force(curves: Sequence[Frf]) -> str:
 def takes_energy(curve: Frf) -> bool:
     """Whether the reference takes energy from the structure at the resonances of a driving-point response."""
     mobility = curve.to("velocity").sorted()
-    power, size = mobility.value.real, abs(mobility.value)
-    known = np.isfinite(power) & (size > 0.0) & (np.nan_to_num(mobility.bound()) < _CLEAR_SHARE * size)
-    if not known.any():
-        return False
+    size = abs(mobility.value)
+    known = np.isfinite(size) & (size > 0.0) & (np.nan_to_num(mobility.bound()) < _KNOWN_SHARE * size)
     frequency = np.log(mobility.frequency[known])
-    width = (
-        np.gradient(frequency) if np.ptp(frequency) > 0.0 and frequency.size > 1 else np.ones(frequency.size)
-    )
-    whole = float(size[known] @ width)
-    clear = abs(power[known]) > _CLEAR_SHARE * size[known]
-    supplied = (power[known] * width)[clear]
-    total = float(abs(supplied).sum())
-    return total > _LEAST_SHARE * whole and -float(supplied.sum()) > _REVERSED_SHARE * total
+    spread = frequency.size > 1 and np.ptp(frequency) > 0.0
+    width = np.gradient(frequency) if spread else np.ones(frequency.size)
+    return returns_energy(mobility.value[known] * width)

@@ -13,6 +13,7 @@ import numpy as np
 
 from daq.importing.assignment import Assigned, Choice, assign, choose, contradicted_units
 from daq.importing.channel_table import Column, read_table
+from daq.importing.driving_power import MOTIONS, DrivingPower
 from daq.importing.files import signals_of
 from daq.importing.force_pulses import ForcePulses
 from daq.importing.overloads import Overloads, joined
@@ -22,6 +23,7 @@ from daq.measurement.run import RunWarning
 from daq.recording.recorder import Recorder
 from daq.recording.recording import open as open_recording
 from daq.recording.timebase import refuse_reversed
+from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError, SceneError, ShotrigError
 from rig.input_files import repeated
 from rig.numerics.runs import runs_of
@@ -258,6 +260,17 @@ def _as_it_was(scene: Scene, made: Sequence[Assigned], rate: float) -> Scene:
     )
 
 
+def _driving_power(scene: Scene, infos: Sequence[ChannelInfo]) -> tuple[DrivingPower, list[int]] | None:
+    """Watch the force, where there is one channel of it, and the motion where it acts; with the rows of both."""
+    forces = [row for row, info in enumerate(infos) if info.quantity == "force"]
+    places = [f"body {number}" for number in scene.force_on]
+    motions = [row for row, info in enumerate(infos) if info.quantity in MOTIONS and [info.at] == places]
+    if len(forces) != 1 or not motions:
+        return None
+    rows = [forces[0], motions[0]]
+    return DrivingPower(infos[rows[0]], infos[rows[1]]), rows
+
+
 class _Import:
     """One import: signals go through in pieces, are looked at, and are written."""
 
@@ -272,6 +285,7 @@ class _Import:
             ForcePulses() if one.info.quantity == "force" and isinstance(scene.test, Impulse | None) else None
             for one in made
         ]
+        self._power = _driving_power(scene, self._infos)
         self._steps = (
             StepFinder(scene, self._infos, rate) if isinstance(scene.test, Sine | SteppedSine) else None
         )
@@ -289,6 +303,9 @@ class _Import:
                 stop = min(first + _PIECE, self._samples)
                 piece = np.stack([self._piece(row, first, stop) for row in range(len(infos))])
                 recorder.write(piece)
+                if self._power is not None:
+                    power, rows = self._power
+                    power.add(*piece[rows])
                 if self._steps is not None:
                     self._steps.add(piece)
                 if progress is not None:
@@ -331,6 +348,8 @@ class _Import:
                 recorder.mark("overload", first, stop - 1, channel=name)
             if clipped:
                 notes.append(f"{where} is clipped in {len(clipped)} stretches; marked as overload")
+        if self._power is not None:
+            notes += filter(None, [self._power[0].warning()])
         return notes + self._mark_test(recorder)
 
     def _mark_test(self, recorder: Recorder) -> list[str]:

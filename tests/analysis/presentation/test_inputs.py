@@ -85,7 +85,7 @@ def test_a_copy_is_reported_and_never_fitted(bracket: dict[str, Path], tmp_path:
         analysis.fit([bracket["base"], copy], str(bracket["base"].with_name("bracket.yaml")))
 
 
-def test_a_reversed_force_is_reported_after_import(bracket: dict[str, Path], tmp_path: Path) -> None:
+def test_a_reversed_force_is_reported_on_import_and_after(bracket: dict[str, Path], tmp_path: Path) -> None:
     from typer.testing import CliRunner
 
     from analysis.cli import app
@@ -95,10 +95,11 @@ def test_a_reversed_force_is_reported_after_import(bracket: dict[str, Path], tmp
     assert CliRunner().invoke(app, ["export", str(bracket["base"]), "-o", str(table)]).exit_code == 0
     scene = rig.load(bracket["base"].with_name("bracket.yaml"))
     for sign, count in ((1, 0), (-1, 1)):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", daq.RunWarning)
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always", daq.RunWarning)
             columns = {"force": Column("force", sign=sign)}
             path = daq.import_files(table, scene, tmp_path / f"{count}.mcap", table=columns)
+        assert sum("reversed channel" in str(each.message) for each in said) == count
         for present in (present_frf, present_modes):
             heard = [each for each in present([path], tmp_path).warnings if "reversed" in each]
             assert len(heard) == count

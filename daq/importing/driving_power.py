@@ -1,0 +1,80 @@
+"""Direction of energy at the driving point of an import: a passive structure takes energy from the force.
+
+The cross spectrum of force and velocity where the force acts has a positive real part, the power supplied (Ewins, Modal
+Testing, 2nd ed., section 2.6). It is negative throughout if the force, or the sensor there, has the wrong sign. Near
+resonances the real part is large, so that phase errors of filters and delays well below a quarter of a period do not
+change its sign.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.importing.signal import Array
+from daq.signal_chain.channel import ChannelInfo, Quantity
+
+# Lines count whose real part is a larger share of their magnitude.
+_CLEAR_SHARE = 0.3
+# Share of the real part that must be negative. Errors of phase far from resonances give either sign.
+_REVERSED_SHARE = 0.8
+# Share that lines that count must have of the whole: an antiresonance alone has less.
+_LEAST_SHARE = 0.02
+# A line is driven where the force has a larger share of its largest line.
+_DRIVEN_SHARE = 0.1
+#: How many times a quantity of motion is integrated from acceleration.
+MOTIONS: dict[Quantity, int] = {"acceleration": 0, "velocity": 1, "displacement": 2}
+
+
+def returns_energy(power: NDArray[np.complex128]) -> bool:
+    """Whether complex power, line by line, flows from the structure into what drives it."""
+    return _is_returned(_sums(power))
+
+
+def _sums(power: NDArray[np.complex128]) -> Array:
+    """Add up the magnitude of power, and of the lines that count the real part's magnitude and the real part."""
+    clear = power.real[abs(power.real) > _CLEAR_SHARE * abs(power)]
+    return np.array([abs(power).sum(), abs(clear).sum(), clear.sum()])
+
+
+def _is_returned(sums: Array) -> bool:
+    whole, clear, supplied = sums
+    return bool(clear > _LEAST_SHARE * whole and -supplied > _REVERSED_SHARE * clear)
+
+
+class DrivingPower:
+    """Sums up the power that a force supplies, piece after piece of one length.
+
+    Parameters
+    ----------
+    force, motion : ChannelInfo
+        The force and the motion where it acts.
+    """
+
+    def __init__(self, force: ChannelInfo, motion: ChannelInfo) -> None:
+        self._force, self._motion = force, motion
+        self._sums = np.zeros(3)
+
+    def add(self, force: Array, motion: Array) -> None:
+        """Take the next samples in volts, NaN where there are none."""
+        if force.size < 2:
+            return
+        frequency = np.fft.rfftfreq(force.size, 1.0 / self._force.rate)[1:]
+        spectrum = np.fft.rfft(np.nan_to_num(force))[1:]
+        driven = abs(spectrum) > _DRIVEN_SHARE * abs(spectrum).max()
+        at = frequency[driven]
+        order = 1 - MOTIONS[self._motion.quantity]
+        velocity = np.fft.rfft(np.nan_to_num(motion))[1:][driven] / self._motion.response(at)
+        velocity *= (2j * np.pi * at) ** -order
+        power = np.conj(spectrum[driven] / self._force.response(at)) * velocity
+        self._sums += _sums(power)
+
+    def warning(self) -> str:
+        """Warn if the structure supplies energy; empty if it does not."""
+        if not _is_returned(self._sums):
+            return ""
+        return (
+            f"{self._motion.name} / {self._force.name}: the structure would supply energy at the driving point, "
+            f"the sign of a reversed channel. Reverse the force, or {self._motion.name} if it alone is wrong: sign: -1 "
+            "in the table."
+        )

@@ -68,9 +68,9 @@ def test_given_windows_rules_for_open_files_when_recorded_over_recovered_and_wri
     with daq.open(path) as recording:
         assert recording.read("body3", 0, 10).size == 10
     assert "closed" in repr(recording)
-    with replacing(tmp_path / "table.csv") as part:
+    with replacing(tmp_path / "table.csv", overwrite=True) as part:
         part.write_text("1", encoding="utf-8")
-    with replacing(tmp_path / "table.csv") as part:
+    with replacing(tmp_path / "table.csv", overwrite=True) as part:
         part.write_text("2", encoding="utf-8")
     assert (tmp_path / "table.csv").read_text(encoding="utf-8") == "2"
     with daq.open(path) as recording:

@@ -122,7 +122,7 @@ def replacing(path: Path, overwrite: bool | None = None) -> Iterator[Path]:
         yield part
         if marked:
             add_mark(part)
-        elif unmarked and not overwrite and file.exists():
+        elif unmarked and not overwrite and file.is_file():
             if not cmp(part, file, shallow=False):
                 raise refusal(path)
             part.unlink()

@@ -41,7 +41,7 @@ def test_result_is_kept_where_its_name_was_taken(tmp_path: Path) -> None:
 
 def test_result_is_kept_where_a_folder_took_its_name(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
-    with pytest.raises(RunError, match=r"table-2\.csv"), replacing(path) as part:
+    with pytest.raises(RunError, match=r"table-2\.csv"), replacing(path, overwrite=True) as part:
         part.write_text("new")
         path.mkdir()
     assert path.is_dir() and (tmp_path / "table-2.csv").read_text(encoding="utf-8") == "new"

@@ -19,6 +19,7 @@ from daq.replay.replay import Replay
 from daq.replay.viewer_stream import entity
 from daq.signal_chain.chain import Chain
 from rig.errors import RunError, SceneError
+from rig.provenance import overwriting
 
 FREQUENCY = 49.7
 
@@ -211,12 +212,19 @@ def test_given_a_disk_that_takes_no_more_when_saved_then_it_says_so_and_leaves_w
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (most, before[1]))
     try:
-        with pytest.raises(RunError, match=r"cannot write .*x\.rrd: File too large"):
+        with overwriting(True), pytest.raises(RunError, match=r"cannot write .*x\.rrd: File too large"):
             save(Replay(recording), tmp_path / "x.rrd")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert [(each.name, each.read_text()) for each in tmp_path.iterdir()] == [("x.rrd", "before")]
     assert capfd.readouterr().err == ""
+
+
+def test_a_file_that_exists_is_not_replaced(recording, tmp_path):
+    (tmp_path / "x.rrd").write_text("before")
+    with pytest.raises(SceneError, match=r"x\.rrd exists"):
+        save(Replay(recording), tmp_path / "x.rrd")
+    assert (tmp_path / "x.rrd").read_text(encoding="utf-8") == "before"
 
 
 def test_given_no_folder_when_saved_then_the_error_names_it(recording, tmp_path):

@@ -63,7 +63,6 @@ def loaded(scene: str, changes: Sequence[str] | None) -> Scene:
     SceneError
         As `rig.load`.
     """
-    from rig.scene.changes import parsed
-    from rig.scene.loading import load
+    from rig.scene.loading import load_changed
 
-    return load(scene, parsed(changes or ()))
+    return load_changed(scene, changes or ())

@@ -247,7 +247,7 @@ def _with_noise(scene: Scene, density: float) -> Scene:
 def _recording(folder: Path, name: str, scene: Scene, extra: dict[str, Any]) -> PaperPart:
     arguments = {key: value for key, value in extra.items() if key != "compute"}
     path = folder / "recordings" / f"{name.removeprefix('rec-')}.mcap"
-    depends = f"{name}\n{scene.to_yaml()}\n{arguments}"
+    depends = f"{name}\n{scene.to_si_yaml()}\n{arguments}"
     return PaperPart(
         name,
         depends,
@@ -263,5 +263,5 @@ def _part(name: str, title: str, compute: Any, scene: Scene, **arguments: Any) -
         key: value if isinstance(value, dict) else np.asarray(value).tolist()
         for key, value in arguments.items()
     }
-    depends = f"{name}\n{scene.to_yaml()}\n{written}"
+    depends = f"{name}\n{scene.to_si_yaml()}\n{written}"
     return PaperPart(name, depends, compute, {"scene": scene, **arguments}, title, EFFORT.get(name, 1.0))

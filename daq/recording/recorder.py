@@ -296,7 +296,7 @@ class Recorder:
         records["run"] = run | {"shotrig": _version("shotrig")} | source
         for name, fields in records.items():
             self._file.add_metadata(name, checked(fields))
-        text = scene.to_yaml().encode()
+        text = scene.to_si_yaml().encode()
         self._file.add_attachment(int(start), int(start), layout.SCENE_FILE, "application/yaml", text)
 
     def _register(self, topic: str, schema: Schema, metadata: Mapping[str, str]) -> int:

@@ -354,13 +354,13 @@ class Recording(Result):
     @cached_property
     def scene(self) -> Scene:
         """The scene that was recorded."""
-        import rig
+        from rig.scene.loading import loads_si
 
         text = self._container.attachment(layout.SCENE_FILE)
         if text is None:
             raise RecordingError(f"{self.path} does not hold its scene ({layout.SCENE_FILE})")
         try:
-            return rig.loads(text.decode(), where=f"{self.path}: {layout.SCENE_FILE}")
+            return loads_si(text.decode(), f"{self.path}: {layout.SCENE_FILE}")
         except UnicodeDecodeError as error:
             raise RecordingError(f"{self.path}: {layout.SCENE_FILE} is no text: {error}") from error
 

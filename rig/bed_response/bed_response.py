@@ -182,7 +182,7 @@ def _followed(piece: _Piece) -> tuple[SteadyBed, SteadyBed]:
 
 def _digest(piece: _Piece) -> str:
     """Name a piece by all that its result depends on."""
-    told = (piece.scene.to_yaml(), piece.frequency, piece.periods, lammps_version())
+    told = (piece.scene.to_si_yaml(), piece.frequency, piece.periods, lammps_version())
     return hashlib.sha256(repr(told).encode()).hexdigest()[:16]
 
 

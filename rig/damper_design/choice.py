@@ -211,7 +211,7 @@ class Question:
     @cached_property
     def digest(self) -> str:
         """Name for all that the answers depend on."""
-        scenes = [scene.to_yaml() for scene in self.scenes]
+        scenes = [scene.to_si_yaml() for scene in self.scenes]
         told = scenes, self.levels, self.band, self.bodies, self.landings.restitution, self.density
         contact = self.landings.contact
         lasting = "" if contact is None else repr(contact)

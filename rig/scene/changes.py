@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rig.errors import SceneError
+from rig.scene.quantity_field import shown
 from rig.scene.settings import Place
 from rig.scene.yaml_reader import read
 
@@ -16,14 +17,14 @@ _STEP = re.compile(r"([A-Za-z_]\w*)((?:\[\d{1,6}\])*)")
 
 @dataclass(frozen=True)
 class Change:
-    """One value to put into a scene: its key as written, the steps to it (positions from 0), and the value."""
+    """One value to put into a scene: the change as written, the steps to it (positions from 0), and the value."""
 
-    key: str
+    written: str
     steps: Place
     value: Any
 
     def __str__(self) -> str:
-        return f"{self.key}={self.value}"
+        return shown(self.written)
 
     def put_into(self, content: Any) -> Any:
         """Give the content with the value in it; a key of a list without a number goes to each of its items.
@@ -51,6 +52,8 @@ class Change:
                 raise SceneError(f"{self}: the scene has no list there to choose item {step + 1} of")
             return self._put(node, rest)
         inside = node if isinstance(node, dict) else {}
+        if step == "masses" and rest and isinstance(inside.get(step), dict):
+            rest = _by_name(rest, list(inside[step]))
         if not rest and self.value is None:
             return {key: value for key, value in inside.items() if key != step}
         return {**inside, step: self._put(inside.get(step), rest)}
@@ -58,7 +61,7 @@ class Change:
     def concerns(self, place: Place) -> bool:
         """Whether a place lies in what was changed.
 
-        >>> Change("dampers.mass", ("dampers", "mass"), "1").concerns(("dampers", 1, "mass"))
+        >>> Change("dampers.mass=1", ("dampers", "mass"), "1").concerns(("dampers", 1, "mass"))
         True
         """
         left = list(place)
@@ -71,7 +74,7 @@ class Change:
 
 
 def changes_of(given: Mapping[str, Any]) -> list[Change]:
-    """Read the keys of changes.
+    """Read changes from Python.
 
     Parameters
     ----------
@@ -88,11 +91,11 @@ def changes_of(given: Mapping[str, Any]) -> list[Change]:
     >>> changes_of({"dampers[2].clearance": "1 mm"})[0].steps
     ('dampers', 1, 'clearance')
     """
-    return [Change(key, _steps(key), value) for key, value in given.items()]
+    return [Change(f"{key}={value}", _steps(str(key)), value) for key, value in given.items()]
 
 
-def parsed(settings: Iterable[str]) -> dict[str, Any]:
-    """Read changes as a command line has them.
+def parsed(settings: Iterable[str]) -> list[Change]:
+    """Read changes from a command line.
 
     Parameters
     ----------
@@ -106,29 +109,35 @@ def parsed(settings: Iterable[str]) -> dict[str, Any]:
 
     Examples
     --------
-    >>> parsed(["test.force=5N", "structure.masses=[1 kg, 2 kg]", "dampers="])
-    {'test.force': '5N', 'structure.masses': ['1 kg', '2 kg'], 'dampers': None}
+    >>> [change.value for change in parsed(["test.force=5N", "structure.masses=[1 kg, 2 kg]", "dampers="])]
+    ['5N', ['1 kg', '2 kg'], None]
     """
-    found = {}
+    found = []
     for setting in settings:
         key, equals, value = setting.partition("=")
         document = read(value)
         if not equals or document.mistakes:
             reason = f" ({document.mistakes[0][1].message})" if document.mistakes else ""
             raise SceneError(f"--set {setting[:60]}: expected KEY=VALUE such as test.force=5N{reason}")
-        found[key.strip()] = document.content
+        found.append(Change(f"--set {setting}", _steps(key, f"--set {setting[:60]}: "), document.content))
     return found
 
 
-def _steps(key: str) -> Place:
+def _by_name(steps: Place, names: list[str]) -> Place:
+    """Take the number of a body that has a name as its name."""
+    number = steps[0]
+    return (names[number], *steps[1:]) if isinstance(number, int) and number < len(names) else steps
+
+
+def _steps(key: str, where: str = "") -> Place:
     steps: list[int | str] = []
     for part in key.split("."):
         match = _STEP.fullmatch(part.strip())
         numbers = [] if match is None else [int(n) for n in re.findall(r"\d+", match[2])]
         if match is None or 0 in numbers:
             raise SceneError(
-                f"no key {key[:60]!r}; expected one such as test.force, structure.masses[1] (lists count from 1) or, "
-                "for every item of a list, dampers.clearance"
+                f"{where}no key {key[:60]!r}; expected one such as test.force, structure.masses[1] (lists count from "
+                "1) or, for every item of a list, dampers.clearance"
             )
         steps += [match[1], *(n - 1 for n in numbers)]
     return tuple(steps)

@@ -91,7 +91,7 @@ class Damper(Settings):
 
     one_of: ClassVar = (("mass", "mass_ratio"),)
     body: Body
-    """The body with the cavity, by its number from 1; a body may have several."""
+    """The body with the cavity, by its number from 1 or its name; a body may have several."""
     mass: Annotated[float, Quantity(MASS, above=0.0)] | None = None
     """Mass of the bed [kg]."""
     mass_ratio: Annotated[float, Quantity(RATIO, above=0.0)] | None = None

@@ -261,7 +261,7 @@ class Impulse(Settings):
     kind: Literal["impulse"] = "impulse"
     start: Start = "settled"
     body: Body
-    """The body hit, by its number from 1."""
+    """The body hit, by its number from 1 or its name."""
     peak: Annotated[float, Quantity(FORCE, above=0.0)]
     """Peak of the pulse [N]."""
     width: Duration

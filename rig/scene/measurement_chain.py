@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import Field, WithJsonSchema
 
 from rig.errors import SceneError
 from rig.scene.data_sheets import Preset, data_sheet, unknown_preset
@@ -156,9 +156,13 @@ class Channel(Settings):
     name: Annotated[str, Field(max_length=80, pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
     """A name of letters, digits, _, - and . under which it stands in the recording."""
     at: Annotated[
-        str, Field(pattern=r"^(body [1-9][0-9]{0,5}|hammer|(table|shaker|drive)( [1-9][0-9]{0,3})?)$")
+        str,
+        Field(pattern=r"^(body [1-9][0-9]{0,5}|hammer|(table|shaker|drive)( [1-9][0-9]{0,3})?)$"),
+        # A body's name is put into its number by the scene, which knows the names.
+        WithJsonSchema({"type": "string"}),
     ]
-    """body 1, ..., table, hammer, shaker or drive: the force of a shaker of kind force, the voltage of its output."""
+    """A body, by its name or as body 1; table, hammer, shaker or drive: the force of a shaker of kind force, the
+    voltage of its output."""
     accelerometer: Accelerometer | None = None
     """Sensor at a body or the table."""
     integrator: Integrator | None = None

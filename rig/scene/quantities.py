@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
+from decimal import Context, Decimal
 from fractions import Fraction
 from functools import cache, lru_cache
 from typing import Any, overload
@@ -171,6 +173,32 @@ def parse(value: Any, kind: Kind) -> float:
     return number
 
 
+def with_a_point(value: Any, kinds: Sequence[Kind]) -> str | None:
+    """Write a quantity that has a decimal comma with a point; None where it is no such thing.
+
+    >>> with_a_point("1,5 kg", [MASS]), with_a_point("1,000 Hz", [FREQUENCY]), with_a_point("a,b", [MASS])
+    ('a decimal point: 1.5 kg', 'a decimal point and no other mark: 1.000 Hz or 1000 Hz', None)
+    """
+    match = (
+        re.fullmatch(r"([+-]?\d[\d.]*),(\d+)(\D.*)?", value.strip(), re.DOTALL)
+        if isinstance(value, str)
+        else None
+    )
+    if match is None:
+        return None
+    whole, decimals, unit = match[1].replace(".", ""), match[2], match[3] or ""
+    pointed = f"{whole}.{decimals}{unit}"
+    for kind in kinds:
+        try:
+            parse(pointed, kind)
+        except ValueError:
+            continue
+        if len(decimals) == 3 and len(whole.lstrip("+-")) < 4:
+            return f"a decimal point and no other mark: {pointed} or {whole}{decimals}{unit}"
+        return f"a decimal point: {pointed}"
+    return None
+
+
 @overload
 def number(value: float | str, kind: Kind, name: str) -> float: ...
 @overload
@@ -193,7 +221,8 @@ def number(value: float | str | None, kind: Kind, name: str) -> float | None:
     try:
         return _parse_text(value, kind)
     except ValueError as error:
-        raise SceneError(f"{name}: {error}; expected {kind.noun} such as {kind.example}") from None
+        instead = with_a_point(value, [kind]) or f"{kind.noun} such as {kind.example}"
+        raise SceneError(f"{name}: {error}; expected {instead}") from None
 
 
 def positives(values: ArrayLike, kind: Kind, name: str) -> NDArray[np.float64]:
@@ -232,6 +261,57 @@ def text(value: float, kind: Kind) -> str:
     return f"{number} {kind.si}".rstrip()
 
 
+def spelled(value: float, kind: Kind, before: str | None = None) -> str:
+    """Write a quantity as a person would: `parse` gives back the very same double, with the fewest digits for that.
+
+    Parameters
+    ----------
+    before : str, optional
+        How the user wrote this quantity: kept as it is if it still has this value, else its unit is kept.
+
+    Examples
+    --------
+    >>> spelled(0.000133, LENGTH), spelled(0.00125, LENGTH, "5e-4 m"), spelled(0.00125, LENGTH, "1.25 mm")
+    ('0.133 mm', '0.00125 m', '1.25 mm')
+    >>> spelled(parse("100 mV/g", ACCELERATION_SENSITIVITY), ACCELERATION_SENSITIVITY)
+    '100 mV/g'
+    """
+    units = [kind.si, *(unit for unit, si in USUAL if si == kind.si)]
+    if before is not None:
+        written = before.strip()
+        try:
+            if parse(written, kind) == value:
+                return written
+        except ValueError:  # it was a quantity of another kind, before another key changed
+            pass
+        else:
+            match = _NUMBER.fullmatch(written)
+            units = [match.group(2).strip()] if match else units
+    if not math.isfinite(value):
+        return text(value, kind).split(" ")[0]
+    texts = [_shortest(value, unit, kind) for unit in units]
+    return min(texts, key=_awkwardness)
+
+
+def _shortest(value: float, unit: str, kind: Kind) -> str:
+    """Write a number in a unit with as few digits as give back the same double."""
+    factor = _factor(unit, kind)
+    share = Fraction(value) / factor
+    for digits in range(1, 18):
+        number = Context(prec=digits).divide(Decimal(share.numerator), Decimal(share.denominator))
+        if float(Fraction(number) * factor) == value:
+            break
+    number = number.normalize()
+    shown = f"{number:f}" if -6 < number.adjusted() < 9 else f"{number:e}"
+    return f"{shown} {unit}".rstrip()
+
+
+def _awkwardness(written: str) -> tuple[int, bool, int]:
+    """Order spellings: by digits that count, by whether the number is neither tiny nor huge, and by length."""
+    number = Decimal(written.split(" ")[0]).normalize()
+    return len(number.as_tuple().digits), number != 0 and not -2 <= number.adjusted() < 4, len(written)
+
+
 @lru_cache(maxsize=1024)
 def _parse_text(written: str, kind: Kind) -> float:
     match = _NUMBER.fullmatch(written.strip())
@@ -260,6 +340,14 @@ USUAL = {
     ("mV/g", "V/(m/s^2)"): Fraction(1, 1000) / Fraction("9.80665"),
     ("mV/N", "V/N"): Fraction(1, 1000),
     ("ug/sqrt(Hz)", "m/s^2/sqrt(Hz)"): Fraction("9.80665") / 1_000_000,
+    ("mN/sqrt(Hz)", "N/sqrt(Hz)"): Fraction(1, 1000),
+    ("nV/sqrt(Hz)", "V/sqrt(Hz)"): Fraction(1, 10**9),
+    ("g", "m/s^2"): Fraction("9.80665"),
+    ("MN/m", "N/m"): Fraction(10**6),
+    ("mV", "V"): Fraction(1, 1000),
+    ("mA", "A"): Fraction(1, 1000),
+    ("mH", "H"): Fraction(1, 1000),
+    ("MPa", "Pa"): Fraction(10**6),
 }
 
 

@@ -8,7 +8,7 @@ from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from rig.escaping import is_line
-from rig.scene.quantities import Kind, parse
+from rig.scene.quantities import Kind, parse, with_a_point
 
 
 class Quantity:
@@ -78,7 +78,7 @@ class Quantity:
                 # Minus zero becomes zero: the two are equal, but would be written differently.
                 return number + 0.0
             raise refusal(value, self.bounded)
-        raise refusal(value, self.plain)
+        raise refusal(value, with_a_point(value, self.kinds) or self.plain)
 
     def _allows(self, number: float) -> bool:
         return (
@@ -121,8 +121,13 @@ def got(value: Any) -> str:
         value = "keys " + ", ".join(map(str, value)) if value else "no keys"
     elif isinstance(value, str):
         value = f'"{value}"'
-    shown = str(value)
-    return shown if len(shown) <= 60 else f"{shown[:57]}..."
+    return shown(value)
+
+
+def shown(value: Any) -> str:
+    """Write a value in a message, cut short if long."""
+    text = str(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def expected(value: Any, what: str) -> str:

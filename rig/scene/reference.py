@@ -200,13 +200,57 @@ def help_on(key: str | None = None) -> str:
     for each in keys():
         by_name.setdefault(_plain(each.name), []).append(each)
     exact = [wanted] if wanted in by_name else [name for name in by_name if name.endswith(f".{wanted}")]
+    if not exact and (of_kind := _help_on_kind(*wanted.rpartition(".")[::2])):
+        return of_kind
     if not exact:
-        near = get_close_matches(wanted, [*by_name, *(name.rpartition(".")[2] for name in by_name)], n=3)
+        kinds = [f"{_plain(part)}.{kind}" for part, kind in _kinds()]
+        near = get_close_matches(
+            wanted, [*by_name, *(name.rpartition(".")[2] for name in by_name), *kinds], n=3
+        )
         hint = (
             f"did you mean {' or '.join(dict.fromkeys(near))}?" if near else "rig help lists those at the top"
         )
         raise SceneError(f"no key {key[:60]!r} in scene files; {hint}")
     return "\n\n".join("\n".join(_told(each, name)) for name in exact for each in by_name[name])
+
+
+@cache
+def _kinds() -> dict[tuple[str, str], str]:
+    """Give what each kind of a part is, such as of ("test", "sine")."""
+    schema = json.loads(_SCHEMA.read_text(encoding="utf-8"))
+    parts = {part: _resolved(schema, field) for part, field in schema["properties"].items()}
+    choices = [
+        (part, _resolved(schema, choice))
+        for part, field in parts.items()
+        for choice in field.get("anyOf", ())
+    ]
+    return {
+        (part, choice["properties"]["kind"]["const"]): choice["description"]
+        for part, choice in choices
+        if "kind" in choice.get("properties", {})
+    }
+
+
+def _help_on_kind(part: str, kind: str) -> str:
+    """Explain a kind of a part (test.stepped_sine, or only stepped_sine) with its keys; empty where it is none."""
+    explained = []
+    for (whole, each), about in _kinds().items():
+        if each == kind and part in ("", whole):
+            inside = [key for key in keys() if re.fullmatch(rf"{whole}\.\w+", key.name) and kind in key.kinds]
+            lines = [f"  {_line(key, key.name.rpartition('.')[2], _needed(key))}" for key in inside]
+            head = [f"{whole}: {{kind: {kind}, ...}}", _wrapped(about, "  "), "  keys:"]
+            more = f"  more: rig help {whole}.KEY, such as {inside[0].name}"
+            explained.append("\n".join([*head, *lines, more]))
+    return "\n\n".join(explained)
+
+
+def _needed(key: Key) -> str:
+    """Say whether a key is needed, or else its default if it has one."""
+    if "needed" in key.without:
+        return f"   ({key.without})"
+    return (
+        "" if key.without in ("not there", "as its keys without a value") else f"   (default: {key.without})"
+    )
 
 
 def _told(key: Key, plain: str) -> Iterator[str]:
@@ -216,16 +260,22 @@ def _told(key: Key, plain: str) -> Iterator[str]:
     yield f"  left out: {key.without}"
     if key.turns_on:
         yield f"  turns on: {key.turns_on}"
+    kinds = {kind: about for (part, kind), about in _kinds().items() if part == plain}
     inside = [each for each in keys() if re.fullmatch(rf"{re.escape(plain)}\.\w+", _plain(each.name))]
-    if inside:
+    if kinds:
+        yield "  kinds:"
+        yield from (f"  {_line(replace(key, about=about), kind)}" for kind, about in kinds.items())
+        yield f"  more: rig help {plain}.KIND, such as {plain}.{next(iter(kinds))}"
+    elif inside:
         yield "  keys:"
         yield from (f"  {_line(each, each.name.rpartition('.')[2])}" for each in inside)
 
 
-def _line(key: Key, name: str) -> str:
+def _line(key: Key, name: str, after: str | None = None) -> str:
     # A full stop may be a name's, and what follows a colon is what the key means.
     first = re.split(r"(?<=[\w\])%`])[.;](?:\s|$)", key.about)[0]
-    return fill(f"{first}{_of(key)}", _WIDTH, initial_indent=f"  {name:{18}} ", subsequent_indent=" " * 21)
+    after = _of(key) if after is None else after
+    return fill(f"{first}{after}", _WIDTH, initial_indent=f"  {name:{18}} ", subsequent_indent=" " * 21)
 
 
 def _of(key: Key) -> str:

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field
 
+from rig.scene.body_names import numbered
 from rig.scene.consistency import mistakes_between
 from rig.scene.damper import Damper
 from rig.scene.excitation import Test
@@ -51,6 +52,11 @@ class Scene(Settings):
     """What goes into the recording besides the channels."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     """Where all random numbers of a run start."""
+
+    @classmethod
+    def prepare(cls, given: Mapping[str, Any]) -> tuple[Mapping[str, Any], list[Mistake]]:
+        """Take bodies by their names."""
+        return numbered(given)
 
     @classmethod
     def kind_by_neighbours(cls, given: Mapping[str, Any]) -> Mapping[Place, Kind]:
@@ -115,13 +121,39 @@ class Scene(Settings):
         )
 
     def to_yaml(self) -> str:
-        """Write a scene file, with everything in it, that loads back as an equal scene.
+        """Write a scene file that loads back as an equal scene.
 
         Returns
         -------
         str
-            YAML text; matrices are inline.
+            YAML text: what was given, in the units and with the digits and the names of bodies with which it was
+            given. Matrices are inline.
         """
         from rig.scene.yaml_writer import write
 
-        return write(self)
+        return write(self, self.structure)
+
+    def to_si_yaml(self) -> str:
+        """Write every value, in SI: the same text for equal scenes, for recordings and to recognize stored results."""
+        from rig.scene.yaml_writer import write_in_si
+
+        return write_in_si(self)
+
+    def __str__(self) -> str:
+        """Describe the scene in a line.
+
+        >>> from rig.scene.loading import load
+        >>> print(load("bare-structure"))
+        bare structure, ideal sensors: 3 bodies, shaker table, test stepped_sine
+        """
+        count = self.structure.bodies
+        parts = [f"{count} {'body' if count == 1 else 'bodies'}"]
+        if self.structure.names is not None:
+            parts[0] += f" ({', '.join(self.structure.names[:6])}{', ...' * (count > 6)})"
+        if self.dampers:
+            where = ", ".join(dict.fromkeys(self.structure.label(damper.body) for damper in self.dampers))
+            parts.append(f"{len(self.dampers)} damper{'s' * (len(self.dampers) > 1)} ({where})")
+        parts += [f"shaker {shaker.kind}" for shaker in self.shakers]
+        parts += [] if self.test is None else [f"test {self.test.kind}"]
+        parts += [] if self.channels is None else [f"{len(self.channels)} channels"]
+        return f"{self.name}: {', '.join(parts)}"

@@ -11,7 +11,7 @@ import inspect
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
-from functools import cache
+from functools import cache, cached_property
 from itertools import pairwise
 from textwrap import dedent
 from typing import Any, ClassVar, Self, get_args
@@ -97,11 +97,18 @@ class Settings(BaseModel):
         SceneError
             With one line for each mistake, if there can be no such variant.
         """
-        fields = {name: getattr(self, name) for name in type(self).model_fields}
+        fields = {name: getattr(self, name) for name in self.model_fields_set}
         try:
-            return type(self).model_validate({**fields, **changes})
+            variant = type(self).model_validate({**fields, **changes})
         except ValidationError as error:
             raise SceneError(describe(mistakes_of(error), type(self).__name__)) from None
+        variant.__dict__["written"] = {**self.written, **variant.written}
+        return variant
+
+    @cached_property
+    def written(self) -> Mapping[str, Any]:
+        """Quantities as the user wrote them, by field; of no effect but on how the settings are written."""
+        return {}
 
     def relations(self) -> Iterable[Mistake]:
         """List what is wrong between fields that are right one by one."""
@@ -111,6 +118,27 @@ class Settings(BaseModel):
     def kind_by_neighbours(cls, given: Mapping[str, Any]) -> Mapping[Place, Kind]:
         """Say which kind a quantity has to be, by its place, where that depends on other keys."""
         return {}
+
+    def forget_spelling(self) -> None:
+        """Take the settings as given in SI, and what has its default as not given: so a recording holds them."""
+        self.__dict__.pop("written", None)
+        for name, field in type(self).model_fields.items():
+            value = getattr(self, name)
+            if value == field.default:
+                self.model_fields_set.discard(name)
+            for part in value if isinstance(value, tuple) else (value,):
+                if isinstance(part, Settings):
+                    part.forget_spelling()
+
+    @classmethod
+    def prepare(cls, given: Mapping[str, Any]) -> tuple[Mapping[str, Any], list[Mistake]]:
+        """Bring short forms into the form of the fields; with the mistakes met on the way."""
+        return given, []
+
+    @classmethod
+    def place_as_given(cls, place: Place, given: Mapping[str, Any]) -> Place:
+        """Give the place in what was given that belongs to a place among the fields."""
+        return place
 
     @classmethod
     def __get_pydantic_json_schema__(
@@ -127,25 +155,46 @@ class Settings(BaseModel):
         for name, field in cls.model_fields.items():
             about = descriptions(cls).get(name)
             if about:
-                quantity = _quantity(field)
-                offered = "" if quantity is None else f" Give {quantity.offered}."
-                known["properties"][field.alias or name]["description"] = f"{about}{offered}"
+                quantity = quantity_at(field)
+                written = known["properties"][field.alias or name]
+                forms = [choice.get("type") for choice in (written, *written.get("anyOf", ()))]
+                each = "a list, each " if "array" in forms and quantity and not quantity.listed else ""
+                offered = "" if quantity is None else f" Give {each}{quantity.offered}."
+                written["description"] = f"{about}{offered}"
         return reference
 
     @model_validator(mode="wrap")
     @classmethod
     def _report_together(cls, data: Any, handler: Callable[[Any], Self]) -> Self:
-        mistakes: list[Mistake] = []
+        if not isinstance(data, Mapping):
+            return cls._checked(data, handler, [])
+        prepared, mistakes = cls.prepare(data)
+        try:
+            settings = cls._checked(prepared, handler, mistakes)
+        except ValidationError as error:
+            wrong = mistakes_of(error)
+            raise report(
+                cls.__name__, [Mistake(cls.place_as_given(m.place, data), m.message) for m in wrong]
+            ) from None
+        texts = {name: prepared.get(key, prepared.get(name)) for name, key in _quantities(cls).items()}
+        settings.__dict__["written"] = {name: text for name, text in texts.items() if _is_written(text)}
+        return settings
+
+    @classmethod
+    def _checked(cls, data: Any, handler: Callable[[Any], Self], mistakes: list[Mistake]) -> Self:
+        known = {wrong.place for wrong in mistakes}
         settings = None
         try:
             settings = handler(data)
         except ValidationError as error:
-            mistakes += [cls._explain(item) for item in error.errors(include_url=False) if not _echo(item)]
+            items = [item for item in error.errors(include_url=False) if not _echo(item)]
+            found = [cls._explain(item) for item in items if not cls._misspelt(item, items)]
+            mistakes = mistakes + [wrong for wrong in found if wrong.place not in known]
         if isinstance(data, Mapping):
-            mistakes += cls._presence(data)
-            mistakes += cls._wrong_kinds(data, {wrong.place for wrong in mistakes})
+            mistakes = mistakes + list(cls._presence(data))
+            mistakes = mistakes + list(cls._wrong_kinds(data, {wrong.place for wrong in mistakes}))
         if settings is not None and not mistakes:
-            mistakes += settings.relations()
+            mistakes = list(settings.relations())
         if mistakes or settings is None:
             raise report(cls.__name__, mistakes)
         return settings
@@ -154,6 +203,13 @@ class Settings(BaseModel):
     def keys(cls) -> list[str]:
         """List the keys as a scene file has them."""
         return [field.alias or name for name, field in cls.model_fields.items()]
+
+    @classmethod
+    def _misspelt(cls, item: Any, items: Iterable[Any]) -> bool:
+        """Whether a key is missing only because it is misspelt, which is an error of its own."""
+        unknowns = [str(other["loc"][0]) for other in items if other["type"] == "extra_forbidden"]
+        meant = {nearest(key, cls.keys()) for key in unknowns if key}
+        return item["type"] == "missing" and len(item["loc"]) == 1 and item["loc"][0] in meant
 
     @classmethod
     def _explain(cls, item: Any) -> Mistake:
@@ -172,17 +228,18 @@ class Settings(BaseModel):
     @classmethod
     def _what(cls, key: str) -> str:
         name, field = next((n, f) for n, f in cls.model_fields.items() if key in (n, f.alias))
-        quantity = _quantity(field)
+        quantity = quantity_at(field)
         if quantity is not None:
             return quantity.plain
-        about = descriptions(cls).get(name, "a value").rstrip(".")
+        about = " ".join(descriptions(cls).get(name, "a value").split()).rstrip(".")
         return about[0].lower() + about[1:]
 
     @classmethod
     def _presence(cls, data: Mapping[str, Any]) -> Iterable[Mistake]:
         for group in cls.one_of:
             there = [key for key in group if data.get(key) is not None]
-            if len(there) != 1:
+            misspelt = {nearest(str(key), cls.keys()) for key in data if key not in cls.keys()}  # noqa: SIM118
+            if len(there) != 1 and not (not there and misspelt.intersection(group)):
                 names = " or ".join(group)
                 problem = f"{' and '.join(there)} given together" if there else f"{names} missing"
                 yield Mistake((), f"{problem}; expected exactly one of {names}")
@@ -228,13 +285,31 @@ def unknown(key: str, keys: Iterable[str]) -> str:
     'unknown key "clearence"; did you mean "clearance"?'
     """
     keys = list(keys)
-    near = get_close_matches(key, keys, n=1, cutoff=0.6)
-    hint = f'did you mean "{near[0]}"?' if near else f"expected one of {', '.join(keys)}"
+    near = nearest(key, keys)
+    hint = f'did you mean "{near}"?' if near else f"expected one of {', '.join(keys)}"
     return f'unknown key "{key[:60]}"; {hint}'
 
 
-def _quantity(field: FieldInfo) -> Quantity | None:
+def nearest(key: str, keys: Iterable[str]) -> str | None:
+    """Find the key that a misspelt one was meant to be."""
+    return next(iter(get_close_matches(key, list(keys), n=1, cutoff=0.6)), None)
+
+
+def quantity_at(field: FieldInfo) -> Quantity | None:
+    """Find the quantity that a field is; None where it is none."""
     return next(filter(None, map(quantity_of, (*field.metadata, field.annotation))), None)
+
+
+@cache
+def _quantities(cls: type[Settings]) -> dict[str, str]:
+    """List the fields that are quantities, each with its key."""
+    fields = cls.model_fields.items()
+    return {name: field.alias or name for name, field in fields if quantity_at(field) is not None}
+
+
+def _is_written(value: Any) -> bool:
+    listed = value if isinstance(value, list | tuple) else (value,)
+    return any(isinstance(item, str) for item in listed)
 
 
 def _echo(item: Any) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler, model_validator
+from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler, WithJsonSchema, model_validator
 from pydantic_core import CoreSchema, core_schema
 
 from rig.scene.data_sheets import Preset, data_sheet, unknown_preset
@@ -26,7 +26,9 @@ from rig.scene.quantities import (
 from rig.scene.quantity_field import Quantity, refusal
 from rig.scene.settings import Alternatives, Mistake, OneOrSeveral, Place, Settings, by_kind
 
-Body = Annotated[int, Field(ge=1)]
+# A name is put into numbers by the scene, which knows the names.
+_BODY_SCHEMA: dict[str, Any] = {"anyOf": [{"type": "integer", "minimum": 1}, {"type": "string"}]}
+Body = Annotated[int, Field(ge=1), WithJsonSchema(_BODY_SCHEMA)]
 CoilSpring = Annotated[float, Quantity(STIFFNESS, above=0.0)]
 
 #: What a volt of the output in front of a shaker does, by the unit of its drive: a volt at the amplifier, a newton, a
@@ -69,8 +71,8 @@ class _BodyOrBodies:
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        one = {"type": "integer", "minimum": 1}
-        return {"anyOf": [one, {"type": "array", "items": one, "minItems": 1, "uniqueItems": True}]}
+        several = {"type": "array", "items": _BODY_SCHEMA, "minItems": 1, "uniqueItems": True}
+        return {"anyOf": [*_BODY_SCHEMA["anyOf"], several]}
 
     def _read(self, value: Any) -> int | tuple[int, ...]:
         listed = isinstance(value, list | tuple)
@@ -92,7 +94,7 @@ class ForceShaker(Settings):
 
     kind: Literal["force"] = "force"
     body: Annotated[int | tuple[int, ...], _BodyOrBodies()]
-    """The number of a body, from 1, or a list of such."""
+    """The number of a body, from 1, or its name; or a list of such."""
     output: Output = Output()
     """What gives it its drive: the voltage of a module's output."""
 
@@ -111,7 +113,7 @@ class TableShaker(Settings):
 
     kind: Literal["table"] = "table"
     body: Body
-    """The body it pulls, by its number from 1."""
+    """The body it pulls, by its number from 1 or its name."""
     spring: CoilSpring
     """Stiffness of the coil spring [N/m]."""
     bandwidth: Annotated[float, Quantity(FREQUENCY, above=0.0)] = 400.0
@@ -173,7 +175,7 @@ class ElectrodynamicShaker(Settings):
     preset: Preset | None = None
     """A shaker, by its name, whose datasheet fills in what is not given here of coil and armature."""
     body: Body
-    """The body it pulls, by its number from 1."""
+    """The body it pulls, by its number from 1 or its name."""
     spring: CoilSpring
     """Stiffness of the coil spring between the table and the body [N/m]."""
     coil: Coil = Coil()

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Annotated, ClassVar
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any, ClassVar
 
 from pydantic import Field
 
+from rig.scene.body_names import mistakes_in
 from rig.scene.matrices import MOST_BODIES, Matrices
 from rig.scene.quantities import (
     DASHPOT,
@@ -17,7 +18,7 @@ from rig.scene.quantities import (
     TIME,
 )
 from rig.scene.quantity_field import Quantity
-from rig.scene.settings import Alternatives, Mistake, Settings, by_key
+from rig.scene.settings import Alternatives, Mistake, Place, Settings, by_key
 
 
 class ModalDamping(Settings):
@@ -65,14 +66,21 @@ class Dashpots(Settings):
 Damping = Annotated[ModalDamping | RayleighDamping | Dashpots, Alternatives(by_key)]
 
 
+def _or_by_name(schema: dict[str, Any]) -> None:
+    """Add to a list of values that they may stand at names."""
+    schema["anyOf"].append(
+        {"type": "object", "additionalProperties": schema["anyOf"][0]["items"], "minProperties": 1}
+    )
+
+
 class Structure(Settings):
     """The structure: a chain of bodies on springs, or any linear one given by matrices."""
 
     one_of: ClassVar = (("masses", "matrices"),)
     masses: tuple[Annotated[float, Quantity(MASS, above=0.0)], ...] | None = Field(
-        None, min_length=1, max_length=MOST_BODIES
+        None, min_length=1, max_length=MOST_BODIES, json_schema_extra=_or_by_name
     )
-    """Masses of the bodies [kg], body 1 first."""
+    """Masses of the bodies [kg], body 1 first; or by names of the bodies, such as {base: 4.2 kg, arm: 1.1 kg}."""
     springs: tuple[Annotated[float, Quantity(STIFFNESS, at_least=0.0)], ...] | None = Field(
         None, min_length=1
     )
@@ -81,6 +89,48 @@ class Structure(Settings):
     """Damping of the structure, in one of three forms. None: undamped."""
     matrices: Matrices | None = None
     """In place of masses and springs."""
+    names: tuple[str, ...] | None = Field(None, min_length=1, max_length=MOST_BODIES)
+    """Names of the bodies of `matrices`, body 1 first, usable wherever a body's number is. None: numbers only."""
+
+    @classmethod
+    def prepare(cls, given: Mapping[str, Any]) -> tuple[Mapping[str, Any], list[Mistake]]:
+        """Take masses by name apart into masses and names."""
+        masses = given.get("masses")
+        if not isinstance(masses, Mapping):
+            return given, []
+        twice = given.get("names") is not None
+        mistakes = [
+            Mistake(("names",), "given next to masses that have names; expected one of the two")
+        ] * twice
+        return {**given, "masses": list(masses.values()), "names": list(map(str, masses))}, mistakes
+
+    @classmethod
+    def place_as_given(cls, place: Place, given: Mapping[str, Any]) -> Place:
+        """Find a mass or a name at its name, where the masses have names."""
+        masses = given.get("masses")
+        if (
+            not isinstance(masses, Mapping)
+            or place[:1] not in (("masses",), ("names",))
+            or given.get("names")
+        ):
+            return place
+        return ("masses", *(list(masses)[key] if isinstance(key, int) else key for key in place[1:]))
+
+    def label(self, place: str | int) -> str:
+        """Name a body, by its number or as a channel's place, for people: its own name if it has one.
+
+        >>> Structure(masses={"base": 4.2, "arm": 1.1}, springs=[1e3, 1e3]).label("body 2")
+        'arm'
+        """
+        place = f"body {place}" if isinstance(place, int) else place
+        if self.names is None or not place.startswith("body "):
+            return place
+        return self.names[int(place.removeprefix("body ")) - 1]
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """What people call the bodies: by their names, or body 1, body 2, ..."""
+        return tuple(self.label(number) for number in range(1, self.bodies + 1))
 
     @property
     def bodies(self) -> int:
@@ -92,6 +142,8 @@ class Structure(Settings):
     def relations(self) -> Iterable[Mistake]:
         """Check that the parts are of one structure."""
         count = self.bodies
+        for k, wrong in mistakes_in(self.names, count) if self.names is not None else ():
+            yield Mistake(("names",) if k is None else ("names", k), wrong)
         if self.masses is not None and self.springs is None:
             yield Mistake((), f"springs missing; expected {count}, one for each mass")
         if self.masses is not None and self.springs is not None and len(self.springs) != count:

@@ -7,7 +7,8 @@ and nothing is taken for a date or counted to base 60, as YAML 1.1 would have it
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,6 +16,9 @@ import yaml
 
 from rig.scene.settings import Mistake, Place
 
+# What follows a decimal comma; in a list, where two numbers may follow each other, only if it has a unit.
+_DECIMALS = re.compile(r"\d+(\s*[^\d\s.,].*)?")
+_WITH_UNIT = re.compile(r"\d+\s*[^\d\s.,eE].*")
 MOST_CHARACTERS = 64_000_000
 DEEPEST = 20
 MOST_REPEATED = 20_000  # nodes that aliases may add; a few nested aliases could otherwise stand for billions
@@ -66,13 +70,42 @@ def read(text: str) -> Document:
     except _Unreadable as error:
         document.mistakes.append((error.line, Mistake((), str(error))))
     except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        context = f" ({error.context})" if error.context else ""
-        line = 1 if mark is None else mark.line + 1
-        document.mistakes.append((line, Mistake((), f"no valid YAML: {error.problem}{context}")))
+        line, message = _in_words(error, text.splitlines())
+        document.mistakes.append((line, Mistake((), message)))
     except yaml.YAMLError as error:
         document.mistakes.append((1, Mistake((), f"no valid YAML: {str(error).splitlines()[0]}")))
     return document
+
+
+def _in_words(error: yaml.MarkedYAMLError, lines: Sequence[str]) -> tuple[int, str]:
+    """Give the line of a fault of YAML, what is wrong there and what to do, by what the parser reports of it."""
+    mark = error.problem_mark or error.context_mark
+    line = 1 if mark is None else mark.line + 1
+    begun = line if error.context_mark is None else error.context_mark.line + 1
+    here = lines[line - 1] if line <= len(lines) else ""
+    problem, context = str(error.problem), str(error.context or "")
+    if "\t" in here[: len(here) - len(here.lstrip())]:
+        return line, "a tab in the indentation; expected spaces"
+    if "mapping values are not allowed" in problem:
+        return (
+            line,
+            'a second ": " in one value; expected "..." around text with a colon, or another indentation',
+        )
+    if "expected ':'" in problem:
+        return begun, 'a line without ": " behind its key; expected key: value'
+    if "expected ',' or" in problem:
+        return (
+            begun,
+            f"no {problem[-2]} to end what begins on this line; expected items with commas between, then {problem[-2]}",
+        )
+    if "expected key" in problem or "expected <block end>" in problem or "'-' indicator" in problem:
+        return (
+            line,
+            "the indentation fits none of the lines above; expected keys of one part below one another",
+        )
+    if "unexpected end of stream" in problem:
+        return begun, "a quotation mark that is never closed; expected another one at the end of the text"
+    return line, f"no valid YAML: {problem}{f' ({context})' if context else ''}"
 
 
 class _Reader:
@@ -127,30 +160,53 @@ class _Reader:
 
     def _sequence(self, place: Place) -> list[Any]:
         values: list[Any] = []
+        before: Any = None
         for event in self.events:
             if isinstance(event, yaml.SequenceEndEvent):
                 break
-            values.append(self._node(event, (*place, len(values))))
+            if _is_decimal(before, event, _WITH_UNIT):
+                values[-1] = f"{values[-1]},{event.value}"
+            else:
+                values.append(self._node(event, (*place, len(values))))
+            before = event
         return values
 
     def _mapping(self, place: Place) -> dict[str, Any]:
         values: dict[str, Any] = {}
+        key, value = "", None
         for event in self.events:
             if isinstance(event, yaml.MappingEndEvent):
                 break
             line = _line(event)
             if not isinstance(event, yaml.ScalarEvent):
                 raise _Unreadable(line, "a key that is no single word; expected key: value")
+            before, value = value, next(self.events)
+            if getattr(value, "value", None) == "" and _is_decimal(before, event, _DECIMALS):
+                values[key] = f"{values[key]},{event.value}"
+                continue
             key, here = event.value, (*place, event.value)
             if key in values:
                 message = f"given twice, first on line {self.document.line(here)}; expected each key once"
                 self.document.mistakes.append((line, Mistake(here, message)))
-                self._node(next(self.events), here)
+                self._node(value, here)
                 continue
             if line != self.document.line(here):
                 self.document.lines[here] = line
-            values[key] = self._node(next(self.events), here)
+            values[key] = self._node(value, here)
         return values
+
+
+def _is_decimal(before: Any, event: Any, pattern: re.Pattern[str]) -> bool:
+    """Whether a scalar is the rest of a number with a decimal comma, which YAML splits in brackets: {mass: 1,5 kg}."""
+    return (
+        isinstance(before, yaml.ScalarEvent)
+        and isinstance(event, yaml.ScalarEvent)
+        and before.implicit[0]
+        and event.implicit[0]
+        and re.fullmatch(r"[+-]?\d+", before.value) is not None
+        and pattern.fullmatch(event.value) is not None
+        and event.start_mark.index == before.end_mark.index + 1
+    )
 
 
 def _line(event: Any) -> int:

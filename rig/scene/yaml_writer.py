@@ -1,21 +1,40 @@
-"""A scene written as a scene file that loads back as an equal scene."""
+"""A scene written as a scene file that loads back as an equal scene: as its user writes it, or all of it in SI."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import yaml
 
 from rig.scene.matrices import Matrices
-from rig.scene.quantities import text
-from rig.scene.quantity_field import Quantity, quantity_of
-from rig.scene.settings import Settings
+from rig.scene.measurement_chain import Channel
+from rig.scene.quantities import Kind, spelled, text
+from rig.scene.quantity_field import Quantity
+from rig.scene.settings import Place, Settings, quantity_at
+from rig.scene.structure import Structure
 
 
-def write(settings: Settings) -> str:
-    """Write every value that is set, in SI, as the shortest decimal that gives back the very same double."""
+def write(settings: Settings, structure: Structure | None = None) -> str:
+    """Write what was given, in the units in which it was given, and bodies by the names that the structure has.
+
+    A quantity that was computed has the unit of the one that it replaces, or else that with the fewest digits. All
+    give back the very same double.
+    """
+    return _dumped(_as_given(settings, structure, {}))
+
+
+def write_in_si(settings: Settings) -> str:
+    """Write every value that is set, in SI, as the shortest decimal that gives back the very same double.
+
+    Equal scenes give equal text, however their users wrote them: for recordings, and to recognize stored results.
+    """
+    return _dumped(_plain(settings))
+
+
+def _dumped(content: Any) -> str:
     return yaml.dump(
-        _plain(settings),
+        content,
         Dumper=_Dumper,
         sort_keys=False,
         allow_unicode=True,
@@ -32,6 +51,10 @@ class _Text(str):
     """Free text, quoted so that no reader can take it for anything else."""
 
 
+class _Written(str):
+    """A quantity, without quotes though it may be no more than a number."""
+
+
 class _Dumper(_BASE):
     def ignore_aliases(self, data: Any) -> bool:
         return True
@@ -40,8 +63,57 @@ class _Dumper(_BASE):
 _Dumper.add_representer(
     _Text, lambda dumper, value: dumper.represent_scalar("tag:yaml.org,2002:str", str(value), style='"')
 )
+_Dumper.add_representer(
+    _Written,
+    lambda dumper, value: dumper.represent_scalar(
+        dumper.resolve(yaml.ScalarNode, str(value), (True, False)), str(value)
+    ),
+)
 # A quantity stands as it is, without quotes, as a person would write it.
 _Dumper.add_representer(str, lambda dumper, value: dumper.represent_scalar("tag:yaml.org,2002:str", value))
+
+
+def _as_given(settings: Settings, structure: Structure | None, kinds: Mapping[Place, Kind]) -> dict[str, Any]:
+    values = {name: getattr(settings, name) for name in type(settings).model_fields}
+    kinds = {**kinds, **type(settings).kind_by_neighbours(values)}
+    result: dict[str, Any] = {}
+    for name, field in type(settings).model_fields.items():
+        value, quantity = values[name], quantity_at(field)
+        if value is None or value == () or (name not in settings.model_fields_set and name != "kind"):
+            continue
+        inside = {place[1:]: kind for place, kind in kinds.items() if place[0] == name and place[1:]}
+        if quantity is not None:
+            kind = kinds.get((name,), quantity.kinds[0])
+            written: Any = _spelled(value, kind, settings.written.get(name))
+        elif isinstance(settings, Matrices):
+            written = [list(row) for row in value]
+        elif name == "body" or (name == "at" and isinstance(settings, Channel)):
+            written = _labelled(value, structure)
+        elif isinstance(value, tuple):
+            written = [
+                _as_given(each, structure, {}) if isinstance(each, Settings) else each for each in value
+            ]
+        else:
+            written = _as_given(value, structure, inside) if isinstance(value, Settings) else value
+        result[field.alias or name] = written
+    if isinstance(settings, Structure) and settings.masses is not None and settings.names is not None:
+        result["masses"] = dict(zip(result.pop("names"), result["masses"], strict=True))
+    return result
+
+
+def _spelled(value: Any, kind: Kind, before: Any) -> Any:
+    if isinstance(value, tuple):
+        texts = (
+            before if isinstance(before, list | tuple) and len(before) == len(value) else (None,) * len(value)
+        )
+        return [_spelled(each, kind, text) for each, text in zip(value, texts, strict=True)]
+    return _Written(spelled(value, kind, before if isinstance(before, str) else None))
+
+
+def _labelled(place: Any, structure: Structure | None) -> Any:
+    if structure is None or structure.names is None:
+        return list(place) if isinstance(place, tuple) else place
+    return [structure.label(body) for body in place] if isinstance(place, tuple) else structure.label(place)
 
 
 def _plain(settings: Settings) -> dict[str, Any]:
@@ -50,9 +122,7 @@ def _plain(settings: Settings) -> dict[str, Any]:
         value = getattr(settings, name)
         if value is None or value == ():
             continue
-        quantity = next(
-            filter(None, (quantity_of(part) for part in (*field.metadata, field.annotation))), None
-        )
+        quantity = quantity_at(field)
         if isinstance(settings, Matrices):
             written: Any = [list(row) for row in value]
         elif name == "name":

@@ -283,7 +283,7 @@ def _grains_run(
 
     tone = (drive.frequency, drive.amplitudes.tolist()) if isinstance(drive, ToneDrive) else None
     asked = {
-        "scene": scene.to_yaml(),
+        "scene": scene.to_si_yaml(),
         "duration": samples,
         "rate": rate,
         "drive": tone or drive,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
+from pathlib import Path
 
 import pytest
 import typer
@@ -73,3 +74,50 @@ def test_given_a_command_that_takes_a_scene_when_asked_then_it_takes_changes_too
     for name, command in group.commands.items():
         keys = {parameter.name for parameter in command.params}
         assert ("changes" in keys) == bool(keys & {"scene", "scenes"}), name
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (
+            "structure.springs=[1 kN/m]",
+            "with --set structure.springs=[1 kN/m]: structure.springs: got 1 springs",
+        ),
+        ("structure.masses=[1 kg]", "with --set structure.masses=[1 kg]: structure.springs: got 2 springs"),
+        ("gravity=9,81", '--set gravity=9,81: gravity: got "9,81"; expected a decimal point: 9.81'),
+        ("dampers[0].mass=1kg", "--set dampers[0].mass=1kg: no key"),
+        ("dampers[3].mass=1kg", "--set dampers[3].mass=1kg: the scene has 2"),
+    ],
+)
+def test_mistake_of_an_option_names_the_option(file, change, said) -> None:
+    with pytest.raises(SceneError) as raised:
+        loaded(file, [change])
+    assert said in str(raised.value) and "mine.yaml:" not in str(raised.value)
+
+
+def test_mistake_of_the_file_keeps_its_line(file) -> None:
+    Path(file).write_text(SHARED + "seed: many\n")
+    with pytest.raises(SceneError, match=r"mine.yaml:6: seed"):
+        loaded(file, ["gravity=1 kg"])
+
+
+def test_scene_is_loaded_from_a_mapping_or_a_scene(file) -> None:
+    scene = rig.load(file)
+    assert rig.load({"structure": {"masses": [1], "springs": ["1 kN/m"]}}).structure.springs == (1e3,)
+    assert rig.load(scene) is scene
+    assert rig.load(scene, {"gravity": "1 m/s^2"}) == scene.replace(gravity=1.0)
+
+
+@pytest.mark.parametrize(
+    ("scene", "changes", "said"),
+    [
+        ({"structur": 1}, None, 'scene: structur: unknown key "structur"; did you mean "structure"?'),
+        (7, None, "scene: got 7; expected a name, a path, a mapping or a rig.Scene"),
+        ("fig9", "test.force=5N", "changes: got 'test.force=5N'; expected a mapping"),
+        ("fig9", {"test.force": "5 kg"}, 'with test.force=5 kg: test.force: got "5 kg"; expected a force'),
+    ],
+)
+def test_mistakes_from_python_are_named(scene, changes, said) -> None:
+    with pytest.raises(SceneError) as raised:
+        rig.load(scene, changes)
+    assert said in str(raised.value) and "\n" not in str(raised.value)

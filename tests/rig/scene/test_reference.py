@@ -56,6 +56,22 @@ def test_given_a_misspelt_key_when_asked_then_the_nearest_is_named() -> None:
         help_on("clearence")
 
 
+@pytest.mark.parametrize("key", ["test.stepped_sine", "stepped_sine"])
+def test_kind_is_explained_with_its_keys(key: str) -> None:
+    lines = [line.split() for line in help_on(key).splitlines()]
+    listed = {words[0] for words in lines if words}
+    assert {"from", "points", "force", "settle"} <= listed and not {"burst", "peak"} & listed
+
+
+def test_part_lists_its_kinds() -> None:
+    assert "electrodynamic" in help_on("shaker") and "rig help shaker.KIND" in help_on("shaker")
+
+
+def test_misspelt_kind_names_the_nearest() -> None:
+    with pytest.raises(SceneError, match=r"did you mean test.stepped_sine"):
+        help_on("test.steped_sine")
+
+
 SENSOR, INPUT = "channels[1].accelerometer", "channels[1].integrator"
 PLAIN = {
     "structure": {"masses": ["1 kg", "1 kg"], "springs": ["20 kN/m", "20 kN/m"]},

@@ -23,6 +23,7 @@ def complaints(text: str) -> str:
     return str(caught.value)
 
 
+NAMED = "structure: {masses: {base: 4 kg, arm: 1 kg}, springs: [1 MN/m, 1 MN/m]}\n"
 MISTAKES = [
     # unknown and missing keys
     ("structre: {}\n" + STRUCTURE, ':1: structre: unknown key "structre"; did you mean "structure"?'),
@@ -134,7 +135,7 @@ MISTAKES = [
     ),
     (
         STRUCTURE + "shaker: {kind: force, body: left}",
-        ':2: shaker.body: got "left"; expected the number of a body, from 1, or a list of such',
+        ':2: shaker.body: no body has the name "left", for the structure names none; expected its number, 1 to 2',
     ),
     (
         STRUCTURE + "channels: [{name: a/b, at: body 1}]",
@@ -142,7 +143,7 @@ MISTAKES = [
     ),
     (
         STRUCTURE + "channels: [{name: a, at: tabel}]",
-        ':2: channels[1].at: got "tabel"; expected body 1, ..., table, hammer, shaker or drive',
+        ':2: channels[1].at: got "tabel"; expected a body, by its name or as body 1; table, hammer, shaker or drive',
     ),
     # what excludes or needs something else
     (
@@ -410,8 +411,48 @@ MISTAKES = [
     ),
     # YAML
     (STRUCTURE + "seed: 1\nseed: 2", ":3: seed: given twice, first on line 2; expected each key once"),
-    ("structure: [1, 2}", ":1: no valid YAML: "),
-    ("a: b: 2", ":1: no valid YAML: "),
+    ("structure: [1, 2}", ":1: no ] to end what begins on this line"),
+    ("a: b: 2", ':1: a second ": " in one value'),
+    ("structure:\n\tmasses: [1 kg]", ":2: a tab in the indentation; expected spaces"),
+    ("structure:\n  masses: [1 kg]\n damping: 1", ":3: the indentation fits none of the lines above"),
+    (STRUCTURE + "gravity 9.81", ':2: a line without ": "'),
+    (STRUCTURE + 'name: "a', ":2: a quotation mark that is never closed"),
+    (
+        STRUCTURE + "gravity: 9,81 m/s^2",
+        ':2: gravity: got "9,81 m/s^2"; expected a decimal point: 9.81 m/s^2',
+    ),
+    (
+        STRUCTURE + "dampers: [{body: 1, mass: 0,05 kg, clearance: 1 mm}]",
+        ':2: dampers[1].mass: got "0,05 kg"; expected a decimal point: 0.05 kg',
+    ),
+    (
+        "structure: {masses: [1,5 kg], springs: [1 kN/m]}",
+        ':1: structure.masses[1]: got "1,5 kg"; expected a decimal point: 1.5 kg',
+    ),
+    (
+        STRUCTURE + "gravity: 1,000 m/s^2",
+        ':2: gravity: got "1,000 m/s^2"; expected a decimal point and no other mark: 1.000 m/s^2 or 1000 m/s^2',
+    ),
+    # Names of bodies
+    (
+        NAMED + "dampers: [{body: amr, mass: 1 g, clearance: 1 mm}]",
+        ':2: dampers[1].body: no body has the name "amr"; did',
+    ),
+    (
+        NAMED + "channels: [{name: a, at: body wing}]",
+        ':2: channels[1].at: no body has the name "wing"; expected one of base, arm',
+    ),
+    (NAMED.replace("arm", "table"), ':1: structure.masses.table: "table" already means another place'),
+    (NAMED.replace("arm", "a b"), ':1: structure.masses.a b: "a b" is not a name for a body'),
+    (NAMED.replace("1 kg", "1 kN"), ':1: structure.masses.arm: got "1 kN"; expected a mass such as 74 g'),
+    (
+        "structure: {names: [a, a], matrices: {mass: [[1, 0], [0, 1]], stiffness: [[1, 0], [0, 1]]}}",
+        ':1: structure.names[2]: "a" is the name of body 1; expected each name once',
+    ),
+    (
+        "structure: {names: [a], matrices: {mass: [[1, 0], [0, 1]], stiffness: [[1, 0], [0, 1]]}}",
+        ":1: structure.names: got 1 names; expected 2, one for each body",
+    ),
     ("structure: *chain", ":1: alias *chain to nothing above"),
     ("structure: &a [*a]", ":1: alias *a to nothing above"),
     ("? [a]\n: b", ":1: a key that is no single word"),

@@ -14,6 +14,18 @@ from typer.testing import CliRunner
 import rig
 from rig.cli import app
 from rig.scene.json_schema import schema_text
+from rig.scene.loading import loads_si
+from rig.scene.quantities import (
+    ACCELERATION_NOISE,
+    ACCELERATION_SENSITIVITY,
+    FREQUENCY,
+    LENGTH,
+    RATIO,
+    STIFFNESS,
+    Kind,
+    parse,
+    spelled,
+)
 from rig.scene.scene import Scene
 from rig.scene.scene_files import SCENES, bundled
 
@@ -22,6 +34,7 @@ positive = st.floats(min_value=1e-6, max_value=1e6)
 frequency = st.floats(min_value=1e-6, max_value=3e7)
 share = st.just(0.0) | st.floats(min_value=1e-12, max_value=1.0, exclude_max=True)
 damping_ratio = st.floats(min_value=1e-6, max_value=1.0)
+KINDS = [LENGTH, FREQUENCY, STIFFNESS, RATIO, ACCELERATION_SENSITIVITY, ACCELERATION_NOISE]
 level = st.sampled_from(["force", "drive"])
 
 
@@ -126,20 +139,69 @@ def test_given_any_matrices_when_written_and_loaded_then_they_are_equal_to_the_l
     part = random.standard_normal((n, n))
     damping = (mass + part - part.T) * 10.0 ** random.integers(-200, 200)
     scene = Scene(structure={"matrices": {"mass": mass, "stiffness": mass / 3.0, "damping": damping}})
-    assert rig.loads(scene.to_yaml()) == scene
+    assert rig.loads(scene.to_yaml()) == scene == rig.loads(scene.to_si_yaml())
 
 
 def test_given_minus_zero_when_written_then_it_is_zero() -> None:
     channel = {"name": "a", "at": "body 1", "accelerometer": {"bias": -0.0}}
     scene = Scene(structure={"masses": (1.0,), "springs": (1.0,)}, channels=[channel])
-    assert "bias: 0.0 V" in scene.to_yaml()
+    assert "bias: 0.0 V" in scene.to_si_yaml() and "bias: 0 V" in scene.to_yaml()
     assert rig.loads(scene.to_yaml()).to_yaml() == scene.to_yaml()
 
 
-def test_given_a_written_scene_when_read_by_a_person_then_units_are_spelled_out() -> None:
-    text = rig.load("fig9").to_yaml()
+def test_canonical_text_is_in_si() -> None:
+    text = rig.load("fig9").to_si_yaml()
     assert "springs: [24300.0 N/m, 21800.0 N/m, 19800.0 N/m]" in text
     assert "clearance: 0.00098 m" in text
+
+
+BRACKET = """name: bracket
+structure:
+  masses: {base: 4.20 kg, arm: 1100 g}
+  springs: [1.21 MN/m, 780 N/mm]
+gravity: 1 g
+dampers:
+- {body: arm, mass: 50 g, clearance: 0.133 mm}
+shaker:
+  kind: electrodynamic
+  body: base
+  spring: 6.6 kN/m
+  amplifier: {mode: current, limit: 2000 mA}
+test: {kind: stepped_sine, from: 200 rad/s, to: 9000 rpm, points: 20, drive: 0.5}
+channels:
+- name: a
+  at: arm
+  accelerometer: {sensitivity: 100 mV/g, noise: 20 ug/sqrt(Hz)}
+  abort: 12 g
+"""
+
+
+def test_scene_keeps_units_digits_and_names() -> None:
+    assert rig.loads(BRACKET).to_yaml() == BRACKET
+
+
+def test_replaced_value_keeps_its_unit() -> None:
+    scene = rig.loads(BRACKET)
+    lighter = scene.replace(
+        structure=scene.structure.replace(masses=(4.2, 0.9)),
+        dampers=(scene.dampers[0].replace(clearance=0.00025),),
+    )
+    expected = BRACKET.replace("1100 g", "900 g").replace("0.133 mm", "0.25 mm")
+    assert lighter.to_yaml() == expected
+
+
+def test_recorded_text_is_written_in_customary_units() -> None:
+    text = loads_si(rig.loads(BRACKET).to_si_yaml(), "recording").to_yaml()
+    assert "{body: arm, mass: 50 g, clearance: 0.133 mm}" in text
+    assert "{sensitivity: 100 mV/g, noise: 20 ug/sqrt(Hz)}" in text
+    assert "converter" not in text
+    assert rig.loads(text) == rig.loads(BRACKET)
+
+
+@given(positive, st.sampled_from(KINDS))
+def test_spelled_quantity_is_the_same_double(value: float, kind: Kind) -> None:
+    assert parse(spelled(value, kind), kind) == value
+    assert parse(spelled(value, kind, f"1 {kind.si}"), kind) == value
 
 
 def test_given_the_schema_in_the_package_when_compared_then_it_is_current() -> None:

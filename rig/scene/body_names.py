@@ -1,0 +1,138 @@
+"""Names of bodies: where a scene refers to a body by its name, the number that the settings hold."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from difflib import get_close_matches
+from typing import Any
+
+from rig.errors import SceneError
+from rig.scene.settings import Mistake, Place, at
+
+_NAME = re.compile(r"[^\W\d][\w.-]{0,39}")
+#: Words that mean something else where a body may be named.
+RESERVED = ("body", "table", "hammer", "shaker", "drive", "ground")
+# Places that are no body's name: a body by its number, or a part of the bench.
+_PLACE = re.compile(r"(body \d+|hammer|(table|shaker|drive)( \d+)?)")
+
+
+def mistakes_in(names: Sequence[str], bodies: int) -> Iterator[tuple[int | None, str]]:
+    """Yield what is wrong with names: the position of the name (None: all of them), and the message."""
+    if len(names) != bodies:
+        yield None, f"got {len(names)} names; expected {bodies}, one for each body"
+    for k, name in enumerate(names):
+        if not _NAME.fullmatch(name):
+            yield (
+                k,
+                f'"{name[:60]}" is not a name for a body; expected a letter, then letters, digits, _, - and .',
+            )
+        elif name in RESERVED:
+            yield k, f'"{name}" already means another place of the bench; expected another name'
+        elif name in names[:k]:
+            yield k, f'"{name}" is the name of body {names.index(name) + 1}; expected each name once'
+
+
+def number_of(body: int | str, names: Sequence[str] | None, bodies: int) -> int:
+    """Give the number of a body, from 1, by its number or its name, as options and arguments name it.
+
+    Raises
+    ------
+    SceneError
+        If there is no such body; the message gives the nearest name.
+
+    Examples
+    --------
+    >>> number_of("arm", ("base", "arm"), 2), number_of("body 1", None, 2), number_of("2", None, 2)
+    (2, 1, 2)
+    """
+    text = str(body).strip().removeprefix("body ")
+    if text.isdecimal() or isinstance(body, int):
+        if not 1 <= int(text) <= bodies:
+            raise SceneError(f"body {text} of {bodies}; expected 1 to {bodies}")
+        return int(text)
+    if names is not None and text in names:
+        return names.index(text) + 1
+    raise SceneError(_unknown(text, names, bodies))
+
+
+def numbered(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Mistake]]:
+    """Put the number of a body in the place of its name, wherever a scene refers to one.
+
+    Returns
+    -------
+    dict
+        The scene; what refers to no body is as it was.
+    list of Mistake
+        One for each name that no body has.
+    """
+    names, bodies = _names(scene.get("structure"))
+    mistakes: list[Mistake] = []
+
+    def body(value: Any, place: Place) -> Any:
+        if isinstance(value, list | tuple):
+            return [body(item, (*place, k)) for k, item in enumerate(value)]
+        if not isinstance(value, str) or re.fullmatch(r"[-+\d.,\s]*", value):
+            return value
+        if names is not None and value in names:
+            return names.index(value) + 1
+        if not bodies:  # the structure has mistakes of its own
+            return 1
+        mistakes.append(Mistake(place, _unknown(value, names, bodies)))
+        return value
+
+    def sensor(value: Any, place: Place) -> Any:
+        if not isinstance(value, str) or _PLACE.fullmatch(value) or (bodies and names is None):
+            return value
+        if names is None:
+            return "body 1"
+        name = value.removeprefix("body ")
+        if name in names:
+            return f"body {names.index(name) + 1}"
+        mistakes.append(Mistake(place, _unknown(name, names, bodies)))
+        return value
+
+    def inside(part: Any, key: str, read: Any, place: Place) -> Any:
+        if isinstance(part, list | tuple):
+            return [inside(item, key, read, (*place, k)) for k, item in enumerate(part)]
+        if not isinstance(part, Mapping) or key not in part:
+            return part
+        return {**part, key: read(part[key], (*place, key))}
+
+    refers = {
+        "dampers": ("body", body),
+        "shaker": ("body", body),
+        "test": ("body", body),
+        "channels": ("at", sensor),
+    }
+    found = {
+        part: inside(value, *refers[part], (part,)) if part in refers else value
+        for part, value in scene.items()
+    }
+    return found, mistakes
+
+
+def _names(structure: Any) -> tuple[list[str] | None, int]:
+    """Give the names of the bodies, None where there are none, and the number of bodies, as far as those are right."""
+    masses = at(structure, ("masses",))
+    names = list(masses) if isinstance(masses, Mapping) else at(structure, ("names",))
+    found = [str(name) for name in names] if isinstance(names, list | tuple) else None
+    counted = next(
+        (
+            part
+            for part in (masses, at(structure, ("matrices", "mass")), found)
+            if hasattr(part, "__len__") and not isinstance(part, str)
+        ),
+        (),
+    )
+    return found, len(counted)
+
+
+def _unknown(name: str, names: Sequence[str] | None, bodies: int) -> str:
+    if names is None:
+        number = f"its number, 1 to {bodies}" if bodies > 1 else "its number, from 1"
+        return f'no body has the name "{name[:60]}", for the structure names none; expected {number}'
+    near = get_close_matches(name, names, n=1)
+    shown = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
+    hint = f'did you mean "{near[0]}"?' if near else f"expected one of {shown}"
+    return f'no body has the name "{name[:60]}"; {hint}'

@@ -65,13 +65,14 @@ def modes_figure(frfs: Sequence[Frf], modes: Modes, title: str) -> Figure:
         for f in modes.frequency:
             for axes in (fit, chart):
                 axes.axvline(f, color="#777777", lw=0.7, ls=":", zorder=0)
-        places = np.arange(1, len(modes.responses) + 1)
+        bodies = modes.of_bodies()
+        places = np.arange(1, len(bodies.names) + 1)
         for i in range(count):
             axes = figure.add_subplot(rows[2, i])
-            axes.plot(np.append(0, modes.shapes[:, i].real), np.append(0, places), "o-", color="#333333")
+            axes.plot(np.append(0, bodies.shapes[:, i].real), np.append(0, places), "o-", color="#333333")
             axes.set(xlim=(-1.25, 1.25), xlabel="shape")
             axes.axvline(0.0, color="#777777", lw=0.7)
-            names = ["ground", *modes.responses] if i == 0 else [""] * (places.size + 1)
+            names = ["ground", *map(drawn, bodies.names)] if i == 0 else [""] * (places.size + 1)
             axes.set_yticks(np.append(0, places), names)
             axes.set_title(
                 f"{bounded(modes.frequency[i], 2 * modes.frequency_error[i], 'Hz')}\n{modes.damping_told(i)}",

@@ -133,6 +133,7 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
         label=curves[0].label,
         warnings=(),
         input=curves[0].input,
+        places=tuple(curve.output_at for curve in curves),
     )
     left_out = [frf.response for frf in frfs if frf.response not in result.responses]
     notes = doubts(result, curves, count, dropped, loose, unseen, left_out)

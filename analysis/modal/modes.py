@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,14 @@ ComplexArray = NDArray[np.complex128]
 # A damping ratio that is uncertain by more of itself (one standard deviation: it lies less than three from none)
 # is told by its upper limit alone, and its pole is a mode only where a peak stands out.
 TOLD = 1.0 / 3.0
+
+
+class BodyShapes(NamedTuple):
+    """Mode shapes with one element for each body, scaled to largest element one, and their standard deviations."""
+
+    names: tuple[str, ...]
+    shapes: ComplexArray
+    errors: Array
 
 
 @dataclass(frozen=True, repr=False)
@@ -56,6 +64,8 @@ class Modes(Result):
         Doubts about the numbers, in full sentences.
     input : str
         What drove the structure and where, such as ``force at body 1``.
+    places : tuple of str
+        Where each channel is: bodies by their names, or ``body 1``; empty where that is not known.
     """
 
     frequency: Array
@@ -72,6 +82,7 @@ class Modes(Result):
     label: str
     warnings: tuple[str, ...]
     input: str = ""
+    places: tuple[str, ...] = ()
 
     def summary(self) -> str:
         """List frequency and damping ratio of each mode."""
@@ -95,9 +106,10 @@ class Modes(Result):
         }
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Shape of each mode along the responses."""
-        for f, shape in zip(self.frequency, self.shapes.T, strict=True):
-            ax.plot(self.responses, shape.real, "o-", **styled(style, label=f"{f:.4g} Hz"))
+        """Shape of each mode along the bodies."""
+        bodies = self.of_bodies()
+        for f, shape in zip(self.frequency, bodies.shapes.T, strict=True):
+            ax.plot(bodies.names, shape.real, "o-", **styled(style, label=f"{f:.4g} Hz"))
         ax.set(ylabel="mode shape")
 
     @property
@@ -105,6 +117,27 @@ class Modes(Result):
         """Shapes scaled to largest element one, shape (responses, modes)."""
         top = np.argmax(abs(self.residue), axis=0)
         return self.residue / self.residue[top, np.arange(self.residue.shape[1])]
+
+    def of_bodies(self) -> BodyShapes:
+        """Give one element of each shape for each body: of several sensors on a body, their weighted mean."""
+        places = self.places or ("",) * len(self.responses)
+        # A channel whose place is not known is a point of its own.
+        keys = [place or f"channel {name}" for place, name in zip(places, self.responses, strict=True)]
+        names, shapes, errors = [], [], []
+        # The element that scales a shape has no error of its own: it weighs as much as the best of the others.
+        least = np.min(self.shape_error, axis=0, initial=np.inf, where=self.shape_error > 0.0)
+        weights = 1.0 / np.where(np.isfinite(least), np.maximum(self.shape_error, least), 1.0) ** 2
+        for key in dict.fromkeys(keys):
+            rows = [row for row, other in enumerate(keys) if other == key]
+            share = weights[rows] / weights[rows].sum(axis=0)
+            plain = len(rows) == 1 and (not places[rows[0]] or places[rows[0]].startswith("body "))
+            names.append(self.responses[rows[0]] if plain else key)
+            shapes.append((share * self.shapes[rows]).sum(axis=0))
+            errors.append(np.sqrt(((share * self.shape_error[rows]) ** 2).sum(axis=0)))
+        shape, error = np.array(shapes), np.array(errors)
+        top, modes = np.argmax(abs(shape), axis=0), np.arange(shape.shape[1])
+        error[top, modes] = 0.0
+        return BodyShapes(tuple(names), shape / shape[top, modes], error / abs(shape[top, modes]))
 
     def receptance(self, frequency: Array) -> ComplexArray:
         """Receptance of the modal model, m/N, shape (responses, frequencies); frequencies in Hz."""

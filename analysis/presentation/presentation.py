@@ -273,9 +273,10 @@ def describe_modes(modes: Modes, theory: np.ndarray | None = None) -> list[str]:
         f"{modes.label}{f', {modes.input}' * bool(modes.input)}: "
         f"{modes.frequency.size} mode{'s' * (modes.frequency.size != 1)}"
     ]
+    bodies = modes.of_bodies()
     for i, frequency in enumerate(modes.frequency):
-        known = zip(modes.shapes[:, i].real, 2.0 * modes.shape_error[:, i], strict=True)
-        shape = ", ".join(_element(value, bound) for value, bound in known)
+        known = zip(bodies.names, bodies.shapes[:, i].real, 2.0 * bodies.errors[:, i], strict=True)
+        shape = ", ".join(f"{name} {_element(value, bound)}" for name, value, bound in known)
         line = (
             f"  {bounded(frequency, 2 * modes.frequency_error[i], 'Hz')}, damping ratio "
             f"{modes.damping_told(i)}, shape ({shape})"

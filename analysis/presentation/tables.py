@@ -103,7 +103,7 @@ def _damping_rows(decays: Sequence[Decay]) -> Iterator[Row]:
 
 def modes_table(path: Path, found: Sequence[Modes]) -> Path:
     """Table of natural frequencies, damping ratios and shapes."""
-    channels = list(dict.fromkeys(name for modes in found for name in modes.responses))
+    channels = list(dict.fromkeys(name for modes in found for name in modes.of_bodies().names))
     heading = [
         "scene", "reference", "mode", "frequency_Hz", "frequency_std_Hz", "omega_rad_s", "damping_ratio",
         "damping_ratio_std",
@@ -114,9 +114,10 @@ def modes_table(path: Path, found: Sequence[Modes]) -> Path:
 
 def _mode_rows(found: Sequence[Modes], channels: Sequence[str]) -> Iterator[Row]:
     for modes in found:
+        bodies = modes.of_bodies()
         for i, frequency in enumerate(modes.frequency):
-            shape = dict(zip(modes.responses, modes.shapes[:, i].real, strict=True))
-            error = dict(zip(modes.responses, modes.shape_error[:, i], strict=True))
+            shape = dict(zip(bodies.names, bodies.shapes[:, i].real, strict=True))
+            error = dict(zip(bodies.names, bodies.errors[:, i], strict=True))
             yield (
                 modes.label, modes.input, i + 1, frequency, modes.frequency_error[i], 2 * np.pi * frequency,
                 modes.damping[i], modes.damping_error[i], *(shape.get(name, np.nan) for name in channels),

@@ -7,7 +7,22 @@ import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
+from rig.errors import SceneError
+
 MOST_BYTES = 64_000_000
+
+
+def path_of(path: str | Path, name: str = "path") -> Path:
+    """Take an argument that is the path of a file.
+
+    Raises
+    ------
+    SceneError
+        If it is no path; the message begins with the argument's name.
+    """
+    if not isinstance(path, str | Path):
+        raise SceneError(f"{name}: got {path!r:.60}; expected the path of a file")
+    return Path(path)
 
 
 def read_whole(path: Path) -> bytes:

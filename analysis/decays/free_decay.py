@@ -12,6 +12,7 @@ from scipy import ndimage, signal
 from analysis.decays.modal_decay import ModalDecay, band_width, modal_decay, spectral_peaks
 from analysis.decays.sensor_correction import corrected
 from analysis.recordings.channel_delay import arrival
+from analysis.recordings.names import takes_path
 from analysis.recordings.slices import hits
 from analysis.responses.measurands import motion_channel, responses
 from analysis.responses.systematic import clock_deviation
@@ -155,12 +156,13 @@ def outline(acceleration: Array, period: float) -> Array:
     return np.asarray(ndimage.convolve1d(largest, weights / weights.sum(), mode="nearest"))
 
 
+@takes_path
 def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int | None = None) -> Decay:
     """Free decay of a channel's acceleration after a hit.
 
     Parameters
     ----------
-    rec : daq.Recording
+    rec : daq.Recording, str or Path
         An impulse test or a free decay.
     channel : str, optional
         Channel; omitted, the last body's.

@@ -17,6 +17,7 @@ import numpy as np
 from analysis.export.mat import write_mat
 from analysis.export.uff import write_uff
 from analysis.export.wav import write_wav
+from analysis.recordings.names import takes_path
 from analysis.recordings.slices import Slice
 from rig.errors import RunError, SceneError
 from rig.output_files import replacing
@@ -28,6 +29,7 @@ SHOWN_UNITS = {"m/s^2": "m/s²"}
 SEP_QUANTITIES = {"acceleration": "a", "velocity": "v", "displacement": "d", "force": "f", "voltage": "V"}
 
 
+@takes_path
 def sep005(
     recording: Recording,
     channels: Sequence[str] | None = None,
@@ -38,6 +40,8 @@ def sep005(
 
     Parameters
     ----------
+    recording : daq.Recording, str or Path
+        Its samples are read into memory.
     from_s, to_s : float, optional
         Times in s.
 

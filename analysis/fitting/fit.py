@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,7 @@ from analysis.recordings.names import opened
 from rig.errors import RecordingError, SceneError
 from rig.input_files import repeated
 from rig.results import Result, plainly, styled
+from rig.scene.loading import SceneLike, scene_of
 from rig.scene.scene import Scene
 from rig.system.structure import natural_modes, structure_matrices
 
@@ -151,7 +153,12 @@ class Fit(Result):
 
     def __getitem__(self, key: str) -> Fitted:
         """Give one value by its key."""
-        return {one.key: one for one in self.parameters}[key]
+        found = {one.key: one for one in self.parameters}
+        if key not in found:
+            near = get_close_matches(key, found, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"it has {', '.join(found)}"
+            raise SceneError(f"no value {key!r} in the fit; {hint}")
+        return found[key]
 
     def summary(self) -> str:
         """Say whether it fits, and how many values are told."""
@@ -175,7 +182,7 @@ class Fit(Result):
 
 def fit(
     recordings: Sequence[Recording | str | Path] | Recording | str | Path,
-    scene: Scene | str,
+    scene: SceneLike,
     free: Sequence[str] | None = None,
     progress: Progress | None = None,
 ) -> Fit:
@@ -191,7 +198,7 @@ def fit(
     recordings : sequence of daq.Recording, str or Path
         Of one structure: stepped, swept, random, multisine or impulse tests; with dampers that move, tones. Which
         dampers were in is taken from the scene of each recording.
-    scene : Scene or str
+    scene : Scene, str, Path or mapping
         The model: structure and dampers, as well as they are known. Shaker, test and channels are those of the
         recordings.
     free : sequence of str, optional
@@ -220,10 +227,7 @@ def fit(
     ('', 'determined')
     """
     told = progress or (lambda _: None)
-    if isinstance(scene, str):
-        from rig.scene.loading import load
-
-        scene = load(scene)
+    scene = scene_of(scene)
     if scene.structure.damping is None and scene.structure.matrices is None:
         raise SceneError(
             f"scene {scene.name!r} has no structure.damping; expected its form and a guess, such as "
@@ -250,6 +254,10 @@ def _curves(recording: Any) -> list[Curves]:
     if isinstance(recording, str | Path):
         with opened(Path(recording)) as rec:
             return measured(rec, Path(recording).name)
+    if not hasattr(recording, "channels"):
+        raise RecordingError(
+            f"fit: got {recording!r:.60}; expected recordings: paths, or as daq.open gives them"
+        )
     return measured(recording, recording.path.name)
 
 

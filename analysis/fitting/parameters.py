@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.special import expit
 
 from rig.errors import SceneError
-from rig.scene.changes import changes_of
+from rig.scene.changes import Change, changes_of
 from rig.scene.damper import Landing, SpringDamper, Walls
 from rig.scene.scene import Scene
 from rig.scene.settings import Place, Settings
@@ -138,13 +138,15 @@ def free_parameters(scene: Scene, free: Sequence[str] | None = None) -> list[Par
     if free is None:
         chosen = changes_of(dict.fromkeys(FREE))
     else:
-        chosen = changes_of(dict.fromkeys(free))
+        names = scene.structure.names or ()
+        keys = [free] if isinstance(free, str) else free
+        chosen = [_by_number(change, names) for change in changes_of(dict.fromkeys(keys))]
         for change in chosen:
             if not any(change.concerns(one.place) for one in there):
-                names = ", ".join(dict.fromkeys(_general(one) for one in there))
+                offered = ", ".join(dict.fromkeys(_general(one) for one in there))
                 raise SceneError(
-                    f"free: {change.key}: nothing in scene {scene.name!r} that can be fitted; expected one of {names} "
-                    "(with [1] and so on for one of a list; a value of 0 or infinity is a property, not fitted)"
+                    f"free: {change.key}: nothing in scene {scene.name!r} that can be fitted; expected one of "
+                    f"{offered} (with [1] and so on for one of a list; a value of 0 or infinity is a property, not fitted)"
                 )
     found = [one for one in there if any(change.concerns(one.place) for change in chosen)]
     if free is None:
@@ -155,6 +157,13 @@ def free_parameters(scene: Scene, free: Sequence[str] | None = None) -> list[Par
             f"scene {scene.name!r} has nothing to fit: no masses, damping or dampers with values above 0"
         )
     return found
+
+
+def _by_number(change: Change, names: Sequence[str]) -> Change:
+    """Take the name of a body's mass as its number."""
+    if change.steps[:2] == ("structure", "masses") and change.steps[2:] and change.steps[2] in names:
+        return replace(change, steps=("structure", "masses", names.index(str(change.steps[2]))))
+    return change
 
 
 def with_values(scene: Scene, values: Mapping[Place, float]) -> Scene:
@@ -183,6 +192,8 @@ def _candidates(scene: Scene) -> Iterator[Parameter]:
     for place, value in _values(scene):
         if value is not None and 0.0 < value < np.inf:
             steps = [f"[{step + 1}]" if isinstance(step, int) else f".{step}" for step in place]
+            if place[:2] == ("structure", "masses") and scene.structure.names is not None:
+                steps[2] = f".{scene.structure.names[int(place[2])]}"
             yield Parameter("".join(steps).removeprefix("."), place, float(value))
 
 

@@ -68,8 +68,12 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
     SceneError
         If the responses do not belong together.
     """
-    if count is not None and count < 1:
+    if count is not None and not (isinstance(count, int) and count >= 1):
         raise SceneError(f"{count} modes asked for: expected at least 1")
+    if not isinstance(frfs, Sequence) or not frfs or not all(isinstance(frf, Frf) for frf in frfs):
+        raise SceneError(
+            f"identify: got {frfs!r:.60}; expected several curves, as analysis.frfs or read_frfs gives them"
+        )
     curves = _bounded(thinned([frf.to("displacement").sorted() for frf in frfs]))
     measured, sigma = _measured(curves)
     charts = [

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from analysis.modal.lscf import ChartPole
 from analysis.modal.pole_residue import residual_terms
+from rig.errors import SceneError
 from rig.results import Result, bounded, styled
 
 if TYPE_CHECKING:
@@ -164,5 +165,9 @@ def mac(first: NDArray[np.generic], second: NDArray[np.generic]) -> Array:
     [[1.0, 0.5], [0.0, 0.5]]
     """
     a, b = np.asarray(first, dtype=complex), np.asarray(second, dtype=complex)
+    if a.ndim != 2 or b.ndim != 2 or len(a) != len(b):
+        raise SceneError(
+            f"mac: got shapes {a.shape} and {b.shape}; expected two matrices with a row for each point"
+        )
     cross = abs(a.conj().T @ b) ** 2
     return cross / np.outer(np.sum(abs(a) ** 2, axis=0), np.sum(abs(b) ** 2, axis=0))

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, Concatenate, ParamSpec, Protocol, TypeVar
 
 from rig.errors import RecordingError
 
@@ -21,6 +22,8 @@ class _Labelled(Protocol):
 
 
 Labelled = TypeVar("Labelled", bound=_Labelled)
+P = ParamSpec("P")
+Returned = TypeVar("Returned")
 
 
 def opened(path: Path) -> Recording:
@@ -34,6 +37,25 @@ def opened(path: Path) -> Recording:
             f"{path}: no such file; {f'did you mean {where_made}?' if where_made.exists() else hint}"
         )
     return daq.open(path)
+
+
+def takes_path(
+    function: Callable[Concatenate[Recording, P], Returned],
+) -> Callable[Concatenate[Recording | str | Path, P], Returned]:
+    """Let a function of an open recording also take the path of one, which is open while the function runs."""
+
+    @wraps(function)
+    def opening(recording: Recording | str | Path, *args: P.args, **kwargs: P.kwargs) -> Returned:
+        if isinstance(recording, str | Path):
+            with opened(Path(recording)) as rec:
+                return function(rec, *args, **kwargs)
+        if not hasattr(recording, "channels"):
+            raise RecordingError(
+                f"{function.__name__}: got {recording!r:.60}; expected a recording: its path, or as daq.open gives it"
+            )
+        return function(recording, *args, **kwargs)
+
+    return opening
 
 
 def told_apart(names: Sequence[str], paths: Sequence[Path]) -> list[str]:

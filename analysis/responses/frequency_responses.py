@@ -6,9 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from analysis.recordings.names import takes_path
 from analysis.responses.estimators import ESTIMATORS, Averages
 from analysis.responses.frf import MOTIONS, Frf, FrfSet
-from analysis.responses.measurands import concerned, input_place, place, responses
+from analysis.responses.measurands import chosen, concerned, input_place, place
 from analysis.responses.passivity import reversed_force
 from rig.errors import RecordingError, SceneError
 from rig.scene.quantities import FORCE, number
@@ -69,6 +70,7 @@ def kind_of(rec: Recording) -> str:
     return "hits" if not measured and any(marker.kind == "hit" for marker in rec.markers) else "tones"
 
 
+@takes_path
 def frequency_responses(
     rec: Recording,
     channels: Sequence[str] | None = None,
@@ -84,8 +86,8 @@ def frequency_responses(
 
     Parameters
     ----------
-    rec : daq.Recording
-        The recording of a sine, stepped sine, swept sine, random, multisine or impulse test.
+    rec : daq.Recording, str or Path
+        The recording, or its path, of a sine, stepped sine, swept sine, random, multisine or impulse test.
     channels : sequence of str, optional
         Responses; omitted, every channel on a body.
     reference : {'force', 'table'}
@@ -118,7 +120,7 @@ def frequency_responses(
     blocks = Blocks(estimator, block, overlap, window)
     if motion not in MOTIONS:
         raise SceneError(f"unknown motion {motion!r}: expected {', '.join(MOTIONS)}")
-    names = list(channels) if channels else responses(rec)
+    names = chosen(rec, channels)
     if not names:
         raise RecordingError("no channel on a body: there is no response to divide")
     kind = kind_of(rec)
@@ -205,6 +207,7 @@ def _sources(
     return [sweep.lines for sweep in sweeps(rec, channels, progress)]
 
 
+@takes_path
 def frfs(
     rec: Recording,
     channels: Sequence[str] | None = None,
@@ -220,7 +223,7 @@ def frfs(
 
     Parameters
     ----------
-    rec : daq.Recording
+    rec : daq.Recording, str or Path
         As for `frequency_responses`, which gives all sweeps of a recording and has more options.
     channels, reference, motion
         As in `frequency_responses`; a response may also be named by the body it sits on.
@@ -236,15 +239,16 @@ def frfs(
 
     Examples
     --------
-    >>> import analysis, daq
-    >>> with daq.open("recordings/demo-sweep-no-damper.mcap") as recording:
-    ...     found = analysis.frfs(recording)
+    >>> import analysis
+    >>> found = analysis.frfs("recordings/demo-sweep-no-damper.mcap")
     >>> found["body3"].name, analysis.identify(found).frequency.round(2).tolist()
     ('compliance', [13.04, 34.78, 49.66])
     """
     from analysis.responses.stepped_sine import sweeps
 
-    names = list(channels) if channels else responses(rec)
+    if motion not in MOTIONS:
+        raise SceneError(f"unknown motion {motion!r}: expected {', '.join(MOTIONS)}")
+    names = chosen(rec, channels)
     if kind_of(rec) != "tones":
         if level is not None or direction is not None:
             raise SceneError(f"level and direction choose among sweeps of held tones; {rec.path} holds none")
@@ -265,6 +269,7 @@ def frfs(
     return FrfSet(checked(rec, [fitting[0].lines.frf(rec, name, reference, motion) for name in names]))
 
 
+@takes_path
 def compliance(
     rec: Recording,
     response: str = "body3",
@@ -276,6 +281,8 @@ def compliance(
 
     Parameters
     ----------
+    rec : daq.Recording, str or Path
+        As for `frfs`.
     response : str
         Channel, or the body it sits on.
     reference : {'force', 'table'}

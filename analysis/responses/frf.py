@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy import stats
 
 from rig.errors import SceneError
 from rig.results import Result, bounded, styled
+from rig.scene.quantities import FREQUENCY, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -286,9 +288,10 @@ class Frf(Result):
             held=None if curve.held is None else broken(curve.held),
         )
 
-    def between(self, low: float, high: float) -> Frf:
-        """Keep the points from `low` to `high` in Hz."""
-        return self.at((self.frequency >= low) & (self.frequency <= high))
+    def between(self, low: float | str, high: float | str) -> Frf:
+        """Keep the points from `low` to `high`, in Hz or as texts with their unit."""
+        first, last = number(low, FREQUENCY, "low"), number(high, FREQUENCY, "high")
+        return self.at((self.frequency >= first) & (self.frequency <= last))
 
     def at(self, points: NDArray[np.bool_] | NDArray[np.intp]) -> Frf:
         """Keep some points."""
@@ -327,8 +330,30 @@ class FrfSet(Result, Sequence[Frf]):
     def __getitem__(self, which: int | str | slice) -> Frf | FrfSet:
         """Give one by its number or channel, or some of them."""
         if isinstance(which, str):
-            return {curve.response: curve for curve in self._curves}[which]
+            return self._named(which)
         return FrfSet(self._curves[which]) if isinstance(which, slice) else self._curves[which]
+
+    def keys(self) -> tuple[str, ...]:
+        """List the channels of the responses, by which they are chosen."""
+        return tuple(curve.response for curve in self._curves)
+
+    def _named(self, name: str) -> Frf:
+        """Give the response of a channel, or of the only one at a place."""
+        fitting = [curve for curve in self._curves if curve.response == name]
+        fitting = fitting or [
+            curve for curve in self._curves if curve.output_at == name.removeprefix("body ")
+        ]
+        fitting = fitting or [curve for curve in self._curves if curve.output_at == name]
+        if len(fitting) == 1:
+            return fitting[0]
+        if fitting:
+            channels = " or ".join(curve.response for curve in fitting)
+            raise SceneError(
+                f"{len(fitting)} responses are at {name}; expected one of them by its channel, {channels}"
+            )
+        near = get_close_matches(name, [*self.keys(), *(curve.output_at for curve in self._curves)], n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"expected one of {', '.join(self.keys())}"
+        raise SceneError(f"no response {name!r}; {hint}")
 
     def summary(self) -> str:
         """Say which they are."""

@@ -19,6 +19,7 @@ from daq.importing import uff
 from daq.importing.files import signals_of
 from daq.importing.units import meaning
 from rig.errors import RecordingError, SceneError
+from rig.input_files import path_of
 from rig.scene.quantities import FREQUENCY
 
 Array = NDArray[np.float64]
@@ -79,7 +80,7 @@ def read_frfs(path: str | Path, reference: str | None = None, unit: str | None =
     >>> tip.name, tip.value.round(3).tolist()
     ('accelerance', [(9.807+0j), -19.613j])
     """
-    file = Path(path)
+    file = path_of(path)
     if not file.is_file():
         raise RecordingError(f"{file}: no such file")
     if file.suffix.lower() in (".uff", ".unv"):

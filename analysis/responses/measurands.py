@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.responses.frf import MOTIONS
-from rig.errors import RecordingError
+from rig.errors import RecordingError, SceneError
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -19,16 +19,39 @@ if TYPE_CHECKING:
 
 
 def named(rec: Recording, name: str) -> ChannelInfo:
-    """Channel called `name`, or the one that sits there (``"body 3"``, ``"table"``)."""
-    channels = rec.channels
+    """Channel called `name`, or the one that sits there (``"body 3"``, ``"arm"``, ``"table"``)."""
+    channels, places = rec.channels, [info.at for info in rec.channels.values()]
     if name in channels:
         return channels[name]
+    bodies = body_names(rec)
+    number = bodies.index(name.removeprefix("body ")) + 1 if name.removeprefix("body ") in bodies else None
+    at = name if number is None else f"body {number}"
     for info in channels.values():
-        if info.at == name:
+        if info.at == at:
             return info
-    near = difflib.get_close_matches(name, [*channels, *(info.at for info in channels.values())], n=1)
+    if number is not None:
+        raise RecordingError(f"no channel at {name} in the recording: it has {', '.join(channels)}")
+    near = difflib.get_close_matches(str(name), [*channels, *places, *bodies], n=1)
     hint = f"; did you mean {near[0]!r}?" if near else ""
     raise RecordingError(f"no channel {name!r} in the recording: it has {', '.join(channels)}{hint}")
+
+
+def body_names(rec: Recording) -> tuple[str, ...]:
+    """Names of the bodies in a recording's scene; empty where they have none, or there is no scene."""
+    try:
+        return rec.scene.structure.names or ()
+    except RecordingError:
+        return ()
+
+
+def chosen(rec: Recording, channels: Sequence[str] | str | None) -> list[str]:
+    """Channels that a user chose, by name or body; without a choice all that measure a body's motion."""
+    if not channels:
+        return responses(rec)
+    names = [channels] if isinstance(channels, str) else channels
+    if not isinstance(names, Iterable) or not all(isinstance(name, str) for name in names):
+        raise SceneError(f"channels: got {channels!r:.60}; expected names, such as {', '.join(rec.channels)}")
+    return list(names)
 
 
 def located(rec: Recording, place: str) -> ChannelInfo | None:
@@ -150,8 +173,7 @@ def place(rec: Recording, channel: str) -> str:
 
 
 def _body(rec: Recording, number: int) -> str:
-    names = getattr(rec.scene.structure, "names", None)
-    return str(names[number - 1]) if names else f"body {number}"
+    return rec.scene.structure.label(number)
 
 
 def concerned(rec: Recording, responses: Sequence[str], reference: str) -> list[str]:

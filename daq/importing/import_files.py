@@ -25,11 +25,11 @@ from daq.recording.recording import open as open_recording
 from daq.recording.timebase import refuse_reversed
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError, SceneError, ShotrigError
-from rig.input_files import repeated
+from rig.input_files import path_of, repeated
 from rig.numerics.runs import runs_of
 from rig.output_files import destination, replacing
 from rig.scene.excitation import Free, Impulse, Multisine, Random, Sine, SteppedSine, SweptSine
-from rig.scene.loading import load
+from rig.scene.loading import SceneLike, load
 from rig.scene.scene import Scene
 
 Progress = Callable[[float, str], None]
@@ -49,7 +49,7 @@ _LATE = 0.05
 
 def import_files(
     files: Sequence[str | Path] | str | Path,
-    scene: Scene | str | Path,
+    scene: SceneLike,
     path: str | Path,
     *,
     table: Mapping[str, Column] | str | Path | None = None,
@@ -70,7 +70,7 @@ def import_files(
     files : path or sequence of paths
         TDMS (.tdms), Universal File (.uff, .unv), WAV, text (.csv, .txt, .tsv, .lvm), numpy (.npz, .npy), MATLAB (.mat)
         or another program's MCAP.
-    scene : Scene or str or Path
+    scene : Scene, str, Path or mapping
         What was on the bench: structure, dampers, shaker, test, channels with their sensors.
     path : str or Path
         Recording to write (MCAP), in an existing folder.
@@ -116,15 +116,15 @@ def import_files(
     ...         recording.rate, round(float(recording.read("body1").max()), 4)
     (1000.0, 9.8066)
     """
-    what = scene if isinstance(scene, Scene) else load(scene)
-    paths = [Path(file) for file in ([files] if isinstance(files, str | Path) else files)]
+    what = load(scene)
+    paths = [path_of(file, "files") for file in (files if isinstance(files, list | tuple) else [files])]
     said = table if isinstance(table, Mapping) else {} if table is None else read_table(Path(table))
     for first, again in repeated(paths):
         raise RecordingError(f"{again}: the same content as {first}. Give each file once.")
     with ExitStack() as stack:
         signals = [signal for file in paths for signal in signals_of(file, stack)]
         # Only now: that a file is missing or no such scene is what the user should hear of first.
-        destination(Path(path), overwrite or _is_import_of(Path(path), paths), RecordingError)
+        destination(path_of(path), overwrite or _is_import_of(path_of(path), paths), RecordingError)
         chosen, notes = choose(what, signals, said)
         notes += contradicted_units(chosen)
         rate = _common_rate(chosen, what)

@@ -25,7 +25,8 @@ from daq.recording.recorder import Recorder
 from daq.signal_chain.bench import AcquiredBlock, Bench
 from rig.ending_signals import came
 from rig.errors import RecordingError, RunError, SceneError, ShotrigError
-from rig.scene.loading import load
+from rig.input_files import path_of
+from rig.scene.loading import SceneLike, load
 from rig.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -44,7 +45,7 @@ class RunWarning(UserWarning):
 
 
 def record(
-    scene: Scene | str | Path,
+    scene: SceneLike,
     path: str | Path,
     *,
     block: int | None = None,
@@ -57,7 +58,7 @@ def record(
 
     Parameters
     ----------
-    scene : Scene or str or Path
+    scene : Scene, str, Path or mapping
         Scene, name of a bundled one, or path of a scene file.
     path : str or Path
         Recording to write (MCAP); missing folders are made.
@@ -97,9 +98,10 @@ def record(
     """
     if block is not None and block < 1:
         raise SceneError(f"block: got {block}; expected a number of samples, 1 at least")
-    what = scene if isinstance(scene, Scene) else load(scene)
-    refuse_too_much(estimate(what), Path(path))
-    return MeasurementRun(what, Path(path), block, progress).run(overwrite)
+    what = load(scene)
+    target = path_of(path)
+    refuse_too_much(estimate(what), target)
+    return MeasurementRun(what, target, block, progress).run(overwrite)
 
 
 class MeasurementRun:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
@@ -23,6 +24,7 @@ from daq.signal_chain.channel import UNITS, ChannelInfo
 from daq.signal_chain.field_checks import NAME, check
 from rig.errors import RecordingError, naming
 from rig.escaping import html
+from rig.input_files import path_of
 from rig.results import Result, styled
 
 if TYPE_CHECKING:
@@ -78,7 +80,7 @@ class Recording(Result):
     """
 
     def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
+        self.path = path_of(path)
         self._container = Container(self.path)
         try:
             self._find_series()
@@ -198,9 +200,9 @@ class Recording(Result):
             If there is no such channel or sample, or the file is damaged there.
         """
         if channel not in self._series:
-            raise RecordingError(
-                f"{self.path} has no channel {channel!r}; its channels are {', '.join(self._series)}"
-            )
+            near = get_close_matches(str(channel), self._series, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"its channels are {', '.join(self._series)}"
+            raise RecordingError(f"{self.path} has no channel {channel!r}; {hint}")
         start, stop = self._range(start, stop)
         return self._series[channel].read(start, stop)
 
@@ -340,6 +342,11 @@ class Recording(Result):
     def status(self) -> str:
         """How the test ended: `complete`, `interrupted`, `failed`, `recovered`, or `unknown`."""
         return self.metadata.get("outcome", {}).get("status", "unknown")
+
+    @property
+    def duration(self) -> float:
+        """Length of the recording [s]."""
+        return self.samples / self.rate
 
     @property
     def source(self) -> str:

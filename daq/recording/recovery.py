@@ -23,6 +23,7 @@ from daq.recording.sample_block import SAMPLE_TYPE, decode
 from daq.recording.timebase import Timebase
 from rig.errors import RecordingError
 from rig.escaping import shown
+from rig.input_files import path_of
 
 if TYPE_CHECKING:
     from mcap.records import Attachment, Channel, Metadata, Schema
@@ -96,7 +97,7 @@ def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Sal
     DiskError
         If the disk has no room for the new file, or fails.
     """
-    source, target = Path(path), Path(fixed)
+    source, target = path_of(path), path_of(fixed, "fixed")
     if source.exists() and target.exists() and source.samefile(target):
         raise RecordingError(f"{source} cannot be recovered into itself; name another file")
     with DamagedFile(source) as wreck:

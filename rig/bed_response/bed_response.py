@@ -19,7 +19,7 @@ from rig.grains.packing import settled
 from rig.grains.spheres import spheres_of
 from rig.kept_table import KeptTable
 from rig.results import Result, styled
-from rig.scene.loading import scene_of
+from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, positives
 from rig.scene.scene import Scene
 from rig.workers import Workers
@@ -98,7 +98,7 @@ class BedResponse(Result):
 
 
 def bed_response(
-    scene: Scene | str,
+    scene: SceneLike,
     frequencies: Sequence[float] | Sequence[str],
     periods: int = PERIODS,
     table: Path | None = None,
@@ -109,7 +109,7 @@ def bed_response(
 
     Parameters
     ----------
-    scene : Scene or str
+    scene : Scene, str, Path or mapping
         With a bed of grains that can move, and a test that gives the level.
     frequencies : sequence of float or str
         Hz, or text with units.

@@ -10,6 +10,7 @@ from rig.damper_design.choice import Question, Space, variants
 from rig.damper_design.landings import landings_of
 from rig.errors import SceneError
 from rig.motion_map.grid import columns
+from rig.scene.body_names import number_of
 from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, MASS, RATIO, Kind, number, parse, positives
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
@@ -52,14 +53,13 @@ def mass_of(budget: float | str | None, scene: Scene) -> float:
 
 def _bodies(given: Sequence[int | str] | None, scene: Scene, name: str) -> tuple[int, ...]:
     everywhere = range(1, scene.structure.bodies + 1)
+    listed = [given] if isinstance(given, int | str) else given
     try:
-        found = tuple(sorted(int(one) for one in given or everywhere))
-    except ValueError:
-        found = (0,)
-    if not set(found) <= set(everywhere):
-        got = ", ".join(str(one)[:20] for one in given or ())
-        raise SceneError(f"{name}: got {got}; expected numbers of bodies, from 1 to {everywhere[-1]}")
-    return found
+        return tuple(
+            sorted(number_of(one, scene.structure.names, len(everywhere)) for one in listed or everywhere)
+        )
+    except SceneError as error:
+        raise SceneError(f"{name}: {error}") from None
 
 
 def _range(given: Sequence[float | str], kind: Kind, name: str) -> tuple[float, float]:

@@ -22,7 +22,7 @@ from rig.damper_design.search import chart, pieces, search
 from rig.damper_design.tolerance import Tolerance, tolerance
 from rig.damper_design.worst_peak import Peak
 from rig.results import Result
-from rig.scene.loading import scene_of
+from rig.scene.loading import SceneLike, scene_of
 from rig.scene.scene import Scene
 from rig.workers import Workers
 
@@ -132,7 +132,7 @@ class Design(Result):
 
 
 def design(
-    scene: Scene | str,
+    scene: SceneLike,
     *,
     budget: float | str | None = None,
     bodies: Sequence[int | str] | None = None,
@@ -154,7 +154,7 @@ def design(
 
     Parameters
     ----------
-    scene : Scene or str
+    scene : Scene, str, Path or mapping
         Structure, shaker and level; its own dampers are left out, but new ones have their restitution and contact,
         those of the first where they differ.
     budget : float or str, optional

@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 
 from rig.grains.spheres import spheres_of
-from rig.scene.loading import scene_of
+from rig.scene.loading import SceneLike, scene_of
 from rig.scene.scene import Scene
 from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, Shaker, TableShaker
 from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping
@@ -78,12 +78,12 @@ class Explanation:
         return "\n".join(lines)
 
 
-def explain(scene: Scene | str) -> Explanation:
+def explain(scene: SceneLike) -> Explanation:
     """Say which effects a scene turns on, and how many states each adds.
 
     Parameters
     ----------
-    scene : Scene or str
+    scene : Scene, str, Path or mapping
         A scene, or what `rig.load` takes.
 
     Examples

@@ -18,7 +18,7 @@ from rig.kept_table import KeptTable
 from rig.motion_map.grid import KIND_OF_UNIT, columns, rows_of, take_off, vertical_axis
 from rig.response.frequency_response import Follower
 from rig.results import Result
-from rig.scene.loading import scene_of
+from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, positives
 from rig.scene.scene import Scene
 from rig.system.open_loop_drive import with_ideal_force
@@ -119,7 +119,7 @@ class MotionMap(Result):
 
 
 def map_motion(
-    scene: Scene | str,
+    scene: SceneLike,
     over: str | None = None,
     values: ArrayLike | None = None,
     frequencies: ArrayLike | None = None,
@@ -131,7 +131,7 @@ def map_motion(
 
     Parameters
     ----------
-    scene : Scene or str
+    scene : Scene, str, Path or mapping
         A scene, or what `rig.load` takes. Where its test holds the amplitude of the spring force, that force acts on
         the body as a pure tone; a test that gives a drive goes through its shaker.
     over : {"force", "drive", "clearance"}, optional

@@ -27,8 +27,7 @@ from rig.orbits.problem import (
     parameter_values,
     vary,
 )
-from rig.scene.loading import scene_of
-from rig.scene.scene import Scene
+from rig.scene.loading import SceneLike, scene_of
 
 if TYPE_CHECKING:
     pass
@@ -45,7 +44,7 @@ MOST = 60
 
 
 def follow_orbits(
-    scene: Scene | str,
+    scene: SceneLike,
     parameter: Parameter,
     bounds: tuple[float | str, float | str],
     *,
@@ -57,7 +56,7 @@ def follow_orbits(
 
     Parameters
     ----------
-    scene : Scene or str
+    scene : Scene, str, Path or mapping
         As for `rig.periodic_orbit`.
     parameter : {'frequency', 'force', 'clearance', 'mass_ratio'}
         What is varied: Hz, level of the drive (N), clearance of all dampers (m), factor on their masses.
@@ -75,9 +74,12 @@ def follow_orbits(
     SceneError
         If the parameter or its range makes no sense.
     """
-    low, high = parameter_values(parameter, bounds).tolist()
-    if not low < high:
-        raise SceneError(f"range {low:g} to {high:g}: expected two rising values above 0")
+    ends = parameter_values(parameter, bounds)
+    if ends.size != 2 or not ends[0] < ends[1]:
+        raise SceneError(
+            f"bounds: got {', '.join(f'{end:g}' for end in ends)}; expected two rising values above 0"
+        )
+    low, high = ends.tolist()
     problem = OrbitProblem(scene_of(scene))
     base = problem.setting(base_frequency(parameter, frequency, low))
     explorer = _Explorer(problem, base, parameter, (low, high), progress)

@@ -12,10 +12,10 @@ from rig.errors import RunError
 from rig.orbits.event_sequence import Plan, configuration_of, make_plan, mode_of, plan_from, walls_of
 from rig.orbits.orbit import Orbit, solve
 from rig.orbits.orbit_equations import FORCELESS
-from rig.orbits.problem import OperatingPoint, OrbitProblem, base_frequency
+from rig.orbits.problem import OperatingPoint, OrbitProblem
 from rig.response.steady_state import LONGEST_REPETITION, settle
-from rig.scene.loading import scene_of
-from rig.scene.scene import Scene
+from rig.scene.loading import SceneLike, scene_of
+from rig.scene.quantities import FREQUENCY, positives
 
 Array = NDArray[np.float64]
 
@@ -31,12 +31,12 @@ NEAR = 0.05
 CONFIRMED, CLOSE = 16, 1e-6
 
 
-def periodic_orbit(scene: Scene | str, frequency: float | str, start: Orbit | None = None) -> Orbit:
+def periodic_orbit(scene: SceneLike, frequency: float | str, start: Orbit | None = None) -> Orbit:
     """Find a periodic motion of a scene at a frequency.
 
     Parameters
     ----------
-    scene : Scene or str
+    scene : Scene, str, Path or mapping
         A scene, or what `rig.load` takes; with a shaker and a test that gives a level. Where the test holds
         the amplitude of the spring force, that force is put on the driven body as a pure tone, which is what an ideal
         controller holds.
@@ -62,7 +62,7 @@ def periodic_orbit(scene: Scene | str, frequency: float | str, start: Orbit | No
     ('II', True, 4)
     """
     problem = OrbitProblem(scene_of(scene))
-    setting = problem.setting(base_frequency("frequency", frequency, 0.0))
+    setting = problem.setting(float(positives(frequency, FREQUENCY, "frequency")[0]))
     if start is not None:
         return solve(problem, start.plan, setting, start.unknowns)
     return search(problem, setting)

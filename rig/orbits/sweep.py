@@ -35,8 +35,7 @@ from rig.response.frequency_response import draw_compliance
 from rig.response.motion_type import motion_types, overall
 from rig.response.steady_state import MARKS, one_cycle
 from rig.results import Result
-from rig.scene.loading import scene_of
-from rig.scene.scene import Scene
+from rig.scene.loading import SceneLike, scene_of
 from rig.scene.shaker import ForceShaker
 from rig.system.assembly import spring_force_row
 
@@ -131,7 +130,7 @@ class OrbitResponse(Result):
 
 
 def orbit_response(
-    scene: Scene | str,
+    scene: SceneLike,
     values: ArrayLike,
     parameter: Parameter = "frequency",
     *,
@@ -146,7 +145,7 @@ def orbit_response(
 
     Parameters
     ----------
-    scene : Scene or str
+    scene : Scene, str, Path or mapping
         As for `rig.periodic_orbit`.
     values : array_like, shape (values,)
         Of the parameter, in SI or as texts with units, in the order in which to visit them: each starts from the motion

@@ -17,7 +17,7 @@ from rig.errors import SceneError
 from rig.response.motion_type import motion_types, overall
 from rig.response.steady_state import MARKS, Steady, one_cycle, settle
 from rig.results import Result, styled
-from rig.scene.loading import scene_of
+from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, positives
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
@@ -137,7 +137,7 @@ class SteadyPoint:
 
 
 def frequency_response(
-    scene: Scene | str,
+    scene: SceneLike,
     frequencies: ArrayLike,
     direction: str = "up",
     tolerance: float = 1e-8,
@@ -148,7 +148,7 @@ def frequency_response(
 
     Parameters
     ----------
-    scene : Scene or str
+    scene : Scene, str, Path or mapping
         A scene, or what `rig.load` takes. The level is that of its test: `force` (of the force itself, or the
         amplitude of the spring force's first harmonic) or `drive`.
     frequencies : array_like or sequence of str, shape (frequencies,)

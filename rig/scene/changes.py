@@ -17,14 +17,16 @@ _STEP = re.compile(r"([A-Za-z_]\w*)((?:\[\d{1,6}\])*)")
 
 @dataclass(frozen=True)
 class Change:
-    """One value to put into a scene: the change as written, the steps to it (positions from 0), and the value."""
+    """One value to put into a scene: its key as written, the steps to it (positions from 0), and the value."""
 
-    written: str
+    key: str
     steps: Place
     value: Any
+    option: str = ""
+    """The option of the command line with which it was given; empty from Python."""
 
     def __str__(self) -> str:
-        return shown(self.written)
+        return shown(self.option or f"{self.key}={self.value}")
 
     def put_into(self, content: Any) -> Any:
         """Give the content with the value in it; a key of a list without a number goes to each of its items.
@@ -61,7 +63,7 @@ class Change:
     def concerns(self, place: Place) -> bool:
         """Whether a place lies in what was changed.
 
-        >>> Change("dampers.mass=1", ("dampers", "mass"), "1").concerns(("dampers", 1, "mass"))
+        >>> Change("dampers.mass", ("dampers", "mass"), "1").concerns(("dampers", 1, "mass"))
         True
         """
         left = list(place)
@@ -91,7 +93,7 @@ def changes_of(given: Mapping[str, Any]) -> list[Change]:
     >>> changes_of({"dampers[2].clearance": "1 mm"})[0].steps
     ('dampers', 1, 'clearance')
     """
-    return [Change(f"{key}={value}", _steps(str(key)), value) for key, value in given.items()]
+    return [Change(str(key), _steps(str(key)), value) for key, value in given.items()]
 
 
 def parsed(settings: Iterable[str]) -> list[Change]:
@@ -119,7 +121,8 @@ def parsed(settings: Iterable[str]) -> list[Change]:
         if not equals or document.mistakes:
             reason = f" ({document.mistakes[0][1].message})" if document.mistakes else ""
             raise SceneError(f"--set {setting[:60]}: expected KEY=VALUE such as test.force=5N{reason}")
-        found.append(Change(f"--set {setting}", _steps(key, f"--set {setting[:60]}: "), document.content))
+        steps = _steps(key, f"--set {setting[:60]}: ")
+        found.append(Change(key, steps, document.content, f"--set {setting}"))
     return found
 
 

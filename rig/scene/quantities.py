@@ -216,13 +216,33 @@ def number(value: float | str | None, kind: Kind, name: str) -> float | None:
     >>> number("2 s", TIME, "duration"), number(2.0, TIME, "duration")
     (2.0, 2.0)
     """
-    if not isinstance(value, str):
-        return value
+    if value is None:
+        return None
     try:
-        return _parse_text(value, kind)
+        return parse(value, kind)
     except ValueError as error:
         instead = with_a_point(value, [kind]) or f"{kind.noun} such as {kind.example}"
         raise SceneError(f"{name}: {error}; expected {instead}") from None
+
+
+def span(values: ArrayLike, kind: Kind, name: str) -> tuple[float, float]:
+    """Take an argument of two quantities, the smaller one first, each as `number` does.
+
+    Raises
+    ------
+    SceneError
+        If it is not; the message begins with the argument's name.
+
+    Examples
+    --------
+    >>> span(["55 Hz", 70], FREQUENCY, "band")
+    (55.0, 70.0)
+    """
+    ends = positives(values, kind, name).tolist()
+    if len(ends) != 2 or not ends[0] < ends[1]:
+        got = ", ".join(f"{end:g} {kind.si}" for end in ends)
+        raise SceneError(f"{name}: got {got}; expected two values, the smaller one first")
+    return ends[0], ends[1]
 
 
 def positives(values: ArrayLike, kind: Kind, name: str) -> NDArray[np.float64]:

@@ -17,7 +17,7 @@ from rig.errors import SceneError
 from rig.numerics.memory import need
 from rig.ranks import size
 from rig.results import Result, styled
-from rig.scene.loading import scene_of
+from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, TIME, number
 from rig.scene.scene import Scene
 from rig.simulation.energy import Energy, ends_of, ledger, total
@@ -103,7 +103,7 @@ class Run(Result):
 
 
 def simulate(
-    scene: Scene | str,
+    scene: SceneLike,
     duration: float | str,
     rate: float | str = 5120.0,
     drive: ArrayLike | None = None,
@@ -115,7 +115,7 @@ def simulate(
 
     Parameters
     ----------
-    scene : Scene or str
+    scene : Scene, str, Path or mapping
         A scene, or what `rig.load` takes.
     duration : float or str
         Seconds, or text with a unit, such as ``"2 s"``.
@@ -155,7 +155,7 @@ def simulate(
     duration, rate = number(duration, TIME, "duration"), number(rate, FREQUENCY, "rate")
     frequency = number(frequency, FREQUENCY, "frequency")
     for name, value in (("duration", duration), ("rate", rate)):
-        if not (np.isfinite(value) and value > 0.0):
+        if value is None or not (np.isfinite(value) and value > 0.0):
             raise SceneError(f"{name}: got {value!r}; expected a positive number")
     system = assemble(scene)
     _need_memory(system, duration * rate)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from rig.errors import SceneError
 from rig.numerics import continuation
 from rig.results import Result, joined, styled
-from rig.scene.loading import scene_of
-from rig.scene.quantities import FORCE, FREQUENCY, number, positives
-from rig.scene.scene import Scene
+from rig.scene.body_names import number_of
+from rig.scene.loading import SceneLike, scene_of
+from rig.scene.quantities import FORCE, FREQUENCY, number, span
 from rig.single_mode.admissibility import Batch, first_harmonic, flaws, multipliers, peak_to_peak
 from rig.single_mode.motion_search import ENDS, order, solutions
 from rig.single_mode.periodic_motion import INSTANTS, TURN, MotionParameters, MotionType, jacobian
@@ -151,19 +151,19 @@ class Approximation(Result):
 
 
 def approximate_response(
-    scene: Scene | str,
+    scene: SceneLike,
     mode: int,
     band: tuple[float | str, float | str],
     *,
     force: float | str | None = None,
     weighting: Weighting = "printed",
-    at: int | None = None,
+    at: int | str | None = None,
 ) -> Approximation:
     """Find the periodic motions of a scene by the paper's one-mode method.
 
     Parameters
     ----------
-    scene : Scene or str
+    scene : Scene, str, Path or mapping
         A scene, or what `rig.load` takes; with dampers of one common clearance that land at once, restitution 0.
     mode : int
         Mode that is kept, from 1.
@@ -173,18 +173,25 @@ def approximate_response(
         Force amplitude, in N or as text with its unit; by default the scene's test gives it.
     weighting : {'printed', 'energy'}
         How damper masses are weighted, see `rig.single_mode.reduction`.
-    at : int, optional
-        Body at which the mode shape is 1; by default the one that moves most.
+    at : int or str, optional
+        Body, by number or name, at which the mode shape is 1; by default the one that moves most.
 
     Returns
     -------
     Approximation
         Coordinates are those of the body where the shape is 1; multiply by `mode.shape` for the others.
     """
-    low, high = positives(band, FREQUENCY, "band").tolist()
-    level = number(force, FORCE, "force")
-    reduced = single_mode(scene_of(scene), mode, force=level, weighting=weighting, at=at)
-    return follow_mode(reduced, (low, high))
+    ends, level = span(band, FREQUENCY, "band"), number(force, FORCE, "force")
+    if not isinstance(mode, int):
+        raise SceneError(f"mode: got {mode!r:.60}; expected the number of a mode, from 1")
+    if weighting not in get_args(Weighting):
+        raise SceneError(
+            f"weighting: got {weighting!r:.60}; expected one of {', '.join(get_args(Weighting))}"
+        )
+    setting = scene_of(scene)
+    names = setting.structure.names, setting.structure.bodies
+    body = None if at is None else number_of(at, *names)
+    return follow_mode(single_mode(setting, mode, force=level, weighting=weighting, at=body), ends)
 
 
 def follow_mode(mode: SingleMode, band: tuple[float, float], searches: int = 13) -> Approximation:

@@ -36,7 +36,7 @@ def measurement_effects(scene: Scene) -> Iterable[Effect]:
     system = assemble(scene)
     chain = Chain(scene, clock.true_rate, system.points, system.inputs)
     for channel in chain.channels:
-        part = f"channel {channel.name} ({channel.quantity} at {channel.at})"
+        part = f"channel {channel.name} ({channel.quantity} at {scene.structure.label(channel.at)})"
         for name, states in chain.effects[channel.name].items():
             yield Effect(part, name, states)
         yield Effect(part, "sample clock", 0, f"{clock.rate:.6g} Hz")

@@ -163,7 +163,7 @@ def simulate(
         counting("following the motion") as progress,
     ):
         run = simulate_into(output, setting, seconds, samples, tone, progress)
-    print(summary(run))
+    print(setting.structure.relabel(summary(run)))
     if output is not None:
         print(f"\nwritten: {output}")
 
@@ -342,7 +342,7 @@ def design(
     bodies: Annotated[
         str | None,
         typer.Option(
-            metavar="N,N,...", help="Bodies that may carry a damper (default: all); for two, name one twice."
+            metavar="BODY,...", help="Bodies that may carry a damper (default: all); for two, name one twice."
         ),
     ] = None,
     dampers: Annotated[
@@ -362,7 +362,7 @@ def design(
         str | None, typer.Option(metavar="LOW,HIGH", help="Frequencies that count (default: the test's).")
     ] = None,
     watched: Annotated[
-        str | None, typer.Option(metavar="N,N,...", help="Bodies whose peaks count (default: all).")
+        str | None, typer.Option(metavar="BODY,...", help="Bodies whose peaks count (default: all).")
     ] = None,
     damping_off: Annotated[
         str, typer.Option(metavar="SHARE", help="How far the structure's damping may be off, such as '30 %'.")
@@ -413,7 +413,7 @@ def design(
         )
         tell(1.0, "writing")
         files = write(found, output)
-    print(summary(found))
+    print(setting.structure.relabel(summary(found)))
     print("\nwritten:", *files, table)
     print(next_step(found, files[0]))
 

@@ -63,7 +63,7 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
     missing = [body for body in range(1, count + 1) if f"body {body}" not in bodies]
     if missing:
         raise RecordingError(
-            f"no channel on body {', '.join(map(str, missing))}: the energy balance needs all {count} bodies"
+            f"no channel on {rec.scene.structure.listed(missing)}: the energy balance needs all {count} bodies"
         )
     shaker = rec.scene.driven_shaker
     driven = shaker.body if shaker is not None and isinstance(shaker.body, int) else 1

@@ -146,7 +146,7 @@ def free_parameters(scene: Scene, free: Sequence[str] | None = None) -> list[Par
                 offered = ", ".join(dict.fromkeys(_general(one) for one in there))
                 raise SceneError(
                     f"free: {change.key}: nothing in scene {scene.name!r} that can be fitted; expected one of "
-                    f"{offered} (with [1] and so on for one of a list; a value of 0 or infinity is a property, not fitted)"
+                    f"{offered} (with [1] and so on for one of a list; a value of 0 or infinity is a property)"
                 )
     found = [one for one in there if any(change.concerns(one.place) for change in chosen)]
     if free is None:

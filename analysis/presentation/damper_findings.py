@@ -95,7 +95,9 @@ def _motions(
     for body in sorted({damper.body for damper in rec.scene.dampers if not damper.locked}):
         info = located(rec, f"body {body}")
         if info is None:
-            text.append(f"body {body}: no channel on it, so that its impacts are not seen")
+            text.append(
+                f"{rec.scene.structure.label(body)}: no channel on it, so that its impacts are not seen"
+            )
             continue
         try:
             motions = damper_motion(rec, sweep, info.name, progress)

@@ -137,7 +137,7 @@ def _tested(path: Path, rec: Recording) -> str:
     scene = rec.scene
     test = "none" if scene.test is None else scene.test.kind.replace("_", " ")
     shaker = ", ".join(each.kind for each in scene.shakers) or "none"
-    dampers = "; ".join(_damper(damper) for damper in scene.dampers)
+    dampers = "; ".join(_damper(damper, scene.structure.label(damper.body)) for damper in scene.dampers)
     facts = [
         ("recording", str(path)),
         ("scene", scene.name),
@@ -166,12 +166,12 @@ def _tested(path: Path, rec: Recording) -> str:
     )
 
 
-def _damper(damper: Damper) -> str:
+def _damper(damper: Damper, body: str) -> str:
     mass = f"{damper.mass:.4g} kg" if damper.mass is not None else f"mass ratio {damper.mass_ratio:.3g}"
     ceiling = (
         f"clearance {plainly(1e3 * damper.clearance)} mm" if isfinite(damper.clearance) else "no ceiling"
     )
-    return f"body {damper.body}: {mass}, {ceiling}{', locked' if damper.locked else ''}"
+    return f"{body}: {mass}, {ceiling}{', locked' if damper.locked else ''}"
 
 
 def _ranges(rec: Recording, found: Sequence[tuple[int, object]]) -> str:

@@ -202,7 +202,7 @@ class RigView:
         colour, height = self._colour(f"body {body}", body_colour(body)), self._height[body - 1]
         name = f"rig/body_{body}"
         masses = self.scene.structure.masses
-        text = f"body {body}" + (f"  {masses[body - 1]:g} kg" if masses is not None else "")
+        text = self.scene.structure.label(body) + (f"  {masses[body - 1]:g} kg" if masses is not None else "")
         text += self._remark(f"body {body}")
         inside = self._cavities[body - 1]
         if inside:

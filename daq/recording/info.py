@@ -40,7 +40,7 @@ def describe(recording: Recording) -> Iterator[str]:
     for place, (name, info) in enumerate(recording.channels.items()):
         label = "channels" if place == 0 else ""
         sensor = f"{info.quantity}, {info.sensitivity:.6g} V per {info.unit}"
-        yield f"  {label:9} {name:{wide}}  {info.at}, {sensor}, {_SAMPLING[info.sampling]}"
+        yield f"  {label:9} {name:{wide}}  {_place(recording, info.at)}, {sensor}, {_SAMPLING[info.sampling]}"
     if recording.truth_points:
         points, events = ", ".join(recording.truth_points), recording.events.size
         yield f"  truth     of {points}; {events} changes of contact"
@@ -74,6 +74,14 @@ def _duration(recording: Recording) -> str:
     if seconds < 120:
         return f"{seconds:.3f} s"
     return f"{int(seconds // 60)} min {seconds % 60:.1f} s"
+
+
+def _place(recording: Recording, at: str) -> str:
+    """Name the place of a channel, a body by its name if the scene has one."""
+    try:
+        return recording.scene.structure.label(at)
+    except ShotrigError:
+        return at
 
 
 def _scene(recording: Recording) -> str:

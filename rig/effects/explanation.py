@@ -13,7 +13,7 @@ from rig.grains.spheres import spheres_of
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.scene import Scene
 from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, Shaker, TableShaker
-from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping
+from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping, Structure
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
 from rig.system.structure import natural_modes, structure_matrices
@@ -116,14 +116,15 @@ def motion_effects(scene: Scene) -> Iterable[Effect]:
     bodies = scene.structure.bodies
     many = "body" if bodies == 1 else "bodies"
     given = "by matrices" if scene.structure.matrices is not None else "on springs"
-    what = f"{bodies} {many} {given}, {_natural_frequencies(scene)}, {_damping(scene)}"
+    called = "" if scene.structure.names is None else f" ({', '.join(scene.structure.names[:_TOLD])})"
+    what = f"{bodies} {many} {given}{called}, {_natural_frequencies(scene)}, {_damping(scene)}"
     yield Effect("motion", "structure", 2 * bodies, what)
     if system.coupled and system.dampers:
         several = np.unique(system.damper_coordinate).size < system.dampers
         why = "several dampers in a body" if several else "full mass matrix"
         yield Effect("motion", "coupled impacts", 0, f"{why}: all contacts of an instant are solved together")
     for shaker in scene.shakers:
-        yield from _shaker(shaker)
+        yield from _shaker(shaker, scene.structure)
     yield from _dampers(scene, system)
 
 
@@ -149,12 +150,12 @@ def _damping(scene: Scene) -> str:
     return "undamped" if matrices is None or matrices.damping is None else "a damping matrix"
 
 
-def _shaker(shaker: Shaker) -> Iterable[Effect]:
-    bodies = ", ".join(str(body) for body in shaker.bodies)
+def _shaker(shaker: Shaker, structure: Structure) -> Iterable[Effect]:
+    bodies = structure.listed(shaker.bodies)
     if isinstance(shaker, ForceShaker):
-        yield Effect("motion", "force", 0, f"on body {bodies}, nothing attached")
+        yield Effect("motion", "force", 0, f"on {bodies}, nothing attached")
         return
-    spring = f"{shaker.spring:.4g} N/m to body {bodies}"
+    spring = f"{shaker.spring:.4g} N/m to {bodies}"
     if isinstance(shaker, TableShaker):
         yield Effect(
             "motion", "coil spring and table", 2, f"{spring}; position servo of {shaker.bandwidth:.4g} Hz"
@@ -181,19 +182,20 @@ def _dampers(scene: Scene, system: HybridSystem) -> Iterable[Effect]:
     if not system.dampers:
         return
     for row, spheres in spheres_of(scene).items():
+        place = scene.structure.label(scene.dampers[row].body)
         yield Effect(
             "motion", "grains", 9 * spheres.count,
-            f"in body {scene.dampers[row].body}: {spheres.count} of {1e3 * spheres.settings.diameter:.4g} mm, "
+            f"in {place}: {spheres.count} of {1e3 * spheres.settings.diameter:.4g} mm, "
             f"{1e3 * spheres.mass:.4g} g; place, velocity, spin of each; step of {1e6 * spheres.longest_step():.3g} us",
         )  # fmt: skip
     whole = ~system.grains
     if not whole.any():
         return
-    places = ", ".join(str(row + 1) for row in system.damper_coordinate[whole])
+    places = scene.structure.listed(int(row) + 1 for row in system.damper_coordinate[whole])
     masses = ", ".join(f"{1e3 * mass:.4g} g" for mass in system.damper_mass[whole])
     yield Effect(
         "motion", "particle dampers", 2 * int(whole.sum()),
-        f"in body {places}: {masses}; height and speed of each while it flies; gravity {system.gravity:.6g} m/s^2",
+        f"in {places}: {masses}; height and speed of each while it flies; gravity {system.gravity:.6g} m/s^2",
     )  # fmt: skip
     ceilings = np.isfinite(system.clearance) & whole
     if ceilings.any():
@@ -203,10 +205,10 @@ def _dampers(scene: Scene, system: HybridSystem) -> Iterable[Effect]:
         ratios = ", ".join(f"{ratio:.3g}" for ratio in system.restitution)
         yield Effect("motion", "restitution", 0, ratios)
     if system.lasting.any():
-        yield Effect("motion", "contact that lasts", 0, "; ".join(_walls(system)))
+        yield Effect("motion", "contact that lasts", 0, "; ".join(_walls(system, scene.structure)))
 
 
-def _walls(system: HybridSystem) -> Iterable[str]:
+def _walls(system: HybridSystem, structure: Structure) -> Iterable[str]:
     """Describe floor and ceiling of each damper whose contact lasts."""
     for j in np.flatnonzero(system.lasting):
         texts = []
@@ -223,4 +225,4 @@ def _walls(system: HybridSystem) -> Iterable[str]:
             texts = [f"floor {texts[0]}", f"ceiling {texts[1]}"]
         else:
             texts = [f"floor and ceiling {texts[0]}"]
-        yield f"body {system.damper_coordinate[j] + 1}: {', '.join(texts)}"
+        yield f"{structure.label(int(system.damper_coordinate[j]) + 1)}: {', '.join(texts)}"

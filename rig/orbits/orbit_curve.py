@@ -66,6 +66,10 @@ class OrbitBranch(Result):
         """Half the ranges of the displacements [m], shape (bodies, points)."""
         return np.array([orbit.peak for orbit in self.orbits]).T
 
+    @property
+    def _labels(self) -> tuple[str, ...]:
+        return self.orbits[0].problem.scene.structure.labels
+
     def summary(self) -> str:
         """Say which motion, from where to where, and how much of it is stable."""
         unit = PARAMETERS[self.parameter].si
@@ -78,7 +82,7 @@ class OrbitBranch(Result):
         """Parameter, compliance of each body, type of motion, whether it is stable."""
         return {
             column_name(self.parameter): self.value,
-            **{f"body {j}_m/N": row for j, row in enumerate(self.compliance, 1)},
+            **{f"{name}_m/N": row for name, row in zip(self._labels, self.compliance, strict=True)},
             "motion_type": np.full(self.value.size, self.motion_type),
             "stable": self.stable,
         }
@@ -94,7 +98,7 @@ class OrbitBranch(Result):
             **styled(style, label=self.motion_type),
         )
         ax.plot(factor * self.value, size[body], "--", color=line.get_color(), lw=0.6 * line.get_linewidth())
-        ax.set(xlabel=label, ylabel=f"|compliance| of body {body + 1} / (µm/N)")
+        ax.set(xlabel=label, ylabel=f"|compliance| of {self._labels[body]} / (µm/N)")
 
 
 @dataclass(frozen=True, repr=False)

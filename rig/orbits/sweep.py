@@ -83,6 +83,8 @@ class OrbitResponse(Result):
         None where the motion is irregular, and was simulated and averaged.
     reasons : tuple of str, length values
         Why there is no orbit; "" where there is one.
+    labels : tuple of str, length bodies
+        What the bodies are called: by their names, or body 1, body 2, ...
     """
 
     parameter: Parameter
@@ -95,6 +97,7 @@ class OrbitResponse(Result):
     multiplier: Array
     orbits: tuple[Orbit | None, ...]
     reasons: tuple[str, ...]
+    labels: tuple[str, ...]
 
     @property
     def simulated(self) -> NDArray[np.bool_]:
@@ -108,14 +111,14 @@ class OrbitResponse(Result):
         return (
             f"{self.value.size} steady motions, {self.parameter} {self.value.min():.4g} to {self.value.max():.4g} "
             f"{unit}, highest {1e6 * abs(self.compliance[top]):.4g} µm/N at {self.value[top[1]]:.4g} {unit} "
-            f"(body {top[0] + 1}), motion {', '.join(dict.fromkeys(map(str, self.motion_type)))}"
+            f"({self.labels[top[0]]}), motion {', '.join(dict.fromkeys(map(str, self.motion_type)))}"
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Parameter, compliance of each body, type of motion, and largest Floquet multiplier."""
         return {
             column_name(self.parameter): self.value,
-            **{f"body {j}_m/N": row for j, row in enumerate(self.compliance, 1)},
+            **{f"{name}_m/N": row for name, row in zip(self.labels, self.compliance, strict=True)},
             "motion_type": self.motion_type,
             "multiplier": self.multiplier,
         }
@@ -124,7 +127,13 @@ class OrbitResponse(Result):
         """Compliance of each body."""
         label, factor = AXES[self.parameter]
         draw_compliance(
-            ax, factor * self.value, self.compliance, self.simulated, "irregular, averaged", **style
+            ax,
+            factor * self.value,
+            self.labels,
+            self.compliance,
+            self.simulated,
+            "irregular, averaged",
+            **style,
         )
         ax.set(xlabel=label)
 
@@ -200,6 +209,7 @@ def sweep(
         multiplier=np.array([np.abs(p.orbit.multipliers).max() if p.orbit else np.nan for p in points]),
         orbits=tuple(p.orbit for p in points),
         reasons=tuple(p.reason for p in points),
+        labels=problem.scene.structure.labels,
     )
 
 

@@ -62,6 +62,8 @@ class Response(Result):
         Periods of the drive after which the motion repeats; 0 if none was found.
     residual : ndarray, shape (frequencies,)
         Estimated distance from the steady state, relative to the motion.
+    bodies : tuple of str
+        Names of the bodies; empty where they have numbers only.
     """
 
     frequency: Array
@@ -75,13 +77,19 @@ class Response(Result):
     converged: NDArray[np.bool_]
     repetition: NDArray[np.int64]
     residual: Array
+    bodies: tuple[str, ...] = ()
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """What the bodies are called: by their names, or body 1, body 2, ..."""
+        return self.bodies or tuple(f"body {number}" for number in range(1, len(self.compliance) + 1))
 
     def summary(self) -> str:
         """Say where, how high and which types of motion."""
         top = np.unravel_index(int(np.argmax(abs(self.compliance))), self.compliance.shape)
         return (
             f"{self.frequency.size} frequencies, {self.frequency.min():.4g} to {self.frequency.max():.4g} Hz, highest "
-            f"{1e6 * abs(self.compliance[top]):.4g} µm/N at {self.frequency[top[1]]:.4g} Hz (body {top[0] + 1}), "
+            f"{1e6 * abs(self.compliance[top]):.4g} µm/N at {self.frequency[top[1]]:.4g} Hz ({self.labels[top[0]]}), "
             f"motion {', '.join(dict.fromkeys(map(str, self.motion_type)))}"
         )
 
@@ -89,27 +97,30 @@ class Response(Result):
         """Frequency, compliance of each body, and type of motion."""
         return {
             "frequency_Hz": self.frequency,
-            **{f"body {j}_m/N": row for j, row in enumerate(self.compliance, 1)},
+            **{f"{name}_m/N": row for name, row in zip(self.labels, self.compliance, strict=True)},
             "motion_type": self.motion_type,
         }
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Compliance of each body."""
-        draw_compliance(ax, self.frequency, self.compliance, ~self.converged, "not steady", **style)
+        draw_compliance(
+            ax, self.frequency, self.labels, self.compliance, ~self.converged, "not steady", **style
+        )
         ax.set(xlabel="frequency / Hz")
 
 
 def draw_compliance(
     ax: Axes,
     over: Array,
+    labels: Sequence[str],
     compliance: NDArray[np.complex128],
     marked: NDArray[np.bool_],
     mark: str,
     **style: Any,
 ) -> None:
     """Draw the compliance of each body, (bodies, points), in the order of the points, some of which are marked."""
-    for j, row in enumerate(1e6 * abs(compliance), 1):
-        (line,) = ax.loglog(over, row, **styled(style, label=f"body {j}"))
+    for label, row in zip(labels, 1e6 * abs(compliance), strict=True):
+        (line,) = ax.loglog(over, row, **styled(style, label=label))
         ax.plot(over[marked], row[marked], "o", mfc="white", mec=line.get_color(), ms=4)
     if marked.any():
         ax.plot([], [], "o", mfc="white", mec="black", ms=4, label=mark)
@@ -205,7 +216,7 @@ def frequency_response(
             # Leaving the pool waits for the other stretch: do not let it go on.
             follower.stopped.set()
             raise
-    return _response(points, follower.system)
+    return _response(points, follower.system, scene.structure.names)
 
 
 def _in_two_halves(
@@ -360,7 +371,7 @@ def _next_level(tried: list[tuple[float, float]]) -> float:
     return last + float(np.clip(step, -np.log(2.0), np.log(2.0)))
 
 
-def _response(points: list[SteadyPoint], system: HybridSystem) -> Response:
+def _response(points: list[SteadyPoint], system: HybridSystem, names: Sequence[str] | None) -> Response:
     types = [point.types for point in points]
     return Response(
         frequency=np.array([p.frequency for p in points]),
@@ -374,4 +385,5 @@ def _response(points: list[SteadyPoint], system: HybridSystem) -> Response:
         converged=np.array([p.steady.converged for p in points]),
         repetition=np.array([p.steady.repetition for p in points]),
         residual=np.array([p.steady.residual for p in points]),
+        bodies=tuple(names or ()),
     )

@@ -102,12 +102,17 @@ def write_to(response: Response, file: TextIO) -> None:
 
 def text(response: Response) -> str:
     """Table for a person: compliance of every body, motion type, impacts a period."""
-    bodies = range(1, len(response.compliance) + 1)
-    lines = [f"{'Hz':>9} " + "".join(f"{f'X{b}/F1 m/N':>12}" for b in bodies) + "   impacts  motion"]
+    ratios = [f"X{b}/F1 m/N" for b in range(1, len(response.compliance) + 1)]
+    if response.bodies:
+        ratios = [f"{name}/F1 m/N" for name in response.bodies]
+    widths = [max(12, len(ratio) + 2) for ratio in ratios]
+    heads = "".join(f"{ratio:>{width}}" for ratio, width in zip(ratios, widths, strict=True))
+    lines = [f"{'Hz':>9} {heads}   impacts  motion"]
     ways = directions(response.frequency)
     several = len(set(ways)) > 1
     for k, frequency in enumerate(response.frequency):
-        sizes = "".join(f"{abs(value):12.4g}" for value in response.compliance[:, k])
+        values = zip(response.compliance[:, k], widths, strict=True)
+        sizes = "".join(f"{abs(value):{width}.4g}" for value, width in values)
         impacts = float(response.impacts[:, k].sum())
         note = "" if response.converged[k] else f"  not steady (residual {response.residual[k]:.1g})"
         way = f", {ways[k]}" if several else ""

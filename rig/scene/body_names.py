@@ -117,15 +117,9 @@ def _names(structure: Any) -> tuple[list[str] | None, int]:
     masses = at(structure, ("masses",))
     names = list(masses) if isinstance(masses, Mapping) else at(structure, ("names",))
     found = [str(name) for name in names] if isinstance(names, list | tuple) else None
-    counted = next(
-        (
-            part
-            for part in (masses, at(structure, ("matrices", "mass")), found)
-            if hasattr(part, "__len__") and not isinstance(part, str)
-        ),
-        (),
-    )
-    return found, len(counted)
+    parts = (masses, at(structure, ("matrices", "mass")), found)
+    lengths = (len(part) for part in parts if hasattr(part, "__len__") and not isinstance(part, str))
+    return found, next(lengths, 0)
 
 
 def _unknown(name: str, names: Sequence[str] | None, bodies: int) -> str:

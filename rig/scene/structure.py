@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, ClassVar
 
@@ -125,7 +126,20 @@ class Structure(Settings):
         place = f"body {place}" if isinstance(place, int) else place
         if self.names is None or not place.startswith("body "):
             return place
-        return self.names[int(place.removeprefix("body ")) - 1]
+        number = int(place.removeprefix("body "))
+        return self.names[number - 1] if 1 <= number <= len(self.names) else place
+
+    def listed(self, numbers: Iterable[int]) -> str:
+        """Name several bodies for people: `base, arm`, or `body 1, 2`."""
+        if self.names is None:
+            return f"body {', '.join(map(str, numbers))}"
+        return ", ".join(self.label(number) for number in numbers)
+
+    def relabel(self, text: str) -> str:
+        """Put the names of bodies into a text for people that has their numbers."""
+        return (
+            text if self.names is None else re.sub(r"\bbody \d+\b", lambda found: self.label(found[0]), text)
+        )
 
     @property
     def labels(self) -> tuple[str, ...]:

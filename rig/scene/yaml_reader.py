@@ -205,8 +205,13 @@ def _is_decimal(before: Any, event: Any, pattern: re.Pattern[str]) -> bool:
         and event.implicit[0]
         and re.fullmatch(r"[+-]?\d+", before.value) is not None
         and pattern.fullmatch(event.value) is not None
-        and event.start_mark.index == before.end_mark.index + 1
+        and _index(event.start_mark) == _index(before.end_mark) + 1
     )
+
+
+def _index(mark: Any) -> int:
+    """Give the place of a mark in the text, in characters from 0."""
+    return int(mark.index)
 
 
 def _line(event: Any) -> int:

@@ -1,0 +1,145 @@
+"""Arguments of the public functions: paths and mappings are taken, wrong types and names are explained."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import analysis
+import daq
+import rig
+from analysis.modal.modes import Modes
+from rig.errors import RecordingError, SceneError, ShotrigError
+
+SWEEP = Path(__file__).parents[2] / "recordings" / "demo-sweep-no-damper.mcap"
+BRACKET = {
+    "structure": {
+        "masses": {"base": "4.2 kg", "arm": "1.1 kg"},
+        "springs": ["839.2 kN/m", "964.4 kN/m"],
+        "damping": {"modal": "0.8 %"},
+    },
+    "shaker": {"kind": "force", "body": "base"},
+    "test": {"kind": "impulse", "body": "base", "peak": "50 N", "width": "1 ms", "interval": "1 s"},
+    "channels": [
+        {"name": "hammer", "at": "hammer"},
+        {"name": "low", "at": "base"},
+        {"name": "left", "at": "arm"},
+        {"name": "right", "at": "body arm"},
+    ],
+}
+
+
+@pytest.fixture(scope="module")
+def hit(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return daq.record(BRACKET, tmp_path_factory.mktemp("hit") / "hit.mcap")
+
+
+@pytest.mark.parametrize("path", [SWEEP, str(SWEEP)])
+def test_recording_is_taken_by_its_path(path: Path | str) -> None:
+    curves = analysis.frfs(path)
+    with daq.open(path) as recording:
+        assert np.array_equal(curves["body3"].value, analysis.compliance(recording, "body 3").value)
+        assert recording.duration == recording.samples / recording.rate
+    assert curves.keys() == ("body1", "body2", "body3")
+    assert len(analysis.frequency_responses(path, ["body1"])) == 1
+    assert analysis.sep005(path, ["body1"], 0.0, 0.1)[0]["name"] == "body1"
+
+
+def test_response_is_chosen_by_the_name_of_its_body(hit: Path) -> None:
+    curves = analysis.frfs(hit, ["base", "left"])
+    assert curves.keys() == ("low", "left") and curves["arm"].response == "left"
+    assert analysis.decay(hit, "arm").channel == "left"
+    with pytest.raises(
+        SceneError, match="2 responses are at arm; expected one of them by its channel, left or right"
+    ):
+        analysis.frfs(hit)["arm"]
+
+
+def test_recorded_scene_has_the_names(hit: Path) -> None:
+    with daq.open(hit) as recording:
+        assert recording.scene == rig.load(BRACKET)
+        assert recording.scene.structure.names == ("base", "arm")
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: analysis.frfs(7), "frfs: got 7; expected a recording: its path"),
+        (lambda: analysis.decay(None), "decay: got None; expected a recording"),
+        (lambda: analysis.frfs("nothing.mcap"), "nothing.mcap: no such file"),
+        (lambda: analysis.frfs(SWEEP, ["bdy3"]), "did you mean 'body3'"),
+        (lambda: analysis.frfs(SWEEP, 7), "channels: got 7; expected names"),
+        (lambda: analysis.frfs(SWEEP, motion="accel"), "unknown motion 'accel'"),
+        (lambda: analysis.frfs(SWEEP, ["body1"])["boby1"], "no response 'boby1'; did you mean 'body1'"),
+        (lambda: analysis.identify(SWEEP), "expected several curves, as analysis.frfs"),
+        (lambda: analysis.identify([]), "got []; expected several curves"),
+        (lambda: analysis.read_frfs(7), "path: got 7; expected the path of a file"),
+        (lambda: analysis.fit(7, "bare-structure"), "fit: got 7; expected recordings"),
+        (lambda: analysis.fit(SWEEP, 7), "scene: got 7; expected a name, a path, a mapping or a rig.Scene"),
+        (lambda: analysis.mac(np.eye(2), np.eye(3)), "expected two matrices with a row for each point"),
+        (lambda: daq.open(7), "path: got 7; expected the path of a file"),
+        (lambda: daq.open(SWEEP).read("body4"), "no channel 'body4'; did you mean 'body"),
+        (lambda: daq.record(BRACKET, 7), "path: got 7; expected the path of a file"),
+        (lambda: daq.record("fig99", "a.mcap"), "did you mean fig9"),
+        (lambda: daq.recover(None, "a.mcap"), "path: got None; expected the path of a file"),
+        (lambda: daq.import_files(7, "fig9", "a.mcap"), "files: got 7; expected the path of a file"),
+        (lambda: rig.explain(7), "scene: got 7; expected a name"),
+        (lambda: rig.simulate(BRACKET, None), "duration: got None"),
+        (lambda: rig.simulate(BRACKET, object()), "is no number; expected a time such as 4 ms"),
+        (lambda: rig.periodic_orbit("fig9", None), "frequency: got nan"),
+        (lambda: rig.follow_orbits(BRACKET, "frequency", 60), "bounds: got 60"),
+        (lambda: rig.approximate_response(BRACKET, 1, 60), "band: got 60 Hz; expected two values"),
+        (
+            lambda: rig.approximate_response(BRACKET, "1", (50, 60)),
+            "mode: got '1'; expected the number of a mode",
+        ),
+        (lambda: rig.approximate_response(BRACKET, 1, (50, 60), at="amr"), 'did you mean "arm"'),
+        (lambda: rig.approximate_response(BRACKET, 1, (50, 60), at=3), "body 3 of 2"),
+        (
+            lambda: rig.design(BRACKET, bodies=["amr"]),
+            'bodies: no body has the name "amr"; did you mean "arm"',
+        ),
+        (lambda: rig.loads(7), "got 7; expected the text of a scene file"),
+    ],
+)
+def test_wrong_argument_is_explained(call: Any, said: str) -> None:
+    with pytest.raises(ShotrigError) as raised:
+        call()
+    assert said in str(raised.value)
+
+
+def test_value_of_a_fit_is_freed_by_the_name_of_its_body(hit: Path) -> None:
+    found = analysis.fit(hit, BRACKET, ["structure.masses.arm"])
+    assert found["structure.masses.arm"].value == pytest.approx(1.1, rel=0.02)
+    with pytest.raises(SceneError, match=r"did you mean 'structure.masses.arm'"):
+        found["structure.mass.arm"]
+
+
+def test_sensors_on_one_body_are_one_point_of_a_shape(hit: Path) -> None:
+    modes = analysis.identify([curve.between("40 Hz", "200 Hz") for curve in analysis.frfs(hit)], 2)
+    bodies = modes.of_bodies()
+    assert modes.responses == ("low", "left", "right") and bodies.names == ("base", "arm")
+    assert bodies.shapes[0] == pytest.approx([0.827, -0.3167], abs=0.01)
+    assert abs(bodies.shapes).max(axis=0) == pytest.approx(1.0)
+
+
+def test_better_sensor_weighs_more_in_a_shape() -> None:
+    none = np.zeros(2)
+    modes = Modes(
+        frequency=np.array([10.0]), frequency_error=none[:1], damping=none[:1], damping_error=none[:1],
+        shape_error=np.array([[0.0], [0.01], [0.1]]), residue=np.array([[1.0 + 0j], [0.5], [0.61]]),
+        responses=("a", "b", "c"), chart=(), lower=np.zeros(3), upper=np.zeros((3, 3)), model_error=0.0,
+        label="", warnings=(), places=("body 1", "body 2", "body 2"),
+    )  # fmt: skip
+    bodies = modes.of_bodies()
+    assert bodies.names == ("a", "body 2")
+    assert bodies.shapes[1, 0].real == pytest.approx(0.5 + 0.11 / 101)
+    assert bodies.errors[1, 0] == pytest.approx(0.01, rel=0.01)
+
+
+def test_unknown_body_of_a_recording_is_refused(hit: Path) -> None:
+    with pytest.raises(RecordingError, match="no channel 'amr' in the recording"):
+        analysis.compliance(hit, "amr")

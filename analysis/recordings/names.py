@@ -45,7 +45,7 @@ def takes_path(
     """Let a function of an open recording also take the path of one, which is open while the function runs."""
 
     @wraps(function)
-    def opening(recording: Recording | str | Path, *args: P.args, **kwargs: P.kwargs) -> Returned:
+    def opening(recording: Recording | str | Path, /, *args: P.args, **kwargs: P.kwargs) -> Returned:
         if isinstance(recording, str | Path):
             with opened(Path(recording)) as rec:
                 return function(rec, *args, **kwargs)

@@ -117,7 +117,8 @@ def import_files(
     (1000.0, 9.8066)
     """
     what = load(scene)
-    paths = [path_of(file, "files") for file in (files if isinstance(files, list | tuple) else [files])]
+    named: Sequence[Any] = files if isinstance(files, list | tuple) else [files]
+    paths = [path_of(file, "files") for file in named]
     said = table if isinstance(table, Mapping) else {} if table is None else read_table(Path(table))
     for first, again in repeated(paths):
         raise RecordingError(f"{again}: the same content as {first}. Give each file once.")

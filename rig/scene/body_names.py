@@ -117,7 +117,7 @@ def _names(structure: Any) -> tuple[list[str] | None, int]:
     masses = at(structure, ("masses",))
     names = list(masses) if isinstance(masses, Mapping) else at(structure, ("names",))
     found = [str(name) for name in names] if isinstance(names, list | tuple) else None
-    parts = (masses, at(structure, ("matrices", "mass")), found)
+    parts: tuple[Any, ...] = (masses, at(structure, ("matrices", "mass")), found)
     lengths = (len(part) for part in parts if hasattr(part, "__len__") and not isinstance(part, str))
     return found, next(lengths, 0)
 

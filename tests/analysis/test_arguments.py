@@ -111,6 +111,7 @@ def test_wrong_argument_is_explained(call: Any, said: str) -> None:
     assert said in str(raised.value)
 
 
+@pytest.mark.thorough
 def test_value_of_a_fit_is_freed_by_the_name_of_its_body(hit: Path) -> None:
     found = analysis.fit(hit, BRACKET, ["structure.masses.arm"])
     assert found["structure.masses.arm"].value == pytest.approx(1.1, rel=0.02)

@@ -117,7 +117,9 @@ def import_files(
     (1000.0, 9.8066)
     """
     what = load(scene)
-    named: Sequence[Any] = files if isinstance(files, list | tuple) else [files]
+    named: Sequence[str | Path] = (
+        [files] if isinstance(files, str | Path) or not isinstance(files, Sequence) else files
+    )
     paths = [path_of(file, "files") for file in named]
     said = table if isinstance(table, Mapping) else {} if table is None else read_table(Path(table))
     for first, again in repeated(paths):

@@ -386,7 +386,7 @@ def test_given_rates_that_contradict_when_imported_then_it_is_refused_and_says_w
 def test_given_files_when_typed_then_listed_imported_and_never_overwritten(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     csv(tmp_path / "a.csv", histories(3000))
-    (tmp_path / "bench.yaml").write_text(bench().to_yaml().replace("rate: 5120.0 Hz", "rate: 2048 Hz"))
+    (tmp_path / "bench.yaml").write_text(bench().to_si_yaml().replace("rate: 5120.0 Hz", "rate: 2048 Hz"))
     listed = CliRunner().invoke(app, ["import", "a.csv"])
     assert 'signal1: {column: "body1", unit: "g"}  # 3000 samples at 2048 Hz' in listed.output
     words = ["import", "a.csv", "--scene", "bench.yaml"]

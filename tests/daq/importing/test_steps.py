@@ -135,7 +135,7 @@ def test_given_steps_when_imported_by_the_command_then_it_says_how_many_and_wher
     monkeypatch.chdir(tmp_path)
     npz(tmp_path / "a.npz", stepped([20.0, 25.0], dwell=2.0))
     scene = bench("{kind: stepped_sine, from: 20 Hz, to: 25 Hz, points: 2, force: 1 N}")
-    (tmp_path / "bench.yaml").write_text(scene.to_yaml().replace("rate: 5120.0 Hz", "rate: 2048 Hz"))
+    (tmp_path / "bench.yaml").write_text(scene.to_si_yaml().replace("rate: 5120.0 Hz", "rate: 2048 Hz"))
     done = CliRunner().invoke(app, ["import", "a.npz", "--scene", "bench.yaml"])
     assert done.exit_code == 0, done.output
     assert "2 steps found, 20 to 25 Hz" in done.output

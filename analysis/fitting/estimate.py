@@ -13,6 +13,7 @@ from analysis.fitting.problem import Group, Problem
 from analysis.fitting.start import start
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 Told = Callable[[str], None]
 
 # Half width of a 95 % interval in standard deviations.
@@ -24,13 +25,17 @@ _DISTRUST = (0.1, 0.01, 0.0)
 _DISTRUST_FAR, _FAR, _STARTS = (0.3, 0.1, 0.01, 0.0), 0.15, 8
 # A mean square of misses beyond which the structure is looked for elsewhere.
 _MISSED = 4.0
+# A mean square of misses beyond which the stated errors do not explain them.
+_UNEXPLAINED = 1.3
 _DISTRUST_DAMPERS = (0.2, 0.05)
 # The least of it: large misses hardly count, so that a point in another motion does not decide.
 _BARELY = 1e-6
-# Factors on mass and clearance of all dampers to start from, where the scene's own lead nowhere.
-_MASSES, _CLEARANCES = (1.0, 0.75), (1.0, 0.7, 1.5)
-# A fit of the dampers that leaves less than this of variances, in the median, started in the right place.
-_CLOSE = 1.0
+# Factors on mass and clearance of all dampers to start from, where the scene's own lead nowhere; and one with which no
+# ceiling is touched.
+_MASSES, _CLEARANCES, _OUT_OF_REACH = (1.0, 0.7, 0.4, 1.5), (0.6, 1.7, 0.3), 30.0
+# A mean square of misses up to which the dampers' motions are explained: somewhat below 1 is what noise alone leaves.
+# The largest that each counts for, in variances, and what a point without a motion misses.
+_EXPLAINED, _CAP, _LOST = 1.5, 9.0, 1e6
 # Rounds of fitting all, each after a look for other motions at points that stand out.
 _ROUNDS = 4
 # Frequencies whose misses may have a common cause, as a share of all of a group's.
@@ -75,14 +80,81 @@ def estimate(problem: Problem, told: Told) -> Estimate:
     damped = [group for group in problem.groups if group.tones is not None]
     if damped:
         told("dampers")
-        x = _with_dampers(problem, x, damped, bool(bare))
+        x = _damped(problem, x, damped, bool(bare), told)
+    return Estimate(x, *_certainty(problem, x))
+
+
+def _damped(
+    problem: Problem, structure: Array, damped: Sequence[Group], structure_known: bool, told: Told
+) -> Array:
+    """Find all unknowns with the dampers: from the scene's values first, then from elsewhere; the best is kept.
+
+    A ceiling that is touched and one out of reach are two different optima: where one is found, the other is tried too.
+    """
+    best, least, motions = structure, np.inf, [group.motions() for group in damped]
+    begin = structure
+    for mass, clearance in _starts(problem):
+        if least < _EXPLAINED and clearance < _OUT_OF_REACH:
+            continue
+        if clearance == _OUT_OF_REACH:
+            begin = best
+        told("all")
+        for group, known in zip(damped, motions, strict=True):
+            group.restore(known)
+        # What is vaguely known would lead back a ceiling that nothing shows.
+        held = "clearance" if clearance == _OUT_OF_REACH else ""
+        active = [k for k, name in enumerate(_names(problem)) if not held or name != held]
+        x = _with_dampers(problem, _times(problem, begin, mass, clearance), damped, active, structure_known)
         for turn in range(_ROUNDS):
             if not _rechosen(problem, x, damped) and turn > 0:
                 break
-            told("all")
-            x = solved(problem, x, problem.groups, _DISTRUST[-2] if turn == 0 else _BARELY, most=8)
-            x = solved(problem, x, problem.groups, 0.0, most=12)
-    return Estimate(x, *_certainty(problem, x))
+            x = solved(problem, x, problem.groups, _DISTRUST[-2] if turn == 0 else _BARELY, active, 8)
+            x = solved(problem, x, problem.groups, 0.0, active, 12)
+        cost = _robust_cost(problem, x, damped)
+        # That a ceiling is touched, no single point decides: it may have been in a motion of another kind.
+        if cost < least + _CAP * (clearance == _OUT_OF_REACH) / min(g.used.size for g in damped):
+            best, least, motions = x, cost, [group.motions() for group in damped]
+    for group, known in zip(damped, motions, strict=True):
+        group.restore(known)
+    problem.residual(best, problem.groups)
+    return best
+
+
+def _starts(problem: Problem) -> Iterator[tuple[float, float]]:
+    """Give factors on masses and clearances of all dampers to start from; last, ceilings out of reach."""
+    bounded = any(one.what == "clearance" for one in problem.parameters)
+    yield 1.0, 1.0
+    yield from ((mass, clearance) for mass in _MASSES for clearance in (_CLEARANCES if bounded else (1.0,)))
+    if bounded:
+        yield 1.0, _OUT_OF_REACH
+
+
+def _times(problem: Problem, x: Array, mass: float, clearance: float) -> Array:
+    """Multiply masses and clearances of all dampers."""
+    factors = {"mass": mass, "mass_ratio": mass, "clearance": clearance}
+    return x + np.log([factors.get(name, 1.0) for name in _names(problem)])
+
+
+def _names(problem: Problem) -> list[str]:
+    """Name what each unknown is of a damper; "" for all others."""
+    names = ["" if one.damper is None else one.what for one in problem.parameters]
+    return names + [""] * (problem.size - len(names))
+
+
+def _robust_cost(problem: Problem, x: Array, damped: Sequence[Group]) -> float:
+    """Mean square of the misses, those of points left out too, each with a limit that it cannot exceed [1]_.
+
+    References
+    ----------
+    .. [1] S. Geman, D. McClure, Statistical methods for tomographic image reconstruction, Bulletin of the International
+       Statistical Institute 52 (1987) 5-21.
+    """
+    scene, costs = problem.scene(x), []
+    for group in damped:
+        off = problem.predicted(x, group, scene) - group.curves.value
+        square = np.nan_to_num(abs(np.einsum("nij,jn->ni", group.curves.whiten, off)) ** 2 / 2.0, nan=_LOST)
+        costs.append((square / (1.0 + square / _CAP)).ravel())
+    return float(np.mean(np.concatenate(costs)))
 
 
 def _structure(problem: Problem, bare: Sequence[Group]) -> Array:
@@ -138,39 +210,18 @@ def solved(
     return best
 
 
-def _with_dampers(problem: Problem, x: Array, damped: Sequence[Group], structure_known: bool) -> Array:
+def _with_dampers(
+    problem: Problem, x: Array, damped: Sequence[Group], free: Sequence[int], structure_known: bool
+) -> Array:
     """Values of the dampers with the structure held, if linear recordings told it; else of all, coarsely."""
-    active = [k for k, one in enumerate(problem.parameters) if one.damper is not None]
-    if not structure_known:
-        active = list(range(problem.size))
+    names = _names(problem)
+    active = [k for k in free if names[k] or not structure_known]
     if not active:
         return x
-    best, smallest = x, np.inf
-    bounded = any(one.what == "clearance" for one in problem.parameters)
-    for masses in _MASSES:
-        for clearances in _CLEARANCES if bounded else (1.0,):
-            for group in damped:
-                assert group.tones is not None
-                group.tones.given_up.clear()
-            tried = x.copy()
-            for k, one in enumerate(problem.parameters):
-                if one.damper is not None:
-                    factor = {"mass": masses, "mass_ratio": masses, "clearance": clearances}.get(
-                        one.what, 1.0
-                    )
-                    tried[k] += np.log(factor)
-            for distrust in _DISTRUST_DAMPERS:
-                tried = solved(problem, tried, damped, distrust, active, 6)
-            # The median, for some points may be in other motions than the measured ones.
-            misses = problem.residual(tried, damped, _DISTRUST_DAMPERS[-1])[: -problem.size]
-            cost = float(np.median(misses**2))
-            if cost < smallest:
-                best, smallest = tried, cost
-            if smallest < _CLOSE:
-                problem.residual(best, damped)
-                return best
-    problem.residual(best, damped)
-    return best
+    for distrust in _DISTRUST_DAMPERS:
+        x = solved(problem, x, damped, distrust, active, 6)
+    problem.residual(x, damped)
+    return x
 
 
 def mean_square(problem: Problem, x: Array, groups: Sequence[Group], distrust: float = 0.0) -> float:
@@ -199,11 +250,13 @@ def _certainty(problem: Problem, x: Array) -> tuple[Array, float]:
     """
     shifts: list[Array] = []
     data, scores, square, count = np.zeros((0, problem.size)), [np.diag(1.0 / problem.spread)], 0.0, 0
+    random = np.zeros((problem.size, problem.size))
     for group in problem.groups:
         jacobian = problem.jacobian(x, [group])[: -problem.size]
         misses = problem.residual(x, [group])[: -problem.size]
         used = int(group.used.sum())
         data = np.linalg.qr(np.concatenate([data, jacobian]), mode="r")
+        random += _scatter(group, jacobian)
         shifts += [jacobian.T @ off for off in _systematic(group)]
         square += float(misses @ misses)
         count += misses.size
@@ -217,10 +270,14 @@ def _certainty(problem: Problem, x: Array) -> tuple[Array, float]:
             np.stack([jacobian[cluster == one].T @ misses[cluster == one] for one in clusters], axis=1)
         )
     variance = square / max(count - problem.size, 1)
-    stated = _inverse_root(data / np.sqrt(max(variance, 1.0)), problem.spread)
     bread = _inverse_root(data, problem.spread)
-    clustered = bread @ (bread.T @ np.concatenate(scores, axis=1))
-    wider = np.maximum(np.linalg.norm(clustered, axis=1) / np.linalg.norm(stated, axis=1), 1.0)
+    size, axes = np.linalg.eigh(random)
+    root = axes * np.sqrt(np.maximum(size, 0.0) * max(variance, 1.0))
+    stated = bread @ (bread.T @ np.concatenate([root, np.diag(1.0 / problem.spread)], axis=1))
+    wider = np.ones(problem.size)
+    if variance > _UNEXPLAINED or all(group.curves.level is not None for group in problem.groups):
+        clustered = bread @ (bread.T @ np.concatenate(scores, axis=1))
+        wider = np.maximum(np.linalg.norm(clustered, axis=1) / np.linalg.norm(stated, axis=1), 1.0)
     moved = bread @ (bread.T @ np.array(shifts).T)
     return np.concatenate([wider[:, None] * stated, moved], axis=1), variance
 
@@ -237,11 +294,31 @@ def _systematic(group: Group) -> Iterator[Array]:
     Evenly anywhere within its bounds, each has the root of a third of them as its standard deviation.
     """
     curves, used = group.curves, group.used
+
+    def whitened(off: ComplexArray) -> ComplexArray:
+        return np.asarray(np.einsum("nij,jn->ni", curves.whiten[used], off[:, used]).ravel())
+
     for k in range(len(curves.sensors)):
         off = np.zeros_like(curves.value)
-        off[k] = (
-            curves.systematic[k] / np.sqrt(3.0) * curves.value[k] / np.maximum(abs(curves.value[k]), 1e-300)
-        )
-        white = np.einsum("nij,jn->ni", curves.whiten[used], off[:, used]).ravel()
+        off[k] = curves.smooth[k] / np.sqrt(3.0) * curves.value[k] / np.maximum(abs(curves.value[k]), 1e-300)
+        white = whitened(off)
         yield np.concatenate([white.real, white.imag])
         yield np.concatenate([-white.imag, white.real])
+    # Noise adds to the power of the reference: all responses read too little, and none turns.
+    white = whitened(curves.common / np.sqrt(3.0) * curves.value)
+    yield np.concatenate([white.real, white.imag])
+
+
+def _scatter(group: Group, jacobian: Array) -> Array:
+    """Covariance of the scores ``J^T r`` of a group for random errors, shared ones of responses and lines included."""
+    curves, used = group.curves, group.used
+    if curves.errors.reference is None:
+        # Whitened, each has a variance of one; what few averages leave open of it is in the weights.
+        return np.asarray(curves.errors.shared * (jacobian.T @ jacobian))
+    slopes = jacobian.reshape(2, int(used.sum()), len(curves.sensors), -1)
+    white = slopes[0] + 1j * slopes[1]
+    weights = np.einsum("nij,nip->njp", curves.whiten[used].conj(), white)
+    deviation = curves.rough[:, used].T[..., None] / np.sqrt(3.0)
+    rough = (deviation * weights).reshape(-1, weights.shape[2])
+    errors = curves.errors.at(used)
+    return errors.of_sums(weights) + max(frf.shared for frf in curves.frfs) * (rough.conj().T @ rough).real

@@ -37,6 +37,8 @@ Progress = Callable[[str], None]
 
 # A value whose 95 % interval is wider, relative, is not told at all.
 _UNTOLD = 0.5
+# A ceiling just out of reach is so many times the largest gap.
+_ABOVE = 1.2
 # Misses of so many variances are not noise; of so much of the curves they are those of another structure.
 NOT_NOISE, ANOTHER = 4.0, 0.02
 # A sensor that had to be off by so many of its tolerances is not what its data sheet says.
@@ -262,7 +264,13 @@ def _curves(recording: Any) -> list[Curves]:
 
 
 def _result(problem: Problem, found: Estimate, told: Progress) -> Fit:
-    x, scene = found.x, problem.scene(found.x)
+    limits = _clearance_limits(problem, found)
+    # A ceiling that nothing shows stays where the scene has it, or goes as far up as it must.
+    x = found.x.copy()
+    for k, limit in limits.items():
+        clearance = problem.parameters[k]
+        x[k] = clearance.unknown(max(clearance.start, _ABOVE * limit))
+    scene = problem.scene(x)
     compared = tuple(_compared(problem, x, scene, number) for number in range(len(problem.groups)))
     warnings = [f"{one.curves.label}: {note}" for one in compared for note in one.curves.warnings]
     misfit = _misfit(found, compared) or _beyond(problem, x)
@@ -301,9 +309,28 @@ def _result(problem: Problem, found: Estimate, told: Progress) -> Fit:
         compared=compared,
         variance=found.variance,
         misfit=misfit,
-        together=together(problem, found, [one.told for one in each]),
+        together=(
+            *(
+                f"{problem.parameters[k].key} is at least {1e3 * limit:.3g} mm: no ceiling impact is in the motions "
+                "that fit."
+                for k, limit in limits.items()
+                if not misfit
+            ),
+            *together(problem, found, [one.told for one in each]),
+        ),
         warnings=tuple(warnings),
     )
+
+
+def _clearance_limits(problem: Problem, found: Estimate) -> dict[int, float]:
+    """Lower limit of each clearance that is not determined, by the number of its parameter, where beds fly."""
+    deviation = np.linalg.norm(found.factor, axis=1)
+    limits = {
+        k: problem.clearance_limit(found.x, one)
+        for k, one in enumerate(problem.parameters)
+        if one.what == "clearance" and CONFIDENCE * deviation[k] > _UNTOLD
+    }
+    return {k: limit for k, limit in limits.items() if limit > 0.0}
 
 
 def _fitted(one: Parameter, x: float, deviation: float, missed: bool) -> Fitted:

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from analysis.responses.frequency_responses import checked, frequency_responses
 from analysis.responses.frf import CLOCK, SENSITIVITY, Frf
-from analysis.responses.measurands import Measurand, concerned, motion_of, reference_of, responses
+from analysis.responses.line_errors import ErrorCovariance, error_covariance
+from analysis.responses.measurands import concerned, reference_of, responses
 from analysis.responses.stepped_sine import sweeps
-from analysis.responses.systematic import tolerance
+from analysis.responses.systematic import REFERENCE_NOISE, ROUGH, tolerance
 from rig.errors import RecordingError
 from rig.results import plainly
 
 if TYPE_CHECKING:
-    from analysis.responses.spectral_lines import Lines
     from daq.recording.recording import Recording
     from rig.scene.scene import Scene
 
@@ -28,8 +28,8 @@ Progress = Callable[[int, int], None]
 
 # No point is credited with a smaller error, relative to its value and to the largest of its curve.
 _LEAST, _LEAST_OF_TOP = 2e-5, 1e-7
-# Share of each response's own variance that keeps a covariance of few parts from being nearly singular.
-_SHRUNK = 0.05
+# How well noise of the reference is told from that of several responses, as a share of it.
+_SPLIT = 0.5
 # Fewer points than this tell nothing that could be judged.
 _FEWEST = 8
 
@@ -62,8 +62,13 @@ class Curves:
         Displacement over the reference, as read by the sensors.
     whiten : ndarray of complex, shape (n, responses, responses)
         Applied to errors, gives components of which each quadrature has variance 1.
-    systematic : ndarray, shape (responses, n)
-        How far each value can be off at most, sensors' tolerances apart, however long one averages.
+    errors : ErrorCovariance
+        Of the random errors.
+    rough, smooth : ndarray, shape (responses, n)
+        How far each value can be off at most, however long one averages: by what differs from line to line, and by
+        what does not. Sensors' tolerances are parameters of the fit.
+    common : ndarray, shape (n,)
+        Share of themselves by which all responses are off together at most, for noise in their reference.
     sensors : tuple of Sensor
         Behind each response; `reference_sensor` behind the reference.
     bodies : tuple of int
@@ -82,7 +87,10 @@ class Curves:
     frequency: Array
     value: ComplexArray
     whiten: ComplexArray
-    systematic: Array
+    errors: ErrorCovariance
+    rough: Array
+    smooth: Array
+    common: Array
     sensors: tuple[Sensor, ...]
     reference_sensor: Sensor
     bodies: tuple[int, ...]
@@ -131,10 +139,9 @@ def measured(rec: Recording, name: str, progress: Progress | None = None) -> lis
         found = sweeps(rec, concerned(rec, names, reference), progress)
         several = len(found) > 1
         return [
-            _of_lines(
+            _curves(
                 rec,
-                sweep.lines,
-                names,
+                checked(rec, [sweep.lines.frf(rec, response, reference) for response in names]),
                 reference,
                 f"{name}, {plainly(sweep.level)} N {sweep.direction}" if several else name,
             )
@@ -142,43 +149,12 @@ def measured(rec: Recording, name: str, progress: Progress | None = None) -> lis
         ]
     groups = frequency_responses(rec, names, reference, progress=progress)
     return [
-        _of_frfs(rec, group, reference, name if len(groups) == 1 else f"{name}, part {number}")
+        _curves(rec, group, reference, name if len(groups) == 1 else f"{name}, part {number}")
         for number, group in enumerate(groups, 1)
     ]
 
 
-def _of_lines(rec: Recording, lines: Lines, names: Sequence[str], reference: str, label: str) -> Curves:
-    frfs = checked(rec, [lines.frf(rec, name, reference) for name in names])
-    lower = reference_of(rec, reference)
-    weights = lower.row(rec, lines.channels, lines.frequency)
-    amplitude = np.sum(weights * lines.mean, axis=0)
-    off = np.stack(
-        [
-            (motion_of(rec, name).row(rec, lines.channels, lines.frequency) - frf.value * weights) / amplitude
-            for name, frf in zip(names, frfs, strict=True)
-        ]
-    )
-    rows = np.einsum("ikn,rkn->nir", off, lines.scatter.rows)
-    covariance = rows @ rows.conj().swapaxes(1, 2)
-    return _curves(rec, frfs, covariance, lower, reference, label, np.abs(amplitude))
-
-
-def _of_frfs(rec: Recording, frfs: Sequence[Frf], reference: str, label: str) -> Curves:
-    covariance = np.zeros((frfs[0].frequency.size, len(frfs), len(frfs)), dtype=complex)
-    for k, frf in enumerate(frfs):
-        covariance[:, k, k] = 2.0 * frf.error**2
-    return _curves(rec, frfs, covariance, reference_of(rec, reference), reference, label, None)
-
-
-def _curves(
-    rec: Recording,
-    frfs: Sequence[Frf],
-    covariance: ComplexArray,
-    lower: Measurand,
-    reference: str,
-    label: str,
-    level: Array | None,
-) -> Curves:
+def _curves(rec: Recording, frfs: Sequence[Frf], reference: str, label: str) -> Curves:
     alive = [k for k, frf in enumerate(frfs) if np.any(frf.value != 0.0)]
     dead = [frf.response for frf in frfs if not np.any(frf.value != 0.0)]
     if not alive:
@@ -186,9 +162,9 @@ def _curves(
             f"{label}: {', '.join(dead)} read nothing at all: dead, or not connected; there is no response to fit"
         )
     notes = [f"{one} reads nothing at all: it is dead, or not connected, and left out." for one in dead]
-    frfs, covariance = [frfs[k] for k in alive], covariance[:, alive][:, :, alive]
+    frfs = [frfs[k] for k in alive]
     value = np.stack([frf.value for frf in frfs])
-    bound = np.sqrt(sum((_other_systematic(frf) ** 2 for frf in frfs), np.zeros(value.shape[1])))
+    bound = np.linalg.norm(np.vstack([_smooth(frfs), _rough(frfs)]), axis=0)
     unsteady = np.any(
         [frf.unsteady for frf in frfs if frf.unsteady is not None] or [np.zeros(bound.size, bool)], axis=0
     )
@@ -199,47 +175,87 @@ def _curves(
             + " ".join(frfs[0].warnings)
         )
     sensors = tuple(_sensor(rec, frf.response) for frf in frfs)
+    errors = error_covariance(frfs).at(known)
+    frfs = [frf.at(known) for frf in frfs]
+    too_low, common = _reference_noise(frfs, errors)
     return Curves(
         label=label,
         scene=rec.scene,
-        frequency=frfs[0].frequency[known],
-        value=value[:, known],
-        whiten=_whitening(frfs, covariance, known),
-        systematic=np.stack([_other_systematic(frf)[known] for frf in frfs]),
+        frequency=frfs[0].frequency,
+        value=value[:, known] * (1.0 + too_low),
+        whiten=_whitening(frfs, errors),
+        errors=errors,
+        rough=_rough(frfs),
+        smooth=_all(frfs) if errors.reference is None else _smooth(frfs),
+        common=common,
         sensors=sensors,
-        reference_sensor=_sensor(rec, lower.channels[0]),
+        reference_sensor=_sensor(rec, reference_of(rec, reference).channels[0]),
         bodies=tuple(int(sensor.at.split()[1]) - 1 for sensor in sensors),
         reference=reference,
-        level=None if level is None else level[known],
+        level=frfs[0].held,
         clock=abs(rec.scene.converter.clock_error or 0.0),
-        frfs=tuple(frf.between(0.0, np.inf) for frf in frfs),
+        frfs=tuple(frfs),
         warnings=(*notes, *frfs[0].warnings),
     )
 
 
-def _other_systematic(frf: Frf) -> Array:
-    """All but what is a parameter of the fit."""
-    parts = [part for name, part in frf.systematic.items() if name not in (SENSITIVITY, CLOCK)]
-    return np.sqrt(np.sum(np.square([np.zeros(frf.value.size), *parts]), axis=0))
+def _rough(frfs: Sequence[Frf]) -> Array:
+    """Systematic parts that differ from line to line, shape (responses, n)."""
+    return _parts(frfs, [name for frf in frfs for name in frf.systematic if name in ROUGH])
 
 
-def _whitening(frfs: Sequence[Frf], covariance: ComplexArray, known: NDArray[np.bool_]) -> ComplexArray:
+def _all(frfs: Sequence[Frf]) -> Array:
+    """All systematic parts that are no parameters; shape (responses, n)."""
+    return _parts(frfs, [name for frf in frfs for name in frf.systematic if name not in (SENSITIVITY, CLOCK)])
+
+
+def _smooth(frfs: Sequence[Frf]) -> Array:
+    """Systematic parts that are alike over many lines, but for what is a parameter or concerns all responses."""
+    known = (SENSITIVITY, CLOCK, REFERENCE_NOISE, *ROUGH)
+    return _parts(frfs, [name for frf in frfs for name in frf.systematic if name not in known])
+
+
+def _reference_noise(frfs: Sequence[Frf], errors: ErrorCovariance) -> tuple[Array, Array]:
+    """By which share all responses are too low for noise in the reference, and how far that may be off; shape (n,)."""
+    size = np.stack([np.maximum(abs(frf.value), 1e-300) for frf in frfs])
+    # What one response has less in common with the reference for noise of its own is not the reference's.
+    most: Array = np.asarray((_parts(frfs, [REFERENCE_NOISE]) / size).min(axis=0))
+    if errors.reference is None or len(frfs) < 2:
+        return np.zeros(most.size), most
+    share = np.minimum(errors.reference, 0.5)
+    return share / (1.0 - share), _SPLIT * share
+
+
+def _parts(frfs: Sequence[Frf], names: Sequence[str]) -> Array:
+    """Root of the sum of squares of some systematic parts; shape (responses, n)."""
+    rows = [
+        np.linalg.norm(
+            [np.zeros(frf.value.size), *(frf.systematic[name] for name in set(names) & set(frf.systematic))],
+            axis=0,
+        )
+        for frf in frfs
+    ]
+    return np.stack(rows)
+
+
+def _whitening(frfs: Sequence[Frf], errors: ErrorCovariance) -> ComplexArray:
     """Inverse square root of the covariance of one quadrature, at each frequency."""
-    half = covariance[known] / 2.0
+    half = errors.lines / 2.0
     own = np.einsum("nii->ni", half).real.copy()
-    size = np.stack([abs(frf.value) for frf in frfs], axis=1)[known]
+    size = np.stack([abs(frf.value) for frf in frfs], axis=1)
     # Where one average alone gives no scatter to tell it from.
     half[~np.isfinite(half).all(axis=(1, 2))] = 0.0
     own = np.where(np.isfinite(own), own, (0.01 * np.median(size, axis=0)) ** 2)
-    # Evenly anywhere within its bounds, a part has a third of their squares as its variance.
-    rest = np.stack([_other_systematic(frf) ** 2 / 3.0 for frf in frfs], axis=1)[known]
     least = (_LEAST * size) ** 2 + (_LEAST_OF_TOP * size.max(axis=0)) ** 2
-    degrees = np.stack([frf.degrees for frf in frfs], axis=1)[known]
     # What is scattered by chance by few parts is known less well than by many.
-    grown = np.where(degrees > 4.0, degrees / np.maximum(degrees - 2.0, 1.0), 2.0)
+    grown, rest = np.ones(own.shape), _rough(frfs)
+    if errors.reference is None:
+        rest = _all(frfs)
+        degrees = np.stack([frf.degrees for frf in frfs], axis=1)
+        grown = np.where(degrees > 4.0, degrees / np.maximum(degrees - 2.0, 1.0), 2.0)
     index = np.arange(len(frfs))
     half *= grown[:, :1, None]
-    half[:, index, index] = (1.0 + _SHRUNK) * grown * own + rest + least
+    half[:, index, index] = grown * own + rest.T**2 / 3.0 + least
     return inverse_root(half)
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from analysis.fitting.measured import Curves, Sensor
 from analysis.fitting.parameters import Parameter, with_values
 from analysis.fitting.predicted import linear, linear_slopes, on_the_bench
-from analysis.fitting.steady_tones import SteadyTones
+from analysis.fitting.steady_tones import Known, SteadyTones
 from rig.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -32,6 +32,15 @@ _OUTLYING = 6.0
 _AROUND = 1.15
 
 
+@dataclass(frozen=True)
+class Motions:
+    """Motions known at each point of a group, those known before, and which points count."""
+
+    used: NDArray[np.bool_]
+    known: tuple[Known | None, ...]
+    before: tuple[Known | None, ...]
+
+
 @dataclass
 class Group:
     """Curves, and what is known of the motion at each of their points."""
@@ -44,6 +53,17 @@ class Group:
     around: Array
     """Largest whitened value around each point, shape (n, responses)."""
     last: tuple[tuple[float, ...], bool, ComplexArray] | None = field(default=None, repr=False)
+
+    def motions(self) -> Motions:
+        """Give what is known of the motions, to come back to."""
+        assert self.tones is not None
+        return Motions(self.used.copy(), *self.tones.state())
+
+    def restore(self, motions: Motions) -> None:
+        """Come back to motions known before."""
+        assert self.tones is not None
+        self.used, self.last = motions.used.copy(), None
+        self.tones.restore(motions.known, motions.before)
 
     def choose_motions(self, problem: Problem, x: Array, scene: Scene) -> bool:
         """Take, where a point stands out, another motion of the rig that suits better; leave out what stands out still.
@@ -150,6 +170,23 @@ class Problem:
     def clock_deviation(self, x: Array) -> float:
         """Relative deviation of the sample clock."""
         return float(x[-1]) if self.clock > 0.0 else 0.0
+
+    def clearance_limit(self, x: Array, parameter: Parameter) -> float:
+        """Largest gap of a damper in all motions known, m: its clearance is no less. 0 if it meets its ceiling."""
+        scene, limit = self.scene(x), 0.0
+        assert parameter.damper is not None
+        body = self.model.dampers[parameter.damper].body
+        for group in self.groups:
+            if group.tones is None:
+                continue
+            bench = on_the_bench(scene, group.curves)
+            gain = 1.0 + self.deviation(x, group.curves.reference_sensor)
+            frequency = group.curves.frequency * (1.0 + self.clock_deviation(x))
+            for number, damper in enumerate(bench.dampers):
+                if damper.body == body and damper.moves:
+                    assert group.curves.level is not None
+                    limit = max(limit, group.tones.rise(bench, group.curves.level / gain, frequency, number))
+        return limit if np.isfinite(limit) else 0.0
 
     def predicted(self, x: Array, group: Group, scene: Scene, settle: bool = True) -> ComplexArray:
         """Tell what the sensors should have read, shape (responses, n); NaN where there is no steady motion."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -120,6 +120,15 @@ class SteadyTones:
                 self.known[k] = None
         return found
 
+    def state(self) -> tuple[tuple[Known | None, ...], tuple[Known | None, ...]]:
+        """Give the motions known, and those known before them."""
+        return tuple(self.known), tuple(self._last)
+
+    def restore(self, known: Sequence[Known | None], before: Sequence[Known | None]) -> None:
+        """Come back to motions known before."""
+        self.known, self._last = list(known), list(before)
+        self.given_up.clear()
+
     def others(self, bench: Scene, level: Array, frequency: Array, k: int) -> Iterator[Answer]:
         """Give the stable motions at a point that its neighbours', riding, and rest lead to."""
         rig = _Rig(bench)
@@ -132,6 +141,14 @@ class SteadyTones:
             answer = self._searched(rig, frequency, level, k, moving)
             if answer is not None:
                 yield answer
+
+    def rise(self, bench: Scene, level: Array, frequency: Array, damper: int) -> float:
+        """Largest gap below a damper (from 0) in the motions known, m; infinite if it meets its ceiling."""
+        rig, largest = _Rig(bench), 0.0
+        for k, known in enumerate(self.known):
+            if known is not None:
+                largest = max(largest, rig.rise(known, frequency[k], level[k], damper))
+        return largest
 
     def _anew(self, rig: _Rig, frequency: Array, level: Array, k: int) -> Answer | None:
         """Motion with the events that it had, or of a neighbour's, else the one that riding leads to."""
@@ -250,6 +267,22 @@ class _Rig:
             step = (level - moved) / rise / drive
             drive *= 1.0 + float(np.copysign(np.clip(abs(step), _STEP, 0.5), step))
         return None
+
+    def rise(self, known: Known, frequency: float, level: float, damper: int) -> float:
+        """Largest gap below a damper in a motion, m; infinite if it meets its ceiling."""
+        setting = OperatingPoint(
+            float(frequency), float(known.drive if self.table is not None else self._drive(level))
+        )
+        curve = Following(self.problem, known.plan, setting, "frequency", known.unknowns)
+        equations, change = curve.tables(setting.frequency)
+        x, _, shot, _, count = correct(
+            equations, change, known.plan.sequence, known.unknowns, curve.scale[:-1], curve.rows, _CORRECTIONS
+        )
+        if count < 0:
+            return 0.0
+        orbit = curve.describe(setting, x, equations, shot)
+        hits = (orbit.events["damper"] == damper + 1) & (orbit.events["kind"] == "ceiling")
+        return np.inf if hits.any() else float(orbit.columns()[f"gap {damper + 1}_m"].max())
 
     def led(self, known: Known, frequency: Array, level: Array) -> Answer | None:
         """Lead a motion from the first setting to the second, the force in the coil spring held as in the test."""

@@ -14,11 +14,12 @@ from analysis.modal.line_choice import in_holes, scatter, stands_out, thinned
 from analysis.modal.lscf import chart, columns
 from analysis.modal.modes import TOLD, Modes
 from analysis.modal.order_selection import MOST_MODES, hidden, in_band, preferred, select
-from analysis.modal.pole_errors import pole_errors, systematic_pole_errors
+from analysis.modal.pole_errors import pole_errors, refined_pole_errors, systematic_pole_errors
 from analysis.modal.pole_residue import Curves, Fit, fit, residual_terms
+from analysis.modal.refinement import Refined, refined
 from analysis.responses.frf import Frf
-from analysis.responses.local_models.jitter import JITTER
-from analysis.responses.systematic import ALIASING, MODEL, REFERENCE, RESOLUTION, UNSETTLED
+from analysis.responses.line_errors import error_covariance
+from analysis.responses.systematic import ALIASING, ROUGH
 from rig.errors import RecordingError, SceneError
 
 Array = NDArray[np.float64]
@@ -41,8 +42,6 @@ _AROUND = 1.15
 _ENOUGH = 10.0
 # A largest deviation counts as so many standard deviations.
 _LARGEST = 1.8
-# Systematic parts that differ from line to line.
-_ROUGH = (UNSETTLED, RESOLUTION, MODEL, REFERENCE, JITTER)
 
 
 def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
@@ -88,6 +87,9 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
         measured, sigma, stable[:_STARTS], every[:_TRIED], MOST_MODES if count is None else count
     )
     weighted, model, dropped = _told(weighted, model, curves)
+    joint = None if error else _refined(weighted, model, curves)
+    if joint is not None:
+        model = joint.model
     inside = in_band(weighted, model.poles)
     if not inside.any():
         raise RecordingError(
@@ -98,7 +100,11 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
     f_error, z_error = (
         np.hypot(error, 0.5 * part)
         for error, part in zip(
-            pole_errors(weighted, model), systematic_pole_errors(curves, model.poles), strict=True
+            pole_errors(weighted, model)
+            if joint is None
+            else refined_pole_errors(model.poles, joint.covariance),
+            systematic_pole_errors(curves, model.poles, () if joint is None else joint.parts),
+            strict=True,
         )
     )
     # Where nothing bounds the curves, they may well have their poles elsewhere.
@@ -262,12 +268,26 @@ def _told(curves: Curves, model: Fit, frfs: Sequence[Frf]) -> tuple[Curves, Fit,
     return curves, model, dropped
 
 
+def _refined(weighted: Curves, model: Fit, frfs: Sequence[Frf]) -> Refined | None:
+    """Weigh all responses by their covariance; None where they say no more than the size of their errors."""
+    if any(frf.errors is None for frf in frfs):
+        return None
+    lines = np.searchsorted(frfs[0].frequency, weighted.frequency)
+    curves = [frf.at(lines) for frf in frfs]
+    errors = error_covariance(curves)
+    size = np.stack([abs(frf.value) for frf in curves])
+    rough = np.hypot(0.5 * _off(curves, ROUGH), LEAST_RELATIVE_ERROR * size)
+    if not (np.isfinite(errors.lines).all() and np.isfinite(rough).all()):
+        return None
+    return refined(weighted, model, errors, rough)
+
+
 def _buried(model: Fit, frfs: Sequence[Frf]) -> Array:
     """How far a curve may be off at each pole over the height of its peak, in the curve where that is least."""
     frequency: Array = np.asarray(abs(model.poles) / (2 * np.pi), dtype=float)
     off = [
         part[_nearest(frf, frequency, np.isfinite(frf.value + part))]
-        for frf, part in zip(frfs, _off(frfs, (*_ROUGH, ALIASING)), strict=True)
+        for frf, part in zip(frfs, _off(frfs, (*ROUGH, ALIASING)), strict=True)
     ]
     height = abs(model.residue) / -model.poles.real
     return np.asarray(np.min(off / np.maximum(height, 1e-300), axis=0))
@@ -298,7 +318,7 @@ def _sigma(curves: Sequence[Frf]) -> Array:
             row[:] = np.maximum(row, scatter(curve.value))
         row[:] = np.maximum(row, _usual(row, curve.degrees))
     # What differs from line to line bends a curve as noise does; what is smooth looks like no mode.
-    error = np.hypot(error, 0.5 * _off(curves, _ROUGH))
+    error = np.hypot(error, 0.5 * _off(curves, ROUGH))
     top = np.nanmax(size, axis=1, keepdims=True)
     return np.hypot(error, LEAST_RELATIVE_ERROR * np.maximum(size, 1e-6 * top))
 

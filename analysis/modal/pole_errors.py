@@ -52,25 +52,45 @@ def pole_errors(curves: Curves, model: Fit) -> tuple[Array, Array]:
     .. [2] J. G. MacKinnon, H. White, Some heteroskedasticity-consistent covariance matrix estimators with improved
        finite sample properties, Journal of Econometrics 29 (1985) 305-325.
     """
-    count = model.poles.size
-    decay, damped, size = -model.poles.real, model.poles.imag, abs(model.poles)
+    f_error, z_error = propagated(model.poles, _factors(curves, model))
+    # Errors of any phase put a pole off in any direction: of few lines the error along it may come out small by chance.
+    size = abs(model.poles)
+    f_error = np.maximum(f_error, np.hypot(f_error, z_error * size / (2 * np.pi)) / np.sqrt(2.0))
+    return _with_unseen(model.poles, f_error, z_error)
+
+
+def refined_pole_errors(poles: ComplexArray, covariance: Array) -> tuple[Array, Array]:
+    """Give the same from the covariance of the poles' parameters, shape (2 modes, 2 modes)."""
+    size, axes = np.linalg.eigh(covariance)
+    return _with_unseen(poles, *propagated(poles, [axes * np.sqrt(np.maximum(size, 0.0))]))
+
+
+def _with_unseen(poles: ComplexArray, f_error: Array, z_error: Array) -> tuple[Array, Array]:
+    unseen = -_UNSEEN * poles.real
+    return np.hypot(f_error, unseen / (2 * np.pi)), np.hypot(z_error, unseen / abs(poles))
+
+
+def propagated(poles: ComplexArray, factors: Sequence[Array]) -> tuple[Array, Array]:
+    """Largest standard deviations of natural frequencies [Hz] and damping ratios, of some covariances ``F F^T``.
+
+    The parameters are the logarithms of the decay rates, then the damped frequencies in decay rates.
+    """
+    count = poles.size
+    decay, damped, size = -poles.real, poles.imag, abs(poles)
     f_error, z_error = np.empty(count), np.empty(count)
-    factors = _factors(curves, model)
     for i in range(count):
-        # The parameters are the logarithm of the decay rate and the damped frequency in decay rates.
         to_f = np.array([decay[i], damped[i]]) * decay[i] / size[i] / (2 * np.pi)
         to_z = np.array([damped[i] ** 2, -decay[i] * damped[i]]) * decay[i] / size[i] ** 3
         pairs = [factor[[i, i + count]] for factor in factors]
         f_error[i], z_error[i] = (
             max(float(np.linalg.norm(to @ pair)) for pair in pairs) for to in (to_f, to_z)
         )
-    # Errors of any phase put a pole off in any direction: of few lines the error along it may come out small by chance.
-    f_error = np.maximum(f_error, np.hypot(f_error, z_error * size / (2 * np.pi)) / np.sqrt(2.0))
-    unseen = _UNSEEN * decay
-    return np.hypot(f_error, unseen / (2 * np.pi)), np.hypot(z_error, unseen / size)
+    return f_error, z_error
 
 
-def systematic_pole_errors(frfs: Sequence[Frf], poles: ComplexArray) -> tuple[Array, Array]:
+def systematic_pole_errors(
+    frfs: Sequence[Frf], poles: ComplexArray, without: Sequence[str] = ()
+) -> tuple[Array, Array]:
     """Tell how far systematic errors of curves may put natural frequencies [Hz] and damping ratios off, shape (modes,).
 
     A reference that is the difference of two readings, each a little off, has some of the response in it: to first
@@ -84,14 +104,17 @@ def systematic_pole_errors(frfs: Sequence[Frf], poles: ComplexArray) -> tuple[Ar
         The curves, by rising frequency.
     poles : ndarray of complex, shape (modes,)
         rad/s.
+    without : sequence of str
+        Parts that the random errors of the poles have in them.
     """
+    widening = tuple(name for name in _WIDENS if name not in without)
     half = half_width(poles)
     resolution = max(curve.resolution for curve in frfs)
     f_error = np.where(2.0 * half < resolution, _LINE * resolution, 0.0)
     blurred = np.minimum(SMEAR * resolution**2 / half, _WIDEST * resolution)
     z_error = 2.0 * np.pi * blurred / abs(poles)
     for curve in frfs:
-        stiffens, turns, widens = (_relative(curve, names) for names in (_STIFFENS, _TURNS, _WIDENS))
+        stiffens, turns, widens = (_relative(curve, names) for names in (_STIFFENS, _TURNS, widening))
         for i, p in enumerate(poles):
             natural = abs(p) / (2.0 * np.pi)
             away = abs(curve.frequency - natural - 1j * half[i])

@@ -119,7 +119,11 @@ def describe_energy(energy: CycleEnergy, true: np.ndarray | None = None) -> list
         if abs(share) <= off:
             seen = f"no more than {plainly(share + off)} % go into the dampers, if any"
         supplied = plainly(1e3 * energy.supplied[i])
-        line = f"{energy.frequency[i]:.4g} Hz: the force supplies {supplied} mJ a period; {seen}"
+        own = energy.structure[i] / energy.supplied[i]
+        line = (
+            f"{energy.frequency[i]:.4g} Hz: the force supplies {supplied} mJ a period; {seen} "
+            f"(if the scene's damping is 10 % too high, {plainly(10.0 * own)} % of the supply more)"
+        )
         if true is not None:
             line += f" (truly lost in impacts: {true[i] / energy.supplied[i]:.0%})"
         out.append(line)

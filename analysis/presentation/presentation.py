@@ -184,7 +184,7 @@ def describe_decay(one: Decay) -> list[str]:
     falls = (
         f"does not fall by {-FIRST_FALL[1]:.0f} dB within the recording"
         if np.isnan(one.halving)
-        else f"falls by 6 dB within {one.halving:.3g} s at first"
+        else f"falls at first by 6 dB in {one.halving:.3g} s (slope fitted from -1 to -11 dB)"
     )
     out = [f"{one.label}, {one.channel}: below g {until}; the energy still to come {falls}"]
     for mode in one.modes:

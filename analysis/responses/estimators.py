@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from analysis.responses.aliasing import aliasing_part
 from analysis.responses.frf import Frf
+from analysis.responses.line_errors import MeanErrors
 from analysis.responses.measurands import driven, motion_of, reference_of
 from analysis.responses.systematic import (
     LEAKAGE,
@@ -120,10 +121,13 @@ class Averages:
         if len(below.channels) > 1:
             noise = self._noise_of_two(below.channels)
             incoherent = np.maximum(incoherent, shared_noise_part(noise, upper - value * lower, lower, sff))
+        # What is not coherent with the reference, over its power (Bendat and Piersol, chapter 7).
+        off = (upper - value * lower).T / np.sqrt(sff * max(self.averages - 1.0, 1e-300))[:, None]
         return Frf(
             frequency=self.frequency,
             value=value,
             error=error,
+            errors=MeanErrors(off, self.cross),
             coherence=coherence,
             degrees=np.full(value.shape, max(2.0 * (self.averages - 1.0), 0.0)),
             response=above.channels[0],

@@ -18,6 +18,8 @@ from rig.scene.quantities import FREQUENCY, number
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from analysis.responses.line_errors import LocalErrors, MeanErrors
+
 # Curves with more points than this are drawn without a dot at each.
 DOTS = 120
 MOTIONS = ("displacement", "velocity", "acceleration")
@@ -76,6 +78,8 @@ class Frf(Result):
         Systematic parts by name: how far each can put the value off at most, however long one averages.
     shared : float
         How many neighbouring points rest on the same samples, so that their errors are one.
+    errors : LocalErrors or MeanErrors, optional
+        How random errors follow from those of what was read, for covariances with other responses and lines.
     left_out : ndarray, shape (m,)
         Hz: frequencies of the test that have no point, as something spoilt them.
     clock : float
@@ -103,6 +107,7 @@ class Frf(Result):
     unsteady: NDArray[np.bool_] | None = None
     held: NDArray[np.float64] | None = None
     shared: float = 1.0
+    errors: LocalErrors | MeanErrors | None = None
     left_out: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     clock: float = 0.0
     scale: float = 0.0
@@ -224,6 +229,7 @@ class Frf(Result):
             value=self.value * factor,
             error=self.error * size,
             systematic={name: part * size for name, part in self.systematic.items()},
+            errors=None if self.errors is None else self.errors.scaled(np.asarray(factor, dtype=complex)),
             motion=motion,
         )
 
@@ -284,6 +290,7 @@ class Frf(Result):
             coherence=broken(curve.coherence),
             degrees=broken(curve.degrees, 0.0),
             systematic={name: broken(part) for name, part in curve.systematic.items()},
+            errors=None,
             unsteady=None if curve.unsteady is None else broken(curve.unsteady, False),
             held=None if curve.held is None else broken(curve.held),
         )
@@ -305,6 +312,7 @@ class Frf(Result):
             systematic={name: part[points] for name, part in self.systematic.items()},
             unsteady=None if self.unsteady is None else self.unsteady[points],
             held=None if self.held is None else self.held[points],
+            errors=None if self.errors is None else self.errors.at(points),
         )
 
 

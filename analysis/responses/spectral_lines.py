@@ -12,6 +12,7 @@ from scipy import ndimage, signal
 
 from analysis.responses.aliasing import aliasing_part
 from analysis.responses.frf import Frf, radius
+from analysis.responses.line_errors import MeanErrors
 from analysis.responses.measurands import driven, motion_of, reference_of
 from analysis.responses.ringing import ringing
 from analysis.responses.scatter import Scatter, moderated
@@ -110,10 +111,12 @@ class Lines:
         with np.errstate(invalid="ignore", divide="ignore"):
             averages = 1.0 + self.scatter.degrees / 2.0
             coherence = 1.0 / (1.0 + averages * variance / abs(value) ** 2)
+        covariance = np.einsum("rin,rjn->nij", self.scatter.rows, self.scatter.rows.conj())
         return Frf(
             frequency=self.frequency,
             value=value,
             error=error,
+            errors=MeanErrors(off.T, covariance),
             coherence=coherence,
             degrees=degrees,
             response=above.channels[0],

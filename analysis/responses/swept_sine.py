@@ -13,6 +13,7 @@ from scipy import ndimage
 from analysis.recordings.slices import read_slices
 from analysis.responses.clean_stretches import cure, flaws, told
 from analysis.responses.frf import MOTIONS, Frf
+from analysis.responses.line_errors import LocalErrors
 from analysis.responses.local_models.local_rational import ORDER
 from analysis.responses.local_models.local_spectra import SIDE, LocalSpectra
 from analysis.responses.measurands import motion_of, reference_of
@@ -61,7 +62,10 @@ class SweptTone:
         """Frequency response with coherence, random and systematic errors."""
         above, below = motion_of(rec, response, motion), reference_of(rec, reference)
         found = self.spectra.frf(rec, above, below, reference, motion, self.label, self.warnings)
-        found = replace(found, shared=self.shared)
+        assert isinstance(found.errors, LocalErrors)
+        # Stretches of neighbouring frequencies overlap in time, where their bins are counted as different.
+        apart = replace(found.errors, one_reference=False, shared=self.shared)
+        found = replace(found, shared=self.shared, errors=apart)
         if not dampers_move(rec):
             return found
         lag = np.where(self.riding, 0.0, self._lag(found))

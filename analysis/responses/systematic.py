@@ -24,6 +24,9 @@ ComplexArray = NDArray[np.complex128]
 REFERENCE_NOISE, LEAKAGE, UNSETTLED = "noise in the reference", "leakage", "not yet steady"
 ALIASING, RESOLUTION, MODEL = "aliasing", "converter's resolution", "local model"
 REFERENCE = "doubtful reference"
+JITTER = "jitter of the sampling instants"
+#: Parts that differ from line to line.
+ROUGH = (UNSETTLED, RESOLUTION, MODEL, REFERENCE, JITTER)
 # Sideways motion as a share of the vertical, where a data sheet of transverse sensitivity goes without one.
 _LATERAL = 0.1
 # Of fewer lines than these the slope cannot be seen: it may be that of a peak, so many times the ratio of value and

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from analysis.responses.local_models.local_rational import ORDER
+from analysis.responses.systematic import JITTER
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-JITTER = "jitter of the sampling instants"
 # Of a normal error less than 5 % lie beyond so many standard deviations, of one with two components less than 2 %.
 _AT_MOST = 2.0
 # A quotient of two polynomials bends as a polynomial of the order of both does.

@@ -76,6 +76,14 @@ class LocalFit:
     like a transient, and noise does not; shape (lines,)."""
     noise: Array
     """Power of what is left over at a line, in the square of what is read; shape (lines,)."""
+    influence: ComplexArray
+    """Error of the value for one of each bin read; shape (lines, stretches, width)."""
+    residual: ComplexArray
+    """What is left over of the reading; shape (lines, stretches, width)."""
+    curve: ComplexArray
+    """Reading per unit of the reference as fitted; shape (lines, 1, width)."""
+    first: Lines
+    """First bin that each fit takes in; shape (lines,)."""
 
 
 def local_fit(
@@ -120,8 +128,12 @@ def local_fit(
         _fits(reading, reference, ends, lines, side, used, order, poles)
         for order, poles in ((ORDER, 0), (ORDER, ORDER), (ORDER + 1, ORDER + 1))
     )
+    simple = plain.criterion < rational.criterion
     best = _Fits(
-        *(np.where(plain.criterion < rational.criterion, *each) for each in zip(plain, rational, strict=True))
+        *(
+            np.where(simple.reshape(-1, *[1] * (each[0].ndim - 1)), *each)
+            for each in zip(plain, rational, strict=True)
+        )
     )
     # The variance of the difference is the difference of the variances, as the lower order is part of the higher.
     change, noise = abs(more.value - best.value) ** 2, 2.0 * np.maximum(more.variance - best.variance, 0.0)
@@ -130,8 +142,9 @@ def local_fit(
     # A peak of a line or two is missed there and nowhere else; noise changes a line by more than that in 5 % of lines.
     missed = np.sqrt(np.maximum(np.maximum(around, change - LARGEST * noise), 0.0))
     return LocalFit(
-        best.value, best.variance, best.coherence, best.degrees, missed, best.through, best.apart, best.noise
-    )
+        best.value, best.variance, best.coherence, best.degrees, missed, best.through, best.apart, best.noise,
+        best.influence, best.residual, best.curve, _first(lines, side, reference.shape[1]),
+    )  # fmt: skip
 
 
 class _Fits(NamedTuple):
@@ -146,6 +159,9 @@ class _Fits(NamedTuple):
     noise: Array
     criterion: Array
     """Schwarz's, for orders to be compared [3]_."""
+    influence: ComplexArray
+    residual: ComplexArray
+    curve: ComplexArray
 
 
 def _fits(
@@ -185,6 +201,9 @@ def _fits(
         apart=found.apart,
         noise=noise * found.size**2,
         criterion=criterion,
+        influence=found.influence,
+        residual=found.residual,
+        curve=found.curve,
     )
 
 
@@ -204,6 +223,10 @@ class _Solution(NamedTuple):
     apart: Array
     size: Array
     """Root of the mean square of what was read."""
+    influence: ComplexArray
+    """These three as `LocalFit` has them, with all scales."""
+    residual: ComplexArray
+    curve: ComplexArray
 
 
 def _fit(
@@ -217,8 +240,7 @@ def _fit(
     poles: int,
 ) -> _Solution:
     stretches, width = len(reference), 2 * side + 1
-    first = np.clip(lines - side, 0, reference.shape[1] - width)
-    near = first[:, None] + np.arange(width)
+    near = _first(lines, side, reference.shape[1])[:, None] + np.arange(width)
     at = ((near - lines[:, None]) / side)[:, None, :]
     x, f, e = (np.moveaxis(each[:, near], 1, 0) for each in (reading.spectra, reference, ends))
     told_by = reading.response[near][:, None, :]
@@ -266,7 +288,15 @@ def _fit(
         through=through * (scale / driven) ** 2,
         apart=np.minimum(scatter / np.maximum(spread, _NOTHING), 1.0),
         size=size[:, 0, 0],
+        influence=influence / np.where(drive > _NOTHING, drive, np.inf),
+        residual=left * size,
+        curve=curve * told_by * (size / drive),
     )
+
+
+def _first(lines: Lines, side: int, bins: int) -> Lines:
+    """First bins that fits at some lines take in."""
+    return np.asarray(np.clip(lines - side, 0, bins - 2 * side - 1))
 
 
 class _Unknown(NamedTuple):

@@ -14,6 +14,7 @@ from scipy import ndimage, stats
 from analysis.responses.aliasing import aliasing_part
 from analysis.responses.force_pulse import slow_and_fast
 from analysis.responses.frf import Frf
+from analysis.responses.line_errors import LocalErrors
 from analysis.responses.local_models.jitter import jitter_part
 from analysis.responses.local_models.local_rational import LARGEST, ORDER, LocalFit, Reading, local_fit
 from analysis.responses.measurands import Measurand, driven
@@ -152,10 +153,25 @@ class LocalSpectra:
             systematic[REFERENCE_NOISE] = incoherent
         else:
             variance = variance + abs(value) ** 2 * reference_noise
+        turned = upper[names.index(above.channels[0])] * rec.channels[above.channels[0]].response(at)
+        errors = LocalErrors(
+            influence=of_response.influence * turned[:, None, None],
+            first=of_response.first,
+            residual=of_response.residual,
+            curve=of_response.curve,
+            drive=self._power(force, self.side),
+            free=float(of_response.degrees[0]) / 2.0,
+            used=self.used,
+            one_reference=below.channels[1:] == () and not noise.any(),
+            common=np.zeros(at.size, dtype=complex)
+            if reference_noise is None
+            else value * np.sqrt(reference_noise),
+        )
         return Frf(
             frequency=at,
             value=value,
             error=np.sqrt(variance),
+            errors=errors,
             coherence=of_response.coherence,
             degrees=of_response.degrees,
             response=above.channels[0],

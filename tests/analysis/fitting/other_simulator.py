@@ -1,0 +1,117 @@
+"""Random tests of spring-mass chains by numpy alone: an oracle that shares no code with the package.
+
+A force that is periodic over twice the record and has a limited band is multiplied by the exact receptance, line by
+line; half a period of both is the record. White noise is added to the force and to each response.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Masses [kg], springs [N/m] from ground on, and a damping ratio for each mode."""
+
+    masses: Array
+    springs: Array
+    damping: Array
+
+    @property
+    def matrices(self) -> tuple[Array, Array]:
+        """Mass and stiffness."""
+        above = np.append(self.springs[1:], 0.0)
+        return np.diag(self.masses), np.diag(self.springs + above) - np.diag(above[:-1], 1) - np.diag(
+            above[:-1], -1
+        )
+
+    @property
+    def modes(self) -> tuple[Array, Array]:
+        """Natural frequencies [Hz] and shapes of unit modal mass."""
+        mass, stiffness = self.matrices
+        square, shapes = linalg.eigh(stiffness, mass)
+        return np.sqrt(square) / (2.0 * np.pi), shapes
+
+
+def drawn(seed: int) -> Chain:
+    """Draw a chain of 2 to 4 bodies."""
+    random = np.random.default_rng(seed)
+    bodies = int(random.integers(2, 5))
+    while True:
+        chain = Chain(
+            random.uniform(0.4, 3.0, bodies),
+            10 ** random.uniform(4.0, 5.5, bodies),
+            random.uniform(0.004, 0.02, bodies),
+        )
+        frequency = chain.modes[0]
+        if np.all(frequency[1:] > 1.15 * frequency[:-1]) and frequency[0] > 8.0 and frequency[-1] < 180.0:
+            return chain
+
+
+def accelerations(chain: Chain, driven: int, frequency: Array) -> NDArray[np.complex128]:
+    """Accelerances of all bodies for a force at one, shape (bodies, frequencies)."""
+    natural, shapes = chain.modes
+    omega, own = 2.0 * np.pi * frequency, 2.0 * np.pi * natural
+    modal = -(omega**2) / (own[:, None] ** 2 - omega**2 + 2j * (chain.damping * own)[:, None] * omega)
+    return np.asarray((shapes * shapes[driven]) @ modal)
+
+
+def random_test(
+    chain: Chain,
+    path: Path,
+    seed: int,
+    noise: tuple[float, float] = (0.03, 0.01),
+    duration: float = 60.0,
+    driven: int = 1,
+) -> dict[str, Any]:
+    """Write a random test as a text table; return the settings of the scene that was on the bench.
+
+    Parameters
+    ----------
+    noise : (float, float)
+        Of the force and of each response, over the rms value of what is there.
+    """
+    random = np.random.default_rng(seed)
+    rate, low, high = 1000.0, 4.0, 220.0
+    count = 2 * round(duration * rate)
+    frequency = np.fft.rfftfreq(count, 1.0 / rate)
+    inside = (frequency > 0.5 * low) & (frequency < 1.2 * high)
+    spectrum = np.zeros(frequency.size, dtype=complex)
+    spectrum[inside] = random.normal(size=inside.sum()) + 1j * random.normal(size=inside.sum())
+    spectra = np.zeros((chain.masses.size + 1, frequency.size), dtype=complex)
+    spectra[0] = spectrum
+    spectra[1:, inside] = accelerations(chain, driven - 1, frequency[inside]) * spectrum[inside]
+    rows = np.fft.irfft(spectra, count, axis=1)[:, : count // 2]
+    rows *= 10.0 / rows[0].std()
+    level = np.array([noise[0]] + [noise[1]] * chain.masses.size) * rows.std(axis=1)
+    rows += level[:, None] * random.normal(size=rows.shape)
+    names = ["force [N]", *(f"a{k} [m/s^2]" for k in range(1, chain.masses.size + 1))]
+    table = np.vstack([np.arange(count // 2) / rate, rows]).T
+    np.savetxt(path, table, "%.9g", ",", header=",".join(["time [s]", *names]), comments="")
+    guess = np.random.default_rng(seed + 1)
+    return {
+        "name": path.stem,
+        "structure": {
+            "masses": (chain.masses * np.exp(guess.uniform(-0.2, 0.2, chain.masses.size))).tolist(),
+            "springs": (chain.springs * np.exp(guess.uniform(-0.2, 0.2, chain.masses.size))).tolist(),
+            "damping": {"modal": 0.01},
+        },
+        "shaker": {"kind": "force", "body": driven},
+        "test": {
+            "kind": "random", "from": low, "to": high, "duration": duration, "force": 10.0,
+        },
+        "channels": [
+            {"name": "force", "at": "shaker"},
+            *({"name": f"a{k}", "at": f"body {k}"} for k in range(1, chain.masses.size + 1)),
+        ],
+        "converter": {"rate": rate},
+        "recording": {"display": False},
+    }  # fmt: skip

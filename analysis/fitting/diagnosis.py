@@ -39,6 +39,8 @@ _NEAR = 0.06
 _NO_UNIT = " (no unit is mistaken by that factor: the structure may as well be another one than the scene's)"
 # Delays of a channel that are tried, s, and the least that counts.
 _DELAYS, _LEAST_DELAY = np.arange(-1.2e-3, 1.21e-3, 2e-5), 5e-6
+# From this delay on, s, its first guess alone explains more.
+_CLEAR = 3e-5
 # How much looser a suspected sensor is held, and the scale of all masses from which on it is suspect.
 _FREED, _SCALE_OFF = 1e4, 2.5
 _MOST_PAIRS = 15
@@ -60,7 +62,7 @@ def causes(problem: Problem) -> list[str]:
             "too far off to start from."
         ]
     found: list[tuple[float, str]] = []
-    for sensor, delay, curves in _delayed(problem, bare):
+    for sensor, delay, curves in _delayed(problem, bare, before):
         after = _variance(problem, curves)[1]
         if after < max(4.0, _EXPLAINED * before):
             late = "late" if delay > 0.0 else "early"
@@ -154,7 +156,9 @@ def _multiplied(curves: Curves, factor: float | ComplexArray | Array) -> Curves:
     )
 
 
-def _delayed(problem: Problem, bare: list[Curves]) -> Iterator[tuple[Sensor, float, list[Curves]]]:
+def _delayed(
+    problem: Problem, bare: list[Curves], before: float
+) -> Iterator[tuple[Sensor, float, list[Curves]]]:
     """Take off each sensor the delay that lines up its phase with that of the others best, where there is any.
 
     A delay turns a response by a phase that is proportional to frequency, about 0 or 180 degrees where no mode is near.
@@ -181,7 +185,12 @@ def _delayed(problem: Problem, bare: list[Curves]) -> Iterator[tuple[Sensor, flo
             )
             for delay in _DELAYS
         ]
-        delay = _refined_delay(problem, bare, sensor, float(_DELAYS[int(np.argmax(in_line))]))
+        delay = float(_DELAYS[int(np.argmax(in_line))])
+        if abs(delay) > _CLEAR:
+            late = [_in_time(curves, sensor, delay) for curves in bare]
+            if _variance(problem, late)[1] > before:
+                continue
+        delay = _refined_delay(problem, bare, sensor, delay)
         if abs(delay) > _LEAST_DELAY:
             yield sensor, delay, [_in_time(curves, sensor, delay) for curves in bare]
 

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 # An oscillation crosses its limit twice a period; crossings closer than this are one stretch, s.
 _PAUSE = 0.5
+# The channels are watched at the end of each stretch of this length, s, whatever the size of the blocks; the longer one
+# where they have no limits and can only lose the control.
+_WATCH, _WATCH_LONG = 0.1, 0.5
 
 
 @dataclass(frozen=True)
@@ -123,6 +126,11 @@ class Limits:
         self._alarm, self._abort = limits("alarm"), limits("abort")
         self._alarms = Stretches("alarm", channels, mark)
         self.given = bool(np.isfinite(self._alarm).any() or np.isfinite(self._abort).any())
+
+    @property
+    def interval(self) -> float:
+        """Length of the stretches at whose ends the channels are watched, s."""
+        return _WATCH if self.given else _WATCH_LONG
 
     def watch(self, first: int, readings: NDArray[np.float64]) -> Trip | None:
         """Look at readings, shape (channels, samples), and report the first beyond an abort limit."""

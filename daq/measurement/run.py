@@ -32,9 +32,6 @@ from rig.scene.scene import Scene
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
-# The channels are watched at the end of each stretch of this length, s, whatever the size of the blocks; the longer one
-# where they have no limits and can only lose the control.
-_WATCH, _WATCH_LONG = 0.1, 0.5
 _RAMP = 0.05
 # Part of a test after which its recording shows how large it will be.
 _ENOUGH = 0.02
@@ -205,7 +202,7 @@ class MeasurementRun:
         return path
 
     def _play(self, test: Excitation, drive: Array, interrupted: Callable[[], bool]) -> None:
-        quantum = self._station.samples(_WATCH if self._limits.given else _WATCH_LONG)
+        quantum = self._station.samples(self._limits.interval)
         while True:
             readings = []
             for start in range(0, drive.shape[1], quantum):

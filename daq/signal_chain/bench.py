@@ -57,6 +57,8 @@ class Bench:
         Drive inputs, a subset of ``("shaker", "hammer")``; where there are several shakers, ``"shaker 1"``, ...
     drive_units : tuple of str
         Unit of each input: N, m or V.
+    points : tuple of str
+        Points of the rig, in the order of the rows of `AcquiredBlock.motion`.
     latency : int
         Samples by which what comes out lags behind the drive, where a filter's delay is taken out of their
         numbers: so many samples fewer come out at first.
@@ -89,6 +91,7 @@ class Bench:
         self.lost: tuple[tuple[int, int], ...] = self._converter.lost
         self.inputs: tuple[str, ...] = tuple(self._plant.inputs)
         self.drive_units: tuple[str, ...] = tuple(self._plant.drive_units)
+        self.points: tuple[str, ...] = tuple(self._plant.points)
         self._scale = np.array([[channel.unit_per_count] for channel in self.channels])
 
     @property

@@ -1,0 +1,74 @@
+"""The linear response of a scene as its channels read it, all dampers on their floors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.signal_chain.channel import ChannelInfo
+from rig.scene.excitation import Impulse, Multisine, Random, Sine, SteppedSine, SweptSine, Test, spaced
+from rig.scene.scene import Scene
+from rig.system.assembly import assemble
+from rig.system.hybrid_system import HybridSystem
+from rig.system.open_loop_drive import drive_per_level, riding_response
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
+
+
+def test_band(test: Test | None) -> tuple[float, float] | None:
+    """Band of a test that drives a shaker, Hz; None of others."""
+    if isinstance(test, Sine):
+        return test.frequency, test.frequency
+    if isinstance(test, SteppedSine):
+        return min(test.order), max(test.order)
+    if isinstance(test, SweptSine | Random | Multisine):
+        return min(test.from_, test.to), max(test.from_, test.to)
+    return None
+
+
+def test_frequencies(test: Test | None, points: int) -> Array:
+    """Frequencies of a test, rising, Hz: its own tones, or so many over its band; none without a band."""
+    if isinstance(test, Sine):
+        return np.array([test.frequency])
+    if isinstance(test, SteppedSine):
+        return np.unique(test.order)
+    band = test_band(test)
+    if band is None:
+        return np.zeros(0)
+    return np.array(spaced(*band, points, "log"))
+
+
+def states_per_level(scene: Scene, system: HybridSystem, frequencies: Array) -> tuple[ComplexArray, ComplexArray]:
+    """States (states, frequencies) and drive (frequencies,) for one unit of the test's level.
+
+    Raises
+    ------
+    SceneError
+        If the rig is undamped and a frequency is its resonance.
+    """
+    omega = 2.0 * np.pi * frequencies
+    gain = np.array([drive_per_level(scene, system, each) for each in omega.tolist()], dtype=np.complex128)
+    return riding_response(system, scene.at_driven("shaker"), omega) * gain, gain
+
+
+def channel_readings(scene: Scene, channels: Sequence[ChannelInfo], frequencies: Array) -> Array:
+    """Amplitude that each channel reads under a tone of one unit of level, (channels, frequencies), in its unit."""
+    system = assemble(scene)
+    states, gain = states_per_level(scene, system, frequencies)
+    found = np.zeros((len(channels), frequencies.size))
+    for row, info in enumerate(channels):
+        size: Array
+        if info.at in system.points:
+            derivative = _DERIVATIVES.get(info.quantity, 0)
+            size = abs(states[system.points.index(info.at)]) * (2.0 * np.pi * frequencies) ** derivative
+        elif isinstance(scene.test, Impulse):
+            continue
+        else:
+            size = abs(gain)
+        found[row] = size * abs(info.response(frequencies))
+    return found

@@ -1,0 +1,214 @@
+"""A test run ahead on the scene's own bench, without a recording: the extremes of every channel, and what ends it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.excitation import Station, excitation
+from daq.excitation.swept_sine import sweep_frequency
+from daq.measurement.limits import ControlLoss, Limits
+from daq.signal_chain.bench import AcquiredBlock, Bench
+from rig.scene.excitation import SweptSine
+from rig.scene.scene import Scene
+
+Array = NDArray[np.float64]
+
+# Of a damper's impacts closer together than this only the first is noted, s.
+_PAUSE = 0.5
+
+
+@dataclass
+class Extreme:
+    """Largest size that a quantity has had, and at which sample."""
+
+    size: float = 0.0
+    sample: int = 0
+
+    def add(self, first: int, values: Array) -> None:
+        """Take the next values, the first of them numbered `first`."""
+        if values.size:
+            place = int(np.argmax(np.abs(values)))
+            if abs(values[place]) > self.size:
+                self.size, self.sample = float(abs(values[place])), first + place
+
+
+@dataclass(frozen=True)
+class Step:
+    """A tone that was held: its samples and Hz."""
+
+    first: int
+    stop: int
+    frequency: float
+    settled: bool
+
+
+@dataclass
+class Rehearsal:
+    """What a test did on the bench.
+
+    Attributes
+    ----------
+    scene : Scene
+        With the test that was run.
+    seconds : float
+        Time that it took on the bench.
+    complete : bool
+        Whether the test came to its end.
+    readings : list of Extreme
+        Of each channel, in its unit.
+    overloaded : list of bool
+        Whether each channel was overloaded.
+    drives : list of Extreme
+        What the test gave each input of the rig, before its output and amplifier limited it.
+    accelerations : dict of str to Extreme
+        Of each point, m/s^2.
+    tables : dict of str to Extreme
+        Displacement of each table, m.
+    closing_speed : ndarray, shape (dampers,)
+        Largest speed at which each damper of the scene came to a wall, m/s.
+    strikes : list of list of float
+        Of each damper of the scene, times at which it hit a wall, at most a few a second, s.
+    aborted : str or None
+        What would end the test before its time.
+    """
+
+    scene: Scene
+    rate: float
+    readings: list[Extreme]
+    overloaded: list[bool]
+    drives: list[Extreme]
+    accelerations: dict[str, Extreme]
+    tables: dict[str, Extreme]
+    closing_speed: Array
+    strikes: list[list[float]]
+    seconds: float = 0.0
+    complete: bool = False
+    aborted: str | None = None
+    steps: list[Step] = field(default_factory=list)
+    sweep: tuple[int, int] | None = None
+
+    def frequency_at(self, sample: int) -> float | None:
+        """Frequency of the tone that was played at a sample, Hz; None where the test plays no single tone."""
+        test = self.scene.test
+        if self.sweep is not None and isinstance(test, SweptSine) and sample >= self.sweep[0]:
+            share = (sample - self.sweep[0]) / max(1, self.sweep[1] - self.sweep[0])
+            return float(sweep_frequency(test, min(share, 1.0)))
+        earlier = [step for step in self.steps if step.first <= sample]
+        return earlier[-1].frequency if earlier else None
+
+
+def rehearse(scene: Scene, longest: float, ahead: int = 0) -> Rehearsal:
+    """Run a scene's test without recording it.
+
+    Parameters
+    ----------
+    scene : Scene
+    longest : float
+        Time on the bench after which to leave off, s.
+    ahead : int
+        Steps at the beginning of a row of tones whose extremes do not count.
+
+    Raises
+    ------
+    SceneError
+        If the test cannot be run on this bench.
+    """
+    return _Run(scene, ahead).run(longest)
+
+
+class _Run:
+    """The loop between excitation and bench, as `daq.measurement.run` has it, with nothing recorded."""
+
+    def __init__(self, scene: Scene, ahead: int) -> None:
+        self._ahead = ahead
+        self._bench = bench = Bench(scene)
+        self._limits = Limits(scene, bench.channels, lambda *args, **fields: None)
+        self._control = ControlLoss(scene, bench.channels)
+        self._station = Station(
+            scene, bench.channels, bench.inputs, bench.rate, mark=self._mark, latency=bench.latency
+        )
+        self._points = bench.points
+        count = len(bench.channels)
+        self._found = Rehearsal(
+            scene=scene,
+            rate=bench.rate,
+            readings=[Extreme() for _ in range(count)],
+            overloaded=[False] * count,
+            drives=[Extreme() for _ in bench.inputs],
+            accelerations={point: Extreme() for point in bench.points},
+            tables={point: Extreme() for point in bench.points if point.startswith("table")},
+            closing_speed=np.zeros(len(scene.dampers)),
+            strikes=[[] for _ in scene.dampers],
+        )
+
+    def run(self, longest: float) -> Rehearsal:
+        """Run the test to its end, to what aborts it, or for so long."""
+        test = excitation(self._station)
+        drive, found = next(test), self._found
+        quantum = self._station.samples(self._limits.interval)
+        while found.aborted is None and self._station.now < longest * self._bench.rate:
+            readings = []
+            for start in range(0, drive.shape[1], quantum):
+                readings.append(self._acquire(drive[:, start : start + quantum]))
+                came = self._station.now - self._bench.latency - readings[-1].shape[1]
+                trip = self._limits.watch(came, readings[-1])
+                lost = self._control_lost if trip is None else str(trip)
+                if lost is not None:
+                    found.aborted = lost
+                    break
+            else:
+                try:
+                    drive = test.send(readings[0] if len(readings) == 1 else np.concatenate(readings, axis=1))
+                except StopIteration:
+                    found.complete = True
+                    break
+        found.seconds = self._station.now / self._bench.rate
+        return found
+
+    def _acquire(self, drive: Array) -> Array:
+        bench, found, first = self._bench, self._found, self._station.now
+        got = bench.acquire(drive)
+        readings = np.zeros((len(bench.channels), drive.shape[1]))
+        overload = np.zeros(readings.shape, dtype=bool)
+        came = slice(drive.shape[1] - got.samples.shape[1], None)
+        readings[:, came] = bench.physical(got.samples)
+        overload[:, came] = got.overload
+        self._station.now = first + drive.shape[1]
+        self._control_lost = self._control.watch(first, overload)
+        if self._ahead:
+            return readings
+        for row, extreme in enumerate(found.readings):
+            extreme.add(got.first, readings[row, came])
+            found.overloaded[row] |= bool(overload[row].any())
+        for row, extreme in enumerate(found.drives):
+            extreme.add(first, drive[row])
+        self._follow(got)
+        return readings
+
+    def _follow(self, got: AcquiredBlock) -> None:
+        """Note how far tables and bodies move, and where dampers hit."""
+        motion, found = got.motion, self._found
+        for row, point in enumerate(self._points):
+            found.accelerations[point].add(motion.first, motion.acceleration[row])
+            if point in found.tables:
+                found.tables[point].add(motion.first, motion.displacement[row])
+        for event in motion.events[motion.events["speed"] > 0.0]:
+            damper = int(event["damper"]) - 1
+            found.closing_speed[damper] = max(found.closing_speed[damper], event["speed"])
+            struck = found.strikes[damper]
+            if not struck or event["time"] - struck[-1] > _PAUSE:
+                struck.append(float(event["time"]))
+
+    def _mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
+        if kind == "measure" and "from" in fields:
+            self._found.sweep = (first, stop)
+        elif kind in ("settle", "measure") and "frequency" in fields:
+            self._found.steps.append(
+                Step(first, stop, float(fields["frequency"]), bool(fields.get("settled", True)))
+            )
+            self._ahead -= kind == "measure" and self._ahead > 0
+

@@ -1,0 +1,215 @@
+"""The parts of a test that decide its extremes, short enough to be rehearsed.
+
+A test that is short is rehearsed whole. Of a long row of tones, and of a long sweep, the frequencies about the peaks of
+the linear response are: with the dampers on their floors, and without them. Of a long random test the beginning is, of
+equal hits the first, of periods that repeat a single one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.foresight.linear import channel_readings, test_frequencies
+from daq.measurement.estimate import estimate
+from daq.signal_chain.channel import ChannelInfo
+from daq.signal_chain.converter import SampleClock
+from daq.signal_chain.oversampling import oversampling
+from rig.scene.excitation import Free, Impulse, Multisine, Random, Sine, SteppedSine, SweptSine
+from rig.scene.scene import Scene
+from rig.system.assembly import assemble
+from rig.system.structure import natural_modes, structure_matrices
+
+Array = NDArray[np.float64]
+
+#: CPU time that a rehearsal may take, about, s.
+BUDGET_S = 0.9
+# CPU time of a sample, measured on one core of 2 GHz, s: the loop and the rig, each state, each channel; and of the
+# Python code that steers a held sweep, every period of its tone.
+_SAMPLE_S, _STATE_S, _CHANNEL_S, _STEERED_PERIOD_S = 130e-9, 6e-9, 130e-9, 1.2e-3
+# A state matrix beyond this size costs by its elements, s.
+_ELEMENT_S = 0.6e-9
+# A step of a row of tones takes this long, s, and so many time constants of the slowest mode, on the bundled scenes.
+_STEP_S, _TIME_CONSTANTS = 1.4, 2.0
+# Where parts of a row are rehearsed, the wait for a steady motion ends after this time, s.
+_LONGEST_WAIT_S = 10.0
+# Peaks of the linear response below this share of a channel's largest are left out.
+_LOW_PEAK = 0.15
+# Groups of frequencies with fewer left out between them are run as one.
+_NARROW_GAP = 4
+# A group begins so many frequencies ahead of those that count: the motion there is not yet that of the whole test.
+_AHEAD = 2
+# Frequencies of the row of tones that replaces a long sweep.
+_SWEEP_POINTS = 400
+
+
+@dataclass(frozen=True)
+class Shortened:
+    """What is rehearsed of a test: scenes with tests that are run one after another.
+
+    Attributes
+    ----------
+    scenes : tuple of Scene
+    ahead : tuple of int
+        Of each scene, steps at its beginning that only lead up to those that count.
+    whole : bool
+        Whether it is the test itself.
+    extends : bool
+        Whether the test goes on with more of the same noise, which reaches higher in a longer time.
+    """
+
+    scenes: tuple[Scene, ...]
+    ahead: tuple[int, ...] = (0,)
+    whole: bool = False
+    extends: bool = False
+
+
+def affordable_seconds(scene: Scene) -> float:
+    """Time on the bench that can be rehearsed within the budget, s."""
+    clock = SampleClock.of(scene.converter)
+    system = assemble(scene)
+    channels = system.coordinates if scene.channels is None else len(scene.channels)
+    states = system.states + system.dampers
+    sample = _SAMPLE_S + _STATE_S * states + _ELEMENT_S * states**2 + _CHANNEL_S * channels
+    second = clock.true_rate * oversampling(scene, clock) * sample
+    test = scene.test
+    if isinstance(test, SweptSine) and _holds_spring_force(scene):
+        second += _STEERED_PERIOD_S * (test.from_ + test.to) / 2
+    return BUDGET_S / second
+
+
+def shortened(scene: Scene, channels: tuple[ChannelInfo, ...]) -> Shortened:
+    """Choose what to rehearse of a scene's test.
+
+    Parameters
+    ----------
+    channels : tuple of ChannelInfo
+        As the bench has them.
+    """
+    test, seconds = scene.test, affordable_seconds(scene)
+    assert test is not None
+    if expected_seconds(scene) <= seconds:
+        return Shortened((scene,), whole=True)
+    if isinstance(test, SteppedSine | SweptSine):
+        return _about_peaks(scene, test, channels, seconds)
+    if isinstance(test, Random):
+        return Shortened((scene.replace(test=test.replace(duration=seconds)),), extends=True)
+    if isinstance(test, Sine | Free):
+        return Shortened((scene.replace(test=test.replace(duration=min(test.duration, seconds))),))
+    if isinstance(test, Multisine):
+        once = test.replace(periods=1)
+        share = seconds / expected_seconds(scene.replace(test=once))
+        realisations = max(1, min(test.realisations, int(share * test.realisations)))
+        return Shortened((scene.replace(test=once.replace(realisations=realisations)),))
+    return Shortened((scene.replace(test=_fewer_hits(test, seconds)),))
+
+
+def expected_seconds(scene: Scene) -> float:
+    """Time that a test takes with its waits, about, s."""
+    least, test = estimate(scene).seconds, scene.test
+    if isinstance(test, Multisine):
+        # A crossfade, and two periods at least until they are alike; of a held force the rounds of shaping it.
+        return least * (1.0 + 3.0 / test.periods) + (8.0 if _holds_spring_force(scene) else 0.0)
+    if not isinstance(test, SteppedSine):
+        return least
+    return least + len(test.levels) * len(test.order) * _wait(scene)
+
+
+def _wait(scene: Scene) -> float:
+    """Time between the measurements of a row of tones, about, s."""
+    assert isinstance(scene.test, SteppedSine)
+    return _STEP_S + min(_TIME_CONSTANTS * _slowest(scene), scene.test.settle.longest)
+
+
+def _slowest(scene: Scene) -> float:
+    """Time constant of the slowest mode, s."""
+    mass, damping, stiffness = structure_matrices(scene.structure)
+    frequencies, shapes = natural_modes(mass, stiffness)
+    modal_mass = np.einsum("ji,jk,ki->i", shapes, mass, shapes)
+    decay = np.einsum("ji,jk,ki->i", shapes, damping, shapes) / (2.0 * modal_mass)
+    return float(1.0 / max(decay[frequencies > 0.0].min(initial=np.inf), 1e-3))
+
+
+def _holds_spring_force(scene: Scene) -> bool:
+    shaker = scene.driven_shaker
+    return shaker is not None and shaker.spring is not None and getattr(scene.test, "force", None) is not None
+
+
+def _fewer_hits(test: Impulse, seconds: float) -> Impulse:
+    """Leave the first hits; later ones are like them."""
+    if test.interval >= seconds:
+        after = 0.0 if test.double_hit is None else test.double_hit.after
+        interval = max(seconds, 2.0 * (test.width + after))
+        return test.replace(repeats=1, interval=interval, double_hit=_bounces(test, 1))
+    repeats = max(1, int(seconds / test.interval))
+    return test.replace(repeats=repeats, double_hit=_bounces(test, repeats))
+
+
+def _bounces(test: Impulse, repeats: int) -> object:
+    """Bounces of the hits that are left."""
+    if test.double_hit is None or test.double_hit.hits is None:
+        return test.double_hit
+    hits = tuple(hit for hit in test.double_hit.hits if hit <= repeats)
+    return test.double_hit.replace(hits=hits) if hits else None
+
+
+def _about_peaks(
+    scene: Scene, test: SteppedSine | SweptSine, channels: tuple[ChannelInfo, ...], seconds: float
+) -> Shortened:
+    """Rows of neighbouring frequencies about the peaks, at the highest level, each run from rest."""
+    if isinstance(test, SteppedSine):
+        rising, direction = np.unique(test.order), test.direction
+        settle, periods = test.settle, test.measure.periods
+        level = {"force": max(test.levels)} if test.force is not None else {"drive": max(test.levels)}
+    else:
+        rising, direction = test_frequencies(test, _SWEEP_POINTS), "up" if test.from_ < test.to else "down"
+        settle, periods = SteppedSine.model_fields["settle"].default, 5
+        level = {"force": test.force} if test.force is not None else {"drive": test.drive}
+    settle = settle.replace(longest=min(settle.longest, _LONGEST_WAIT_S))
+    row = {
+        "kind": "stepped_sine",
+        "start": test.start,
+        "direction": direction,
+        "shaker": test.shaker,
+        "settle": settle,
+        "measure": {"periods": periods},
+        **level,
+    }
+    runs = 2 if direction == "both" else 1
+    step = _wait(scene.replace(test={**row, "frequencies": rising.tolist()})) + periods / rising.mean()
+    chosen = _chosen(scene, channels, rising, max(2, int(seconds / step / runs)))
+    groups = np.split(chosen, np.flatnonzero(np.diff(chosen) > _NARROW_GAP) + 1)
+    scenes, ahead = [], []
+    for group in groups:
+        first, last = int(group[0]), int(group[-1])
+        before, after = max(first - _AHEAD, 0), min(last + _AHEAD, rising.size - 1)
+        first, last = (before, last) if direction == "up" else (first, after) if direction == "down" else (before, after)
+        scenes.append(scene.replace(test={**row, "frequencies": rising[first : last + 1].tolist()}))
+        ahead.append(int(group[0]) - first if direction == "up" else last - int(group[-1]))
+    return Shortened(tuple(scenes), tuple(ahead))
+
+
+def _chosen(
+    scene: Scene, channels: tuple[ChannelInfo, ...], rising: Array, most: int
+) -> NDArray[np.intp]:
+    """Choose frequencies by their places in a rising list: the peaks of the linear response, then their neighbours."""
+    seeds: dict[int, float] = {}
+    for dampers in {scene.dampers, ()}:
+        for curve in channel_readings(scene.replace(dampers=dampers), channels, rising):
+            largest = float(curve.max(initial=0.0))
+            padded = np.concatenate([[-1.0], curve, [-1.0]])
+            peaks = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]))
+            for peak in peaks[curve[peaks] >= _LOW_PEAK * largest].tolist():
+                seeds[peak] = max(seeds.get(peak, 0.0), curve[peak] / largest if largest else 0.0)
+    ranked = sorted(seeds, key=lambda peak: -seeds[peak])[:most]
+    chosen = set(ranked)
+    reach = 1
+    while len(chosen) < min(most, rising.size) and reach < rising.size:
+        for peak in ranked:
+            for place in (peak - reach, peak + reach):
+                if 0 <= place < rising.size and len(chosen) < most:
+                    chosen.add(place)
+        reach += 1
+    return np.array(sorted(chosen), dtype=np.intp)

@@ -17,6 +17,8 @@ from rig.system.open_loop_drive import drive_per_level, riding_response
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+# Frequencies of a band at which a drive is looked for.
+_POINTS = 400
 _DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
 
 
@@ -72,3 +74,16 @@ def channel_readings(scene: Scene, channels: Sequence[ChannelInfo], frequencies:
             size = abs(gain)
         found[row] = size * abs(info.response(frequencies))
     return found
+
+
+def drive_needed(scene: Scene, system: HybridSystem) -> tuple[float, float] | None:
+    """Largest drive that one unit of the test's level takes, and at which frequency; None without a band.
+
+    A random test needs its root mean square at each frequency, of which this is no bound.
+    """
+    frequencies = test_frequencies(scene.test, _POINTS)
+    if not frequencies.size or not isinstance(scene.test, Sine | SteppedSine | SweptSine):
+        return None
+    gain = abs(states_per_level(scene, system, frequencies)[1])
+    place = int(np.argmax(gain))
+    return float(gain[place]), float(frequencies[place])

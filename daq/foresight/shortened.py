@@ -93,7 +93,7 @@ def shortened(scene: Scene, channels: tuple[ChannelInfo, ...]) -> Shortened:
     if expected_seconds(scene) <= seconds:
         return Shortened((scene,), whole=True)
     if isinstance(test, SteppedSine | SweptSine):
-        return _about_peaks(scene, test, channels, seconds)
+        return about_peaks(scene, test, channels, seconds)
     if isinstance(test, Random):
         return Shortened((scene.replace(test=test.replace(duration=seconds)),), extends=True)
     if isinstance(test, Sine | Free):
@@ -155,7 +155,7 @@ def _bounces(test: Impulse, repeats: int) -> object:
     return test.double_hit.replace(hits=hits) if hits else None
 
 
-def _about_peaks(
+def about_peaks(
     scene: Scene, test: SteppedSine | SweptSine, channels: tuple[ChannelInfo, ...], seconds: float
 ) -> Shortened:
     """Rows of neighbouring frequencies about the peaks, at the highest level, each run from rest."""

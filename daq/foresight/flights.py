@@ -1,0 +1,98 @@
+"""Which dampers fly in a test, and which modes lie outside its band."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.foresight.linear import test_band, test_frequencies
+from daq.foresight.rehearsal import Rehearsal
+from rig.errors import SceneError
+from rig.results import frequency_ranges, plainly
+from rig.scene.excitation import Sine, SteppedSine, SweptSine
+from rig.scene.scene import Scene
+from rig.system.hybrid_system import HybridSystem
+from rig.system.open_loop_drive import accelerations_per_level
+from rig.system.structure import natural_modes, structure_matrices
+
+Array = NDArray[np.float64]
+
+# Frequencies of a sweep at which the acceleration is compared with gravity.
+_POINTS = 400
+# Modes that are listed at most.
+_LISTED = 5
+
+
+def onset_level(scene: Scene, system: HybridSystem) -> float:
+    """Lowest level of a tone or a sweep at which a damper leaves its floor: the body's acceleration reaches gravity.
+
+    Infinite where no damper moves, and for other tests.
+    """
+    accelerations = _at_dampers(scene, system, test_frequencies(scene.test, _POINTS))
+    return float(system.gravity / accelerations.max()) if accelerations.max(initial=0.0) > 0.0 else np.inf
+
+
+def _at_dampers(scene: Scene, system: HybridSystem, frequencies: Array) -> Array:
+    """Accelerations under each damper that moves, for one unit of level, (dampers, frequencies); all on their floors."""
+    if not system.dampers or not isinstance(scene.test, Sine | SteppedSine | SweptSine):
+        return np.zeros((0, 0))
+    try:
+        columns = [accelerations_per_level(scene, system, 2.0 * np.pi * each) for each in frequencies.tolist()]
+    except SceneError:
+        return np.zeros((0, 0))
+    return np.array(columns).T[system.damper_coordinate]
+
+
+def flight_lines(
+    scene: Scene, system: HybridSystem, level: float, parts: Sequence[Rehearsal]
+) -> tuple[str, ...]:
+    """Say of each damper that moves whether it flies, and where."""
+    frequencies = test_frequencies(scene.test, _POINTS)
+    above = level * _at_dampers(scene, system, frequencies) > system.gravity
+    lines = []
+    for row, number in enumerate(system.damper_number.tolist()):
+        name = f"damper {number} (body {scene.dampers[number - 1].body})"
+        struck = {
+            tone
+            for part in parts
+            for time in part.strikes[number - 1]
+            if (tone := part.frequency_at(round(time * part.rate))) is not None
+        }
+        times = [time for part in parts for time in part.strikes[number - 1]]
+        if above.size:
+            # A frequency counts by the linear response, or because the damper hit there in the rehearsal.
+            spacing = np.diff(frequencies, prepend=frequencies[0] - 1.0)
+            near = [bool(struck) and min(abs(f - tone) for tone in struck) <= abs(step) / 2
+                    for f, step in zip(frequencies, spacing, strict=True)]  # fmt: skip
+            flags = above[row] | np.array(near)
+            where = f"flies at {frequency_ranges(frequencies.tolist(), flags.tolist())}" if flags.any() else ""
+        else:
+            where = f"flies, first at {min(times):.2f} s" if times else ""
+        lines.append(f"{name} {where or 'stays on its floor'}")
+    return tuple(_joined(lines))
+
+
+def _joined(lines: Iterable[str]) -> list[str]:
+    """Join what is said alike of several dampers."""
+    by_what: dict[str, list[str]] = {}
+    for line in lines:
+        name, _, what = line.partition(") ")
+        by_what.setdefault(what, []).append(f"{name})")
+    return [f"{', '.join(names)} {what}" for what, names in by_what.items()]
+
+
+def outside_band(scene: Scene) -> tuple[str, ...]:
+    """List the natural frequencies of the structure that a test's band leaves out."""
+    band = test_band(scene.test)
+    if band is None or isinstance(scene.test, Sine):
+        return ()
+    mass, _, stiffness = structure_matrices(scene.structure)
+    modes = natural_modes(mass, stiffness)[0] / (2.0 * np.pi)
+    left = [(k, mode) for k, mode in enumerate(modes.tolist(), 1) if not band[0] <= mode <= band[1]]
+    if not left:
+        return ()
+    listed = ", ".join(f"{k} at {mode:.4g} Hz" for k, mode in left[:_LISTED])
+    more = f" and {len(left) - _LISTED} more" if len(left) > _LISTED else ""
+    return (f"outside {plainly(band[0])} to {plainly(band[1])} Hz: mode {listed}{more}",)

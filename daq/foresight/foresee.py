@@ -1,0 +1,344 @@
+"""Foresee a test: rehearse what decides its extremes, and set them against the limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.foresight.chain_limits import reading_limit, without_limits
+from daq.foresight.flights import flight_lines, onset_level, outside_band
+from daq.foresight.foresight import Expectation, Foresight
+from daq.foresight.linear import drive_needed
+from daq.foresight.noise import least_signals
+from daq.foresight.rehearsal import Extreme, Rehearsal, rehearse
+from daq.foresight.shortened import Shortened, about_peaks, affordable_seconds, shortened
+from daq.measurement.estimate import estimate
+from daq.signal_chain.bench import Bench
+from rig.damper_design.overloads import shaken_by
+from rig.errors import SceneError
+from rig.scene.excitation import Impulse, Random, SteppedSine, SweptSine
+from rig.scene.loading import load
+from rig.scene.presets import filled_in
+from rig.scene.scene import Scene
+from rig.scene.shaker import DRIVE_PER_VOLT, ElectrodynamicShaker
+from rig.system.assembly import assemble
+
+Array = NDArray[np.float64]
+
+# A test that takes longer than foreseen is left off after so many times what can be afforded.
+_LONGEST = 2.0
+# A gate of a control's limit: a drive this near to it is at it.
+_AT_LIMIT = 0.999
+# Rehearsals at other levels to find the largest that fits, where dampers fly; and how near is near enough.
+_TRIALS, _NEAR = 3, 0.02
+
+
+def foresee(scene: Scene | str | Path) -> Foresight:
+    """State what a test will do before it is recorded.
+
+    A short test is rehearsed whole on the scene's own bench, with its noise. Of a long one the parts are that the
+    linear response of the structure shows to be the largest. A bed of grains counts as one mass.
+
+    Parameters
+    ----------
+    scene : Scene or str or Path
+        Scene, name of a bundled one, or path of a scene file.
+
+    Raises
+    ------
+    SceneError
+        If the scene has no test, or the test cannot be run on its bench.
+
+    Examples
+    --------
+    >>> import daq
+    >>> found = daq.foresee("fig10b-no-damper")
+    >>> found.fits, found["body1"].unit
+    (True, 'm/s^2')
+    """
+    what = _one_mass_beds(scene if isinstance(scene, Scene) else load(scene))
+    if what.test is None:
+        raise SceneError(f"scene {what.name!r}: it has no test to foresee. Add test: to the scene.")
+    bench = Bench(what)
+    played = play(what, bench)
+    free = played
+    if any(part.aborted or any(part.overloaded) for part in played.parts):
+        free = play(without_limits(what), bench)
+    return _Assessment(what, bench, played, free).foresight()
+
+
+def _one_mass_beds(scene: Scene) -> Scene:
+    if not any(damper.grains is not None for damper in scene.dampers):
+        return scene
+    return scene.replace(dampers=tuple(damper.replace(grains=None) for damper in scene.dampers))
+
+
+@dataclass(frozen=True)
+class Played:
+    """Rehearsals of the parts of a test; whether they are all of it, and what they leave out."""
+
+    parts: tuple[Rehearsal, ...]
+    whole: bool
+    left_out: str = ""
+    beyond: float = 1.0
+    """Factor on the extremes of a random test of which only the beginning was rehearsed."""
+
+    @property
+    def aborted(self) -> str | None:
+        """What would end the test before its time."""
+        return next((part.aborted for part in self.parts if part.aborted is not None), None)
+
+    def largest(self, extreme: Callable[[Rehearsal], Extreme]) -> tuple[float, float | None, float | None]:
+        """Largest of an extreme over all parts, with its frequency or its time."""
+        part = max(self.parts, key=lambda each: extreme(each).size)
+        top = extreme(part)
+        frequency = part.frequency_at(top.sample)
+        time = top.sample / part.rate if frequency is None else None
+        return top.size * self.beyond, frequency, time
+
+
+def play(scene: Scene, bench: Bench) -> Played:
+    """Rehearse a test, or those parts of it that can be afforded."""
+    chosen, seconds = shortened(scene, bench.channels), affordable_seconds(scene)
+    parts = _rehearsed(chosen, _LONGEST * seconds)
+    test = scene.test
+    if chosen.whole and (parts[0].complete or parts[0].aborted is not None):
+        return Played(parts, True)
+    if isinstance(test, SteppedSine | SweptSine):
+        if chosen.whole:
+            # It took longer than expected: what is left is rehearsed about its peaks.
+            chosen = about_peaks(scene, test, bench.channels, seconds)
+            parts += _rehearsed(chosen, _LONGEST * seconds)
+        steps = sum(len(part.steps) // 2 for part in parts)
+        return Played(parts, False, f"{steps} steps about the peaks of the linear response")
+    left_out = f"{sum(part.seconds for part in parts):.3g} s of it"
+    if chosen.extends and isinstance(test, Random):
+        return Played(parts, False, left_out, _extension(test, parts[0].seconds))
+    return Played(parts, False, left_out)
+
+
+def _rehearsed(chosen: Shortened, longest: float) -> tuple[Rehearsal, ...]:
+    return tuple(
+        rehearse(scene, longest, ahead) for scene, ahead in zip(chosen.scenes, chosen.ahead, strict=True)
+    )
+
+
+def _extension(test: Random, seconds: float) -> float:
+    """By how much a Gaussian process reaches higher in the whole test: expected extremes of its zero crossings."""
+    crossings = test.from_ + test.to
+    whole, part = (np.log(max(crossings * time, 3.0)) for time in (test.duration, seconds))
+    return float(max(np.sqrt(whole / part), 1.0))
+
+
+class _Assessment:
+    """Rehearsals set against the limits of a scene."""
+
+    def __init__(self, scene: Scene, bench: Bench, played: Played, free: Played) -> None:
+        self.scene, self.bench, self.played, self.free = scene, bench, played, free
+        self.system = assemble(scene)
+        self.key, self.level, self.level_unit = level_key(scene)
+
+    def foresight(self) -> Foresight:
+        """Put everything together."""
+        rows = (*self._channels(), *self._sensors(), *self._outputs(), *self._tables())
+        nonlinear = any(any(part.strikes) for part in self.free.parts)
+        limiting = max(rows, key=lambda row: row.share, default=None)
+        largest_level = np.nan
+        if limiting is not None and limiting.share > 0.0 and self.key:
+            largest_level, nonlinear = self._largest_level(limiting, nonlinear)
+        seconds, least = self._seconds(), estimate(self.scene)
+        return Foresight(
+            scene=self.scene.name,
+            expectations=rows,
+            key=self.key,
+            level=self.level,
+            largest_level=largest_level,
+            level_unit=self.level_unit,
+            limited_by=limiting if np.isfinite(largest_level) else None,
+            nonlinear=nonlinear,
+            aborts=self.played.aborted,
+            signals=least_signals(self.scene, self.bench.channels),
+            flights=flight_lines(self.scene, self.system, self.level, self.free.parts),
+            seconds=seconds,
+            disk=least.disk * (seconds / least.seconds if least.seconds else 1.0),
+            rehearsed=self.played.left_out,
+            outside=outside_band(self.scene),
+        )
+
+    def _channels(self) -> Iterable[Expectation]:
+        settings = {channel.name: channel for channel in self.scene.channels or ()}
+        for row, info in enumerate(self.bench.channels):
+            largest, frequency, time = self.free.largest(lambda part, row=row: part.readings[row])
+            limit = reading_limit(settings.get(info.name), info)
+            recorded = self.played.largest(lambda part, row=row: part.readings[row])[0]
+            yield Expectation(
+                info.name,
+                info.unit,
+                largest,
+                frequency,
+                time,
+                limit.size,
+                limit.what,
+                largest > limit.size,
+                min(recorded, limit.size if info.range is not None else np.inf),
+            )
+
+    def _sensors(self) -> Iterable[Expectation]:
+        """Accelerometers with a limit of their own: what shakes them, by the smooth motion and by landings."""
+        speeds = np.max([part.closing_speed for part in self.free.parts], axis=0)[self.system.damper_number - 1]
+        names = [info.name for info in self.bench.channels]
+        for channel in self.scene.channels or ():
+            sensor = None if channel.accelerometer is None else filled_in(channel.accelerometer)
+            if sensor is None or sensor.saturation is None:
+                continue
+            smooth, frequency, time = self.free.largest(lambda part, at=channel.at: part.accelerations[at])
+            row = self.system.points.index(channel.at)
+            shaken = shaken_by(self.system, row, speeds.tolist(), sensor.resonance)
+            reached = any(part.overloaded[names.index(channel.name)] for part in self.played.parts)
+            largest = max(smooth, shaken)
+            yield Expectation(
+                f"{channel.name} sensor",
+                "m/s^2",
+                largest,
+                frequency,
+                time,
+                sensor.saturation,
+                "sensor",
+                # Which limit a sample met is not known: the sensor's, where what shakes it says so.
+                reached and largest > sensor.saturation,
+            )
+
+    def _outputs(self) -> Iterable[Expectation]:
+        """Outputs in volts, and power amplifiers in front of coils."""
+        for row, (name, unit) in enumerate(zip(self.bench.inputs, self.bench.drive_units, strict=True)):
+            if name != self.scene.at_driven("shaker"):
+                continue
+            shaker = self.scene.driven_shaker
+            assert shaker is not None
+            drive, frequency, time = self.free.largest(lambda part, row=row: part.drives[row])
+            output = filled_in(shaker.output).range
+            amplifier = shaker.amplifier if isinstance(shaker, ElectrodynamicShaker) else None
+            most = np.inf if amplifier is None else amplifier.limit / amplifier.gain
+            if drive >= _AT_LIMIT * most:
+                # The control gives no more than the limit; the linear response says what it would take.
+                needed = drive_needed(self.scene, self.system)
+                drive, frequency = (needed[0] * self.level, needed[1]) if needed else (drive, frequency)
+            volts = drive / DRIVE_PER_VOLT[unit]
+            limit = np.inf if output is None else output
+            yield Expectation(f"ao{row}", "V", volts, frequency, time, limit, "output", volts > limit)
+            if amplifier is not None:
+                size, unit = amplifier.gain * drive, "V" if amplifier.mode == "voltage" else "A"
+                yield Expectation(
+                    "amplifier", unit, size, frequency, time, amplifier.limit, "amplifier", drive > most
+                )
+
+    def _tables(self) -> Iterable[Expectation]:
+        for name in self.free.parts[0].tables:
+            size, frequency, time = self.free.largest(lambda part, name=name: part.tables[name])
+            if size > 0.0:
+                yield Expectation(f"{name} travel", "m", size, frequency, time)
+
+    def _largest_level(self, limiting: Expectation, nonlinear: bool) -> tuple[float, bool]:
+        """Largest level that fits, and whether dampers fly at it or at the test's."""
+        onset = onset_level(self.scene, self.system)
+        if not np.isfinite(limiting.share):
+            return onset, True
+        level = self.level / limiting.share
+        flies = nonlinear or level > onset
+        part = max(self.free.parts, key=lambda each: limiting.largest if each is None else self._size(each, limiting))
+        if not flies or limiting.name not in {info.name for info in self.bench.channels} or not part.complete:
+            return level, flies
+        return self._secant(limiting, part, level), True
+
+    def _size(self, part: Rehearsal, limiting: Expectation) -> float:
+        names = [info.name for info in self.bench.channels]
+        return part.readings[names.index(limiting.name)].size if limiting.name in names else part.seconds
+
+    def _secant(self, limiting: Expectation, part: Rehearsal, level: float) -> float:
+        """Rehearse the part with the largest value at other levels: a secant in the logarithms."""
+        seconds = affordable_seconds(self.scene) / (2 * _TRIALS)
+        scene, ahead = near_extreme(part.scene, limiting.frequency, seconds)
+        if scene is None:
+            return level
+        free, tried = without_limits(scene), [(np.log(self.level), np.log(limiting.share))]
+        for _ in range(_TRIALS):
+            run = rehearse(at_level(free, level), 4.0 * seconds, ahead)
+            share = max(self._size(run, limiting) / limiting.limit, 1e-12)
+            tried.append((np.log(level), np.log(share)))
+            if abs(share - 1.0) < _NEAR:
+                break
+            (before, high), (here, low) = tried[-2:]
+            slope = (low - high) / (here - before) if here != before else 1.0
+            level = float(np.exp(here - low / np.clip(slope, 0.5, 2.0)))
+        return level
+
+    def _seconds(self) -> float:
+        """Time that the test takes, s."""
+        played, test = self.played, self.scene.test
+        done = sum(part.seconds for part in played.parts)
+        if played.whole:
+            return done
+        if not isinstance(test, SteppedSine):
+            shorter = sum(estimate(part.scene).seconds for part in played.parts)
+            if isinstance(test, SweptSine):
+                return estimate(self.scene).seconds
+            return done + max(estimate(self.scene).seconds - shorter, 0.0)
+        waits = [
+            step.stop - step.first for part in played.parts for step in part.steps[::2]
+        ] or [self.bench.rate]
+        steps = len(test.levels) * len(test.order)
+        typical = float(np.percentile(waits, 25)) / self.bench.rate
+        extra = sum(wait / self.bench.rate - typical for wait in waits)
+        return estimate(self.scene).seconds + steps * typical + max(extra, 0.0)
+
+
+def level_key(scene: Scene) -> tuple[str, float, str]:
+    """Key of the test's level in the scene, the highest level, and its unit; ("", nan, "") without a level."""
+    test = scene.test
+    if isinstance(test, Impulse):
+        return "test.peak", test.peak, "N"
+    for name in ("force", "drive"):
+        given = getattr(test, name, None)
+        if given is not None:
+            unit = "N"
+            if name == "drive":
+                shaker = scene.driven_shaker
+                unit = "V" if isinstance(shaker, ElectrodynamicShaker) else "m"
+                unit = "N" if shaker is not None and shaker.kind == "force" else unit
+            return f"test.{name}", float(max(given) if isinstance(given, tuple) else given), unit
+    return "", np.nan, ""
+
+
+def at_level(scene: Scene, level: float) -> Scene:
+    """Give the scene with another level of its test."""
+    key = level_key(scene)[0].removeprefix("test.")
+    assert scene.test is not None
+    return scene.replace(test=scene.test.replace(**{key: level}))
+
+
+def near_extreme(scene: Scene, frequency: float | None, seconds: float) -> tuple[Scene | None, int]:
+    """Give the scene with the few tones of its test before a frequency, or a test that is short by itself."""
+    test = scene.test
+    if isinstance(test, SteppedSine) and frequency is not None:
+        order = list(test.order)
+        place = int(np.argmin(np.abs(np.array(order) - frequency)))
+        first = max(place - 2, 0)
+        kept = sorted(set(order[first : place + 2]))
+        direction = "up" if len(order) < 2 or order[place] >= order[max(place - 1, 0)] else "down"
+        few = {
+            "kind": "stepped_sine",
+            "frequencies": kept,
+            "direction": direction,
+            "shaker": test.shaker,
+            "force": None if test.force is None else max(test.levels),
+            "drive": None if test.force is not None else max(test.levels),
+            "settle": test.settle.replace(longest=min(test.settle.longest, 10.0)),
+            "measure": test.measure,
+            "start": test.start,
+        }
+        return scene.replace(test=few), min(place - first, 1)
+    return (scene, 0) if estimate(scene).seconds <= seconds else (None, 0)

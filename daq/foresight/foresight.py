@@ -1,0 +1,241 @@
+"""What a test is expected to do: a line, and a table of the largest values next to their limits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.foresight.noise import LeastSignal
+from rig.results import Result, plainly
+from rig.scene.scene import STANDARD_GRAVITY
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+@dataclass(frozen=True)
+class Expectation:
+    """Largest size that something is to have in a test.
+
+    Attributes
+    ----------
+    name : str
+        Channel, sensor of a channel, output, amplifier or table.
+    unit : str
+    largest : float
+        Largest size expected, were nothing to limit it.
+    frequency, time : float or None
+        Tone at which it is expected, Hz; or when, from the start of the test, s.
+    limit : float
+        Infinite where there is none.
+    limited_by : str
+        What has that limit.
+    overloaded : bool
+        Whether the limit is reached.
+    recorded : float
+        Largest reading that the recording will hold; NaN of what is no channel.
+    """
+
+    name: str
+    unit: str
+    largest: float
+    frequency: float | None = None
+    time: float | None = None
+    limit: float = np.inf
+    limited_by: str = ""
+    overloaded: bool = False
+    recorded: float = np.nan
+
+    @property
+    def share(self) -> float:
+        """Largest size over the limit; 0 where there is no limit."""
+        if not np.isfinite(self.limit):
+            return 0.0
+        share = self.largest / self.limit
+        return max(share, 1.0) if self.overloaded else share
+
+    @property
+    def place(self) -> str:
+        """Frequency or time, in words."""
+        if self.frequency is not None:
+            return f"{self.frequency:.4g} Hz"
+        return "" if self.time is None else f"{self.time:.2f} s"
+
+    def __str__(self) -> str:
+        where = "" if not self.place else f" at {self.place}"
+        return f"{self.name}: {in_words(self.largest, self.unit)}{where}"
+
+
+def in_words(size: float, unit: str) -> str:
+    """Write a size with its unit: accelerations in g, small lengths in mm or µm.
+
+    >>> in_words(519.8, "m/s^2"), in_words(0.00149, "m"), in_words(2.8, "N")
+    ('53 g', '1.49 mm', '2.8 N')
+    """
+    if not np.isfinite(size):
+        return "beyond any limit"
+    if unit == "m/s^2":
+        return f"{plainly(size / STANDARD_GRAVITY)} g"
+    for scale, prefix in ((1.0, ""), (1e3, "m"), (1e6, "µ")):
+        if unit in ("m", "m/s", "V", "A") and (size * scale >= 0.1 or prefix == "µ"):
+            return f"{plainly(size * scale)} {prefix}{unit}"
+    return f"{plainly(size)} {unit}"
+
+
+@dataclass(frozen=True, repr=False)
+class Foresight(Result):
+    """What a test is expected to do.
+
+    Attributes
+    ----------
+    scene : str
+        Name of the scene.
+    expectations : tuple of Expectation
+        Channels first, in their order, then sensors, outputs, amplifier and table.
+    key : str
+        Key of the test's level, such as test.force; "" where it has none.
+    level, largest_level : float
+        Level of the test (the highest of several), and the largest that fits; NaN where nothing limits it.
+    level_unit : str
+    limited_by : Expectation or None
+        What limits the level.
+    nonlinear : bool
+        Whether dampers fly, so that `largest_level` is approximate.
+    aborts : str or None
+        What will end the test before its time.
+    signals : dict of str to LeastSignal
+        Of each channel with noise, the signal above it where that is smallest.
+    flights : tuple of str
+        Which dampers fly, and where.
+    seconds, disk : float
+        Time that the test takes, s, and the size of its recording, bytes.
+    rehearsed : str
+        What was rehearsed, where that was not the whole test; "" otherwise.
+    outside : tuple of str
+        Modes outside the band of the test.
+    """
+
+    scene: str
+    expectations: tuple[Expectation, ...]
+    key: str
+    level: float
+    largest_level: float
+    level_unit: str
+    limited_by: Expectation | None
+    nonlinear: bool
+    aborts: str | None
+    signals: dict[str, LeastSignal] = field(default_factory=dict)
+    flights: tuple[str, ...] = ()
+    seconds: float = 0.0
+    disk: float = 0.0
+    rehearsed: str = ""
+    outside: tuple[str, ...] = ()
+
+    @property
+    def fits(self) -> bool:
+        """Whether nothing is overloaded and nothing ends the test."""
+        return self.aborts is None and all(each.share < 1.0 for each in self.expectations)
+
+    def __getitem__(self, name: str) -> Expectation:
+        for each in self.expectations:
+            if each.name == name:
+                return each
+        raise KeyError(f"{name!r}: expected one of {', '.join(each.name for each in self.expectations)}")
+
+    def summary(self) -> str:
+        """Say whether the test fits, and what limits it."""
+        worst = max(self.expectations, key=lambda each: each.share, default=None)
+        if self.aborts is not None:
+            head = f"the test will abort: {self.aborts}"
+        elif worst is None or worst.share == 0.0:
+            head = "nothing is limited"
+        elif worst.share >= 1.0:
+            head = f"the test overloads {_against(worst)}"
+        else:
+            head = f"the test fits; nearest to its limit is {_against(worst)} ({worst.share:.0%})"
+        if self.limited_by is None or not np.isfinite(self.largest_level):
+            return head
+        about = "about " if self.nonlinear else ""
+        return (
+            f"{head}; {self.key}: at most {about}{in_words(_floored(self.largest_level), self.level_unit)} fits "
+            f"({self.limited_by.name}, {self.limited_by.limited_by})"
+        )
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Name, unit, largest value, where, limit, and largest value recorded."""
+        rows = self.expectations
+        return {
+            "name": np.array([each.name for each in rows], dtype=np.str_),
+            "unit": np.array([each.unit for each in rows], dtype=np.str_),
+            "largest": np.array([each.largest for each in rows]),
+            "frequency_Hz": np.array(
+                [np.nan if each.frequency is None else each.frequency for each in rows], dtype=np.float64
+            ),
+            "time_s": np.array(
+                [np.nan if each.time is None else each.time for each in rows], dtype=np.float64
+            ),
+            "limit": np.array([each.limit for each in rows]),
+            "recorded": np.array([each.recorded for each in rows]),
+        }
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Draw the share of each limit that is used, as bars."""
+        limited = [each for each in self.expectations if np.isfinite(each.limit)]
+        ax.barh([each.name for each in limited], [100.0 * each.share for each in limited], **style)
+        ax.axvline(100.0, color="black", lw=0.8)
+        ax.set(xlabel="share of the limit / %")
+
+    def __str__(self) -> str:
+        header = ("", "largest", "at", "limit", "of limit", "least signal above noise")
+        rows = [header]
+        for each in self.expectations:
+            limit, share = "", ""
+            if np.isfinite(each.limit):
+                limit = f"{each.limited_by}, {in_words(each.limit, each.unit)}"
+                share = f"{'over' if each.share >= 1.0 else f'{each.share:.0%}'}"
+            signal = str(self.signals[each.name]) if each.name in self.signals else ""
+            rows.append((each.name, in_words(each.largest, each.unit), each.place, limit, share, signal))
+        kept = [column for column in range(len(header)) if any(row[column] for row in rows[1:])]
+        widths = {column: max(len(row[column]) for row in rows) for column in kept}
+        table = ["  ".join(f"{row[column]:{widths[column]}}" for column in kept).rstrip() for row in rows]
+        return "\n".join([self.summary(), *self._facts(), "", *table])
+
+    def _facts(self) -> list[str]:
+        """Dampers, duration, size, modes outside the band."""
+        about = "about " if self.rehearsed else ""
+        lines = [*self.flights, *self.outside]
+        lines.append(f"takes {about}{_duration(self.seconds)} on the bench, about {self.disk / 1e6:.3g} MB")
+        if self.rehearsed:
+            lines.append(f"rehearsed: {self.rehearsed}")
+        return lines
+
+
+def _against(each: Expectation) -> str:
+    return f"{each}, {each.limited_by}" + (
+        f" ends at {in_words(each.limit, each.unit)}" if each.unit not in ("V", "A") else ""
+    )
+
+
+def _floored(level: float) -> float:
+    """Round a level down to two digits, or three where that costs more than 2 %."""
+    for digits in (1, 2):
+        size = 10.0 ** (np.floor(np.log10(level)) - digits)
+        rounded = float(np.floor(level / size) * size)
+        if rounded > 0.98 * level:
+            break
+    return rounded
+
+
+def _duration(seconds: float) -> str:
+    """Write a time: seconds, minutes or hours.
+
+    >>> _duration(18.25), _duration(393.0), _duration(7200.0)
+    ('18 s', '6.6 min', '2.0 h')
+    """
+    for unit, size in (("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.1f} {unit}"
+    return f"{seconds:.3g} s" if seconds < 10.0 else f"{seconds:.0f} s"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -59,10 +60,21 @@ def record(
         int | None,
         typer.Option(metavar="N", help="Most samples to acquire at a time; the recording stays the same."),
     ] = None,
+    dry_run: Annotated[
+        bool,
+        typer.Option("--dry-run", help="Only say what the tests will do: largest values, limits, duration."),
+    ] = False,
+    anyway: Annotated[bool, typer.Option("--anyway", help="Start a test although it will abort.")] = False,
 ) -> None:
     """Run the tests of scenes and record them; Ctrl-C ends it early (exit code 130) and keeps what there is."""
+    from daq.foresight.announcement import refuse_certain_abort
+    from daq.foresight.foresee import foresee
     from daq.measurement.run_report import is_recorded, record_and_report
 
+    if dry_run:
+        for scene in scenes:
+            print(f"{scene}: {foresee(loaded(scene, changes))}")
+        return
     tests = [
         (scene, loaded(scene, changes), path)
         for scene, path in zip(scenes, _recordings(scenes, output), strict=True)
@@ -72,6 +84,10 @@ def record(
         print(f"{path}: holds the whole test of this scene already; --overwrite records it again")
     tests = [(scene, setting, _free(path, overwrite)) for scene, setting, path in tests if path not in there]
     for scene, setting, path in tests:
+        foreseen = foresee(setting)
+        print(foreseen, file=sys.stderr)
+        if not anyway:
+            refuse_certain_abort(scene, foreseen)
         if code := record_and_report(scene, setting, path, overwrite, block):
             raise typer.Exit(code)
 

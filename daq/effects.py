@@ -17,6 +17,7 @@ from daq.recording.sample_block import stored_as
 from daq.signal_chain.bench import Bench
 from daq.signal_chain.chain import Chain
 from daq.signal_chain.converter import Quantiser, SampleClock
+from daq.signal_chain.outputs import volt_effect
 from daq.signal_chain.oversampling import oversampling
 from rig.effects.effect_cost import EffectStep, bench_drive
 from rig.effects.explanation import Effect, motion_effects
@@ -40,6 +41,8 @@ def measurement_effects(scene: Scene) -> Iterable[Effect]:
         for name, states in chain.effects[channel.name].items():
             yield Effect(part, name, states)
         yield Effect(part, "sample clock", 0, f"{clock.rate:.6g} Hz")
+    for number in range(1, len(scene.shakers) + 1):
+        yield Effect("outputs", f"ao{number - 1}", 0, volt_effect(scene, number))
     if intervals > 1:
         yield Effect("converter", "oversampling", 0, f"{intervals} intervals a sample, for what is fast")
     recording = scene.recording

@@ -111,11 +111,14 @@ def explain(
         bool, typer.Option("--measure", help="Add the effects one at a time and measure what each costs.")
     ] = False,
 ) -> None:
-    """Say which effects a scene turns on, and how many states each adds."""
+    """Say which effects a scene turns on, how many states each adds, and what its test will do."""
     import rig
+    from rig.effects.foresight import foresights
 
     setting = loaded(scene, changes)
     print(rig.explain(setting))
+    for text in foresights(setting):
+        print(f"\n{text}")
     if measure:
         from rig.effects.effect_cost import effect_costs, text
 
@@ -382,6 +385,7 @@ def design(
     """
     from rig.damper_design.design import design as search
     from rig.damper_design.figure import next_step, summary, write
+    from rig.effects.foresight import foresights
     from rig.output_files import make_ready, stem
     from rig.provenance import made_from, overwriting, refuse_others
 
@@ -416,6 +420,8 @@ def design(
     print(setting.structure.relabel(summary(found)))
     print("\nwritten:", *files, table)
     print(next_step(found, files[0]))
+    for text in foresights(found.scene):
+        print(f"\n{text}")
 
 
 def _figure_and_table(name: Path) -> list[Path]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,9 @@ def _at_dampers(scene: Scene, system: HybridSystem, frequencies: Array) -> Array
     if not system.dampers or not isinstance(scene.test, Sine | SteppedSine | SweptSine):
         return np.zeros((0, 0))
     try:
-        columns = [accelerations_per_level(scene, system, 2.0 * np.pi * each) for each in frequencies.tolist()]
+        columns = [
+            accelerations_per_level(scene, system, 2.0 * np.pi * each) for each in frequencies.tolist()
+        ]
     except SceneError:
         return np.zeros((0, 0))
     return np.array(columns).T[system.damper_coordinate]
@@ -51,7 +53,7 @@ def flight_lines(
     """Say of each damper that moves whether it flies, and where."""
     frequencies = test_frequencies(scene.test, _POINTS)
     above = level * _at_dampers(scene, system, frequencies) > system.gravity
-    lines = []
+    by_place: dict[str, list[str]] = {}
     for row, number in enumerate(system.damper_number.tolist()):
         name = f"damper {number} (body {scene.dampers[number - 1].body})"
         struck = {
@@ -61,26 +63,25 @@ def flight_lines(
             if (tone := part.frequency_at(round(time * part.rate))) is not None
         }
         times = [time for part in parts for time in part.strikes[number - 1]]
+        where = ""
         if above.size:
             # A frequency counts by the linear response, or because the damper hit there in the rehearsal.
-            spacing = np.diff(frequencies, prepend=frequencies[0] - 1.0)
-            near = [bool(struck) and min(abs(f - tone) for tone in struck) <= abs(step) / 2
-                    for f, step in zip(frequencies, spacing, strict=True)]  # fmt: skip
+            near = [bool(struck) and min(abs(f - tone) for tone in struck) < 1e-3 * f for f in frequencies]
             flags = above[row] | np.array(near)
-            where = f"flies at {frequency_ranges(frequencies.tolist(), flags.tolist())}" if flags.any() else ""
-        else:
-            where = f"flies, first at {min(times):.2f} s" if times else ""
-        lines.append(f"{name} {where or 'stays on its floor'}")
-    return tuple(_joined(lines))
+            where = f"at {frequency_ranges(frequencies.tolist(), flags.tolist())}" if flags.any() else ""
+        elif times:
+            where = f"first at {min(times):.2f} s"
+        by_place.setdefault(where, []).append(name)
+    return tuple(
+        f"{' and '.join(names)} {_verb(names, where)}{' ' if where else ''}{where}"
+        for where, names in by_place.items()
+    )
 
 
-def _joined(lines: Iterable[str]) -> list[str]:
-    """Join what is said alike of several dampers."""
-    by_what: dict[str, list[str]] = {}
-    for line in lines:
-        name, _, what = line.partition(") ")
-        by_what.setdefault(what, []).append(f"{name})")
-    return [f"{', '.join(names)} {what}" for what, names in by_what.items()]
+def _verb(names: Sequence[str], where: str) -> str:
+    if where:
+        return "flies" if len(names) == 1 else "fly"
+    return "stays on its floor" if len(names) == 1 else "stay on their floors"
 
 
 def outside_band(scene: Scene) -> tuple[str, ...]:

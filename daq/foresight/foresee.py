@@ -35,6 +35,8 @@ _LONGEST = 2.0
 _AT_LIMIT = 0.999
 # Rehearsals at other levels to find the largest that fits, where dampers fly; and how near is near enough.
 _TRIALS, _NEAR = 3, 0.02
+# Beyond so many times the test's level, up or down, the level that fits is scaled from there.
+_FARTHEST = 4.0
 
 
 def foresee(scene: Scene | str | Path) -> Foresight:
@@ -189,7 +191,9 @@ class _Assessment:
 
     def _sensors(self) -> Iterable[Expectation]:
         """Accelerometers with a limit of their own: what shakes them, by the smooth motion and by landings."""
-        speeds = np.max([part.closing_speed for part in self.free.parts], axis=0)[self.system.damper_number - 1]
+        speeds = np.max([part.closing_speed for part in self.free.parts], axis=0)[
+            self.system.damper_number - 1
+        ]
         names = [info.name for info in self.bench.channels]
         for channel in self.scene.channels or ():
             sensor = None if channel.accelerometer is None else filled_in(channel.accelerometer)
@@ -214,11 +218,10 @@ class _Assessment:
 
     def _outputs(self) -> Iterable[Expectation]:
         """Outputs in volts, and power amplifiers in front of coils."""
+        shaker = self.scene.driven_shaker
         for row, (name, unit) in enumerate(zip(self.bench.inputs, self.bench.drive_units, strict=True)):
-            if name != self.scene.at_driven("shaker"):
+            if shaker is None or name != self.scene.at_driven("shaker") or self.scene.driven is None:
                 continue
-            shaker = self.scene.driven_shaker
-            assert shaker is not None
             drive, frequency, time = self.free.largest(lambda part, row=row: part.drives[row])
             output = filled_in(shaker.output).range
             amplifier = shaker.amplifier if isinstance(shaker, ElectrodynamicShaker) else None
@@ -229,7 +232,9 @@ class _Assessment:
                 drive, frequency = (needed[0] * self.level, needed[1]) if needed else (drive, frequency)
             volts = drive / DRIVE_PER_VOLT[unit]
             limit = np.inf if output is None else output
-            yield Expectation(f"ao{row}", "V", volts, frequency, time, limit, "output", volts > limit)
+            yield Expectation(
+                f"ao{self.scene.driven - 1}", "V", volts, frequency, time, limit, "output", volts > limit
+            )
             if amplifier is not None:
                 size, unit = amplifier.gain * drive, "V" if amplifier.mode == "voltage" else "A"
                 yield Expectation(
@@ -249,17 +254,14 @@ class _Assessment:
             return onset, True
         level = self.level / limiting.share
         flies = nonlinear or level > onset
-        part = max(self.free.parts, key=lambda each: limiting.largest if each is None else self._size(each, limiting))
-        if not flies or limiting.name not in {info.name for info in self.bench.channels} or not part.complete:
-            return level, flies
-        return self._secant(limiting, part, level), True
-
-    def _size(self, part: Rehearsal, limiting: Expectation) -> float:
         names = [info.name for info in self.bench.channels]
-        return part.readings[names.index(limiting.name)].size if limiting.name in names else part.seconds
+        if not flies or limiting.name not in names or not 1.0 / _FARTHEST < limiting.share < _FARTHEST:
+            return level, flies
+        return self._secant(limiting, names.index(limiting.name), level), True
 
-    def _secant(self, limiting: Expectation, part: Rehearsal, level: float) -> float:
-        """Rehearse the part with the largest value at other levels: a secant in the logarithms."""
+    def _secant(self, limiting: Expectation, row: int, level: float) -> float:
+        """Rehearse the part with the largest reading of a channel at other levels: a secant in the logarithms."""
+        part = max(self.free.parts, key=lambda each: each.readings[row].size)
         seconds = affordable_seconds(self.scene) / (2 * _TRIALS)
         scene, ahead = near_extreme(part.scene, limiting.frequency, seconds)
         if scene is None:
@@ -267,7 +269,7 @@ class _Assessment:
         free, tried = without_limits(scene), [(np.log(self.level), np.log(limiting.share))]
         for _ in range(_TRIALS):
             run = rehearse(at_level(free, level), 4.0 * seconds, ahead)
-            share = max(self._size(run, limiting) / limiting.limit, 1e-12)
+            share = max(run.readings[row].size / limiting.limit, 1e-12)
             tried.append((np.log(level), np.log(share)))
             if abs(share - 1.0) < _NEAR:
                 break
@@ -287,9 +289,9 @@ class _Assessment:
             if isinstance(test, SweptSine):
                 return estimate(self.scene).seconds
             return done + max(estimate(self.scene).seconds - shorter, 0.0)
-        waits = [
-            step.stop - step.first for part in played.parts for step in part.steps[::2]
-        ] or [self.bench.rate]
+        waits = [step.stop - step.first for part in played.parts for step in part.steps[::2]] or [
+            self.bench.rate
+        ]
         steps = len(test.levels) * len(test.order)
         typical = float(np.percentile(waits, 25)) / self.bench.rate
         extra = sum(wait / self.bench.rate - typical for wait in waits)

@@ -151,16 +151,16 @@ class Foresight(Result):
         if self.aborts is not None:
             head = f"the test will abort: {self.aborts}"
         elif worst is None or worst.share == 0.0:
-            head = "nothing is limited"
+            head = "the test fits: nothing in the scene has a limit"
         elif worst.share >= 1.0:
             head = f"the test overloads {_against(worst)}"
         else:
-            head = f"the test fits; nearest to its limit is {_against(worst)} ({worst.share:.0%})"
+            head = f"the test fits; nearest to its limit is {_against(worst)} ({_percent(worst.share)})"
         if self.limited_by is None or not np.isfinite(self.largest_level):
             return head
         about = "about " if self.nonlinear else ""
         return (
-            f"{head}; {self.key}: at most {about}{in_words(_floored(self.largest_level), self.level_unit)} fits "
+            f"{head}\n{self.key}: at most {about}{in_words(_floored(self.largest_level), self.level_unit)} fits "
             f"({self.limited_by.name}, {self.limited_by.limited_by})"
         )
 
@@ -195,7 +195,7 @@ class Foresight(Result):
             limit, share = "", ""
             if np.isfinite(each.limit):
                 limit = f"{each.limited_by}, {in_words(each.limit, each.unit)}"
-                share = f"{'over' if each.share >= 1.0 else f'{each.share:.0%}'}"
+                share = "over" if each.share >= 1.0 else _percent(each.share)
             signal = str(self.signals[each.name]) if each.name in self.signals else ""
             rows.append((each.name, in_words(each.largest, each.unit), each.place, limit, share, signal))
         kept = [column for column in range(len(header)) if any(row[column] for row in rows[1:])]
@@ -219,14 +219,23 @@ def _against(each: Expectation) -> str:
     )
 
 
+def _percent(share: float) -> str:
+    """Write a share with two digits.
+
+    >>> _percent(0.3812), _percent(0.00342), _percent(2.1)
+    ('38 %', '0.34 %', '210 %')
+    """
+    return f"{float(f'{100.0 * share:.2g}'):.10g} %"
+
+
 def _floored(level: float) -> float:
-    """Round a level down to two digits, or three where that costs more than 2 %."""
-    for digits in (1, 2):
-        size = 10.0 ** (np.floor(np.log10(level)) - digits)
-        rounded = float(np.floor(level / size) * size)
-        if rounded > 0.98 * level:
-            break
-    return rounded
+    """Round a level down to two digits.
+
+    >>> _floored(2.879), _floored(247.0)
+    (2.8, 240.0)
+    """
+    size = 10.0 ** (np.floor(np.log10(level)) - 1)
+    return float(f"{np.floor(level / size * (1.0 + 1e-9)) * size:.10g}")
 
 
 def _duration(seconds: float) -> str:

@@ -45,7 +45,9 @@ def test_frequencies(test: Test | None, points: int) -> Array:
     return np.array(spaced(*band, points, "log"))
 
 
-def states_per_level(scene: Scene, system: HybridSystem, frequencies: Array) -> tuple[ComplexArray, ComplexArray]:
+def states_per_level(
+    scene: Scene, system: HybridSystem, frequencies: Array
+) -> tuple[ComplexArray, ComplexArray]:
     """States (states, frequencies) and drive (frequencies,) for one unit of the test's level.
 
     Raises

@@ -125,6 +125,7 @@ class _Run:
 
     def __init__(self, scene: Scene, ahead: int) -> None:
         self._ahead = ahead
+        self._control_lost: str | None = None
         self._bench = bench = Bench(scene)
         self._limits = Limits(scene, bench.channels, lambda *args, **fields: None)
         self._control = ControlLoss(scene, bench.channels)
@@ -157,7 +158,7 @@ class _Run:
                 came = self._station.now - self._bench.latency - readings[-1].shape[1]
                 trip = self._limits.watch(came, readings[-1])
                 lost = self._control_lost if trip is None else str(trip)
-                if lost is not None:
+                if lost is not None and not self._ahead:
                     found.aborted = lost
                     break
             else:
@@ -211,4 +212,3 @@ class _Run:
                 Step(first, stop, float(fields["frequency"]), bool(fields.get("settled", True)))
             )
             self._ahead -= kind == "measure" and self._ahead > 0
-

@@ -25,7 +25,7 @@ from rig.system.structure import natural_modes, structure_matrices
 Array = NDArray[np.float64]
 
 #: CPU time that a rehearsal may take, about, s.
-BUDGET_S = 0.9
+BUDGET_S = 0.75
 # CPU time of a sample, measured on one core of 2 GHz, s: the loop and the rig, each state, each channel; and of the
 # Python code that steers a held sweep, every period of its tone.
 _SAMPLE_S, _STATE_S, _CHANNEL_S, _STEERED_PERIOD_S = 130e-9, 6e-9, 130e-9, 1.2e-3
@@ -185,15 +185,19 @@ def about_peaks(
     for group in groups:
         first, last = int(group[0]), int(group[-1])
         before, after = max(first - _AHEAD, 0), min(last + _AHEAD, rising.size - 1)
-        first, last = (before, last) if direction == "up" else (first, after) if direction == "down" else (before, after)
+        first, last = (
+            (before, last)
+            if direction == "up"
+            else (first, after)
+            if direction == "down"
+            else (before, after)
+        )
         scenes.append(scene.replace(test={**row, "frequencies": rising[first : last + 1].tolist()}))
         ahead.append(int(group[0]) - first if direction == "up" else last - int(group[-1]))
     return Shortened(tuple(scenes), tuple(ahead))
 
 
-def _chosen(
-    scene: Scene, channels: tuple[ChannelInfo, ...], rising: Array, most: int
-) -> NDArray[np.intp]:
+def _chosen(scene: Scene, channels: tuple[ChannelInfo, ...], rising: Array, most: int) -> NDArray[np.intp]:
     """Choose frequencies by their places in a rising list: the peaks of the linear response, then their neighbours."""
     seeds: dict[int, float] = {}
     for dampers in {scene.dampers, ()}:

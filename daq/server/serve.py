@@ -24,6 +24,7 @@ from daq.server.live import LiveRecording, LiveView
 from daq.server.service import Limits, Server
 from daq.server.starter_script import starter_script
 from daq.server.unfed_sensors import tell_unfed_sensors
+from daq.signal_chain.outputs import volt_effect
 from rig.ending_signals import ENDINGS
 from rig.errors import SceneError
 from rig.input_files import read_whole
@@ -150,6 +151,8 @@ def announcement(chassis: Chassis, host: str, port: int, encrypted: bool) -> str
             lines.append(
                 f"  {terminal}: {info.name} at {info.at}, {1e3 * info.sensitivity:.4g} mV per {info.unit}{fed}"
             )
+        for terminal, row in zip(module.channel_names("ao"), module.outputs, strict=True):
+            lines.append(f"  {terminal}: {volt_effect(chassis.source.scene, row + 1)}")
     opened = "grpc.insecure_channel" if not encrypted else "grpc.secure_channel"
     extra = "" if not encrypted else ', grpc.ssl_channel_credentials(open("ca.pem", "rb").read())'
     return "\n".join([*lines, *starter_script(chassis, f'{opened}("{address}"{extra})')])

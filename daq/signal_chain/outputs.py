@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rig.scene.presets import filled_in
 from rig.scene.scene import Scene
-from rig.scene.shaker import DRIVE_PER_VOLT, at_shaker
+from rig.scene.shaker import DRIVE_PER_VOLT, ElectrodynamicShaker, ForceShaker, at_shaker
 
 Array = NDArray[np.float64]
 
@@ -55,3 +55,24 @@ class Outputs:
             else:
                 given[row] = np.clip(np.rint(given[row] / step), -full / step, full / step - 1.0) * step
         return given
+
+
+def volt_effect(scene: Scene, number: int) -> str:
+    """Say what one volt of the output of a shaker does, by the shaker's number from 1.
+
+    Examples
+    --------
+    >>> import rig
+    >>> volt_effect(rig.load("bare-structure"), 1), volt_effect(rig.load("fig8-no-damper"), 1)
+    ('table position, 1 mm/V', 'voltage at the coil, 1 V/V')
+    """
+    shaker = scene.shakers[number - 1]
+    if isinstance(shaker, ForceShaker):
+        bodies = " and ".join(f"body {body}" for body in shaker.bodies)
+        return f"force on {bodies}, {DRIVE_PER_VOLT['N']:g} N/V"
+    place = at_shaker("", number, len(scene.shakers))
+    if isinstance(shaker, ElectrodynamicShaker):
+        current = shaker.amplifier.mode == "current"
+        what, unit = ("current through", "A") if current else ("voltage at", "V")
+        return f"{what} the coil{place and f' of shaker{place}'}, {shaker.amplifier.gain:g} {unit}/V"
+    return f"table{place} position, {1e3 * DRIVE_PER_VOLT['m']:g} mm/V"

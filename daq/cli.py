@@ -69,6 +69,7 @@ def record(
     """Run the tests of scenes and record them; Ctrl-C ends it early (exit code 130) and keeps what there is."""
     from daq.foresight.announcement import refuse_certain_abort
     from daq.foresight.foresee import foresee
+    from daq.measurement.estimate import estimate, refuse_too_much
     from daq.measurement.run_report import is_recorded, record_and_report
 
     if dry_run:
@@ -84,8 +85,9 @@ def record(
         print(f"{path}: holds the whole test of this scene already; --overwrite records it again")
     tests = [(scene, setting, _free(path, overwrite)) for scene, setting, path in tests if path not in there]
     for scene, setting, path in tests:
+        refuse_too_much(estimate(setting), path)
         foreseen = foresee(setting)
-        print(foreseen, file=sys.stderr)
+        print(f"{foreseen}\n", file=sys.stderr)
         if not anyway:
             refuse_certain_abort(scene, foreseen)
         if code := record_and_report(scene, setting, path, overwrite, block):

@@ -12,7 +12,7 @@ from rig.scene.presets import filled_in
 from rig.scene.scene import Scene
 
 # What no test reaches, in any unit, so that a device keeps its states and has no limit.
-_UNREACHED = 1e12
+_UNREACHED = 1e8
 _MOST_BITS = 32
 
 

@@ -35,7 +35,7 @@ def onset_level(scene: Scene, system: HybridSystem) -> float:
 
 
 def _at_dampers(scene: Scene, system: HybridSystem, frequencies: Array) -> Array:
-    """Accelerations under each damper that moves, for one unit of level, (dampers, frequencies); all on their floors."""
+    """Accelerations under each damper that moves, all on their floors, per unit of level; (dampers, frequencies)."""
     if not system.dampers or not isinstance(scene.test, Sine | SteppedSine | SweptSine):
         return np.zeros((0, 0))
     try:

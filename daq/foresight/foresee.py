@@ -15,7 +15,13 @@ from daq.foresight.foresight import Expectation, Foresight
 from daq.foresight.linear import drive_needed
 from daq.foresight.noise import least_signals
 from daq.foresight.rehearsal import Extreme, Rehearsal, rehearse
-from daq.foresight.shortened import Shortened, about_peaks, affordable_seconds, shortened
+from daq.foresight.shortened import (
+    Shortened,
+    about_peaks,
+    affordable_seconds,
+    expected_seconds,
+    shortened,
+)
 from daq.measurement.estimate import estimate
 from daq.signal_chain.bench import Bench
 from rig.damper_design.overloads import shaken_by
@@ -64,7 +70,10 @@ def foresee(scene: Scene | str | Path) -> Foresight:
     """
     what = _one_mass_beds(scene if isinstance(scene, Scene) else load(scene))
     if what.test is None:
-        raise SceneError(f"scene {what.name!r}: it has no test to foresee. Add test: to the scene.")
+        raise SceneError(
+            f"scene {what.name!r} names no test: add one, such as "
+            "test: {kind: impulse, body: 1, peak: 50 N, width: 4 ms}"
+        )
     bench = Bench(what)
     played = play(what, bench)
     free = played
@@ -106,7 +115,7 @@ class Played:
 def play(scene: Scene, bench: Bench) -> Played:
     """Rehearse a test, or those parts of it that can be afforded."""
     chosen, seconds = shortened(scene, bench.channels), affordable_seconds(scene)
-    parts = _rehearsed(chosen, _LONGEST * seconds)
+    parts = _rehearsed(chosen, _LONGEST * max(seconds, expected_seconds(chosen.scenes[0])))
     test = scene.test
     if chosen.whole and (parts[0].complete or parts[0].aborted is not None):
         return Played(parts, True)
@@ -117,6 +126,9 @@ def play(scene: Scene, bench: Bench) -> Played:
             parts += _rehearsed(chosen, _LONGEST * seconds)
         steps = sum(len(part.steps) // 2 for part in parts)
         return Played(parts, False, f"{steps} steps about the peaks of the linear response")
+    if parts[0].aborted is not None:
+        # What was left out does not come about.
+        return Played(parts, True)
     left_out = f"{sum(part.seconds for part in parts):.3g} s of it"
     if chosen.extends and isinstance(test, Random):
         return Played(parts, False, left_out, _extension(test, parts[0].seconds))
@@ -217,7 +229,7 @@ class _Assessment:
             )
 
     def _outputs(self) -> Iterable[Expectation]:
-        """Outputs in volts, and power amplifiers in front of coils."""
+        """Give the output that drives the shaker, in volts, and the power amplifier in front of a coil."""
         shaker = self.scene.driven_shaker
         for row, (name, unit) in enumerate(zip(self.bench.inputs, self.bench.drive_units, strict=True)):
             if shaker is None or name != self.scene.at_driven("shaker") or self.scene.driven is None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from daq.excitation import Station, excitation
 from daq.excitation.swept_sine import sweep_frequency
 from daq.measurement.limits import ControlLoss, Limits
+from daq.measurement.run import RAMP_S, ramp_down
 from daq.signal_chain.bench import AcquiredBlock, Bench
 from rig.scene.excitation import SweptSine
 from rig.scene.scene import Scene
@@ -133,6 +134,7 @@ class _Run:
             scene, bench.channels, bench.inputs, bench.rate, mark=self._mark, latency=bench.latency
         )
         self._points = bench.points
+        self._last = np.zeros((len(bench.inputs), 2))
         count = len(bench.channels)
         self._found = Rehearsal(
             scene=scene,
@@ -167,11 +169,17 @@ class _Run:
                 except StopIteration:
                     found.complete = True
                     break
+        if found.aborted is not None:
+            test.close()
+            self._acquire(ramp_down(self._last, self._station.samples(RAMP_S)))
+        elif found.complete and self._bench.latency:
+            self._acquire(np.repeat(self._last[:, -1:], self._bench.latency, axis=1))
         found.seconds = self._station.now / self._bench.rate
         return found
 
     def _acquire(self, drive: Array) -> Array:
         bench, found, first = self._bench, self._found, self._station.now
+        self._last = np.concatenate([self._last, drive[:, -2:]], axis=1)[:, -2:]
         got = bench.acquire(drive)
         readings = np.zeros((len(bench.channels), drive.shape[1]))
         overload = np.zeros(readings.shape, dtype=bool)

@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 
 #: CPU time that a rehearsal may take, about, s.
 BUDGET_S = 0.75
+# A random test is rehearsed whole up to so many times that: an extrapolated extreme scatters by some 10 %.
+_RANDOM_BUDGETS = 4.0
 # CPU time of a sample, measured on one core of 2 GHz, s: the loop and the rig, each state, each channel; and of the
 # Python code that steers a held sweep, every period of its tone.
 _SAMPLE_S, _STATE_S, _CHANNEL_S, _STEERED_PERIOD_S = 130e-9, 6e-9, 130e-9, 1.2e-3
@@ -90,6 +92,8 @@ def shortened(scene: Scene, channels: tuple[ChannelInfo, ...]) -> Shortened:
     """
     test, seconds = scene.test, affordable_seconds(scene)
     assert test is not None
+    if isinstance(test, Random):
+        seconds *= _RANDOM_BUDGETS
     if expected_seconds(scene) <= seconds:
         return Shortened((scene,), whole=True)
     if isinstance(test, SteppedSine | SweptSine):
@@ -193,7 +197,7 @@ def about_peaks(
             else (before, after)
         )
         scenes.append(scene.replace(test={**row, "frequencies": rising[first : last + 1].tolist()}))
-        ahead.append(int(group[0]) - first if direction == "up" else last - int(group[-1]))
+        ahead.append(last - int(group[-1]) if direction == "down" else int(group[0]) - first)
     return Shortened(tuple(scenes), tuple(ahead))
 
 

@@ -32,7 +32,8 @@ from rig.scene.scene import Scene
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
-_RAMP = 0.05
+#: Time in which the drive of a test that is ended early is taken to zero, s.
+RAMP_S = 0.05
 # Part of a test after which its recording shows how large it will be.
 _ENOUGH = 0.02
 
@@ -276,9 +277,7 @@ class MeasurementRun:
         """End the test where it is and take the drive to zero, without a jump in it or in its slope."""
         # First the test: what it marks as held must not reach into the ramp.
         test.close()
-        part = np.arange(1, self._station.samples(_RAMP) + 1)
-        last, before = self._last[:, -1:], self._last[:, :1]
-        self._acquire((last + (last - before) * part) * (1 + np.cos(np.pi * part / part[-1])) / 2)
+        self._acquire(ramp_down(self._last, self._station.samples(RAMP_S)))
 
     def _mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
         assert self._recorder is not None
@@ -315,6 +314,12 @@ def _make_folder(path: Path) -> None:
             f"cannot make the folder {path.parent.absolute()} for the recording: {error.strerror}; choose a place "
             "that can be written to (-o FILE.mcap)"
         ) from None
+
+
+def ramp_down(last: Array, samples: int) -> Array:
+    """Take a drive to zero without a jump in it or in its slope, from its last two samples (inputs, 2)."""
+    part = np.arange(1, samples + 1)
+    return (last[:, -1:] + (last[:, -1:] - last[:, :1]) * part) * (1 + np.cos(np.pi * part / samples)) / 2
 
 
 class _Stopped(KeyboardInterrupt):

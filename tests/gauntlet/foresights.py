@@ -60,6 +60,19 @@ class Comparison:
         return self.worst <= PROMISED[self.group] and self.abort_agrees
 
 
+def lengthened(scene: rig.Scene) -> rig.Scene:
+    """Give a scene a test that is too long to be rehearsed whole."""
+    test = scene.test
+    changes = {
+        "random": lambda: {"duration": 10.0 * test.duration},
+        "multisine": lambda: {"periods": 20, "realisations": 8},
+        "impulse": lambda: {"repeats": 20, "interval": 20.0, "double_hit": None},
+        "stepped_sine": lambda: {"points": 100},
+        "swept_sine": lambda: {"duration": 15.0 * test.duration},
+    }
+    return scene.replace(test=test.replace(**changes[test.kind]()))
+
+
 def compare(scene: rig.Scene, kind: str, folder: Path) -> Comparison:
     """Foresee a scene, record it, and compare the maxima of every channel."""
     started = time.process_time()
@@ -82,7 +95,14 @@ def compare(scene: rig.Scene, kind: str, folder: Path) -> Comparison:
     overloaded = any(each.overloaded for each in foreseen.expectations)
     agrees = aborted == (foreseen.aborts is not None)
     return Comparison(
-        kind, worst, name, not foreseen.rehearsed, overloaded, agrees, seconds, foreseen.seconds / duration - 1.0
+        kind,
+        worst,
+        name,
+        not foreseen.rehearsed,
+        overloaded,
+        agrees,
+        seconds,
+        foreseen.seconds / duration - 1.0,
     )
 
 
@@ -90,12 +110,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenes", type=int, default=40, help="how many scenes (default: 40)")
     parser.add_argument("--seed", type=int, default=1, help="another seed draws other scenes")
+    parser.add_argument("--long", action="store_true", help="tests too long to be rehearsed whole")
     given = parser.parse_args()
     found = []
     with tempfile.TemporaryDirectory() as folder:
         for number in range(given.scenes):
             kind = KINDS[number % len(KINDS)]
-            each = compare(draw(given.seed, number, kind), kind, Path(folder))
+            scene = draw(given.seed, number, kind)
+            if given.long:
+                scene = lengthened(scene)
+            each = compare(scene, kind, Path(folder))
             found.append(each)
             print(
                 f"{number:3} {kind:22} {each.worst:7.2%} {each.channel:8} {'whole' if each.whole else 'parts'} "

@@ -36,7 +36,7 @@ from rig.system.assembly import assemble
 Array = NDArray[np.float64]
 
 # A test that takes longer than foreseen is left off after so many times what can be afforded.
-_LONGEST = 2.0
+_LONGEST = 1.5
 # A gate of a control's limit: a drive this near to it is at it.
 _AT_LIMIT = 0.999
 # Rehearsals at other levels to find the largest that fits, where dampers fly; and how near is near enough.

@@ -1,8 +1,9 @@
 """The parts of a test that decide its extremes, short enough to be rehearsed.
 
-A test that is short is rehearsed whole. Of a long row of tones, and of a long sweep, the frequencies about the peaks of
-the linear response are: with the dampers on their floors, and without them. Of a long random test the beginning is, of
-equal hits the first, of periods that repeat a single one.
+A test that is short is rehearsed whole. Of a long row of tones, and of a long sweep, two parts are: the beginning, where
+sensors have just been switched on, and the frequencies about the peaks of the linear response, with the dampers on their
+floors and without them. Of a long random test it is the beginning, of equal hits the first, of periods that repeat a
+single one.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from daq.signal_chain.channel import ChannelInfo
 from daq.signal_chain.converter import SampleClock
 from daq.signal_chain.oversampling import oversampling
 from rig.scene.excitation import Free, Impulse, Multisine, Random, Sine, SteppedSine, SweptSine
+from rig.scene.presets import filled_in
 from rig.scene.scene import Scene
 from rig.system.assembly import assemble
 from rig.system.structure import natural_modes, structure_matrices
@@ -185,20 +187,32 @@ def about_peaks(
     step = _wait(scene.replace(test={**row, "frequencies": rising.tolist()})) + periods / rising.mean()
     chosen = _chosen(scene, channels, rising, max(2, int(seconds / step / runs)))
     groups = np.split(chosen, np.flatnonzero(np.diff(chosen) > _NARROW_GAP) + 1)
+    beginning = [rising.size - 2, rising.size - 1] if direction == "down" else [0, 1]
     scenes, ahead = [], []
-    for group in groups:
-        first, last = int(group[0]), int(group[-1])
-        before, after = max(first - _AHEAD, 0), min(last + _AHEAD, rising.size - 1)
-        first, last = (
-            (before, last)
-            if direction == "up"
-            else (first, after)
-            if direction == "down"
-            else (before, after)
-        )
-        scenes.append(scene.replace(test={**row, "frequencies": rising[first : last + 1].tolist()}))
-        ahead.append(last - int(group[-1]) if direction == "down" else int(group[0]) - first)
+    for places in (np.clip(beginning, 0, rising.size - 1), *groups):
+        first, last, begins = int(places[0]), int(places[-1]), not scenes
+        if direction != "down" and not begins:
+            first = max(first - _AHEAD, 0)
+        if direction != "up" and not begins:
+            last = min(last + _AHEAD, rising.size - 1)
+        frequencies = np.unique(rising[first : last + 1]).tolist()
+        part = scene if begins else _long_switched_on(scene)
+        scenes.append(part.replace(test={**row, "frequencies": frequencies}))
+        ahead.append(last - int(places[-1]) if direction == "down" else int(places[0]) - first)
     return Shortened(tuple(scenes), tuple(ahead))
+
+
+def _long_switched_on(scene: Scene) -> Scene:
+    """Give a scene whose sensors were switched on long before: their bias has settled."""
+    if scene.channels is None:
+        return scene
+    channels = []
+    for channel in scene.channels:
+        sensor = None if channel.accelerometer is None else filled_in(channel.accelerometer)
+        if sensor is not None and sensor.bias_settling is not None:
+            channel = channel.replace(accelerometer=sensor.replace(preset=None, bias_settling=None))
+        channels.append(channel)
+    return scene.replace(channels=tuple(channels))
 
 
 def _chosen(scene: Scene, channels: tuple[ChannelInfo, ...], rising: Array, most: int) -> NDArray[np.intp]:

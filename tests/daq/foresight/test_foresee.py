@@ -1,0 +1,160 @@
+"""What is foreseen of a test: maxima against closed form and recordings, limits, levels that fit, flights, noise."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import daq
+import rig
+from rig.errors import SceneError
+from rig.system.receptance import receptance
+from tests.gauntlet.foresights import KINDS, compare, lengthened
+from tests.gauntlet.scenes import draw
+
+TONE = {"kind": "sine", "frequency": "30 Hz", "force": "2 N", "duration": "3 s"}
+STEPS = {"kind": "stepped_sine", "from": "10 Hz", "to": "40 Hz", "points": 150, "force": "1 N"}
+
+
+def one_body(test: dict[str, Any], **changes: Any) -> rig.Scene:
+    """A body of 1 kg at 20 Hz with 2 % damping, pushed by a force; ideal sensors."""
+    scene = rig.loads(
+        "structure: {masses: [1 kg], springs: [15.79 kN/m], damping: {modal: 2 %}}\n"
+        "shaker: {kind: force, body: 1}\nconverter: {rate: 1024 Hz}"
+    )
+    return scene.replace(test=test, **changes)
+
+
+def accelerometer(**changes: Any) -> list[dict[str, Any]]:
+    return [{"name": "a1", "at": "body 1", "accelerometer": {"sensitivity": "100 mV/g"}, **changes}]
+
+
+def steady(scene: rig.Scene, frequencies: np.ndarray) -> float:
+    """Largest steady acceleration of body 1 for 1 N, by the closed form."""
+    return float(np.max((2 * np.pi * frequencies) ** 2 * abs(receptance(scene, frequencies)[0])))
+
+
+def test_long_row_of_tones_reaches_its_steady_maximum() -> None:
+    scene = one_body(STEPS, channels=accelerometer())
+    foreseen = daq.foresee(scene.replace(test={**STEPS, "points": 600, "measure": {"periods": 60}}))
+    assert foreseen.rehearsed
+    expected = steady(scene, np.linspace(10.0, 40.0, 600))
+    assert foreseen["a1"].largest == pytest.approx(expected, rel=0.03)
+    assert foreseen["a1"].frequency == pytest.approx(20.0, abs=0.2)
+
+
+@pytest.mark.parametrize("number", [1, 2, 5, 7, 9])
+def test_random_scene_records_what_was_foreseen(number: int, tmp_path: Path) -> None:
+    kind = KINDS[number]
+    found = compare(draw(3601, number, kind), kind, tmp_path)
+    assert found.kept, found
+    assert abs(found.duration_error) < 0.02
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("number", [3, 6])
+def test_long_random_scene_records_what_was_foreseen(number: int, tmp_path: Path) -> None:
+    kind = KINDS[number]
+    found = compare(lengthened(draw(3602, number, kind)), kind, tmp_path)
+    assert found.kept, found
+
+
+def test_largest_level_fits_and_a_larger_does_not() -> None:
+    scene = one_body(
+        STEPS | {"points": 12}, channels=accelerometer(), converter={"rate": 1024, "range": "0.1 V"}
+    )
+    level = daq.foresee(scene).largest_level
+    fitting, beyond = (
+        daq.foresee(scene.replace(test={**STEPS, "points": 12, "force": factor * level}))
+        for factor in (0.99, 1.01)
+    )
+    assert fitting.fits
+    assert not beyond.fits
+    assert "input of 0.1 V" in beyond.summary()
+
+
+def test_overloaded_input_states_what_was_there() -> None:
+    scene = one_body(TONE, channels=accelerometer())
+    free = daq.foresee(scene)["a1"].largest
+    clipped = daq.foresee(scene.replace(converter={"rate": 1024, "range": free * 0.1 / 9.80665 / 2}))["a1"]
+    assert clipped.overloaded
+    assert clipped.largest == pytest.approx(free, rel=1e-6)
+    assert clipped.recorded == pytest.approx(free / 2, rel=1e-6)
+
+
+def test_sensor_limit_is_compared_with_what_shakes_it() -> None:
+    scene = one_body(TONE)
+    shaken = daq.foresee(scene.replace(channels=accelerometer()))["a1"].largest
+    sensor = {"sensitivity": "100 mV/g", "saturation": 2 * shaken}
+    foreseen = daq.foresee(
+        scene.replace(channels=accelerometer(accelerometer=sensor, integrator={"order": 2, "corner": "1 Hz"}))
+    )
+    assert foreseen["a1 sensor"].share == pytest.approx(0.5, rel=0.02)
+
+
+def test_amplifier_too_weak_for_the_force_states_what_it_takes() -> None:
+    test = {"kind": "stepped_sine", "frequencies": [30.0, 34.7], "force": "2.6 N"}
+    scene = rig.load("fig8-no-damper").replace(test=test)
+    needed = daq.foresee(scene)["amplifier"].largest
+    weak = daq.foresee(scene.replace(shaker=scene.shaker.replace(amplifier={"limit": needed / 2})))
+    assert weak["amplifier"].share == pytest.approx(2.0, rel=0.05)
+    assert weak.largest_level == pytest.approx(1.3, rel=0.05)
+
+
+def test_damper_flies_where_its_body_exceeds_gravity() -> None:
+    damper = {"body": 1, "mass_ratio": "5 %", "clearance": ".inf"}
+    test = {"kind": "stepped_sine", "from": "10 Hz", "to": "40 Hz", "points": 16, "force": "3 N"}
+    scene = one_body(test, dampers=[damper])
+    frequencies = np.array(scene.test.order)
+    response = abs(receptance(scene, frequencies, riding=[1])[0])
+    above = frequencies[3.0 * (2 * np.pi * frequencies) ** 2 * response > scene.gravity]
+    (line,) = daq.foresee(scene).flights
+    assert line == f"damper 1 (body 1) flies at {above[0]:g} to {above[-1]:g} Hz"
+    (still,) = daq.foresee(scene.replace(test={**test, "force": "0.2 N"})).flights
+    assert "stays on its floor" in still
+
+
+def test_level_that_fits_holds_with_a_flying_damper() -> None:
+    damper = {"body": 1, "mass_ratio": "10 %", "clearance": ".inf"}
+    test = {"kind": "stepped_sine", "frequencies": [18.5, 19.0, 19.5, 20.0], "force": "10 N"}
+    scene = one_body(test, dampers=[damper], channels=accelerometer(integrator={"order": 1}))
+    free = daq.foresee(scene)["a1"]
+    limited = scene.replace(converter={"rate": 1024, "range": 0.6 * free.largest * 0.1 / 9.80665})
+    foreseen = daq.foresee(limited)
+    assert foreseen.nonlinear
+    there = daq.foresee(scene.replace(test={**test, "force": foreseen.largest_level}))["a1"].largest
+    assert there == pytest.approx(0.6 * free.largest, rel=0.1)
+
+
+def test_least_signal_is_that_of_the_weakest_tone() -> None:
+    sensor = {"sensitivity": "100 mV/g", "noise": "1 mg/sqrt(Hz)"}
+    test = {"kind": "stepped_sine", "frequencies": [5.0, 20.0], "force": "1 N", "measure": {"periods": 20}}
+    scene = one_body(test, channels=accelerometer(accelerometer=sensor))
+    signal = daq.foresee(scene).signals["a1"]
+    density = 1e-3 * 9.80665
+    noise = density * np.sqrt(2.0 / 4.0)  # of 20 periods at 5 Hz
+    assert signal.frequency == 5.0
+    assert signal.ratio == pytest.approx(steady(scene, np.array([5.0])) / noise, rel=0.02)
+
+
+def test_modes_outside_the_band_are_listed() -> None:
+    scene = rig.load("bare-structure")
+    test = {"kind": "random", "from": "20 Hz", "to": "60 Hz", "duration": "2 s", "force": "1 N"}
+    (line,) = daq.foresee(scene.replace(test=test)).outside
+    assert "mode 1 at 13.04 Hz" in line
+
+
+def test_scene_without_test_is_refused() -> None:
+    with pytest.raises(SceneError, match="names no test"):
+        daq.foresee(rig.load("bare-structure").replace(test=None))
+
+
+def test_result_has_a_row_for_each_expectation() -> None:
+    foreseen = daq.foresee(one_body(TONE, channels=accelerometer()))
+    table = foreseen.columns()
+    assert table["name"].tolist() == ["a1", "ao0"]
+    assert {len(column) for column in table.values()} == {2}
+    assert str(foreseen).splitlines()[0] == foreseen.summary()

@@ -1,0 +1,65 @@
+"""`daq record` states what a test will do, and does not start one that will abort."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+import rig
+from daq.cli import app
+from daq.instrument.connecting import connect_scene
+from daq.server.serve import announcement
+from rig.cli import app as rig_app
+from rig.errors import RunError, SceneError
+
+HIT = ["record", "fig10b-no-damper", "--set", "test.repeats=1", "--set", "test.interval=0.5s"]
+ABORTS = [*HIT, "--set", "channels[1].abort=10 m/s^2"]
+
+
+def test_dry_run_states_maxima_and_records_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "hit.mcap"
+    ended = CliRunner().invoke(app, [*HIT, "--dry-run", "-o", str(path)])
+    assert ended.exit_code == 0, ended.output
+    assert "body1" in ended.stdout
+    assert "test.peak: at most" in ended.stdout
+    assert not path.exists()
+
+
+def test_test_that_will_abort_does_not_start(tmp_path: Path) -> None:
+    path = tmp_path / "hit.mcap"
+    ended = CliRunner().invoke(app, [*ABORTS, "-o", str(path)])
+    assert isinstance(ended.exception, SceneError)
+    assert "body1" in str(ended.exception)
+    assert "--anyway" in str(ended.exception)
+    assert not path.exists()
+
+
+def test_test_that_will_abort_starts_anyway_when_told(tmp_path: Path) -> None:
+    path = tmp_path / "hit.mcap"
+    ended = CliRunner().invoke(app, [*ABORTS, "--anyway", "-o", str(path)])
+    assert isinstance(ended.exception, RunError)
+    assert "aborted" in str(ended.exception)
+    assert path.exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "effect"),
+    [
+        ("bare-structure", "table position, 1 mm/V"),
+        ("fig8-no-damper", "voltage at the coil, 1 V/V"),
+        ("reference-A", "force on body 1, 1 N/V"),
+    ],
+)
+def test_explanation_and_server_state_what_a_volt_does(name: str, effect: str) -> None:
+    assert f"ao0                      -  {effect}" in str(rig.explain(name)) or effect in str(
+        rig.explain(name)
+    )
+    chassis = connect_scene(name, "fast")
+    assert f"ao0: {effect}" in announcement(chassis, "127.0.0.1", 1, False)
+
+
+def test_explain_ends_with_the_foresight_of_the_test() -> None:
+    ended = CliRunner().invoke(rig_app, ["explain", "fig10b-no-damper"])
+    assert "the test fits" in ended.stdout

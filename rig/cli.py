@@ -117,8 +117,8 @@ def explain(
 
     setting = loaded(scene, changes)
     print(rig.explain(setting))
-    for text in foresights(setting):
-        print(f"\n{text}")
+    for foreseen in foresights(setting):
+        print(f"\n{foreseen}")
     if measure:
         from rig.effects.effect_cost import effect_costs, text
 
@@ -420,8 +420,8 @@ def design(
     print(setting.structure.relabel(summary(found)))
     print("\nwritten:", *files, table)
     print(next_step(found, files[0]))
-    for text in foresights(found.scene):
-        print(f"\n{text}")
+    for foreseen in foresights(found.scene):
+        print(f"\n{foreseen}")
 
 
 def _figure_and_table(name: Path) -> list[Path]:

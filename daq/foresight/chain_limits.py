@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.signal_chain.channel import ChannelInfo
-from rig.scene.measurement_chain import Accelerometer, Channel, Converter, Hammer
+from rig.scene.measurement_chain import Channel, Converter
 from rig.scene.presets import filled_in
 from rig.scene.scene import Scene
 
@@ -30,7 +30,7 @@ def reading_limit(channel: Channel | None, info: ChannelInfo) -> ReadingLimit:
     if info.range is not None:
         limits.append(ReadingLimit(info.range / abs(info.sensitivity), f"input of {info.range:g} V"))
     if channel is None:
-        return limits[0] if len(limits) == 1 else limits[1]
+        return limits[-1]
     rails = None if channel.integrator is None else channel.integrator.saturation
     if rails is not None:
         limits.append(ReadingLimit(rails / abs(info.sensitivity), f"integrator of {rails:g} V"))
@@ -52,10 +52,11 @@ def without_limits(scene: Scene) -> Scene:
 
 def _unlimited(channel: Channel) -> Channel:
     changes: dict[str, object] = {"abort": None, "alarm": None}
-    for key in ("accelerometer", "hammer"):
-        device: Accelerometer | Hammer | None = getattr(channel, key)
-        if device is not None and filled_in(device).saturation is not None:
-            changes[key] = device.replace(saturation=_UNREACHED)
+    accelerometer, hammer = channel.accelerometer, channel.hammer
+    if accelerometer is not None and filled_in(accelerometer).saturation is not None:
+        changes["accelerometer"] = accelerometer.replace(saturation=_UNREACHED)
+    if hammer is not None and filled_in(hammer).saturation is not None:
+        changes["hammer"] = hammer.replace(saturation=_UNREACHED)
     if channel.integrator is not None and channel.integrator.saturation is not None:
         changes["integrator"] = channel.integrator.replace(saturation=_UNREACHED)
     return channel.replace(**changes)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -103,10 +103,11 @@ class Played:
         """What would end the test before its time."""
         return next((part.aborted for part in self.parts if part.aborted is not None), None)
 
-    def largest(self, extreme: Callable[[Rehearsal], Extreme]) -> tuple[float, float | None, float | None]:
-        """Largest of an extreme over all parts, with its frequency or its time."""
-        part = max(self.parts, key=lambda each: extreme(each).size)
-        top = extreme(part)
+    def largest(self, what: str, key: int | str) -> tuple[float, float | None, float | None]:
+        """Largest of an extreme over all parts, by attribute and key, with its frequency or its time."""
+        tops: list[Extreme] = [getattr(part, what)[key] for part in self.parts]
+        place = int(np.argmax([top.size for top in tops]))
+        part, top = self.parts[place], tops[place]
         frequency = part.frequency_at(top.sample)
         time = top.sample / part.rate if frequency is None else None
         return top.size * self.beyond, frequency, time
@@ -136,9 +137,13 @@ def play(scene: Scene, bench: Bench) -> Played:
 
 
 def _rehearsed(chosen: Shortened, longest: float) -> tuple[Rehearsal, ...]:
-    return tuple(
-        rehearse(scene, longest, ahead) for scene, ahead in zip(chosen.scenes, chosen.ahead, strict=True)
-    )
+    """Rehearse the parts one after another, up to what aborts the test."""
+    parts: list[Rehearsal] = []
+    for scene, ahead in zip(chosen.scenes, chosen.ahead, strict=True):
+        parts.append(rehearse(scene, longest, ahead))
+        if parts[-1].aborted is not None:
+            break
+    return tuple(parts)
 
 
 def _extension(test: Random, seconds: float) -> float:
@@ -186,9 +191,9 @@ class _Assessment:
     def _channels(self) -> Iterable[Expectation]:
         settings = {channel.name: channel for channel in self.scene.channels or ()}
         for row, info in enumerate(self.bench.channels):
-            largest, frequency, time = self.free.largest(lambda part, row=row: part.readings[row])
+            largest, frequency, time = self.free.largest("readings", row)
             limit = reading_limit(settings.get(info.name), info)
-            recorded = self.played.largest(lambda part, row=row: part.readings[row])[0]
+            recorded = self.played.largest("readings", row)[0]
             yield Expectation(
                 info.name,
                 info.unit,
@@ -211,7 +216,7 @@ class _Assessment:
             sensor = None if channel.accelerometer is None else filled_in(channel.accelerometer)
             if sensor is None or sensor.saturation is None:
                 continue
-            smooth, frequency, time = self.free.largest(lambda part, at=channel.at: part.accelerations[at])
+            smooth, frequency, time = self.free.largest("accelerations", channel.at)
             row = self.system.points.index(channel.at)
             shaken = shaken_by(self.system, row, speeds.tolist(), sensor.resonance)
             reached = any(part.overloaded[names.index(channel.name)] for part in self.played.parts)
@@ -234,7 +239,7 @@ class _Assessment:
         for row, (name, unit) in enumerate(zip(self.bench.inputs, self.bench.drive_units, strict=True)):
             if shaker is None or name != self.scene.at_driven("shaker") or self.scene.driven is None:
                 continue
-            drive, frequency, time = self.free.largest(lambda part, row=row: part.drives[row])
+            drive, frequency, time = self.free.largest("drives", row)
             output = filled_in(shaker.output).range
             amplifier = shaker.amplifier if isinstance(shaker, ElectrodynamicShaker) else None
             most = np.inf if amplifier is None else amplifier.limit / amplifier.gain
@@ -255,7 +260,7 @@ class _Assessment:
 
     def _tables(self) -> Iterable[Expectation]:
         for name in self.free.parts[0].tables:
-            size, frequency, time = self.free.largest(lambda part, name=name: part.tables[name])
+            size, frequency, time = self.free.largest("tables", name)
             if size > 0.0:
                 yield Expectation(f"{name} travel", "m", size, frequency, time)
 
@@ -301,12 +306,13 @@ class _Assessment:
             if isinstance(test, SweptSine):
                 return estimate(self.scene).seconds
             return done + max(estimate(self.scene).seconds - shorter, 0.0)
-        waits = [step.stop - step.first for part in played.parts for step in part.steps[::2]] or [
-            self.bench.rate
-        ]
+        # A quiet step between the peaks waits as long as the quicker ones about them.
+        waits = [
+            (step.stop - step.first) / self.bench.rate for part in played.parts for step in part.steps[::2]
+        ] or [1.0]
         steps = len(test.levels) * len(test.order)
-        typical = float(np.percentile(waits, 25)) / self.bench.rate
-        extra = sum(wait / self.bench.rate - typical for wait in waits)
+        typical = float(np.percentile(waits, 25))
+        extra = sum(wait - typical for wait in waits)
         return estimate(self.scene).seconds + steps * typical + max(extra, 0.0)
 
 

@@ -73,7 +73,7 @@ def channel_readings(scene: Scene, channels: Sequence[ChannelInfo], frequencies:
         elif isinstance(scene.test, Impulse):
             continue
         else:
-            size = abs(gain)
+            size = np.abs(gain)
         found[row] = size * abs(info.response(frequencies))
     return found
 

@@ -1,9 +1,9 @@
 """The parts of a test that decide its extremes, short enough to be rehearsed.
 
-A test that is short is rehearsed whole. Of a long row of tones, and of a long sweep, two parts are: the beginning, where
-sensors have just been switched on, and the frequencies about the peaks of the linear response, with the dampers on their
-floors and without them. Of a long random test it is the beginning, of equal hits the first, of periods that repeat a
-single one.
+A test that is short is rehearsed whole. Of a long row of tones, and of a long sweep, two parts are: the beginning,
+where sensors have just been switched on, and the frequencies about the peaks of the linear response, with the dampers
+on their floors and without them. Of a long random test it is the beginning, of equal hits the first, of periods that
+repeat a single one.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from rig.system.structure import natural_modes, structure_matrices
 Array = NDArray[np.float64]
 
 #: CPU time that a rehearsal may take, about, s.
-BUDGET_S = 0.75
+BUDGET_S = 0.7
 # A random test is rehearsed whole up to so many times that: an extrapolated extreme scatters by some 10 %.
 _RANDOM_BUDGETS = 4.0
 # CPU time of a sample, measured on one core of 2 GHz, s: the loop and the rig, each state, each channel; and of the
@@ -168,11 +168,11 @@ def about_peaks(
     if isinstance(test, SteppedSine):
         rising, direction = np.unique(test.order), test.direction
         settle, periods = test.settle, test.measure.periods
-        level = {"force": max(test.levels)} if test.force is not None else {"drive": max(test.levels)}
+        level = max(test.levels)
     else:
         rising, direction = test_frequencies(test, _SWEEP_POINTS), "up" if test.from_ < test.to else "down"
         settle, periods = SteppedSine.model_fields["settle"].default, 5
-        level = {"force": test.force} if test.force is not None else {"drive": test.drive}
+        level = test.force or test.drive or 0.0
     settle = settle.replace(longest=min(settle.longest, _LONGEST_WAIT_S))
     row = {
         "kind": "stepped_sine",
@@ -181,14 +181,17 @@ def about_peaks(
         "shaker": test.shaker,
         "settle": settle,
         "measure": {"periods": periods},
-        **level,
+        "drive" if test.force is None else "force": level,
     }
     runs = 2 if direction == "both" else 1
     step = _wait(scene.replace(test={**row, "frequencies": rising.tolist()})) + periods / rising.mean()
     chosen = _chosen(scene, channels, rising, max(2, int(seconds / step / runs)))
     groups = np.split(chosen, np.flatnonzero(np.diff(chosen) > _NARROW_GAP) + 1)
+    if direction == "down":
+        groups = groups[::-1]
     beginning = [rising.size - 2, rising.size - 1] if direction == "down" else [0, 1]
-    scenes, ahead = [], []
+    scenes: list[Scene] = []
+    ahead: list[int] = []
     for places in (np.clip(beginning, 0, rising.size - 1), *groups):
         first, last, begins = int(places[0]), int(places[-1]), not scenes
         if direction != "down" and not begins:

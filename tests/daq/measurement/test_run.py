@@ -416,7 +416,8 @@ def test_given_an_abort_when_the_command_records_then_it_ends_with_1_and_names_t
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "a.yaml").write_text(limited(abort="20 m/s^2").to_yaml())
-    assert run_command(monkeypatch, "record", str(tmp_path / "a.yaml"), "-o", str(tmp_path / "a.mcap")) == 1
+    words = ["record", "--anyway", str(tmp_path / "a.yaml"), "-o", str(tmp_path / "a.mcap")]
+    assert run_command(monkeypatch, *words) == 1
     assert "a.mcap holds the" in capsys.readouterr().err
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.excitation.impulse import settling_time
 from daq.foresight.chain_limits import reading_limit, without_limits
 from daq.foresight.flights import flight_lines, onset_level, outside_band
 from daq.foresight.foresight import Expectation, Foresight
@@ -41,6 +42,8 @@ _LONGEST = 1.5
 _AT_LIMIT = 0.999
 # Rehearsals at other levels to find the largest that fits, where dampers fly; and how near is near enough.
 _TRIALS, _NEAR = 3, 0.02
+# In the first seconds a sensor with a bias shows its power-on transient.
+_POWER_ON_S = 3.0
 # Beyond so many times the test's level, up or down, the level that fits is scaled from there.
 _FARTHEST = 4.0
 
@@ -111,6 +114,11 @@ class Played:
         frequency = part.frequency_at(top.sample)
         time = top.sample / part.rate if frequency is None else None
         return top.size * self.beyond, frequency, time
+
+    def time(self, what: str, key: int | str) -> float:
+        """Time of that extreme, s from the start of the test; infinite in a part that begins later."""
+        part = max(self.parts, key=lambda each: getattr(each, what)[key].size)
+        return float(getattr(part, what)[key].sample / part.rate) if part is self.parts[0] else np.inf
 
 
 def play(scene: Scene, bench: Bench) -> Played:
@@ -193,6 +201,9 @@ class _Assessment:
         for row, info in enumerate(self.bench.channels):
             largest, frequency, time = self.free.largest("readings", row)
             limit = reading_limit(settings.get(info.name), info)
+            if _POWER_ON_S * (settling_time(info) > 0.0) > self.free.time("readings", row):
+                # What a sensor reads while its bias settles is no response to the tone.
+                frequency, time = None, self.free.time("readings", row)
             recorded = self.played.largest("readings", row)[0]
             yield Expectation(
                 info.name,

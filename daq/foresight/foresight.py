@@ -242,7 +242,7 @@ def _duration(seconds: float) -> str:
     """Write a time: seconds, minutes or hours.
 
     >>> _duration(18.25), _duration(390.0), _duration(7200.0)
-    ('18 s', '6.6 min', '2.0 h')
+    ('18 s', '6.5 min', '2.0 h')
     """
     for unit, size in (("h", 3600.0), ("min", 60.0)):
         if seconds >= 2 * size:

@@ -33,6 +33,8 @@ _RANDOM_BUDGETS = 4.0
 # CPU time of a sample, measured on one core of 2 GHz, s: the loop and the rig, each state, each channel; and of the
 # Python code that steers a held sweep, every period of its tone.
 _SAMPLE_S, _STATE_S, _CHANNEL_S, _STEERED_PERIOD_S = 130e-9, 6e-9, 130e-9, 1.2e-3
+# A channel with a decimation filter costs so many times as much.
+_FILTERED = 2.0
 # A state matrix beyond this size costs by its elements, s.
 _ELEMENT_S = 0.6e-9
 # A step of a row of tones takes this long, s, and so many time constants of the slowest mode, on the bundled scenes.
@@ -76,12 +78,9 @@ def affordable_seconds(scene: Scene) -> float:
     system = assemble(scene)
     channels = system.coordinates if scene.channels is None else len(scene.channels)
     states = system.states + system.dampers
-    sample = _SAMPLE_S + _STATE_S * states + _ELEMENT_S * states**2 + _CHANNEL_S * channels
-    second = clock.true_rate * oversampling(scene, clock) * sample
-    test = scene.test
-    if isinstance(test, SweptSine) and _holds_spring_force(scene):
-        second += _STEERED_PERIOD_S * (test.from_ + test.to) / 2
-    return BUDGET_S / second
+    channel = _CHANNEL_S * (1.0 if filled_in(scene.converter).filter is None else _FILTERED)
+    sample = _SAMPLE_S + _STATE_S * states + _ELEMENT_S * states**2 + channel * channels
+    return BUDGET_S / (clock.true_rate * oversampling(scene, clock) * sample)
 
 
 def shortened(scene: Scene, channels: tuple[ChannelInfo, ...]) -> Shortened:
@@ -96,7 +95,10 @@ def shortened(scene: Scene, channels: tuple[ChannelInfo, ...]) -> Shortened:
     assert test is not None
     if isinstance(test, Random):
         seconds *= _RANDOM_BUDGETS
-    if expected_seconds(scene) <= seconds:
+    steered = 0.0
+    if isinstance(test, SweptSine) and _holds_spring_force(scene):
+        steered = _STEERED_PERIOD_S * (test.from_ + test.to) / 2 * test.duration
+    if expected_seconds(scene) / seconds + steered / BUDGET_S <= 1.0:
         return Shortened((scene,), whole=True)
     if isinstance(test, SteppedSine | SweptSine):
         return about_peaks(scene, test, channels, seconds)

@@ -42,8 +42,8 @@ _LONGEST = 1.5
 _AT_LIMIT = 0.999
 # Rehearsals at other levels to find the largest that fits, where dampers fly; and how near is near enough.
 _TRIALS, _NEAR = 3, 0.02
-# In the first seconds a sensor with a bias shows its power-on transient.
-_POWER_ON_S = 3.0
+# In this share of the time that a bias takes to disappear, what a channel reads is its power-on transient.
+_POWER_ON_SHARE = 0.5
 # Beyond so many times the test's level, up or down, the level that fits is scaled from there.
 _FARTHEST = 4.0
 
@@ -201,7 +201,7 @@ class _Assessment:
         for row, info in enumerate(self.bench.channels):
             largest, frequency, time = self.free.largest("readings", row)
             limit = reading_limit(settings.get(info.name), info)
-            if _POWER_ON_S * (settling_time(info) > 0.0) > self.free.time("readings", row):
+            if _POWER_ON_SHARE * settling_time(info) > self.free.time("readings", row):
                 # What a sensor reads while its bias settles is no response to the tone.
                 frequency, time = None, self.free.time("readings", row)
             recorded = self.played.largest("readings", row)[0]

@@ -173,10 +173,17 @@ class _Assessment:
         """Put everything together."""
         rows = (*self._channels(), *self._sensors(), *self._outputs(), *self._tables())
         nonlinear = any(any(part.strikes) for part in self.free.parts)
-        limiting = max(rows, key=lambda row: row.share, default=None)
+        ranked = sorted(rows, key=lambda row: row.driven_share)
+        limiting = ranked[-1] if ranked else None
         largest_level = np.nan
-        if limiting is not None and limiting.share > 0.0 and self.key:
+        if limiting is not None and limiting.driven_share > 0.0 and self.key:
             largest_level, nonlinear = self._largest_level(limiting, nonlinear)
+            # What is next to its limit may not be overtaken.
+            following = ranked[-2].driven_share if len(ranked) > 1 else 0.0
+            if following > 0.0:
+                largest_level = min(
+                    largest_level, max(self.level / following, self.level / limiting.driven_share)
+                )
         seconds, least = self._seconds(), estimate(self.scene)
         return Foresight(
             scene=self.scene.name,
@@ -200,10 +207,12 @@ class _Assessment:
         settings = {channel.name: channel for channel in self.scene.channels or ()}
         for row, info in enumerate(self.bench.channels):
             largest, frequency, time = self.free.largest("readings", row)
+            driven = None
             limit = reading_limit(settings.get(info.name), info)
             if _POWER_ON_SHARE * settling_time(info) > self.free.time("readings", row):
                 # What a sensor reads while its bias settles is no response to the tone.
                 frequency, time = None, self.free.time("readings", row)
+                driven = max((part.readings[row].size for part in self.free.parts[1:]), default=largest)
             recorded = self.played.largest("readings", row)[0]
             yield Expectation(
                 info.name,
@@ -215,6 +224,7 @@ class _Assessment:
                 limit.what,
                 largest > limit.size,
                 min(recorded, limit.size if info.range is not None else np.inf),
+                driven,
             )
 
     def _sensors(self) -> Iterable[Expectation]:
@@ -278,12 +288,12 @@ class _Assessment:
     def _largest_level(self, limiting: Expectation, nonlinear: bool) -> tuple[float, bool]:
         """Largest level that fits, and whether dampers fly at it or at the test's."""
         onset = onset_level(self.scene, self.system)
-        if not np.isfinite(limiting.share):
+        if not np.isfinite(limiting.driven_share):
             return onset, True
-        level = self.level / limiting.share
+        level = self.level / limiting.driven_share
         flies = nonlinear or level > onset
         names = [info.name for info in self.bench.channels]
-        if not flies or limiting.name not in names or not 1.0 / _FARTHEST < limiting.share < _FARTHEST:
+        if not flies or limiting.name not in names or not 1.0 / _FARTHEST < limiting.driven_share < _FARTHEST:
             return level, flies
         return self._secant(limiting, names.index(limiting.name), level), True
 
@@ -294,7 +304,7 @@ class _Assessment:
         scene, ahead = near_extreme(part.scene, limiting.frequency, seconds)
         if scene is None:
             return level
-        free, tried = without_limits(scene), [(np.log(self.level), np.log(limiting.share))]
+        free, tried = without_limits(scene), [(np.log(self.level), np.log(limiting.driven_share))]
         for _ in range(_TRIALS):
             run = rehearse(at_level(free, level), 4.0 * seconds, ahead)
             share = max(run.readings[row].size / limiting.limit, 1e-12)

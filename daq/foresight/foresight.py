@@ -37,6 +37,8 @@ class Expectation:
         Whether the limit is reached.
     recorded : float
         Largest reading that the recording will hold; NaN of what is no channel.
+    driven : float or None
+        Largest size that grows with the level of the test, without the transient of power-on; None: all of it.
     """
 
     name: str
@@ -48,6 +50,12 @@ class Expectation:
     limited_by: str = ""
     overloaded: bool = False
     recorded: float = np.nan
+    driven: float | None = None
+
+    @property
+    def driven_share(self) -> float:
+        """Share of the limit that grows with the level."""
+        return self.share if self.driven is None else self.driven / self.limit
 
     @property
     def share(self) -> float:

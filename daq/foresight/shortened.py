@@ -19,7 +19,7 @@ from daq.signal_chain.channel import ChannelInfo
 from daq.signal_chain.converter import SampleClock
 from daq.signal_chain.oversampling import oversampling
 from rig.scene.excitation import Free, Impulse, Multisine, Random, Sine, SteppedSine, SweptSine
-from rig.scene.presets import filled_in
+from rig.scene.presets import filled_in, input_settings
 from rig.scene.scene import Scene
 from rig.system.assembly import assemble
 from rig.system.structure import natural_modes, structure_matrices
@@ -201,21 +201,26 @@ def about_peaks(
         if direction != "up" and not begins:
             last = min(last + _AHEAD, rising.size - 1)
         frequencies = np.unique(rising[first : last + 1]).tolist()
-        part = scene if begins else _long_switched_on(scene)
-        scenes.append(part.replace(test={**row, "frequencies": frequencies}))
         ahead.append(last - int(places[-1]) if direction == "down" else int(places[0]) - first)
+        # What begins with the test's own first tone begins as the test does.
+        part = _long_switched_on(scene) if ahead[-1] else scene
+        scenes.append(part.replace(test={**row, "frequencies": frequencies}))
     return Shortened(tuple(scenes), tuple(ahead))
 
 
 def _long_switched_on(scene: Scene) -> Scene:
-    """Give a scene whose sensors were switched on long before: their bias has settled."""
+    """Give a scene whose sensors were switched on long before: the bias has settled, behind a high-pass to zero."""
     if scene.channels is None:
         return scene
     channels = []
     for channel in scene.channels:
-        sensor = None if channel.accelerometer is None else filled_in(channel.accelerometer)
-        if sensor is not None and sensor.bias_settling is not None:
-            channel = channel.replace(accelerometer=sensor.replace(preset=None, bias_settling=None))
+        sensor, amplifier = channel.accelerometer, channel.integrator
+        if sensor is not None and filled_in(sensor).bias is not None:
+            blocked = input_settings(scene.converter, channel).coupling == "AC" or (
+                amplifier is not None and amplifier.low_cutoff is not None
+            )
+            settled = filled_in(sensor).replace(preset=None, bias_settling=None)
+            channel = channel.replace(accelerometer=settled.replace(bias=0.0) if blocked else settled)
         channels.append(channel)
     return scene.replace(channels=tuple(channels))
 

@@ -27,7 +27,7 @@ from daq.measurement.estimate import estimate
 from daq.signal_chain.bench import Bench
 from rig.damper_design.overloads import shaken_by
 from rig.errors import SceneError
-from rig.scene.excitation import Impulse, Random, SteppedSine, SweptSine
+from rig.scene.excitation import Impulse, Multisine, Random, SteppedSine, SweptSine
 from rig.scene.loading import load
 from rig.scene.presets import filled_in
 from rig.scene.scene import Scene
@@ -261,6 +261,8 @@ class _Assessment:
             if shaker is None or name != self.scene.at_driven("shaker") or self.scene.driven is None:
                 continue
             drive, frequency, time = self.free.largest("drives", row)
+            if drive == 0.0:
+                continue
             output = filled_in(shaker.output).range
             amplifier = shaker.amplifier if isinstance(shaker, ElectrodynamicShaker) else None
             most = np.inf if amplifier is None else amplifier.limit / amplifier.gain
@@ -320,8 +322,15 @@ class _Assessment:
         """Time that the test takes, s."""
         played, test = self.played, self.scene.test
         done = sum(part.seconds for part in played.parts)
-        if played.whole:
+        if played.whole or (played.aborted is not None and len(played.parts) == 1):
             return done
+        if isinstance(test, Multisine):
+            # Each realisation settles for about as long; what is measured of it is known.
+            once = played.parts[0].scene.test
+            assert isinstance(once, Multisine)
+            period = estimate(self.scene).seconds / (test.realisations * test.periods)
+            again = test.realisations / once.realisations
+            return again * done + test.realisations * (test.periods - once.periods) * period
         if not isinstance(test, SteppedSine):
             shorter = sum(estimate(part.scene).seconds for part in played.parts)
             if isinstance(test, SweptSine):

@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 #: CPU time that a rehearsal may take, about, s.
 BUDGET_S = 0.7
-# A random test is rehearsed whole up to so many times that: an extrapolated extreme scatters by some 10 %.
+# A random test or multisine is rehearsed whole up to so many times that: extremes of a part scatter by some 10 %.
 _RANDOM_BUDGETS = 4.0
 # CPU time of a sample, measured on one core of 2 GHz, s: the loop and the rig, each state, each channel; and of the
 # Python code that steers a held sweep, every period of its tone.
@@ -93,7 +93,7 @@ def shortened(scene: Scene, channels: tuple[ChannelInfo, ...]) -> Shortened:
     """
     test, seconds = scene.test, affordable_seconds(scene)
     assert test is not None
-    if isinstance(test, Random):
+    if isinstance(test, Random | Multisine):
         seconds *= _RANDOM_BUDGETS
     steered = 0.0
     if isinstance(test, SweptSine) and _holds_spring_force(scene):

@@ -37,6 +37,7 @@ def steady(scene: rig.Scene, frequencies: np.ndarray) -> float:
     return float(np.max((2 * np.pi * frequencies) ** 2 * abs(receptance(scene, frequencies)[0])))
 
 
+@pytest.mark.thorough
 def test_long_row_of_tones_reaches_its_steady_maximum() -> None:
     scene = one_body(STEPS, channels=accelerometer())
     foreseen = daq.foresee(scene.replace(test={**STEPS, "points": 600, "measure": {"periods": 60}}))
@@ -51,7 +52,7 @@ def test_random_scene_records_what_was_foreseen(number: int, tmp_path: Path) -> 
     kind = KINDS[number]
     found = compare(draw(3601, number, kind), kind, tmp_path)
     assert found.kept, found
-    assert abs(found.duration_error) < 0.02
+    assert abs(found.duration_error) < (1e-3 if found.whole else 0.1)
 
 
 @pytest.mark.thorough
@@ -117,6 +118,7 @@ def test_damper_flies_where_its_body_exceeds_gravity() -> None:
     assert "stays on its floor" in still
 
 
+@pytest.mark.thorough
 def test_level_that_fits_holds_with_a_flying_damper() -> None:
     damper = {"body": 1, "mass_ratio": "10 %", "clearance": ".inf"}
     test = {"kind": "stepped_sine", "frequencies": [18.5, 19.0, 19.5, 20.0], "force": "10 N"}

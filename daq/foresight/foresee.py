@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from daq.excitation.impulse import settling_time
 from daq.foresight.chain_limits import reading_limit, without_limits
 from daq.foresight.flights import flight_lines, onset_level, outside_band
-from daq.foresight.foresight import Expectation, Foresight
+from daq.foresight.foresight import Expectation, Foresight, in_words
 from daq.foresight.linear import drive_needed
 from daq.foresight.noise import least_signals
 from daq.foresight.rehearsal import Extreme, Rehearsal, rehearse
@@ -196,6 +196,7 @@ class _Assessment:
             nonlinear=nonlinear,
             aborts=self.played.aborted,
             signals=least_signals(self.scene, self.bench.channels),
+            unread=tuple(self._unread(rows)),
             flights=flight_lines(self.scene, self.system, self.level, self.free.parts),
             seconds=seconds,
             disk=least.disk * (seconds / least.seconds if least.seconds else 1.0),
@@ -226,6 +227,27 @@ class _Assessment:
                 min(recorded, limit.size if info.range is not None else np.inf),
                 driven,
             )
+
+    def _unread(self, rows: Iterable[Expectation]) -> Iterable[str]:
+        """Name channels whose signal is lost in the resolution of the converter."""
+        sizes = {row.name: row.largest for row in rows}
+        held = getattr(self.scene.test, "force", None) is not None and self.scene.driven is not None
+        shaker = self.scene.driven_shaker
+        places: tuple[str, ...] = ()
+        if held and shaker is not None and shaker.spring is not None:
+            places = (self.scene.at_driven("table"), f"body {shaker.bodies[0]}")
+        for info in self.bench.channels:
+            count = info.unit_per_count
+            if info.volts_per_count is not None and sizes[info.name] < 2.0 * count:
+                lost = (
+                    ", so that the force cannot be held and no maximum is certain"
+                    if info.at in places
+                    else ""
+                )
+                yield (
+                    f"{info.name} reads less than two counts of the converter ({in_words(count, info.unit)} each)"
+                    f"{lost}: choose a smaller range or a higher sensitivity"
+                )
 
     def _sensors(self) -> Iterable[Expectation]:
         """Accelerometers with a limit of their own: what shakes them, by the smooth motion and by landings."""
@@ -343,7 +365,14 @@ class _Assessment:
         steps = len(test.levels) * len(test.order)
         typical = float(np.percentile(waits, 25))
         extra = sum(wait - typical for wait in waits)
-        return estimate(self.scene).seconds + steps * typical + max(extra, 0.0)
+        whole = estimate(self.scene).seconds + steps * typical + max(extra, 0.0)
+        if played.aborted is None:
+            return whole
+        # The test ends near the tone that was played last.
+        last = played.parts[-1].frequency_at(round(played.parts[-1].seconds * played.parts[-1].rate))
+        order = np.array(test.order)
+        place = int(np.argmin(abs(order - last))) if last is not None else 0
+        return max(done, whole * (place + 1) / steps) if place > 1 else done
 
 
 def level_key(scene: Scene) -> tuple[str, float, str]:

@@ -116,6 +116,8 @@ class Foresight(Result):
         What will end the test before its time.
     signals : dict of str to LeastSignal
         Of each channel with noise, the signal above it where that is smallest.
+    unread : tuple of str
+        Channels whose signal is smaller than the converter resolves, and what to do.
     flights : tuple of str
         Which dampers fly, and where.
     seconds, disk : float
@@ -136,6 +138,7 @@ class Foresight(Result):
     nonlinear: bool
     aborts: str | None
     signals: dict[str, LeastSignal] = field(default_factory=dict)
+    unread: tuple[str, ...] = ()
     flights: tuple[str, ...] = ()
     seconds: float = 0.0
     disk: float = 0.0
@@ -214,7 +217,7 @@ class Foresight(Result):
     def _facts(self) -> list[str]:
         """Dampers, duration, size, modes outside the band."""
         about = "about " if self.rehearsed else ""
-        lines = [*self.flights, *self.outside]
+        lines = [*self.unread, *self.flights, *self.outside]
         lines.append(f"takes {about}{_duration(self.seconds)} on the bench, about {self.disk / 1e6:.3g} MB")
         if self.rehearsed:
             lines.append(f"rehearsed: {self.rehearsed}")

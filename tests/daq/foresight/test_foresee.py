@@ -142,6 +142,14 @@ def test_least_signal_is_that_of_the_weakest_tone() -> None:
     assert signal.ratio == pytest.approx(steady(scene, np.array([5.0])) / noise, rel=0.02)
 
 
+def test_channel_below_two_counts_is_named() -> None:
+    converter = {"rate": 1024, "bits": 8, "range": "10 V"}
+    (line,) = daq.foresee(one_body(TONE, channels=accelerometer(), converter=converter)).unread
+    assert line.startswith("a1 reads less than two counts")
+    fine = daq.foresee(one_body(TONE, channels=accelerometer(), converter=converter | {"bits": 24}))
+    assert fine.unread == ()
+
+
 def test_modes_outside_the_band_are_listed() -> None:
     scene = rig.load("bare-structure")
     test = {"kind": "random", "from": "20 Hz", "to": "60 Hz", "duration": "2 s", "force": "1 N"}

@@ -419,7 +419,7 @@ def design(
         files = write(found, output)
     print(setting.structure.relabel(summary(found)))
     print("\nwritten:", *files, table)
-    print(next_step(found, files[0]))
+    print(setting.structure.relabel(next_step(found, files[0])))
     for foreseen in foresights(found.scene):
         print(f"\n{foreseen}")
 

@@ -255,7 +255,7 @@ def _certainty(problem: Problem, x: Array) -> tuple[Array, float]:
         jacobian = problem.jacobian(x, [group])[: -problem.size]
         misses = problem.residual(x, [group])[: -problem.size]
         used = int(group.used.sum())
-        data = np.linalg.qr(np.concatenate([data, jacobian]), mode="r")
+        data = np.asarray(np.linalg.qr(np.concatenate([data, jacobian]), mode="r"))
         random += _scatter(group, jacobian)
         shifts += [jacobian.T @ off for off in _systematic(group)]
         square += float(misses @ misses)

@@ -57,7 +57,8 @@ def jitter_factor(
         readings = np.stack([rec.read(name, max(begin - 1, 0), begin + reach) for name in names])
         slopes = np.diff(readings, axis=1)
         slopes *= deviation * passed[: slopes.shape[1]]
-        factor = np.linalg.qr(np.concatenate([factor, slopes.T / np.sqrt(len(hits))]), mode="r")
+        rows = np.concatenate([factor, slopes.T / np.sqrt(len(hits))])
+        factor = np.asarray(np.linalg.qr(rows, mode="r"))
     return factor
 
 

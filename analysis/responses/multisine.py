@@ -112,7 +112,7 @@ def best_linear_approximation(
     stack = np.stack([one.mean for one in kept])
     centre = stack.mean(axis=0)
     noise = Scatter(
-        np.concatenate([one.noise for one in kept]).astype(complex) / count,
+        np.asarray(np.concatenate([one.noise for one in kept]) / count, dtype=complex),
         np.full(frequency.size, 2.0 * sum(one.periods - 1 for one in kept)),
     )
     unsettled = np.mean([one.remainder for one in kept], axis=0)

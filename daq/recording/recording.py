@@ -201,8 +201,10 @@ class Recording(Result):
         """
         if channel not in self._series:
             near = get_close_matches(str(channel), self._series, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"its channels are {', '.join(self._series)}"
-            raise RecordingError(f"{self.path} has no channel {channel!r}; {hint}")
+            hint = f"did you mean {near[0]!r}? " if near else ""
+            raise RecordingError(
+                f"{self.path} has no channel {channel!r}; {hint}its channels are {', '.join(self._series)}"
+            )
         start, stop = self._range(start, stop)
         return self._series[channel].read(start, stop)
 

@@ -326,10 +326,15 @@ def _shortest(value: float, unit: str, kind: Kind) -> str:
     return f"{shown} {unit}".rstrip()
 
 
+# A number with so many digits was computed: no unit is that in which somebody gave it.
+_COMPUTED = 13
+
+
 def _awkwardness(written: str) -> tuple[int, bool, int]:
     """Order spellings: by digits that count, by whether the number is neither tiny nor huge, and by length."""
     number = Decimal(written.split(" ")[0]).normalize()
-    return len(number.as_tuple().digits), number != 0 and not -2 <= number.adjusted() < 4, len(written)
+    digits = min(len(number.as_tuple().digits), _COMPUTED)
+    return digits, number != 0 and not -2 <= number.adjusted() < 4, len(written)
 
 
 @lru_cache(maxsize=1024)

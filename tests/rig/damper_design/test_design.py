@@ -181,7 +181,7 @@ def test_given_two_dampers_in_a_body_when_asked_then_the_peak_is_that_of_their_s
     [
         ({"budget": 5.0}, "expected more than nothing and less than the structure's 2.09 kg"),
         ({"budget": "0.12"}, "expected a mass such as .50 g., or a share"),
-        ({"bodies": ["1", "7"]}, "got 1, 7; expected numbers of bodies, from 1 to 3"),
+        ({"bodies": ["1", "7"]}, "bodies: body 7 of 3; expected 1 to 3"),
         ({"dampers": 4}, "expected 1 to 3, one for each body .* named twice"),
         ({"band": (2.0, 3.0)}, "nothing resonates"),
         ({"levels": [-1.0]}, r"levels: got -1\.0; expected a list of positive"),

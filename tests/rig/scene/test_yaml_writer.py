@@ -198,6 +198,10 @@ def test_recorded_text_is_written_in_customary_units() -> None:
     assert rig.loads(text) == rig.loads(BRACKET)
 
 
+def test_computed_frequency_stays_in_hertz() -> None:
+    assert spelled(60.50019366377975, FREQUENCY) == "60.50019366377975 Hz"
+
+
 @given(positive, st.sampled_from(KINDS))
 def test_spelled_quantity_is_the_same_double(value: float, kind: Kind) -> None:
     assert parse(spelled(value, kind), kind) == value

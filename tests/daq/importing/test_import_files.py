@@ -341,7 +341,7 @@ def test_given_labviews_text_with_a_rough_clock_or_lines_lost_when_imported_then
 
 
 TABLES = {
-    "channels: [body1": "no \] to end",
+    "channels: [body1": r"no \] to end",
     "- body1": "expected a line for each channel",
     "": "names no channel",
     "body1: {columns: 1}": r"unknown key 'columns'.*column\?",

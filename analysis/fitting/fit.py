@@ -239,6 +239,11 @@ def fit(
     parameters = free_parameters(model, free)
     told("reading")
     several: Sequence[Any] = recordings if isinstance(recordings, list | tuple) else [recordings]
+    for one in several:
+        if not isinstance(one, str | Path) and not hasattr(one, "channels"):
+            raise RecordingError(
+                f"fit: got {one!r:.60}; expected recordings: paths, or as daq.open gives them"
+            )
     paths = [Path(one) if isinstance(one, str | Path) else one.path for one in several]
     for first, again in repeated(paths):
         raise SceneError(
@@ -256,10 +261,6 @@ def _curves(recording: Any) -> list[Curves]:
     if isinstance(recording, str | Path):
         with opened(Path(recording)) as rec:
             return measured(rec, Path(recording).name)
-    if not hasattr(recording, "channels"):
-        raise RecordingError(
-            f"fit: got {recording!r:.60}; expected recordings: paths, or as daq.open gives them"
-        )
     return measured(recording, recording.path.name)
 
 

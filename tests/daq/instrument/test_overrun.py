@@ -1,3 +1,5 @@
+import re
+
 import pytest
 from nidaqmx.constants import AcquisitionType, OverwriteMode
 from nidaqmx.errors import DaqReadError
@@ -73,7 +75,7 @@ def test_given_a_reader_too_slow_for_good_when_it_reads_then_each_loss_is_counte
             try:
                 read += len(task.read(100))
             except DaqReadError as error:
-                lost += int(str(error).split()[0])
+                lost += int(re.search(r"(\d+) samples per channel were overwritten", str(error))[1])
             assert task.in_stream.curr_read_pos == read + lost
         assert lost > 0
 

@@ -29,7 +29,7 @@ demo: $(BASE)
 
 test: $(STAMP) lint types layers
 	$(BIN)/python -m tests.warm_up
-	$(BIN)/python -m pytest -n 2 -q
+	$(BIN)/python -m pytest -n 2 -q --durations=20
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

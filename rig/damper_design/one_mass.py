@@ -45,7 +45,7 @@ def rests_on(dampers: Sequence[Damper], expected: Sequence[Expected], scene: Pat
     (near, settings), (near_below, below) = WITHOUT_CEILING, BELOW_CEILING
     less, least = (-off for off in MIDDLE_HALF)
     return [
-        "all this is of beds that move as one mass. Beside beds of grains (analysis beds; README, Limits) that gave",
+        "all this is of beds that move as one mass. Compared with beds of grains (analysis beds) that gave",
         f"the compliance within 10 % in {near} of {settings} settings without a ceiling, and in {near_below} of "
         f"{below} below one,",
         f"where the middle half of the grains left {least} to {less} % less. These dampers as shot of "

@@ -36,6 +36,8 @@ _MASSES, _CLEARANCES, _OUT_OF_REACH = (1.0, 0.7, 0.4, 1.5), (0.6, 1.7, 0.3), 30.
 # A mean square of misses up to which the dampers' motions are explained: somewhat below 1 is what noise alone leaves.
 # The largest that each counts for, in variances, and what a point without a motion misses.
 _EXPLAINED, _CAP, _LOST = 1.5, 9.0, 1e6
+# Robust cost, of at most `_CAP`, of a start that misses about half of the points.
+_REFUTED = 4.5
 # Rounds of fitting all, each after a look for other motions at points that stand out.
 _ROUNDS = 4
 # Frequencies whose misses may have a common cause, as a share of all of a group's.
@@ -105,7 +107,9 @@ def _damped(
         held = "clearance" if clearance == _OUT_OF_REACH else ""
         active = [k for k, name in enumerate(_names(problem)) if not held or name != held]
         x = _with_dampers(problem, _times(problem, begin, mass, clearance), damped, active, structure_known)
-        for turn in range(_ROUNDS):
+        # Where the ceiling explains the curves, one out of reach that misses most points is not refined.
+        refuted = least < _EXPLAINED and _robust_cost(problem, x, damped) > _REFUTED
+        for turn in range(0 if refuted else _ROUNDS):
             if not _rechosen(problem, x, damped) and turn > 0:
                 break
             x = solved(problem, x, problem.groups, _DISTRUST[-2] if turn == 0 else _BARELY, active, 8)

@@ -16,7 +16,7 @@ def meaning(code: int) -> str:
 
     Examples
     --------
-    >>> meaning(-200220), meaning(-200709), meaning(-1)
+    >>> meaning(-200220), meaning(-200709), meaning(-12345)
     ('Device identifier is invalid.', 'Teds sensor not detected.', '')
     """
     if code in DRIVER_TEXTS:

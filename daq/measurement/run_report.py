@@ -76,14 +76,14 @@ def is_recorded(scene: Scene, path: Path) -> bool:
 
     import daq
 
-    if not path.is_file():
-        return False
     try:
+        if not path.is_file():
+            return False
         with daq.open(path) as rec:
             ours = rec.metadata.get("run", {}).get("shotrig") == version("shotrig") and not rec.source
             # What is recorded live, for the scope or clients, has no markers of a test.
             return ours and rec.status == "complete" and bool(rec.markers) and rec.scene == scene
-    except ShotrigError:
+    except (ShotrigError, OSError):
         return False
 
 

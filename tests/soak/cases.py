@@ -15,7 +15,7 @@ import numpy as np
 import yaml
 
 import daq
-from daq.measurement.run import _RAMP
+from daq.measurement.run import RAMP_S
 from rig.ending_signals import ENDINGS
 from rig.errors import ShotrigError
 from tests.daq.importing import files
@@ -105,7 +105,7 @@ class Bench:
                 found.check()
                 # Who interrupts a test has its drive taken back, which the whole one has not.
                 aborted = any(mark.kind == "abort" for mark in found.markers)
-                stop = found.samples - (round(_RAMP * found.rate) if aborted else 0)
+                stop = found.samples - (round(RAMP_S * found.rate) if aborted else 0)
                 for name in found.channels:
                     got = found.read(name)[:stop]
                     there = np.isfinite(got)

@@ -366,8 +366,9 @@ def test_given_a_scene_file_when_the_command_records_then_it_tells_what_it_wrote
     assert out.startswith("recordings/hit.mcap: 3840 samples of 4 channels, 0.75 s at 5120 Hz, ")
     assert "overloads: " in out
     assert "next: analysis decay recordings/hit.mcap   or: analysis frf recordings/hit.mcap   or: " in out
-    assert run_command(monkeypatch, "record", "hit.yaml") == 2
-    assert "overwrite" in capsys.readouterr().err
+    assert run_command(monkeypatch, "record", "hit.yaml") == 0
+    out = capsys.readouterr().out
+    assert "hit.mcap: holds the whole test of this scene already" in out and "--overwrite" in out
     assert run_command(monkeypatch, "record", "hit.yaml", "--overwrite", "--block", "100") == 0
 
 

@@ -108,9 +108,7 @@ def test_given_a_damper_ten_times_its_body_when_run_then_the_energy_is_accounted
 
 def test_given_a_clearance_of_a_nanometre_when_run_then_the_motion_is_that_of_the_locked_damper() -> None:
     scene = single({"clearance": 1e-9}, force=8.0)
-    locked = rig.simulate(
-        scene.replace(dampers=[{**vars(scene.dampers[0]), "locked": True}]), 1.0, rate=500.0
-    )
+    locked = rig.simulate(scene.replace(dampers=[scene.dampers[0].replace(locked=True)]), 1.0, rate=500.0)
     run = rig.simulate(scene, 1.0, rate=500.0)
     assert {"floor", "ceiling", "separation"} <= set(run.events["kind"])
     assert np.abs(run.acceleration).max() > 1.5 * scene.gravity

@@ -189,7 +189,7 @@ def report(
     overwrite: Overwrite = False,
 ) -> None:
     """One self-contained HTML page about recordings."""
-    from analysis.presentation.report import write_report
+    from analysis.report.report import write_report
 
     with overwriting(overwrite), counting("analysing") as progress:
         result = write_report(files, output, progress)

@@ -110,7 +110,8 @@ def test_given_hostile_text_when_reported_then_the_page_has_no_tag_of_it(
     with pytest.raises(SystemExit):
         analysis.cli.main()
     page = next(folder.glob("*report.html")).read_text("utf-8")
-    assert "script" not in Tags(page).found and "&lt;script&gt;" in page
+    # The page's own scripts: libraries, and the data of each chart.
+    assert "<script>alert" not in page and "&lt;script&gt;" in page
 
 
 def test_given_hostile_text_when_a_replay_describes_it_then_its_marks_are_escaped(folder: Path) -> None:

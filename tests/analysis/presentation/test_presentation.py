@@ -24,7 +24,6 @@ from analysis.presentation.presentation import (
     theoretical_shapes,
     unlike_theory,
 )
-from analysis.presentation.report import write_report
 from analysis.responses.frf import Frf
 from rig.errors import RecordingError
 from tests.analysis.responses import synthetic
@@ -104,30 +103,6 @@ def test_given_the_same_recording_when_drawn_twice_then_every_byte_is_the_same(f
         return [hashlib.sha256(path.read_bytes()).hexdigest() for path in files]
 
     assert digests(tmp_path / "a") == digests(tmp_path / "b")
-
-
-@pytest.mark.thorough
-def test_given_a_name_of_a_page_when_reported_then_that_file_is_the_page(folder, tmp_path):
-    page = tmp_path / "figs" / "report.html"
-    assert write_report([folder / "hit.mcap"], page).files == (page,)
-    assert page.is_file() and [each.name for each in page.parent.iterdir()] == ["report.html"]
-
-
-def test_given_recordings_when_reported_then_one_page_holds_everything(folder, tmp_path):
-    paths = [folder / "one.mcap", folder / "hit.mcap"]
-    [page] = write_report(paths, tmp_path).files
-    text = page.read_text(encoding="utf-8")
-    assert [path.name for path in tmp_path.iterdir() if not path.name.startswith(".")] == [page.name]
-    for piece in (
-        "first scene",
-        "hit scene",
-        "sensitivity",
-        "data:image/png;base64,",
-        "analysis report",
-        "dB",
-    ):
-        assert piece in text
-    assert "http://" not in text and "https://" not in text
 
 
 @pytest.mark.thorough

@@ -1,0 +1,125 @@
+"""The answer of a report: up to three sentences per kind of test, from the same results as its tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import isfinite
+
+import numpy as np
+
+from analysis.dampers.comparison import PeakChange
+from analysis.report.measured import DamperResult, Measured
+from analysis.report.tables import highest_peaks, with_bound
+from rig.results import frequency_ranges
+
+_MAX_SENTENCES = 3
+
+
+def answer(
+    measurements: Sequence[Measured], changes: Sequence[tuple[Measured, Measured, PeakChange]]
+) -> list[str]:
+    """Sentences that say what was found, the comparison first.
+
+    Parameters
+    ----------
+    measurements : sequence of Measured
+        All recordings of the report.
+    changes : sequence of (Measured, Measured, PeakChange)
+        As `analysis.report.tables.changes` gives them.
+    """
+    sentences = _decays(measurements) + _comparisons(changes)
+    for measured in measurements:
+        if not changes:
+            sentences += _resonances(measured)
+        sentences += [text for result in measured.dampers for text in _dampers(measured, result)]
+    return sentences[:_MAX_SENTENCES] or ["No result: see the warnings."]
+
+
+def _comparisons(changes: Sequence[tuple[Measured, Measured, PeakChange]]) -> list[str]:
+    """Describe how the highest peak whose change is bounded differs between the first recording and each other one."""
+    sentences = []
+    for label in dict.fromkeys(other.label for _, other, _ in changes):
+        here = [(first, change) for first, other, change in changes if other.label == label]
+        bounded = [pair for pair in here if all(map(isfinite, pair[1].decibel))]
+        first, highest = max(here, key=lambda pair: pair[1].bare.value)
+        if not bounded:
+            sentences.append(
+                f"“{label}” against “{first.label}”: the measured points bound no change of a peak."
+            )
+            continue
+        _, change = max(bounded, key=lambda pair: pair[1].bare.value)
+        best, low, high = change.decibel
+        what = f"the peak at {change.mode:.2f} Hz ({change.response})"
+        if low <= 0.0 <= high:
+            text = f"“{label}” against “{first.label}”: no significant change of {what}, {low:+.1f} to {high:+.1f} dB"
+        else:
+            verb = "lowers" if best < 0.0 else "raises"
+            text = (
+                f"Compared with “{first.label}”, “{label}” {verb} {what} by {abs(best):.1f} dB "
+                f"(95 % interval {min(abs(low), abs(high)):.1f} to {max(abs(low), abs(high)):.1f} dB), "
+                f"from {1e6 * change.bare.value:.4g} to {1e6 * change.damped.value:.4g} µm/N"
+            )
+        if highest.mode != change.mode:
+            text += f"; the points at the highest peak, {highest.mode:.2f} Hz, do not bound its change"
+        sentences.append(f"{text}.")
+    return sentences
+
+
+def _resonances(measured: Measured) -> list[str]:
+    sentences = []
+    for modes in measured.modes:
+        if not modes.frequency.size:
+            continue
+        listed = ", ".join(f"{frequency:.4g} Hz" for frequency in np.sort(modes.frequency))
+        plural = "s" * (modes.frequency.size != 1)
+        text = f"“{measured.label}”: {modes.frequency.size} resonance{plural} at {listed}"
+        peaks = [pair for pair in highest_peaks(measured, modes) if pair is not None]
+        if peaks:
+            curve, found = max(peaks, key=lambda pair: pair[1].value)
+            height = f"at least {1e6 * found.low:.4g}"
+            if isfinite(found.bound):
+                height = with_bound(1e6 * found.value, 1e6 * found.bound)
+            text += f"; the highest compliance is {height} µm/N ({curve.ratio}, {found.frequency:.4g} Hz)"
+        sentences.append(f"{text}.")
+    return sentences
+
+
+def _dampers(measured: Measured, result: DamperResult) -> list[str]:
+    """Where impacts were detected, and the largest share of the supplied energy that the dampers dissipate."""
+    frequency = result.sweep.lines.frequency
+    hit = np.zeros(frequency.size, dtype=bool)
+    for motions in result.motions:
+        hit |= [motion.floor > 0 or motion.ceiling > 0 for motion in motions]
+    if not result.motions:
+        return []
+    if not hit.any():
+        return [
+            f"“{measured.label}”: no impact of a damper was detected at any of {frequency.size} frequencies."
+        ]
+    text = (
+        f"“{measured.label}”: damper impacts at {int(hit.sum())} of {frequency.size} frequencies "
+        f"({frequency_ranges(frequency.tolist(), hit.tolist())})"
+    )
+    energy = result.energy
+    if energy is not None:
+        share, bound = energy.dampers / energy.supplied, energy.bound / energy.supplied
+        top = int(np.argmax(np.where(energy.supplied > 0, share - bound, -np.inf)))
+        if share[top] > bound[top] > 0:
+            value = with_bound(100 * float(share[top]), 100 * float(bound[top]))
+            text += f"; they dissipate up to {value} % of the supplied energy (at {frequency[top]:.4g} Hz)"
+    return [f"{text}."]
+
+
+def _decays(measurements: Sequence[Measured]) -> list[str]:
+    parts = []
+    for measured in measurements:
+        found = measured.decay
+        if found is None:
+            continue
+        quiet = found.quiet_from
+        below = "stays above 1 g" if np.isnan(quiet) else f"falls below 1 g after {quiet:.3g} s"
+        falls = (
+            "" if np.isnan(found.halving) else f" and loses its first 6 dB of energy in {found.halving:.3g} s"
+        )
+        parts.append(f"“{measured.label}”: after the hit, {found.channel} {below}{falls}")
+    return [f"{'; '.join(parts)}."] if parts else []

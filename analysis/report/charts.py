@@ -1,0 +1,165 @@
+"""Charts of a report: panels of curves and images, written as JSON that `browser/charts.js` draws."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import count
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rig.escaping import html
+from rig.figure_style import COLOURS
+
+# From this ratio of its ends on, a frequency axis is logarithmic.
+_LOGARITHMIC_FROM = 3.0
+# Significant digits of a number in a chart: a screen has no more.
+_DIGITS = 5
+# Longer columns are written as 32-bit binary, which takes half the space.
+_MAX_TEXT_COLUMN = 4000
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One curve of a panel, with limits of its uncertainty where they are known.
+
+    x, y, low, high : shape (n,)
+    color : index into the palette
+    """
+
+    label: str
+    x: ArrayLike
+    y: ArrayLike
+    low: ArrayLike | None = None
+    high: ArrayLike | None = None
+    color: int = 0
+    dashed: bool = False
+
+
+@dataclass(frozen=True)
+class Image:
+    """Levels in dB over a rectangle, shape (rows, columns), first row at the top."""
+
+    levels: NDArray[np.float64]
+    x: tuple[float, float]
+    y: tuple[float, float]
+    span: float = 80.0
+    """Difference between the brightest and the darkest level, dB."""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Axes that share their abscissa with the other panels of a chart."""
+
+    label: str
+    unit: str
+    curves: Sequence[Curve] = ()
+    height: int = 170
+    logarithmic: bool = False
+    limits: tuple[float, float] | None = None
+    ticks: Sequence[float] | None = None
+    image: Image | None = None
+
+
+@dataclass(frozen=True)
+class Chart:
+    """Panels above each other, with a caption and a description for those who cannot see them."""
+
+    caption: str
+    alternative: str
+    panels: Sequence[Panel]
+    x_name: str = "frequency"
+    x_unit: str = "Hz"
+    logarithmic: bool = False
+
+
+@dataclass
+class ChartWriter:
+    """Writes charts as HTML with numbers that are unique in the page."""
+
+    _numbers: count[int] = field(default_factory=count)
+
+    def write(self, chart: Chart) -> str:
+        """Return the HTML of a chart: a figure that the page's script fills, and its data."""
+        name = f"chart-{next(self._numbers)}"
+        data = {
+            "x": {
+                "label": f"{chart.x_name} / {chart.x_unit}",
+                "name": chart.x_name,
+                "unit": chart.x_unit,
+                "log": chart.logarithmic,
+            },
+            "panels": [_panel(panel) for panel in chart.panels],
+        }
+        # A text inside a script element must not end it.
+        text = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+        return (
+            f'<figure><div class="chart" role="img" aria-label="{html(chart.alternative)}" data-source="{name}"></div>'
+            f"<figcaption>{html(chart.caption)}</figcaption>"
+            f'<script type="application/json" id="{name}">{text}</script></figure>'
+        )
+
+
+def logarithmic(frequencies: ArrayLike) -> bool:
+    """Whether a frequency axis of these values should be logarithmic."""
+    values = np.asarray(frequencies, dtype=float)
+    return bool(values.size and values.min() > 0 and values.max() > _LOGARITHMIC_FROM * values.min())
+
+
+def _panel(panel: Panel) -> dict[str, Any]:
+    return {
+        "label": f"{panel.label} / {panel.unit}" if panel.unit else panel.label,
+        "unit": panel.unit,
+        "log": panel.logarithmic,
+        "height": panel.height,
+        "range": panel.limits,
+        "ticks": panel.ticks,
+        "curves": [_curve(curve, panel.logarithmic) for curve in panel.curves],
+        "image": None if panel.image is None else _image(panel.image),
+    }
+
+
+def _curve(curve: Curve, positive: bool) -> dict[str, Any]:
+    out: dict[str, Any] = {
+        "label": curve.label,
+        "color": COLOURS[curve.color % len(COLOURS)],
+        "dash": curve.dashed,
+        "x": _column(curve.x, exact=True),
+        "y": _column(curve.y, positive),
+    }
+    if curve.low is not None and curve.high is not None:
+        out["low"], out["high"] = _column(curve.low, positive), _column(curve.high, positive)
+    return out
+
+
+def _column(values: ArrayLike, positive: bool = False, exact: bool = False) -> Any:
+    """Numbers as JSON: null where there is none; long columns in 32-bit binary.
+
+    `positive`: the axis is logarithmic, which has no place for zero.
+    """
+    column = np.asarray(values, dtype=float)
+    shown = np.isfinite(column) & (column > 0 if positive else True)
+    if column.size > _MAX_TEXT_COLUMN:
+        binary = np.where(shown, column, np.nan).astype("<f4")
+        return {"float32": base64.b64encode(binary.tobytes()).decode()}
+    digits = 8 if exact else _DIGITS
+    return [
+        float(f"{value:.{digits}g}") if known else None for value, known in zip(column, shown, strict=True)
+    ]
+
+
+def _image(image: Image) -> dict[str, Any]:
+    top = float(np.max(image.levels))
+    share = np.clip((image.levels - top) / image.span + 1.0, 0.0, 1.0)
+    rows, columns = image.levels.shape
+    return {
+        "levels": base64.b64encode(np.round(255 * share).astype(np.uint8).tobytes()).decode(),
+        "rows": rows,
+        "columns": columns,
+        "x": image.x,
+        "y": image.y,
+    }

@@ -1,0 +1,102 @@
+"""Time histories and spectrograms of a recording, in bounded memory."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.report.charts import Chart, Curve, Image, Panel
+from rig.system.structure import natural_modes, structure_matrices
+
+if TYPE_CHECKING:
+    from daq.recording.recording import Recording
+
+Array = NDArray[np.float64]
+
+# A recording with at most so many samples in all is shown whole; a longer one by the envelope of each interval.
+_MAX_SAMPLES = 300_000
+_INTERVALS = 1500
+# A spectrogram has so many spectra at most, and so many lines.
+_SPECTRA = 300
+_LINES = 160
+# Highest frequency of a spectrogram, as a multiple of the highest natural frequency of the structure.
+_SPECTRUM_TO = 3.0
+# Blocks with less than this many samples resolve nothing.
+_MIN_BLOCK = 64
+
+
+def time_histories(rec: Recording) -> Chart:
+    """Chart of all channels against time: every sample of a short recording, the envelope of a long one."""
+    names = list(rec.channels)
+    whole = rec.samples * len(names) <= _MAX_SAMPLES
+    time, rows = _samples(rec, names) if whole else _envelopes(rec, names)
+    units = list(dict.fromkeys(rec.channels[name].unit for name in names))
+    panels = []
+    for unit in units:
+        shown = [name for name in names if rec.channels[name].unit == unit]
+        curves = [Curve(name, time, rows[names.index(name)], color=names.index(name)) for name in shown]
+        panels.append(Panel(rec.channels[shown[0]].quantity, unit, curves, height=200))
+    how = "every sample" if whole else f"largest and smallest value of each of {_INTERVALS} intervals"
+    return Chart(
+        f"Time histories, {how}. Drag to zoom, double-click to reset.",
+        f"Time histories of the channels {', '.join(names)} over {rec.duration:.4g} s.",
+        panels,
+        x_name="time",
+        x_unit="s",
+    )
+
+
+def _samples(rec: Recording, names: list[str]) -> tuple[Array, Array]:
+    return np.arange(rec.samples) / rec.rate, np.stack([rec.read(name) for name in names])
+
+
+def _envelopes(rec: Recording, names: list[str]) -> tuple[Array, Array]:
+    """Smallest and largest value of each interval in turn: time, shape (2 n,), and values, shape (channels, 2 n)."""
+    edges = np.linspace(0, rec.samples, _INTERVALS + 1).astype(int)
+    low = np.full((len(names), _INTERVALS), np.inf)
+    high = -low
+    for first, block in rec.blocks(names):
+        interval = np.searchsorted(edges, np.arange(first, first + block.shape[1]), side="right") - 1
+        starts = np.flatnonzero(np.diff(interval, prepend=interval[0] - 1))
+        present = interval[starts]
+        low[:, present] = np.fmin(low[:, present], np.fmin.reduceat(block, starts, axis=1))
+        high[:, present] = np.fmax(high[:, present], np.fmax.reduceat(block, starts, axis=1))
+    time = (edges[:-1, None] + np.diff(edges)[:, None] * [0.25, 0.75]).ravel() / rec.rate
+    values = np.stack([low, high], axis=2).reshape(len(names), -1)
+    return time, np.where(np.isfinite(values), values, np.nan)
+
+
+def spectrograms(rec: Recording) -> list[Chart]:
+    """One chart for each channel: power spectra with a Hann window at equal distances in time."""
+    mass, _, stiffness = structure_matrices(rec.scene.structure)
+    omega, _ = natural_modes(mass, stiffness)
+    highest = min(rec.rate / 2, _SPECTRUM_TO * float(omega.max()) / (2.0 * np.pi))
+    block = int(min(rec.samples, rec.rate * _LINES / highest))
+    if block < _MIN_BLOCK:
+        return []
+    starts = np.linspace(0, rec.samples - block, min(_SPECTRA, max(rec.samples // (block // 4), 1))).astype(
+        int
+    )
+    window = np.hanning(block)
+    lines = int(block * highest / rec.rate)
+    charts = []
+    for name, info in rec.channels.items():
+        levels = np.empty((lines, starts.size))
+        for k, start in enumerate(starts):
+            samples = np.nan_to_num(rec.read(name, int(start), int(start) + block))
+            power = np.abs(np.fft.rfft((samples - samples.mean()) * window)[:lines]) ** 2
+            levels[:, k] = 10.0 * np.log10(np.maximum(power, np.finfo(float).tiny))
+        image = Image(levels[::-1], (0.0, rec.duration), (0.0, lines * rec.rate / block))
+        charts.append(
+            Chart(
+                f"Spectrogram of {name} ({info.quantity}); the colors span {image.span:g} dB below the highest level. "
+                f"{starts.size} Hann windows of {block / rec.rate:.3g} s.",
+                f"Spectrogram of {name} from 0 to {highest:.4g} Hz over {rec.duration:.4g} s.",
+                [Panel("frequency", "Hz", height=190, limits=image.y, image=image)],
+                x_name="time",
+                x_unit="s",
+            )
+        )
+    return charts

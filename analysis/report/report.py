@@ -1,0 +1,167 @@
+"""Writes the report page: the answer first, then results, then settings, warnings and how to repeat it."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from importlib.metadata import version
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+
+from analysis.presentation.output_names import output_stem, with_ending
+from analysis.presentation.presentation import Result
+from analysis.report.answer import answer
+from analysis.report.charts import ChartWriter
+from analysis.report.drawing import mode_drawing, rig_drawing
+from analysis.report.histories import spectrograms, time_histories
+from analysis.report.measured import Measured, Measurements
+from analysis.report.responses import damper_chart, decay_charts, response_charts
+from analysis.report.tables import budget, changes, changes_table, decays, highest_peaks, resonances, settings
+from rig.escaping import html
+from rig.output_files import make_ready, replacing
+from rig.provenance import made_from, refuse_others, relative
+
+
+def write_report(
+    paths: Sequence[Path], output: Path | None = None, progress: Callable[[int, int], None] | None = None
+) -> Result:
+    """Write one self-contained HTML page about recordings.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Recordings; with several, the first is the one that the others are compared with.
+    output : Path, optional
+        Folder for the page, or its name if it ends in .html; default: next to the first recording.
+    progress : callable, optional
+        Called with (done, total) while the recordings are analyzed.
+
+    Returns
+    -------
+    Result
+        The page, the sentences of its answer, and the warnings.
+
+    Raises
+    ------
+    RecordingError
+        If a file is not a recording.
+    SceneError
+        If the page exists and was not made from these recordings.
+    """
+    with _page(paths, output):
+        pass  # An existing page of the user's is reported before the analysis, not after it.
+    with Measurements(paths, progress) as measurements:
+        sentences, body = _body(measurements, paths)
+    title = f"Vibration test: {', '.join(path.stem for path in paths)}"
+    browser = files("analysis.report") / "browser"
+
+    def text(name: str) -> str:
+        return (browser / name).read_text(encoding="utf-8")
+
+    page = Template(text("page.html")).substitute(
+        title=html(title),
+        body=body,
+        uplot_css=text("uPlot.min.css"),
+        page_css=text("page.css"),
+        uplot=text("uPlot.iife.min.js"),
+        charts=text("charts.js"),
+    )
+    with _page(paths, output) as target:
+        make_ready(target.parent)
+        with replacing(target) as part:
+            part.write_text(page, encoding="utf-8")
+    return Result((target,), tuple(sentences), tuple(measurements.warnings))
+
+
+@contextmanager
+def _page(paths: Sequence[Path], output: Path | None) -> Iterator[Path]:
+    """Name of the page; what is written inside the `with` follows the rule for outputs."""
+    if output is not None and output.suffix.lower() in {".html", ".htm"} and not output.is_dir():
+        with made_from("report", *relative(paths, output.parent)):
+            refuse_others(output)
+            yield output
+        return
+    with output_stem(paths, output, "report", "html") as stem:
+        yield with_ending(stem, "html")
+
+
+def _body(measurements: Measurements, paths: Sequence[Path]) -> tuple[list[str], str]:
+    """Return the answer, and the page's sections as HTML."""
+    found, charts = measurements.all, ChartWriter()
+    compared = changes(found)
+    sentences = answer(found, compared)
+    parts = ['<section class="answer">', *(f"<p>{html(text)}</p>" for text in sentences), "</section>"]
+    parts += [changes_table(compared), resonances(found), decays(found)]
+    responses = [charts.write(chart) for chart in response_charts(found)]
+    if responses:
+        parts += ["<h2>Frequency responses</h2>", *responses]
+    parts += _modes(found)
+    dampers = [charts.write(damper_chart(each, result)) for each in found for result in each.dampers]
+    if dampers:
+        parts += ["<h2>Dampers</h2>", *dampers]
+    free = [charts.write(chart) for chart in decay_charts(found)]
+    if free:
+        parts += ["<h2>Free decays</h2>", *free]
+    parts += _budgets(found)
+    for each in found:
+        parts += [
+            f"<h2>Recording {html(each.path.name)}</h2>",
+            f"<figure>{rig_drawing(each.rec.scene)}</figure>",
+        ]
+        parts += [settings(each), charts.write(time_histories(each.rec))]
+        parts += [charts.write(chart) for chart in spectrograms(each.rec)]
+    if measurements.warnings:
+        items = "".join(f"<li>{html(note)}</li>" for note in measurements.warnings)
+        parts.append(f'<h2>Warnings</h2><ul class="warnings">{items}</ul>')
+    parts += _commands(paths, found)
+    return sentences, "\n".join(parts)
+
+
+def _modes(found: Sequence[Measured]) -> list[str]:
+    """Mode shapes of the first pass through the frequencies of each recording."""
+    parts = []
+    for each in found:
+        for modes in each.modes[:1]:
+            bodies = modes.of_bodies()
+            if len(bodies.names) < 2 or not modes.frequency.size:
+                continue
+            drawings = [
+                mode_drawing(bodies, k, f"{frequency:.4g} Hz, damping ratio {modes.damping_told(k)}")
+                for k, frequency in enumerate(modes.frequency)
+            ]
+            parts += [f"<h3>{html(each.label)}</h3>", f'<div class="shapes">{"".join(drawings)}</div>']
+    return ["<h2>Mode shapes</h2>", *parts] if parts else []
+
+
+def _budgets(found: Sequence[Measured]) -> list[str]:
+    """Uncertainty budget at the highest peak of each recording."""
+    tables = []
+    for each in found:
+        peaks = [pair for modes in each.modes[:1] for pair in highest_peaks(each, modes) if pair is not None]
+        if peaks:
+            curve, peak = max(peaks, key=lambda pair: pair[1].value)
+            tables.append(budget(each, curve, peak))
+    return ["<h2>Uncertainty</h2>", *tables] if tables else []
+
+
+def _commands(paths: Sequence[Path], found: Sequence[Measured]) -> list[str]:
+    """Commands that give the same results again, and the version that gave them."""
+    every = " ".join(shlex.quote(str(path)) for path in paths)
+    named = [
+        ("frf", [each for each in found if each.frfs]),
+        ("modes", [each for each in found if each.modes]),
+    ]
+    named += [("dampers", [each for each in found if each.dampers])]
+    named += [("decay", [each for each in found if each.decay is not None])]
+    lines = [
+        f"analysis {command} {' '.join(shlex.quote(str(each.path)) for each in which)}"
+        for command, which in named
+        if which
+    ]
+    lines.append(f"analysis report {every}")
+    made = (
+        f"Made with shotrig {version('shotrig')}. The scene file of each recording is above, with its seed."
+    )
+    return ["<h2>How to repeat this</h2>", f"<pre>{html(chr(10).join(lines))}</pre>", f"<p>{html(made)}</p>"]

@@ -1,0 +1,158 @@
+"""Charts of frequency responses, damper motion and decays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.report.charts import Chart, Curve, Panel, logarithmic
+from analysis.report.measured import DamperResult, Measured
+from analysis.responses.frf import Frf
+
+# Longer curves are thinned to the highest and the lowest point of so many intervals.
+_INTERVALS = 1200
+
+
+def response_charts(measurements: Sequence[Measured]) -> list[Chart]:
+    """Charts of all frequency responses.
+
+    The responses of one recording share a chart; with several recordings each response has one, so that they can be
+    compared. Responses to different inputs never share a chart.
+    """
+    curves = [(measured, frf) for measured in measurements for group in measured.frfs for frf in group]
+    several = len({measured.label for measured, _ in curves}) > 1
+    charts = []
+    for key in dict.fromkeys((frf.ratio if several else frf.input) for _, frf in curves):
+        here = [frf for _, frf in curves if key == (frf.ratio if several else frf.input)]
+        names = [frf.label if several else f"{frf.response} {frf.label}".strip() for frf in here]
+        if not several and len({frf.label for frf in here}) == 1:
+            names = [frf.response for frf in here]
+        charts.append(response_chart(here, names))
+    return charts
+
+
+def response_chart(curves: Sequence[Frf], names: Sequence[str]) -> Chart:
+    """Magnitude with 95 % bounds, phase, coherence and relative bound of responses to one input."""
+    shown = [_thinned(frf.with_gaps()) for frf in curves]
+    unit, factor = shown[0].shown_in
+    magnitude, phase, coherence, relative = [], [], [], []
+    for k, (frf, name) in enumerate(zip(shown, names, strict=True)):
+        f, size, bound = frf.frequency, factor * abs(frf.value), factor * frf.bound()
+        magnitude.append(Curve(name, f, size, np.maximum(size - bound, 1e-3 * size), size + bound, color=k))
+        phase.append(Curve(name, f, np.degrees(np.angle(frf.value)), color=k))
+        coherence.append(Curve(name, f, frf.coherence, color=k))
+        relative.append(Curve(name, f, 100.0 * bound / size, color=k))
+    what = shown[0].name
+    outputs = ", ".join(dict.fromkeys(frf.response for frf in shown))
+    band = np.concatenate([frf.frequency for frf in shown])
+    return Chart(
+        f"{what.capitalize()} of {outputs} / {shown[0].input}: magnitude with 95 % bounds, phase, coherence, and bound "
+        "relative to the value. Drag to zoom, double-click to reset, click a name to hide a curve.",
+        f"{what.capitalize()} of {outputs} / {shown[0].input} from {band.min():.4g} to {band.max():.4g} Hz.",
+        [
+            Panel(f"|{what}|", unit, magnitude, height=280, logarithmic=True, limits=_limits(magnitude)),
+            Panel("phase", "°", phase, height=140, limits=(-185.0, 185.0), ticks=(-180, -90, 0, 90, 180)),
+            Panel("coherence", "", coherence, height=110, limits=(0.0, 1.05)),
+            Panel("bound", "% of value", relative, height=130, logarithmic=True),
+        ],
+        logarithmic=logarithmic(band),
+    )
+
+
+def _limits(curves: Sequence[Curve]) -> tuple[float, float]:
+    """Limits of a logarithmic axis that show all values, whatever their bounds."""
+    values = np.concatenate([np.asarray(curve.y, dtype=float) for curve in curves])
+    values = values[np.isfinite(values) & (values > 0)]
+    return (float(values.min()) / 1.5, 1.5 * float(values.max())) if values.size else (0.1, 10.0)
+
+
+def _thinned(frf: Frf) -> Frf:
+    """Keep the highest and the lowest point of each of many intervals of a long curve."""
+    count = frf.frequency.size
+    if count <= 2 * _INTERVALS:
+        return frf
+    size = np.nan_to_num(abs(frf.value))
+    parts = np.array_split(np.arange(count), _INTERVALS)
+    kept = {int(part[pick(size[part])]) for part in parts for pick in (np.argmax, np.argmin)}
+    return frf.at(np.array(sorted(kept | {0, count - 1})))
+
+
+def damper_chart(measured: Measured, result: DamperResult) -> Chart:
+    """Impacts per period of each body's dampers, and the share of the supplied energy that all dampers dissipate."""
+    frequency = result.sweep.lines.frequency
+    order = np.argsort(frequency)
+    panels = []
+    impacts = []
+    for k, motions in enumerate(result.motions):
+        count = np.array([m.floor + m.ceiling if m.repeats else np.nan for m in motions])
+        impacts.append(Curve(motions[0].channel, frequency[order], count[order], color=k))
+    if impacts:
+        panels.append(Panel("impacts", "per period", impacts, height=170))
+    energy = result.energy
+    if energy is not None:
+        share, bound = _percent(energy.dampers, energy.supplied), _percent(energy.bound, energy.supplied)
+        curve = Curve(
+            "dampers", frequency[order], share[order], (share - bound)[order], (share + bound)[order]
+        )
+        panels.append(Panel("share of energy", "%", [curve], height=170, limits=(-5.0, 105.0)))
+    return Chart(
+        f"{measured.label}, {result.sweep.direction}, level {result.sweep.level:.4g}: impacts per period on floor and "
+        "ceiling (gaps: no regular pattern), and share of the supplied energy that the dampers dissipate, with 95 % "
+        "bounds.",
+        f"Damper impacts per period against frequency, {frequency.min():.4g} to {frequency.max():.4g} Hz.",
+        panels,
+        logarithmic=logarithmic(frequency),
+    )
+
+
+def _percent(part: NDArray[np.float64], whole: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.where(whole > 0, 100.0 * part / np.where(whole > 0, whole, 1.0), np.nan)
+
+
+def decay_charts(measurements: Sequence[Measured]) -> list[Chart]:
+    """Envelopes and energies of free decays, and damping ratio against amplitude."""
+    found = [(measured.label, measured.decay) for measured in measurements if measured.decay is not None]
+    if not found:
+        return []
+    envelopes, energies = [], []
+    damping: list[Curve] = []
+    for k, (label, one) in enumerate(found):
+        envelopes.append(Curve(label, one.peak_time, one.peak, color=k))
+        step = max(one.time.size // _INTERVALS, 1)
+        energies.append(Curve(label, one.time[::step], one.energy[::step], color=k))
+        for mode in one.modes:
+            if mode.damping.size:
+                percent, half = 100.0 * mode.damping, 200.0 * mode.damping_error
+                name = f"{label}, {mode.centre:.4g} Hz"
+                order = np.argsort(mode.amplitude)
+                low, high = (percent - half)[order], (percent + half)[order]
+                damping.append(
+                    Curve(name, mode.amplitude[order], percent[order], low, high, color=len(damping))
+                )
+    channels = ", ".join(dict.fromkeys(one.channel for _, one in found))
+    charts = [
+        Chart(
+            f"Free decay of {channels}: peaks of the acceleration, and backward-integrated (Schroeder) energy.",
+            f"Free decay of {channels} over {max(one.time[-1] for _, one in found):.3g} s.",
+            [
+                Panel("acceleration peaks", "m/s²", envelopes, height=220, logarithmic=True),
+                Panel("energy", "dB", energies, height=160),
+            ],
+            x_name="time",
+            x_unit="s",
+        )
+    ]
+    if damping:
+        charts.append(
+            Chart(
+                "Damping ratio against amplitude of the acceleration, with 95 % bounds.",
+                "Damping ratio of each mode against the amplitude of the acceleration.",
+                [Panel("damping ratio", "%", damping, height=240)],
+                x_name="amplitude",
+                x_unit="(m/s²)",
+                logarithmic=True,
+            )
+        )
+    return charts

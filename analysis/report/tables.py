@@ -1,0 +1,271 @@
+"""Tables of a report: resonances, changes of peaks, decays, the uncertainty budget, settings and channels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from math import isfinite, isinf
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.dampers.comparison import Peak, PeakChange, peak, peak_changes
+from analysis.report.measured import Measured
+from analysis.responses.frf import Frf
+from analysis.responses.systematic import tolerance
+from rig.escaping import html
+from rig.results import plainly, rounded
+
+if TYPE_CHECKING:
+    from analysis.modal.modes import Modes
+    from daq.recording.recording import Recording
+    from rig.scene.damper import Damper
+
+# The peak of a mode is looked for between these multiples of its natural frequency, and nearer to it than to others.
+_PEAK_FROM, _PEAK_TO = 0.85, 1.075
+# Entries of a list of places that are named.
+_NAMED = 5
+
+
+def table(caption: str, heading: Sequence[str], rows: Iterable[Sequence[str]], numbers: int = 0) -> str:
+    """Write a table; the last `numbers` columns are aligned to the right. A row of one cell is a heading of its own."""
+    align = ["" if k < len(heading) - numbers else ' class="number"' for k in range(len(heading))]
+    head = "".join(f"<th{a}>{html(text)}</th>" for a, text in zip(align, heading, strict=True))
+    body = ""
+    for row in rows:
+        if len(row) == 1:
+            body += f'<tr><th class="group" colspan="{len(heading)}">{html(row[0])}</th></tr>'
+            continue
+        cells = "".join(f"<td{a}>{html(cell)}</td>" for a, cell in zip(align, row, strict=True))
+        body += f"<tr>{cells}</tr>"
+    return f'<div class="wide"><table><caption>{html(caption)}</caption><tr>{head}</tr>{body}</table></div>'
+
+
+def highest_peaks(measured: Measured, modes: Modes) -> list[tuple[Frf, Peak] | None]:
+    """Response with the highest compliance peak near each mode, in the order of `modes`; None where there is none."""
+    curves = [frf for group in measured.frfs for frf in group if frf.reference == "force"]
+    frequencies = np.sort(modes.frequency)
+    between = np.sqrt(frequencies[1:] * frequencies[:-1])
+    out: list[tuple[Frf, Peak] | None] = []
+    for frequency in modes.frequency:
+        k = int(np.searchsorted(frequencies, frequency))
+        low = max(frequency * _PEAK_FROM, between[k - 1] if k else 0.0)
+        high = min(frequency * _PEAK_TO, between[k] if k < between.size else np.inf)
+        peaks = [(curve, found) for curve in curves if (found := peak(curve, low, high)) is not None]
+        inside = [pair for pair in peaks if not pair[1].at_end]
+        out.append(max(inside, key=lambda pair: pair[1].value) if inside else None)
+    return out
+
+
+def resonances(measurements: Sequence[Measured]) -> str:
+    """Table of natural frequencies, damping ratios and the highest peak near each."""
+    rows: list[tuple[str, ...]] = []
+    for measured in measurements:
+        for modes in measured.modes:
+            rows.append((modes.label,))
+            for k, highest in enumerate(highest_peaks(measured, modes)):
+                where, height = ("", "") if highest is None else (highest[0].ratio, _height(highest[1]))
+                rows.append(
+                    (
+                        with_bound(float(modes.frequency[k]), 2.0 * float(modes.frequency_error[k])),
+                        _damping(modes, k),
+                        where,
+                        height,
+                    )
+                )
+    heading = ["natural frequency / Hz", "damping ratio / %", "highest at", "peak / (µm/N)"]
+    return table("Resonances, with 95 % intervals", heading, rows) if rows else ""
+
+
+def _damping(modes: Modes, mode: int) -> str:
+    return modes.damping_told(mode).replace(" %", "").replace("(", "").replace(")", "")
+
+
+def _height(found: Peak) -> str:
+    if isinf(found.bound):
+        return f"at least {1e6 * found.low:.4g}"
+    return with_bound(1e6 * found.value, 1e6 * found.bound)
+
+
+def with_bound(value: float, bound: float) -> str:
+    """Write a value and its bound with matching digits.
+
+    >>> with_bound(34.7812, 0.0123), with_bound(1.0, 0.0), with_bound(2.0, float("inf"))
+    ('34.781 ± 0.012', '1', '2 (unbounded)')
+    """
+    if not isfinite(bound):
+        return f"{value:.4g} (unbounded)"
+    return f"{rounded(value, bound)} ± {rounded(bound, bound)}" if bound > 0.0 else f"{value:.4g}"
+
+
+def changes(measurements: Sequence[Measured]) -> list[tuple[Measured, Measured, PeakChange]]:
+    """How each resonance of the first recording's responses changes in every other one."""
+    first, *others = measurements
+    if not first.modes or not first.frfs:
+        return []
+    return [
+        (first, other, change)
+        for other in others
+        for group in other.frfs
+        if group[0].reference == first.frfs[0][0].reference and group[0].input_at == first.frfs[0][0].input_at
+        for change in peak_changes(first.modes[0], first.frfs[0], group)
+    ]
+
+
+def changes_table(found: Sequence[tuple[Measured, Measured, PeakChange]]) -> str:
+    """Table of changes of peaks, and whether each exceeds its bounds."""
+    rows: list[tuple[str, ...]] = []
+    for first, other, change in found:
+        pair = f"{first.label} → {other.label}"
+        if (pair,) not in rows:
+            rows.append((pair,))
+        best, low, high = change.decibel
+        shift, down, up = change.shift
+        rows.append(
+            (
+                f"{change.response}, {change.mode:.2f} Hz",
+                f"{best:+.1f}" if isfinite(low) or isfinite(high) else "unknown",
+                _interval(low, high),
+                f"{shift:+.2f} ({down:+.2f} to {up:+.2f})",
+                "yes"
+                if high < 0.0 or low > 0.0
+                else "no"
+                if isfinite(low) and isfinite(high)
+                else "not bounded",
+            )
+        )
+    heading = [
+        "response, mode",
+        "peak / dB",
+        "95 % interval / dB",
+        "shift / Hz",
+        "exceeds the bounds",
+    ]
+    return table("Changes of the resonance peaks", heading, rows) if rows else ""
+
+
+def _interval(low: float, high: float) -> str:
+    if isfinite(low) and isfinite(high):
+        return f"{low:+.1f} to {high:+.1f}"
+    if isfinite(low):
+        return f"at least {low:+.1f}"
+    return f"at most {high:+.1f}" if isfinite(high) else "unbounded"
+
+
+def decays(measurements: Sequence[Measured]) -> str:
+    """Table of the modes of free decays, with damping at the largest and the smallest amplitude."""
+    rows: list[tuple[str, ...]] = []
+    for measured in measurements:
+        found = measured.decay
+        if found is None:
+            continue
+        rows.append((f"{measured.label}, {found.channel}",))
+        for mode in found.modes:
+            ends = ("too short or too noisy", "")
+            if mode.damping.size:
+                first, last = (
+                    f"{with_bound(100 * mode.damping[k], 200 * mode.damping_error[k])} at {mode.amplitude[k]:.3g} m/s²"
+                    for k in (0, -1)
+                )
+                ends = (first, last)
+            frequency = (
+                with_bound(mode.frequency, 2.0 * mode.frequency_error)
+                if np.isfinite(mode.frequency)
+                else (f"{mode.centre:.4g}")
+            )
+            rows.append((frequency, *ends))
+    heading = ["natural frequency / Hz", "damping ratio / % at the largest amplitude", "at the smallest"]
+    return table("Free decay of each mode, with 95 % intervals", heading, rows) if rows else ""
+
+
+def budget(measured: Measured, curve: Frf, found: Peak) -> str:
+    """Uncertainty budget of a response at its highest measured point: contribution, type, bound, share."""
+    point = int(np.argmin(abs(curve.frequency - found.frequency)))
+    unit, factor = curve.shown_in
+    parts = {"noise (scatter)": ("A", float(curve.random_bound()[point]))}
+    parts |= {name: ("B", float(part[point])) for name, part in curve.systematic.items()}
+    total = sum(bound**2 for _, bound in parts.values() if isfinite(bound))
+    rows = [
+        (
+            name,
+            kind,
+            plainly(float(f"{factor * bound:.2g}")),
+            f"{100 * bound**2 / total:.0f} %" if isfinite(bound) and total else "–",
+        )
+        for name, (kind, bound) in sorted(parts.items(), key=lambda item: -item[1][1])
+        if bound > 0.0
+    ]
+    what = f"{measured.label}, {curve.ratio} at {curve.frequency[point]:.4g} Hz"
+    height = with_bound(factor * float(abs(curve.value[point])), factor * float(curve.bound()[point]))
+    return table(
+        f"Uncertainty budget of {what}: {height} {unit} (95 %)",
+        ["contribution", "type (GUM)", f"bound / ({unit})", "share of the squares"],
+        rows,
+        numbers=2,
+    )
+
+
+def settings(measured: Measured) -> str:
+    """Tables of the test and its channels."""
+    rec, scene = measured.rec, measured.rec.scene
+    test = scene.test
+    facts = [
+        ("recording", str(measured.path)),
+        ("scene", scene.name),
+        ("test", "none" if test is None else test.kind.replace("_", " ")),
+        ("shaker", ", ".join(each.kind for each in scene.shakers) or "none"),
+        (
+            "dampers",
+            "; ".join(_damper(each, scene.structure.label(each.body)) for each in scene.dampers) or "none",
+        ),
+        ("duration", f"{rec.duration:.2f} s, {rec.samples} samples at {rec.rate:g} Hz"),
+        ("overloads", _places(rec, [(m.first_sample, m.fields.get("channel", "?")) for m in rec.overloads])),
+        ("lost samples", _places(rec, [(gap.first_sample, ", ".join(gap.channels)) for gap in rec.gaps])),
+        ("recorded by", f"shotrig {rec.metadata.get('run', {}).get('shotrig', '(unknown version)')}"),
+        ("seed", str(scene.seed)),
+    ]
+    about = "".join(
+        f"<tr><th>{html(key)}</th><td class='text'>{html(value)}</td></tr>" for key, value in facts
+    )
+    middle = _middle_frequency(measured)
+    channels = [
+        (
+            info.name,
+            scene.structure.label(info.at),
+            f"{info.quantity} / ({info.unit})",
+            f"{info.sensitivity:.5g} V per {info.unit}",
+            f"± {100 * tolerance(info):.2g} %" if tolerance(info) else "not stated",
+            "unlimited" if info.range is None else f"± {info.range / info.sensitivity:.4g} {info.unit}",
+            f"{abs(complex(info.response(middle))):.4f}",
+        )
+        for info in rec.channels.values()
+    ]
+    heading = ["channel", "at", "quantity", "sensitivity", "tolerance", "range", f"gain at {middle:.3g} Hz"]
+    return (
+        f"<table>{about}</table>{table('Channels', heading, channels)}"
+        f"<details><summary>Scene file</summary><pre>{html(scene.to_yaml())}</pre></details>"
+    )
+
+
+def _middle_frequency(measured: Measured) -> float:
+    """Geometric mean of the test's frequencies, or of the decay's modes: where the gain of the channels matters."""
+    if measured.frfs:
+        band = measured.frfs[0][0].frequency
+        return float(np.sqrt(band[band > 0].min() * band.max()))
+    if measured.decay is not None and measured.decay.modes:
+        return float(np.exp(np.mean([np.log(mode.centre) for mode in measured.decay.modes])))
+    return measured.rec.rate / 100.0
+
+
+def _damper(damper: Damper, body: str) -> str:
+    mass = f"{damper.mass:.4g} kg" if damper.mass is not None else f"mass ratio {damper.mass_ratio:.3g}"
+    clearance = (
+        f"clearance {plainly(1e3 * damper.clearance)} mm" if isfinite(damper.clearance) else "no ceiling"
+    )
+    return f"{body}: {mass}, {clearance}{', locked' if damper.locked else ''}"
+
+
+def _places(rec: Recording, places: Sequence[tuple[int, object]]) -> str:
+    if not places:
+        return "none"
+    first = "; ".join(f"{sample / rec.rate:.3f} s ({name})" for sample, name in places[:_NAMED])
+    return f"{len(places)}: {first}{' ...' if len(places) > _NAMED else ''}"

@@ -1,0 +1,119 @@
+"""The report page: its answer, its parts, and how a browser draws it."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rig
+from analysis.report.charts import Chart, ChartWriter, Curve, Panel
+from analysis.report.drawing import rig_drawing
+from analysis.report.report import write_report
+from tests.analysis.responses import synthetic
+
+FREQUENCIES = np.linspace(8.0, 60.0, 53)
+BROWSER = shutil.which("chromium") or shutil.which("google-chrome") or shutil.which("chrome")
+in_browser = pytest.mark.skipif(BROWSER is None, reason="needs chromium or chrome")
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("recordings")
+    synthetic.stepped_sine(folder / "sweep.mcap", FREQUENCIES, noise=1e-6, name="first scene")
+    synthetic.impulses(folder / "hit.mcap", interval=3.0, name="hit scene")
+    return [folder / "sweep.mcap", folder / "hit.mcap"]
+
+
+@pytest.fixture(scope="module")
+def page(recordings: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    [page] = write_report(recordings, tmp_path_factory.mktemp("page")).files
+    return page
+
+
+def browse(page: Path, tmp_path: Path, *options: str) -> str:
+    """Open a page in a headless browser and return what it prints."""
+    assert BROWSER is not None
+    command = [
+        BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking",
+        f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=5000", "--enable-logging=stderr", *options,
+        page.as_uri(),
+    ]  # fmt: skip
+    run = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    assert "CONSOLE" not in run.stderr
+    return run.stdout
+
+
+def test_output_is_one_page_of_given_name(recordings: list[Path], tmp_path: Path) -> None:
+    page = tmp_path / "figs" / "report.html"
+    assert write_report(recordings[1:], page).files == (page,)
+    assert [each.name for each in page.parent.iterdir()] == ["report.html"]
+
+
+def test_page_needs_no_network(page: Path) -> None:
+    text = page.read_text("utf-8")
+    assert not re.search(r"(src|href)=\"|url\(|@import", text)
+    assert page.stat().st_size < 6e6
+
+
+def test_page_states_answer_settings_and_commands(recordings: list[Path], tmp_path: Path) -> None:
+    text = write_report(recordings[:1], tmp_path).files[0].read_text("utf-8")
+    answer = text[text.index('<section class="answer">') : text.index("</section>")]
+    assert "first scene" in answer and "Hz" in answer and "±" in answer
+    for part in (
+        "Uncertainty budget",
+        "sensitivity",
+        "Spectrogram of body1",
+        "analysis report",
+        "Scene file",
+    ):
+        assert part in text
+
+
+def test_hammer_test_has_response_and_decay(recordings: list[Path], tmp_path: Path) -> None:
+    result = write_report(recordings[1:], tmp_path)
+    text = result.files[0].read_text("utf-8")
+    assert "<h2>Frequency responses</h2>" in text and "<h2>Free decays</h2>" in text
+    assert "below 1 g" in result.lines[0]
+
+
+def test_missing_result_is_a_warning(tmp_path: Path) -> None:
+    path = synthetic.stepped_sine(tmp_path / "few.mcap", [20.0, 21.0, 22.0], name="few")
+    result = write_report([path], tmp_path)
+    assert any("not available" in warning for warning in result.warnings)
+
+
+def test_zero_is_left_out_of_logarithmic_axis() -> None:
+    panel = Panel("size", "m", [Curve("a", [1.0, 2.0], [0.0, 3.0])], logarithmic=True)
+    text = ChartWriter().write(Chart("caption", "alternative", [panel]))
+    assert '"y":[null,3.0]' in text
+
+
+def test_name_cannot_end_the_data_of_a_chart() -> None:
+    panel = Panel("size", "m", [Curve("</script><b>", [1.0], [1.0])])
+    assert "</script><b>" not in ChartWriter().write(Chart("caption", "alternative", [panel]))
+
+
+def test_drawing_names_bodies_and_sensors() -> None:
+    drawing = rig_drawing(rig.load("fig8-three-dampers"))
+    assert "6.6 kN/m" in drawing and "body 3" in drawing and ">body3<" in drawing
+
+
+@in_browser
+@pytest.mark.thorough
+def test_browser_draws_every_chart(page: Path, tmp_path: Path) -> None:
+    drawn = browse(page, tmp_path, "--dump-dom")
+    charts = drawn.count('data-source="')
+    assert charts > 5 and len(re.findall(r'data-drawn="[1-9]', drawn)) == charts
+
+
+@in_browser
+@pytest.mark.thorough
+def test_page_prints_to_pdf(page: Path, tmp_path: Path) -> None:
+    browse(page, tmp_path, f"--print-to-pdf={tmp_path / 'page.pdf'}")
+    printed = (tmp_path / "page.pdf").read_bytes()
+    assert printed.startswith(b"%PDF") and printed.count(b"/Type /Page\n") >= 4

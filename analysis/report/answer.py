@@ -70,7 +70,10 @@ def _resonances(measured: Measured) -> list[str]:
     for modes in measured.modes:
         if not modes.frequency.size:
             continue
-        listed = ", ".join(f"{frequency:.4g} Hz" for frequency in np.sort(modes.frequency))
+        pairs = sorted(zip(modes.frequency, modes.damping, strict=True))
+        listed = ", ".join(
+            f"{frequency:.4g} Hz ({100 * damping:.2g} % damping)" for frequency, damping in pairs
+        )
         plural = "s" * (modes.frequency.size != 1)
         text = f"“{measured.label}”: {modes.frequency.size} resonance{plural} at {listed}"
         peaks = [pair for pair in highest_peaks(measured, modes) if pair is not None]

@@ -63,7 +63,7 @@ def test_page_needs_no_network(page: Path) -> None:
 def test_page_states_answer_settings_and_commands(recordings: list[Path], tmp_path: Path) -> None:
     text = write_report(recordings[:1], tmp_path).files[0].read_text("utf-8")
     answer = text[text.index('<section class="answer">') : text.index("</section>")]
-    assert "first scene" in answer and "Hz" in answer and "±" in answer
+    assert "first scene" in answer and "13.04" in answer and "µm/N" in answer
     for part in (
         "Uncertainty budget",
         "sensitivity",

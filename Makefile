@@ -4,7 +4,9 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 BASE   := $(VENV)/.base
 STAMP  := $(VENV)/.installed
-# Python compiles a module when it is first imported: compiling all of them here would take a third of the time.
+# Python compiles a module when it is first imported and keeps the result: compiling all of them here would take a third
+# of the time. Where the environment forbids keeping it, as some container images do, every process would compile again.
+unexport PYTHONDONTWRITEBYTECODE
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 
 .PHONY: demo test lint types layers quick gauntlet fits matrix soak mutants bench peers docs clean

@@ -5,14 +5,16 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from tests.benchmarks import chain, engine, orbits, recordings, waits
+from tests.benchmarks import answers, chain, engine, orbits, recordings, waits
 
 
 def main() -> None:
     """Print them, part by part."""
-    for part in (engine, orbits, chain, recordings, waits):
+    for part in (answers, engine, orbits, chain, recordings, waits):
         print(f"\n== {(part.__doc__ or '').splitlines()[0]}", flush=True)
-        if part is engine:
+        if part is answers:
+            answers.main()
+        elif part is engine:
             engine.main()
         elif part is waits:
             Path("build").mkdir(exist_ok=True)

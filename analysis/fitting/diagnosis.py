@@ -21,8 +21,10 @@ from rig.system.structure import natural_modes, structure_matrices
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# A cause explains a misfit if it takes away all but this share of it.
+# A cause explains a misfit if it leaves less than this share of it, and fully if it leaves no more than this multiple
+# of the stated variance.
 _EXPLAINED = 0.02
+_FULLY_EXPLAINED = 4.0
 # Factors by which units are mistaken, with what they are taken for.
 _FACTORS = {
     -1.0: "its sign is turned",
@@ -48,55 +50,51 @@ _MOST_PAIRS = 15
 _FEWEST_LEFT = 2
 
 
-def causes(problem: Problem) -> list[str]:
-    """Try what may be wrong with the recordings that have no moving dampers; say what explains the misfit."""
+def cause(problem: Problem) -> tuple[bool, str]:
+    """Try single mistakes in the recordings without moving dampers, and name the one that explains the misfit best.
+
+    Returns
+    -------
+    explains : bool
+        Whether one of them explains the misfit.
+    text : str
+        The mistake, or what was tried.
+    """
     bare = [group.curves for group in problem.groups if group.tones is None]
     if not bare:
-        return [
-            "No recording without moving dampers is among them: with one, the structure can be judged alone."
-        ]
+        return False, (
+            "No recording without moving dampers is among them. Add one, so that the structure can be fitted alone."
+        )
     before = _variance(problem, bare)[1]
-    if before < 4.0:
-        return [
-            "The recordings without moving dampers fit: it is the dampers that the scene has otherwise, or with values "
-            "too far off to start from."
-        ]
-    found: list[tuple[float, str]] = []
-    for sensor, delay, curves in _delayed(problem, bare, before):
-        after = _variance(problem, curves)[1]
-        if after < max(4.0, _EXPLAINED * before):
-            late = "late" if delay > 0.0 else "early"
-            found.append(
-                (after, f"{sensor.name} reads {abs(delay) * 1e6:.3g} µs {late} (delay in the table)")
-            )
-    for form, model in _other_damping(problem):
-        after = _variance(problem, bare, model)[1]
-        if after < max(4.0, _EXPLAINED * before):
-            found.append((after, f"The damping is not of the scene's form; {form}"))
-    for text, curves, suspect in () if found else _suspects(bare):
-        trial, after = _variance(problem, curves)
-        if after < max(4.0, _EXPLAINED * before):
-            factor = 1.0 if suspect is None else 1.0 + trial[0].deviation(trial[1], suspect)
-            meaning = _meaning(factor) or _NO_UNIT
-            found.append(
-                (after, text if suspect is None else f"{text} {factor:.4g} times what fits{meaning}")
-            )
+    if before < _FULLY_EXPLAINED:
+        return False, (
+            "The recordings without moving dampers fit, so the dampers differ from the scene's, or their start values "
+            "are too far off."
+        )
+    limit = max(_FULLY_EXPLAINED, _EXPLAINED * before)
+    found: list[tuple[float, str, bool]] = []
+    for left, text, is_named in _mistakes(problem, bare, before):
+        if left < limit:
+            found.append((left, text, is_named))
+        if left < _FULLY_EXPLAINED and is_named:
+            break
     if found:
-        return [min(found)[1] + ": corrected, the rest fits."]
+        _, text, is_named = min(found)
+        return is_named, f"{text}: corrected, the rest fits."
     alone = [
         sensor.name
         for sensor in _sensors(bare)
-        if (rest := _without(bare, sensor)) and _variance(problem, rest)[1] < max(4.0, _EXPLAINED * before)
+        if (rest := _without(bare, sensor)) and _variance(problem, rest)[1] < limit
     ]
     if len(alone) == 1:
-        return [
+        return True, (
             f"{alone[0]} contradicts the others, by no factor: late, loose, elsewhere than the scene says, "
             "or no measurement at all; left out, the rest fits."
-        ]
-    return [
+        )
+    return False, (
         "Tried without success: each channel's sign, unit and delay, two channels swapped, another form of damping. "
-        "Check the number of bodies, the driven body and further springs; the figure of what is left shows where."
-    ]
+        "Check the number of bodies, the driven body and further springs; the figure of the residuals shows where."
+    )
 
 
 def scale_off(problem: Problem, x: Array) -> str:
@@ -113,21 +111,43 @@ def scale_off(problem: Problem, x: Array) -> str:
     )
 
 
-def _suspects(bare: list[Curves]) -> Iterator[tuple[str, list[Curves], Sensor | None]]:
-    references = dict.fromkeys(curves.reference_sensor for curves in bare)
+def _mistakes(problem: Problem, bare: list[Curves], before: float) -> Iterator[tuple[float, str, bool]]:
+    """Try single mistakes, those that take least time first.
+
+    Yields
+    ------
+    left : float
+        Variance that the mistake leaves unexplained.
+    text : str
+        The mistake.
+    is_named : bool
+        Whether it is a known one; a factor that no unit explains may as well stand for another structure.
+    """
+    references = list(dict.fromkeys(curves.reference_sensor for curves in bare))
     for sensor in references:
         turned = [
             _multiplied(curves, -1.0) if curves.reference_sensor == sensor else curves for curves in bare
         ]
-        yield f"The sign of {sensor.name} is turned", turned, None
+        yield _variance(problem, turned)[1], f"The sign of {sensor.name} is reversed", True
     for sensor in _sensors(bare):
-        yield f"The sign of {sensor.name} is turned", [_turned(curves, sensor) for curves in bare], None
-    for sensor in dict.fromkeys((*_sensors(bare), *references)):
-        free = replace(sensor, tolerance=_FREED)
-        yield f"{sensor.name} reads", [_with_sensor(curves, sensor, free) for curves in bare], free
+        turned = [_turned(curves, sensor) for curves in bare]
+        yield _variance(problem, turned)[1], f"The sign of {sensor.name} is reversed", True
     names = dict.fromkeys(sensor.name for curves in bare for sensor in curves.sensors)
     for one, other in list(combinations(names, 2))[:_MOST_PAIRS]:
-        yield f"{one} and {other} are swapped", [_swapped(curves, one, other) for curves in bare], None
+        swapped = [_swapped(curves, one, other) for curves in bare]
+        yield _variance(problem, swapped)[1], f"{one} and {other} are swapped", True
+    for sensor in dict.fromkeys((*_sensors(bare), *references)):
+        free = replace(sensor, tolerance=_FREED)
+        (trial, x), left = _variance(problem, [_with_sensor(curves, sensor, free) for curves in bare])
+        factor = 1.0 + trial.deviation(x, free)
+        meaning = _meaning(factor)
+        yield left, f"{sensor.name} reads {factor:.4g} times what fits{meaning or _NO_UNIT}", bool(meaning)
+    for form, model in _other_damping(problem):
+        yield _variance(problem, bare, model)[1], f"The damping is not of the scene's form; {form}", True
+    for sensor, delay, curves in _delayed(problem, bare, before):
+        late = "late" if delay > 0.0 else "early"
+        text = f"{sensor.name} reads {abs(delay) * 1e6:.3g} µs {late} (delay in the table)"
+        yield _variance(problem, curves)[1], text, True
 
 
 def _sensors(bare: list[Curves]) -> list[Sensor]:
@@ -307,7 +327,13 @@ def _variance(
 ) -> tuple[tuple[Problem, Array], float]:
     parameters = [one for one in problem.parameters if one.place[0] != "dampers"]
     if model is not None:
-        parameters = [one for one in free_parameters(model) if one.place[0] == "structure"]
+        # Only what was free stays free, with the new form of damping.
+        free = {one.key for one in parameters}
+        parameters = [
+            one
+            for one in free_parameters(model)
+            if one.key in free or one.place[:2] == ("structure", "damping")
+        ]
     trial = Problem(model or problem.model, parameters, curves)
     x = start(trial, trial.groups)
     for distrust in (0.1, 0.01, 0.0):

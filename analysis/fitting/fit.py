@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.fitting.diagnosis import causes, left_out, scale_off
+from analysis.fitting.diagnosis import cause, left_out, scale_off
 from analysis.fitting.estimate import CONFIDENCE, Estimate, estimate
 from analysis.fitting.identifiability import together
 from analysis.fitting.measured import Curves, measured
@@ -277,7 +277,8 @@ def _result(problem: Problem, found: Estimate, told: Progress) -> Fit:
     misfit = _misfit(found, compared) or _beyond(problem, x)
     if misfit:
         told("looking for the cause")
-        misfit = " ".join([misfit, *causes(problem)])
+        explains, text = cause(problem)
+        misfit = text if explains else f"{misfit} {text}"
     else:
         misfit = scale_off(problem, x)
     if not misfit and found.variance > NOT_NOISE:

@@ -120,7 +120,7 @@ def test_given_a_channel_that_reads_g_as_metres_when_fitted_then_it_is_named_wit
 @pytest.mark.parametrize(
     ("wrong", "told"),
     [
-        ({"gain": -1.0}, "The sign of body2 is turned: corrected, the rest fits"),
+        ({"gain": -1.0}, "The sign of body2 is reversed: corrected, the rest fits"),
         ({"delay": 4e-3}, "body2 contradicts the others, by no factor"),
     ],
 )

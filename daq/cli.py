@@ -178,18 +178,18 @@ def replay(
         raise typer.BadParameter("--at is the time of a picture: give --screenshot FILE.png too")
     if speed != 1.0 and screenshot is not None:
         raise typer.BadParameter("--speed is of a replay that plays; a picture stands still")
-    with daq.open(file) as recording, overwriting(overwrite), progress(file.stem) as tell:
+    with daq.open(file) as recording, overwriting(overwrite), progress(file.stem) as report_progress:
         part = Replay(recording, start, stop, speed)
         if save is not None:
-            show.save(part, save, tell)
+            show.save(part, save, report_progress)
             print(f"{save}: {save.stat().st_size / 1e6:.1f} MB; to look at it: rerun {save}")
         elif screenshot is not None:
-            drawn = show.photograph(part, screenshot, at, tell)
+            drawn = show.photograph(part, screenshot, at, report_progress)
             print(f"{screenshot}: the rig at {drawn:.3f} s")
         elif web:
-            show.in_browser(part, print, tell)
+            show.in_browser(part, print, report_progress)
         else:
-            show.in_window(part, tell)
+            show.in_window(part, report_progress)
 
 
 @app.command()

@@ -187,7 +187,7 @@ def response(
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Steady response over frequency at the test's level; the frequencies are the test's unless told."""
+    """Steady response over frequency at the test's level; at the test's frequencies unless others are given."""
     import rig
     from rig.provenance import made_from, overwriting, refuse_others
     from rig.response.response_output import frequencies_of, text, write
@@ -397,7 +397,7 @@ def design(
         goes_on(),
         overwriting(overwrite),
         made_from("design", setting.to_yaml()),
-        progress("trying designs") as tell,
+        progress("trying designs") as report_progress,
     ):
         refuse_others(*(name.with_suffix(ending) for ending in (".yaml", ".png", ".svg")))
         found = search(
@@ -412,10 +412,10 @@ def design(
             uncertain=(damping_off, stiffness_off),
             cluster=cluster,
             table=table,
-            progress=lambda done, total: tell(done / total, f"{done} of {total}"),
-            say=partial(tell, 1.0),
+            progress=lambda done, total: report_progress(done / total, f"{done} of {total}"),
+            say=partial(report_progress, 1.0),
         )
-        tell(1.0, "writing")
+        report_progress(1.0, "writing")
         files = write(found, output)
     print(setting.structure.relabel(summary(found)))
     print("\nwritten:", *files, table)

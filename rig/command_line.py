@@ -52,12 +52,12 @@ def application(help_text: str) -> typer.Typer:
             print(f"shotrig {_version()}")
             raise typer.Exit
 
-    told = typer.Option(
+    option = typer.Option(
         False, "--version", callback=tell_version, is_eager=True, help="Say which version it is."
     )
 
     @app.callback()
-    def common(version: bool = told) -> None:
+    def common(version: bool = option) -> None:
         pass
 
     return app
@@ -184,7 +184,7 @@ def _in_words(error: BaseException) -> tuple[int, str]:
         context = getattr(error, "ctx", None)
         usage = "" if context is None else f"{context.get_usage()}\n"
         return 2, f"{usage}error: {error.format_message()}"
-    # Modules of other languages may tell of an interrupt while they are loaded as of a failure without a cause.
+    # Extension modules may report an interrupt while they are loaded as a failure without a cause.
     if came or _comes_of_interruption(error):
         return _INTERRUPTED, "interrupted"
     if isinstance(error, ImportError | AttributeError) and (found := shadowed(Path(sys.path[0]))):

@@ -159,17 +159,17 @@ def handed_over() -> Iterator[None]:
 
 @contextmanager
 def progress(title: str) -> Iterator[Callable[[float, str], None]]:
-    """Show how far the body is: ``tell(fraction, message)``.
+    """Show how far the body is: ``report(fraction, message)``.
 
     A terminal shows a bar with the time left; other error outputs get a line now and then.
     """
     if not sys.stderr.isatty():
 
-        def tell(fraction: float, message: str = "") -> None:
+        def report(fraction: float, message: str = "") -> None:
             parts = (title, title and f"{100 * fraction:.0f} %", message)
             _Work.doing = ", ".join(filter(None, parts))
 
-        yield tell
+        yield report
         _Work.doing = ""
         return
     from rich.console import Console
@@ -206,18 +206,18 @@ def goes_on(kept: bool = True) -> Iterator[None]:
 
 @contextmanager
 def counting(title: str) -> Iterator[Callable[[int, int], None]]:
-    """Show how many pieces of work are done: ``tell(done, total)``."""
-    with progress(title) as tell:
+    """Show how many pieces of work are done: ``report(done, total)``."""
+    with progress(title) as report:
 
         def count(done: int, total: int) -> None:
             # After the last piece come figures and files.
-            tell(done / total if total else 1.0, f"{done} of {total}{', writing' if done >= total else ''}")
+            report(done / total if total else 1.0, f"{done} of {total}{', writing' if done >= total else ''}")
 
         yield count
 
 
 @contextmanager
 def saying() -> Iterator[Callable[[str], None]]:
-    """Show what the body is doing: ``tell(message)``."""
-    with progress("") as tell:
-        yield lambda message: tell(0.0, message)
+    """Show what the body is doing: ``report(message)``."""
+    with progress("") as report:
+        yield lambda message: report(0.0, message)

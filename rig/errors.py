@@ -1,4 +1,4 @@
-"""Errors that tell the user what was wrong, where, what was expected and what to do."""
+"""Errors that state what was wrong, where, what was expected and what to do."""
 
 from __future__ import annotations
 

@@ -177,7 +177,7 @@ def _follow() -> NoReturn:
             except OneRankError:
                 raise
             except ShotrigError:
-                # It went wrong on all ranks alike, and the first one tells of it.
+                # It failed on all ranks alike, and the first one reports it.
                 continue
     except OneRankError as error:
         print(f"error: {error}", file=sys.stderr)

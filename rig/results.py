@@ -40,7 +40,7 @@ def plainly(value: float) -> str:
 class Result(ABC):
     """Something computed or measured, over one axis.
 
-    A subclass says what its columns are, tells itself in a line, and draws itself.
+    A subclass defines its columns, a summary of one line, and how it is drawn.
     """
 
     @abstractmethod
@@ -165,8 +165,8 @@ def frequency_ranges(frequencies: Sequence[float], chosen: Sequence[bool]) -> st
     ends = [(f"{places[first]:.4g}", f"{places[stop - 1]:.4g}") for first, stop in runs_of(flags)]
     if len(ends) > _MOST_RANGES:
         return f"{flags.sum()} of {flags.size} frequencies from {ends[0][0]} to {ends[-1][1]} Hz"
-    *told, last = [low if low == high else f"{low} to {high}" for low, high in ends]
-    return f"{', '.join(told)} and {last} Hz" if told else f"{last} Hz"
+    *before, last = [low if low == high else f"{low} to {high}" for low, high in ends]
+    return f"{', '.join(before)} and {last} Hz" if before else f"{last} Hz"
 
 
 def joined(parts: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:

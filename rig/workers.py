@@ -152,14 +152,14 @@ def _processes(until: ExitStack) -> Executor:
     pool = ProcessPoolExecutor(cores(), mp_context=get_context("spawn"), initializer=_begin)
 
     def end() -> None:
-        # What waits is dropped before workers die, or else the pool would tell it of that, cancelled or not.
+        # What waits is dropped before workers die, or else the pool would notify it, cancelled or not.
         pool.shutdown(wait=False, cancel_futures=True)
         workers = set(active_children()) - before
         for worker in workers:
             worker.kill()
         for worker in workers:
             worker.join()
-            # The pool's own thread may have been told of the end first, and is about to note it.
+            # The pool's own thread may be notified of the end first, and is about to note it.
             for _ in range(_PATIENCE):
                 if worker.exitcode is not None:
                     break
@@ -183,7 +183,7 @@ def _script_left_alone() -> Iterator[None]:
 
 @contextmanager
 def _deaf_to_ctrl_c() -> Iterator[None]:
-    """Let processes that start here hear nothing of Ctrl-C from their first moment: a terminal tells it to all."""
+    """Let processes that start here hear nothing of Ctrl-C from their first moment: a terminal sends it to all."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return

@@ -1,7 +1,7 @@
 """The excitations a test can run, one module for each kind of test: they see channels, never the simulator's state.
 
 A module named after the test's kind holds `excite`; the others help them: `station` is what a test has before it,
-`amplitude_control` and `sweep_control` hold the force, `settling` tells when a motion is steady. Start with `sine`.
+`amplitude_control` and `sweep_control` hold the force, `settling` detects steady motion. Start with `sine`.
 """
 
 from __future__ import annotations

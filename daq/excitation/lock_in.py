@@ -14,7 +14,7 @@ ComplexArray = NDArray[np.complex128]
 
 # A window to be read holds two periods, and more samples than the terms fitted below the lowest harmonic.
 _READABLE_PERIODS, _READABLE = 2, 8
-# Near half the rate a tone looks like one that beats; this share of a beat tells its amplitude from its phase.
+# Near half the rate a tone looks like one that beats; this share of a beat separates its amplitude from its phase.
 _SHARE_OF_BEAT = 0.5
 
 

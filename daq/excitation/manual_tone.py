@@ -122,12 +122,12 @@ class HandTone:
     ----------
     knobs : Knobs
         What the operator turns.
-    tell : callable
+    report : callable
         Told a `ToneReading` after every window.
     """
 
     knobs: Knobs
-    tell: Callable[[ToneReading], None]
+    report: Callable[[ToneReading], None]
     _held: bool = field(default=False, init=False)
     _level: float = field(default=0.0, init=False)
 
@@ -146,7 +146,7 @@ class HandTone:
                 phase, window = tone.phase, next(work)
                 while True:
                     readings = yield window
-                    self.tell(self._reading(station, tone, gauge, readings, phase, asked))
+                    self.report(self._reading(station, tone, gauge, readings, phase, asked))
                     if self.knobs.off or self.knobs.asked != asked:
                         break
                     phase, window = tone.phase, work.send(readings)

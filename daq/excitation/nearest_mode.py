@@ -28,7 +28,7 @@ _SHORTER, _LONGER = 0.6, 1.5
 _DAMPING_STEP, _DAMPING = 0.2, (0.002, 0.2)
 # Below this the mean of an exponential is a straight line, which rounding would spoil.
 _SMALL = 1e-6
-# Share by which both coefficients are drawn towards zero, where force and motion do not tell them apart.
+# Share by which both coefficients are drawn towards zero, where force and motion do not separate them.
 _RIDGE = 1e-4
 
 
@@ -37,7 +37,7 @@ class NearestMode:
 
     The envelopes X of the body's displacement and F of the force, both relative to the tone's phase, obey
     X = c F + x and dx/dt = (s - i w) x + g F near a mode with pole s; c is what all other modes add. Frequency,
-    damping ratio, g and c come from what the channels told in the last looks, by least squares: g and c are
+    damping ratio, g and c come from the last observations of the channels, by least squares: g and c are
     linear, the pole is searched for. So a mode is known well before the tone gets there, by how its answer grows,
     and modes that change with the level, as those of a structure with dampers, are followed.
 

@@ -35,7 +35,7 @@ class ShakerLaw:
 
     A moving coil has P = Z (m s^2 + c s + k) / Bl + Bl s and Q = Z / Bl with Z = R + L s, per amplifier gain;
     a table with a servo has P = (1 + s / w)^2 and Q = 0. Either way, P and Q hold whatever the structure
-    does: it enters by X0 and F only, both of which the channels tell.
+    does: it enters by X0 and F only, both of which the channels measure.
     """
 
     motion: Array

@@ -15,7 +15,7 @@ _DIFFERENCES = 6
 FEWEST_LOOKS = 4
 # Below this share of predictable change, what is left looks like noise rather than like a decaying transient.
 _COHERENT = 0.8
-# Noise is told from beats that die away by comparing the scatter in the halves of so many looks.
+# Noise is distinguished from decaying beats by comparing the scatter in the halves of so many observations.
 _NOISE_LOOKS = 24
 _STILL_NOISE = 0.75
 _LITTLE_NOISE = 3.0
@@ -44,7 +44,7 @@ class Law:
 
     def to_come(self) -> ComplexArray:
         """Change still to come."""
-        # A factor close to 1 can not be told from 1; the transient then outlasts anything seen so far.
+        # A factor close to 1 cannot be distinguished from 1; the transient then outlasts anything seen so far.
         rest = 1.0 - self.factor
         return self.changes[-1] * self.factor / np.where(abs(rest) < 1e-3, 1e-3, rest)
 
@@ -59,7 +59,7 @@ class Settling:
 
     A mode that still rings adds to the amplitude seen in each window (a *look*) a transient that shrinks and
     turns by the same complex factor rho from look to look, so that the change from one look to the next does
-    too. The factor found from the last changes tells how far the amplitude still has to go:
+    too. The factor estimated from the last changes gives the remaining change of the amplitude:
     change * rho / (1 - rho). Comparing two successive looks alone would not do: a 13 Hz mode damped by 0.5 %
     changes by only 4 % of what is left in 0.1 s.
 
@@ -130,7 +130,7 @@ class Settling:
         self._steady_before = bool(steady.all())
 
     def expected(self) -> ComplexArray:
-        """Amplitudes the quantities are heading for, as far as the looks tell; shape (quantities,)."""
+        """Estimated final amplitudes of the quantities; shape (quantities,)."""
         return self._forecasts[-1]
 
     def wavering(self) -> NDArray[np.float64]:

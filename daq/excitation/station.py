@@ -41,7 +41,7 @@ class Station:
     """``mark(kind, first, stop, **fields)`` writes into the recording's log what the samples from `first` to
     the one before `stop` were."""
     report: Callable[[float, str], None] = lambda fraction, message: None
-    """``report(fraction, message)`` tells how far the test is."""
+    """``report(fraction, message)`` shows the progress of the test."""
     warn: Callable[[str], None] = lambda message: None
     """``warn(message)`` keeps something the user must hear at the end."""
     latency: int = 0

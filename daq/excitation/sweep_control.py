@@ -16,7 +16,7 @@ from daq.excitation.pretest import ShakerLaw
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Periods that a look at the channels takes in; samples, which are to tell six terms; and beats, as which a tone
+# Periods of one observation of the channels; its samples, which must determine six terms; and beats, as which a tone
 # near half the rate appears: fewer multiply the noise.
 _PERIODS, _FEWEST, _BEATS = 2.0, 6, 1.5
 # What is known of the nearest mode fades within the time in which a sweep passes a sharp one, 1 / sqrt(rate of
@@ -34,7 +34,7 @@ _TOO_MUCH = 1.5
 
 @dataclass(frozen=True)
 class Look:
-    """What the channels told in the last periods."""
+    """Estimates from the channels in the last periods."""
 
     end: float  # When they ended, s
     frequency: float

@@ -5,7 +5,7 @@ through modes with damping ratios of 0.5 to 2 %, and within 10 % for a table wit
 dampers within 10 %, except for a percent of the time at most where their motion jumps or turns irregular, or in
 the first second, as long as nothing is known of a mode next to the first frequency. Whatever is off by more than
 10 % has a ``level`` marker, and the run warns of it. Sweeping 10 to 55 Hz in 20 s is off by more here and there:
-the motion then has to be foretold from fewer periods than it takes to tell a mode.
+the motion must then be predicted from fewer periods than are needed to identify a mode.
 """
 
 from __future__ import annotations

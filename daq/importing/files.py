@@ -1,4 +1,4 @@
-"""Which reader takes a file: told from the ending of its name."""
+"""The reader of a file, chosen by the ending of its name."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ def import_files(
     r"""Make a recording of time histories that other programs have measured.
 
     Signals become the channels of the scene, by name or as a table says, in SI. Where samples are missing the recording
-    says `lost`, where they were clipped `overload`. What was done to the structure is told from the scene's test: hits
+    says `lost`, where they were clipped `overload`. The excitation is that of the scene's test: hits
     are found in the force channel, and the steps of a sine or stepped sine where a tone is held; any other excitation
     is taken as one measurement from end to end.
 
@@ -373,9 +373,7 @@ class _Import:
         if hits:
             return []
         if not any(info.quantity == "force" for info in self._infos) and not self._scene.shakers:
-            return [
-                "no channel tells a force and the scene has no shaker: there is nothing to divide responses by"
-            ]
+            return ["no channel measures a force and the scene has no shaker, so responses have no reference"]
         low, high = _LOWEST * self._rate, _HIGHEST * self._rate
         if isinstance(test, SweptSine | Random | Multisine):
             low, high = sorted((test.from_, test.to))

@@ -1,4 +1,4 @@
-"""Where a signal was clipped: told from its samples, for files do not say."""
+"""Where a signal was clipped, detected from its samples, as files do not record it."""
 
 from __future__ import annotations
 

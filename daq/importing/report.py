@@ -1,4 +1,4 @@
-"""What `daq import` tells its user: what files hold, and what came of an import."""
+"""The output of `daq import`: the contents of files, and the result of an import."""
 
 from __future__ import annotations
 
@@ -48,9 +48,16 @@ def import_and_report(
     """Import files with a progress bar, and say what came of it."""
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always", RunWarning)
-        with progress(f"importing {files[0].name}") as tell:
+        with progress(f"importing {files[0].name}") as report_progress:
             import_files(
-                files, scene, path, table=table, from_s=from_s, to_s=to_s, overwrite=overwrite, progress=tell
+                files,
+                scene,
+                path,
+                table=table,
+                from_s=from_s,
+                to_s=to_s,
+                overwrite=overwrite,
+                progress=report_progress,
             )
     for warning in heard:
         print(f"warning: {warning.message}", file=sys.stderr)

@@ -25,7 +25,7 @@ TIME_NAMES = re.compile(r"(time|zeit|t|x_value)(stamp)?", re.IGNORECASE)
 _ROUNDING = 1e-12
 # Times may be off the even grid by this part of a sample; beyond, samples are missing or the clock is none.
 _OFF_GRID = 0.5
-# Times that are off by more than they were rounded and than this part of a sample are told.
+# Deviations of times beyond rounding and this share of a sample are reported.
 _JITTERY = 0.02
 
 
@@ -97,13 +97,13 @@ def rate_of_interval(interval: float, resolution: float = 0.0) -> float:
     (50000.0, 10000.0)
     >>> rate_of_interval(1e-4, 1e305)
     Traceback (most recent call last):
-    rig.errors.RecordingError: a sample interval of 0.0001 s that may be off by 1e+305 s tells no rate
+    rig.errors.RecordingError: a sample interval of 0.0001 s that may be off by 1e+305 s determines no rate
     """
     if not (math.isfinite(interval) and 1e-9 < interval < 1e7):
         raise RecordingError(f"a sample interval of {interval!r} s; expected a time above 0")
     if resolution >= interval:
         raise RecordingError(
-            f"a sample interval of {interval!r} s that may be off by {resolution!r} s tells no rate"
+            f"a sample interval of {interval!r} s that may be off by {resolution!r} s determines no rate"
         )
     off = max(resolution / interval, _ROUNDING)
     stated = 1.0 / interval
@@ -145,11 +145,11 @@ def clock_of_times(times: Array, resolution: float, where: str) -> tuple[float, 
     if times.size < 2:
         raise RecordingError(f"{where}: {times.size} samples; expected at least 2")
     first, last = float(times[0]), float(times[-1])
-    # How far they are off an even grid tells to how many digits they were rounded.
+    # Their deviation from an even grid shows to how many digits they were rounded.
     off = float(abs(times - np.linspace(first, last, times.size)).max())
     if last > first and off * (times.size - 1) > (last - first) * _JITTERY + resolution * (times.size - 1):
         rate, first, off = _clock_of_jittery(times, where)
-        tell(
+        note(
             f"{where} are off an even grid by up to {off * rate:.0%} of a sample: taken for jitter of the writing, "
             "not of the sampling"
         )
@@ -197,14 +197,14 @@ def looks_like_times(begin: Array, last: float, samples: int) -> bool:
     return bool((abs(begin - begin[0] - step * np.arange(begin.size)) < 0.1 * step).all())
 
 
-def tell(text: str) -> None:
+def note(text: str) -> None:
     """Warn of what is doubtful in a file."""
     warnings.warn(text, RunWarning, stacklevel=3)
 
 
 def tell_times(what: str, step: float) -> None:
     """Warn that numbers which nobody named are taken for times."""
-    tell(f"{what} rises evenly, by {step:.6g}: taken for times in s")
+    note(f"{what} rises evenly, by {step:.6g}: taken for times in s")
 
 
 def rate_between(first: float, last: float, samples: int, resolution: float, where: str) -> float:

@@ -20,7 +20,7 @@ from rig.scene.scene import Scene
 
 # So far beyond the frequencies of the scene's test, as a ratio, steps are looked for: it may not be all that was run.
 _BEYOND = 1.5
-# Windows by whose phases a frequency is told, and samples of one at most.
+# Windows whose phases determine a frequency, and the largest number of samples of one.
 _WINDOWS, _LONGEST = 8, 1 << 16
 # Frequencies that differ by less, relative, are the same step again.
 _SAME = 1e-5
@@ -38,7 +38,7 @@ class Step(NamedTuple):
 
 
 class StepFinder:
-    """Finds steps in the channel that tells best what was driven, fed piece by piece.
+    """Finds steps in the channel that shows the excitation best, fed piece by piece.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def _band(test: Sine | SteppedSine) -> tuple[float, float]:
 
 
 def _reference(scene: Scene, infos: Sequence[ChannelInfo]) -> int:
-    """Row of the channel that tells best what was driven: a force, the drive, the table, or else the first."""
+    """Row of the channel that shows the excitation best: a force, the drive, the table, or else the first."""
     table = scene.at_driven("table") if scene.driven_shaker is not None else "table"
     for row, info in enumerate(infos):
         if info.quantity == "force":
@@ -176,7 +176,7 @@ def _passes(frequencies: Sequence[float]) -> list[tuple[str, list[int]]]:
 
 
 def _refined(tones: Sequence[HeldTone], read: Callable[[int, int], Array], rate: float) -> list[HeldTone]:
-    """Find the frequencies once more, as well as the samples tell: by the phases of windows, harmonics fitted too."""
+    """Refine the frequencies by the phases of windows, with harmonics fitted."""
     plans = []
     for tone in tones:
         frequency, length = tone.frequency * rate, tone.stop - tone.first

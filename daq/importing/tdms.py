@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.importing.signal import TIME_NAMES, Array, Signal, rate_of_interval, tell
+from daq.importing.signal import TIME_NAMES, Array, Signal, note, rate_of_interval
 from daq.importing.time_gaps import Missing, clock_with_gaps, with_missing
 from rig.errors import RecordingError, RunError
 from rig.scene.quantities import TIME, parse
@@ -60,7 +60,7 @@ def log_as_warning(path: Path) -> Iterator[None]:
             put_back.callback(log.removeFilter, take)
         yield
     if messages:
-        tell(f"{path} is cut off or damaged ({messages[0]}). What can be read of it is taken")
+        note(f"{path} is cut off or damaged ({messages[0]}). What can be read of it is taken")
 
 
 def _signals(path: Path, channels: list[Any]) -> list[Signal]:

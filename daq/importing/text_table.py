@@ -20,7 +20,7 @@ from daq.importing.signal import (
     Signal,
     even,
     looks_like_times,
-    tell,
+    note,
     tell_times,
 )
 from daq.importing.time_gaps import Missing, missing_rows, numbers_of_rows, rate_with_gaps, with_missing
@@ -35,11 +35,11 @@ _LONGEST_LINE = 1 << 20
 _UNIT_BEHIND = re.compile(r"(.*?)\s*[\[(]([^\[\]()]*(?:\([^\[\]()]*\)[^\[\]()]*)?)[\])]\s*")
 # A unit behind an underscore, as our own tables have it.
 _SUFFIX = re.compile(r"(.+)_(m/s\^2|m/s²|m/s|m|N|V|g|s|ms)")
-# A rate that may be off by more than this part of it is told.
+# A rate that is uncertain by more than this share is reported.
 _ROUGH = 2e-5
 # What a column is called that has no name.
 UNNAMED = "column {}"
-# Lines from which the digits of times are told.
+# Lines from which the digits of times are determined.
 _SAMPLED = 50
 # Fewer lines do not show how many digits their numbers have.
 _FEW = 10
@@ -107,16 +107,16 @@ def _labview_signals(path: Path, heading: LabviewHeading, encoding: str, stack: 
     clock = table.take_clock("s") if heading.times else None
     longest = max(channel.samples for channel in channels)
     if longest > table.rows:
-        tell(f"{path}: its heading states {longest} samples, its table has {table.rows}; these are taken")
+        note(f"{path}: its heading states {longest} samples, its table has {table.rows}; these are taken")
     if 0 < longest < table.rows and not heading.times:
-        tell(
+        note(
             f"{path}: its heading states segments of {longest} samples, its table has {table.rows} lines: they are "
             "taken one after the other as if nothing lay between them; import one by one with --from and --to"
         )
     rough = [one for one in channels if one.rate and one.rate_error > _ROUGH * one.rate and not heading.times]
     if rough:
         rate, error = rough[0].rate or 0.0, rough[0].rate_error
-        tell(
+        note(
             f"{path}: its sample interval has so few digits that the rate may be {rate - error:.6g} to "
             f"{rate + error:.6g} Hz; {rate:.6g} Hz is taken: say rate: in the table if it was another"
         )
@@ -127,7 +127,7 @@ def _labview_signals(path: Path, heading: LabviewHeading, encoding: str, stack: 
                 number,
                 channel.name,
                 channel.unit,
-                # Lines are added to a file without a word in its heading; only a shorter channel is told from it.
+                # Lines are added to a file without a word in its heading; only a shorter channel follows from it.
                 table.rows if channel.samples in (-1, longest) else min(channel.samples, table.rows),
                 clock[0] if clock else channel.rate,
                 table.column(number - 1 + heading.times),
@@ -159,7 +159,7 @@ class _Table:
             before, last = last[1], each
             self.rows += 1
         if self.rows > 1 and (why := self._torn(*last)):
-            tell(f"{path}: its last line is cut off and is left out ({why})")
+            note(f"{path}: its last line is cut off and is left out ({why})")
             self.rows -= 1
             self._ends = self._ends[: self.rows]
             last = (0, before)
@@ -188,7 +188,7 @@ class _Table:
         return bool(self._ends) and seconds_of_stamp(self._first_cell(self._ends[0])) is not None
 
     def begins_with_times(self) -> bool:
-        """Whether the first column of a table without heading can only be times, which is then told."""
+        """Whether the first column of a table without heading can only be times; this is reported."""
         if self._layout.names[0] != UNNAMED.format(1) or self.rows < 2:
             return False
         begin = np.array([self._row(0, line)[0] for line in self._ends[:-1]])

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.importing.signal import Array, Signal, clock_of_times, even, rate_between, rate_of_interval, tell
+from daq.importing.signal import Array, Signal, clock_of_times, even, note, rate_between, rate_of_interval
 from rig.errors import RecordingError
 
 # A step of the times is a gap from so many sample intervals on; the other steps may differ from the usual one, and a
@@ -131,7 +131,7 @@ def rate_with_gaps(
     rate = rate_between(first, last, rows + lost, resolution, where)
     if missing:
         places = "one place" if len(missing) == 1 else f"{len(missing)} places"
-        tell(
+        note(
             f"{where} have gaps in {places}, the first before line {missing[0][0] + 1} of the numbers: {lost} samples "
             f"are missing at {rate:.6g} Hz and are imported as lost"
         )

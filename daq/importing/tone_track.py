@@ -11,7 +11,7 @@ from daq.importing.signal import Array
 
 ComplexArray = NDArray[np.complex128]
 
-# A block holds so many hops, and a hop about one period of the lowest tone that it tells.
+# A block holds so many hops, and a hop about one period of the lowest tone that it resolves.
 HOPS = 4
 # Samples of a hop, about, after averaging: enough for the tone, few enough for a fast recording to cost little.
 _HOP = 24
@@ -23,7 +23,7 @@ _HIGHEST = 0.35
 
 @dataclass(frozen=True)
 class Track:
-    """Blocks of one length in which the strongest tone of the reference is one that they tell well.
+    """Blocks of one length in which the strongest tone of the reference is one that they resolve.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Track:
 class ToneTracker:
     """Follows the tone of one channel in blocks of several lengths, fed piece by piece.
 
-    Blocks under Hann's window last four to six periods of the tones that they tell, so that a higher tone is seen in
+    Blocks under Hann's window last four to six periods of the tones that they resolve, so that a higher tone is seen in
     shorter ones. Each is a row of averages over a few samples.
 
     Parameters
@@ -129,21 +129,21 @@ class _OneLength:
         rows = np.arange(blocks)
         at, off = size[rows, peak], _off(size, peak)
         line = peak + off
-        told = np.flatnonzero((at > 0.0) & (line >= self._lowest) & (line < self._highest))
-        if not told.size:
+        resolved = np.flatnonzero((at > 0.0) & (line >= self._lowest) & (line < self._highest))
+        if not resolved.size:
             return
-        bins = np.clip(peak[told] - self._first_bin, 0, len(self._kernels) - 1)
-        spectra = np.empty((len(held), told.size), dtype=complex)
+        bins = np.clip(peak[resolved] - self._first_bin, 0, len(self._kernels) - 1)
+        spectra = np.empty((len(held), resolved.size), dtype=complex)
         for each in np.unique(bins):
             here = bins == each
-            spectra[:, here] = view[:, told[here]] @ self._kernels[each]
+            spectra[:, here] = view[:, resolved[here]] @ self._kernels[each]
         alone = spectra[self._reference]
-        share = off[told]
+        share = off[resolved]
         gain = 0.25 * self._size * np.sinc(share) / (1.0 - share**2)
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = spectra / alone
         self._found.append(
-            (self._done + told, line[told] / HOPS, np.angle(alone), at[told] / gain, ratio),
+            (self._done + resolved, line[resolved] / HOPS, np.angle(alone), at[resolved] / gain, ratio),
         )
 
     def track(self) -> Track:

@@ -116,7 +116,7 @@ def label(each: Mapping[str, Any], axis: str) -> str:
     """Give the unit of an axis as its label says it, or as its kind does in a file in SI; empty if neither does."""
     text = str(each.get(f"{axis}_axis_units_lab", "")).strip()
     if text and text.upper() != "NONE":
-        # Labels of Windows programs are no UTF-8; what the reader cannot tell in a unit is the square.
+        # Labels of Windows programs are no UTF-8; the character that the reader cannot decode in a unit is the square.
         return text.replace("\ufffd", "²")
     return UNITS.get(int(each.get(f"{axis}_spec_data_type", 0)), "") if each["si"] else ""
 

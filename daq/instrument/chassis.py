@@ -61,7 +61,7 @@ class Runner(Protocol):
         """Count the ticks that may pass before `passed` has to be called."""
 
     def passed(self) -> bool:
-        """Hear that samples have come; tell whether somebody is to answer before more may come."""
+        """Report new samples; return whether a callback must finish before more may come."""
 
     @property
     def answered(self) -> bool:
@@ -266,7 +266,7 @@ class Chassis:
     # Time
 
     def advance(self, ticks: int) -> None:
-        """Let ticks pass: outputs drive the plant, inputs take what comes, events are told."""
+        """Let ticks pass: outputs drive the plant, inputs take the samples, events are sent."""
         with self.changed:
             target = self.position + ticks
             while self.position < target:
@@ -306,7 +306,7 @@ class Chassis:
             alarm[1]()
 
     def _hear(self, curious: Sequence[Runner]) -> None:
-        """Let those who were told of something answer, but for those who have not for a while."""
+        """Wait for callbacks of events, except those that have not answered for a while."""
         awaited = [task for task in curious if self._silent.get(task, 0) < _SILENT]
         self.changed.wait_for(lambda: all(task.answered for task in awaited), _ANSWER_S)
         for task in curious:

@@ -5,7 +5,7 @@ wait (a read, a write into a full buffer, `wait_until_done`) asks the clock; tim
 
 * `FastClock`: time passes only while somebody waits, as quickly as the machine computes. A run is
   deterministic: nothing happens between two calls. Who asks again and again how far a task has come waits too
-  (see `Clock.glance`). Time stands still for a moment when an event is told, for whoever answers it.
+  (see `Clock.glance`). Time pauses briefly at an event, so that its callback can respond.
 * `RealClock`: a thread keeps the bench at wall-clock time, whether anybody waits or not. A slow reader is
   overrun as with hardware.
 * `ManualClock`: time passes when `ManualClock.advance` is called. Waiting for samples that have not come gives
@@ -159,7 +159,7 @@ class FastClock:
 
 
 class ManualClock:
-    """Time passes when told.
+    """Time passes on request.
 
     Examples
     --------
@@ -181,7 +181,7 @@ class ManualClock:
         return bench.position / bench.rate
 
     def glance(self, bench: Timeline) -> None:
-        """Do nothing: time passes when told."""
+        """Do nothing: time passes on request."""
 
     def advance(self, seconds: float) -> None:
         """Let time pass on every bench of this clock, to the nearest sample."""

@@ -162,12 +162,12 @@ def _add_output(modules: list[Module], output: Output, row: int) -> None:
     elif output.range is not None:
         like = replace(like, output_range=output.range, output_bits=output.bits)
     most = 1 << 30 if outputs is None else outputs.channels
-    told = ("output_range", "output_bits", "output_rates", "output_on_demand")
+    settings = ("output_range", "output_bits", "output_rates", "output_on_demand")
     for number, each in enumerate(modules):
         fits = each.product_type == like.product_type and len(each.outputs) < most
-        if fits and (not each.outputs or all(getattr(each, key) == getattr(like, key) for key in told)):
+        if fits and (not each.outputs or all(getattr(each, key) == getattr(like, key) for key in settings)):
             modules[number] = replace(
-                each, outputs=(*each.outputs, row), **{key: getattr(like, key) for key in told}
+                each, outputs=(*each.outputs, row), **{key: getattr(like, key) for key in settings}
             )
             return
     modules.append(replace(like, outputs=(row,)))

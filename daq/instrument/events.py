@@ -1,4 +1,4 @@
-"""What a task tells those who asked for it: so many samples came, it is done, a signal occurred."""
+"""Events of a task that clients register for: samples acquired or generated, done, signal."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 from daq.instrument.errors import Code, DaqError
 from daq.instrument.values import EverySamples, Signal, named
 
-# Takes what an event tells: the number of samples, the status at the end, or the signal.
+# Receives the value of an event: the number of samples, the status at the end, or the signal.
 Listener = Callable[[int], None]
 
 _ALREADY = {
@@ -115,7 +115,7 @@ class Events:
         """Count the samples at which the next event is due, in all; None if nobody counts them."""
         return None if self._every is None else (passed // self._every[1] + 1) * self._every[1]
 
-    def tell(self, passed: int, run: Any) -> bool:
+    def notify(self, passed: int, run: Any) -> bool:
         """Tell all that has become due; whether any of it may be answered by reading or writing.
 
         Parameters
@@ -125,20 +125,20 @@ class Events:
         run : Acquisition or Generation or None
             What they came from.
         """
-        told = False
+        notified = False
         if self._every is not None:
             _, samples, listener = self._every
             while self._told < passed // samples:
                 self._told += 1
                 listener(samples)
-                told = True
+                notified = True
         for signal in _EACH_SAMPLE:
             if signal in self._signals:
                 for _ in range(passed - self._signalled):
                     self._signals[signal](int(signal))
         self._signalled = passed
         if run is None:
-            return told
+            return notified
         begun, found = run.first_tick is not None, getattr(run, "trigger", None) is not None
         for signal, come in ((Signal.START_TRIGGER, begun), (Signal.REFERENCE_TRIGGER, found)):
             if come and signal in self._signals and signal not in self._come:
@@ -147,4 +147,4 @@ class Events:
         if self._done is not None and not self._told_done and run.done:
             self._told_done = True
             self._done(0 if run.error is None else run.error.code)
-        return told
+        return notified

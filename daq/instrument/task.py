@@ -46,7 +46,7 @@ class Task:
         What has been written.
     running, closed, automatic, committed : bool
         Whether it runs, is closed, was started by a read or a write, keeps its modules when it stops.
-    told : bool
+    reported : bool
         Whether the script has heard why the run ended early.
     played : bool
         Whether the buffer has been played.
@@ -61,7 +61,7 @@ class Task:
         self.generation: Generation | None = None
         self.buffer: OutputBuffer | None = None
         self.running = self.closed = False
-        self.automatic = self.committed = self.told = self.played = False
+        self.automatic = self.committed = self.reported = self.played = False
         self.overloads_told: list[str] | None = None
         self._looked: dict[str, int] = {}
         self.log: TaskLog | None = None
@@ -108,7 +108,7 @@ class Task:
             except BaseException:
                 self._end()
                 raise
-            self.automatic, self.running, self.told = automatic, True, False
+            self.automatic, self.running, self.reported = automatic, True, False
 
     def reserve(self) -> None:
         """Reserve the modules and outputs that the task needs; see `Chassis.reserve`."""
@@ -164,12 +164,12 @@ class Task:
         Raises
         ------
         DaqError
-            If the task had ended early and nobody has been told why.
+            If the task ended early and the error was not reported yet.
         """
         if not self.running:
             return 0
         early = not self.endless and not self.finished
-        failure = None if self.told else self.failure
+        failure = None if self.reported else self.failure
         self.end()
         if failure is not None:
             raise failure
@@ -259,7 +259,7 @@ class Task:
     def raise_failure(self) -> None:
         """Raise the reason why the run ended early, as often as somebody asks until the task is stopped."""
         if self.failure is not None and self.running:
-            self.told = True
+            self.reported = True
             raise self.failure
 
     def look(self, question: str) -> None:
@@ -353,7 +353,7 @@ class Task:
             run = self.acquisition.acquisition
             self.log.follow(run)
             run.position = max(run.position, run.readable)
-        return self.running and self.events.tell(self._samples_passed, self.run)
+        return self.running and self.events.notify(self._samples_passed, self.run)
 
     @property
     def _samples_passed(self) -> int:

@@ -187,7 +187,7 @@ def collect(
         return min(wanted - got, max(1, run.plan.buffer // 2))
 
     def ended(error: DaqError | None) -> Reading:
-        task.told |= error is not None and error is run.error
+        task.reported |= error is not None and error is run.error
         return Reading(out[:, :got], first, error)
 
     while True:
@@ -216,7 +216,7 @@ def collect(
         if got == wanted:
             return ended(None)
         if run.done and run.readable <= run.position:
-            # What a finite task has acquired is all there is; a read that finds nothing is told so.
+            # What a finite task has acquired is all there is; a read that finds nothing gets that error.
             return ended(None if got and run.error is None else run.error or _ended())
         left = timeout if timeout < 0 else max(0.0, timeout - (chassis.clock.now(chassis) - began))
         ready = chassis.wait(

@@ -102,7 +102,7 @@ def _fill(task: Task, buffer: OutputBuffer, volts: Array, timeout: float) -> int
     while True:
         run = running()
         if run is not None and run.error is not None:
-            task.told = True
+            task.reported = True
             raise DaqError(str(run.error), run.error.code, done)
         if run is not None and run.done:
             raise DaqError("the output has ended", Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN, done)

@@ -145,7 +145,7 @@ class Wiring(IntEnum):
 
 
 class Signal(IntEnum):
-    """Signals that can be exported or be told as events."""
+    """Signals that can be exported or registered for as events."""
 
     SAMPLE_CLOCK = 12487
     REFERENCE_TRIGGER = 12490

@@ -105,7 +105,7 @@ def _unpack(compression: bytes, packed: memoryview, size: int) -> bytes | memory
 
         try:
             unpacker = lz4.frame.LZ4FrameDecompressor()
-            # One byte more than should come tells a chunk that holds too much.
+            # One byte more than expected reveals a chunk that is too large.
             records = unpacker.decompress(packed, max_length=size + 1)
         except (RuntimeError, ValueError, EOFError) as error:
             raise Damage(f"it cannot be unpacked ({error})") from error

@@ -70,7 +70,7 @@ def parse(opcode: int, content: memoryview) -> Any:
 
 @dataclass
 class Summary:
-    """What the end of a file tells of the rest."""
+    """The summary at the end of a file."""
 
     schemas: dict[int, Schema]
     channels: dict[int, Channel]

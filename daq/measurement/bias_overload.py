@@ -37,7 +37,7 @@ def bias_overload(scene: Scene, row: int, seconds: float) -> str | None:
         return None
     bench = Bench(scene)
     still, overloaded = np.zeros((len(bench.inputs), max(1, round(bench.rate)))), False
-    # A second at a time; the last one tells.
+    # One second at a time; the last one counts.
     for _ in range(max(1, round(min(seconds, _LONGEST)))):
         overloaded = bool(bench.acquire(still).overload[row].any())
     if not overloaded:

@@ -1,4 +1,4 @@
-"""Whether the channels of a scene tell the force on the structure, which responses are divided by."""
+"""Whether the channels of a scene measure the force on the structure, the reference of its responses."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def force_untold(scene: Scene, channels: Sequence[ChannelInfo]) -> str | None:
-    """Say which channels are missing where none tells the force of the shaker; None where nothing is missing.
+    """Name the channels that are missing to measure the shaker's force; None if none is missing.
 
     Parameters
     ----------
@@ -43,6 +43,6 @@ def force_untold(scene: Scene, channels: Sequence[ChannelInfo]) -> str | None:
     if not missing:
         return None
     return (
-        "no channel tells the force on the structure, so that `analysis frf` will have nothing to divide by; "
+        "no channel measures the force on the structure, so `analysis frf` has no reference; "
         f"add {' and '.join(missing)} to the scene's channels"
     )

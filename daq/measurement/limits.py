@@ -153,7 +153,7 @@ class Limits:
 
 
 class ControlLoss:
-    """Watches the channels that a held spring force is read from: clipped, they cannot tell how large it is.
+    """Watches the channels that a held spring force is read from: clipped, they do not measure it.
 
     Parameters
     ----------

@@ -82,7 +82,7 @@ def record(
     Warns
     -----
     RunWarning
-        If points did not settle, or a level was not reached; at the start, if no channel tells the force.
+        If points did not settle, or a level was not reached; at the start, if no channel measures the force.
 
     Examples
     --------
@@ -164,9 +164,9 @@ class MeasurementRun:
         test = self._excite(self._station)
         drive = next(test)
         bench, path = self.bench, self._path
-        untold = force_untold(bench.scene, bench.channels)
-        if untold is not None:
-            warnings.warn(untold, RunWarning, stacklevel=4)
+        missing = force_untold(bench.scene, bench.channels)
+        if missing is not None:
+            warnings.warn(missing, RunWarning, stacklevel=4)
         _make_folder(path)
         try:
             # While the file is made and while it is ended an interrupt waits, too: a part of either is no recording.

@@ -1,4 +1,4 @@
-"""What a test that has been recorded tells its user: progress while it runs, a summary when it is over."""
+"""Progress of a test while it runs, and its summary when it is over."""
 
 from __future__ import annotations
 
@@ -56,8 +56,8 @@ def record_and_report(name: str, scene: Scene, path: Path, overwrite: bool, bloc
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always", daq.RunWarning)
         try:
-            with progress(Path(name).stem) as tell:
-                daq.record(scene, path, block=block, overwrite=overwrite, progress=tell)
+            with progress(Path(name).stem) as report_progress:
+                daq.record(scene, path, block=block, overwrite=overwrite, progress=report_progress)
             code = 0
         except KeyboardInterrupt as interrupt:
             if not interrupt.args:
@@ -148,10 +148,10 @@ def _overloads(rec: Recording) -> str:
         (mark for mark in rec.markers if mark.kind == "overload"), key=lambda mark: mark.first_sample
     )
     names = list(dict.fromkeys(str(mark.fields["channel"]) for mark in stretches))
-    told = "; ".join(
+    listed = "; ".join(
         _overload(rec, name, [mark for mark in stretches if mark.fields["channel"] == name]) for name in names
     )
-    return f"{told}{_sudden_landings(rec, names)}" if stretches else "none"
+    return f"{listed}{_sudden_landings(rec, names)}" if stretches else "none"
 
 
 def _overload(rec: Recording, name: str, stretches: Sequence[Marker]) -> str:

@@ -33,7 +33,7 @@ class Series:
     Parameters
     ----------
     channel : mcap Channel
-        The topic, with what its metadata tell.
+        The topic with its metadata.
     """
 
     def __init__(self, container: Container, channel: Channel) -> None:

@@ -30,7 +30,7 @@ class Gap:
 
 
 def gaps_of(markers: Iterable[Marker], channels: Sequence[str]) -> list[Gap]:
-    """Gaps that markers tell of, in their order; all channels lack the samples where a marker names none."""
+    """Gaps that markers report, in their order; all channels lack the samples where a marker names none."""
     gaps = []
     for marker in markers:
         if marker.kind in ("gap", "lost"):

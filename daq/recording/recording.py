@@ -394,7 +394,7 @@ class Recording(Result):
                 if self._is_ours:
                     raise RecordingError(
                         f"{self.path} lacks the samples {first} to {stop - 1} of {name}, of which none of its "
-                        "markers tells: they were taken out, or what follows was moved; what there is can be read"
+                        "marker explains: they were taken out, or what follows was moved; what there is can be read"
                     )
 
     def close(self) -> None:

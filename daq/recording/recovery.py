@@ -288,7 +288,7 @@ class _Salvage:
         for number in self._numbers:
             if number in self._spans:
                 continue
-            # The messages of a topic are numbered; the summary and the outcome tell how many there were.
+            # The messages of a topic are numbered; the summary and the outcome hold their count.
             expected = max(self._beyond[number], (self._registry.counts or {}).get(number, 0))
             if channels[number].topic == layout.MARKERS and _is_count(outcome.get("markers", "")):
                 expected = max(expected, int(outcome["markers"]))
@@ -328,12 +328,12 @@ class _Salvage:
                 else {f"before.{key}": outcome.get(key, "") for key in ("status", "reason")}
             )
             samples = str(max(span[-1][1] for span in self._spans.values() if span))
-            told = {
+            counted = {
                 "status": "recovered",
                 "reason": f"recovered from {shown(self._source.name)}",
                 "samples": samples,
             }
-            outcome = checked({**before, **told, "report": json.dumps(list(salvage.report()))})
+            outcome = checked({**before, **counted, "report": json.dumps(list(salvage.report()))})
         self._file.add_metadata("outcome", outcome)
         self._file.finish()
         self._disk.finish()

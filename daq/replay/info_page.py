@@ -24,10 +24,12 @@ def about(recording: Recording, motion: RecordedMotion, view: RigView) -> str:
         *[f"- {markdown(source.point)}: {markdown(source.sentence)}" for source in motion.sources],
     ]
     if scene.dampers:
-        told = "recorded truth"
+        source = "recorded truth"
         if not motion.gaps_known:
-            told = "not recorded, drawn on their floors (a scene with recording: {truth: true} records them)"
-        lines.append(f"- dampers: {told}")
+            source = (
+                "not recorded, drawn on their floors (a scene with recording: {truth: true} records them)"
+            )
+        lines.append(f"- dampers: {source}")
         lines += [
             "",
             "## Dampers",

@@ -167,7 +167,7 @@ def window(instead: str) -> AbstractContextManager[Viewer]:
     Parameters
     ----------
     instead : str
-        What to tell somebody who has no display.
+        What to do without a display, for the message.
 
     Raises
     ------
@@ -217,7 +217,7 @@ def in_browser(replay: Replay, announce: Callable[[str], None], progress: Progre
 
 @contextmanager
 def server(announce: Callable[[str], None]) -> Iterator[Viewer]:
-    """Serve the viewer to browsers on this machine; `announce` is told the address."""
+    """Serve the viewer to browsers on this machine; `announce` is called with the address."""
     page = free_port()
     # The server keeps everything for browsers to come.
     with viewer("--serve-web", "--web-viewer-port", str(page), "--server-memory-limit", "75%") as running:

@@ -1,4 +1,4 @@
-"""How the points of the rig moved, as far as a recording tells."""
+"""Motion of the points of the rig, computed from a recording."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class MotionSource:
 
     @property
     def sentence(self) -> str:
-        """What to tell the person who looks."""
+        """Notes for the viewer."""
         if self.quantity == "truth":
             return "recorded truth"
         if self.quantity == "nothing":

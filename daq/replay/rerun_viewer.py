@@ -195,7 +195,7 @@ def can_open_windows() -> bool:
 
 
 def need_display(instead: str) -> None:
-    """Raise `RunError` where no window can be opened; `instead` tells what to do then."""
+    """Raise `RunError` where no window can be opened; `instead` names what to do then."""
     if not can_open_windows():
         raise RunError(
             f"no display to open the viewer on (neither DISPLAY nor WAYLAND_DISPLAY is set); {instead}"

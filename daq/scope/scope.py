@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from rig.scene.scene import Scene
 
 BLOCK_S = 0.04
-# Being late by more than this is told, and the time given up: the bench then goes on from there.
+# A delay of more than this is reported, and the time given up: the bench then goes on from there.
 LATE_S = 0.5
 # Samples a period that a drive needs at least.
 FEWEST_SAMPLES = 10.0
@@ -39,7 +39,7 @@ class Pace:
 
     Parameters
     ----------
-    tell : callable
+    report : callable
         Told when the machine is found too slow, once.
 
     Attributes
@@ -48,8 +48,8 @@ class Pace:
         Wall-clock time that the bench has fallen behind, s.
     """
 
-    def __init__(self, rate: float, tell: Callable[[str], None]) -> None:
-        self._rate, self._tell = rate, tell
+    def __init__(self, rate: float, report: Callable[[str], None]) -> None:
+        self._rate, self._report = rate, report
         self._origin: float | None = None
         self.given_up_s = 0.0
 
@@ -65,7 +65,7 @@ class Pace:
         elif early < -LATE_S:
             self._origin -= early
             if not self.given_up_s:
-                self._tell("the machine is too slow for real time: what you see runs slower than it would")
+                self._report("the machine is too slow for real time: what you see runs slower than it would")
             self.given_up_s -= early
 
 
@@ -74,7 +74,7 @@ def scope(
     path: Path,
     stream: rr.RecordingStream,
     knobs: Knobs,
-    tell: Callable[[str], None],
+    report: Callable[[str], None],
     keep: Callable[[int], None],
     overwrite: bool = False,
 ) -> Path:
@@ -88,7 +88,7 @@ def scope(
         Where the live view goes.
     knobs : Knobs
         Turned by somebody else meanwhile.
-    tell : callable
+    report : callable
         Told in one line whenever a setting has been reached.
     keep : callable
         Told the number of samples that have passed, after every block; it lets time pass.
@@ -110,7 +110,7 @@ def scope(
         screen.read(reading)
         state = reading.frequency, reading.level, reading.held
         if reading.held and state != was[0]:
-            tell(sentence(reading))
+            report(sentence(reading))
         was[0] = state
 
     def heard(block: AcquiredBlock, readings: NDArray[np.float64]) -> None:
@@ -136,7 +136,7 @@ def knobs_for(scene: Scene, frequency: float | None, force: float) -> Knobs:
     return Knobs(frequency, force, highest=float(scene.converter.sample_rate) / FEWEST_SAMPLES)
 
 
-def listen(knobs: Knobs, lines: TextIO, tell: Callable[[str], None]) -> None:
+def listen(knobs: Knobs, lines: TextIO, report: Callable[[str], None]) -> None:
     """Turn the knobs by lines that are typed, on a thread of its own; their end turns them off."""
 
     def obey() -> None:
@@ -144,7 +144,7 @@ def listen(knobs: Knobs, lines: TextIO, tell: Callable[[str], None]) -> None:
             try:
                 knobs.turn(line)
             except SceneError as error:
-                tell(str(error))
+                report(str(error))
             if knobs.off:
                 return
         knobs.off = True

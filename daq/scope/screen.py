@@ -132,8 +132,8 @@ def page(reading: ToneReading) -> str:
 
 def sentence(reading: ToneReading) -> str:
     """Write a reading that is held as one line."""
-    told = ", ".join(
+    responses = ", ".join(
         f"{name} {abs(moved) * 1e3:.3g} mm ({math.degrees(cmath.phase(reading.receptance(name))):.0f}°)"
         for name, moved in reading.displacement.items()
     )
-    return f"{reading.frequency:g} Hz: {abs(reading.force):.3g} N held; {told}"
+    return f"{reading.frequency:g} Hz: {abs(reading.force):.3g} N held; {responses}"

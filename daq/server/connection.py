@@ -47,7 +47,7 @@ class Connection(GrpcSessionOptions):
 
     @property
     def sensors(self) -> tuple[ChannelInfo, ...]:
-        """What is wired to ai0, ai1, ...; each tells where it sits, what it measures, its sensitivity."""
+        """What is wired to ai0, ai1, ...; each with its position, quantity and sensitivity."""
         return tuple(self.chassis.source.channels)
 
     def pass_time(self, seconds: float) -> None:

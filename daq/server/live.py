@@ -48,8 +48,8 @@ class LiveView:
             self._blocks.put_nowait((block, source.physical(block.samples)))
 
     def _show(self) -> None:
-        while (told := self._blocks.get()) is not None:
-            self._screen.show(*told)
+        while (block := self._blocks.get()) is not None:
+            self._screen.show(*block)
 
     def close(self) -> None:
         """Show what has come, and end."""

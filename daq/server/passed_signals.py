@@ -14,14 +14,14 @@ from typing import Any, Self
 
 from daq.recording.interrupts import answered
 
-# How long a script that was told to end may take for it before it is killed, s.
+# Time that a script has to end after a request, before it is killed, s.
 PATIENCE = 1.0
 # Where a signal reached a whole group, all of it has heard after this, s.
 _HEARD = 1.0
 
 
 class _Witness:
-    """A process of this one's group that Ctrl-C ends: it tells whether a Ctrl-C went to all of them or to this one."""
+    """A process of the same group, which Ctrl-C ends: it shows whether a Ctrl-C went to the group or to one process."""
 
     _COMMAND = (sys.executable, "-I", "-S", "-c", "import sys; sys.stdin.read()")
 

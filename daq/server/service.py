@@ -1,4 +1,4 @@
-"""The server: remote calls in, answers and events out, errors as the protocol tells them."""
+"""The server: remote calls in; answers, events and errors out, as the protocol defines them."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ class Server:
             )
 
     def remember(self, peer: str, error: DaqError, task: str) -> None:
-        """Keep what is to be said about an error that is told by its number alone."""
+        """Keep the text of an error that the protocol reports by its number alone."""
         if len(self._said) > 1000:
             self._said.clear()
         self._said[peer, error.code] = _text(error, task)
@@ -193,7 +193,7 @@ class Server:
 
     @contextlib.contextmanager
     def _telling(self, method: Method, request: bytes, context: grpc.ServicerContext) -> Iterator[Call]:
-        """Read a request, and tell errors as the protocol does."""
+        """Read a request and report errors as the protocol does."""
         peer, name = context.peer(), method.name
         key = dict(context.invocation_metadata()).get("ni-api-key", "")
         call = Call(self, peer, strict=key == STRICT, is_active=context.is_active)
@@ -210,10 +210,10 @@ class Server:
             task = self.sessions.task_name(call.fields.get("task", ""))
             message = _text(error, task)
             kind = "written" if "Write" in name else "read"
-            told = [("ni-error", str(error.code))]
+            metadata = [("ni-error", str(error.code))]
             if error.done is not None or name.startswith(("Read", "Write")):
-                told.append((f"ni-samps-per-chan-{kind}", str(error.done or 0)))
-            context.set_trailing_metadata(tuple(told))
+                metadata.append((f"ni-samps-per-chan-{kind}", str(error.done or 0)))
+            context.set_trailing_metadata(tuple(metadata))
             context.abort(grpc.StatusCode.UNKNOWN, message)
         except SessionExists as error:
             context.abort(grpc.StatusCode.ALREADY_EXISTS, _cut(str(error)))
@@ -250,21 +250,21 @@ class Server:
         register, fields = _EVENTS[method.name]
 
         def events(request: bytes, context: grpc.ServicerContext) -> Iterator[Any]:
-            told: queue.SimpleQueue[int | None] = queue.SimpleQueue()
+            values: queue.SimpleQueue[int | None] = queue.SimpleQueue()
             with self._telling(method, request, context) as call:
                 task, given = call.task, call.fields
                 with task.chassis.changed:
-                    register(task, given, told.put)
-            task.events.at_end(told.put)
-            context.add_callback(lambda: told.put(None))
+                    register(task, given, values.put)
+            task.events.at_end(values.put)
+            context.add_callback(lambda: values.put(None))
             # Only now does the client go on: what it starts next is heard.
             context.send_initial_metadata(())
             try:
-                while (value := told.get()) is not None and context.is_active():
+                while (value := values.get()) is not None and context.is_active():
                     yield encode(method.response(), fields(given, value))
             finally:
                 with contextlib.suppress(DaqError), task.chassis.changed:
-                    task.events.leave(told.put)
+                    task.events.leave(values.put)
 
         return events
 

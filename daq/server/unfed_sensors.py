@@ -12,14 +12,14 @@ from daq.instrument.settings.channels import Channel
 
 def tell_unfed_sensors(chassis: Chassis) -> None:
     """Say on stderr, once for each input, when a task samples a sensor whose supply it leaves off."""
-    told: set[int] = set()
+    reported: set[int] = set()
 
     def hear(channels: Sequence[Channel]) -> None:
         unfed = [each for each in channels if chassis.source.supply(each.row) == 0.0]
-        fresh = {each.row: each for each in unfed if each.row not in told}
+        fresh = {each.row: each for each in unfed if each.row not in reported}
         if not fresh:
             return
-        told.update(fresh)
+        reported.update(fresh)
         infos = chassis.source.channels
         inputs = ", ".join(f"{each.port.name} ({infos[row].name})" for row, each in fresh.items())
         current = next(iter(fresh.values())).module.currents[0]

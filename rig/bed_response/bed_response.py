@@ -114,7 +114,7 @@ def bed_response(
     frequencies : sequence of float or str
         Hz, or text with units.
     periods : int
-        Of a block; the motion is steady once the compliances of two blocks agree within 1 %, and their mean is told.
+        Of a block; the motion is steady once the compliances of two blocks agree within 1 %. Returned is their mean.
     table : Path, optional
         CSV file with every frequency as soon as it is there; what stands in it of the same scene is not done again.
     cluster : str, optional
@@ -182,8 +182,8 @@ def _followed(piece: _Piece) -> tuple[SteadyBed, SteadyBed]:
 
 def _digest(piece: _Piece) -> str:
     """Name a piece by all that its result depends on."""
-    told = (piece.scene.to_si_yaml(), piece.frequency, piece.periods, lammps_version())
-    return hashlib.sha256(repr(told).encode()).hexdigest()[:16]
+    stored = (piece.scene.to_si_yaml(), piece.frequency, piece.periods, lammps_version())
+    return hashlib.sha256(repr(stored).encode()).hexdigest()[:16]
 
 
 def _known(rows: Sequence[Sequence[str]]) -> dict[str, tuple[SteadyBed, SteadyBed]]:
@@ -201,13 +201,13 @@ def _row(piece: _Piece, both: tuple[SteadyBed, SteadyBed]) -> list[str]:
 
 
 def _told(motion: SteadyBed) -> dict[str, Any]:
-    told = {name: np.asarray(value).tolist() for name, value in vars(motion).items()}
-    told["compliance"] = [[value.real, value.imag] for value in motion.compliance]
-    return told
+    stored = {name: np.asarray(value).tolist() for name, value in vars(motion).items()}
+    stored["compliance"] = [[value.real, value.imag] for value in motion.compliance]
+    return stored
 
 
-def _motion(told: str) -> SteadyBed:
-    values = json.loads(told)
+def _motion(stored: str) -> SteadyBed:
+    values = json.loads(stored)
     values["compliance"] = [complex(*pair) for pair in values["compliance"]]
     lists = {name: np.array(value) for name, value in values.items() if isinstance(value, list)}
     return SteadyBed(**(values | lists))

@@ -15,7 +15,7 @@ from rig.kept_table import KeptTable
 from rig.workers import Workers
 
 #: Tells what came of a choice, as far as it is known.
-Told = Callable[[Choice], Trial | None]
+Computed = Callable[[Choice], Trial | None]
 
 _HEADER = [
     "question",
@@ -70,7 +70,7 @@ class Answers:
         return [found[choice] for choice in choices]
 
     def follow(
-        self, question: Question, searches: Sequence[Callable[[Told], Iterable[Choice]]]
+        self, question: Question, searches: Sequence[Callable[[Computed], Iterable[Choice]]]
     ) -> dict[Choice, Trial]:
         """Answer what searches want to know, until none wants more.
 

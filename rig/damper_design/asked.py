@@ -17,12 +17,12 @@ from rig.scene.shaker import ForceShaker
 from rig.system.open_loop_drive import level_of, with_ideal_force
 from rig.system.structure import structure_matrices
 
-#: Levels that a design must do well at unless told, relative to that of the scene's test.
+#: Levels that a design must do well at by default, relative to that of the scene's test.
 LEVELS = (0.5, 1.0, 2.0)
-#: Clearances to choose from unless told, relative to the largest motion without dampers at the smallest and the largest
+#: Clearances to choose from by default, relative to the largest motion without dampers at the smallest and the largest
 #: level: with dampers that do well the motion is a tenth to a third of it, and their clearance about twice that.
 NARROWEST, WIDEST = 0.03, 1.5
-#: Share of the structure's mass that may be added, unless told.
+#: Share of the structure's mass that may be added by default.
 BUDGET = 0.05
 
 
@@ -97,7 +97,7 @@ def asked(
     watched: Sequence[int | str] | None,
     uncertain: Sequence[float | str],
 ) -> tuple[Question, Space]:
-    """Fill in what was not told, and check it; parameters as of `rig.design`.
+    """Fill in defaults and check the request; parameters as of `rig.design`.
 
     Raises
     ------

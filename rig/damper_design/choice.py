@@ -23,12 +23,12 @@ from rig.system.structure import structure_matrices
 
 Array = NDArray[np.float64]
 
-#: Frequencies for each natural frequency, to tell designs apart and to compare the best of them.
+#: Frequencies for each natural frequency: for the search, and for the comparison of the best designs.
 COARSE, FINE = 20, 60
 
 
 def mass_unit(mass: float) -> tuple[float, str]:
-    """Give how many of the unit in which a mass, kg, is told make a kilogram, and that unit."""
+    """Return the unit in which a mass in kg is shown, and how many of it make a kilogram."""
     return (1e3, "g") if mass < 1.0 else (1.0, "kg")
 
 
@@ -212,10 +212,10 @@ class Question:
     def digest(self) -> str:
         """Name for all that the answers depend on."""
         scenes = [scene.to_si_yaml() for scene in self.scenes]
-        told = scenes, self.levels, self.band, self.bodies, self.landings.restitution, self.density
+        asked = scenes, self.levels, self.band, self.bodies, self.landings.restitution, self.density
         contact = self.landings.contact
         lasting = "" if contact is None else repr(contact)
-        return hashlib.sha256(f"{told}{lasting}".encode()).hexdigest()[:16]
+        return hashlib.sha256(f"{asked}{lasting}".encode()).hexdigest()[:16]
 
     def worst(self, choice: Choice) -> Peak:
         """Worst peak of a choice over levels and structures."""

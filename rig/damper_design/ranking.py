@@ -8,7 +8,7 @@ import numpy as np
 
 from rig.damper_design.choice import Trial
 
-#: Choices whose reductions differ by less than this, dB, do alike: grids and averages tell no less apart.
+#: Choices whose reductions differ by less than this, dB, are equal: grids and averages resolve no smaller difference.
 ALIKE = 0.05
 #: The same as a ratio of peaks.
 AS_GOOD = 10.0 ** (ALIKE / 20.0)
@@ -77,7 +77,7 @@ def equals(trials: Iterable[Trial], best: Trial) -> list[Trial]:
 
 
 def _with_fewer_as_good(trial: Trial, best: Trial) -> bool:
-    """Tell whether fewer dampers, no heavier, do as well as the best ones as far as their motion tells."""
+    """Return whether fewer dampers, no heavier, do as well as the best ones within the resolution of the search."""
     one, other = trial.choice, best.choice
     ratio = SCATTERED if any(peak.simulated for peak in (*trial.peaks, *best.peaks)) else AS_GOOD
     return (
@@ -89,7 +89,7 @@ def _with_fewer_as_good(trial: Trial, best: Trial) -> bool:
 
 
 def merit(trial: Trial) -> float:
-    """Give what is to become small on the way to a better choice; where the worst peak is flat, all levels tell."""
+    """Give what is to become small on the way to a better choice; where the worst peak is flat, all levels count."""
     return float(np.log(trial.peak.size) + _OTHERS * np.log(trial.mean))
 
 

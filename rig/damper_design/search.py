@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 
-from rig.damper_design.answers import Answers, Told
+from rig.damper_design.answers import Answers, Computed
 from rig.damper_design.choice import FINE, Choice, Question, Space, Trial
 from rig.damper_design.ranking import AS_GOOD, merit, ranked
 from rig.damper_design.worst_peak import Peak
@@ -157,7 +157,7 @@ def _bounded(question: Question, grid: Sequence[list[Choice]], answers: Answers)
     return answers.follow(question, [partial(_promising, row, least) for row in rows])
 
 
-def _promising(row: Sequence[Choice], least: Mapping[Choice, Peak], told: Told) -> Iterator[Choice]:
+def _promising(row: Sequence[Choice], least: Mapping[Choice, Peak], computed: Computed) -> Iterator[Choice]:
     """Of choices, those with the smallest bounds first, give all that may be the best.
 
     What came of one counts only for those from the `AHEAD`-th after it, whoever is quicker: the same are tried
@@ -166,7 +166,7 @@ def _promising(row: Sequence[Choice], least: Mapping[Choice, Peak], told: Told) 
     best = np.inf
     for number, choice in enumerate(row):
         if number >= AHEAD:
-            trial = told(row[number - AHEAD])
+            trial = computed(row[number - AHEAD])
             if trial is None:
                 return
             best = min(best, trial.peak.size)
@@ -179,7 +179,7 @@ class _Unknown(Exception):
     """A search needs to know of a choice that was not tried yet."""
 
 
-def _wanted(search: Callable[..., object], start: Choice, told: Told) -> list[Choice]:
+def _wanted(search: Callable[..., object], start: Choice, computed: Computed) -> list[Choice]:
     """Give the choices that a search asks for, up to the first one that is not known.
 
     The search runs from its start each time: with what is known, it comes to the same place at once.
@@ -188,7 +188,7 @@ def _wanted(search: Callable[..., object], start: Choice, told: Told) -> list[Ch
 
     def cost(choice: Choice) -> float:
         wanted.append(choice)
-        trial = told(choice)
+        trial = computed(choice)
         if trial is None:
             raise _Unknown
         return merit(trial)

@@ -18,8 +18,8 @@ from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
 from rig.system.structure import natural_modes, structure_matrices
 
-#: Natural frequencies that are told at most.
-_TOLD = 7
+#: Largest number of natural frequencies that are listed.
+_MAX_LISTED = 7
 #: Entry points under which packages that build on the rig say what a scene turns on in them.
 GROUP = "shotrig.effects"
 
@@ -116,7 +116,7 @@ def motion_effects(scene: Scene) -> Iterable[Effect]:
     bodies = scene.structure.bodies
     many = "body" if bodies == 1 else "bodies"
     given = "by matrices" if scene.structure.matrices is not None else "on springs"
-    called = "" if scene.structure.names is None else f" ({', '.join(scene.structure.names[:_TOLD])})"
+    called = "" if scene.structure.names is None else f" ({', '.join(scene.structure.names[:_MAX_LISTED])})"
     what = f"{bodies} {many} {given}{called}, {_natural_frequencies(scene)}, {_damping(scene)}"
     yield Effect("motion", "structure", 2 * bodies, what)
     if system.coupled and system.dampers:
@@ -131,10 +131,10 @@ def motion_effects(scene: Scene) -> Iterable[Effect]:
 def _natural_frequencies(scene: Scene) -> str:
     """Tell where the structure by itself resonates: a mistaken unit shows there first."""
     mass, _, stiffness = structure_matrices(scene.structure)
-    told = [f"{omega / (2.0 * np.pi):.4g}" for omega in natural_modes(mass, stiffness)[0]]
-    if len(told) > _TOLD:
-        told = [*told[: _TOLD - 1], "...", told[-1]]
-    return f"{', '.join(told)} Hz"
+    listed = [f"{omega / (2.0 * np.pi):.4g}" for omega in natural_modes(mass, stiffness)[0]]
+    if len(listed) > _MAX_LISTED:
+        listed = [*listed[: _MAX_LISTED - 1], "...", listed[-1]]
+    return f"{', '.join(listed)} Hz"
 
 
 def _damping(scene: Scene) -> str:

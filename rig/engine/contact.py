@@ -65,7 +65,7 @@ def _forces(model: Model, state: State, force: Array) -> None:
 
 @inlined
 def _stays(model: Model, state: State, j: int, rebound: float, force: Array) -> bool:
-    """Whether a rebound is too low to be told from rest on the wall: this ends a Zeno sequence.
+    """Whether a rebound is too low to be distinguished from rest on the wall: this ends a Zeno sequence.
 
     Through a full mass matrix other contacts press or pull too. There only the size of the accelerations counts;
     a damper that is held wrongly has no weight on its wall and is let go at once.
@@ -143,7 +143,7 @@ def _impact_alone(
 
 @compiled
 def _hold_low_lifts(model: Model, state: State, work: ContactWork, count: int) -> None:
-    """Keep contacts that an impact would open too slowly for the gap ever to be told from zero.
+    """Keep contacts that an impact would open too slowly for the gap ever to differ from zero.
 
     Two dampers coupled through the mass matrix can kick each other off their walls in ever smaller and quicker
     turns, a Zeno sequence as of rebounds, which ends in the same way.

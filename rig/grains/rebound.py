@@ -1,4 +1,4 @@
-"""The restitution that LAMMPS has to be told so that grains rebound with the one that is wanted.
+"""The restitution to set in LAMMPS so that grains rebound with the desired one.
 
 LAMMPS takes the speed of approach, for the dashpot of a contact, half a step before the force; with some fifty steps
 in a contact a rebound then is slower, by 1 % for lead. The same scheme, followed here for one head-on contact, says by
@@ -41,8 +41,8 @@ def told_restitution(grains: Grains, mass: float, radius: float, step: float) ->
     0.202
     """
 
-    def missing(told: float) -> float:
-        return float(_rebounds(grains, told, mass, radius, step).mean()) - grains.restitution
+    def missing(setting: float) -> float:
+        return float(_rebounds(grains, setting, mass, radius, step).mean()) - grains.restitution
 
     most = 1.0 - 1e-9
     if missing(most) <= 0.0:
@@ -50,10 +50,10 @@ def told_restitution(grains: Grains, mass: float, radius: float, step: float) ->
     return float(brentq(missing, 0.5 * grains.restitution, most, xtol=1e-7))
 
 
-def _rebounds(grains: Grains, told: float, mass: float, radius: float, step: float) -> Array:
+def _rebounds(grains: Grains, setting: float, mass: float, radius: float, step: float) -> Array:
     """Speeds of separation over that of approach, for contacts that begin at different places in a step."""
     modulus = grains.modulus / (2.0 * (1.0 - grains.poisson_ratio**2))
-    loss = -math.log(told) / math.hypot(math.log(told), math.pi)
+    loss = -math.log(setting) / math.hypot(math.log(setting), math.pi)
     damping = 2.0 * math.sqrt(5.0 / 6.0) * loss * math.sqrt(2.0 * modulus * math.sqrt(radius) * mass)
     stiffness = 4.0 / 3.0 * modulus * math.sqrt(radius)
     overlap = -(np.arange(_PLACES) + 0.5) / _PLACES * _SPEED * step

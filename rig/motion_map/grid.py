@@ -17,7 +17,7 @@ from rig.system.structure import natural_modes
 
 #: What a level or a clearance measures, by its unit.
 KIND_OF_UNIT = {"N": FORCE, "V": VOLTAGE, "m": LENGTH}
-#: Frequencies and rows of a map, unless told.
+#: Frequencies and rows of a map by default.
 POINTS, ROWS = 48, 36
 #: What counts as close to a natural frequency, as a share of it.
 CLOSE = 0.02

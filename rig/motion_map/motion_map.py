@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 #: What a damper does, from the tamest to the wildest; a point of the map counts as what its wildest damper does.
 KINDS = ("riding", "I", "II", "III", "other, every period", "longer period", "irregular")
-#: Distance from the steady state at which a motion's type can be told, relative to the motion.
+#: Distance from the steady state at which a motion's type is determined, relative to the motion.
 TOLERANCE = 1e-6
 #: A motion that has not repeated after so many times the slowest mode's decay to the tolerance is irregular.
 PATIENCE = 3.0

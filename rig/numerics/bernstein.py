@@ -140,7 +140,7 @@ def first_crossing(
     start : int
         Number of leading coefficients known to be exactly zero (multiplicity of the root at tau = 0).
     allowance : float
-        Rounding of the guard: what lies within it cannot be told from zero.
+        Rounding of the guard: values within it are rounding errors of zero.
     work : float64 (DEEPEST + 3, LENGTH), spans : float64 (DEEPEST + 3, 2)
         Scratch space.
     bernstein : float64

@@ -22,7 +22,7 @@ import numpy as np
 
 from rig.numerics.jit import compiled
 
-#: What is smaller than this part of its terms cannot be told from zero.
+#: Values smaller than this share of their terms are rounding errors of zero.
 ROUNDING = 16 * 2.3e-16
 #: Pivots at most; the number needed in practice is about the number of contacts.
 PIVOTS = 100_000

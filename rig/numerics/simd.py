@@ -1,4 +1,4 @@
-"""Matrix times vector in vector registers: here, and in `rig.numerics.fma`, numba is told which instructions to use.
+"""Matrix times vector in vector registers: here, and in `rig.numerics.fma`, the instructions are chosen explicitly.
 
 The kernel multiplies small matrices with a vector millions of times a second. Written as plain loops numba
 keeps the sums in memory; as eight lanes of one register the same product costs half. The order of the sums is

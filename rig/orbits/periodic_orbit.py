@@ -91,7 +91,7 @@ def search(
             )
         return orbit
     if steady.residual < ALMOST:
-        # It repeats, but its slow decay does not tell after how many periods.
+        # It repeats, but its slow decay does not determine after how many periods.
         for repetition in range(1, LONGEST_REPETITION + 1):
             found = _near(problem, setting, propagator, steps, repetition)
             if found is not None:

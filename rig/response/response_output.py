@@ -19,7 +19,7 @@ from rig.scene.scene import Scene
 def frequencies_of(
     scene: Scene, first: float | None, last: float | None, points: int | None, direction: str | None
 ) -> tuple[tuple[float, ...], str]:
-    """Frequencies in Hz, rising, and the direction: as told, and otherwise those of the scene's test.
+    """Frequencies in Hz, rising, and the direction: as given, and otherwise those of the scene's test.
 
     Raises
     ------
@@ -27,8 +27,8 @@ def frequencies_of(
         If neither says what they are.
     """
     test = scene.test
-    told = (first, last, points)
-    if any(part is not None for part in told):
+    given = (first, last, points)
+    if any(part is not None for part in given):
         stepped = test if isinstance(test, SteppedSine) else None
         first = first if first is not None else getattr(stepped, "from_", None)
         last = last if last is not None else getattr(stepped, "to", None)

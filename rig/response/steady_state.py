@@ -142,7 +142,7 @@ def _distances(look: _Look, units: Array) -> tuple[Array, Array]:
 def _changes(vectors: Array, modes: NDArray[np.int8]) -> Array:
     """Largest change over 1, 2, ... periods at the end, and half a look before; infinite where contacts differ.
 
-    The ratio of both tells of a slow decay, which hides behind quick ones from period to period.
+    The ratio of both reveals a slow decay, which faster decays hide from period to period.
     """
     changes = np.zeros((LONGEST_REPETITION, 2))
     rows = vectors.shape[0]

@@ -154,7 +154,7 @@ def _at_shaker(
         table = at_shaker("table", channel.number or 1, len(shakers))
         yield Mistake(
             place,
-            f"a shaker of kind {shaker.kind} acts through its coil spring, whose force is told by channels at its "
+            f"a shaker of kind {shaker.kind} acts through its coil spring, whose force is measured by channels at its "
             f"two ends; expected at: {table} and at: body {shaker.bodies[0]}",
         )
     elif what == "shaker" and isinstance(test, Impulse):
@@ -181,7 +181,7 @@ def _sampling(
 
 
 def _too_high(test: Test | None, converter: Converter | None) -> Iterable[Mistake]:
-    """Check that samples can tell the test's frequencies, and that the drive can be made of samples."""
+    """Check that the sample rate resolves the test's frequencies, and that the drive can be made of samples."""
     highest = _highest(test)
     if highest is None or converter is None:
         return

@@ -73,7 +73,7 @@ def data_sheet(name: str, kind: str | None = None) -> DataSheet:
     name : str
         Of the part.
     kind : str, optional
-        What it has to tell of: one of `KINDS`, or ``"module"``; omitted, anything.
+        What it must describe: one of `KINDS`, or ``"module"``; omitted, anything.
 
     Raises
     ------

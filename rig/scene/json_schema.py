@@ -16,7 +16,7 @@ def schema_text() -> str:
 
 
 def _lean(node: Any) -> Any:
-    """Leave out what tells an editor nothing: derived titles, null beside a type, defaults of nothing."""
+    """Leave out what an editor does not need: derived titles, null beside a type, defaults of nothing."""
     if isinstance(node, list):
         return [_lean(item) for item in node]
     if not isinstance(node, dict):

@@ -19,7 +19,7 @@ _WIDTH = 100
 _INTRODUCTION = (
     "Quantities carry units (0.98 mm, 6.6 kN/m, 5 %); a bare number is SI, a frequency Hz. What is left out and has no "
     "default is not modelled: it adds no state, runs no code and costs nothing. What a key turns on has the name that "
-    "rig explain gives it; states are what it adds to the computation, whose time rig explain SCENE --measure tells."
+    "rig explain gives it; states are what it adds to the computation, timed by `rig explain SCENE --measure`."
 )
 #: What a key turns on, as `rig explain` calls it, and the states it adds (None: more than a few, see there).
 EFFECTS: dict[str, tuple[str, int | None]] = {

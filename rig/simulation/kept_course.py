@@ -106,5 +106,5 @@ def _numbered(kept: Mapping[str, Any], name: str) -> tuple[Any, ...]:
 
 def _digest(value: Any) -> str:
     """Name a value by what its words or its array hold."""
-    told = value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode()
-    return hashlib.sha256(told).hexdigest()[:16]
+    content = value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode()
+    return hashlib.sha256(content).hexdigest()[:16]

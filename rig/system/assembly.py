@@ -40,7 +40,7 @@ def assemble(scene: Scene) -> HybridSystem:
     held = np.array([not d.moves for d in scene.dampers], dtype=bool)
     free = np.flatnonzero(~held)
     lasting = any(scene.dampers[j].contact is not None for j in free)
-    # A contact that lasts takes a second bit, to tell the ceiling from the floor.
+    # A finite-duration contact takes a second bit, which distinguishes the ceiling from the floor.
     most = MOST_DAMPERS // 2 if lasting else MOST_DAMPERS
     if len(free) > most:
         beside = " where a contact lasts" if lasting else ""

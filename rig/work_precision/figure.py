@@ -174,7 +174,7 @@ def _panel(axes: Axes, points: tuple[Point, ...], label: str) -> None:
         if not own:
             continue
         colour, marker = LOOK[method]
-        # A line joins settings of one kind; solvers told what they may miss are another kind.
+        # A line joins settings of one kind; solvers with a given error tolerance are another kind.
         series = [p for p in own if "blind" not in p.setting]
         axes.plot([p.cpu for p in series], [_shown(p) for p in series], "-", color=colour, lw=1.0, alpha=0.6)
         for p in own:

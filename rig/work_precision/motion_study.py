@@ -206,7 +206,7 @@ def _compiled(problem: FirstOrderForm, period: float) -> Methods:
     if problem.system.dampers > MOST_DAMPERS:
         return
     peer = DormandPrince(problem)
-    # A motion that it cannot follow is told where it is measured.
+    # A motion that it cannot follow is reported where it is measured.
     with suppress(RunError):
         peer.follow(1e-6, BLIND, period)
     for rtol in (1e-6, 1e-9, 1e-12):

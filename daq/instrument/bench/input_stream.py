@@ -103,7 +103,7 @@ class InputStream:
 
 
 def at_rate(scene: Scene, rate: float) -> Scene:
-    """Give a scene with another sample rate; without its test where samples at that rate cannot tell its tones."""
+    """Give a scene with another sample rate; without its test if that rate does not resolve its tones."""
     if rate == scene.converter.sample_rate:
         return scene
     converter = scene.converter.replace(rate=rate)

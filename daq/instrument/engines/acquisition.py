@@ -21,7 +21,7 @@ Moment = Callable[[OtherTask], int | None]
 
 @dataclass(frozen=True)
 class InputPlan:
-    """What an input task was told to do.
+    """The settings of an input task.
 
     Attributes
     ----------
@@ -116,7 +116,7 @@ class Acquisition:
         self.error: DaqError | None = None
         self.overloaded = np.zeros(len(plan.rows), bool)
         self._late = False
-        # Number of the first sample that has not been told to be lost.
+        # Number of the first sample not yet reported as lost.
         self._kept = 0
         self._record = 0
         # Number and tick of the first sample of each record, the latest last.
@@ -155,7 +155,7 @@ class Acquisition:
         return max(self._kept, self.ring.written - self.plan.buffer * (2 if self._late else 1))
 
     def skip_lost(self) -> int:
-        """Move the read position past samples that have been lost, and tell how many it has passed over."""
+        """Move the read position past samples that have been lost, and return how many there are."""
         if not self.readable or self.position >= self.oldest:
             return 0
         at, self.position = self.position, max(0, self.ring.written - self.plan.buffer)

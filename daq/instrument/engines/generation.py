@@ -59,7 +59,7 @@ class OutputBuffer:
 
 @dataclass(frozen=True)
 class OutputPlan:
-    """What an output task was told to do.
+    """The settings of an output task.
 
     Attributes
     ----------

@@ -293,7 +293,7 @@ def _named(channels: Sequence[ChannelInfo], names: Sequence[str]) -> list[Channe
     """Give channels their names in a recording: those a script gave them, otherwise those on the bench.
 
     A channel that no script named goes by its terminal's name, which has a slash. Where its name on the bench
-    is taken (two modules on one sensor), the module tells it apart.
+    is taken (two modules on one sensor), the module is added to the name.
     """
     named: list[ChannelInfo] = []
     for info, name in zip(channels, names, strict=True):

@@ -31,7 +31,7 @@ class Call:
     fields : dict
         What it holds, see `daq.server.protocol.decode`.
     strict : bool
-        Whether the client wants a name that is taken told as the driver does, not as the network does.
+        Whether a duplicate name is reported as the driver does, not as the network does.
     is_active : callable
         Whether the client still waits for the answer.
     """

@@ -167,7 +167,7 @@ def fit(
     ] = Path("fitted.yaml"),
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace FILE if it exists.")] = False,
 ) -> None:
-    """Fit a scene to recordings of the real structure: its values, how certain, and what cannot be told."""
+    """Fit a scene to recordings of the real structure: values with 95 % intervals."""
     from analysis.fitting.presentation import present_fit
 
     files_written, warnings = present_fit(files, loaded(scene, changes), free, output, overwrite, print)

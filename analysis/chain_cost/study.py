@@ -99,7 +99,7 @@ def chain_study(
     Parameters
     ----------
     scene : Scene
-        With a shaker, and a test that gives a level and, unless told, a frequency.
+        With a shaker, and a test that gives a level and, unless one is given, a frequency.
     frequencies : sequence of float, optional
         Hz; None: the lowest, the highest and the hardest (largest acceleration) of the test's range at which the
         motion repeats every period, whichever way one comes there.
@@ -109,7 +109,7 @@ def chain_study(
     Raises
     ------
     SceneError
-        If nothing drives the scene, or its channels do not tell the force.
+        If nothing drives the scene, or its channels do not measure the force.
     RunError
         If the motion repeats nowhere, or the scene as it is cannot be measured.
 
@@ -297,7 +297,7 @@ def _driven(scene: Scene, frequency: float, drive: float) -> Complex:
     test = SteppedSine(**{name: drive}, frequencies=(frequency,))
     scene = scene.replace(test=test)
     # Samples joined by straight lines are a tone of this much less; and to the engine, a table's drive is where the
-    # table goes, to its servo where it is told to go.
+    # table goes, to its servo at its commanded position.
     smaller = float(np.sinc(frequency / scene.converter.sample_rate)) ** 2
     smaller /= abs(drive_per_level(scene, assemble(scene), 2.0 * np.pi * frequency))
     scene = scene.replace(test=test.replace(**{name: drive * smaller}))

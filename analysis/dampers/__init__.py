@@ -1,4 +1,4 @@
-"""What the dampers did, told from channels alone: impacts, type of motion, energy taken out.
+"""Damper motion, estimated from the channels alone: impacts, type of motion, energy dissipated.
 
 Start with `performance`; `impact_detection` finds impacts in a channel.
 """

@@ -34,7 +34,7 @@ def may_reach_ceiling(rec: Recording, found: Impacts, damper: Damper, start: int
 
     After a blow the damper rests on the floor while its body's acceleration exceeds -g, and falls freely from then on:
     its height above the floor follows from the body's motion alone. Where landings last, when and how fast it left the
-    floor is not known; but its blow tells the speed at which it came, and that how it fell before. It is taken as large
+    floor is not known; but its impact gives its closing speed, and that its fall before. It is taken as large
     as the sensor's tolerance allows, and its median over the stretch is held against the scene's clearance.
     """
     if not np.isfinite(damper.clearance):

@@ -17,7 +17,7 @@ _BELOW = 0.15
 # A measured point that its neighbours foretell worse than this is no point of a smooth curve: the motion jumps.
 _SMOOTH = 0.2
 _GRID = 801
-# What lies between the points of a peak should be told this well, relative; so should who is advised to measure more.
+# Relative accuracy that the curve between the points of a peak should have; below it, denser points are advised.
 _RESOLVED = 0.01
 
 
@@ -67,7 +67,7 @@ def peak(frf: Frf, low: float, high: float) -> Peak | None:
     Around a resonance 1/H is nearly a quadratic in frequency (k - m w^2 + i c w for one mode), so that it is
     interpolated and not the peak itself: through the three points around the highest one, and through five as a check.
     The bound holds the bounds of these points and twice both what the two interpolations differ by and what the points
-    miss of what their neighbours foretell: dampers make peaks narrower than 1/H tells from wide points. (Of computed
+    miss of what their neighbours foretell: dampers make peaks narrower than 1/H shows from wide points. (Of computed
     curves beneath dampers, at one to nine points in the half-power width, that held the peak of 98 %.) The peak's
     place is where the curve comes within the bound of its height.
 
@@ -295,13 +295,13 @@ def highest_left_out(modes: Modes, bare: Sequence[Frf]) -> list[str]:
         )
         said.append(
             f"{curve.response}: the curve is highest at {f[top]:.2f} Hz{more}, where nothing is compared: no mode "
-            "could be told there; see `analysis frf` for its height and its bounds"
+            "was identified there; see `analysis frf` for its height and its bounds"
         )
     return said
 
 
 def unresolved(peaks: Sequence[tuple[float, str, Peak]]) -> list[str]:
-    """Say which peaks' points are too far apart to tell their heights, and how near together they would have to be.
+    """Name peaks whose points are too far apart to determine their heights, and the spacing that they need.
 
     Parameters
     ----------

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Where less than this part of a stretch can be searched, nothing is told of it.
+# Where less than this part of a stretch can be searched, it has no result.
 _LEAST_SEARCHED = 0.5
 # A bed's weight puts off the end of a landing that lasts: so many durations beside it, less than such a part of it is
-# its release. While it rings, less than this part of it is not told from what the fit leaves over.
+# its release. While it rings, less than this share of it cannot be distinguished from the residual of the fit.
 RELEASED, _OF_RELEASE, HIDES = 1.6, 0.5, 0.15
 # Such a part of a landing that lasts is not known of it and those beside it, which puts it off by such a part of its
 # width and of a sample interval.
@@ -44,8 +44,8 @@ _AROUND, _FEWEST_AROUND, _RUNG_OUT, _BENDS = 2e-3, 8, 4.0, 3
 # Orders of the polynomial the acceleration follows around a jump: a higher one is taken where it leaves clearly less.
 _CURVATURES = (2, 4, 6, 8)
 _CLEARLY = 0.7
-# Where the largest jump is less than so many times the noise, that may be other jumps: it is then told from this part
-# of the windows, those in which there is least.
+# Where the largest jump is less than so many times the noise, that may be other jumps: it is then estimated from this
+# share of the windows, the quietest ones.
 _DOUBTFUL, _CALMEST = 40.0, 0.1
 
 
@@ -66,14 +66,14 @@ class Impacts:
     jump_error: Array
     """Standard deviation of that likewise, m/s, without what the sensor's sensitivity is off; shape (n,)."""
     acceleration: Array
-    """Smooth acceleration of the body then, m/s²; NaN where the stretch ends before it can be told; shape
+    """Smooth acceleration of the body then, m/s²; NaN where the stretch ends too early; shape
     (n,)."""
     noise: float
     """Standard deviation of a jump's estimate where there is none, m/s: from the channel's noise, as found
     between the impacts, through the filter that looks for jumps. Where the noise varies, its 95th
     percentile."""
     resolution: float
-    """How near to each other the channel tells two impacts apart, s."""
+    """Shortest interval between two impacts that the channel resolves, s."""
     ringing: float
     """How long the channel rings about an impact, s: there one smaller than `hidden` of it may be missed."""
     threshold: float
@@ -84,7 +84,7 @@ class Impacts:
     searched: float
     """Length of what was searched, s: the stretch without its ends and without `left_out`."""
     left_out: Array
-    """Where no impact is told, begin and end of each stretch, s; shape (m, 2): samples were lost or overloaded, or
+    """Begin and end of stretches without detection, s; shape (m, 2): samples were lost or overloaded, or
     impacts are so near to each other that no set of them explains what is seen."""
 
     @property
@@ -135,14 +135,14 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
     if together == 1 and _blind(info):
         raise RecordingError(
             f"{info.name} takes the acceleration at instants (converter: sampling), and nothing in it spreads a blow "
-            "over time: one between two instants leaves no trace, or tells little; record with sampling: average, a "
+            "over time: an impact between two instants leaves little or no trace; record with sampling: average, a "
             "filter, an integrator or the resonance of a sensor, or at a rate at which landings last many samples"
         )
     choices = [_signature(json.dumps(info.to_metadata()), order, pulse, together) for order in _CURVATURES]
     least = 4 * max(one.reach for one in choices) * together
     if stop - start < least:
         raise RecordingError(
-            f"{stop - start} samples are too few to tell impacts from noise: take at least {least}"
+            f"{stop - start} samples are too few to distinguish impacts from noise. Take at least {least}"
         )
     samples = rec.read(info.name, start, stop)
     good = _good(rec, info.name, samples, start, choices[0].ring * together)
@@ -165,17 +165,17 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
             f"lost or overloaded samples leave no {least} samples of {info.name} together: choose another "
             "stretch, or record with a lower level or a larger converter range"
         )
-    search, told = _searched([first.with_signature(each, CALM) for each in choices])
+    search, detected = _searched([first.with_signature(each, CALM) for each in choices])
     noise = _noise(search)
-    found = max((abs(one.sizes[0]) for one in told), default=0.0 if pulse else np.inf)
+    found = max((abs(one.sizes[0]) for one in detected), default=0.0 if pulse else np.inf)
     if found < _DOUBTFUL * noise:
         # Blows that come every few windows pass for noise in most of them, and hide one another.
         calmer = _searched([first.with_signature(each, _CALMEST) for each in choices])
         less = _noise(calmer[0])
         if less < _CLEARLY * noise:
-            (search, told), noise = calmer, less
+            (search, detected), noise = calmer, less
     place, adrift, jump, error = (
-        np.array([[one.place, one.adrift, one.sizes[0], one.error] for one in told]).reshape(-1, 4).T
+        np.array([[one.place, one.adrift, one.sizes[0], one.error] for one in detected]).reshape(-1, 4).T
     )
     largest = float(abs(jump).max(initial=0.0))
     threshold = search.least_sure(noise, largest)
@@ -185,8 +185,8 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
         clear, threshold = abs(jump) > threshold, threshold + CERTAINTY * noise
     unread = (start + np.array(runs_of(~good), dtype=float).reshape(-1, 2)) / rec.rate
     entangled = search.entangled()
-    untold = ((place[:, None] >= entangled[:, 0]) & (place[:, None] < entangled[:, 1])).any(axis=1)
-    clear &= ~untold
+    unresolved = ((place[:, None] >= entangled[:, 0]) & (place[:, None] < entangled[:, 1])).any(axis=1)
+    clear &= ~unresolved
     resolution, lasts = search.resolution() / rate, 0.0 if pulse is None else pulse.duration
     ringing = (search.signature.reach + search.signature.ring) / rate
     if pulse is not None:
@@ -209,7 +209,7 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
         ringing,
         threshold,
         lasts,
-        float(search.told.sum()) / rate - float(np.sum(entangled[:, 1] - entangled[:, 0])) / rec.rate,
+        float(search.searchable.sum()) / rate - float(np.sum(entangled[:, 1] - entangled[:, 0])) / rec.rate,
         np.concatenate([unread, (start + entangled) / rec.rate - info.delay]),
     )
 
@@ -248,7 +248,7 @@ def _noise(search: JumpSearch) -> float:
 
 
 def band(rate: float) -> tuple[float, float]:
-    """Frequencies between which the motion of a damper's body is told at a sample rate, Hz."""
+    """Frequencies between which the motion of a damper's body is determined at a sample rate, Hz."""
     return _LOW, _HIGH * rate
 
 
@@ -263,7 +263,7 @@ def _measures_motion(rec: Recording, channel: str) -> ChannelInfo:
 
 
 def _good(rec: Recording, name: str, samples: Array, start: int, ring: int) -> NDArray[np.bool_]:
-    """Where samples of a channel tell its motion: neither lost nor overloaded, nor ringing after that."""
+    """Where samples of a channel measure its motion: neither lost nor overloaded, nor ringing after that."""
     good = np.isfinite(samples)
     for marker in rec.overloads:
         if marker.fields.get("channel") == name:

@@ -66,7 +66,7 @@ def fit_together(
     noise : float
         Standard deviation of the readings.
     typical : tuple of float
-        What steps [m/s²] and kinks [m/s³] are like: jumps near to each other tell little of theirs.
+        What steps [m/s²] and kinks [m/s³] are like: jumps near to each other hardly determine theirs.
     """
     first = int(min(one.place for one in group)) + of.window_start - of.difference + SHIFT
     last = int(max(one.place for one in group)) + of.window_start - of.difference + of.window - SHIFT

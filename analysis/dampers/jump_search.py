@@ -29,11 +29,11 @@ SIGMAS = 6.0
 # A jump larger than the least that counts by so many standard deviations is found for certain, as noise may take
 # off three.
 CERTAINTY = 3.0
-# So much smaller than the largest one, a jump is not told from what the model of a channel leaves out.
+# A jump smaller than this share of the largest cannot be distinguished from errors of the channel's model.
 RANGE = 3e-3
 # Or from what a bed's weight makes of a landing that lasts.
 _RANGE_LASTING = 0.02
-# What is left of a jump after it was taken out; smaller ones in its ringing are not told from that.
+# What is left of a jump after it was taken out; smaller ones in its ringing cannot be distinguished from it.
 LEFT_OVER = 0.02
 # An impact on a neighbour kinks the acceleration of a body, and the kink is bent a little; the bend passes for
 # a jump of at most this part of the velocity that the kink brings about in a sample.
@@ -42,12 +42,12 @@ _BEND = 1.0
 _OF_LANDING = 1.0 / 6.0
 # Rounds of the search, each for the largest of what is left within reach; and of putting a window around a jump.
 _ROUNDS, _PASSES = 12, 4
-# Jumps nearer to each other than so many samples are taken for one; told apart for certain from so many on.
+# Jumps nearer to each other than so many samples count as one; they are resolved with certainty from so many on.
 _APART, RESOLVED = 4, 6
-# What another jump may add to the standard deviation of one that is told apart from it.
+# What another jump may add to the standard deviation of one that is resolved from it.
 _BESIDE_ANOTHER = 1.1
 # What jumps leave unexplained is searched anew from so many times what is not missed on, over at most so many windows.
-# Where so many times of it are left after that, and such a part of the largest jump there, no jump is told.
+# Where so many times of it are left after that, and such a part of the largest jump there, no jump is detected.
 _UNTOLD, _MISFIT = 10.0, 0.5
 _TANGLED, _LONGEST, _LEAVES = 3.0, 4, 0.1
 # Where a polynomial of an order higher by two leaves so many times less, in squares, the smooth motion follows it.
@@ -59,9 +59,9 @@ _TOGETHER, _STARTS, _BESIDE = 5, (0.0, -2.5, 2.5, -5.0, 5.0), 10.0
 _PART, _CALM, _QUICK = 0.2, 8, 100.0
 # A step of so many times that size is none.
 _NO_WEIGHT = 3.0
-# Of a landing slower than this part of what such a step brings about while it lasts nothing is told.
+# Of a landing slower than this part of what such a step brings about during its contact is not detected.
 _SLOW = 0.02
-# Noise is taken to be the same over so many windows; it is told from the share of them in which there is least, and
+# Noise is taken to be the same over so many windows; it is estimated from the quietest share of them, and
 # what normal deviates are below in as many.
 _STEADY = 8
 CALM = 0.5
@@ -92,7 +92,7 @@ class JumpSearch:
         self.open = np.convolve(~good, np.ones(of.reach), mode="full")[of.reach - 1 :] == 0
         self.open = self.open[: self.rest.size - of.window + 1]
         # A jump beyond the windows, in the last samples of a stretch, passes for another one in the nearest of them.
-        self.told = minimum_filter1d(self.open, of.window, mode="constant", cval=False)
+        self.searchable = minimum_filter1d(self.open, of.window, mode="constant", cval=False)
         self.found: list[Jump] = []
         self.levels: dict[float, Array] = {}
         # What all that is read is held against: the smooth motion may bend where jumps alone do not see it.
@@ -144,17 +144,17 @@ class JumpSearch:
         real = [
             one
             for one in self.found
-            if self.told[self.at(one)]
+            if self.searchable[self.at(one)]
             and (self.signature.lasts or abs(one.sizes[0]) > SIGMAS * one.error)
             and abs(one.sizes[0]) > _BEND * abs(one.sizes[2]) * within**2
         ]
         noise = self.noise()
-        told = [
+        resolved = [
             with_errors(self.rest, self.signature, one, float(noise[self.at(one)]), self.usual)
             for one in real
         ]
         # When landings that last were found, others still passed for noise.
-        return [one for one in told if not self.signature.lasts or abs(one.sizes[0]) > SIGMAS * one.error]
+        return [one for one in resolved if not self.signature.lasts or abs(one.sizes[0]) > SIGMAS * one.error]
 
     def _add(self, one: Jump, share: float) -> None:
         """Add a share of a jump to the residual."""

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Samples on either side of a jump that tell the motion before and after it: in acceleration, and in
+# Samples on either side of a jump that determine the motion before and after it: in acceleration, and in
 # integrated channels so much time as well, s.
 _SIDE, _SIDE_TIME = 6, 1e-3
 # A jump is looked for so many samples before and after the middle of the window.
@@ -48,7 +48,7 @@ class Signature:
 
     difference: int  # Order of the differences
     instants: int
-    """Instants told apart within a sample."""
+    """Resolved instants within a sample."""
     coarse: int
     """Every so many of them suffice to find a jump; all of them to take it out."""
     filters: Array

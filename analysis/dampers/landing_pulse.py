@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 # A landing of no more than this part of a sample interval is a jump.
 _INSTANT = 0.25
-# Pulses that differ by no more than this part of the velocity's change are told as one.
+# Pulses that differ by no more than this part of the velocity's change count as one.
 _ALIKE = 0.02
 # At critical damping both roots are one, and the closed form needs two.
 _CRITICAL = 1e-6
@@ -90,7 +90,7 @@ def landing_pulse(scene: Scene, place: str, rate: float) -> Pulse | None:
     dampers = [scene.dampers[number - 1] for number in inside]
     if any(damper.grains is not None for damper in dampers):
         raise RecordingError(
-            f"{place}: a bed of grains is not one mass that lands, so that its impacts are not told from a channel"
+            f"{place}: a bed of grains is not one mass that lands, so its impacts cannot be detected in a channel"
         )
     if all(_instant(damper, rate) for damper in dampers):
         return None
@@ -110,7 +110,7 @@ def landing_pulse(scene: Scene, place: str, rate: float) -> Pulse | None:
     if any(abs(pulse.exchanged(time) - longest.exchanged(time)).max() > _ALIKE for pulse in pulses):
         raise RecordingError(
             f"{place}: floor and ceiling, or its dampers, differ in how landings last and rebound, and which of "
-            "them is met is not known beforehand: they are told from a channel where all are alike"
+            "them is met is not known beforehand: they can be detected in a channel only where all are equal"
         )
     return longest
 

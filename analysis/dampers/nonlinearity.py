@@ -63,7 +63,7 @@ def jumps(frf: Frf) -> list[tuple[float, str]]:
     size, apart = abs(steps), np.maximum(abs(np.diff(frf.frequency)), 1e-12)
     # What the slopes on either side would make of as wide a step.
     before, after = np.append(0.0, (size / apart)[:-1]) * apart, np.append((size / apart)[1:], 0.0) * apart
-    # Without an error bar a step cannot be told from noise.
+    # Without an error bar a step cannot be distinguished from noise.
     relative = np.nan_to_num(frf.error / abs(frf.value), nan=np.inf)
     noise = np.hypot(relative[1:], relative[:-1])
     found = (size > JUMP) & (size > _STANDS_OUT * np.maximum(before, after)) & (size > _ERRORS * noise)
@@ -82,7 +82,7 @@ _MOST, _PERIODS = 1 << 20, 20
 
 @dataclass(frozen=True)
 class DamperMotion:
-    """What impacts tell of a damper's motion at one frequency."""
+    """A damper's motion at one frequency, estimated from its impacts."""
 
     frequency: float  # Hz
     channel: str
@@ -92,14 +92,14 @@ class DamperMotion:
     """Impacts a period."""
     stays: bool | None
     """Whether the damper stays at the ceiling after it struck: it does so while the body's acceleration is below -g.
-    None where that is not told: it is at -g within half a sample interval, a rebound may last too long for that, or a
+    None if undetermined: it is at -g within half a sample interval, a rebound may last too long for that, or a
     landing lasts and the ceiling may push on."""
     threshold: float
     """Smallest velocity jump that would have been seen for certain, m/s."""
     rides: bool
     """Whether the body's acceleration stays above -g by all that the channel may be off, so that no damper lifts."""
     restitution: Restitution | None = None
-    """Of the body's only damper, where its impacts tell it."""
+    """Of the body's only damper, if its impacts determine it."""
     repeats: int = 1
     """Periods after which all blows come again, to within the channel's resolution; 0: after none of a few."""
     may_reach: bool = False
@@ -127,7 +127,7 @@ class DamperMotion:
 def damper_motion(
     rec: Recording, sweep: Sweep, channel: str, progress: Callable[[int, int], None] | None = None
 ) -> list[DamperMotion]:
-    """Tell the motion of the damper under a channel in every measured window.
+    """Estimate the motion of the damper under a channel in every measured window.
 
     A body may hold several dampers: their impacts are then counted together. `progress` is called with (windows
     searched, in all).
@@ -135,7 +135,7 @@ def damper_motion(
     A type is named where blows come a period apart, and impacts are counted where they come again after a few periods:
     else some are missed, or the motion is irregular. Riding is named where the body's least acceleration proves it:
     flights too short to see would else pass for it; type I where its flights stay below the ceiling. Of a long window
-    the first million samples are searched, or as many periods as tell a pattern: the search holds all of them.
+    the first million samples are searched, or as many periods as determine a pattern: the search holds all of them.
     """
     gravity = rec.scene.gravity
     place = rec.channels[channel].at
@@ -157,7 +157,7 @@ def damper_motion(
         window = int(first), int(stop)
         repeats = _repeats(found, float(frequency), window[0] / rec.rate, window[1] / rec.rate)
         # Between impacts that are missed nothing flies freely.
-        told = restitution(rec, found, inside[0], *window) if len(inside) == 1 and repeats else None
+        estimates = restitution(rec, found, inside[0], *window) if len(inside) == 1 and repeats else None
         out.append(
             DamperMotion(
                 float(frequency),
@@ -167,12 +167,12 @@ def damper_motion(
                 _stays(
                     found.acceleration[struck] + gravity,
                     np.pi * frequency * (1.0 / rec.rate + 2.0 * found.lasts) * size,
-                    _longest_rebound(rec, found, inside, told),
+                    _longest_rebound(rec, found, inside, estimates),
                     _pushed(found.acceleration[struck], size, gravity, frequency),
                 ),
                 found.threshold,
                 _least_acceleration(rec, channel, numbers, frequency, *window) > -gravity,
-                told,
+                estimates,
                 repeats,
                 not struck.any() and any(may_reach_ceiling(rec, found, each, *window) for each in inside),
             )
@@ -200,10 +200,12 @@ def _repeats(found: Impacts, frequency: float, begin: float, end: float) -> int:
 
 
 def _all_near(time: NDArray[np.float64], others: NDArray[np.float64], found: Impacts) -> bool:
-    """Whether there is another within the channel's resolution of each time at which impacts can be told."""
+    """Whether there is another within the channel's resolution of each time at which impacts can be detected."""
     near, stretches = found.resolution, found.left_out
-    untold = ((time[:, None] > stretches[:, 0] - near) & (time[:, None] < stretches[:, 1] + near)).any(axis=1)
-    apart = abs(time[~untold, None] - others).min(axis=1, initial=np.inf)
+    unsearched = ((time[:, None] > stretches[:, 0] - near) & (time[:, None] < stretches[:, 1] + near)).any(
+        axis=1
+    )
+    apart = abs(time[~unsearched, None] - others).min(axis=1, initial=np.inf)
     return bool(np.all(apart < near))
 
 
@@ -222,18 +224,20 @@ def _stays(weight: NDArray[np.float64], change: float, rebound: float, pushed: f
     return True if rebound <= -middle * pushed / 3.0 else None
 
 
-def _longest_rebound(rec: Recording, found: Impacts, inside: list[Damper], told: Restitution | None) -> float:
+def _longest_rebound(
+    rec: Recording, found: Impacts, inside: list[Damper], estimates: Restitution | None
+) -> float:
     """Give the largest speed at which a damper may leave the ceiling after it struck it, all its bounces together, m/s.
 
-    By what its flights tell; where they tell nothing, or no more than that it may be none, by the scene's word. Where a
+    By what its flights determine; if they determine nothing, or not even that it exceeds zero, by the scene. Where a
     landing lasts, it is not known when it leaves.
     """
     if found.lasts:
         return np.inf
     struck = replace(found, jump=found.jump[found.kind == "ceiling"])
     share = max((damper.restitution for damper in inside), default=0.0)
-    if told is not None and (share > 0.0 or told.value > _SURE * told.error):
-        share = min(told.value + 2.0 * told.error, 1.0)
+    if estimates is not None and (share > 0.0 or estimates.value > _SURE * estimates.error):
+        share = min(estimates.value + 2.0 * estimates.error, 1.0)
     hard = np.concatenate([np.zeros(1), *(hard_speeds(rec, struck, damper) for damper in inside)])
     # Bounces last as long as one whose speed is their sum: a geometric series.
     return float(hard.max() * share / (1.0 + share) / max(1.0 - share, 1e-9)) if share > 0.0 else 0.0
@@ -271,17 +275,20 @@ def _least_acceleration(
 
 
 def describe_restitution(motions: list[DamperMotion]) -> list[str]:
-    """One line about the restitution that a body's impacts tell, if they do anywhere: weighted by its errors."""
-    told = [one.restitution for one in motions if one.restitution is not None]
-    if not told:
+    """One line about the restitution that a body's impacts determine, if any do: weighted by its errors."""
+    estimates = [one.restitution for one in motions if one.restitution is not None]
+    if not estimates:
         return []
-    value, weight = np.array([one.value for one in told]), np.array([one.error**-2.0 for one in told])
+    value, weight = (
+        np.array([one.value for one in estimates]),
+        np.array([one.error**-2.0 for one in estimates]),
+    )
     mean = float(np.sum(weight * value) / weight.sum())
     # What a sensor or the fit of jumps puts off, it does so at all frequencies; and no better than their scatter says.
-    scatter = float(np.sqrt(np.sum(weight * (value - mean) ** 2) / weight.sum() / max(len(told) - 1, 1)))
+    scatter = float(np.sqrt(np.sum(weight * (value - mean) ** 2) / weight.sum() / max(len(estimates) - 1, 1)))
     error = max(float(weight.mean() ** -0.5), scatter)
     return [
-        f"{motions[0].channel}: restitution {mean:z.2f} ± {2.0 * error:.1g}, told at {len(told)} frequencies"
+        f"{motions[0].channel}: restitution {mean:z.2f} ± {2.0 * error:.1g}, determined at {len(estimates)} frequencies"
     ]
 
 

@@ -23,8 +23,8 @@ Array = NDArray[np.float64]
 _ENDS = 0.05
 # Fewer flights say nothing, and neither do those of fewer than this part of the impacts.
 _FEWEST, _LEAST_PART = 6, 0.25
-# A flight explains what is seen where it ends so near to the wall, in its own height; and tells the restitution where
-# it leaves less in doubt than this.
+# A flight explains the data if it ends so near to the wall, in its own height; and determines the restitution if
+# its uncertainty is below this.
 _MISSED, _AGREE = 0.05, 0.1
 # Standard deviation of a normal error over its median deviation, times that of a median over that of a mean.
 _OF_MEDIAN = 1.4826 * 1.2533
@@ -56,11 +56,11 @@ def restitution(rec: Recording, found: Impacts, damper: Damper, start: int, stop
     """Tell the restitution of the only damper on a body from the impacts in a stretch of its channel.
 
     Between two impacts the damper falls freely, in a cavity whose motion is measured. That it leaves one wall and meets
-    the other at those times tells how fast it does both: its closing speed w, whether it lay at rest and left as its
+    the other at those times gives both speeds: its closing speed w, whether it lay at rest and left as its
     body fell away (then it must meet the wall when it does), or rebounded. The jump of its body's velocity is
     ``(1 + e) w m / (m + M)`` with the masses of both. Masses and clearance are the scene's.
 
-    A rebound that ends before it can be told from its impact makes of ``1 + e`` at most ``(1 + e) / (1 - e)``: the
+    A rebound that ends before it is resolved from its impact makes of ``1 + e`` at most ``(1 + e) / (1 - e)``: the
     value is the middle between, and the error holds both, and every rebound that may hide in what the channel resolves.
 
     None where too few flights explain what is seen, or only by what no wall does; and where a landing lasts: when it
@@ -81,15 +81,15 @@ def restitution(rec: Recording, found: Impacts, damper: Damper, start: int, stop
     wall = np.where(found.jump < 0.0, 0.0, damper.clearance)
     time, length = found.time - start / rec.rate, samples.size / rec.rate
     inside = np.flatnonzero((time[:-1] > _ENDS * length) & (time[1:] < (1.0 - _ENDS) * length))
-    told = []
+    estimates = []
     for k in inside[np.isfinite(wall[inside]) & np.isfinite(wall[inside + 1])]:
         left = cavity.touch(time[k], wall[k], 0.5 * found.jump[k])
         met = cavity.touch(time[k + 1], wall[k + 1], -0.5 * found.jump[k + 1])
-        told.append(
+        estimates.append(
             cavity.after_rest(left, met, hard[k + 1], hidden[k + 1])
             or cavity.after_rebound(left, met, hard[k : k + 2])
         )
-    known = np.array([one for one in told if one is not None]).reshape(-1, 2)
+    known = np.array([one for one in estimates if one is not None]).reshape(-1, 2)
     if len(known) < max(_FEWEST, _LEAST_PART * inside.size):
         return None
     value, doubt = np.median(known, axis=0)

@@ -36,7 +36,7 @@ _FEWEST = 256
 # A motion that keeps more than this part of its energy for the last tenth of the record, and does not fall there, is
 # no decay.
 _STILL_MUCH = 0.02
-#: Levels of the energy between which its first fall is told, dB.
+#: Levels of the energy between which its initial decay is fitted, dB.
 FIRST_FALL = -1.0, -11.0
 # Share of a decay's energy that is rounding.
 _LEAST_ENERGY = 1e-30
@@ -90,7 +90,7 @@ class Decay(Result):
 
     def summary(self) -> str:
         """Say what decayed, from where, and each mode with its damping ratio at its largest amplitude."""
-        modes = [f"{m.told_frequency()} ({100 * m.damping[0]:.3g} %)" for m in self.modes if m.damping.size]
+        modes = [f"{m.frequency_text()} ({100 * m.damping[0]:.3g} %)" for m in self.modes if m.damping.size]
         largest = float(abs(self.acceleration).max())
         return (
             f"{self.label}, {self.channel} after hit {self.hit}: from {largest:.3g} m/s²; {', '.join(modes)}"
@@ -218,7 +218,7 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
             f"{min(highest, high):.4g} Hz."
         )
     cycle = int(rec.rate / found[0]) if found.size else int(rec.rate / 10.0)
-    # What comes after the end would tell the envelope of the last cycle: it is left out.
+    # The envelope of the last cycle depends on what follows the end: it is left out.
     last = acceleration.size - min(cycle, (acceleration.size - free) // 10)
     shown = acceleration[free:last]
     # Mirrored, so that the transform finds no step anywhere: one lifts its neighbourhood by its logarithm.
@@ -232,8 +232,8 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
         energy = 10.0 * np.log10(np.maximum((power + after) / (power[0] + after), _LEAST_ENERGY))
     if energy.min() > FIRST_FALL[1]:
         notes.append(
-            f"The energy of {info.name}'s motion does not fall by {-FIRST_FALL[1]:.0f} dB within the record: nothing "
-            "tells its decay."
+            f"The energy of {info.name}'s motion does not fall by {-FIRST_FALL[1]:.0f} dB within the record, so its "
+            "decay is undetermined. Record for longer."
         )
     return Decay(
         channel=info.name,

@@ -21,10 +21,10 @@ _SAME_MODE = 0.1
 WORST = 0.05
 # Levels in nepers: the damping ratio at an amplitude is read off the fall by 6 dB around it, every 1.5 dB.
 _HALF = 3.0 / 20.0 * np.log(10.0)
-# What the band-pass and the fall do to a damping ratio that changes with amplitude is told by doing more of it:
+# What the band-pass and the fall do to a damping ratio that changes with amplitude is estimated by doing more of it:
 # with a band-pass that smears over so much more time, and over so much more of a fall.
 _SMEAR, _FALL = 2.0**0.5, 1.5
-# The smear shifts a smooth change by its square and a kink by itself: the difference tells it to this factor.
+# The smear shifts a smooth change by its square and a kink by itself: the difference gives it to this factor.
 _SMEAR_SHARE = 2.5
 # Where a fall has a kink in its middle, a parabola misses it by an eighth (rms) of what it says too little.
 _KINK = 8.0
@@ -41,8 +41,8 @@ class ModalDecay(Result):
     Attributes
     ----------
     frequency, frequency_error : float
-        Natural frequency at the amplitude at which it is told best, Hz, and its standard uncertainty: noise, what
-        band-pass and fall do, the clock. NaN where no amplitude tells it: it is then the centre.
+        Natural frequency at the amplitude at which it is known best, Hz, and its standard uncertainty: noise, what
+        band-pass and fall do, the clock. NaN where no amplitude determines it: it is then the centre.
     centre : float
         Of the band-pass, Hz: the peak in the spectrum.
     time, envelope : ndarray, shape (n,)
@@ -50,7 +50,7 @@ class ModalDecay(Result):
     noise : float
         Root mean square of what noise adds to the envelope, m/s².
     amplitude : ndarray, shape (levels,)
-        Acceleration amplitudes, m/s², falling; only those at which noise lets the damping ratio be told to
+        Acceleration amplitudes, m/s², falling; only those at which noise limits the damping ratio to
         `WORST`.
     damping, damping_error : ndarray, shape (levels,)
         Damping ratio at those amplitudes, and its standard uncertainty: noise, and half of `damping_smear`.
@@ -75,11 +75,11 @@ class ModalDecay(Result):
 
     def summary(self) -> str:
         """Say which mode, and its damping ratio from the largest amplitude to the smallest."""
-        told = f"{self.told_frequency()}, {self.damping.size} amplitudes"
+        what = f"{self.frequency_text()}, {self.damping.size} amplitudes"
         if not self.damping.size:
-            return told
+            return what
         return (
-            f"{told}, damping ratio {100 * self.damping[0]:.3g} % at {self.amplitude[0]:.3g} m/s², "
+            f"{what}, damping ratio {100 * self.damping[0]:.3g} % at {self.amplitude[0]:.3g} m/s², "
             f"{100 * self.small_damping():.3g} % at small ones"
         )
 
@@ -93,7 +93,7 @@ class ModalDecay(Result):
             "frequency_std_Hz": self.natural_error,
         }
 
-    def told_frequency(self) -> str:
+    def frequency_text(self) -> str:
         """Write the natural frequency with its 95 % bound."""
         return bounded(self.frequency, 2.0 * self.frequency_error, "Hz")
 
@@ -101,7 +101,7 @@ class ModalDecay(Result):
         """Damping ratio against amplitude, with its 95 % bound."""
         percent, half = 100.0 * self.damping, 200.0 * self.damping_error
         (line,) = ax.semilogx(
-            self.amplitude, percent, "o-", **styled(style, ms=3, label=self.told_frequency())
+            self.amplitude, percent, "o-", **styled(style, ms=3, label=self.frequency_text())
         )
         ax.fill_between(
             self.amplitude, percent - half, percent + half, color=line.get_color(), alpha=0.2, lw=0
@@ -232,9 +232,9 @@ def modal_decay(
 
 
 def _best(natural: Array, error: Array, peak: float) -> tuple[float, float]:
-    """Choose the natural frequency that is told best, with its error; the peak in the spectrum where none is.
+    """Choose the natural frequency that is known best, with its error; the peak in the spectrum where none is.
 
-    A neighbour that is not told apart and dies away more slowly has the small amplitudes for itself.
+    A neighbour that is not resolved and decays more slowly has the small amplitudes for itself.
     """
     own = np.flatnonzero(np.isfinite(error) & (abs(natural / peak - 1.0) < _SAME_MODE))
     if not own.size:
@@ -345,7 +345,7 @@ def _smear(damping: Array, smeared: Array, longer: Array, kink: Array) -> Array:
 
 
 def _natural_smear(natural: Array, smeared: Array, longer: Array) -> Array:
-    """How far natural frequencies may be off for band-pass and fall; NaN where nothing tells what one of them does."""
+    """How far natural frequencies may be off for band-pass and fall; NaN where one of the effects is undetermined."""
     if not (np.isfinite(smeared - natural).any() and np.isfinite(longer - natural).any()):
         return np.full(natural.size, np.nan)
     return _smear(natural, smeared, longer, np.zeros(natural.size))

@@ -20,6 +20,6 @@ for decay in decays:
 for decay in decays:
     for mode in decay.modes:
         pairs = zip(mode.amplitude[::4], mode.damping[::4], strict=True)
-        told = ", ".join(f"{100 * ratio:.2f} % at {level:.2g} m/s²" for level, ratio in pairs)
-        print(f"{decay.label}, {mode.frequency:.1f} Hz: {told}")
+        listed = ", ".join(f"{100 * ratio:.2f} % at {level:.2g} m/s²" for level, ratio in pairs)
+        print(f"{decay.label}, {mode.frequency:.1f} Hz: {listed}")
 print(f"below 1 g from {decays[1].quiet_from:.2f} s on, instead of {decays[0].quiet_from:.2f} s")

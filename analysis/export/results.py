@@ -24,7 +24,7 @@ def export_results(
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[str]:
-    """Write what a recording tells, or another program's responses: one file for each sweep that it holds.
+    """Write the results of a recording, or another program's responses: one file for each sweep that it holds.
 
     Parameters
     ----------

@@ -97,7 +97,7 @@ def write_frfs(frfs: Sequence[Frf], path: Path, nodes: Sequence[int], driven: in
         steps = np.diff(curve.frequency)
         where = {
             "type": 58, "binary": 0, "id2": _line(curve.label), "id3": _line(curve.ratio),
-            # What no field of the format tells: how far leakage smears a line.
+            # No field of the format holds: how far leakage smears a line.
             "id4": f"{RESOLUTION_LINE} {curve.resolution!r} Hz",
             "rsp_ent_name": "NONE", "rsp_node": node, "rsp_dir": 3,
             "ref_ent_name": "NONE", "ref_node": driven, "ref_dir": 3,
@@ -111,8 +111,17 @@ def write_frfs(frfs: Sequence[Frf], path: Path, nodes: Sequence[int], driven: in
         title = f"{curve.response}: {curve.name}"
         _write(file, {**where, "func_type": FRF, "func_id": number, "id1": _line(title), "data": curve.value})
         if np.isfinite(curve.error).all():
-            told = _line(f"{DEVIATION_LINE} {title}")
-            _write(file, {**where, "func_type": GENERAL, "func_id": number, "id1": told, "data": curve.error})
+            identification = _line(f"{DEVIATION_LINE} {title}")
+            _write(
+                file,
+                {
+                    **where,
+                    "func_type": GENERAL,
+                    "func_id": number,
+                    "id1": identification,
+                    "data": curve.error,
+                },
+            )
 
 
 def write_modes(modes: Modes, path: Path, nodes: Sequence[int]) -> None:

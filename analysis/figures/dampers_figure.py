@@ -96,8 +96,8 @@ def _energies(axes: Axes, energy: CycleEnergy, lines: Lines, true: np.ndarray | 
     def curve(joule: np.ndarray, **look: Any) -> None:
         axes.plot(broken, np.insert(1e3 * joule[order], gaps, np.nan), **look)
 
-    told = energy.dampers > energy.bound
-    into = np.where(told, energy.dampers, np.nan)
+    determined = energy.dampers > energy.bound
+    into = np.where(determined, energy.dampers, np.nan)
     curve(energy.supplied, color="#000000", marker="o", label="supplied by the force")
     curve(
         energy.structure, color="#777777", marker="o", label="into the structure's damping, as in the scene"
@@ -108,10 +108,10 @@ def _energies(axes: Axes, energy: CycleEnergy, lines: Lines, true: np.ndarray | 
     )
     limit = 1e3 * np.maximum(energy.dampers + energy.bound, 0.0)
     axes.plot(
-        energy.frequency[~told], limit[~told], "v", mfc="none", ms=4.5, mew=0.8, color=COLOURS[1],
+        energy.frequency[~determined], limit[~determined], "v", mfc="none", ms=4.5, mew=0.8, color=COLOURS[1],
         label="into the dampers, at most (may be nothing)",
     )  # fmt: skip
-    shown = [1e3 * energy.supplied, 1e3 * energy.structure, 1e3 * into, limit[~told]]
+    shown = [1e3 * energy.supplied, 1e3 * energy.structure, 1e3 * into, limit[~determined]]
     if true is not None:
         lost = np.where(true > 0, true, np.nan)
         curve(lost, color=COLOURS[2], ls=":", marker="o", label="truly lost in impacts")

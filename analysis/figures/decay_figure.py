@@ -124,17 +124,17 @@ def _damping_row(
 
 def _frequencies(members: list[tuple[int, ModalDecay]]) -> str:
     """Write a mode's frequency in one recording after the other, of many the lowest and the highest."""
-    told = list(
+    listed = list(
         dict.fromkeys(f"{mode.frequency:.1f}" for _, mode in sorted(members, key=lambda member: member[0]))
     )
-    if len(told) > _MOST_TITLED:
-        low, *_, high = sorted(told, key=float)
+    if len(listed) > _MOST_TITLED:
+        low, *_, high = sorted(listed, key=float)
         return f"{low} to {high} Hz"
-    return f"{', '.join(told)} Hz"
+    return f"{', '.join(listed)} Hz"
 
 
 def _columns(decays: Sequence[Decay]) -> list[list[tuple[int, ModalDecay]]]:
-    """Group the modes of all decays whose damping could be told by frequency, each with the index of its decay."""
+    """Group the modes of all decays whose damping is determined by frequency, each with the index of its decay."""
     every = sorted(
         ((index, mode) for index, decay in enumerate(decays) for mode in decay.modes if mode.damping.size),
         key=lambda pair: pair[1].frequency,

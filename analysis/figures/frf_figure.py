@@ -108,8 +108,8 @@ def _caption(frfs: Sequence[Frf]) -> list[str]:
         )
     if any(np.any(_reaches_zero(frf)) for frf in frfs):
         out.append("A band down to the axis includes zero.")
-    if not all(told(frf).all() for frf in frfs):
-        out.append("Grey: not to be told from noise, phase left out.")
+    if not all(exceeds_noise(frf).all() for frf in frfs):
+        out.append("Grey: within the noise; phase not shown.")
     if any(frf.unsteady is not None and frf.unsteady.any() for frf in frfs):
         out.append("Crosses: the motion was not steady.")
     if any(frf.left_out.size for frf in frfs):
@@ -123,7 +123,7 @@ def _curve(frf: Frf, shade: str, upper: Axes, middle: Axes, lower: Axes) -> None
     falls = frf.frequency.size > 1 and frf.frequency[0] > frf.frequency[-1]
     few = frf.frequency.size <= DOTS
     curve, frf = frf.sorted(), frf.with_gaps()
-    clear = np.insert(told(curve), np.searchsorted(curve.frequency, np.sort(frf.left_out)), False)
+    clear = np.insert(exceeds_noise(curve), np.searchsorted(curve.frequency, np.sort(frf.left_out)), False)
     look: dict[str, Any] = {"marker": "o" if few else None, "color": shade, "zorder": 2.9 if falls else 3}
     if falls:
         look |= {"mfc": "none", "ms": 5.0, "mew": 0.9}
@@ -172,13 +172,13 @@ def _whole(frf: Frf) -> Array:
 
 
 def _reaches_zero(frf: Frf) -> NDArray[np.bool_]:
-    return np.asarray(told(frf) & (_whole(frf) >= abs(frf.value)))
+    return np.asarray(exceeds_noise(frf) & (_whole(frf) >= abs(frf.value)))
 
 
 def _reach(frf: Frf) -> Array:
     """Both edges of the band, as far as an axis goes for their sake: a decade beyond the curve."""
     size, whole = abs(frf.value), _whole(frf)
-    known = told(frf) & np.isfinite(size) & (size > 0)
+    known = exceeds_noise(frf) & np.isfinite(size) & (size > 0)
     if not known.any():
         return np.empty(0)
     size, whole = size[known], whole[known]
@@ -186,7 +186,7 @@ def _reach(frf: Frf) -> Array:
     return np.asarray(edges[edges > 0.1 * size.min()])
 
 
-def told(frf: Frf) -> NDArray[np.bool_]:
+def exceeds_noise(frf: Frf) -> NDArray[np.bool_]:
     """Whether each point stands out of its noise: most of it repeats with the reference, its phase is known.
 
     By coherence and error bar where there are any, else by how roughly the curve runs from point to point.
@@ -201,7 +201,7 @@ def told(frf: Frf) -> NDArray[np.bool_]:
 
 
 def _broken(frequency: Array, angle: Array, values: Array | None = None) -> tuple[Array, Array]:
-    """Break a line, that of the angle unless told, where the phase wraps round."""
+    """Break a line, that of the angle by default, where the phase wraps round."""
     with np.errstate(invalid="ignore"):
         wraps = np.flatnonzero(abs(np.diff(angle)) > 180.0) + 1
     return np.insert(frequency, wraps, np.nan), np.insert(angle if values is None else values, wraps, np.nan)

@@ -75,7 +75,7 @@ def modes_figure(frfs: Sequence[Frf], modes: Modes, title: str) -> Figure:
             names = ["ground", *map(drawn, bodies.names)] if i == 0 else [""] * (places.size + 1)
             axes.set_yticks(np.append(0, places), names)
             axes.set_title(
-                f"{bounded(modes.frequency[i], 2 * modes.frequency_error[i], 'Hz')}\n{modes.damping_told(i)}",
+                f"{bounded(modes.frequency[i], 2 * modes.frequency_error[i], 'Hz')}\n{modes.damping_text(i)}",
                 fontsize=9,
                 fontweight="normal",
             )

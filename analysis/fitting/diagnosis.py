@@ -156,7 +156,7 @@ def _sensors(bare: list[Curves]) -> list[Sensor]:
 
 
 def _turned(curves: Curves, sensor: Sensor) -> Curves:
-    """Turn the responses that a sensor reads; of the reference the sign of all others tells the same."""
+    """Turn the responses that a sensor reads; for the reference, reversing all others is the same."""
     return _multiplied(curves, np.array([-1.0 if one == sensor else 1.0 for one in curves.sensors])[:, None])
 
 

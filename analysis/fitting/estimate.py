@@ -1,4 +1,4 @@
-"""The unknowns that explain what was measured, and how well the data tell them."""
+"""Estimates of the unknowns, and their covariance."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from analysis.fitting.start import start
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-Told = Callable[[str], None]
+Report = Callable[[str], None]
 
 # Half width of a 95 % interval in standard deviations.
 CONFIDENCE = 1.96
 # How far a model is allowed to miss, relative to the peaks around, on the way to the errors stated: far from the
 # solution, narrow resonances beside each other know nothing of each other.
 _DISTRUST = (0.1, 0.01, 0.0)
-# From farther off, and how far, in logarithms, from the guess: where modes led nowhere, or none could be told.
+# From farther off, and how far, in logarithms, from the guess: where modes led nowhere, or none were identified.
 _DISTRUST_FAR, _FAR, _STARTS = (0.3, 0.1, 0.01, 0.0), 0.15, 8
 # A mean square of misses beyond which the structure is looked for elsewhere.
 _MISSED = 4.0
@@ -74,20 +74,20 @@ class Estimate:
         return np.asarray(unit @ unit.T)
 
 
-def estimate(problem: Problem, told: Told) -> Estimate:
+def estimate(problem: Problem, report: Report) -> Estimate:
     """Find the unknowns: first those of the structure from linear recordings, then of the dampers, then all at once."""
     bare = [group for group in problem.groups if group.tones is None]
-    told("structure")
+    report("structure")
     x = _structure(problem, bare) if bare else problem.start.copy()
     damped = [group for group in problem.groups if group.tones is not None]
     if damped:
-        told("dampers")
-        x = _damped(problem, x, damped, bool(bare), told)
+        report("dampers")
+        x = _damped(problem, x, damped, bool(bare), report)
     return Estimate(x, *_certainty(problem, x))
 
 
 def _damped(
-    problem: Problem, structure: Array, damped: Sequence[Group], structure_known: bool, told: Told
+    problem: Problem, structure: Array, damped: Sequence[Group], structure_known: bool, report: Report
 ) -> Array:
     """Find all unknowns with the dampers: from the scene's values first, then from elsewhere; the best is kept.
 
@@ -100,7 +100,7 @@ def _damped(
             continue
         if clearance == _OUT_OF_REACH:
             begin = best
-        told("all")
+        report("all")
         for group, known in zip(damped, motions, strict=True):
             group.restore(known)
         # What is vaguely known would lead back a ceiling that nothing shows.
@@ -217,7 +217,7 @@ def solved(
 def _with_dampers(
     problem: Problem, x: Array, damped: Sequence[Group], free: Sequence[int], structure_known: bool
 ) -> Array:
-    """Values of the dampers with the structure held, if linear recordings told it; else of all, coarsely."""
+    """Values of the dampers with the structure held, if linear recordings determine it; else of all, coarsely."""
     names = _names(problem)
     active = [k for k in free if names[k] or not structure_known]
     if not active:

@@ -35,8 +35,8 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Progress = Callable[[str], None]
 
-# A value whose 95 % interval is wider, relative, is not told at all.
-_UNTOLD = 0.5
+# A value whose 95 % interval is wider, relative, is undetermined.
+_UNDETERMINED = 0.5
 # A ceiling just out of reach is so many times the largest gap.
 _ABOVE = 1.2
 # Misses of so many variances are not noise; of so much of the curves they are those of another structure.
@@ -60,9 +60,9 @@ class Fitted:
         Before and after, in SI.
     low, high : float
         95 % interval.
-    told : {'determined', 'roughly', 'not told'}
-        Whether the recordings tell it: within a few per cent, within half of itself, or not. Nothing is determined by a
-        scene that misses the curves by more than their errors.
+    status : {'determined', 'roughly', 'undetermined'}
+        How well the recordings determine it: within a few per cent, within half of itself, or not at all. Nothing is
+        determined if the scene misses the curves by more than their errors.
     """
 
     key: str
@@ -71,7 +71,12 @@ class Fitted:
     value: float
     low: float
     high: float
-    told: str
+    status: str
+
+    @property
+    def told(self) -> str:
+        """Earlier name of `status`."""
+        return self.status
 
     @property
     def half_width(self) -> float:
@@ -117,12 +122,12 @@ class Compared:
 
 @dataclass(frozen=True, repr=False)
 class Fit(Result):
-    """A scene with the values that recordings tell.
+    """A scene with the values that recordings determine.
 
     Attributes
     ----------
     scene : Scene
-        With the values found; what is not told stays near where it was.
+        With the values found; undetermined values stay near their start.
     parameters : tuple of Fitted
     correlation : ndarray, shape (parameters, parameters)
         Between the errors of their logarithms.
@@ -130,14 +135,14 @@ class Fit(Result):
         Relative deviation of each sensor's sensitivity that is known to a tolerance only, and its 95 % bound.
     modes : tuple of Mode
     damping : tuple of LevelDamping
-        The structure's own damping, told from each sweep alone, that of the dampers taken out by their model.
+        The structure's own damping, estimated from each sweep alone, that of the dampers taken out by their model.
     compared : tuple of Compared
     variance : float
         Mean square of the misses in standard deviations: about 1, or less, where the stated errors explain them.
     misfit : str
         Why the scene does not fit the recordings; "" where it does. Then no value is determined.
     together : tuple of str
-        Which values the recordings cannot tell apart.
+        Which values the recordings cannot separate.
     warnings : tuple of str
     """
 
@@ -163,14 +168,14 @@ class Fit(Result):
         return found[key]
 
     def summary(self) -> str:
-        """Say whether it fits, and how many values are told."""
-        told = [one.told for one in self.parameters]
-        counts = ", ".join(f"{told.count(kind)} {kind}" for kind in dict.fromkeys(told))
+        """Say whether it fits, and how many values are determined."""
+        statuses = [one.status for one in self.parameters]
+        counts = ", ".join(f"{statuses.count(kind)} {kind}" for kind in dict.fromkeys(statuses))
         return f"{self.scene.name}: {'does not fit; ' if self.misfit else ''}{counts}"
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Each value with its start and 95 % interval."""
-        names = ("key", "unit", "start", "value", "low", "high", "told")
+        names = ("key", "unit", "start", "value", "low", "high", "status")
         return {name: np.array([getattr(one, name) for one in self.parameters]) for name in names}
 
     def draw(self, ax: Axes, **style: Any) -> None:
@@ -193,7 +198,7 @@ def fit(
     Everything is compared as it was measured: responses of each sweep over the force or the motion of the table, each
     weighted by its stated error, with the sensors' sensitivities free within their tolerances. Where dampers move, the
     model answers with its exact periodic motions. Start values come from modes. What is free has its scene's value as
-    a vague hint, within a factor of e: it counts only where the recordings tell nothing, and then that is said.
+    a vague hint, within a factor of e: it counts only where the recordings determine nothing, which is then reported.
 
     Parameters
     ----------
@@ -225,10 +230,10 @@ def fit(
     >>> import analysis, rig
     >>> guess = rig.load("bare-structure", {"structure.masses": ["0.8 kg", "0.7 kg", "0.6 kg"]})
     >>> found = analysis.fit("recordings/demo-sweep-no-damper.mcap", guess)
-    >>> found.misfit, found["structure.masses[1]"].told
+    >>> found.misfit, found["structure.masses[1]"].status
     ('', 'determined')
     """
-    told = progress or (lambda _: None)
+    report = progress or (lambda _: None)
     scene = scene_of(scene)
     if scene.structure.damping is None and scene.structure.matrices is None:
         raise SceneError(
@@ -237,7 +242,7 @@ def fit(
         )
     model = spelt_out(scene)
     parameters = free_parameters(model, free)
-    told("reading")
+    report("reading")
     several: Sequence[Any] = recordings if isinstance(recordings, list | tuple) else [recordings]
     for one in several:
         if not isinstance(one, str | Path) and not hasattr(one, "channels"):
@@ -253,8 +258,8 @@ def fit(
     if not curves:
         raise RecordingError("no recordings: expected at least one")
     problem = Problem(model, parameters, curves)
-    found = estimate(problem, told)
-    return _result(problem, found, told)
+    found = estimate(problem, report)
+    return _result(problem, found, report)
 
 
 def _curves(recording: Any) -> list[Curves]:
@@ -264,7 +269,7 @@ def _curves(recording: Any) -> list[Curves]:
     return measured(recording, recording.path.name)
 
 
-def _result(problem: Problem, found: Estimate, told: Progress) -> Fit:
+def _result(problem: Problem, found: Estimate, report: Progress) -> Fit:
     limits = _clearance_limits(problem, found)
     # A ceiling that nothing shows stays where the scene has it, or goes as far up as it must.
     x = found.x.copy()
@@ -276,7 +281,7 @@ def _result(problem: Problem, found: Estimate, told: Progress) -> Fit:
     warnings = [f"{one.curves.label}: {note}" for one in compared for note in one.curves.warnings]
     misfit = _misfit(found, compared) or _beyond(problem, x)
     if misfit:
-        told("looking for the cause")
+        report("looking for the cause")
         explains, text = cause(problem)
         misfit = text if explains else f"{misfit} {text}"
     else:
@@ -295,8 +300,10 @@ def _result(problem: Problem, found: Estimate, told: Progress) -> Fit:
         _fitted(one, x[k], deviation[k], bool(misfit) or found.variance > NOT_NOISE)
         for k, one in enumerate(problem.parameters)
     )
-    if not misfit and all(one.told == "not told" for one in each):
-        misfit = "The recordings tell none of the values that are free: `analysis frf` says what bounds their curves."
+    if not misfit and all(one.status == "undetermined" for one in each):
+        misfit = (
+            "The recordings determine none of the free values: `analysis frf` says what bounds their curves."
+        )
     damping = () if misfit else damping_by_level(problem, found)
     return Fit(
         scene=scene,
@@ -318,7 +325,7 @@ def _result(problem: Problem, found: Estimate, told: Progress) -> Fit:
                 for k, limit in limits.items()
                 if not misfit
             ),
-            *together(problem, found, [one.told for one in each]),
+            *together(problem, found, [one.status for one in each]),
         ),
         warnings=tuple(warnings),
     )
@@ -330,7 +337,7 @@ def _clearance_limits(problem: Problem, found: Estimate) -> dict[int, float]:
     limits = {
         k: problem.clearance_limit(found.x, one)
         for k, one in enumerate(problem.parameters)
-        if one.what == "clearance" and CONFIDENCE * deviation[k] > _UNTOLD
+        if one.what == "clearance" and CONFIDENCE * deviation[k] > _UNDETERMINED
     }
     return {k: limit for k, limit in limits.items() if limit > 0.0}
 
@@ -338,8 +345,14 @@ def _clearance_limits(problem: Problem, found: Estimate) -> dict[int, float]:
 def _fitted(one: Parameter, x: float, deviation: float, missed: bool) -> Fitted:
     low, value, high = (one.value(x + step * CONFIDENCE * deviation) for step in (-1.0, 0.0, 1.0))
     half = CONFIDENCE * deviation * slope(one, value)
-    told = "not told" if half > _UNTOLD else "determined" if half <= one.limit and not missed else "roughly"
-    return Fitted(one.key, one.unit, one.start, value, low, high, told)
+    status = (
+        "undetermined"
+        if half > _UNDETERMINED
+        else "determined"
+        if half <= one.limit and not missed
+        else "roughly"
+    )
+    return Fitted(one.key, one.unit, one.start, value, low, high, status)
 
 
 def _compared(problem: Problem, x: Array, scene: Scene, number: int) -> Compared:

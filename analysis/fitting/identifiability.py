@@ -1,4 +1,4 @@
-"""Which values recordings cannot tell apart: those that may move together without the curves showing it."""
+"""Which values recordings cannot separate: those that may change together without changing the curves."""
 
 from __future__ import annotations
 
@@ -9,24 +9,26 @@ import numpy as np
 from analysis.fitting.estimate import CONFIDENCE, Estimate
 from analysis.fitting.problem import Problem
 
-# Half a 95 % interval in a direction, from which on it is told of; and a share in it that counts, of the largest.
+# Half a 95 % interval in a direction, from which on it is reported; and a share in it that counts, of the largest.
 _WIDE, _SHARE = 0.02, 0.3
 
 
-def together(problem: Problem, found: Estimate, told: Sequence[str]) -> tuple[str, ...]:
+def together(problem: Problem, found: Estimate, statuses: Sequence[str]) -> tuple[str, ...]:
     """Name the values that move together in the directions that the data leave open, the widest first.
 
     The directions are the principal axes of the covariance of the parameters' logarithms.
     """
     count = len(problem.parameters)
-    known = [k for k in range(count) if told[k] != "not told"]
+    known = [k for k in range(count) if statuses[k] != "undetermined"]
     lines = []
     for k in range(count):
-        if told[k] == "not told":
+        if statuses[k] == "undetermined":
             one = problem.parameters[k]
             hidden = one.damper is not None and not any(group.tones is not None for group in problem.groups)
             why = " (no recording in which its damper moves)" if hidden else ""
-            lines.append(f"{one.key} is not told by these recordings{why}; it stays about where it was.")
+            lines.append(
+                f"{one.key} is not determined by these recordings{why}; it stays about where it was."
+            )
     if not known:
         return tuple(lines)
     axes, size, _ = np.linalg.svd(found.factor[known], full_matrices=False)

@@ -1,4 +1,4 @@
-"""What recordings tell a fit: responses over one reference, weighted by their errors, and the sensors behind them."""
+"""The data of a fit: responses over one reference, weighted by their errors, and the sensors behind them."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ Progress = Callable[[int, int], None]
 
 # No point is credited with a smaller error, relative to its value and to the largest of its curve.
 _LEAST, _LEAST_OF_TOP = 2e-5, 1e-7
-# How well noise of the reference is told from that of several responses, as a share of it.
+# How well noise of the reference is separated from that of several responses, as a share of it.
 _SPLIT = 0.5
-# Fewer points than this tell nothing that could be judged.
+# Fewer points than this cannot be judged.
 _FEWEST = 8
 
 
@@ -243,7 +243,7 @@ def _whitening(frfs: Sequence[Frf], errors: ErrorCovariance) -> ComplexArray:
     half = errors.lines / 2.0
     own = np.einsum("nii->ni", half).real.copy()
     size = np.stack([abs(frf.value) for frf in frfs], axis=1)
-    # Where one average alone gives no scatter to tell it from.
+    # Where one average alone gives no scatter to estimate it from.
     half[~np.isfinite(half).all(axis=(1, 2))] = 0.0
     own = np.where(np.isfinite(own), own, (0.01 * np.median(size, axis=0)) ** 2)
     least = (_LEAST * size) ** 2 + (_LEAST_OF_TOP * size.max(axis=0)) ** 2

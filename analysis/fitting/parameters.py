@@ -16,7 +16,7 @@ from rig.scene.scene import Scene
 from rig.scene.settings import Place, Settings
 from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping
 
-#: What is free unless told: all of these that a scene gives.
+#: What is free by default: all of these that a scene gives.
 FREE = (
     "structure.masses",
     "structure.springs",
@@ -43,7 +43,7 @@ _LIMITS = {
     "damping": 0.05,
 }
 _LIMIT = 0.02
-# What is not told at all has intervals without end; a double holds this power of e.
+# Undetermined values have unbounded intervals; a double holds this power of e.
 _LARGEST = 600.0
 
 

@@ -59,15 +59,15 @@ def present_fit(
 
 
 def describe(found: Fit) -> list[str]:
-    """List each value with its 95 % interval, sensors, modes, what cannot be told, and how near the curves come."""
+    """List each value with its 95 % interval, sensors, modes, what is undetermined, and how well the curves agree."""
     width = max(len(one.key) for one in found.parameters)
     lines = [f"{found.summary()} (95 % intervals)"]
     for one in found.parameters:
         value, tail = f"{one.value:.6g} {one.unit}".strip(), "as it was"
-        if one.told != "not told":
+        if one.status != "undetermined":
             value = bounded(one.value, one.half_width * abs(one.value), one.unit).strip()
             tail = f"from {one.start:.4g}"
-        lines.append(f"  {one.key:{width}}  {value:30} {one.told:10} {tail}")
+        lines.append(f"  {one.key:{width}}  {value:30} {one.status:10} {tail}")
     for name, (deviation, bound) in found.sensitivities.items():
         lines.append(f"  sensitivity of {name}: off by {bounded(100 * deviation, 100 * bound, '%')}")
     for number, mode in enumerate(found.modes, 1):
@@ -78,7 +78,7 @@ def describe(found: Fit) -> list[str]:
     for level in found.damping:
         beneath = "beneath its dampers" if level.damped else "without dampers"
         values = ", ".join(
-            "not told" if isnan(v) else f"{v:.4g} ± {b:.1g}"
+            "undetermined" if isnan(v) else f"{v:.4g} ± {b:.1g}"
             for v, b in zip(level.value, level.bound, strict=True)
         )
         lines.append(f"  {level.label}, {beneath}, up to {level.acceleration:.3g} m/s²: damping {values}")

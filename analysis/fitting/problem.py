@@ -17,7 +17,7 @@ from rig.scene.scene import Scene
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# A value is known beforehand to some factor of e: so little that it counts only where the data tell nothing.
+# A value is known beforehand to some factor of e: so vague that it counts only where the data determine nothing.
 VAGUE = 1.0
 # No value is tried farther away, factors of e.
 _FARTHEST = 6.0
@@ -267,7 +267,7 @@ class Problem:
         columns: list[list[ComplexArray]] = [[] for _ in groups]
         for k in chosen:
             moved = x.copy()
-            # An unknown that nothing tells may have gone far beyond where its value changes no more.
+            # An undetermined unknown may have moved far beyond where its value still changes.
             moved[k] += _STEP * max(1.0, abs(x[k]))
             there = self.scene(moved)
             for group, here, column in zip(groups, base, columns, strict=True):

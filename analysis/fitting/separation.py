@@ -1,4 +1,4 @@
-"""The structure's own damping told from each sweep alone: whether it depends on level, dampers or not."""
+"""The structure's own damping estimated from each sweep alone: whether it depends on level or dampers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LevelDamping:
-    """Damping of the structure, as one sweep tells it.
+    """Damping of the structure, estimated from one sweep.
 
     Attributes
     ----------
@@ -28,7 +28,7 @@ class LevelDamping:
     keys : tuple of str
         Of the damping in the scene.
     value, bound : ndarray, shape (keys,)
-        And its 95 % bound; NaN where the sweep does not tell it.
+        And its 95 % bound; NaN where the sweep does not determine it.
     """
 
     label: str

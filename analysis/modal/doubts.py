@@ -7,13 +7,13 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.modal.modes import TOLD, Modes
+from analysis.modal.modes import DETERMINED, Modes
 from analysis.modal.pole_errors import SMEAR
 from analysis.responses.frf import Frf
 
 Array = NDArray[np.float64]
 
-# A damping ratio that may be off by more of itself is told of.
+# A damping ratio with a larger relative uncertainty is reported.
 _OFF = 0.02
 # Resolution over half the half-power width from which on leakage does that.
 _SMEARED = float(np.sqrt(_OFF / SMEAR))
@@ -37,7 +37,7 @@ def doubts(
     count : int or None
         Modes asked for.
     dropped : sequence of float
-        Hz: poles left out, as their damping or their height cannot be told.
+        Hz: poles left out, as their damping or their height is undetermined.
     loose : ndarray
         Hz: poles left out, as next to nothing bounds the curves there.
     unseen : ndarray
@@ -57,8 +57,8 @@ def doubts(
         )
     if dropped:
         yield (
-            f"No mode at {_listed(np.sort(dropped))} Hz, where a pole was stable: its damping cannot be told from "
-            "these curves (dampers that strike make peaks without poles), or they may be off by as much as it is high."
+            f"Rejected the stable poles at {_listed(np.sort(dropped))} Hz: their damping or height is below the "
+            "uncertainty of these curves. Impacts of dampers make peaks without poles."
         )
     if loose.size:
         yield (
@@ -74,7 +74,7 @@ def doubts(
         yield f"Only {f.size} of {count} modes are in these curves."
     half, lines = zeta * f, curves[0].frequency
     resolution = max(curve.resolution for curve in curves)
-    smeared, hidden = resolution > _SMEARED * half, (error > TOLD * zeta) & (resolution > 2.0 * half)
+    smeared, hidden = resolution > _SMEARED * half, (error > DETERMINED * zeta) & (resolution > 2.0 * half)
     if hidden.any():
         yield (
             f"{_listed(f[hidden])} Hz: narrower than the resolution of {resolution:.3g} Hz, so that the frequency is "
@@ -97,7 +97,7 @@ def doubts(
             f"{_listed(2.0 * half[few], 3)} Hz, so that damping ratios rest on the flanks; measure every "
             f"{half[few].min() / 2.0:.2g} Hz there."
         )
-    unsure = (error > _OFF * zeta) & (error <= TOLD * zeta)
+    unsure = (error > _OFF * zeta) & (error <= DETERMINED * zeta)
     if unsure.any():
         parts = ", ".join(f"{part:.0%}" for part in error[unsure] / zeta[unsure])
         yield f"{_listed(f[unsure])} Hz: damping ratios uncertain by {parts} (one standard deviation)."

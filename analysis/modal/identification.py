@@ -12,7 +12,7 @@ from scipy.ndimage import median_filter
 from analysis.modal.doubts import doubts
 from analysis.modal.line_choice import in_holes, scatter, stands_out, thinned
 from analysis.modal.lscf import chart, columns
-from analysis.modal.modes import TOLD, Modes
+from analysis.modal.modes import DETERMINED, Modes
 from analysis.modal.order_selection import MOST_MODES, hidden, in_band, preferred, select
 from analysis.modal.pole_errors import pole_errors, refined_pole_errors, systematic_pole_errors
 from analysis.modal.pole_residue import Curves, Fit, fit, residual_terms
@@ -125,7 +125,7 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
             "them; see `analysis frf` for what their bounds are made of"
         )
     poles, f_error, z_error = model.poles[inside], f_error[inside], z_error[inside]
-    # A clock that is off moves all poles alike, which the parts of single lines tell only together.
+    # A clock that is off moves all poles alike, which the parts of single lines determine only jointly.
     f_error = np.hypot(f_error, max(curve.clock for curve in frfs) * abs(poles) / (2 * np.pi * _LARGEST))
     lower, upper = _residuals(model, inside, measured.frequency)
     result = Modes(
@@ -220,7 +220,7 @@ def _explained(
         curves = replace(measured, weight=1.0 / np.hypot(sigma, error * size))
         model = select(curves, stable, every, most)
         if tried:
-            # Poles that only together explain much may be lost one by one: start from those told before, too.
+            # Poles that only together explain much may be lost one by one: start from those identified before, too.
             model = preferred(curves, model, select(curves, tried[-1][1].poles, every, most))
         tried.append((curves, model))
         if tried[-1][1].misfit < _NOT_NOISE * curves.degrees(tried[-1][1].poles.size):
@@ -248,20 +248,22 @@ def _neighbourhood(measured: Curves) -> Array:
 def _told(curves: Curves, model: Fit, frfs: Sequence[Frf]) -> tuple[Curves, Fit, list[float]]:
     """Leave out poles that are no modes; say where they were, in Hz.
 
-    Those whose damping cannot be told; and those that stand out of no curve by more than it may be off by what does not
+    Those whose damping is undetermined, and those that exceed no curve's systematic uncertainty, which does not
     scatter, as remaining transients and images make such bumps. A peak narrower than the resolution is a mode
-    all the same: no curve of it could tell more.
+    all the same: no curve of it could show more.
     """
     dropped: list[float] = []
     while model.poles.size:
         _, z_error = pole_errors(curves, model)
         damping = z_error * abs(model.poles) / -model.poles.real
-        doubt = np.where(in_band(curves, model.poles), np.maximum(damping, TOLD * _buried(model, frfs)), 0.0)
+        doubt = np.where(
+            in_band(curves, model.poles), np.maximum(damping, DETERMINED * _buried(model, frfs)), 0.0
+        )
         for k in np.flatnonzero(hidden(curves, model.poles)):
             line = int(np.argmin(abs(curves.frequency - abs(model.poles[k]) / (2 * np.pi))))
             doubt[k] = 0.0 if any(stands_out(abs(row), line) for row in curves.value) else np.inf
         worst = int(np.argmax(doubt))
-        if doubt[worst] < TOLD:
+        if doubt[worst] < DETERMINED:
             break
         dropped.append(abs(model.poles[worst]) / (2 * np.pi))
         model = fit(curves, np.delete(model.poles, worst))
@@ -310,11 +312,11 @@ def _sigma(curves: Sequence[Frf]) -> Array:
     size = np.stack([abs(curve.value) for curve in curves])
     error = np.stack([curve.error for curve in curves])
     for row, curve in zip(error, curves, strict=True):
-        told = np.isfinite(row)
-        if not told.all():
-            row[~told] = scatter(curve.value)[~told]
+        finite = np.isfinite(row)
+        if not finite.all():
+            row[~finite] = scatter(curve.value)[~finite]
         if not curve.degrees.any():
-            # What a file says of its errors leaves out what else bounds its lines, of which scatter tells.
+            # What a file says of its errors leaves out what else bounds its lines, which scatter shows.
             row[:] = np.maximum(row, scatter(curve.value))
         row[:] = np.maximum(row, _usual(row, curve.degrees))
     # What differs from line to line bends a curve as noise does; what is smooth looks like no mode.
@@ -326,7 +328,7 @@ def _sigma(curves: Sequence[Frf]) -> Array:
 def _usual(error: Array, degrees: Array) -> Array:
     """Median of errors over so many neighbours as have enough degrees of freedom together; 0 where each has by itself.
 
-    Of the errors that few parts tell some are by chance next to nothing: such lines would decide alone.
+    Errors estimated from few parts are sometimes nearly zero by chance: such lines would decide alone.
     """
     own = float(np.median(degrees))
     if not 0.0 < own < _ENOUGH:

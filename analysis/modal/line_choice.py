@@ -21,7 +21,7 @@ _PEAKS, _LINES, _FLANK = 24, 41, 0.1
 _STANDS_OUT = 2.0
 # A step so many times as wide as those on either side is a hole.
 _HOLE = 5.0
-# Lines over which scatter is told.
+# Lines over which scatter is estimated.
 _AROUND = 31
 
 
@@ -77,7 +77,7 @@ def scatter(value: NDArray[np.complex128]) -> Array:
 def in_holes(frequency: Array, poles: NDArray[np.complex128]) -> NDArray[np.bool_]:
     """Whether the peaks of some poles, rad/s, lie where lines were left out, none of them within the half-power width.
 
-    Flanks tell a pole only if it is alone there and what is farther away is all in the model.
+    Flanks determine a pole only if it is alone there and what is farther away is all in the model.
 
     Examples
     --------

@@ -20,8 +20,8 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 # A damping ratio that is uncertain by more of itself (one standard deviation: it lies less than three from none)
-# is told by its upper limit alone, and its pole is a mode only where a peak stands out.
-TOLD = 1.0 / 3.0
+# is stated by its upper limit alone, and its pole is a mode only where a peak stands out.
+DETERMINED = 1.0 / 3.0
 
 
 class BodyShapes(NamedTuple):
@@ -87,13 +87,15 @@ class Modes(Result):
 
     def summary(self) -> str:
         """List frequency and damping ratio of each mode."""
-        found = (f"{f:.4g} Hz, damping ratio {self.damping_told(k)}" for k, f in enumerate(self.frequency))
+        found = (f"{f:.4g} Hz, damping ratio {self.damping_text(k)}" for k, f in enumerate(self.frequency))
         return f"{self.label}: {'; '.join(found)}"
 
-    def damping_told(self, mode: int) -> str:
-        """Tell a damping ratio with its 95 % bound, or an upper limit where the curves tell no more."""
+    def damping_text(self, mode: int) -> str:
+        """Write a damping ratio with its 95 % bound, or its upper limit where it is poorly determined."""
         ratio, bound = 100.0 * self.damping[mode], 200.0 * self.damping_error[mode]
-        return bounded(ratio, bound, "%") if bound < 2.0 * TOLD * ratio else f"below {ratio + bound:.2g} %"
+        return (
+            bounded(ratio, bound, "%") if bound < 2.0 * DETERMINED * ratio else f"below {ratio + bound:.2g} %"
+        )
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Frequency, damping ratio, and the shape at each response, with their standard deviations."""

@@ -17,7 +17,7 @@ MOST_MODES = 12
 _FEWEST_DEGREES = 8
 # A pole must lower the misfit by so many times what a pole of noise would, by Schwarz's criterion [1]_.
 _STRICTNESS = 2.0
-# Two poles are told apart from so much of their mean half-power width on.
+# Two poles are resolved from so much of their mean half-power width on.
 APART = 0.4
 # Poles nearer than so many widths must together explain the curve down to so many times its noise (in power):
 # two poles bend to anything, a lopsided peak of a nonlinear structure included.
@@ -40,7 +40,7 @@ def in_band(curves: Curves, poles: ComplexArray) -> NDArray[np.bool_]:
 
 
 def hidden(curves: Curves, poles: ComplexArray) -> NDArray[np.bool_]:
-    """Whether peaks are narrower than the resolution: nothing tells their widths."""
+    """Whether peaks are narrower than the resolution: their widths are undetermined."""
     return np.asarray(2.0 * half_width(poles) < curves.resolution)
 
 

@@ -16,7 +16,7 @@ from analysis.responses.systematic import ALIASING, MODEL, REFERENCE_NOISE, RESO
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Systematic parts that move a pole as a stiffness does, or as one with a loss, for what folds back has any phase, told
+# Systematic parts that move a pole as a stiffness does, or as one with a loss, for aliases have any phase; estimated
 # from so many half-widths around it; and those that may be its width.
 _STIFFENS, _TURNS = (SENSITIVITY, CLOCK), (ALIASING,)
 _WIDENS = (ALIASING, RESOLUTION, MODEL, REFERENCE_NOISE)
@@ -150,7 +150,7 @@ def _factors(curves: Curves, model: Fit) -> tuple[Array, Array, Array]:
 
     Independent ones; those shared by responses and neighbours, as the misfit shows them; and those of a reference,
     by which all responses are divided: a line's errors are the same part of each response, so that poles follow them
-    and the misfit shows little. Of these the curves' own errors tell, no more than the surest response's.
+    and the misfit shows little. Of these the curves' own errors determine, no more than the surest response's.
     """
     parameters = model.slope.shape[0]
     slope = model.slope.reshape(parameters, -1)
@@ -168,14 +168,14 @@ def _factors(curves: Curves, model: Fit) -> tuple[Array, Array, Array]:
     sums = signal.convolve(score, np.ones((1, lags)), method="direct") / np.sqrt(lags)
     # The misfit has fewer degrees of freedom than numbers: the fit has taken its share.
     plain = root * np.sqrt(model.misfit / degrees * reach)
-    # Of what no line tells, as the width of a pole far narrower than their spacing, a pseudoinverse has nothing.
+    # A pseudoinverse omits what no line determines, such as the width of a pole far narrower than the spacing.
     with np.errstate(divide="ignore"):
         least = model.misfit / degrees * reach / np.diag(information)
     missing = np.maximum(least - np.sum(np.square(plain), axis=1), 0.0)
     plain = np.concatenate([plain, np.diag(np.sqrt(missing))], axis=1)
     # Of few numbers it has taken most of each, and what is left is the smaller still (MacKinnon and White's HC3).
     seen = np.asarray(normal @ sums * (curves.numbers / degrees), dtype=float)
-    # Of a line that no response tells, which weighs nothing, there is nothing to have in common.
+    # Of a line that no response measures, which weighs nothing, there is nothing to have in common.
     surest = np.max(curves.weight * abs(curves.value), axis=0)
     relative = np.divide(1.0, surest, out=np.zeros_like(surest), where=surest > 0.0)
     scored = np.einsum("pmn,mn->pn", model.slope.conj(), curves.weight * curves.value) * relative

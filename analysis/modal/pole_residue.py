@@ -13,7 +13,7 @@ ComplexArray = NDArray[np.complex128]
 
 # Evaluations within which a fit from a good start has settled; one from a bad start is not worth more.
 _EVALUATIONS = 25
-# Terms of the series that stands for modes above the band: of fewer lines than these, only the first can be told.
+# Terms of the series that stands for modes above the band: of fewer lines than these, only the first can be determined.
 ABOVE, _LINES = 3, 20
 
 
@@ -48,7 +48,7 @@ class Curves:
 
     @property
     def above(self) -> int:
-        """Terms of the series for modes above the band that so many lines can tell."""
+        """Terms of the series for modes above the band that so many lines can determine."""
         return ABOVE if self.frequency.size >= _LINES else 1
 
     def unknowns(self, poles: int) -> int:

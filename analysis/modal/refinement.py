@@ -117,8 +117,8 @@ class _Likelihood:
         direct = 1.0 / (self.s[:, None] - model.poles)
         mirror = 1.0 / (self.s[:, None] - model.poles.conj())
         known = np.column_stack([model.lower, model.upper[:, : self.curves.above]])
-        told = direct @ model.residue.T + mirror @ model.residue.conj().T + self.terms @ known.T
-        return np.asarray(self.curves.value.T - told)
+        predicted = direct @ model.residue.T + mirror @ model.residue.conj().T + self.terms @ known.T
+        return np.asarray(self.curves.value.T - predicted)
 
     def misfit(self, model: Fit) -> float:
         """Sum of squares in standard deviations."""

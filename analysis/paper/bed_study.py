@@ -60,7 +60,7 @@ SETTINGS_OF_MODES = {
 LAYERS_OF_MODES = (4, 6)
 #: The mass of the bed over that of the body that shakes it.
 SHAKEN = 1e-3
-#: Of the body whose compliance is told: damping ratio, and the mass of the bed over its mass.
+#: Of the body whose compliance is listed: damping ratio, and the mass of the bed over its mass.
 DAMPING, MASS_RATIO = 0.005, 0.1
 #: Periods of a block; there are three, of which the last two are averaged. Grains that a ceiling throws back pack
 #: themselves anew for tens of periods, deep beds most of all: at 7 g below 2 mm, six layers took 10 weights times a
@@ -151,7 +151,7 @@ def compared(setting: Setting) -> Row:
     row = [repr(float(value)) for value in (setting.frequency, setting.level, setting.clearance)]
     row += [str(setting.layers), str(setting.seed), f"{depth:.2f}"]
     block = BLOCK if math.isinf(setting.clearance) else BLOCK_WITH_CEILING
-    row += told(scene, steady_grains(scene, setting.frequency, block, 3, least=3))
+    row += summary_row(scene, steady_grains(scene, setting.frequency, block, 3, least=3))
     row += _of_mass(setting.frequency, setting.level, setting.clearance)
     return dict(zip(_HEADER, row, strict=True))
 
@@ -224,10 +224,10 @@ def table(path: Path | None = None) -> Arrays:
 def _of_mass(frequency: float, level: float, clearance: float) -> list[str]:
     """Follow the bed as one mass: it moves the same whatever the depth."""
     scene = scene_of_bed(Setting(level, clearance, min(BEDS), 1, frequency))
-    return told(scene, steady_mass(scene, frequency))
+    return summary_row(scene, steady_mass(scene, frequency))
 
 
-def told(scene: Scene, motion: SteadyBed) -> list[str]:
+def summary_row(scene: Scene, motion: SteadyBed) -> list[str]:
     """Write the measures of a motion without dimensions, and its type.
 
     Compliance by that of the body's spring, impulses by the bed's weight over a period, energy by its weight over a
@@ -253,7 +253,7 @@ def told(scene: Scene, motion: SteadyBed) -> list[str]:
 
 
 def compliance_at_peak(level: Values, energy: Values) -> Values:
-    """Give the compliance as in `told`, of beds that take an energy at an acceleration in g at 50 Hz; any shape."""
+    """Return the compliance as in `summary_row`, of beds that dissipate an energy at a level in g; any shape."""
     speed = level * STANDARD_GRAVITY / (2.0 * math.pi * FREQUENCY)
     stored = math.pi / MASS_RATIO * speed**2
     return np.asarray(1.0 / (2.0 * DAMPING + energy * STANDARD_GRAVITY * 1e-3 / stored))

@@ -89,8 +89,8 @@ def followed(contact: Contact) -> Row:
     )
     energy = (whole.energy.contacts - settled.energy.contacts) / _WATCHED
     values = (energy / (weight * 1e-3), _ceiling_force(scene, whole) / weight)
-    told = [*(repr(float(value)) for value in contact), *(f"{value:.5g}" for value in values)]
-    return dict(zip(TABLE.header, told, strict=True))
+    cells = [*(repr(float(value)) for value in contact), *(f"{value:.5g}" for value in values)]
+    return dict(zip(TABLE.header, cells, strict=True))
 
 
 def scene_on_contact(contact: Contact) -> Scene:

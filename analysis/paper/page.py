@@ -55,7 +55,7 @@ def _more_mass(both: Mapping[str, np.ndarray]) -> str:
 def write_pages(folder: Path, judged: Sequence[Claim], parts: Parts) -> list[Path]:
     """Write index.md and index.html; the figures lie beside them."""
     beyond = beyond_the_paper(parts)
-    page = Template((files("analysis.presentation") / "report.html").read_text(encoding="utf-8"))
+    page = Template((files("analysis.paper") / "page.html").read_text(encoding="utf-8"))
     written = []
     for name, text in (
         ("index.md", _markdown(judged, beyond)),

@@ -155,7 +155,7 @@ def all_parts(folder: Path) -> list[PaperPart]:
     )  # fmt: skip
     parts.append(
         _part(
-            "sim-noise", "Fig 10a where noise tells", paper_simulation.simulated, rig.load("fig10a"),
+            "sim-noise", "Fig 10a where noise matters", paper_simulation.simulated, rig.load("fig10a"),
             frequencies=np.sort(NOISE_GRID),
         )
     )  # fmt: skip

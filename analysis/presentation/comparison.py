@@ -48,7 +48,7 @@ _JUMPS = (
 def present_compare(
     paths: Sequence[Path], output: Path | None = None, progress: Progress | None = None
 ) -> Result:
-    """Tell and tabulate how far each resonance peak of the first recording is lowered and moved in the others.
+    """List and tabulate how far each resonance peak of the first recording is lowered and shifted in the others.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def _without_peaks(
 class Places:
     """What a recording's responses are of: where the force acts, and where each channel is.
 
-    sensors : of each response and its force, where one sensor tells that, what tells these two from others
+    sensors : of each response and its force, if one sensor measures it, an identification of the two
     """
 
     path: Path

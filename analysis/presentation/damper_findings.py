@@ -1,4 +1,4 @@
-"""What the dampers did in a stepped sine, told from the channels: kind of motion, energy taken out per period."""
+"""Damper motion in a stepped sine, estimated from the channels: type of motion, energy dissipated per period."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _NAMED = 8
 def present_dampers(
     paths: Sequence[Path], output: Path | None = None, progress: Progress | None = None
 ) -> Result:
-    """Tell, draw and tabulate what the dampers did at each frequency of stepped sines.
+    """List, draw and tabulate the motion of the dampers at each frequency of stepped sines.
 
     Parameters
     ----------

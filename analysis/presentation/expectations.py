@@ -31,7 +31,7 @@ def expect(rec: Recording, path: Path, command: str) -> None:
     Raises
     ------
     RecordingError
-        Saying what the recording holds, and which command tells of that.
+        Stating what the recording contains, and which command suits it.
     """
     test = rec.scene.test
     kind = test.kind if test is not None else ""
@@ -51,8 +51,8 @@ def expect(rec: Recording, path: Path, command: str) -> None:
         if not any("frequency" in marker.fields for marker in measured) and (measured or hit):
             suits = "decay" if hit else "frf"
             raise RecordingError(
-                f"{held}: what dampers do is told from held tones, test: {{kind: stepped_sine, ...}} or "
-                f"{{kind: sine, ...}}; `analysis {suits} {file}` shows what this recording tells"
+                f"{held}: the motion of dampers needs held tones, test: {{kind: stepped_sine, ...}} or "
+                f"{{kind: sine, ...}}; `analysis {suits} {file}` shows what this recording contains"
             )
 
 

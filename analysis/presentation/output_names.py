@@ -64,7 +64,7 @@ def joined(names: Sequence[str]) -> str:
     name = "+".join(names)
     if len(name) <= _LONGEST_NAME:
         return name
-    # What is left out tells sets apart that begin alike.
+    # A digest of the omitted names distinguishes sets that begin alike.
     rest = _digest(name)[:4]
     return f"{names[0]}+{len(names) - 1}-more-{rest}" if len(names) > 1 else name
 

@@ -129,10 +129,10 @@ def stated_tolerances(rec: Recording, frfs: Sequence[Frf]) -> list[str]:
         if tolerance(info):
             source = origin(settings.get(name), "sensitivity_tolerance")
             groups.setdefault(f"{100 * tolerance(info):.2g} %{source}", []).append(name)
-    told = "; ".join(f"{', '.join(names)} {text}" for text, names in groups.items())
+    stated = "; ".join(f"{', '.join(names)} {text}" for text, names in groups.items())
     return [
-        f"{rec.scene.name}: most of these bounds is what the sensors' tolerances leave open ({told}); "
-        "calibrated sensors say so beside the preset, such as sensitivity_tolerance: 1 %"
+        f"{rec.scene.name}: most of these bounds is the tolerance of the sensors ({stated}); "
+        "if they are calibrated, give it in the scene: sensitivity_tolerance: 1 %"
     ]
 
 
@@ -178,7 +178,7 @@ def present_decay(
 
 
 def describe_decay(one: Decay) -> list[str]:
-    """Tell when a decay is over for the dampers, and what each mode's damping was."""
+    """Describe when dampers come to rest in a decay, and the damping of each mode."""
     quiet = one.quiet_from
     until = "never within the recording" if np.isnan(quiet) else f"after {quiet:.3g} s"
     falls = (
@@ -190,17 +190,17 @@ def describe_decay(one: Decay) -> list[str]:
     for mode in one.modes:
         if mode.damping.size:
             ends = ", ".join(_damping_at(mode, index) for index in (0, -1))
-            out.append(f"  {mode.told_frequency()}: damping ratio {ends}; noise {mode.noise:.1g} m/s²")
+            out.append(f"  {mode.frequency_text()}: damping ratio {ends}; noise {mode.noise:.1g} m/s²")
         else:
             out.append(
-                f"  {mode.told_frequency()}: too short, or too near its noise of {mode.noise:.1g} m/s², for a "
+                f"  {mode.frequency_text()}: too short, or too near its noise of {mode.noise:.1g} m/s², for a "
                 "damping ratio"
             )
     return out
 
 
 def _damping_at(mode: ModalDecay, index: int) -> str:
-    """Tell the damping ratio at one amplitude, with its 95 % bound from noise."""
+    """Write the damping ratio at one amplitude with its 95 % bound from noise."""
     ratio, bound = 100.0 * mode.damping[index], 200.0 * mode.damping_error[index]
     return f"{bounded(ratio, bound, '%')} at {mode.amplitude[index]:.3g} m/s²"
 
@@ -279,7 +279,7 @@ def describe_modes(modes: Modes, theory: np.ndarray | None = None) -> list[str]:
         shape = ", ".join(f"{name} {_element(value, bound)}" for name, value, bound in known)
         line = (
             f"  {bounded(frequency, 2 * modes.frequency_error[i], 'Hz')}, damping ratio "
-            f"{modes.damping_told(i)}, shape ({shape})"
+            f"{modes.damping_text(i)}, shape ({shape})"
         )
         if theory is not None:
             line += f", MAC with theory {nearest_mac(modes, theory)[i]:.4f}"

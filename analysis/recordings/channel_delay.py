@@ -1,4 +1,4 @@
-"""When a channel tells of what happened: its filter spreads an instant over samples, and late ones."""
+"""Delay of a channel: its filter spreads an instant over later samples."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 def arrival(info: ChannelInfo, first: int, last: int) -> tuple[int, int]:
     """First and last sample in which a channel holds what happened between two samples of the clock.
 
-    A marker bears the time at which something was done. The samples that tell of it come later by the
+    A marker bears the time at which something was done. The samples that show it come later by the
     channel's delay, where that was not removed, and spread to either side by half the length of its filter.
 
     Examples

@@ -58,18 +58,18 @@ def takes_path(
     return opening
 
 
-def told_apart(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
+def distinct_names(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
     """Name recordings so that no two have the same name.
 
     Examples
     --------
-    >>> told_apart(["none", "three", "three"], [Path("a.mcap"), Path("b.mcap"), Path("c.mcap")])
+    >>> distinct_names(["none", "three", "three"], [Path("a.mcap"), Path("b.mcap"), Path("c.mcap")])
     ['none', 'three (b)', 'three (c)']
-    >>> told_apart(["none", "none"], [Path("x/a.mcap"), Path("x/b.mcap")])
+    >>> distinct_names(["none", "none"], [Path("x/a.mcap"), Path("x/b.mcap")])
     ['a', 'b']
     """
     if len(paths) > 1 and len(set(names)) == 1:
-        # What all are called tells nothing.
+        # A name that all share distinguishes nothing.
         stems = [path.stem for path in paths]
         return stems if len(set(stems)) == len(paths) else [path.as_posix() for path in paths]
     by_stem = [
@@ -88,7 +88,7 @@ def scene_labels(paths: Sequence[Path]) -> list[str]:
     for path in paths:
         with opened(path) as rec:
             names.append(rec.scene.name)
-    return told_apart(names, paths)
+    return distinct_names(names, paths)
 
 
 def relabelled(one: Labelled, scene: str, label: str) -> Labelled:

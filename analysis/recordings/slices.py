@@ -30,7 +30,7 @@ class Slice:
     start: int
     stop: int
     """First sample, and the one after the last."""
-    told: Callable[[int], None] = field(default=lambda samples: None, compare=False)
+    on_read: Callable[[int], None] = field(default=lambda samples: None, compare=False)
     """Called with how many samples, of how many channels together, have been read since."""
 
     @classmethod
@@ -74,12 +74,12 @@ class Slice:
         for first in range(self.start, self.stop, PIECE):
             last = min(first + PIECE, self.stop)
             yield first, np.array([self.recording.read(name, first, last) for name in names])
-            self.told((last - first) * len(names))
+            self.on_read((last - first) * len(names))
 
     def whole(self, name: str) -> NDArray[np.float64]:
         """Read all samples of a channel."""
         samples = self.recording.read(name, self.start, self.stop)
-        self.told(samples.size)
+        self.on_read(samples.size)
         return samples
 
     def need_all(self, form: str) -> None:

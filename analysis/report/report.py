@@ -128,7 +128,7 @@ def _modes(found: Sequence[Measured]) -> list[str]:
             if len(bodies.names) < 2 or not modes.frequency.size:
                 continue
             drawings = [
-                mode_drawing(bodies, k, f"{frequency:.4g} Hz, damping ratio {modes.damping_told(k)}")
+                mode_drawing(bodies, k, f"{frequency:.4g} Hz, damping ratio {modes.damping_text(k)}")
                 for k, frequency in enumerate(modes.frequency)
             ]
             parts += [f"<h3>{html(each.label)}</h3>", f'<div class="shapes">{"".join(drawings)}</div>']

@@ -77,7 +77,7 @@ def resonances(measurements: Sequence[Measured]) -> str:
 
 
 def _damping(modes: Modes, mode: int) -> str:
-    return modes.damping_told(mode).replace(" %", "").replace("(", "").replace(")", "")
+    return modes.damping_text(mode).replace(" %", "").replace("(", "").replace(")", "")
 
 
 def _height(found: Peak) -> str:

@@ -19,7 +19,7 @@ SETTLING = "settling"
 
 @dataclass(frozen=True)
 class Flaw:
-    """Samples ``[first, stop)`` that tell nothing of the motion, and why."""
+    """Samples ``[first, stop)`` that do not measure the motion, and why."""
 
     first: int
     stop: int
@@ -65,7 +65,7 @@ def clean_stretches(found: list[Flaw], first: int, stop: int) -> list[tuple[int,
     return [*left, (at, stop)] if at < stop else left
 
 
-def told(rec: Recording, found: Sequence[Flaw]) -> str:
+def describe_flaws(rec: Recording, found: Sequence[Flaw]) -> str:
     """Say what was wrong, where: ``a3 overloaded (at 1.2 s, 4.5 s, ...), all channels lost (at 7 s)``."""
     groups: dict[str, list[str]] = {}
     for flaw in found:

@@ -25,7 +25,7 @@ def pulse_alone(info: ChannelInfo, force: Array, first: int, last: int) -> Array
 
     Sensor discharge, amplifier and converter with AC coupling let a pulse be followed by a long faint tail of
     the other sign. It is as much the pulse's as the pulse is, and may last longer than the recording. So the
-    high-passes are undone first, and the window then cuts off what is noise; `high_passes` tells what they do to the
+    high-passes are undone first, and the window then cuts off what is noise; `high_passes` gives their effect on the
     spectrum of what is left.
 
     Parameters

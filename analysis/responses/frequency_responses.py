@@ -99,7 +99,7 @@ def frequency_responses(
         local rational method, which leaks nothing. Tones average amplitudes.
     block : float, optional
         Length of the blocks in s, for random and hits, each of which begins one: averages their spectra, as H1 unless
-        told otherwise.
+        chosen otherwise.
     progress : callable, optional
         Called with (done, in all).
     overlap : float, optional

@@ -53,7 +53,7 @@ class Frf(Result):
         Response / reference for motion Re(X e^{iwt}): a lagging response has a negative phase.
     error : ndarray, shape (n,)
         Random part: standard deviation of ``abs(value)``, and of either quadrature component; NaN where one
-        average alone gives no scatter to tell it from.
+        average alone gives no scatter to estimate it from.
     coherence : ndarray, shape (n,)
         Share of the response that repeats with the reference, 0 to 1.
     degrees : ndarray, shape (n,)
@@ -141,7 +141,7 @@ class Frf(Result):
 
     @property
     def shown_in(self) -> tuple[str, float]:
-        """Unit in which the curve is drawn and told, and how many of it make one of `unit`."""
+        """Unit in which the curve is drawn and printed, and how many of it make one of `unit`."""
         return _SHOWN.get(self.unit, (self.unit, 1.0))
 
     def summary(self) -> str:

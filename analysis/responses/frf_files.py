@@ -30,7 +30,7 @@ _PART = re.compile(
     r"[\s_.]*(deg|rad|degrees|°)?",
     re.IGNORECASE,
 )
-# Lines that are evenly spaced, but for a table's few digits, are those of a transform, whose window no file tells: as
+# Lines that are evenly spaced, but for a table's few digits, are those of a transform, whose window no file states: as
 # most programs take it, Hann's, of so many lines' noise bandwidth.
 _EVEN, _HANN = 0.05, 1.5
 # What the largest magnitude of a response can be, in SI: no structure is near either.
@@ -124,7 +124,7 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Frf]:
     for name, each in zip(_names(chosen), chosen, strict=True):
         frequency = _frequencies(path, name, each)
         motion, size = _ratio(f"{path}: {name}", unit or _stated(each))
-        told = deviation.get((_place(each), f"{uff.DEVIATION_LINE} {uff.title(each)}"))
+        given = deviation.get((_place(each), f"{uff.DEVIATION_LINE} {uff.title(each)}"))
         curve = _curve(
             path,
             name,
@@ -132,7 +132,7 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Frf]:
             size * np.asarray(each["data"]),
             motion,
             coherence=coherence.get(_place(each)),
-            error=None if told is None else size * told,
+            error=None if given is None else size * given,
             resolution=_stated_resolution(str(each.get("id4") or "")),
         )
         output, force = (_node(each, which) for which in ("rsp", "ref"))
@@ -149,7 +149,7 @@ def _node(each: Mapping[str, Any], which: str) -> str:
 
 
 def _stated_resolution(line: str) -> float | None:
-    """Read the width over which leakage smears each line, Hz, as our own files tell it; None in others.
+    """Read the width over which leakage smears each line, Hz, as our own files state it; None in others.
 
     >>> _stated_resolution("shotrig: resolution 0.5 Hz"), _stated_resolution("NONE")
     (0.5, None)
@@ -163,7 +163,7 @@ def _stated_resolution(line: str) -> float | None:
 
 
 def _names(sets: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Name responses by what tells them apart: their titles, their places, or their numbers."""
+    """Name responses by what distinguishes them: their titles, their places, or their numbers."""
     for names in ([uff.title(each) for each in sets], [uff.point(each, "rsp") for each in sets]):
         if len(set(names)) == len(names):
             return names
@@ -240,8 +240,8 @@ def _long_curves(path: Path, unit: str | None) -> list[Frf]:
         for line in reader:
             try:
                 value = size * complex(float(line[real]), float(line[imag]))
-                told = (float(line.get(name) or "nan") for name in (deviation, "coherence", "resolution_Hz"))
-                error, coherence, resolution = told
+                given = (float(line.get(name) or "nan") for name in (deviation, "coherence", "resolution_Hz"))
+                error, coherence, resolution = given
                 point = float(line["frequency_Hz"]), value, size * error, coherence, resolution
             except (TypeError, ValueError):
                 raise RecordingError(f"{path}, line {reader.line_num}: a cell is no number") from None
@@ -351,6 +351,6 @@ def _lines(where: str, frequency: Array, value: NDArray[Any]) -> NDArray[np.intp
     if twice.size:
         raise RecordingError(
             f"{where} stands twice at {frequency[lines[twice[0]]]:.9g} Hz; expected each frequency once, with digits "
-            "enough to tell it from the next"
+            "enough to distinguish it from the next"
         )
     return lines

@@ -106,7 +106,7 @@ class Hits:
         """Count the samples of rest to put in front of a stretch that begins at rest.
 
         So the hit comes long after the beginning, as does the end of the record, and what rings on at the end can
-        be told from the response to the hit.
+        be separated from the response to the hit.
         """
         return self.interval
 
@@ -132,7 +132,7 @@ class Hits:
         """Whether a stretch, among zeros up to so many samples, is taken as the response to its hits alone.
 
         It is where hardly anything moved before them; and where one hit comes so soon that what moved before cannot be
-        told from the response to it by how they change from line to line.
+        separated from the response to it by how they change from line to line.
         """
         if moving < _STILL:
             return True
@@ -160,7 +160,7 @@ class Hits:
     def force_noise(self, rec: Recording, stretches: Sequence[tuple[int, int]], frequency: Array) -> Array:
         """Variance of either quadrature component of the force, relative, for the noise in it while hits last.
 
-        It is the same for all lines that a hit drives, so that no scatter from line to line tells of it.
+        It is the same for all lines that a hit drives, so that no scatter from line to line shows it.
         """
         power, noise = np.zeros(frequency.size), []
         info = rec.channels[self.channel]
@@ -193,21 +193,21 @@ class Hits:
         soon after it passes for response: of what has decayed to half a count nothing is read, and a tone of few counts
         has harmonics. Coarser converters show how much: what readings differ by when they are rounded once more, to
         every second and every third count. Noise of s counts lets ``exp(-2 pi^2 s^2)`` of this through (Widrow and
-        Kollár, as in `noise_gain`). Readings of too few counts to be rounded once more tell nothing: infinite.
+        Kollár, as in `noise_gain`). Readings of too few counts to be rounded once more determine nothing: infinite.
 
         Parameters
         ----------
         blocks, spectra : sequences of ndarray
             Of the stretches, shape (channels, samples), and with zeros before, shape (channels, bins).
         lines : ndarray of int
-            Bins at which the response is told.
+            Bins at which the response is estimated.
         side : int
             Lines to either side that a fit takes in.
         """
         count = counts_of(rec, names)[:, None]
         step = np.where(count > 0.0, count, 1.0)
         size = 2 * (spectra[0].shape[1] - 1)
-        # What is nearer to a hit than this, low polynomials cannot tell from the response to it.
+        # What is nearer to a hit than this, low polynomials cannot separate from the response to it.
         near = int(size * (ORDER + 1) / side)
         power = np.sum([abs(each) ** 2 for each in spectra], axis=0)
         off, noise, most = np.zeros((len(_COARSER), *power.shape)), [], np.zeros(count.shape)
@@ -256,7 +256,7 @@ def _faded_in(readings: Array, quiet: int) -> Array:
 
     Drift of an integrator that sets in at once is a step, whose spectrum falls more slowly than any displacement's: far
     above the resonances it would be more than the response, and as even as that. In the half next to the hit a filter
-    may already tell of it.
+    may already show it.
     """
     rise = quiet // 2
     slope = 0.5 - 0.5 * np.cos(np.pi * (np.arange(rise) + 0.5) / max(rise, 1))

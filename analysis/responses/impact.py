@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from analysis.responses.block_spectra import bins_of, cross_spectra, window_of
-from analysis.responses.clean_stretches import told
+from analysis.responses.clean_stretches import describe_flaws
 from analysis.responses.estimators import Averages
 from analysis.responses.hits import Hits
 from analysis.responses.whole_stretches import WholeStretches, dampers_move
@@ -64,13 +64,13 @@ def averages(
     high = hits.highest_frequency(rec)
     summed = cross_spectra(rec, channels, starts, weights, 0.0, high)
     if not summed.used:
-        raise RecordingError(f"no hit is left: {told(rec, summed.flaws)}")
+        raise RecordingError(f"no hit is left: {describe_flaws(rec, summed.flaws)}")
     notes = []
     if summed.used < len(begins):
-        spoilt = told(rec, summed.flaws) or "the recording ends"
+        spoilt = describe_flaws(rec, summed.flaws) or "the recording ends"
         notes.append(f"{len(begins) - summed.used} of {len(begins)} hits left out: {spoilt}.")
     if summed.used == 1:
-        notes.append("One block: its coherence is 1 whatever the noise, and nothing tells the scatter.")
+        notes.append("One block: its coherence is 1 whatever the noise, and the scatter is undetermined.")
     leaks = summed.left > _LEFT_OVER
     if leaks:
         notes.append(

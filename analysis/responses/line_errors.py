@@ -272,9 +272,9 @@ def _kinds_of_noise(
         right = near(np.sum((power * followed.conj()).real / pairs, axis=(1, 2)))
         right_own = near(own / size**2)
         left = both - np.sum(mixed**2 / alone, axis=1)
-        told = left > 1e-6 * both
-        reference = np.where(told, right - np.sum(mixed * right_own / alone, axis=1), 0.0)
-        reference = np.maximum(reference / np.where(told, left, 1.0), 0.0)
+        known = left > 1e-6 * both
+        reference = np.where(known, right - np.sum(mixed * right_own / alone, axis=1), 0.0)
+        reference = np.maximum(reference / np.where(known, left, 1.0), 0.0)
         least = _LEAST * near(own)
         own_noise = np.maximum((right_own - mixed * reference[:, None]) / alone, least)
         size = np.maximum(reference[:, None] * by_curve + own_noise, _NOTHING)

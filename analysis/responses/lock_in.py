@@ -73,7 +73,7 @@ class LockIn:
     def __init__(self, frequency: float, rate: float, harmonics: int) -> None:
         if 2.0 * frequency >= rate:
             raise RecordingError(
-                f"a tone of {frequency:.6g} Hz cannot be told from another in {rate:.6g} samples a second; expected "
+                f"a tone of {frequency:.6g} Hz is not resolved by {rate:.6g} samples a second; expected "
                 f"a recording made with converter: {{rate: ...}} well above {2.0 * frequency:.6g} Hz"
             )
         # Higher harmonics that would fold back onto lower ones are left out of the fit.

@@ -138,7 +138,7 @@ def reference_of(rec: Recording, reference: str) -> Measurand:
         return Measurand((forces[0].name,), (1.0,), "force")
     if rec.scene.test is not None and rec.scene.test.kind == "impulse":
         raise RecordingError(
-            f"nothing in the recording tells the force of the hammer: it has {_places(rec)}; "
+            f"no channel measures the force of the hammer: the recording has {_places(rec)}; "
             "add {name: hammer, at: hammer} to the scene's channels, or use `analysis decay`"
         )
     shaker = rec.scene.driven_shaker
@@ -147,7 +147,7 @@ def reference_of(rec: Recording, reference: str) -> Measurand:
         if shaker is not None:
             hint = f"add {{name: force, at: {rec.scene.at_driven('shaker')}}} to the scene's channels"
         raise RecordingError(
-            f"nothing in the recording tells the force: it has {_places(rec)} and no coil spring; {hint}"
+            f"no channel measures the force: the recording has {_places(rec)} and no coil spring; {hint}"
         )
     driven = f"body {shaker.body}"
     below = rec.scene.at_driven("table")

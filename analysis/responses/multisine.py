@@ -1,4 +1,4 @@
-"""Multisine with random phases: best linear approximation, with noise and nonlinear distortion told apart."""
+"""Multisine with random phases: best linear approximation, with noise and nonlinear distortion separated."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from analysis.recordings.slices import read_slices
-from analysis.responses.clean_stretches import flaws, told
+from analysis.responses.clean_stretches import describe_flaws, flaws
 from analysis.responses.frf import Frf
 from analysis.responses.local_models.local_spectra import SIDE
 from analysis.responses.measurands import located, reference_of
@@ -32,7 +32,7 @@ NONLINEAR = (
     "and its error bars hold for that; steady tones of another amplitude (stepped sine) give another curve."
 )
 ONE_REALISATION = (
-    "One realisation: what dampers distort cannot be told from the response, and is in no error bar; "
+    "One realisation: distortion by dampers cannot be separated from the response, and is in no error bar; "
     "run several (test: realisations)."
 )
 LIFTED = (
@@ -120,7 +120,7 @@ def best_linear_approximation(
     samples = rec.rate / (frequency[1] - frequency[0]) if frequency.size > 1 else rec.rate / frequency[0]
     # Rounding to counts looks like noise of a twelfth of a count squared, 95 % of whose amplitudes at a line are within
     # this. Where noise of s counts comes with it, only so much of it is the same in every period, which no scatter
-    # tells of.
+    # shows.
     scatter = np.mean([one.scatter for one in kept], axis=0) / np.where(counts > 0.0, counts, 1.0) ** 2
     same = scattered(scatter)
     amplitude: Array = np.abs(centre)
@@ -210,7 +210,7 @@ def _realisation(rec: Recording, names: Sequence[str], marker: Marker, reference
     if marker.fields.get("settled") is False:
         notes.append(f"Realisation {number} was measured before the motion had become periodic.")
     if len(clean) < periods:
-        why = told(rec, [flaw for found in spoilt for flaw in found])
+        why = describe_flaws(rec, [flaw for found in spoilt for flaw in found])
         notes.append(f"{periods - len(clean)} of {periods} periods of realisation {number} left out: {why}.")
     if len(clean) < 2:
         notes.append(f"Realisation {number} left out: fewer than two whole periods.")

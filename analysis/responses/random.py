@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.responses.block_spectra import bins_of, cross_spectra, window_of
-from analysis.responses.clean_stretches import cure, told
+from analysis.responses.clean_stretches import cure, describe_flaws
 from analysis.responses.estimators import Averages
 from analysis.responses.sensor_settling import settling
 from analysis.responses.whole_stretches import WholeStretches, dampers_move
@@ -100,12 +100,12 @@ def averages(
     starts = [first + i * step for i in range(count)]
     summed = cross_spectra(rec, channels, starts, weights, low, high, forgetting, progress)
     found, left = summed.flaws, summed.left
-    notes = [f"The beginning left out: {told(rec, spoilt)}."] if spoilt else []
+    notes = [f"The beginning left out: {describe_flaws(rec, spoilt)}."] if spoilt else []
     if summed.used < count:
-        notes.append(f"{count - summed.used} of {count} blocks left out: {told(rec, found)}.")
+        notes.append(f"{count - summed.used} of {count} blocks left out: {describe_flaws(rec, found)}.")
     if summed.used < 2:
         raise RecordingError(
-            f"all blocks but one are spoilt: {told(rec, found)}; {cure(rec, found)}, or choose "
+            f"all blocks but one are spoilt: {describe_flaws(rec, found)}; {cure(rec, found)}, or choose "
             "shorter blocks (--block)"
         )
     width = bins_of(weights) * rec.rate / size

@@ -46,7 +46,7 @@ def settling(rec: Recording, names: Sequence[str], first: int, stop: int, lowest
     blocks = [(first + k * size, first + (k + 1) * size) for k in range(count)]
     chosen = np.unique(np.linspace(count // 2, count - 1, _LATER).astype(int))
     means = [_means(block) for block in read_slices(rec, names, [blocks[k] for k in chosen])]
-    # Of a channel that is lost throughout nothing is told, without a warning.
+    # A channel that is lost throughout has no result, without a warning.
     later = np.ma.masked_invalid(means)
     middle, scatter = later.mean(axis=0).filled(np.nan), later.std(axis=0).filled(np.nan)
     ends, calm = np.zeros(len(names), dtype=int), np.zeros(len(names), dtype=int)

@@ -30,13 +30,13 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# Lines whose transients are taken to decay alike; how fast where two periods do not tell; and how slowly at most.
+# Lines whose transients are assumed to decay alike; the decay if two periods do not determine it; and the slowest one.
 _TOGETHER, _UNKNOWN_DECAY, _SLOWEST_DECAY = 5, 0.5, 0.99
-# A reference is told from noise with this confidence.
+# Confidence with which a reference must exceed noise.
 _SURE = 0.999
-# Lines from which on noise is told by how they differ, and how many around each.
+# Lines from which on noise is estimated from their differences, and how many around each.
 _ALIKE, _FLOOR = 8, 31
-# Parts that tell how a transient decays.
+# Parts that determine how a transient decays.
 _FEW = 4
 # What is left of transients is known to some per cent.
 _AT_MOST = 1.05
@@ -172,7 +172,7 @@ def remainder(successive: NDArray[np.complex128]) -> NDArray[np.float64]:
 
     A transient shrinks and turns by the same complex factor r from part to part, as its frequency is not that of the
     line. Of P parts that begin with c it shifts the mean by ``c (1 - r^P) / (P (1 - r))``, and part k changes into the
-    next by ``c r^k (r - 1)``: the changes tell r and c. Many parts are first averaged to a few, as r is lost in noise
+    next by ``c r^k (r - 1)``: the changes determine r and c. Many parts are first averaged to a few, as noise hides r
     otherwise.
 
     Parameters

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.recordings.slices import read_slices
-from analysis.responses.clean_stretches import flaws, told
+from analysis.responses.clean_stretches import describe_flaws, flaws
 from analysis.responses.lock_in import LockIn, ToneFit, parts_of_whole_periods
 from analysis.responses.scatter import Scatter, stacked
 from analysis.responses.spectral_lines import Lines, remainder
@@ -107,7 +107,7 @@ def sweeps(
         if spoilt:
             overloaded += any(flaw.what == "overloaded" for flaw in spoilt)
             why = ", ".join(dict.fromkeys(f"{flaw.channel} {flaw.what}" for flaw in spoilt))
-            left_out.setdefault(key, []).append((frequency, why, told(rec, spoilt)))
+            left_out.setdefault(key, []).append((frequency, why, describe_flaws(rec, spoilt)))
             continue
         steady = marker.fields.get("settled") is not False
         runs.setdefault(key, []).append((lockin.tone(), (first, stop), steady))
@@ -206,7 +206,7 @@ def _sweep(
     level, direction = key
     tones = tuple(tone for tone, _, _ in found)
     windows = np.array([window for _, window, _ in found])
-    # Where dampers move, what rings dies away otherwise than steady responses tell.
+    # Where dampers move, the transient decays differently from what steady responses predict.
     alone = not any(damper.moves for damper in rec.scene.dampers)
     waited = (windows[:, 0] - np.concatenate([[0], windows[:-1, 1]])) / rec.rate
     setting = f", {plainly(level)} N {direction}" if several else ""

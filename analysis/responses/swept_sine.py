@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from analysis.recordings.slices import read_slices
-from analysis.responses.clean_stretches import cure, flaws, told
+from analysis.responses.clean_stretches import cure, describe_flaws, flaws
 from analysis.responses.frf import MOTIONS, Frf
 from analysis.responses.line_errors import LocalErrors
 from analysis.responses.local_models.local_rational import ORDER
@@ -38,7 +38,7 @@ _PER_VALUE = (2 * SIDE + 1) / (3 * ORDER + 2)
 _RIDES = 0.7
 # Where a passing tone puts this share of the curve off by as much of a response it is too fast for dampers to follow.
 _FAST, _FAST_SHARE, _SLOWER = 0.3, 0.05, 10
-# Readings are told in counts from so many periods at least.
+# The range of readings in counts is taken over at least so many periods.
 _FEWEST_PERIODS = 3.0
 
 
@@ -124,10 +124,10 @@ def tracked(
     ]
     notes = []
     if not all(clean):
-        notes.append(f"{clean.count(False)} of {_POINTS} frequencies left out: {told(rec, found)}.")
+        notes.append(f"{clean.count(False)} of {_POINTS} frequencies left out: {describe_flaws(rec, found)}.")
     if not any(clean):
         raise RecordingError(
-            f"nothing is left of the sweep to track: {told(rec, found) or 'it is too short'}; {cure(rec, found)}, or "
+            f"nothing is left of the sweep: {describe_flaws(rec, found) or 'it is too short'}; {cure(rec, found)}, or "
             "sweep for longer"
         )
     if marker.fields.get("settled") is False:
@@ -288,7 +288,7 @@ def _noise(near: ComplexArray) -> Array:
 
 
 def _interpolated(quiet: Sequence[tuple[float, ...]], frequency: Array, channels: int) -> Array:
-    """Noise of each channel between the frequencies at which it was told, and as there beyond them."""
+    """Noise of each channel between the frequencies at which it was estimated, and as there beyond them."""
     if not quiet:
         return np.zeros((channels, frequency.size))
     at, *power = np.array(sorted(quiet)).T

@@ -34,7 +34,7 @@ _LATERAL = 0.1
 _SLOPE_LINES, _STEEP = 3, 10.0
 # A peak between lines is taken for at most so many times as steep as its chords.
 _SHARPEST = 10.0
-# Power in counts below which rounding leaves nothing to tell a signal by.
+# Power in counts below which rounding hides any signal.
 _QUARTER = 1.0 / 16.0
 
 
@@ -167,7 +167,7 @@ def shared_noise_part(noise: Array, off: ComplexArray, lower: ComplexArray, powe
 
     Noise of power N in a channel with the weights u in the response and l in the reference adds ``u l* N`` to their
     cross-spectrum and ``|l|^2 N`` to the reference's power: H1 is off by ``(u - H1 l) l* N`` over what of that power is
-    no noise. A coherence tells nothing of it, as what both share looks like a response.
+    no noise. A coherence does not show it, as what both share looks like a response.
 
     Parameters
     ----------
@@ -225,7 +225,7 @@ def noise_gain(power: Array) -> Array:
     """How far rounding to counts can change the gain of noise, relative.
 
     Rounding is noise of its own, which scatters, but for a part proportional to the signal: with s counts of Gaussian
-    noise ``2 exp(-2 pi^2 s^2)`` at most [1]_. Below a quarter of a count nothing can be told: infinite.
+    noise ``2 exp(-2 pi^2 s^2)`` at most [1]_. Below a quarter of a count it is unbounded: infinite.
 
     Parameters
     ----------

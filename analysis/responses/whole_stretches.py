@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import fft
 from scipy.signal import fftconvolve
 
-from analysis.responses.clean_stretches import clean_stretches, cure, flaws, told
+from analysis.responses.clean_stretches import clean_stretches, cure, describe_flaws, flaws
 from analysis.responses.force_pulse import high_passes
 from analysis.responses.frf import Frf
 from analysis.responses.local_models.jitter import jitter_factor
@@ -41,7 +41,7 @@ _BURST = 0.5
 _MOST_LINES = 1000
 # Values, of all channels, that stretches with hits may have: with their spectra they take just under a gigabyte.
 _MOST_VALUES = 14_000_000
-#: The systematic part that comes of what moved before a hit, and how much of it is told.
+#: The systematic part that comes of what moved before a hit, and the threshold from which it is stated.
 MOTION_BEFORE = "motion before the hit"
 _MUCH = 0.01
 
@@ -58,9 +58,9 @@ class WholeStretches:
     stop: int
     """Samples between which the test ran."""
     low: float
-    """Band in Hz in which responses are told."""
+    """Band in Hz in which responses are estimated."""
     high: float
-    """Band in Hz in which responses are told."""
+    """Band in Hz in which responses are estimated."""
     missed: Sequence[Flaw] = ()
     """What is wrong with channels besides overloads and losses."""
     hits: Hits | None = None
@@ -90,7 +90,7 @@ class WholeStretches:
         notes += few
         if found:
             kept = sum(stop - start for start, stop in stretches) / (self.stop - self.first)
-            notes.insert(0, f"{1 - kept:.0%} of the test left out: {told(rec, found)}.")
+            notes.insert(0, f"{1 - kept:.0%} of the test left out: {describe_flaws(rec, found)}.")
         if not stretches:
             advice = f"{cure(rec, found)}, and record again"
             spoilt = {flaw.channel for flaw in found}
@@ -99,7 +99,7 @@ class WholeStretches:
                 advice += f"; or take the others alone: --response {' --response '.join(others)}"
             if not found:
                 advice = "the test is too short to average; record longer"
-            raise RecordingError(f"{' '.join(notes)} Nothing is left to tell a response from: {advice}")
+            raise RecordingError(f"{' '.join(notes)} Nothing is left to estimate a response from: {advice}")
         if names not in self.made:
             before = [] if self.hits is None else [self.hits.moving(rec, names, *each) for each in stretches]
             self.made[names] = self._spectra(rec, names, stretches, before), before
@@ -116,7 +116,7 @@ class WholeStretches:
         if self.hits is not None:
             clean = [stretch for stretch in clean if self.hits.inside(*stretch)]
         if self.bursts is not None:
-            # What rests between bursts tells nothing: with nothing driven, a spring's force comes from its response.
+            # Samples at rest between bursts carry no information: undriven, a spring's force follows its response.
             # After the end of a burst most of what rings was there before the stretch began.
             least = max(4 * SIDE, _BURST * self.bursts[1])
             clean = [stretch for stretch in clean if self._driven(*stretch) > least]

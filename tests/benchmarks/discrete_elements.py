@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from analysis.paper.bed_study import BEDS, FREQUENCY, Setting, scene_of_bed, told
+from analysis.paper.bed_study import BEDS, FREQUENCY, Setting, scene_of_bed, summary_row
 from rig.bed_response.steady_bed import steady_grains
 from rig.grains.packing import highest, settled
 from rig.grains.spheres import Spheres, rayleigh_time, spheres_of
@@ -211,7 +211,7 @@ def both(setting: Setting, block: int) -> tuple[Array, Array]:
     test: Any = scene.test
     assert isinstance(test, Sine)
     assert test.force is not None
-    _, floor, ceiling, energy, *_ = told(scene, motion)
+    _, floor, ceiling, energy, *_ = summary_row(scene, motion)
     other = followed(spheres, abs(motion.compliance[0]) * test.force, block)
     return np.array([float(floor), float(ceiling), float(energy)]), other
 

@@ -2,7 +2,7 @@
 
 Each bench is drawn with two to five bodies, up to three dampers, some with contact that lasts, noise, and sensors off
 by what data sheets allow; it is recorded without and with its dampers, and a guess that is a fifth off is fitted.
-Prints what was told of each value, and how often it was so. Exit code 1 where intervals hold too seldom or something
+Prints the status of each value, and how often it was so. Exit code 1 where intervals hold too seldom or something
 determined is too far off.
 """
 
@@ -42,12 +42,12 @@ _GUESS = 0.2
 
 
 @dataclass(frozen=True)
-class Told:
-    """One value: what it is, what was told of it, how far it is off and how far it may be, relative."""
+class Judged:
+    """One value: what it is, its status, how far it is off and how far it may be, relative."""
 
     bench: str
     what: str
-    told: str
+    status: str
     off: float
     bound: float
 
@@ -57,7 +57,7 @@ class Trial:
     """What became of a bench."""
 
     bench: str
-    values: tuple[Told, ...]
+    values: tuple[Judged, ...]
     seconds: float
     note: str
 
@@ -158,14 +158,14 @@ def try_out(seed: int, number: int) -> Trial:
     if found.misfit:
         return Trial(scene.name, (), seconds, f"misfit: {found.misfit}")
     values = [
-        Told(scene.name, one.what, got.told, float(np.log(got.value / one.start)), got.half_width)
+        Judged(scene.name, one.what, got.status, float(np.log(got.value / one.start)), got.half_width)
         for one, got in zip(parameters, found.parameters, strict=True)
     ]
     omega, _ = natural_modes(*structure_matrices(scene.structure)[::2])
     for mode, true in zip(found.modes, omega / (2 * np.pi), strict=True):
         bound = mode.frequency_bound / mode.frequency
-        told = "determined" if bound < FREQUENCY else "roughly"
-        values.append(Told(scene.name, "frequency", told, mode.frequency / true - 1, bound))
+        status = "determined" if bound < FREQUENCY else "roughly"
+        values.append(Trial(scene.name, "frequency", status, mode.frequency / true - 1, bound))
     left = sum(int((~one.used).sum()) for one in found.compared)
     note = (
         f"{len(scene.structure.masses)} bodies, {len(scene.dampers)} dampers, variance {found.variance:.2f}"
@@ -187,8 +187,12 @@ def main() -> int:
             trials.append(trial)
             print(f"{trial.bench}: {trial.seconds:.0f} s, {trial.note}", flush=True)
             for one in trial.values:
-                if abs(one.off) > one.bound or (one.told == "determined" and abs(one.off) > _near(one.what)):
-                    print(f"  {one.what} {one.told}: off by {one.off:.3%}, bound {one.bound:.3%}", flush=True)
+                if abs(one.off) > one.bound or (
+                    one.status == "determined" and abs(one.off) > _near(one.what)
+                ):
+                    print(
+                        f"  {one.what} {one.status}: off by {one.off:.3%}, bound {one.bound:.3%}", flush=True
+                    )
     return _tell(trials)
 
 
@@ -197,27 +201,27 @@ def _near(what: str) -> float:
 
 
 def _tell(trials: list[Trial]) -> int:
-    groups: dict[str, list[Told]] = defaultdict(list)
+    groups: dict[str, list[Judged]] = defaultdict(list)
     for trial in trials:
         for one in trial.values:
             groups[one.what].append(one)
     table = Table(
-        "value", "told", "how many", "within 95 % interval", "median off", "worst off", "median interval"
+        "value", "status", "how many", "within 95 % interval", "median off", "worst off", "median interval"
     )
     failed = any(not trial.values for trial in trials)
     inside = total = 0
     for what, values in sorted(groups.items()):
-        for told in ("determined", "roughly", "not told"):
-            some = [one for one in values if one.told == told]
+        for status in ("determined", "roughly", "undetermined"):
+            some = [one for one in values if one.status == status]
             if not some:
                 continue
             off, bound = np.array([abs(one.off) for one in some]), np.array([one.bound for one in some])
             held = int((off <= bound).sum())
-            if told == "determined":
+            if status == "determined":
                 inside, total = inside + held, total + len(some)
                 failed |= bool((off > _near(what)).any())
             table.add_row(
-                what, told, str(len(some)), f"{held / len(some):.0%}", f"{np.median(off):.3%}", f"{off.max():.3%}",
+                what, status, str(len(some)), f"{held / len(some):.0%}", f"{np.median(off):.3%}", f"{off.max():.3%}",
                 f"{np.median(bound):.3%}",
             )  # fmt: skip
     Console(width=120).print(table)

@@ -30,7 +30,7 @@ def jitter_factor(
     """Factor of the covariance of what jitter adds to a hit's spectra and passes for response, (rows, channels).
 
     A sample taken late by t is off by t times the slope of its signal. Slopes are steepest while a hit lasts and soon
-    after it; what is off there is as smooth over the lines as the response is, so that no scatter tells of it. As much
+    after it; what is off there is as smooth over the lines as the response is, so that no scatter shows it. As much
     counts of each sample as a fit lets through. All channels are sampled by one clock, and are late together.
 
     Parameters

@@ -7,8 +7,8 @@ leaves over gives the error bars.
 
 What sensor, amplifier and coupling do to the reading is known and is not fitted: the response passes through it, and
 the transients of its slow high-passes, which bend too much near zero frequency for low polynomials, are terms of
-their own. Where noise hides what a denominator could tell, there is none. How far low polynomials miss the curve is
-told by another fit with polynomials of one order more.
+their own. Where noise hides what a denominator could resolve, there is none. How far low polynomials miss the curve is
+estimated by another fit with polynomials of one order more.
 
 References
 ----------
@@ -188,14 +188,14 @@ def _fits(
     free = max(used * equations - unknowns, 0.5)
     noise = found.left / free
     # Noise makes even a response that is none some size.
-    told = np.maximum(found.power - noise * found.spread, 0.0) * found.apart * equations
+    explained = np.maximum(found.power - noise * found.spread, 0.0) * found.apart * equations
     criterion = used * equations * np.log(np.maximum(found.left, _NOTHING)) + unknowns * np.log(
         2 * used * equations
     )
     return _Fits(
         value=found.value,
         variance=0.5 * noise * found.spread * found.scale**2,
-        coherence=told / np.maximum(told + found.left, _NOTHING),
+        coherence=explained / np.maximum(explained + found.left, _NOTHING),
         degrees=np.full(lines.size, 2.0 * free),
         through=found.through,
         apart=found.apart,

@@ -53,7 +53,7 @@ class LocalSpectra:
     frequency: Array
     """Hz; shape (bins,)."""
     lines: NDArray[np.int64]
-    """Bins at which the response is told; shape (lines,)."""
+    """Bins at which the response is estimated; shape (lines,)."""
     side: int
     """Lines to either side that a fit takes in."""
     used: float

@@ -225,7 +225,7 @@ def test_given_a_channel_that_reads_nothing_when_searched_then_it_says_so(tmp_pa
 
 def test_given_too_few_samples_when_searched_then_it_says_how_many_are_needed(tmp_path):
     path, _, _ = blows(tmp_path / "a.mcap", count=0)
-    with daq.open(path) as rec, pytest.raises(RecordingError, match="take at least 96"):
+    with daq.open(path) as rec, pytest.raises(RecordingError, match="Take at least 96"):
         impacts(rec, "body1", 0, 50)
 
 

@@ -49,7 +49,7 @@ def test_given_a_sweep_and_a_guess_when_fitted_then_every_value_lies_in_its_inte
     path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7)
     found = analysis.fit(path, guess())
     assert not found.misfit
-    assert {one.told for one in found.parameters} == {"determined"}
+    assert {one.status for one in found.parameters} == {"determined"}
     for key, miss in off(found).items():
         assert abs(miss) < 1.5 * found[key].half_width
         assert abs(miss) < 2e-3
@@ -89,7 +89,7 @@ def test_given_a_guess_of_another_structure_when_fitted_then_the_misfit_is_told_
     path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7)
     found = analysis.fit(path, guess(), free=["structure.damping"])
     assert "miss the curves by" in found.misfit
-    assert "determined" not in {one.told for one in found.parameters}
+    assert "determined" not in {one.status for one in found.parameters}
 
 
 @pytest.mark.thorough
@@ -240,4 +240,4 @@ def test_given_damping_that_a_sweep_does_not_tell_when_described_then_words_say_
         rig.load("fig9"), (parameter,), np.eye(1), {}, (), (level,), (), 1.0, "", (), ()
     )  # fmt: skip
     [said] = [line for line in describe(found) if "without dampers" in line]
-    assert said.endswith("damping 0.01 ± 0.0001, not told")
+    assert said.endswith("damping 0.01 ± 0.0001, undetermined")

@@ -26,8 +26,8 @@ from analysis.paper.bed_study import (
     scene_of_bed,
     setting_of,
     settings,
+    summary_row,
     table,
-    told,
 )
 from analysis.paper.kept_study import rows
 from rig.bed_response.steady_bed import as_one_mass, steady_mass
@@ -178,9 +178,9 @@ def test_given_the_kept_table_when_the_other_resonances_are_drawn_then_each_sett
 
 
 def test_given_a_mass_that_flies_when_its_measures_are_told_then_they_are_those_of_a_body_it_damps() -> None:
-    """A body ten times as heavy, driven at its peak by the force that the told compliance names, moves as told."""
+    """A body ten times as heavy, driven at its peak by the force that the compliance names, moves as computed."""
     scene = scene_of_bed(Setting(2.2, np.inf, 2, 1))
-    shaken = told(scene, steady_mass(scene, FREQUENCY))
+    shaken = summary_row(scene, steady_mass(scene, FREQUENCY))
 
     bed = scene.dampers[0].mass
     body, stiffness = bed / MASS_RATIO, bed / MASS_RATIO * (2.0 * np.pi * FREQUENCY) ** 2

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analysis.responses.clean_stretches import Flaw, clean_stretches, cure, flaws, told
+from analysis.responses.clean_stretches import Flaw, clean_stretches, cure, describe_flaws, flaws
 from daq.recording.gap import Gap
 from daq.recording.markers import Marker
 from daq.signal_chain.channel import ChannelInfo
@@ -62,9 +62,9 @@ def test_given_overloads_and_gaps_when_stretches_are_sought_then_they_hold_all_t
 def test_given_flaws_when_told_then_each_kind_is_named_with_its_first_three_times():
     rec = SimpleNamespace(rate=10.0)
     found = [Flaw(10 * k, 10 * k + 1, "a1", "overloaded") for k in range(3)] + [Flaw(70, 75, "a2", "lost")]
-    assert told(rec, found) == "a1 overloaded (at 0 s, 1 s, 2 s), a2 lost (at 7 s)"
+    assert describe_flaws(rec, found) == "a1 overloaded (at 0 s, 1 s, 2 s), a2 lost (at 7 s)"
     found += [Flaw(80, 81, "a1", "overloaded"), Flaw(91, 92, "a1", "overloaded")]
-    assert told(rec, found) == "a1 overloaded (at 0 s, 1 s, 2 s and 2 times more), a2 lost (at 7 s)"
+    assert describe_flaws(rec, found) == "a1 overloaded (at 0 s, 1 s, 2 s and 2 times more), a2 lost (at 7 s)"
 
 
 @pytest.mark.parametrize(

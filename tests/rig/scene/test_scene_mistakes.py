@@ -291,7 +291,7 @@ MISTAKES = [
     ),
     (
         STRUCTURE + COIL + "channels: [{name: a, at: shaker}]",
-        ":3: channels[1].at: a shaker of kind electrodynamic acts through its coil spring, whose force is told by "
+        ":3: channels[1].at: a shaker of kind electrodynamic acts through its coil spring, whose force is measured by "
         "channels at its two ends; expected at: table and at: body 1",
     ),
     (

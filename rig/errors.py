@@ -43,6 +43,10 @@ class SceneWarning(UserWarning):
     """A scene that can be used, with a value in it that is hardly what was meant."""
 
 
+class RunWarning(UserWarning):
+    """A test or an import that went on, with something in it that its user should know."""
+
+
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
     """Name a recording in errors of the body that do not: those of its bytes do, those of its messages do not."""

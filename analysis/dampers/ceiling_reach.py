@@ -30,7 +30,7 @@ _SMEARED = 2
 
 
 def may_reach_ceiling(rec: Recording, found: Impacts, damper: Damper, start: int, stop: int) -> bool:
-    """Tell whether the only damper on a body may reach its ceiling between its blows on the floor.
+    """Return whether the only damper on a body may reach its ceiling between its floor impacts.
 
     After a blow the damper rests on the floor while its body's acceleration exceeds -g, and falls freely from then on:
     its height above the floor follows from the body's motion alone. Where landings last, when and how fast it left the

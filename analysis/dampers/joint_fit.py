@@ -124,7 +124,7 @@ def fit_within(
 
 
 def with_errors(rest: Array, of: Signature, one: Jump, noise: float, typical: tuple[float, float]) -> Jump:
-    """Tell the errors of a jump where it is, from what is left around it where that is more than the noise.
+    """Estimate the errors of a jump from the residual around it, if that exceeds the noise.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def with_errors(rest: Array, of: Signature, one: Jump, noise: float, typical: tu
 
 
 def error_beside(of: Signature, apart: int | None, noise: float, typical: tuple[float, float]) -> float:
-    """Tell the standard deviation of a jump so many samples after another of its size; None: of one alone, m/s.
+    """Return the standard deviation of a jump so many samples after an equal one; None: of a single jump, m/s.
 
     Parameters
     ----------

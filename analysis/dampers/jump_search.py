@@ -210,7 +210,7 @@ class JumpSearch:
         return max((SIGMAS + CERTAINTY) * noise, part * largest, _SLOW * self.usual[0] * lasts)
 
     def resolution(self) -> int:
-        """Tell from which distance on another jump adds little to the error of one, samples."""
+        """Return the distance from which on another jump adds little to the error of one, samples."""
         of, noise = self.whole, float(np.median(self.noise()))
         most = _BESIDE_ANOTHER * error_beside(of, None, noise, self.usual)
         apart = RESOLVED

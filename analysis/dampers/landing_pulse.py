@@ -39,7 +39,7 @@ class Pulse:
     """Natural frequency of the contact with what lands on it, rad/s."""
 
     def exchanged(self, time: Array) -> Array:
-        """Tell which part of the body's change of velocity has come about a time after the touch, s.
+        """Return the share of the body's change of velocity at a time after first contact, s.
 
         Examples
         --------
@@ -116,7 +116,7 @@ def landing_pulse(scene: Scene, place: str, rate: float) -> Pulse | None:
 
 
 def carried(scene: Scene, number: int, frequency: Array) -> NDArray[np.complex128]:
-    """Tell how much of its body's motion a damper makes while its floor carries it, by its number from 1.
+    """Return the share of a damper's motion in its body's while it rests on its floor; dampers count from 1.
 
     It leaves the floor where its own acceleration falls below -g: on one that gives way, the body's may not.
     """

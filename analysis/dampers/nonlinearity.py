@@ -14,7 +14,7 @@ from analysis.dampers.impact_detection import Impacts, band, impacts
 from analysis.dampers.landing_pulse import carried
 from analysis.dampers.restitution import Restitution, hard_speeds, restitution
 from analysis.decays.sensor_correction import corrected
-from analysis.responses.frf import MOTIONS, Frf
+from analysis.responses.frf import MOTIONS
 from analysis.responses.systematic import tolerance
 
 if TYPE_CHECKING:
@@ -22,11 +22,6 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
     from rig.scene.damper import Damper
 
-# A step of the curve counts as a jump when it is this large (in nepers or radians) and this many times the
-# steps on either side of it, and stands out of the error bars.
-JUMP = 0.25
-_STANDS_OUT = 4.0
-_ERRORS = 5.0
 # So far from one a period impacts may be: of some twenty one or two fall on the edge of a window, or lie too
 # near to another.
 _ONCE = 0.15
@@ -34,46 +29,6 @@ _ONCE = 0.15
 _LONGEST_PATTERN = 4
 # A restitution of so many standard deviations is one.
 _SURE = 3.0
-
-
-def jumps(frf: Frf) -> list[tuple[float, str]]:
-    """Frequencies at which a curve jumps from one branch to another.
-
-    Parameters
-    ----------
-    frf : Frf
-        Points in the order measured.
-
-    Returns
-    -------
-    list of (frequency, text)
-        Middle of the two points in Hz, and ``"jump up"`` or ``"jump down"`` as it was met.
-
-    Examples
-    --------
-    >>> f = np.linspace(10.0, 20.0, 11)
-    >>> value = np.where(f < 14.5, 1.0 + 0.02 * f, 0.5 + 0.02 * f).astype(complex)
-    >>> none = np.full(11, 1e-6)
-    >>> jumps(Frf(f, value, none, 1.0 - none, none + 38, "body3"))
-    [(14.5, 'jump down')]
-    """
-    if frf.frequency.size < 4:
-        return []
-    steps = np.log(frf.value[1:] / frf.value[:-1])
-    size, apart = abs(steps), np.maximum(abs(np.diff(frf.frequency)), 1e-12)
-    # What the slopes on either side would make of as wide a step.
-    before, after = np.append(0.0, (size / apart)[:-1]) * apart, np.append((size / apart)[1:], 0.0) * apart
-    # Without an error bar a step cannot be distinguished from noise.
-    relative = np.nan_to_num(frf.error / abs(frf.value), nan=np.inf)
-    noise = np.hypot(relative[1:], relative[:-1])
-    found = (size > JUMP) & (size > _STANDS_OUT * np.maximum(before, after)) & (size > _ERRORS * noise)
-    return [
-        (
-            float(0.5 * (frf.frequency[i] + frf.frequency[i + 1])),
-            "jump up" if steps[i].real > 0 else "jump down",
-        )
-        for i in np.flatnonzero(found)
-    ]
 
 
 # Of a window, so many samples are searched at most, unless that is less than so many periods.

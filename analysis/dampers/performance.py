@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from analysis.responses.aliasing import folded_shares
 from analysis.responses.measurands import motion_of, reference_of, responses
@@ -122,7 +122,7 @@ def _bound(
         gains.append(product.real.sum(axis=1))
         turns.append(abs(product).sum(axis=1))
         along.append(2.0 * abs(slope[:, 0]))
-    parts = [np.sqrt(np.nan_to_num(scatter)) * stats.t.ppf(0.975, np.maximum(lines.scatter.degrees, 1.0))]
+    parts = [np.sqrt(np.nan_to_num(scatter)) * special.stdtrit(np.maximum(lines.scatter.degrees, 1.0), 0.975)]
     tolerances = np.array([tolerance(rec.channels[name]) for name in lines.channels])
     parts.append(abs(np.array(gains)) @ (tolerances / np.maximum(1.0 - tolerances, 1e-300)))
     _, folded = folded_shares(rec, lines.channels, lines.frequency, compliance, of_force, "displacement")

@@ -53,7 +53,7 @@ class _Touch(NamedTuple):
 
 
 def restitution(rec: Recording, found: Impacts, damper: Damper, start: int, stop: int) -> Restitution | None:
-    """Tell the restitution of the only damper on a body from the impacts in a stretch of its channel.
+    """Estimate the restitution of the only damper on a body from the impacts in a stretch of its channel.
 
     Between two impacts the damper falls freely, in a cavity whose motion is measured. That it leaves one wall and meets
     the other at those times gives both speeds: its closing speed w, whether it lay at rest and left as its
@@ -124,7 +124,7 @@ class _Cavity:
     tolerance: float
 
     def touch(self, time: float, wall: float, later: float) -> _Touch:
-        """Tell of a wall at an impact: what is band-limited passes through the middle of the velocity's jump."""
+        """Return the wall's motion at an impact: a band-limited signal passes the middle of the velocity jump."""
         whole = min(int(time * self.rate), self.place.size - 2)
         part = time * self.rate - whole
         place, speed = (

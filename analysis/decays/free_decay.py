@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage, signal
 
 from analysis.decays.modal_decay import ModalDecay, band_width, modal_decay, spectral_peaks
 from analysis.decays.sensor_correction import corrected
@@ -151,9 +151,9 @@ def outline(acceleration: Array, period: float) -> Array:
     True
     """
     half = max(1, round(0.5 * period))
-    largest = ndimage.maximum_filter1d(abs(acceleration), 2 * half + 1, mode="nearest")
+    largest = scipy.ndimage.maximum_filter1d(abs(acceleration), 2 * half + 1, mode="nearest")
     weights = np.hanning(2 * half + 3)
-    return np.asarray(ndimage.convolve1d(largest, weights / weights.sum(), mode="nearest"))
+    return np.asarray(scipy.ndimage.convolve1d(largest, weights / weights.sum(), mode="nearest"))
 
 
 @takes_path
@@ -222,8 +222,8 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     last = acceleration.size - min(cycle, (acceleration.size - free) // 10)
     shown = acceleration[free:last]
     # Mirrored, so that the transform finds no step anywhere: one lifts its neighbourhood by its logarithm.
-    envelope = abs(signal.hilbert(np.concatenate([acceleration, acceleration[::-1]])))[free:last]
-    where, _ = signal.find_peaks(abs(shown), distance=max(cycle, 1))
+    envelope = abs(scipy.signal.hilbert(np.concatenate([acceleration, acceleration[::-1]])))[free:last]
+    where, _ = scipy.signal.find_peaks(abs(shown), distance=max(cycle, 1))
     power = np.cumsum(shown[::-1] ** 2)[::-1]
     after = _energy_after(shown)
     energy = np.zeros(shown.size)

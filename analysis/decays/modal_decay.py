@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import fft, ndimage, signal
+from scipy import fft
 
 from rig.results import Result, bounded, styled
 
@@ -141,7 +142,7 @@ def spectral_peaks(acceleration: Array, rate: float, most: int, low: float, high
     frequency = fft.rfftfreq(size, 1.0 / rate)
     inside = (frequency >= low) & (frequency <= high)
     level, frequency = level[inside], frequency[inside]
-    where, _ = signal.find_peaks(level, prominence=10.0, height=float(np.median(level)) + 20.0)
+    where, _ = scipy.signal.find_peaks(level, prominence=10.0, height=float(np.median(level)) + 20.0)
     kept: list[int] = []
     for peak in where[np.argsort(level[where], kind="stable")[::-1]]:
         # Dampers shift a mode as they come to rest; that smears or splits its peak but makes no second mode.
@@ -341,7 +342,7 @@ def _smear(damping: Array, smeared: Array, longer: Array, kink: Array) -> Array:
         if known.size:
             # At the ends, where more cannot be taken in, what is known nearest counts.
             out += share * np.interp(np.arange(off.size), known, off[known])
-    return np.asarray(ndimage.maximum_filter1d(out, 2 * _FELT + 1) if out.size else out)
+    return np.asarray(scipy.ndimage.maximum_filter1d(out, 2 * _FELT + 1) if out.size else out)
 
 
 def _natural_smear(natural: Array, smeared: Array, longer: Array) -> Array:

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from analysis.responses.frf import DOTS, Frf
 from rig.escaping import drawn
@@ -197,7 +197,7 @@ def exceeds_noise(frf: Frf) -> NDArray[np.bool_]:
     if size.size < 2 * _AROUND:
         return np.ones(size.size, dtype=bool)
     rough = abs(np.diff(frf.value, 2, prepend=frf.value[0], append=frf.value[-1])) / np.sqrt(6.0)
-    return np.asarray(median_filter(rough / size, _AROUND, mode="nearest") < 0.35)
+    return np.asarray(scipy.ndimage.median_filter(rough / size, _AROUND, mode="nearest") < 0.35)
 
 
 def _broken(frequency: Array, angle: Array, values: Array | None = None) -> tuple[Array, Array]:

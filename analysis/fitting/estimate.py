@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from analysis.fitting.problem import Group, Problem
 from analysis.fitting.start import start
@@ -197,7 +197,7 @@ def solved(
         out[chosen] = inner
         return out
 
-    solution = least_squares(
+    solution = scipy.optimize.least_squares(
         lambda inner: problem.residual(full(inner), groups, distrust),
         x[chosen],
         jac=lambda inner: problem.jacobian(full(inner), groups, distrust, chosen),

@@ -189,7 +189,7 @@ class Problem:
         return limit if np.isfinite(limit) else 0.0
 
     def predicted(self, x: Array, group: Group, scene: Scene, settle: bool = True) -> ComplexArray:
-        """Tell what the sensors should have read, shape (responses, n); NaN where there is no steady motion."""
+        """Return what the sensors should read, shape (responses, n); NaN where there is no steady motion."""
         curves = group.curves
         gain = 1.0 + self.deviation(x, curves.reference_sensor)
         own = np.array([1.0 + self.deviation(x, sensor) for sensor in curves.sensors])
@@ -216,7 +216,7 @@ class Problem:
     def misses(
         self, x: Array, group: Group, scene: Scene, distrust: float = 0.0, settle: bool = True
     ) -> ComplexArray:
-        """Tell what is missed of a group's used points, in standard deviations; shape (used, responses)."""
+        """Return the residuals of a group's used points in standard deviations; shape (used, responses)."""
         curves, used = group.curves, group.used
         off = self.predicted(x, group, scene, settle)[:, used] - curves.value[:, used]
         white = np.einsum("nij,jn->ni", curves.whiten[used], off)

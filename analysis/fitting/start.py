@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from analysis.fitting.predicted import on_the_bench
 from analysis.fitting.problem import Group, Problem
@@ -81,7 +81,7 @@ def _fitted(
             ]
         return np.concatenate(parts)
 
-    solution = least_squares(off, x[active], x_scale=1.0, max_nfev=60)
+    solution = scipy.optimize.least_squares(off, x[active], x_scale=1.0, max_nfev=60)
     found = x.copy()
     found[active] = solution.x
     return found

@@ -28,7 +28,7 @@ def doubts(
     unseen: Array,
     left_out: Sequence[str],
 ) -> Iterator[str]:
-    """Tell what limits some modes.
+    """Describe what limits some modes.
 
     Parameters
     ----------

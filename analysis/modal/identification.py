@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from analysis.modal.doubts import doubts
 from analysis.modal.line_choice import in_holes, scatter, stands_out, thinned
@@ -333,7 +333,9 @@ def _usual(error: Array, degrees: Array) -> Array:
     own = float(np.median(degrees))
     if not 0.0 < own < _ENOUGH:
         return np.zeros(error.size)
-    return np.asarray(median_filter(error, min(1 + 2 * int(_ENOUGH / own), error.size), mode="nearest"))
+    return np.asarray(
+        scipy.ndimage.median_filter(error, min(1 + 2 * int(_ENOUGH / own), error.size), mode="nearest")
+    )
 
 
 def _off(curves: Sequence[Frf], names: Sequence[str]) -> Array:

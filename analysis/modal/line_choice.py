@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import signal
-from scipy.ndimage import median_filter
 
 from analysis.responses.frf import Frf
 
@@ -40,8 +39,8 @@ def thinned(curves: Sequence[Frf]) -> list[Frf]:
     # Each curve counts alike; over the square of frequency, a receptance's fall is no slope to hide peaks.
     size = np.sqrt(np.mean((sizes / np.median(sizes, axis=1, keepdims=True).clip(1e-300)) ** 2, axis=0))
     level = np.log(np.maximum(size, 1e-12 * size.max()))
-    found, _ = signal.find_peaks(level, prominence=np.log(_STANDS_OUT))
-    highest = found[np.argsort(signal.peak_prominences(level, found)[0])[::-1][:_PEAKS]]
+    found, _ = scipy.signal.find_peaks(level, prominence=np.log(_STANDS_OUT))
+    highest = found[np.argsort(scipy.signal.peak_prominences(level, found)[0])[::-1][:_PEAKS]]
     kept = np.zeros(count, dtype=bool)
     kept[:: -(-2 * count // MOST_LINES)] = True
     for peak in highest:
@@ -54,7 +53,7 @@ def thinned(curves: Sequence[Frf]) -> list[Frf]:
 
 
 def scatter(value: NDArray[np.complex128]) -> Array:
-    """Tell the standard deviation of either quadrature component of each line, from how far off a parabola it is.
+    """Estimate the standard deviation of either quadrature component of each line from its distance to a parabola.
 
     The median over many lines knows nothing of the few in a narrow peak.
 
@@ -71,7 +70,7 @@ def scatter(value: NDArray[np.complex128]) -> Array:
     # Third differences of noise have 20 times its variance; the median of a Rayleigh distribution is 1.177.
     off = abs(np.convolve(known, [1.0, -3.0, 3.0, -1.0], "same")) / np.sqrt(20.0) / 1.177
     off[:2], off[-2:] = off[2], off[-3]
-    return np.asarray(median_filter(off, min(_AROUND, value.size), mode="nearest"))
+    return np.asarray(scipy.ndimage.median_filter(off, min(_AROUND, value.size), mode="nearest"))
 
 
 def in_holes(frequency: Array, poles: NDArray[np.complex128]) -> NDArray[np.bool_]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import signal
 
 from analysis.modal.order_selection import correlation, half_width
 from analysis.modal.pole_residue import Curves, Fit
@@ -39,7 +39,7 @@ _RANK = 1e-15
 
 
 def pole_errors(curves: Curves, model: Fit) -> tuple[Array, Array]:
-    """Tell the standard deviations of natural frequencies [Hz] and damping ratios, both of shape (modes,).
+    """Return the standard deviations of natural frequencies [Hz] and damping ratios, both of shape (modes,).
 
     The largest of three: that of errors independent from line to line and response to response, as large as the
     misfit says; that of errors which responses have in common and neighbouring lines share, as they do
@@ -91,7 +91,7 @@ def propagated(poles: ComplexArray, factors: Sequence[Array]) -> tuple[Array, Ar
 def systematic_pole_errors(
     frfs: Sequence[Frf], poles: ComplexArray, without: Sequence[str] = ()
 ) -> tuple[Array, Array]:
-    """Tell how far systematic errors of curves may put natural frequencies [Hz] and damping ratios off, shape (modes,).
+    """Return limits of the systematic errors of natural frequencies [Hz] and damping ratios, shape (modes,).
 
     A reference that is the difference of two readings, each a little off, has some of the response in it: to first
     order another stiffness, which moves the pole p by ``d |s - p|`` where the curve is off by the part d of itself at s
@@ -165,7 +165,7 @@ def _factors(curves: Curves, model: Fit) -> tuple[Array, Array, Array]:
     reach = max(correlation(model.rest), curves.shared)
     lags = int(np.clip(round(_REACH * reach), 1, max(score.shape[1] // 4, 1)))
     # Sums over so many neighbours have the covariance with Bartlett's weights.
-    sums = signal.convolve(score, np.ones((1, lags)), method="direct") / np.sqrt(lags)
+    sums = scipy.signal.convolve(score, np.ones((1, lags)), method="direct") / np.sqrt(lags)
     # The misfit has fewer degrees of freedom than numbers: the fit has taken its share.
     plain = root * np.sqrt(model.misfit / degrees * reach)
     # A pseudoinverse omits what no line determines, such as the width of a pole far narrower than the spacing.

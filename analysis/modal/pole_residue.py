@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import optimize
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -97,7 +97,7 @@ def fit(curves: Curves, start: ComplexArray) -> Fit:
     problem = _Projection(curves, start)
     x = np.zeros(2 * start.size)
     if start.size:
-        x = optimize.least_squares(
+        x = scipy.optimize.least_squares(
             problem.misfit, x, problem.jacobian, xtol=1e-9, ftol=1e-9, gtol=1e-12, max_nfev=_EVALUATIONS
         ).x
     poles = problem.poles(x)
@@ -120,7 +120,7 @@ def fit(curves: Curves, start: ComplexArray) -> Fit:
 
 
 def residual_terms(s: NDArray[np.complexfloating]) -> list[NDArray[np.complexfloating]]:
-    """Tell what modes outside the band do inside, each with a real factor: first terms of series in 1/s or s.
+    """Return the residual terms of modes outside the band, each with a real factor: first terms of series in 1/s or s.
 
     Above the band ``R / (s² + 2 ζ w s + w²)`` bends over its width by ``(s/w)²`` of itself, and its damping turns it by
     ``2 ζ s/w``. Of a peak that is measured on its flank only, or behind noise, less would be taken for its damping.

@@ -7,8 +7,8 @@ is simulated and averaged, and counted as such.
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import minimize, minimize_scalar
 
 from analysis.paper.store import Arrays
 from rig.damper_design.worst_peak import curve, resonance
@@ -175,7 +175,7 @@ def best_clearance(
     grid = np.log(clearances)
     values = [worst(np.exp(x), mass_ratio) for x in grid]
     i = int(np.clip(np.argmin(values), 1, len(grid) - 2))
-    minimize_scalar(
+    scipy.optimize.minimize_scalar(
         lambda x: worst(np.exp(x), mass_ratio),
         bounds=(grid[i - 1], grid[i + 1]),
         method="bounded",
@@ -208,7 +208,7 @@ def best_damper(
     low, high = mass_ratios[0], mass_ratios[-1]
     inward = np.array([1.0, -1.0 if first[1] + step[1] > high else 1.0])
     corners = first + np.array([[0, 0], [step[0], 0], [0, step[1]]]) * inward
-    minimize(
+    scipy.optimize.minimize(
         lambda x: worst(np.exp(x[0]), x[1]),
         first,
         method="Nelder-Mead",

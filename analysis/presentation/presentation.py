@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.dampers.nonlinearity import jumps
 from analysis.decays.free_decay import FIRST_FALL, Decay, decay
 from analysis.modal.identification import identify
 from analysis.modal.modes import Modes, mac
 from analysis.presentation.expectations import expect, expect_all, repeats
 from analysis.presentation.output_names import of_part, output_stem, with_ending
 from analysis.recordings.names import opened, relabelled, scene_labels
+from analysis.responses.branch_jumps import jumps
 from analysis.responses.frequency_responses import Blocks, frequency_responses, kind_of
 from analysis.responses.frf import SENSITIVITY, Frf
 from analysis.responses.frf_files import is_frf_file, read_frfs

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import fft, signal
+from scipy import fft
 
 from analysis.recordings.slices import read_slices
 from analysis.responses.clean_stretches import Flaw, flaws
@@ -116,7 +117,7 @@ def window_of(name: str, size: int) -> Array:
         If there is none of that name.
     """
     try:
-        return np.asarray(signal.get_window("boxcar" if name == "none" else name, size), dtype=float)
+        return np.asarray(scipy.signal.get_window("boxcar" if name == "none" else name, size), dtype=float)
     except ValueError:
         raise SceneError(
             f"unknown window {name!r}: expected none, hann, hamming, flattop, blackmanharris or another of scipy's"

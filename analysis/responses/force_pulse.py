@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import signal
 
 if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
@@ -50,7 +50,7 @@ def pulse_alone(info: ChannelInfo, force: Array, first: int, last: int) -> Array
     out = np.zeros(force.size, dtype=complex)
     out[first:stop] = force[first:stop]
     for above, below in (_high_pass(pole, info.rate) for pole in slow):
-        out[:stop] = signal.lfilter(below, above, out[:stop])
+        out[:stop] = scipy.signal.lfilter(below, above, out[:stop])
     out[flat:stop] *= 0.5 + 0.5 * np.cos(np.pi * np.arange(1, stop - flat + 1) / (slope + 1))
     # Complex poles come in pairs.
     return np.ascontiguousarray(out.real)
@@ -60,7 +60,7 @@ def high_passes(info: ChannelInfo, frequency: Array) -> ComplexArray:
     """Response of the high-passes that `pulse_alone` has undone, at some frequencies in Hz."""
     out = np.ones(frequency.size, dtype=complex)
     for pole in slow_and_fast(info)[0]:
-        out *= signal.freqz(*_high_pass(pole, info.rate), frequency, fs=info.rate)[1]
+        out *= scipy.signal.freqz(*_high_pass(pole, info.rate), frequency, fs=info.rate)[1]
     return out
 
 

@@ -61,7 +61,7 @@ class Blocks:
 
 
 def kind_of(rec: Recording) -> str:
-    """Tell what was measured, by what the test has marked: 'multisine', 'sweep', 'random', 'hits' or 'tones'."""
+    """Identify the kind of test by its markers: 'multisine', 'sweep', 'random', 'hits' or 'tones'."""
     measured = [marker for marker in rec.markers if marker.kind == "measure"]
     fields = measured[0].fields if measured else {}
     for field, kind in (("realisation", "multisine"), ("spacing", "sweep"), ("from", "random")):

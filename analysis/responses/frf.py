@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from rig.errors import SceneError
 from rig.results import Result, bounded, styled
@@ -268,7 +268,7 @@ class Frf(Result):
 
     def band(self, confidence: float = 0.95) -> NDArray[np.float64]:
         """Half-width of the confidence interval of ``abs(value)`` for the random part, from Student's t."""
-        return self.error * stats.t.ppf(0.5 + confidence / 2.0, np.maximum(self.degrees, 1.0))
+        return self.error * special.stdtrit(np.maximum(self.degrees, 1.0), 0.5 + confidence / 2.0)
 
     def sorted(self) -> Frf:
         """Return the same curve with rising frequency."""
@@ -387,4 +387,4 @@ class FrfSet(Result, Sequence[Frf]):
 
 def radius(confidence: float, degrees: NDArray[np.float64]) -> NDArray[np.float64]:
     """Radius of `Frf.random_bound` in standard deviations."""
-    return np.asarray(np.sqrt(2.0 * stats.f.ppf(confidence, 2.0, np.maximum(degrees, 1.0))))
+    return np.asarray(np.sqrt(2.0 * special.fdtri(2.0, np.maximum(degrees, 1.0), confidence)))

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import fft, ndimage
+from scipy import fft
 
 from analysis.recordings.channel_delay import arrival
 from analysis.recordings.slices import hits
@@ -224,8 +225,8 @@ class Hits:
         through = scattered(np.mean(noise, axis=0) / step**2 if noise else np.zeros(count.shape))
         # From tooth to tooth of the comb that several hits leave, and no farther: peaks say nothing of valleys.
         teeth = 2 * -(-side // SIDE) + 1
-        around = ndimage.uniform_filter1d(power, teeth, axis=1, mode="nearest")
-        off = ndimage.uniform_filter1d(off, side, axis=2, mode="nearest").max(axis=0)
+        around = scipy.ndimage.uniform_filter1d(power, teeth, axis=1, mode="nearest")
+        off = scipy.ndimage.uniform_filter1d(off, side, axis=2, mode="nearest").max(axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
             # Of a normal error with two components the square is in 95 % of cases below three times its mean.
             gain = (step * np.sqrt(3.0 * off / around))[:, lines]

@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 if TYPE_CHECKING:
     from analysis.responses.frf import Frf
@@ -242,7 +242,7 @@ def _shrunk(lines: ComplexArray) -> ComplexArray:
 def _kinds_of_noise(
     power: ComplexArray, curve: ComplexArray, drive: Array, centre: NDArray[np.int64]
 ) -> tuple[Array, Array, Array]:
-    """Tell noise of the reference, which all responses follow, from that of each response.
+    """Separate noise of the reference, common to all responses, from that of each response.
 
     Weighted least squares of what local fits leave, over lines around each line: the cross-powers of residuals are
     those of the curves times the noise of the reference, plus that of each response.
@@ -262,9 +262,9 @@ def _kinds_of_noise(
     by_curve = np.einsum("kaa->ka", followed).real
 
     def near(each: Array) -> Array:
-        return np.asarray(uniform_filter1d(each, reach, axis=0, mode="nearest"))
+        return np.asarray(scipy.ndimage.uniform_filter1d(each, reach, axis=0, mode="nearest"))
 
-    size = np.maximum(uniform_filter1d(own, 3, axis=0, mode="nearest"), _NOTHING)
+    size = np.maximum(scipy.ndimage.uniform_filter1d(own, 3, axis=0, mode="nearest"), _NOTHING)
     for _ in range(_ROUNDS):
         pairs = size[:, :, None] * size[:, None]
         both = near(np.sum(abs(followed) ** 2 / pairs, axis=(1, 2)))

@@ -63,7 +63,7 @@ class BestLinearApproximation:
         return self.total.frf(rec, response, reference, motion)
 
     def distortion(self, rec: Recording, response: str, reference: str = "force") -> Array:
-        """Tell the nonlinear distortion in one realisation, as a standard deviation of the receptance.
+        """Estimate the nonlinear distortion in one realisation, as a standard deviation of the receptance.
 
         Zero where the realisations scatter no more than noise explains. Needs several realisations [1]_.
 

@@ -15,8 +15,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage, special
+from scipy import special
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -98,7 +99,7 @@ def moderated(variance: Array, degrees: Array, expected: Array, side: int) -> tu
     half, width = degrees / 2.0, min(2 * side + 1, variance.size)
     logarithm = np.log(np.clip(variance / expected, 1.0 / _LARGEST_RATIO, _LARGEST_RATIO))
     logarithm += np.log(half) - special.digamma(half)
-    around = ndimage.uniform_filter1d(logarithm, 2 * side + 1, mode="nearest")
+    around = scipy.ndimage.uniform_filter1d(logarithm, 2 * side + 1, mode="nearest")
     differs = float(np.mean(np.square(logarithm - around)) * width / (width - 1.0))
     more = float(np.mean(special.polygamma(1, half)))
     most = (width - 1.0) * degrees

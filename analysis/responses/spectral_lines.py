@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage, signal
 
 from analysis.responses.aliasing import aliasing_part
 from analysis.responses.frf import Frf, radius
@@ -163,7 +163,7 @@ def _noise(changes: NDArray[np.complex128]) -> NDArray[np.float64]:
         return np.zeros(changes.shape[1:])
     # Second differences of noise have six times its power; the median of gamma's distribution is below its mean.
     rough = np.sum(abs(np.diff(changes, 2, axis=2)) ** 2, axis=0) / 6.0 / (1.0 - 1.0 / (3.0 * count))
-    level = ndimage.median_filter(rough, (1, min(_FLOOR, lines - 2)), mode="nearest")
+    level = scipy.ndimage.median_filter(rough, (1, min(_FLOOR, lines - 2)), mode="nearest")
     return np.pad(level, ((0, 0), (1, 1)), mode="edge")
 
 
@@ -197,8 +197,8 @@ def remainder(successive: NDArray[np.complex128]) -> NDArray[np.float64]:
     factor = np.full(successive.shape[1:], _UNKNOWN_DECAY, dtype=complex)
     if count > 2:
         together = np.ones((1, _TOGETHER))
-        size = signal.convolve(np.sum(abs(changes[:-1]) ** 2, axis=0), together, mode="same")
-        both = signal.convolve(np.sum(changes[:-1].conj() * changes[1:], axis=0), together, mode="same")
+        size = scipy.signal.convolve(np.sum(abs(changes[:-1]) ** 2, axis=0), together, mode="same")
+        both = scipy.signal.convolve(np.sum(changes[:-1].conj() * changes[1:], axis=0), together, mode="same")
         factor = both / np.maximum(size, 1e-300)
         factor *= np.minimum(1.0, _SLOWEST_DECAY / np.maximum(abs(factor), 1e-300))
     powers = np.sum([abs(factor) ** (2 * k) for k in range(count - 1)], axis=0)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from analysis.recordings.slices import read_slices
 from analysis.responses.clean_stretches import cure, describe_flaws, flaws
@@ -292,7 +292,7 @@ def _interpolated(quiet: Sequence[tuple[float, ...]], frequency: Array, channels
     if not quiet:
         return np.zeros((channels, frequency.size))
     at, *power = np.array(sorted(quiet)).T
-    smooth = [ndimage.uniform_filter1d(row, 2 * SIDE + 1, mode="nearest") for row in power]
+    smooth = [scipy.ndimage.uniform_filter1d(row, 2 * SIDE + 1, mode="nearest") for row in power]
     return np.array([np.interp(frequency, at, row) for row in smooth])
 
 

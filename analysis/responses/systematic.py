@@ -88,7 +88,7 @@ def sensitivity_part(
 
 
 def common_scale(rec: Recording, above: Sequence[str], below: Sequence[str]) -> float:
-    """Tell the largest share by which a reference puts all responses off alike: none where it is of two channels.
+    """Return the largest relative error that a reference causes in all responses alike: zero for one of two channels.
 
     Parameters
     ----------
@@ -318,7 +318,7 @@ def clock_part(
 
 
 def clock_deviation(rec: Recording) -> float:
-    """Tell by which share of themselves all frequencies may be off for the sample clock."""
+    """Return the largest relative error of all frequencies by the sample clock."""
     return abs(rec.scene.converter.clock_error or 0.0)
 
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from scipy import fft
-from scipy.signal import fftconvolve
 
 from analysis.responses.clean_stretches import clean_stretches, cure, describe_flaws, flaws
 from analysis.responses.force_pulse import high_passes
@@ -252,7 +252,7 @@ def _with_motion_before(frf: Frf, moving: Sequence[float]) -> Frf:
     # line is taken for a resonance that holds what it and its width are.
     rate = (2.0 * np.pi * frf.frequency) ** {"displacement": 2, "velocity": 1, "acceleration": 0}[frf.motion]
     reach = 1.0 / (np.pi * (np.abs(np.arange(1 - frf.value.size, frf.value.size)) + 1.0))
-    part = most * fftconvolve(reach, abs(frf.value) * rate, mode="valid") / rate
+    part = most * scipy.signal.fftconvolve(reach, abs(frf.value) * rate, mode="valid") / rate
     return replace(
         frf,
         systematic={**frf.systematic, MOTION_BEFORE: part},

@@ -123,7 +123,7 @@ class HandTone:
     knobs : Knobs
         What the operator turns.
     report : callable
-        Told a `ToneReading` after every window.
+        Called with a `ToneReading` after every window.
     """
 
     knobs: Knobs

@@ -95,7 +95,7 @@ def _flat(content: Mapping[str, Any], before: str = "", depth: int = 0) -> Itera
 
 
 def _signals(path: Path, arrays: Mapping[str, Any]) -> list[Signal]:
-    """Tell samples from times, rates and units among named arrays."""
+    """Separate samples from times, rates and units among named arrays."""
     numbers = {
         name: np.asarray(value) for name, value in arrays.items() if np.asarray(value).dtype.kind in "fiu"
     }

@@ -263,7 +263,7 @@ def _settled(piece: _Piece, tolerance: float) -> HeldTone:
 
 
 def _steady_from(looks: ComplexArray, late: int, tolerance: float) -> tuple[bool, int]:
-    """Tell whether amplitudes, shape (channels, blocks), are steady from a block on, and since when they were."""
+    """Return whether amplitudes, shape (channels, blocks), are steady from a block on, and since when."""
     latest = looks[:, late:]
     mean = latest.mean(axis=1, keepdims=True)
     allowed, scatter = tolerance * abs(mean[:, 0]), np.sqrt(np.mean(abs(latest - mean) ** 2, axis=1))

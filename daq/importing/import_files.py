@@ -19,12 +19,11 @@ from daq.importing.force_pulses import ForcePulses
 from daq.importing.overloads import Overloads, joined
 from daq.importing.signal import Array, Signal
 from daq.importing.steps import StepFinder, mark_steps
-from daq.measurement.run import RunWarning
 from daq.recording.recorder import Recorder
 from daq.recording.recording import open as open_recording
 from daq.recording.timebase import refuse_reversed
 from daq.signal_chain.channel import ChannelInfo
-from rig.errors import RecordingError, SceneError, ShotrigError
+from rig.errors import RecordingError, RunWarning, SceneError, ShotrigError
 from rig.input_files import path_of, repeated
 from rig.numerics.runs import runs_of
 from rig.output_files import destination, replacing

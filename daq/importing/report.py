@@ -11,11 +11,11 @@ from pathlib import Path
 
 from daq.importing.files import signals_of
 from daq.importing.import_files import import_files
-from daq.measurement.run import RunWarning
 from daq.measurement.run_report import summary
 from daq.recording.recording import Recording
 from daq.recording.recording import open as open_recording
 from rig.console import progress
+from rig.errors import RunWarning
 from rig.escaping import shown
 from rig.scene.scene import Scene
 

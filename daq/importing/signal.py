@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.measurement.run import RunWarning
-from rig.errors import RecordingError
+from rig.errors import RecordingError, RunWarning
 
 Array = NDArray[np.float64]
 

@@ -160,7 +160,7 @@ def _stated_rate(each: Mapping[str, Any]) -> float | None:
 
 
 def _resolution(times: np.ndarray, each: Mapping[str, Any]) -> float:
-    """Tell how finely times of uneven spacing are written: six digits in text, numbers of four bytes or of eight."""
+    """Return the resolution of times of uneven spacing: six digits in text, numbers of four bytes or of eight."""
     largest = float(abs(times).max(initial=0.0))
     if not int(each.get("binary", 0)):
         return _last_digit(largest)

@@ -116,7 +116,7 @@ class Events:
         return None if self._every is None else (passed // self._every[1] + 1) * self._every[1]
 
     def notify(self, passed: int, run: Any) -> bool:
-        """Tell all that has become due; whether any of it may be answered by reading or writing.
+        """Send all events that are due; return whether a callback may answer one by reading or writing.
 
         Parameters
         ----------

@@ -25,6 +25,7 @@ from daq.recording.recorder import Recorder
 from daq.signal_chain.bench import AcquiredBlock, Bench
 from rig.ending_signals import came
 from rig.errors import RecordingError, RunError, SceneError, ShotrigError
+from rig.errors import RunWarning as RunWarning  # public as daq.RunWarning
 from rig.input_files import path_of
 from rig.scene.loading import SceneLike, load
 from rig.scene.scene import Scene
@@ -36,10 +37,6 @@ Progress = Callable[[float, str], None]
 RAMP_S = 0.05
 # Part of a test after which its recording shows how large it will be.
 _ENOUGH = 0.02
-
-
-class RunWarning(UserWarning):
-    """Something about a recorded test that its user must know."""
 
 
 def record(
@@ -112,11 +109,11 @@ class MeasurementRun:
     block : int or None
         Most samples to acquire at a time.
     progress : callable or None
-        Told how far the test is.
+        Called with the progress of the test.
     excite : callable
         Makes the excitation at a station; the scene's own test unless another is given.
     heard : callable
-        Told each block as it comes, and what the channels read in it; it may take its time.
+        Called with each block and the channels' readings in it; it may take its time.
 
     Attributes
     ----------

@@ -191,7 +191,7 @@ def _limit(rec: Recording, name: str) -> str:
 
 
 def _sudden_landings(rec: Recording, overloaded: Sequence[str]) -> str:
-    """Tell a real sensor that is struck by landings of no duration, which none withstands, from too high a level."""
+    """Distinguish overloads by impacts of zero duration, which overload any real sensor, from too high a level."""
     try:
         scene = rec.scene
     except ShotrigError:

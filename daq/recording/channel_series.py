@@ -43,6 +43,7 @@ class Series:
         self._schema = summary.schemas[channel.schema_id].name
         self._chunks = summary.holders.get(channel.id, np.empty(0, np.int64))
         self._recent: OrderedDict[int, list[SampleBlock]] = OrderedDict()
+        self._recent_samples = 0
         self.scale = self._number("scale", 1.0)
         if not NOT_ZERO.holds(self.scale):
             raise self._error(f"scale = {self.scale!r}; expected {NOT_ZERO.expected}")
@@ -110,13 +111,16 @@ class Series:
             if clock is not None:
                 self._check(block, message.log_time, clock)
         if clock is not None:
-            self._recent[chunk] = blocks
-            while len(self._recent) > 1 and self._recent_samples() > RECENT_SAMPLES:
-                self._recent.popitem(last=False)
+            self._keep(chunk, blocks)
         return blocks
 
-    def _recent_samples(self) -> int:
-        return sum(block.stop - block.first_sample for blocks in self._recent.values() for block in blocks)
+    def _keep(self, chunk: int, blocks: list[SampleBlock]) -> None:
+        """Store the blocks of a chunk, and drop the oldest ones beyond `RECENT_SAMPLES`."""
+        self._recent[chunk] = blocks
+        self._recent_samples += sum(block.stop - block.first_sample for block in blocks)
+        while len(self._recent) > 1 and self._recent_samples > RECENT_SAMPLES:
+            _, dropped = self._recent.popitem(last=False)
+            self._recent_samples -= sum(block.stop - block.first_sample for block in dropped)
 
     def _check(self, block: SampleBlock, log_time: int, clock: Timebase) -> None:
         """Hold a block against the layout, on which finding samples relies."""

@@ -121,7 +121,7 @@ def photograph(
     at_s : float or None
         The instant, seconds from the start of the recording; None takes `liveliest_s`.
     progress : callable or None
-        Told the share that is done.
+        Called with the share that is done.
     size : tuple of int
         Width and height in pixels.
 
@@ -199,9 +199,9 @@ def in_browser(replay: Replay, announce: Callable[[str], None], progress: Progre
     Parameters
     ----------
     announce : callable
-        Told the address to open.
+        Called with the address to open.
     progress : callable or None
-        Told the share that is done.
+        Called with the share that is done.
 
     Raises
     ------

@@ -137,7 +137,7 @@ class Replay:
         drain : callable
             Waits until the sink has taken what was sent; called often, so that nothing piles up in memory.
         progress : callable or None
-            Told the share that is done.
+            Called with the share that is done.
         """
         import rerun as rr
 

@@ -40,7 +40,7 @@ class Pace:
     Parameters
     ----------
     report : callable
-        Told when the machine is found too slow, once.
+        Called once when the machine is too slow.
 
     Attributes
     ----------
@@ -89,9 +89,9 @@ def scope(
     knobs : Knobs
         Turned by somebody else meanwhile.
     report : callable
-        Told in one line whenever a setting has been reached.
+        Called with one line whenever a setting has been reached.
     keep : callable
-        Told the number of samples that have passed, after every block; it lets time pass.
+        Called with the number of samples that have passed, after every block; it lets time pass.
     overwrite : bool
         Whether an existing file may be replaced.
 

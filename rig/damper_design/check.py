@@ -113,7 +113,7 @@ def _around(peaks: Sequence[float], band: tuple[float, float]) -> Array:
 
 
 def expected(scene: Scene, trial: Trial) -> tuple[Expected, ...]:
-    """Tell what a check is to measure at the largest peak of each level.
+    """Describe what a check should measure at the largest peak of each level.
 
     Parameters
     ----------

@@ -129,7 +129,7 @@ def motion_effects(scene: Scene) -> Iterable[Effect]:
 
 
 def _natural_frequencies(scene: Scene) -> str:
-    """Tell where the structure by itself resonates: a mistaken unit shows there first."""
+    """List the natural frequencies of the structure alone: a mistaken unit shows there first."""
     mass, _, stiffness = structure_matrices(scene.structure)
     listed = [f"{omega / (2.0 * np.pi):.4g}" for omega in natural_modes(mass, stiffness)[0]]
     if len(listed) > _MAX_LISTED:

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import signal
 
 from analysis.responses.local_models.local_rational import ORDER
 from analysis.responses.systematic import JITTER
@@ -50,7 +50,7 @@ def jitter_factor(
         return factor
     # By the weights of a polynomial fitted to the lines nearby, from the hit to where they first end.
     reach = size * (_BENDS + 1) // (2 * side + 1)
-    weights = signal.savgol_coeffs(2 * side + 1, _BENDS)
+    weights = scipy.signal.savgol_coeffs(2 * side + 1, _BENDS)
     turns = np.cos(2.0 * np.pi / size * np.arange(reach)[:, None] * np.arange(-side, side + 1))
     passed = turns @ weights
     for begin, _ in hits:

@@ -24,8 +24,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -138,7 +138,7 @@ def local_fit(
     # The variance of the difference is the difference of the variances, as the lower order is part of the higher.
     change, noise = abs(more.value - best.value) ** 2, 2.0 * np.maximum(more.variance - best.variance, 0.0)
     near = max(1, side // max(1, int(np.median(np.diff(lines)))) if lines.size > 1 else 1)
-    around = ndimage.uniform_filter1d(change - noise, near, mode="nearest")
+    around = scipy.ndimage.uniform_filter1d(change - noise, near, mode="nearest")
     # A peak of a line or two is missed there and nowhere else; noise changes a line by more than that in 5 % of lines.
     missed = np.sqrt(np.maximum(np.maximum(around, change - LARGEST * noise), 0.0))
     return LocalFit(

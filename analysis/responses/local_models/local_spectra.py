@@ -8,8 +8,9 @@ from itertools import permutations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage, stats
+from scipy import special
 
 from analysis.responses.aliasing import aliasing_part
 from analysis.responses.force_pulse import slow_and_fast
@@ -201,7 +202,7 @@ class LocalSpectra:
     def _power(self, spectra: ComplexArray, side: int) -> Array:
         """Mean square of spectra at each line and so many to either side of it; shape (lines,)."""
         return np.asarray(
-            ndimage.uniform_filter1d(np.mean(abs(spectra) ** 2, axis=0), 2 * side + 1)[self.lines]
+            scipy.ndimage.uniform_filter1d(np.mean(abs(spectra) ** 2, axis=0), 2 * side + 1)[self.lines]
         )
 
     def _fit(self, rec: Recording, name: str, to: Measurand) -> LocalFit:
@@ -229,5 +230,5 @@ class LocalSpectra:
             row = self.channels.index(name)
             fit = self._fit(rec, name, Measurand((other,), (1.0,), "displacement"))
             # The least that so few degrees of freedom show of a noise in 95 % of lines.
-            most[row] = np.maximum(most[row], fit.noise * fit.degrees / stats.chi2.ppf(0.05, fit.degrees))
+            most[row] = np.maximum(most[row], fit.noise * fit.degrees / special.chdtri(fit.degrees, 0.95))
         return most

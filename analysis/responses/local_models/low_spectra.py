@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from scipy import fft
-from scipy.signal import firwin, zoom_fft
 
 from analysis.recordings.slices import PIECE
 
@@ -54,7 +54,11 @@ def low_spectra(
         Mean square of the stretch without its mean.
     """
     step = max(each for each in range(1, max(1, int(_REACH * size / bins)) + 1) if size % each == 0)
-    taps = np.ones((1, 1)) if step == 1 else firwin(_LENGTH * step, 1.0 / step, window=("kaiser", _BETA))
+    taps = (
+        np.ones((1, 1))
+        if step == 1
+        else scipy.signal.firwin(_LENGTH * step, 1.0 / step, window=("kaiser", _BETA))
+    )
     filters = taps.reshape(-1, step).T
     few = max(1, _SMALL // filters.size)
     # From end to end and beyond, where the filter reaches: all is one turn of a circle.
@@ -79,7 +83,7 @@ def low_spectra(
             kept[:, place : place + parts.shape[1]] += parts[:, :, k]
     kept[:, -beyond:] += kept[:, :beyond]
     turn = -2j * np.pi / size * np.arange(bins)
-    through = np.conj(zoom_fft(taps.ravel(), [0, bins], m=bins, fs=size)) / step
+    through = np.conj(scipy.signal.zoom_fft(taps.ravel(), [0, bins], m=bins, fs=size)) / step
     spectra = fft.rfft(kept[:, beyond:], axis=1)[:, :bins] / through
     mean = total / (stop - start)
     spectra[:, 0] = 0.0

@@ -194,7 +194,7 @@ class Acquisition:
         return self.position + samples - self.ring.written
 
     def start_tick(self, reference: bool, tick: int) -> int | None:
-        """Tell others when this task was started (triggered), or will be at a later tick known already."""
+        """Return when this task started (was triggered), or will start at a known later tick."""
         if reference:
             return None if self.trigger is None else self.tick_of(self.trigger)
         if self.first_tick is None and isinstance(self.plan.start, SyncPulse | AtTime):

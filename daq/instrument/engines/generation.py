@@ -41,7 +41,7 @@ class OutputBuffer:
         return self.data.shape[1]
 
     def free(self, generated: int, running: bool, regenerate: bool) -> int:
-        """Tell how many samples can be written now."""
+        """Return how many samples can be written now."""
         if not running and self._grows:
             return np.iinfo(np.int64).max
         if running and regenerate:
@@ -134,7 +134,7 @@ class Generation:
         return self.buffer.written - self.generated
 
     def start_tick(self, tick: int) -> int | None:
-        """Tell others when this task started, or will."""
+        """Return when this task started, or will start."""
         if self.first_tick is None and isinstance(self.plan.start, SyncPulse | AtTime):
             return self.plan.start.next_tick(max(tick, self.armed_at), self.plan.rate)
         return self.first_tick

@@ -49,7 +49,7 @@ class InputEngine:
             self.acquisition.take(first, samples, overload, in_samples)
 
     def start_tick(self, reference: bool, position: int) -> int | None:
-        """Tell others at which tick of the bench it started (was triggered), or will be."""
+        """Return at which tick of the bench it started (was triggered), or will start."""
         found = self.acquisition.start_tick(reference, self._sample_at(position))
         return None if found is None else self.tick_at(found)
 

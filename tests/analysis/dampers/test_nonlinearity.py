@@ -13,9 +13,10 @@ import daq
 import rig
 from analysis.cli import app
 from analysis.dampers import performance
-from analysis.dampers.nonlinearity import DamperMotion, damper_motion, describe_motion, jumps
+from analysis.dampers.nonlinearity import DamperMotion, damper_motion, describe_motion
 from analysis.dampers.performance import energy_per_cycle, impact_energy_per_cycle
 from analysis.presentation.damper_findings import present_dampers
+from analysis.responses.branch_jumps import jumps
 from analysis.responses.stepped_sine import sweeps
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError

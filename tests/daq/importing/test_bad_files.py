@@ -22,8 +22,7 @@ from scipy.io import savemat, wavfile
 import daq
 from daq.importing.channel_table import Column
 from daq.importing.files import signals_of
-from daq.measurement.run import RunWarning
-from rig.errors import RecordingError, SceneError, ShotrigError
+from rig.errors import RecordingError, RunWarning, SceneError, ShotrigError
 from tests.daq.importing.files import NAMES, RATE, WRITERS, bench, histories, uff
 from tests.daq.recording.recordings import signal, write
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -101,7 +102,7 @@ def fit(curves: Curves, start: ComplexArray) -> Fit:
             problem.misfit, x, problem.jacobian, xtol=1e-9, ftol=1e-9, gtol=1e-12, max_nfev=_EVALUATIONS
         ).x
     poles = problem.poles(x)
-    unknown, rest, _ = problem.solve(x)
+    unknown, rest = problem.unknowns(x), problem.misfit(x)
     order = np.argsort(poles.imag)
     count, shape = start.size, curves.value.shape
     upper = np.zeros((shape[0], ABOVE))
@@ -130,8 +131,24 @@ def residual_terms(s: NDArray[np.complexfloating]) -> list[NDArray[np.complexflo
 
 def linear_misfit(curves: Curves, poles: ComplexArray) -> float:
     """Misfit of poles as they are, with the best residues."""
-    _, rest, _ = _Projection(curves, poles).solve(np.zeros(2 * poles.size))
-    return float(np.sum(rest**2))
+    return float(np.sum(_Projection(curves, poles).misfit(np.zeros(2 * poles.size)) ** 2))
+
+
+class _Factors(NamedTuple):
+    """QR factors of the weighted basis of each response, columns scaled to length one.
+
+    basis : shape (responses, 2 n, unknowns), orthonormal columns
+    triangle : shape (responses, unknowns, unknowns)
+    size : shape (responses, 1, unknowns), lengths of the columns
+    projection : shape (responses, unknowns, 1), of the target on the basis
+    target : shape (responses, 2 n, 1), weighted readings
+    """
+
+    basis: Array
+    triangle: Array
+    size: Array
+    projection: Array
+    target: Array
 
 
 class _Projection:
@@ -148,7 +165,7 @@ class _Projection:
         self.value, self.weight, self.start = curves.value, curves.weight, start
         self.above = curves.above
         self.scale = -start.real
-        self._solved: tuple[Array, Array, Array, Array] | None = None
+        self._factorized: tuple[Array, _Factors] | None = None
 
     def poles(self, x: Array) -> ComplexArray:
         """Turn parameters into poles: logarithm of the decay (keeps them stable), frequency in decays."""
@@ -166,26 +183,31 @@ class _Projection:
             out += [direct + mirror, 1j * (direct - mirror)]
         return np.stack([*out, *residual_terms(self.s)[: 1 + self.above]], axis=1)
 
-    def solve(self, x: Array) -> tuple[Array, Array, Array]:
-        """Best unknowns of every response, weighted misfit, and an orthonormal basis for each response."""
-        if self._solved is None or not np.array_equal(self._solved[0], x):
+    def factors(self, x: Array) -> _Factors:
+        """Factorize the weighted basis of every response; the last result is stored."""
+        if self._factorized is None or not np.array_equal(self._factorized[0], x):
             basis = _stacked(self.columns(self.poles(x)) * self.weight[:, :, None], 1)
             target = _stacked(self.value * self.weight, 1)[..., None]
             size = np.linalg.norm(basis, axis=1, keepdims=True)
             q, r = np.linalg.qr(basis / size)
-            along = np.swapaxes(q, 1, 2) @ target
-            # Poles that meet leave their residues undetermined: the smallest ones will do.
-            unknown = np.linalg.pinv(r, rcond=1e-13) @ along / np.swapaxes(size, 1, 2)
-            self._solved = x.copy(), unknown[..., 0], (target - q @ along)[..., 0], q
-        return self._solved[1:]
+            self._factorized = x.copy(), _Factors(q, r, size, np.swapaxes(q, 1, 2) @ target, target)
+        return self._factorized[1]
+
+    def unknowns(self, x: Array) -> Array:
+        """Best linear unknowns, shape (responses, unknowns)."""
+        factors = self.factors(x)
+        # Coinciding poles leave their residues undetermined: take the smallest ones.
+        inverse = np.linalg.pinv(factors.triangle, rcond=1e-13)
+        return np.asarray((inverse @ factors.projection / np.swapaxes(factors.size, 1, 2))[..., 0])
 
     def misfit(self, x: Array) -> Array:
-        """Weighted misfit."""
-        return self.solve(x)[1].ravel()
+        """Weighted misfit of all responses, one after the other."""
+        factors = self.factors(x)
+        return np.asarray((factors.target - factors.basis @ factors.projection).ravel())
 
     def jacobian(self, x: Array) -> Array:
         """Differentiate the misfit by the parameters."""
-        unknown, _, q = self.solve(x)
+        unknown, q = self.unknowns(x), self.factors(x).basis
         count = self.start.size
         poles = self.poles(x)[:, None]
         residue = (unknown[:, 0 : 2 * count : 2] + 1j * unknown[:, 1 : 2 * count : 2])[..., None]

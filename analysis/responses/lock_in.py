@@ -177,11 +177,11 @@ class LockIn:
 
     def _rotate(self, matrix: Array, first: int) -> None:
         """Set the blocks of the tones in a matrix that makes their rows at a sample of those at the first one."""
-        for k in range(self.harmonics):
-            angle = 2 * np.pi * np.fmod((k + 1) * self.frequency * first / self.rate, 1.0)
-            cos, sin = np.cos(angle), np.sin(angle)
-            at = 2 + 2 * k
-            matrix[at : at + 2, at : at + 2] = [[cos, sin], [-sin, cos]]
+        order = np.arange(1, self.harmonics + 1)
+        angle = 2 * np.pi * np.fmod(order * self.frequency * first / self.rate, 1.0)
+        cos, sin, at = np.cos(angle), np.sin(angle), 2 * order
+        matrix[at, at], matrix[at, at + 1] = cos, sin
+        matrix[at + 1, at], matrix[at + 1, at + 1] = -sin, cos
 
     def _to_local(self, first: int, length: int) -> Array:
         """Matrix from the coefficients of the whole window to those of a part from sample `first` on."""

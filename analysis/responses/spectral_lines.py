@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
@@ -167,6 +167,13 @@ def _noise(changes: NDArray[np.complex128]) -> NDArray[np.float64]:
     return np.pad(level, ((0, 0), (1, 1)), mode="edge")
 
 
+def _sum_of_neighbors(values: NDArray[Any]) -> NDArray[Any]:
+    """Sum each row of values over `_TOGETHER` lines around each line."""
+    side = _TOGETHER // 2
+    padded = np.pad(values, ((0, 0), (side, side)))
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, _TOGETHER, axis=1).sum(axis=-1))
+
+
 def remainder(successive: NDArray[np.complex128]) -> NDArray[np.float64]:
     """How far the mean of successive parts may be off for a transient that still decays.
 
@@ -196,9 +203,8 @@ def remainder(successive: NDArray[np.complex128]) -> NDArray[np.float64]:
     changes = np.diff(successive, axis=0)
     factor = np.full(successive.shape[1:], _UNKNOWN_DECAY, dtype=complex)
     if count > 2:
-        together = np.ones((1, _TOGETHER))
-        size = scipy.signal.convolve(np.sum(abs(changes[:-1]) ** 2, axis=0), together, mode="same")
-        both = scipy.signal.convolve(np.sum(changes[:-1].conj() * changes[1:], axis=0), together, mode="same")
+        size = _sum_of_neighbors(np.sum(abs(changes[:-1]) ** 2, axis=0))
+        both = _sum_of_neighbors(np.sum(changes[:-1].conj() * changes[1:], axis=0))
         factor = both / np.maximum(size, 1e-300)
         factor *= np.minimum(1.0, _SLOWEST_DECAY / np.maximum(abs(factor), 1e-300))
     powers = np.sum([abs(factor) ** (2 * k) for k in range(count - 1)], axis=0)

@@ -135,8 +135,7 @@ def import_recording(
     if scene is None:
         if changes or overwrite or any(each is not None for each in (table, start, stop, output)):
             raise typer.BadParameter(
-                "--set, --table, --from, --to, -o and --overwrite are of the recording to make: name what was on the "
-                "bench with --scene SCENE"
+                "--set, --table, --from, --to, -o and --overwrite require --scene. Add --scene SCENE, or leave them out"
             )
         for line in listing(files):
             print(line)
@@ -175,9 +174,9 @@ def replay(
     if sum([save is not None, screenshot is not None, web]) > 1:
         raise typer.BadParameter("choose one of --save, --screenshot and --web")
     if at is not None and screenshot is None:
-        raise typer.BadParameter("--at is the time of a picture: give --screenshot FILE.png too")
+        raise typer.BadParameter("--at requires --screenshot. Add --screenshot FILE.png, or leave out --at")
     if speed != 1.0 and screenshot is not None:
-        raise typer.BadParameter("--speed is of a replay that plays; a picture stands still")
+        raise typer.BadParameter("--speed cannot be combined with --screenshot. Leave one of them out")
     with daq.open(file) as recording, overwriting(overwrite), progress(file.stem) as report_progress:
         part = Replay(recording, start, stop, speed)
         if save is not None:

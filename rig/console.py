@@ -118,7 +118,7 @@ def _speak(over: threading.Event, to: Any) -> None:
         if doing is not None and time.monotonic() - _Shown.last > SILENCE:
             with suppress(OSError, ValueError):
                 doing = doing and f": {doing}"
-                print(f"at work for {time.monotonic() - since:.0f} s{doing}", file=to, flush=True)
+                print(f"running for {time.monotonic() - since:.0f} s{doing}", file=to, flush=True)
 
 
 def held_up(doing: str) -> None:

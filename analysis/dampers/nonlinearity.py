@@ -16,6 +16,7 @@ from analysis.dampers.restitution import Restitution, hard_speeds, restitution
 from analysis.decays.sensor_correction import corrected
 from analysis.responses.frf import MOTIONS
 from analysis.responses.systematic import tolerance
+from rig.results import frequency_ranges
 
 if TYPE_CHECKING:
     from analysis.responses.stepped_sine import Sweep
@@ -33,6 +34,15 @@ _SURE = 3.0
 
 # Of a window, so many samples are searched at most, unless that is less than so many periods.
 _MOST, _PERIODS = 1 << 20, 20
+
+
+# Kinds of motion as they are printed.
+_AT_REST, _NEAR_GRAVITY = "at rest on the floor", "near 1 g"
+_IRREGULAR = "irregular motion, or missed impacts,"
+_NAMED_KINDS = ("type I", "type II", "type III", _AT_REST, _NEAR_GRAVITY, _IRREGULAR)
+_OTHER_KINDS = "other periodic motions"
+# With more kinds than this, counts of impacts that are no type share one entry.
+_MAX_KINDS = 6
 
 
 @dataclass(frozen=True)
@@ -248,26 +258,51 @@ def describe_restitution(motions: list[DamperMotion]) -> list[str]:
 
 
 def describe_motion(motions: list[DamperMotion], left_out: Sequence[float] = ()) -> list[str]:
-    """One line for each range of frequencies in which the motion is of one kind and none was left out."""
-    out = []
-    first = 0
-    for index, one in enumerate(motions):
-        kind = one.name.split(":")[0]
-        last = index + 1 == len(motions)
-        following = "" if last else motions[index + 1].name
-        between = (one.frequency, one.frequency if last else motions[index + 1].frequency)
-        if one.name != following or any(min(between) < f < max(between) for f in left_out):
-            ends = f"{motions[first].frequency:.4g}"
-            if index > first:
-                ends += f" to {one.frequency:.4g}"
-            least = max(each.threshold for each in motions[first : index + 1])
-            text = f"type {kind}" if set(kind) == {"I"} else one.name
-            if kind not in ("riding", "unseen"):
-                text += f" (impacts below {least:.2g} m/s are not seen)"
-            if kind == "riding":
-                text = f"riding: no jump of velocity above {least:.2g} m/s"
-            if kind == "unseen":
-                text = f"near g, so that the damper may fly, but no jump of velocity above {least:.2g} m/s is seen"
-            out.append(f"{one.channel}, {ends} Hz: {text}")
-            first = index + 1
-    return out
+    """Describe the motion of a body's dampers in one line: each kind with its frequencies, and the detection limit.
+
+    Parameters
+    ----------
+    motions : list of DamperMotion
+        Of one channel.
+    left_out : sequence of float
+        Hz: frequencies without a result, at which a range ends.
+
+    Examples
+    --------
+    >>> hit = DamperMotion(30.0, "body2", 1.0, 0.0, False, 1.6e-3, False)
+    >>> at_rest = DamperMotion(31.0, "body2", 0.0, 0.0, False, 1.6e-3, True)
+    >>> describe_motion([hit, at_rest])
+    ['body2: type I at 30 Hz; no impact detected elsewhere (limit 1.6 mm/s)']
+    """
+    every = [(one.frequency, _kind(one)) for one in motions] + [(f, "") for f in left_out]
+    frequency = [f for f, _ in every]
+    kinds = dict.fromkeys(kind for _, kind in every if kind)
+    if len(kinds) > _MAX_KINDS:
+        every = [(f, kind if kind in _NAMED_KINDS or not kind else _OTHER_KINDS) for f, kind in every]
+        kinds = dict.fromkeys(kind for _, kind in every if kind)
+    parts = [
+        f"{kind} at {frequency_ranges(frequency, [kind == other for _, other in every])}"
+        for kind in kinds
+        if kind not in (_AT_REST, _NEAR_GRAVITY)
+    ]
+    limit = f"limit {1e3 * max(one.threshold for one in motions):.2g} mm/s"
+    if _AT_REST in kinds or _NEAR_GRAVITY in kinds:
+        parts.append(f"no impact detected{' elsewhere' if parts else ''} ({limit})")
+    else:
+        parts[-1] += f" ({limit})"
+    if _NEAR_GRAVITY in kinds:
+        near = [kind == _NEAR_GRAVITY for _, kind in every]
+        parts.append(f"near 1 g, where the damper may fly, at {frequency_ranges(frequency, near)}")
+    return [f"{motions[0].channel}: {'; '.join(parts)}"]
+
+
+def _kind(one: DamperMotion) -> str:
+    """Name the kind of motion for people."""
+    kind, _, counts = one.name.partition(": ")
+    if kind == "riding":
+        return _AT_REST
+    if kind == "unseen":
+        return _NEAR_GRAVITY
+    if kind == "unsure":
+        return _IRREGULAR
+    return counts if kind == "other" else f"type {kind}"

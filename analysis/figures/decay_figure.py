@@ -75,7 +75,7 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
         level.set_xlabel("time / s")
         caption(
             figure, "Envelopes are the largest acceleration within half a period of the lowest mode on either side.",
-            "Dashed: root of the energy still to come (Schroeder), from the same start. Dotted: 1 g.",
+            "Dashed: root of the backward-integrated (Schroeder) energy, from the same start. Dotted: 1 g.",
             *["Bands: 95 % bound of the damping ratio; one down to the axis includes zero."][: len(columns)],
         )  # fmt: skip
         _damping_row(figure, rows, columns, gravity)

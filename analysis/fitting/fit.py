@@ -377,14 +377,14 @@ def _misfit(found: Estimate, compared: Sequence[Compared]) -> str:
         elsewhere = int((regular & ~one.used).sum())
         if elsewhere > _MOST_ELSEWHERE * regular.sum() or regular.mean() < 1.0 - _MOST_IRREGULAR:
             return (
-                f"{one.curves.label}: the scene has no motion like the measured one at {int((~one.used).sum())} of "
-                f"{one.used.size} points."
+                f"{one.curves.label}: the scene does not reproduce the measured motion at {int((~one.used).sum())} "
+                f"of {one.used.size} points."
             )
     worst = max(compared, key=lambda one: one.relative)
     if found.variance > NOT_NOISE and worst.relative > ANOTHER:
         return (
-            f"{worst.curves.label}: even the nearest values miss the curves by {worst.relative:.1%} of them (root mean "
-            f"square), {plainly(np.sqrt(found.variance))} times their stated errors."
+            f"{worst.curves.label}: the best fit leaves a residual of {worst.relative:.1%} of the curves (rms), "
+            f"{plainly(np.sqrt(found.variance))} times their stated errors."
         )
     return ""
 
@@ -393,13 +393,15 @@ def _beyond(problem: Problem, x: Array) -> str:
     """Say which sensors would have to be off by far more than their data sheets allow."""
     off = [(sensor, problem.deviation(x, sensor)) for sensor in problem.sensors]
     beyond = [
-        f"{sensor.name} would have to be off by {100.0 * value:.3g} %, where its data sheet allows "
+        f"{sensor.name} would need an error of {100.0 * value:.3g} %, but its data sheet allows "
         f"{100.0 * sensor.tolerance:.3g} %"
         for sensor, value in off
         if abs(value) > _BEYOND * sensor.tolerance
     ]
     return (
-        f"The curves fit only with sensors that are not as stated: {', and '.join(beyond)}." if beyond else ""
+        f"The curves fit only with sensors outside their tolerance: {', and '.join(beyond)}."
+        if beyond
+        else ""
     )
 
 

@@ -69,14 +69,14 @@ def describe(found: Fit) -> list[str]:
             tail = f"from {one.start:.4g}"
         lines.append(f"  {one.key:{width}}  {value:30} {one.status:10} {tail}")
     for name, (deviation, bound) in found.sensitivities.items():
-        lines.append(f"  sensitivity of {name}: off by {bounded(100 * deviation, 100 * bound, '%')}")
+        lines.append(f"  sensitivity error of {name}: {bounded(100 * deviation, 100 * bound, '%')}")
     for number, mode in enumerate(found.modes, 1):
         lines.append(
             f"  mode {number} of the structure: {bounded(mode.frequency, mode.frequency_bound, 'Hz')}, damping ratio "
             f"{bounded(100 * mode.damping, 100 * mode.damping_bound, '%')}"
         )
     for level in found.damping:
-        beneath = "beneath its dampers" if level.damped else "without dampers"
+        beneath = "with its dampers" if level.damped else "without dampers"
         values = ", ".join(
             "undetermined" if isnan(v) else f"{v:.4g} ± {b:.1g}"
             for v, b in zip(level.value, level.bound, strict=True)
@@ -84,6 +84,6 @@ def describe(found: Fit) -> list[str]:
         lines.append(f"  {level.label}, {beneath}, up to {level.acceleration:.3g} m/s²: damping {values}")
     lines += [f"  {line}" for line in found.together]
     lines += [
-        f"  {each.curves.label}: off by {each.relative:.2%} of the curves, rms" for each in found.compared
+        f"  {each.curves.label}: residual {each.relative:.2%} of the curves (rms)" for each in found.compared
     ]
     return lines

@@ -1,4 +1,4 @@
-"""What a reader of identified modes must know, in a sentence for each kind of doubt."""
+"""Warnings about identified modes, each with its consequence and its remedy."""
 
 from __future__ import annotations
 
@@ -45,15 +45,13 @@ def doubts(
     left_out : sequence of str
         Responses left out.
     """
-    yield from (f"{name} left out: nothing bounds its response." for name in left_out)
+    yield from (f"{name} was left out: its uncertainty is unbounded." for name in left_out)
     if modes.model_error:
         stated = any(np.isfinite(curve.error).any() for curve in curves)
-        beyond = "error bars" if stated else "scatter, by leakage and noise or by nature"
+        beyond = "error bars" if stated else "scatter"
         yield (
-            f"The curves are not those of a linear structure: the best one misses them by {modes.model_error:.2g} "
-            f"of the peaks around, beyond their {beyond}. Where dampers work, or anything else that depends on "
-            "amplitude, these modes are those of the linear structure that comes nearest at this level, with the "
-            "width of its peaks as damping; at another level they are others. The stated errors hold for that fit."
+            f"The response is nonlinear: the best linear fit leaves a residual of {modes.model_error:.0%} of the peak "
+            f"height, more than the {beyond}. These modes are the linear equivalent at this force level."
         )
     if dropped:
         yield (
@@ -62,45 +60,46 @@ def doubts(
         )
     if loose.size:
         yield (
-            f"No mode at {_listed(loose)} Hz, where a pole was stable: next to nothing bounds the curves there."
+            f"Rejected the stable poles at {_listed(loose)} Hz: the uncertainty of the curves there is too large."
         )
     if unseen.size:
         yield (
-            f"No mode at {_listed(unseen)} Hz, where a pole was stable: the lines around it were left out, and what is "
-            "there may as well be several."
+            f"Rejected the stable poles at {_listed(unseen)} Hz: the lines around them were left out, so there may be "
+            "several modes."
         )
     f, zeta, error = modes.frequency, modes.damping, modes.damping_error
     if count is not None and f.size < count:
-        yield f"Only {f.size} of {count} modes are in these curves."
+        yield f"Identified only {f.size} of the {count} requested modes."
     half, lines = zeta * f, curves[0].frequency
     resolution = max(curve.resolution for curve in curves)
     smeared, hidden = resolution > _SMEARED * half, (error > DETERMINED * zeta) & (resolution > 2.0 * half)
     if hidden.any():
         yield (
-            f"{_listed(f[hidden])} Hz: narrower than the resolution of {resolution:.3g} Hz, so that the frequency is "
-            "known to a line, and of the damping ratio an upper limit; use blocks many times as long, or burst "
-            "random, multisine or stepped sine."
+            f"{_listed(f[hidden])} Hz: the peak is narrower than the resolution of {resolution:.3g} Hz, so only an "
+            "upper limit of the damping is known. Use much longer blocks, burst random, multisine or stepped sine."
         )
     some = smeared & ~hidden
     if some.any():
         yield (
-            f"{_listed(f[some])} Hz: the resolution of {resolution:.3g} Hz smears half-power widths of "
-            f"{_listed(2.0 * half[some], 3)} Hz, so that more than {_OFF:.0%} of each damping ratio may be due to "
-            f"that; use blocks of at least {1.5 / (_SMEARED * half[some].min()):.3g} s, or burst random, multisine "
-            "or stepped sine."
+            f"{_listed(f[some])} Hz: the resolution of {resolution:.3g} Hz widens the peaks (half-power widths "
+            f"{_listed(2.0 * half[some], 3)} Hz), which raises the damping ratios by more than {_OFF:.0%}. Use blocks "
+            f"of at least {1.5 / (_SMEARED * half[some].min()):.3g} s, burst random, multisine or stepped sine."
         )
     inside = np.sum(abs(lines - f[:, None]) < 2.0 * half[:, None], axis=1)
     few = (inside < 2) & ~smeared
     if few.any():
         yield (
-            f"{_listed(f[few])} Hz: fewer than two measured points lie within a half-power width of "
-            f"{_listed(2.0 * half[few], 3)} Hz, so that damping ratios rest on the flanks; measure every "
+            f"{_listed(f[few])} Hz: fewer than two measured points lie within the half-power width of "
+            f"{_listed(2.0 * half[few], 3)} Hz, so the damping is extrapolated from the flanks. Measure every "
             f"{half[few].min() / 2.0:.2g} Hz there."
         )
     unsure = (error > _OFF * zeta) & (error <= DETERMINED * zeta)
     if unsure.any():
-        parts = ", ".join(f"{part:.0%}" for part in error[unsure] / zeta[unsure])
-        yield f"{_listed(f[unsure])} Hz: damping ratios uncertain by {parts} (one standard deviation)."
+        parts = ", ".join(
+            f"{100 * part:.2g} % at {at:.4g} Hz"
+            for part, at in zip(error[unsure] / zeta[unsure], f[unsure], strict=True)
+        )
+        yield f"Damping is poorly determined: {parts} (standard uncertainty)."
 
 
 def _listed(values: Array, digits: int = 4) -> str:

@@ -180,13 +180,13 @@ def present_decay(
 def describe_decay(one: Decay) -> list[str]:
     """Describe when dampers come to rest in a decay, and the damping of each mode."""
     quiet = one.quiet_from
-    until = "never within the recording" if np.isnan(quiet) else f"after {quiet:.3g} s"
+    until = "not within the recording" if np.isnan(quiet) else f"after {quiet:.3g} s"
     falls = (
         f"does not fall by {-FIRST_FALL[1]:.0f} dB within the recording"
         if np.isnan(one.halving)
-        else f"falls at first by 6 dB in {one.halving:.3g} s (slope fitted from -1 to -11 dB)"
+        else f"falls by 6 dB in {one.halving:.3g} s (slope from -1 to -11 dB)"
     )
-    out = [f"{one.label}, {one.channel}: below g {until}; the energy still to come {falls}"]
+    out = [f"{one.label}, {one.channel}: below 1 g {until}; backward-integrated energy {falls}"]
     for mode in one.modes:
         if mode.damping.size:
             ends = ", ".join(_damping_at(mode, index) for index in (0, -1))

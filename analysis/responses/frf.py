@@ -157,7 +157,7 @@ class Frf(Result):
         height = f"{factor * abs(self.value[top]):.4g} {unit}"
         if bound > 0.0:
             height = bounded(factor * float(abs(self.value[top])), factor * bound, unit)
-        what_of_it = "most of that bound" if np.isfinite(bound) else "what leaves it unbounded"
+        what_of_it = "largest contribution" if np.isfinite(bound) else "unbounded by"
         mostly = f"; {what_of_it}: {self.parts()[top]}" if bound > 0.0 else ""
         under = ""
         if self.held is not None and self.reference == "force":
@@ -168,12 +168,12 @@ class Frf(Result):
         )
 
     def _hardly_known(self, point: int) -> str:
-        """Say of a point higher than the highest that is known that it is hardly known, and why."""
+        """Describe a higher point that is too uncertain to be the peak."""
         (unit, factor), bound = self.shown_in, float(self.bound()[point])
-        far = f"{bound / abs(self.value[point]):.0%} of itself" if np.isfinite(bound) else "anything"
+        far = f"{bound / abs(self.value[point]):.0%}" if np.isfinite(bound) else "unbounded"
         return (
-            f"; hardly known: {factor * abs(self.value[point]):.4g} {unit} at {self.frequency[point]:.4g} Hz, which "
-            f"may be off by {far} ({self.parts()[point]})"
+            f"; ignored as too uncertain: {factor * abs(self.value[point]):.4g} {unit} at "
+            f"{self.frequency[point]:.4g} Hz (uncertainty {far}, {self.parts()[point]})"
         )
 
     def parts(self) -> list[str]:

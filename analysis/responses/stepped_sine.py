@@ -142,12 +142,13 @@ def _notes(key: _Setting, found: list[_Point], left_out: list[_LeftOut], several
             which = f"{low:.4g} Hz left out {len(places)} times"
         out.append(f"{setting}{which}: {why} in their windows.")
     if not found:
-        out.append(f"{setting}nothing is left of this sweep.")
+        out.append(f"{setting}no frequency of this sweep is left.")
     unsteady = [not steady for _, _, steady in found]
     if any(unsteady):
         where = frequency_ranges([tone.frequency for tone, _, _ in found], unsteady)
         out.append(
-            f"{setting}No steady state at {where}: the motion is irregular there, or needs longer to settle."
+            f"{setting}No steady state at {where}: these points are marked. The motion is irregular or needs a longer "
+            "test.settle."
         )
     return out
 

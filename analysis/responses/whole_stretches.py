@@ -265,6 +265,6 @@ def dampers_move(rec: Recording) -> tuple[str, ...]:
     if not any(damper.moves for damper in rec.scene.dampers):
         return ()
     return (
-        "With dampers that move the structure is not linear: the curve holds for this level and kind of excitation, "
-        "and its error bars take the motion for linear; use stepped sine for the response to steady tones.",
+        "Moving dampers make the structure nonlinear: this curve is valid only for this level and kind of excitation, "
+        "and its error bars assume linearity. Use stepped sine for the response to steady tones.",
     )

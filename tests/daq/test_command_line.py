@@ -12,12 +12,12 @@ from rig.errors import RecordingError
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("import run.csv --table channels.yaml", "with --scene"),
-        ("import run.csv --from 1", "with --scene"),
-        ("import run.csv -o run.mcap --overwrite", "with --scene"),
-        ("replay r.mcap --save x.rrd --at 1", "give --screenshot"),
-        ("replay r.mcap --at 1", "give --screenshot"),
-        ("replay r.mcap --screenshot x.png --speed 2", "stands still"),
+        ("import run.csv --table channels.yaml", "--scene"),
+        ("import run.csv --from 1", "--scene"),
+        ("import run.csv -o run.mcap --overwrite", "--scene"),
+        ("replay r.mcap --save x.rrd --at 1", "requires --screenshot"),
+        ("replay r.mcap --at 1", "requires --screenshot"),
+        ("replay r.mcap --screenshot x.png --speed 2", "combined with --screenshot"),
         ("serve fig9 --overwrite", "name it with -o"),
         ("serve --set seed=1", "name the scene too"),
     ],

@@ -88,7 +88,7 @@ def test_given_a_guess_of_another_structure_when_fitted_then_the_misfit_is_told_
 ):
     path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7)
     found = analysis.fit(path, guess(), free=["structure.damping"])
-    assert "miss the curves by" in found.misfit
+    assert "leaves a residual of" in found.misfit
     assert "determined" not in {one.status for one in found.parameters}
 
 
@@ -166,7 +166,7 @@ def test_given_a_sensor_off_by_many_tolerances_when_fitted_then_it_is_named_and_
         read = recording.channels["body2"]
         recording.channels["body2"] = replace(read, gain=read.gain / 1.3)
         found = analysis.fit(recording, guess())
-    assert "would have to be off by" in found.misfit and "its data sheet allows 1 %" in found.misfit
+    assert "would need an error of" in found.misfit and "its data sheet allows 1 %" in found.misfit
     assert "body2 reads 1.29" in found.misfit and "may as well be another one" in found.misfit
 
 
@@ -213,7 +213,7 @@ def test_given_points_left_out_when_judged_then_those_where_the_model_is_irregul
     compared = Compared(curves, predicted, used, np.zeros((3, 20)), 0.0)
     said = _misfit(Estimate(np.zeros(1), np.eye(1), 1.0), [compared])
     assert said == (
-        f"demo: the scene has no motion like the measured one at {irregular + elsewhere} of 20 points."
+        f"demo: the scene does not reproduce the measured motion at {irregular + elsewhere} of 20 points."
         if refused
         else ""
     )

@@ -169,7 +169,7 @@ def test_given_a_channel_that_reads_few_counts_when_hit_then_nothing_bounds_it_a
     assert [np.isfinite(frf.bound(0.95)).any() for frf in both] == [True, False]
     modes = analysis.identify(both)
     assert modes.responses == ("a1",)
-    assert "a2 left out: nothing bounds its response." in modes.warnings
+    assert any(note.startswith("a2 was left out") for note in modes.warnings)
     with pytest.raises(RecordingError, match="nothing bounds the responses at a2"):
         analysis.identify(both[1:])
 

@@ -181,7 +181,7 @@ def test_given_sweeps_that_are_spoilt_when_measured_then_their_frequencies_are_t
     assert frf.warnings == (
         "1 N up: 2 frequencies from 30 to 50 Hz left out: body3 overloaded in their windows.",
         "2 N up: 5 frequencies from 20 to 60 Hz left out: body3 overloaded in their windows.",
-        "2 N up: nothing is left of this sweep.",
+        "2 N up: no frequency of this sweep is left.",
     )
 
 

@@ -23,14 +23,14 @@ from analysis.recordings.names import opened, relabelled, scene_labels
 from analysis.responses.measurands import located
 from analysis.responses.stepped_sine import Sweep, sweeps
 from rig.errors import RecordingError
-from rig.results import bounded, plainly
+from rig.results import plainly, rounded
 
 if TYPE_CHECKING:
     from analysis.responses.spectral_lines import Lines
     from daq.recording.recording import Recording
 
-# Frequencies named in the text; the table holds all.
-_NAMED = 8
+# Frequencies listed on the terminal; the CSV file holds all.
+_LISTED = 5
 
 
 def present_dampers(
@@ -110,24 +110,26 @@ def _motions(
 
 
 def describe_energy(energy: CycleEnergy, true: np.ndarray | None = None) -> list[str]:
-    """Lines about the frequencies at which most energy is supplied, and how much of it the dampers take."""
-    named = np.sort(np.argsort(energy.supplied, kind="stable")[::-1][:_NAMED])
-    out = []
-    for i in named:
-        share, off = (100.0 * each[i] / energy.supplied[i] for each in (energy.dampers, energy.bound))
-        seen = f"{bounded(share, off, '%')} go into the dampers, the rest into the structure, by the scene's damping"
-        if abs(share) <= off:
-            seen = f"no more than {plainly(share + off)} % go into the dampers, if any"
-        supplied = plainly(1e3 * energy.supplied[i])
-        own = energy.structure[i] / energy.supplied[i]
-        line = (
-            f"{energy.frequency[i]:.4g} Hz: the force supplies {supplied} mJ a period; {seen} "
-            f"(if the scene's damping is 10 % too high, {plainly(10.0 * own)} % of the supply more)"
+    """Table of the energy per period, at the frequencies at which most is supplied.
+
+    The last columns: change of the dampers' share if the scene's damping is 10 % too high; true share, if recorded.
+    """
+    chosen = np.sort(np.argsort(energy.supplied, kind="stable")[::-1][:_LISTED])
+    heading = ["frequency / Hz", "supplied / mJ", "into dampers / %", "per 10 % of scene damping / %"]
+    rows = [heading if true is None else [*heading, "true impact loss / %"]]
+    for i in chosen:
+        share, bound = (100.0 * each[i] / energy.supplied[i] for each in (energy.dampers, energy.bound))
+        into = (
+            f"{rounded(share, bound)} ± {rounded(bound, bound)}"
+            if share > bound
+            else f"below {plainly(share + bound)}"
         )
-        if true is not None:
-            line += f" (truly lost in impacts: {true[i] / energy.supplied[i]:.0%})"
-        out.append(line)
-    return out
+        own = 10.0 * energy.structure[i] / energy.supplied[i]
+        row = [f"{energy.frequency[i]:.4g}", plainly(1e3 * energy.supplied[i]), into, f"{own:+.2g}"]
+        rows.append(row if true is None else [*row, f"{100.0 * true[i] / energy.supplied[i]:.3g}"])
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    table = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
+    return ["Energy per period where most is supplied:", *table]
 
 
 def _rows(

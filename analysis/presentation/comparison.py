@@ -21,7 +21,7 @@ from analysis.dampers.comparison import (
 from analysis.modal.identification import identify
 from analysis.modal.modes import Modes
 from analysis.presentation.expectations import expect, repeats
-from analysis.presentation.output_names import output_stem, with_ending
+from analysis.presentation.output_names import check_outputs, output_stem, with_ending
 from analysis.presentation.presentation import Progress, Result, noted
 from analysis.presentation.tables import write_table
 from analysis.recordings.names import opened, relabelled, scene_labels
@@ -62,6 +62,7 @@ def present_compare(
     """
     if len(paths) < 2:
         raise SceneError("one recording: expected at least two, first the one to compare with")
+    check_outputs(paths, output, "compare", "csv")
     found: list[list[list[Frf]]] = []
     places: list[Places] = []
     for path, label in zip(paths, scene_labels(paths), strict=True):

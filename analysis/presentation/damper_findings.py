@@ -16,7 +16,7 @@ from analysis.dampers.nonlinearity import (
 )
 from analysis.dampers.performance import CycleEnergy, energy_per_cycle, impact_energy_per_cycle
 from analysis.presentation.expectations import expect
-from analysis.presentation.output_names import output_stem, with_ending
+from analysis.presentation.output_names import check_outputs, output_stem, with_ending
 from analysis.presentation.presentation import Progress, Result
 from analysis.presentation.tables import write_table
 from analysis.recordings.names import opened, relabelled, scene_labels
@@ -51,6 +51,8 @@ def present_dampers(
     from rig.figure_style import save
 
     files, lines, notes = [], [], []
+    for path in paths:
+        check_outputs([path], output, "dampers", "csv")
     for path, label in zip(paths, scene_labels(paths), strict=True):
         with opened(path) as rec:
             expect(rec, path, "dampers")

@@ -51,6 +51,12 @@ def output_stem(paths: Sequence[Path], output: Path | None, kind: str, *endings:
         )
 
 
+def check_outputs(paths: Sequence[Path], output: Path | None, kind: str, *endings: str) -> None:
+    """Raise the errors of `output_stem` before the work, not after it."""
+    with output_stem(paths, output, kind, *endings):
+        pass
+
+
 def joined(names: Sequence[str]) -> str:
     """Join names to one that is not too long.
 

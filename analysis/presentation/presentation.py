@@ -14,7 +14,7 @@ from analysis.decays.free_decay import FIRST_FALL, Decay, decay
 from analysis.modal.identification import identify
 from analysis.modal.modes import Modes, mac
 from analysis.presentation.expectations import expect, expect_all, repeats
-from analysis.presentation.output_names import of_part, output_stem, with_ending
+from analysis.presentation.output_names import check_outputs, of_part, output_stem, with_ending
 from analysis.recordings.names import opened, relabelled, scene_labels
 from analysis.responses.branch_jumps import jumps
 from analysis.responses.frequency_responses import Blocks, frequency_responses, kind_of
@@ -66,6 +66,7 @@ def present_frf(
     exact: list[Frf] = []
     blocks = Blocks(estimator, block, overlap, window)
     notes = expect_all(paths, "frf", blocks, theory, unit)
+    check_outputs(paths, output, "frf", "csv")
     doubts: list[str] = []
     for path, label in zip(paths, _labels(paths), strict=True):
         if is_frf_file(path):
@@ -162,6 +163,7 @@ def present_decay(
 
     decays: list[Decay] = []
     notes = repeats(paths)
+    check_outputs(paths, output, "decay", "png", "svg")
     for path, label in zip(paths, scene_labels(paths), strict=True):
         with opened(path) as rec:
             expect(rec, path, "decay")
@@ -223,6 +225,7 @@ def present_modes(
     files: list[Path] = []
     lines: list[str] = []
     notes = expect_all(paths, "modes", Blocks(block=block), unit=unit)
+    check_outputs(paths, output, "modes", "csv")
     for path, label in zip(paths, _labels(paths), strict=True):
         if is_frf_file(path):
             curves = _read(path, reference, None, unit)

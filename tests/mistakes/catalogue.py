@@ -41,7 +41,12 @@ EXPLAIN = "rig explain mine.yaml"
 
 MISTAKES = (
     # Scene: keys, values, units
-    Mistake("a misspelt top key", EXPLAIN, ("mine.yaml", "strukture", "structure"), edited("structure:", "strukture:")),
+    Mistake(
+        "a misspelt top key",
+        EXPLAIN,
+        ("mine.yaml", "strukture", "structure"),
+        edited("structure:", "strukture:"),
+    ),
     Mistake("a misspelt inner key", EXPLAIN, ("mine.yaml:4", "springs"), edited("springs", "sprigns")),
     Mistake("a wrong unit", EXPLAIN, ("mine.yaml:3", "4.2 N", "a mass such as"), edited("4.2 kg", "4.2 N")),
     Mistake("an unknown unit", EXPLAIN, ("mine.yaml:3", "klb"), edited("4.2 kg", "4.2 klb")),

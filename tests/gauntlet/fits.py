@@ -165,7 +165,7 @@ def try_out(seed: int, number: int) -> Trial:
     for mode, true in zip(found.modes, omega / (2 * np.pi), strict=True):
         bound = mode.frequency_bound / mode.frequency
         status = "determined" if bound < FREQUENCY else "roughly"
-        values.append(Trial(scene.name, "frequency", status, mode.frequency / true - 1, bound))
+        values.append(Judged(scene.name, "frequency", status, mode.frequency / true - 1, bound))
     left = sum(int((~one.used).sum()) for one in found.compared)
     note = (
         f"{len(scene.structure.masses)} bodies, {len(scene.dampers)} dampers, variance {found.variance:.2f}"

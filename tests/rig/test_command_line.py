@@ -204,7 +204,7 @@ def test_given_long_silence_when_at_work_then_it_says_so(command, capsys, monkey
     def wait_for_a_word() -> None:
         with console.progress("a long test") as tell:
             tell(0.5, "20 Hz")
-            while "at work" not in "".join(told):
+            while "running for" not in "".join(told):
                 told.append(capsys.readouterr().err)
 
     assert command(wait_for_a_word) == 0

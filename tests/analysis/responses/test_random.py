@@ -50,7 +50,9 @@ def test_given_short_blocks_when_modes_are_identified_then_it_warns_that_damping
         [curves] = analysis.frequency_responses(rec, block=4.0)
         modes = analysis.identify(curves, count=3)
     assert modes.damping[0] > 0.0055
-    assert any("smears" in warning and "blocks of at least" in warning for warning in modes.warnings)
+    assert any(
+        "widens the peaks" in warning and "blocks of at least" in warning for warning in modes.warnings
+    )
 
 
 def test_given_the_same_blocks_when_estimated_by_scipy_then_h1_agrees_to_rounding(random_file):

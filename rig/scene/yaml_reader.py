@@ -21,6 +21,7 @@ _DECIMALS = re.compile(r"\d+(\s*[^\d\s.,].*)?")
 _WITH_UNIT = re.compile(r"\d+\s*[^\d\s.,eE].*")
 MOST_CHARACTERS = 64_000_000
 DEEPEST = 20
+_TOO_DEEP = f"nested deeper than {DEEPEST} levels; expected a scene"
 MOST_REPEATED = 20_000  # nodes that aliases may add; a few nested aliases could otherwise stand for billions
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _NULLS = ("", "~", "null", "Null", "NULL")
@@ -103,6 +104,8 @@ def _in_words(error: yaml.MarkedYAMLError, lines: Sequence[str]) -> tuple[int, s
             line,
             "the indentation fits none of the lines above; expected keys of one part below one another",
         )
+    if "nesting depth" in problem:
+        return line, _TOO_DEEP  # the parser's own limit, which it meets before an event of that depth
     if "unexpected end of stream" in problem:
         return begun, "a quotation mark that is never closed; expected another one at the end of the text"
     return line, f"no valid YAML: {problem}{f' ({context})' if context else ''}"
@@ -132,7 +135,7 @@ class _Reader:
         if line != self.document.line(place):  # a matrix of a thousand rows needs no million of entries
             self.document.lines[place] = line
         if len(place) > DEEPEST:
-            raise _Unreadable(line, f"nested deeper than {DEEPEST} levels; expected a scene")
+            raise _Unreadable(line, _TOO_DEEP)
         if isinstance(event, yaml.AliasEvent):
             return self._alias(event, line)
         if event.tag is not None and event.tag != "!":

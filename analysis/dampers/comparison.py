@@ -234,7 +234,7 @@ def peak_changes(
     list of PeakChange
         By response, then by frequency.
     """
-    frequency, low, high = _surroundings(modes)
+    frequency, low, high = surroundings(modes)
     damping = modes.damping[np.argsort(modes.frequency)]
     by_name = {frf.response: frf for frf in bare}
     out = []
@@ -268,7 +268,7 @@ def _as_read(curve: Frf) -> Frf:
     return replace(curve, systematic={k: part for k, part in curve.systematic.items() if k != SENSITIVITY})
 
 
-def _surroundings(modes: Modes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def surroundings(modes: Modes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Give the modes' frequencies in rising order, and between which ones their peaks are looked for, Hz."""
     frequency = np.sort(modes.frequency)
     between = np.sqrt(frequency[1:] * frequency[:-1])
@@ -279,7 +279,7 @@ def _surroundings(modes: Modes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def highest_left_out(modes: Modes, bare: Sequence[Frf]) -> list[str]:
     """Say of which responses the highest peak is none of the modes that are compared."""
-    _, low, high = _surroundings(modes)
+    _, low, high = surroundings(modes)
     said = []
     for curve in bare:
         part = curve.to("displacement").sorted()

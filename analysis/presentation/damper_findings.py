@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -62,8 +62,16 @@ def present_dampers(
             ] = []
             for sweep in sweeps(rec, progress=progress):
                 name = relabelled(sweep.lines, rec.scene.name, label).label
-                motions, found = _motions(rec, sweep, progress)
-                lines += [name, *(f"  {line}" for line in found)]
+                motions = []
+                lines.append(name)
+                for of_body, reason in motions_of_bodies(rec, sweep, progress):
+                    text = [reason]
+                    if of_body:
+                        motions.append(of_body)
+                        text = describe_motion(of_body, sweep.lines.left_out.tolist()) + describe_restitution(
+                            of_body
+                        )
+                    lines += [f"  {line}" for line in text]
                 # Frequencies that are missing here may be those that matter.
                 notes += [f"{path.name}: {warning}" for warning in sweep.lines.warnings]
                 try:
@@ -89,26 +97,27 @@ def present_dampers(
     return Result(tuple(files), tuple(lines), tuple(notes))
 
 
-def _motions(
+def motions_of_bodies(
     rec: Recording, sweep: Sweep, progress: Progress | None
-) -> tuple[list[list[DamperMotion]], list[str]]:
-    """Motion at every frequency of each damped body, and its description."""
-    every, text = [], []
+) -> Iterator[tuple[list[DamperMotion], str]]:
+    """Estimate the motion at every frequency of each body with free dampers.
+
+    Yields
+    ------
+    motions : list of DamperMotion
+        Empty where there is no result.
+    reason : str
+        Why there is none.
+    """
     for body in sorted({damper.body for damper in rec.scene.dampers if not damper.locked}):
         info = located(rec, f"body {body}")
         if info is None:
-            text.append(
-                f"{rec.scene.structure.label(body)}: no channel on it, so that its impacts are not seen"
-            )
+            yield [], f"{rec.scene.structure.label(body)}: no channel on it, so its impacts are not detected"
             continue
         try:
-            motions = damper_motion(rec, sweep, info.name, progress)
+            yield damper_motion(rec, sweep, info.name, progress), ""
         except RecordingError as error:
-            text.append(str(error))
-            continue
-        every.append(motions)
-        text += describe_motion(motions, sweep.lines.left_out.tolist()) + describe_restitution(motions)
-    return every, text
+            yield [], str(error)
 
 
 def describe_energy(energy: CycleEnergy, true: np.ndarray | None = None) -> list[str]:

@@ -1,4 +1,4 @@
-"""The answer of a report: up to three sentences per kind of test, from the same results as its tables."""
+"""The answer of a report: up to three sentences, from the same results as its tables."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from analysis.dampers.comparison import PeakChange
 from analysis.report.measured import DamperResult, Measured
-from analysis.report.tables import highest_peaks, with_bound
+from analysis.report.tables import peak_height, with_bound
 from rig.results import frequency_ranges
 
 _MAX_SENTENCES = 3
@@ -18,14 +18,14 @@ _MAX_SENTENCES = 3
 def answer(
     measurements: Sequence[Measured], changes: Sequence[tuple[Measured, Measured, PeakChange]]
 ) -> list[str]:
-    """Sentences that say what was found, the comparison first.
+    """Sentences that say what was found: decays, then comparisons, then resonances and dampers.
 
     Parameters
     ----------
     measurements : sequence of Measured
         All recordings of the report.
     changes : sequence of (Measured, Measured, PeakChange)
-        As `analysis.report.tables.changes` gives them.
+        As `Measurements.changes` gives them.
     """
     sentences = _decays(measurements) + _comparisons(changes)
     for measured in measurements:
@@ -67,8 +67,9 @@ def _comparisons(changes: Sequence[tuple[Measured, Measured, PeakChange]]) -> li
 
 def _resonances(measured: Measured) -> list[str]:
     sentences = []
-    for modes in measured.modes:
-        if not modes.frequency.size:
+    for each in measured.passes:
+        modes = each.modes
+        if modes is None or not modes.frequency.size:
             continue
         pairs = sorted(zip(modes.frequency, modes.damping, strict=True))
         listed = ", ".join(
@@ -76,13 +77,10 @@ def _resonances(measured: Measured) -> list[str]:
         )
         plural = "s" * (modes.frequency.size != 1)
         text = f"“{measured.label}”: {modes.frequency.size} resonance{plural} at {listed}"
-        peaks = [pair for pair in highest_peaks(measured, modes) if pair is not None]
-        if peaks:
-            curve, found = max(peaks, key=lambda pair: pair[1].value)
-            height = f"at least {1e6 * found.low:.4g}"
-            if isfinite(found.bound):
-                height = with_bound(1e6 * found.value, 1e6 * found.bound)
-            text += f"; the highest compliance is {height} µm/N ({curve.ratio}, {found.frequency:.4g} Hz)"
+        if each.highest is not None:
+            curve, found = each.highest
+            where = f"{curve.ratio}, {found.frequency:.4g} Hz"
+            text += f"; the highest compliance is {peak_height(found)} µm/N ({where})"
         sentences.append(f"{text}.")
     return sentences
 

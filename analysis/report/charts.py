@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from itertools import count
 from typing import Any
 
@@ -24,6 +24,15 @@ _MAX_TEXT_COLUMN = 4000
 
 
 @dataclass(frozen=True)
+class EvenlySpaced:
+    """An abscissa that needs no column of its own."""
+
+    start: float
+    step: float
+    size: int
+
+
+@dataclass(frozen=True)
 class Curve:
     """One curve of a panel, with limits of its uncertainty where they are known.
 
@@ -32,12 +41,11 @@ class Curve:
     """
 
     label: str
-    x: ArrayLike
+    x: ArrayLike | EvenlySpaced
     y: ArrayLike
     low: ArrayLike | None = None
     high: ArrayLike | None = None
     color: int = 0
-    dashed: bool = False
 
 
 @dataclass(frozen=True)
@@ -127,8 +135,7 @@ def _curve(curve: Curve, positive: bool) -> dict[str, Any]:
     out: dict[str, Any] = {
         "label": curve.label,
         "color": COLOURS[curve.color % len(COLOURS)],
-        "dash": curve.dashed,
-        "x": _column(curve.x, exact=True),
+        "x": asdict(curve.x) if isinstance(curve.x, EvenlySpaced) else _column(curve.x, exact=True),
         "y": _column(curve.y, positive),
     }
     if curve.low is not None and curve.high is not None:

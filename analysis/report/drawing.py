@@ -12,6 +12,7 @@ from rig.results import plainly
 if TYPE_CHECKING:
     from analysis.modal.modes import BodyShapes
     from rig.scene.scene import Scene
+    from rig.scene.shaker import Shaker
 
 # Sizes in px.
 _BODY_WIDTH, _BODY_HEIGHT = 150, 54
@@ -25,7 +26,7 @@ _COILS = 8
 
 
 def rig_drawing(scene: Scene) -> str:
-    """Draw a scene: bodies with masses, springs, dampers, shaker or hammer, and sensors; not to scale.
+    """Draw a scene: bodies with masses, springs, dampers, shakers and sensors; not to scale.
 
     Examples
     --------
@@ -42,7 +43,7 @@ def rig_drawing(scene: Scene) -> str:
     for body in range(1, count + 1):
         parts += _body(scene, body, tops[body - 1])
     for number, shaker in enumerate(scene.shakers, 1):
-        for body in _bodies(shaker.body):
+        for body in shaker.bodies:
             parts += _shaker(
                 shaker, tops[body - 1] + _BODY_HEIGHT / 2, number if len(scene.shakers) > 1 else None
             )
@@ -52,10 +53,6 @@ def rig_drawing(scene: Scene) -> str:
         f'<svg role="img" aria-label="Drawing of the rig: {html(names)}" viewBox="0 0 620 {height}" width="620" '
         f'height="{height}" stroke-width="1.3" fill="none">{"".join(parts)}</svg>'
     )
-
-
-def _bodies(place: int | Sequence[int]) -> Sequence[int]:
-    return (place,) if isinstance(place, int) else place
 
 
 def _ground(y: float) -> str:
@@ -104,19 +101,17 @@ def _spring(x: float, top: float, bottom: float) -> str:
     return f'<path stroke="currentColor" d="M{x:g} {top:g}v{step:g}{zigzag}L{x:g} {bottom:g}"/>'
 
 
-def _shaker(shaker: object, y: float, number: int | None) -> Iterator[str]:
+def _shaker(shaker: Shaker, y: float, number: int | None) -> Iterator[str]:
     """Shaker to the left of the body that it drives, with its coil spring if it has one."""
-    kind = getattr(shaker, "kind", "force")
-    stiffness = getattr(getattr(shaker, "spring", None), "stiffness", getattr(shaker, "spring", None))
-    title = {"force": "force", "table": "shaker table", "electrodynamic": "electrodynamic shaker"}.get(
-        kind, kind
-    )
+    title = {"force": "force", "table": "shaker table", "electrodynamic": "electrodynamic shaker"}[
+        shaker.kind
+    ]
     yield f'<text x="4" y="{y - 30:g}">{html(title)}{"" if number is None else f" {number}"}</text>'
-    if isinstance(stiffness, float):
+    if shaker.kind != "force":
         coils = "".join(f"l8 {9 if k % 2 else -9}" for k in range(_COILS))
         yield f'<rect x="6" y="{y - 24:g}" width="44" height="48" rx="3" stroke="currentColor"/>'
         yield f'<path stroke="#009E73" d="M50 {y:g}h26{coils}L{_LEFT} {y:g}"/>'
-        yield f'<text x="62" y="{y + 26:g}">{stiffness / 1e3:.4g} kN/m</text>'
+        yield f'<text x="62" y="{y + 26:g}">{shaker.spring / 1e3:.4g} kN/m</text>'
     else:
         yield f'<path stroke="#009E73" stroke-width="2" d="M110 {y:g}h{_LEFT - 118}m-9 -6l9 6l-9 6"/>'
 

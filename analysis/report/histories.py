@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.report.charts import Chart, Curve, Image, Panel
+from analysis.report.charts import Chart, Curve, EvenlySpaced, Image, Panel
 from rig.system.structure import natural_modes, structure_matrices
 
 if TYPE_CHECKING:
@@ -31,7 +31,11 @@ def time_histories(rec: Recording) -> Chart:
     """Chart of all channels against time: every sample of a short recording, the envelope of a long one."""
     names = list(rec.channels)
     whole = rec.samples * len(names) <= _MAX_SAMPLES
-    time, rows = _samples(rec, names) if whole else _envelopes(rec, names)
+    time: Array | EvenlySpaced = EvenlySpaced(0.0, 1.0 / rec.rate, rec.samples)
+    if whole:
+        rows = np.stack([rec.read(name) for name in names])
+    else:
+        time, rows = _envelopes(rec, names)
     units = list(dict.fromkeys(rec.channels[name].unit for name in names))
     panels = []
     for unit in units:
@@ -46,10 +50,6 @@ def time_histories(rec: Recording) -> Chart:
         x_name="time",
         x_unit="s",
     )
-
-
-def _samples(rec: Recording, names: list[str]) -> tuple[Array, Array]:
-    return np.arange(rec.samples) / rec.rate, np.stack([rec.read(name) for name in names])
 
 
 def _envelopes(rec: Recording, names: list[str]) -> tuple[Array, Array]:

@@ -7,21 +7,27 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Self, TypeVar
+from typing import ParamSpec, Self, TypeVar
 
-from analysis.dampers.nonlinearity import DamperMotion, damper_motion
+import numpy as np
+
+from analysis.dampers.comparison import Peak, PeakChange, peak, peak_changes, surroundings
+from analysis.dampers.nonlinearity import DamperMotion
 from analysis.dampers.performance import CycleEnergy, energy_per_cycle
 from analysis.decays.free_decay import Decay, decay
 from analysis.modal.identification import identify
 from analysis.modal.modes import Modes
+from analysis.presentation.comparison import Places
+from analysis.presentation.damper_findings import motions_of_bodies
+from analysis.presentation.presentation import noted
 from analysis.recordings.names import opened, relabelled, scene_labels
 from analysis.responses.frequency_responses import frequency_responses, kind_of
 from analysis.responses.frf import Frf
-from analysis.responses.measurands import located
 from analysis.responses.stepped_sine import Sweep, sweeps
 from daq.recording.recording import Recording
 from rig.errors import ShotrigError
 
+P = ParamSpec("P")
 Found = TypeVar("Found")
 
 
@@ -38,18 +44,33 @@ class DamperResult:
 
 
 @dataclass(frozen=True)
-class Measured:
-    """One open recording and what was found in it.
+class Pass:
+    """One pass through the frequencies.
 
-    frfs : one list of responses for each pass through the frequencies
-    modes : of each such list, as far as modes were identified
+    modes : None where none were identified
+    peaks : for each mode the response with the highest compliance peak near it; None where there is none
     """
+
+    frfs: list[Frf]
+    modes: Modes | None
+    peaks: tuple[tuple[Frf, Peak] | None, ...] = ()
+
+    @property
+    def highest(self) -> tuple[Frf, Peak] | None:
+        """The highest of `peaks`."""
+        return max(
+            (pair for pair in self.peaks if pair is not None), key=lambda pair: pair[1].value, default=None
+        )
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One open recording and what was found in it."""
 
     path: Path
     label: str
     rec: Recording
-    frfs: tuple[list[Frf], ...] = ()
-    modes: tuple[Modes, ...] = ()
+    passes: tuple[Pass, ...] = ()
     dampers: tuple[DamperResult, ...] = ()
     decay: Decay | None = None
 
@@ -76,53 +97,92 @@ class Measurements:
     ) -> None:
         self._open.close()
 
+    def changes(self) -> list[tuple[Measured, Measured, PeakChange]]:
+        """How each resonance of the first recording's responses changes in every other one."""
+        first, *others = self.all
+        if not first.passes or first.passes[0].modes is None:
+            return []
+        return [
+            (first, other, change)
+            for other in others
+            if other.passes
+            for change in self._attempt(other.path, "Comparison", _changes, first, other) or ()
+        ]
+
     def _measure(self, path: Path, label: str, rec: Recording) -> Measured:
         free = rec.scene.test is not None and rec.scene.test.kind == "free"
         groups: list[list[Frf]] = []
-        modes: list[Modes] = []
         if not free:
-            found = self._attempt(
-                path, "Frequency responses", lambda: frequency_responses(rec, progress=self.progress)
+            groups = (
+                self._attempt(path, "Frequency responses", frequency_responses, rec, progress=self.progress)
+                or []
             )
-            groups = [[relabelled(frf, rec.scene.name, label) for frf in group] for group in found or ()]
-        for group in groups:
-            self._note(path, group[0].warnings)
-            identified = self._attempt(path, "Modes", lambda curves=group: identify(curves))  # type: ignore[misc]
-            if identified is not None:
-                modes.append(relabelled(identified, rec.scene.name, label))
-                self._note(path, identified.warnings)
+        passes = tuple(self._pass(path, label, rec, group) for group in groups)
         stepped = not free and kind_of(rec) == "tones" and rec.scene.dampers
-        dampers = self._attempt(path, "Dampers", lambda: self._dampers(path, rec)) if stepped else None
+        dampers = self._attempt(path, "Dampers", self._dampers, path, rec) if stepped else None
         decayed = None
         if free or any(marker.kind == "hit" for marker in rec.markers):
-            decayed = self._attempt(path, "Free decay", lambda: decay(rec))
+            decayed = self._attempt(path, "Free decay", decay, rec)
             if decayed is not None:
                 decayed = relabelled(decayed, rec.scene.name, label)
                 self._note(path, decayed.warnings)
-        return Measured(path, label, rec, tuple(groups), tuple(modes), tuple(dampers or ()), decayed)
+        return Measured(path, label, rec, passes, tuple(dampers or ()), decayed)
+
+    def _pass(self, path: Path, label: str, rec: Recording, group: list[Frf]) -> Pass:
+        frfs = [relabelled(frf, rec.scene.name, label) for frf in group]
+        self._note(path, frfs[0].warnings)
+        modes = self._attempt(path, "Modes", identify, frfs)
+        if modes is None:
+            return Pass(frfs, None)
+        self._note(path, modes.warnings)
+        return Pass(frfs, relabelled(modes, rec.scene.name, label), _highest_peaks(frfs, modes))
 
     def _dampers(self, path: Path, rec: Recording) -> list[DamperResult]:
-        bodies = sorted({damper.body for damper in rec.scene.dampers if not damper.locked})
-        channels = [info.name for body in bodies if (info := located(rec, f"body {body}")) is not None]
         results = []
         for sweep in sweeps(rec, progress=self.progress):
-            motions = [
-                self._attempt(path, f"Dampers, {name}", lambda at=name, of=sweep: damper_motion(rec, of, at))  # type: ignore[misc]
-                for name in channels
-            ]
-            energy = self._attempt(path, "Energy balance", lambda of=sweep: energy_per_cycle(rec, of))  # type: ignore[misc]
-            results.append(DamperResult(sweep, tuple(each for each in motions if each is not None), energy))
+            bodies = list(motions_of_bodies(rec, sweep, self.progress))
+            self._note(path, [reason for _, reason in bodies if reason])
+            energy = self._attempt(path, "Energy balance", energy_per_cycle, rec, sweep)
+            results.append(DamperResult(sweep, tuple(motions for motions, _ in bodies if motions), energy))
         return results
 
-    def _attempt(self, path: Path, what: str, compute: Callable[[], Found]) -> Found | None:
+    def _attempt(
+        self, path: Path, what: str, compute: Callable[P, Found], *args: P.args, **kwargs: P.kwargs
+    ) -> Found | None:
         """Return what an analysis finds, or None with a warning that gives the reason."""
         try:
-            return compute()
+            return compute(*args, **kwargs)
         except ShotrigError as error:
             self._note(path, [f"{what}: not available. {error}"])
             return None
 
     def _note(self, path: Path, notes: Sequence[str]) -> None:
-        self.warnings += [
-            f"{path.name}: {note}" for note in notes if f"{path.name}: {note}" not in self.warnings
+        self.warnings += [note for note in noted(path, notes) if note not in self.warnings]
+
+
+def _highest_peaks(frfs: Sequence[Frf], modes: Modes) -> tuple[tuple[Frf, Peak] | None, ...]:
+    """Response with the highest compliance peak near each mode, in the order of `modes`."""
+    curves = [frf for frf in frfs if frf.reference == "force"]
+    _, low, high = surroundings(modes)
+    out: list[tuple[Frf, Peak] | None] = []
+    for rank in np.argsort(np.argsort(modes.frequency)):
+        peaks = [
+            (curve, found) for curve in curves if (found := peak(curve, low[rank], high[rank])) is not None
         ]
+        inside = [pair for pair in peaks if not pair[1].at_end]
+        out.append(max(inside, key=lambda pair: pair[1].value, default=None))
+    return tuple(out)
+
+
+def _changes(first: Measured, other: Measured) -> list[PeakChange]:
+    """Compare the peaks of two recordings, whose errors by the same sensors are in no change."""
+    modes = first.passes[0].modes
+    assert modes is not None
+    before, after = Places.of(first.path, first.rec), Places.of(other.path, other.rec)
+    after.comparable_with(before)
+    same = after.same_sensors(before)
+    return [
+        change
+        for each in other.passes
+        for change in peak_changes(modes, first.passes[0].frfs, each.frfs, same)
+    ]

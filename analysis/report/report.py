@@ -18,7 +18,7 @@ from analysis.report.drawing import mode_drawing, rig_drawing
 from analysis.report.histories import spectrograms, time_histories
 from analysis.report.measured import Measured, Measurements
 from analysis.report.responses import damper_chart, decay_charts, response_charts
-from analysis.report.tables import budget, changes, changes_table, decays, highest_peaks, resonances, settings
+from analysis.report.tables import budget, changes_table, decays, resonances, settings
 from rig.escaping import html
 from rig.output_files import make_ready, replacing
 from rig.provenance import made_from, refuse_others, relative
@@ -90,7 +90,7 @@ def _page(paths: Sequence[Path], output: Path | None) -> Iterator[Path]:
 def _body(measurements: Measurements, paths: Sequence[Path]) -> tuple[list[str], str]:
     """Return the answer, and the page's sections as HTML."""
     found, charts = measurements.all, ChartWriter()
-    compared = changes(found)
+    compared = measurements.changes()
     sentences = answer(found, compared)
     parts = ['<section class="answer">', *(f"<p>{html(text)}</p>" for text in sentences), "</section>"]
     parts += [changes_table(compared), resonances(found), decays(found)]
@@ -123,7 +123,7 @@ def _modes(found: Sequence[Measured]) -> list[str]:
     """Mode shapes of the first pass through the frequencies of each recording."""
     parts = []
     for each in found:
-        for modes in each.modes[:1]:
+        for modes in [one.modes for one in each.passes[:1] if one.modes is not None]:
             bodies = modes.of_bodies()
             if len(bodies.names) < 2 or not modes.frequency.size:
                 continue
@@ -137,12 +137,8 @@ def _modes(found: Sequence[Measured]) -> list[str]:
 
 def _budgets(found: Sequence[Measured]) -> list[str]:
     """Uncertainty budget at the highest peak of each recording."""
-    tables = []
-    for each in found:
-        peaks = [pair for modes in each.modes[:1] for pair in highest_peaks(each, modes) if pair is not None]
-        if peaks:
-            curve, peak = max(peaks, key=lambda pair: pair[1].value)
-            tables.append(budget(each, curve, peak))
+    first = [(each, each.passes[0].highest) for each in found if each.passes]
+    tables = [budget(each, *highest) for each, highest in first if highest is not None]
     return ["<h2>Uncertainty</h2>", *tables] if tables else []
 
 
@@ -150,11 +146,11 @@ def _commands(paths: Sequence[Path], found: Sequence[Measured]) -> list[str]:
     """Commands that give the same results again, and the version that gave them."""
     every = " ".join(shlex.quote(str(path)) for path in paths)
     named = [
-        ("frf", [each for each in found if each.frfs]),
-        ("modes", [each for each in found if each.modes]),
+        ("frf", [each for each in found if each.passes]),
+        ("modes", [each for each in found if any(one.modes is not None for one in each.passes)]),
+        ("dampers", [each for each in found if each.dampers]),
+        ("decay", [each for each in found if each.decay is not None]),
     ]
-    named += [("dampers", [each for each in found if each.dampers])]
-    named += [("decay", [each for each in found if each.decay is not None])]
     lines = [
         f"analysis {command} {' '.join(shlex.quote(str(each.path)) for each in which)}"
         for command, which in named

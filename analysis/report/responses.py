@@ -21,11 +21,12 @@ def response_charts(measurements: Sequence[Measured]) -> list[Chart]:
     The responses of one recording share a chart; with several recordings each response has one, so that they can be
     compared. Responses to different inputs never share a chart.
     """
-    curves = [(measured, frf) for measured in measurements for group in measured.frfs for frf in group]
-    several = len({measured.label for measured, _ in curves}) > 1
+    measured = [each for each in measurements if each.passes]
+    curves = [frf for each in measured for one in each.passes for frf in one.frfs]
+    several = len({each.label for each in measured}) > 1
     charts = []
-    for key in dict.fromkeys((frf.ratio if several else frf.input) for _, frf in curves):
-        here = [frf for _, frf in curves if key == (frf.ratio if several else frf.input)]
+    for key in dict.fromkeys((frf.ratio if several else frf.input) for frf in curves):
+        here = [frf for frf in curves if key == (frf.ratio if several else frf.input)]
         names = [frf.label if several else f"{frf.response} {frf.label}".strip() for frf in here]
         if not several and len({frf.label for frf in here}) == 1:
             names = [frf.response for frf in here]

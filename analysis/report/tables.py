@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.dampers.comparison import Peak, PeakChange, peak, peak_changes
+from analysis.dampers.comparison import Peak, PeakChange
 from analysis.report.measured import Measured
 from analysis.responses.frf import Frf
 from analysis.responses.systematic import tolerance
@@ -16,12 +16,9 @@ from rig.escaping import html
 from rig.results import plainly, rounded
 
 if TYPE_CHECKING:
-    from analysis.modal.modes import Modes
     from daq.recording.recording import Recording
     from rig.scene.damper import Damper
 
-# The peak of a mode is looked for between these multiples of its natural frequency, and nearer to it than to others.
-_PEAK_FROM, _PEAK_TO = 0.85, 1.075
 # Entries of a list of places that are named.
 _NAMED = 5
 
@@ -40,47 +37,23 @@ def table(caption: str, heading: Sequence[str], rows: Iterable[Sequence[str]], n
     return f'<div class="wide"><table><caption>{html(caption)}</caption><tr>{head}</tr>{body}</table></div>'
 
 
-def highest_peaks(measured: Measured, modes: Modes) -> list[tuple[Frf, Peak] | None]:
-    """Response with the highest compliance peak near each mode, in the order of `modes`; None where there is none."""
-    curves = [frf for group in measured.frfs for frf in group if frf.reference == "force"]
-    frequencies = np.sort(modes.frequency)
-    between = np.sqrt(frequencies[1:] * frequencies[:-1])
-    out: list[tuple[Frf, Peak] | None] = []
-    for frequency in modes.frequency:
-        k = int(np.searchsorted(frequencies, frequency))
-        low = max(frequency * _PEAK_FROM, between[k - 1] if k else 0.0)
-        high = min(frequency * _PEAK_TO, between[k] if k < between.size else np.inf)
-        peaks = [(curve, found) for curve in curves if (found := peak(curve, low, high)) is not None]
-        inside = [pair for pair in peaks if not pair[1].at_end]
-        out.append(max(inside, key=lambda pair: pair[1].value) if inside else None)
-    return out
-
-
 def resonances(measurements: Sequence[Measured]) -> str:
     """Table of natural frequencies, damping ratios and the highest peak near each."""
     rows: list[tuple[str, ...]] = []
-    for measured in measurements:
-        for modes in measured.modes:
-            rows.append((modes.label,))
-            for k, highest in enumerate(highest_peaks(measured, modes)):
-                where, height = ("", "") if highest is None else (highest[0].ratio, _height(highest[1]))
-                rows.append(
-                    (
-                        with_bound(float(modes.frequency[k]), 2.0 * float(modes.frequency_error[k])),
-                        _damping(modes, k),
-                        where,
-                        height,
-                    )
-                )
-    heading = ["natural frequency / Hz", "damping ratio / %", "highest at", "peak / (µm/N)"]
+    for modes, peaks in ((each.modes, each.peaks) for measured in measurements for each in measured.passes):
+        if modes is None:
+            continue
+        rows.append((modes.label,))
+        for k, highest in enumerate(peaks):
+            frequency = with_bound(float(modes.frequency[k]), 2.0 * float(modes.frequency_error[k]))
+            where, height = ("", "") if highest is None else (highest[0].ratio, peak_height(highest[1]))
+            rows.append((frequency, modes.damping_text(k), where, height))
+    heading = ["natural frequency / Hz", "damping ratio", "highest at", "peak / (µm/N)"]
     return table("Resonances, with 95 % intervals", heading, rows) if rows else ""
 
 
-def _damping(modes: Modes, mode: int) -> str:
-    return modes.damping_text(mode).replace(" %", "").replace("(", "").replace(")", "")
-
-
-def _height(found: Peak) -> str:
+def peak_height(found: Peak) -> str:
+    """Write the height of a peak with its bound, µm/N; its lower bound where there is no upper one."""
     if isinf(found.bound):
         return f"at least {1e6 * found.low:.4g}"
     return with_bound(1e6 * found.value, 1e6 * found.bound)
@@ -95,20 +68,6 @@ def with_bound(value: float, bound: float) -> str:
     if not isfinite(bound):
         return f"{value:.4g} (unbounded)"
     return f"{rounded(value, bound)} ± {rounded(bound, bound)}" if bound > 0.0 else f"{value:.4g}"
-
-
-def changes(measurements: Sequence[Measured]) -> list[tuple[Measured, Measured, PeakChange]]:
-    """How each resonance of the first recording's responses changes in every other one."""
-    first, *others = measurements
-    if not first.modes or not first.frfs:
-        return []
-    return [
-        (first, other, change)
-        for other in others
-        for group in other.frfs
-        if group[0].reference == first.frfs[0][0].reference and group[0].input_at == first.frfs[0][0].input_at
-        for change in peak_changes(first.modes[0], first.frfs[0], group)
-    ]
 
 
 def changes_table(found: Sequence[tuple[Measured, Measured, PeakChange]]) -> str:
@@ -126,11 +85,7 @@ def changes_table(found: Sequence[tuple[Measured, Measured, PeakChange]]) -> str
                 f"{best:+.1f}" if isfinite(low) or isfinite(high) else "unknown",
                 _interval(low, high),
                 f"{shift:+.2f} ({down:+.2f} to {up:+.2f})",
-                "yes"
-                if high < 0.0 or low > 0.0
-                else "no"
-                if isfinite(low) and isfinite(high)
-                else "not bounded",
+                _exceeds(low, high),
             )
         )
     heading = [
@@ -141,6 +96,13 @@ def changes_table(found: Sequence[tuple[Measured, Measured, PeakChange]]) -> str
         "exceeds the bounds",
     ]
     return table("Changes of the resonance peaks", heading, rows) if rows else ""
+
+
+def _exceeds(low: float, high: float) -> str:
+    """Whether a change with these limits is more than its uncertainty."""
+    if low > 0.0 or high < 0.0:
+        return "yes"
+    return "no" if isfinite(low) and isfinite(high) else "not bounded"
 
 
 def _interval(low: float, high: float) -> str:
@@ -231,7 +193,7 @@ def settings(measured: Measured) -> str:
         (
             info.name,
             scene.structure.label(info.at),
-            f"{info.quantity} / ({info.unit})",
+            info.quantity,
             f"{info.sensitivity:.5g} V per {info.unit}",
             f"± {100 * tolerance(info):.2g} %" if tolerance(info) else "not stated",
             "unlimited" if info.range is None else f"± {info.range / info.sensitivity:.4g} {info.unit}",
@@ -248,8 +210,8 @@ def settings(measured: Measured) -> str:
 
 def _middle_frequency(measured: Measured) -> float:
     """Geometric mean of the test's frequencies, or of the decay's modes: where the gain of the channels matters."""
-    if measured.frfs:
-        band = measured.frfs[0][0].frequency
+    if measured.passes:
+        band = measured.passes[0].frfs[0].frequency
         return float(np.sqrt(band[band > 0].min() * band.max()))
     if measured.decay is not None and measured.decay.modes:
         return float(np.exp(np.mean([np.log(mode.centre) for mode in measured.decay.modes])))

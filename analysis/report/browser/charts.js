@@ -1,5 +1,5 @@
 // Draws the charts of a report with uPlot. Each <div class="chart"> names a JSON element that describes its panels:
-// {x: {label, log}, panels: [{label, unit, log, height, range, curves: [{label, x, y, low, high, color, dash}], image}]}.
+// {x: {label, log}, panels: [{label, unit, log, height, range, curves: [{label, x, y, low, high, color}], image}]}.
 "use strict";
 (function () {
   const LIGHT = { text: "#1b1f24", grid: "#d8dde3" };
@@ -104,8 +104,8 @@
     for (const curve of panel.curves) {
       const main = shown.length + 1;
       shown.push({
-        label: curve.label, stroke: curve.color, width: 1.4, dash: curve.dash ? [6, 4] : undefined, spanGaps: false,
-        points: { show: curve.x.length !== undefined && curve.x.length <= 160 && !curve.dash, size: 4, fill: curve.color },
+        label: curve.label, stroke: curve.color, width: 1.4, spanGaps: false,
+        points: { show: curve.x.length !== undefined && curve.x.length <= 160, size: 4, fill: curve.color },
         value: (plot, value, k, i) => {
           if (value == null) return "–";
           const high = curve.high && i != null ? plot.data[main + 2][i] : null;

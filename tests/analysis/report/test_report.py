@@ -5,13 +5,14 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import rig
-from analysis.report.charts import Chart, ChartWriter, Curve, Panel
+from analysis.report.charts import Chart, ChartWriter, Curve, EvenlySpaced, Panel
 from analysis.report.drawing import rig_drawing
 from analysis.report.report import write_report
 from tests.analysis.responses import synthetic
@@ -91,6 +92,20 @@ def test_zero_is_left_out_of_logarithmic_axis() -> None:
     panel = Panel("size", "m", [Curve("a", [1.0, 2.0], [0.0, 3.0])], logarithmic=True)
     text = ChartWriter().write(Chart("caption", "alternative", [panel]))
     assert '"y":[null,3.0]' in text
+
+
+def test_even_abscissa_has_no_column() -> None:
+    panel = Panel("size", "m", [Curve("a", EvenlySpaced(0.0, 0.5, 3), [1.0, 2.0, 3.0])])
+    text = ChartWriter().write(Chart("caption", "alternative", [panel]))
+    assert '"x":{"start":0.0,"step":0.5,"size":3}' in text
+
+
+def test_responses_of_other_channels_are_not_compared(recordings: list[Path], tmp_path: Path) -> None:
+    infos = [replace(info, at="body 2" if info.at == "body 3" else info.at) for info in synthetic.channels()]
+    infos = [replace(info, name="other") if info.name == "body2" else info for info in infos]
+    other = synthetic.stepped_sine(tmp_path / "other.mcap", FREQUENCIES, noise=1e-6, infos=infos)
+    result = write_report([recordings[0], other], tmp_path)
+    assert any("other.mcap: Comparison: not available." in warning for warning in result.warnings)
 
 
 def test_name_cannot_end_the_data_of_a_chart() -> None:

@@ -159,7 +159,7 @@ def _processes(until: ExitStack) -> Executor:
             worker.kill()
         for worker in workers:
             worker.join()
-            # The pool's own thread may be notified of the end first, and is about to note it.
+            # The pool's own thread may learn of the end first; it will note it in a moment.
             for _ in range(_PATIENCE):
                 if worker.exitcode is not None:
                     break

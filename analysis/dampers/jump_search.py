@@ -59,7 +59,7 @@ _TOGETHER, _STARTS, _BESIDE = 5, (0.0, -2.5, 2.5, -5.0, 5.0), 10.0
 _PART, _CALM, _QUICK = 0.2, 8, 100.0
 # A step of so many times that size is none.
 _NO_WEIGHT = 3.0
-# Of a landing slower than this part of what such a step brings about during its contact is not detected.
+# A landing slower than this part of the velocity that such a step causes during its contact is not detected.
 _SLOW = 0.02
 # Noise is taken to be the same over so many windows; it is estimated from the quietest share of them, and
 # what normal deviates are below in as many.

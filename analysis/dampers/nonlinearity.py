@@ -122,7 +122,7 @@ def damper_motion(
         window = int(first), int(stop)
         repeats = _repeats(found, float(frequency), window[0] / rec.rate, window[1] / rec.rate)
         # Between impacts that are missed nothing flies freely.
-        estimates = restitution(rec, found, inside[0], *window) if len(inside) == 1 and repeats else None
+        estimate = restitution(rec, found, inside[0], *window) if len(inside) == 1 and repeats else None
         out.append(
             DamperMotion(
                 float(frequency),
@@ -132,12 +132,12 @@ def damper_motion(
                 _stays(
                     found.acceleration[struck] + gravity,
                     np.pi * frequency * (1.0 / rec.rate + 2.0 * found.lasts) * size,
-                    _longest_rebound(rec, found, inside, estimates),
+                    _longest_rebound(rec, found, inside, estimate),
                     _pushed(found.acceleration[struck], size, gravity, frequency),
                 ),
                 found.threshold,
                 _least_acceleration(rec, channel, numbers, frequency, *window) > -gravity,
-                estimates,
+                estimate,
                 repeats,
                 not struck.any() and any(may_reach_ceiling(rec, found, each, *window) for each in inside),
             )
@@ -190,7 +190,7 @@ def _stays(weight: NDArray[np.float64], change: float, rebound: float, pushed: f
 
 
 def _longest_rebound(
-    rec: Recording, found: Impacts, inside: list[Damper], estimates: Restitution | None
+    rec: Recording, found: Impacts, inside: list[Damper], estimate: Restitution | None
 ) -> float:
     """Give the largest speed at which a damper may leave the ceiling after it struck it, all its bounces together, m/s.
 
@@ -201,8 +201,8 @@ def _longest_rebound(
         return np.inf
     struck = replace(found, jump=found.jump[found.kind == "ceiling"])
     share = max((damper.restitution for damper in inside), default=0.0)
-    if estimates is not None and (share > 0.0 or estimates.value > _SURE * estimates.error):
-        share = min(estimates.value + 2.0 * estimates.error, 1.0)
+    if estimate is not None and (share > 0.0 or estimate.value > _SURE * estimate.error):
+        share = min(estimate.value + 2.0 * estimate.error, 1.0)
     hard = np.concatenate([np.zeros(1), *(hard_speeds(rec, struck, damper) for damper in inside)])
     # Bounces last as long as one whose speed is their sum: a geometric series.
     return float(hard.max() * share / (1.0 + share) / max(1.0 - share, 1e-9)) if share > 0.0 else 0.0

@@ -190,7 +190,7 @@ def export(
     if speed != 1.0 and kind != ".wav":
         raise SceneError("--speed is for sound (.wav)")
     if progress is not None:
-        stretch = replace(stretch, on_read=_counted(stretch, _PASSES.get(kind, 1), progress))
+        stretch = replace(stretch, on_read=_counter(stretch, _PASSES.get(kind, 1), progress))
     with replacing(path, overwrite or None) as part:
         needed, free = expected_bytes(stretch, kind), shutil.disk_usage(part.parent).free
         # Where numbers are short, a table takes a quarter of it.
@@ -211,7 +211,7 @@ def export(
     return notes
 
 
-def _counted(stretch: Slice, passes: int, progress: Callable[[int, int], None]) -> Callable[[int], None]:
+def _counter(stretch: Slice, passes: int, progress: Callable[[int, int], None]) -> Callable[[int], None]:
     total, done = passes * len(stretch.channels) * (stretch.stop - stretch.start), 0
 
     def read(samples: int) -> None:

@@ -97,7 +97,7 @@ def write_frfs(frfs: Sequence[Frf], path: Path, nodes: Sequence[int], driven: in
         steps = np.diff(curve.frequency)
         where = {
             "type": 58, "binary": 0, "id2": _line(curve.label), "id3": _line(curve.ratio),
-            # No field of the format holds: how far leakage smears a line.
+            # How far leakage smears a line: the format has no field for it.
             "id4": f"{RESOLUTION_LINE} {curve.resolution!r} Hz",
             "rsp_ent_name": "NONE", "rsp_node": node, "rsp_dir": 3,
             "ref_ent_name": "NONE", "ref_node": driven, "ref_dir": 3,

@@ -345,14 +345,13 @@ def _clearance_limits(problem: Problem, found: Estimate) -> dict[int, float]:
 def _fitted(one: Parameter, x: float, deviation: float, missed: bool) -> Fitted:
     low, value, high = (one.value(x + step * CONFIDENCE * deviation) for step in (-1.0, 0.0, 1.0))
     half = CONFIDENCE * deviation * slope(one, value)
-    status = (
-        "undetermined"
-        if half > _UNDETERMINED
-        else "determined"
-        if half <= one.limit and not missed
-        else "roughly"
-    )
-    return Fitted(one.key, one.unit, one.start, value, low, high, status)
+    return Fitted(one.key, one.unit, one.start, value, low, high, _status(one, half, missed))
+
+
+def _status(one: Parameter, half_width: float, missed: bool) -> str:
+    if half_width > _UNDETERMINED:
+        return "undetermined"
+    return "determined" if half_width <= one.limit and not missed else "roughly"
 
 
 def _compared(problem: Problem, x: Array, scene: Scene, number: int) -> Compared:

@@ -93,11 +93,11 @@ def doubts(
             f"{_listed(2.0 * half[few], 3)} Hz, so the damping is extrapolated from the flanks. Measure every "
             f"{half[few].min() / 2.0:.2g} Hz there."
         )
-    unsure = (error > _OFF * zeta) & (error <= DETERMINED * zeta)
-    if unsure.any():
+    uncertain = (error > _OFF * zeta) & (error <= DETERMINED * zeta)
+    if uncertain.any():
         parts = ", ".join(
             f"{100 * part:.2g} % at {at:.4g} Hz"
-            for part, at in zip(error[unsure] / zeta[unsure], f[unsure], strict=True)
+            for part, at in zip(error[uncertain] / zeta[uncertain], f[uncertain], strict=True)
         )
         yield f"Damping is poorly determined: {parts} (standard uncertainty)."
 

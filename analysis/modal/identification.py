@@ -86,7 +86,7 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
     weighted, model, error = _explained(
         measured, sigma, stable[:_STARTS], every[:_TRIED], MOST_MODES if count is None else count
     )
-    weighted, model, dropped = _told(weighted, model, curves)
+    weighted, model, dropped = _without_doubtful_poles(weighted, model, curves)
     joint = None if error else _refined(weighted, model, curves)
     if joint is not None:
         model = joint.model
@@ -245,7 +245,9 @@ def _neighbourhood(measured: Curves) -> Array:
     return np.stack([size[:, a:b].max(axis=1) for a, b in zip(low, high, strict=True)], axis=1)
 
 
-def _told(curves: Curves, model: Fit, frfs: Sequence[Frf]) -> tuple[Curves, Fit, list[float]]:
+def _without_doubtful_poles(
+    curves: Curves, model: Fit, frfs: Sequence[Frf]
+) -> tuple[Curves, Fit, list[float]]:
     """Leave out poles that are no modes; say where they were, in Hz.
 
     Those whose damping is undetermined, and those that exceed no curve's systematic uncertainty, which does not

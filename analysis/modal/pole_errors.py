@@ -150,7 +150,7 @@ def _factors(curves: Curves, model: Fit) -> tuple[Array, Array, Array]:
 
     Independent ones; those shared by responses and neighbours, as the misfit shows them; and those of a reference,
     by which all responses are divided: a line's errors are the same part of each response, so that poles follow them
-    and the misfit shows little. Of these the curves' own errors determine, no more than the surest response's.
+    and the misfit shows little. Their size follows from the curves' own errors: at most that of the surest response.
     """
     parameters = model.slope.shape[0]
     slope = model.slope.reshape(parameters, -1)
@@ -179,7 +179,7 @@ def _factors(curves: Curves, model: Fit) -> tuple[Array, Array, Array]:
     surest = np.max(curves.weight * abs(curves.value), axis=0)
     relative = np.divide(1.0, surest, out=np.zeros_like(surest), where=surest > 0.0)
     scored = np.einsum("pmn,mn->pn", model.slope.conj(), curves.weight * curves.value) * relative
-    # What neighbours share of the misfit they share of the curves' own errors, where that is what the misfit is.
+    # Where the misfit consists of the curves' own errors, neighbours share as much of both.
     alike = reach if model.misfit > _IS_NOISE * degrees else curves.shared
     common = normal @ np.concatenate([scored.real, scored.imag], axis=1) * np.sqrt(alike)
     return plain, seen, np.asarray(common, dtype=float)

@@ -14,7 +14,7 @@ ComplexArray = NDArray[np.complex128]
 
 # Evaluations within which a fit from a good start has settled; one from a bad start is not worth more.
 _EVALUATIONS = 25
-# Terms of the series that stands for modes above the band: of fewer lines than these, only the first can be determined.
+# Terms of the series that represents modes above the band: of fewer lines than these, only the first can be determined.
 ABOVE, _LINES = 3, 20
 
 
@@ -72,9 +72,9 @@ class Fit:
     residue : ndarray of complex, shape (responses, modes)
         m/(N s).
     lower : ndarray, shape (responses,)
-        lower / s² stands for modes below the band.
+        lower / s² represents modes below the band.
     upper : ndarray, shape (responses, 3)
-        upper[0] + upper[1] s + upper[2] s² stands for modes above the band.
+        upper[0] + upper[1] s + upper[2] s² represents modes above the band.
     misfit : float
         Sum of squared weighted differences.
     rest : ndarray of complex, shape (responses, n)

@@ -132,7 +132,7 @@ def describe_energy(energy: CycleEnergy, true: np.ndarray | None = None) -> list
         share, bound = (100.0 * each[i] / energy.supplied[i] for each in (energy.dampers, energy.bound))
         into = (
             f"{rounded(share, bound)} ± {rounded(bound, bound)}"
-            if share > bound
+            if not abs(share) <= bound
             else f"below {plainly(share + bound)}"
         )
         own = 10.0 * energy.structure[i] / energy.supplied[i]

@@ -301,8 +301,8 @@ def unlike_theory(modes: Modes, theory: np.ndarray | None) -> list[str]:
         return []
     nearest = nearest_mac(modes, theory)
     # By so much at most what a shape may be off by lowers its MAC.
-    unsure = np.sum((2.0 * modes.shape_error) ** 2, axis=0) / np.sum(abs(modes.shapes) ** 2, axis=0)
-    off = nearest + unsure < SAME_SHAPE
+    uncertain = np.sum((2.0 * modes.shape_error) ** 2, axis=0) / np.sum(abs(modes.shapes) ** 2, axis=0)
+    off = nearest + uncertain < SAME_SHAPE
     if not off.any():
         return []
     pairs = zip(modes.frequency[off], nearest[off], strict=True)

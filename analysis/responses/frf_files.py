@@ -316,8 +316,8 @@ def _curve(
     return Frf(
         frequency=frequency[keep],
         value=np.asarray(value, dtype=complex)[keep],
-        error=_told(error, frequency, keep),
-        coherence=_told(coherence, frequency, keep),
+        error=_at_kept_lines(error, frequency, keep),
+        coherence=_at_kept_lines(coherence, frequency, keep),
         degrees=np.zeros(keep.size),
         response=name,
         motion=motion,
@@ -326,7 +326,7 @@ def _curve(
     )
 
 
-def _told(column: Array | None, frequency: Array, keep: NDArray[np.intp]) -> Array:
+def _at_kept_lines(column: Array | None, frequency: Array, keep: NDArray[np.intp]) -> Array:
     """Take what a file says of the lines that are kept; unknown where it says nothing, or nothing that can be."""
     if column is None or column.size != frequency.size:
         return np.full(keep.size, np.nan)

@@ -40,7 +40,7 @@ def tdms_signals(path: Path, stack: ExitStack) -> list[Signal]:
         raise
     except Exception as error:
         # The reader meets damage as whatever it happens to lead to.
-        raise RecordingError(f"{path} is no TDMS file, or it is damaged: {_told(error)}") from error
+        raise RecordingError(f"{path} is no TDMS file, or it is damaged: {_cause(error)}") from error
 
 
 @contextmanager
@@ -96,7 +96,7 @@ def _clock(path: Path, channel: Any) -> tuple[float, float, list[Missing]]:
             times = (times - times[:1]) / np.timedelta64(1, "s")
         seconds = times.astype(float)
     except Exception as error:
-        raise RecordingError(f"{where} cannot be read: {_told(error)}") from error
+        raise RecordingError(f"{where} cannot be read: {_cause(error)}") from error
     unit = str(channel.properties.get("unit_string") or "s")
     try:
         seconds = seconds * parse(f"1 {unit}", TIME)
@@ -130,7 +130,7 @@ def _signal(
         try:
             return np.asarray(channel.read_data(first, stop - first), dtype=np.float64)
         except Exception as error:
-            raise RecordingError(f"{where} cannot be read from sample {first} on: {_told(error)}") from error
+            raise RecordingError(f"{where} cannot be read from sample {first} on: {_cause(error)}") from error
 
     unit = str(properties.get("unit_string") or properties.get("NI_UnitDescription") or "")
     start_ns = _nanoseconds(properties.get("wf_start_time"))
@@ -144,5 +144,5 @@ def _nanoseconds(time: Any) -> int:
     return max(0, int((time - _EPOCH) / np.timedelta64(1, "us")) * 1000)
 
 
-def _told(error: Exception) -> str:
+def _cause(error: Exception) -> str:
     return f"{type(error).__name__}: {error}"[:200]

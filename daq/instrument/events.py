@@ -108,7 +108,7 @@ class Events:
 
     def begin(self) -> None:
         """Start with a task."""
-        self._told, self._signalled, self._told_done = 0, 0, False
+        self._sent, self._signalled, self._done_sent = 0, 0, False
         self._come: set[Signal] = set()
 
     def due(self, passed: int) -> int | None:
@@ -125,26 +125,26 @@ class Events:
         run : Acquisition or Generation or None
             What they came from.
         """
-        notified = False
+        sent = False
         if self._every is not None:
             _, samples, listener = self._every
-            while self._told < passed // samples:
-                self._told += 1
+            while self._sent < passed // samples:
+                self._sent += 1
                 listener(samples)
-                notified = True
+                sent = True
         for signal in _EACH_SAMPLE:
             if signal in self._signals:
                 for _ in range(passed - self._signalled):
                     self._signals[signal](int(signal))
         self._signalled = passed
         if run is None:
-            return notified
+            return sent
         begun, found = run.first_tick is not None, getattr(run, "trigger", None) is not None
         for signal, come in ((Signal.START_TRIGGER, begun), (Signal.REFERENCE_TRIGGER, found)):
             if come and signal in self._signals and signal not in self._come:
                 self._come.add(signal)
                 self._signals[signal](int(signal))
-        if self._done is not None and not self._told_done and run.done:
-            self._told_done = True
+        if self._done is not None and not self._done_sent and run.done:
+            self._done_sent = True
             self._done(0 if run.error is None else run.error.code)
-        return notified
+        return sent

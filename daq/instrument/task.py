@@ -50,7 +50,7 @@ class Task:
         Whether the script has heard why the run ended early.
     played : bool
         Whether the buffer has been played.
-    overloads_told : list of str or None
+    overloads_reported : list of str or None
         Channels that were overloaded when that was last asked.
     """
 
@@ -62,7 +62,7 @@ class Task:
         self.buffer: OutputBuffer | None = None
         self.running = self.closed = False
         self.automatic = self.committed = self.reported = self.played = False
-        self.overloads_told: list[str] | None = None
+        self.overloads_reported: list[str] | None = None
         self._looked: dict[str, int] = {}
         self.log: TaskLog | None = None
         self.name = ""

@@ -216,7 +216,7 @@ def collect(
         if got == wanted:
             return ended(None)
         if run.done and run.readable <= run.position:
-            # What a finite task has acquired is all there is; a read that finds nothing gets that error.
+            # A finite task acquires no more; a read that finds nothing ends with the error for that.
             return ended(None if got and run.error is None else run.error or _ended())
         left = timeout if timeout < 0 else max(0.0, timeout - (chassis.clock.now(chassis) - began))
         ready = chassis.wait(
@@ -269,20 +269,20 @@ def overloaded_exist(task: Task) -> bool:
     run = None if task.acquisition is None else task.acquisition.acquisition
     flags = [] if run is None else run.overloaded.tolist()
     names = [each.name for each in task.settings.channels]
-    task.overloads_told = [name for name, flag in zip(names, flags, strict=False) if flag]
+    task.overloads_reported = [name for name, flag in zip(names, flags, strict=False) if flag]
     if run is not None:
         run.overloaded[:] = False
-    return bool(task.overloads_told)
+    return bool(task.overloads_reported)
 
 
 def overloaded(task: Task) -> list[str]:
     """Names of the channels that were overloaded when `overloaded_exist` was asked."""
-    if task.overloads_told is None:
+    if task.overloads_reported is None:
         raise DaqError(
             "ask in_stream.overloaded_chans_exist first: it takes the flags that overloaded_chans names",
             Code.OVERLOADED_CHANS_EXIST_NOT_READ,
         )
-    return list(task.overloads_told)
+    return list(task.overloads_reported)
 
 
 def raw_width(task: Task) -> int:

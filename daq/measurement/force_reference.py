@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from rig.scene.scene import Scene
 
 
-def force_untold(scene: Scene, channels: Sequence[ChannelInfo]) -> str | None:
+def missing_force_reference(scene: Scene, channels: Sequence[ChannelInfo]) -> str | None:
     """Name the channels that are missing to measure the shaker's force; None if none is missing.
 
     Parameters
@@ -23,7 +23,7 @@ def force_untold(scene: Scene, channels: Sequence[ChannelInfo]) -> str | None:
     >>> import rig
     >>> from daq.signal_chain.bench import Bench
     >>> bench = Bench(rig.load("bare-structure"))
-    >>> force_untold(bench.scene, bench.channels) is None
+    >>> missing_force_reference(bench.scene, bench.channels) is None
     True
     """
     shaker, test = scene.driven_shaker, scene.test

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from daq.excitation import Excitation, Station, excitation
 from daq.measurement.estimate import estimate, refuse_too_much
-from daq.measurement.force_reference import force_untold
+from daq.measurement.force_reference import missing_force_reference
 from daq.measurement.limits import ControlLoss, Limits, Stretches
 from daq.recording.committed_file import DiskError
 from daq.recording.interrupts import answered
@@ -161,7 +161,7 @@ class MeasurementRun:
         test = self._excite(self._station)
         drive = next(test)
         bench, path = self.bench, self._path
-        missing = force_untold(bench.scene, bench.channels)
+        missing = missing_force_reference(bench.scene, bench.channels)
         if missing is not None:
             warnings.warn(missing, RunWarning, stacklevel=4)
         _make_folder(path)

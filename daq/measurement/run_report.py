@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from daq.measurement.estimate import WORTH_SAYING_S, estimate
-from daq.measurement.force_reference import force_untold
+from daq.measurement.force_reference import missing_force_reference
 from rig.console import progress
 from rig.errors import ShotrigError
 from rig.results import frequency_ranges
@@ -124,7 +124,7 @@ def next_steps(rec: Recording) -> list[str]:
     channels = list(rec.channels.values())
     steps = ["decay"] if "hit" in kinds or (scene.test is not None and scene.test.kind == "free") else []
     struck = "hit" in kinds and any(info.quantity == "force" for info in channels)
-    if struck or ("measure" in kinds and force_untold(scene, channels) is None):
+    if struck or ("measure" in kinds and missing_force_reference(scene, channels) is None):
         steps += ["frf"] if getattr(scene.test, "kind", "") == "sine" else ["frf", "modes"]
     steps += ["dampers"] if tones and scene.dampers else []
     return [

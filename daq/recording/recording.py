@@ -393,8 +393,8 @@ class Recording(Result):
             for first, stop in unnoted(self._series[name].holes(), noted):
                 if self._is_ours:
                     raise RecordingError(
-                        f"{self.path} lacks the samples {first} to {stop - 1} of {name}, of which none of its "
-                        "marker explains: they were taken out, or what follows was moved; what there is can be read"
+                        f"{self.path} lacks the samples {first} to {stop - 1} of {name}, which no marker "
+                        "explains: they were taken out, or what follows was moved; what there is can be read"
                     )
 
     def close(self) -> None:

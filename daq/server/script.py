@@ -83,7 +83,7 @@ def run_script(
 def _run(command: list[str], port: int, real: bool, limit: TimeLimit) -> int:
     paths = [str(STARTUP), *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = os.environ | {SERVER: f"127.0.0.1:{port}", "PYTHONPATH": os.pathsep.join(paths)}
-    # Forked children make connections of their own, which grpc allows if it is set up for it beforehand.
+    # Forked children make connections of their own, which grpc allows only if this is set before the fork.
     environment |= {"GRPC_ENABLE_FORK_SUPPORT": "1"}
     environment |= ({} if real else {FAST: "1"}) | ({} if limit.endless else {LIMITED: "1"})
     process = subprocess.Popen([sys.executable, *command], env=environment)

@@ -114,7 +114,7 @@ def bed_response(
     frequencies : sequence of float or str
         Hz, or text with units.
     periods : int
-        Of a block; the motion is steady once the compliances of two blocks agree within 1 %. Returned is their mean.
+        Of a block; the motion is steady once the compliances of two blocks agree within 1 %. The result is their mean.
     table : Path, optional
         CSV file with every frequency as soon as it is there; what stands in it of the same scene is not done again.
     cluster : str, optional
@@ -197,10 +197,10 @@ def _known(rows: Sequence[Sequence[str]]) -> dict[str, tuple[SteadyBed, SteadyBe
 
 
 def _row(piece: _Piece, both: tuple[SteadyBed, SteadyBed]) -> list[str]:
-    return [_digest(piece), repr(piece.frequency), *(json.dumps(_told(each)) for each in both)]
+    return [_digest(piece), repr(piece.frequency), *(json.dumps(_stored(each)) for each in both)]
 
 
-def _told(motion: SteadyBed) -> dict[str, Any]:
+def _stored(motion: SteadyBed) -> dict[str, Any]:
     stored = {name: np.asarray(value).tolist() for name, value in vars(motion).items()}
     stored["compliance"] = [[value.real, value.imag] for value in motion.compliance]
     return stored

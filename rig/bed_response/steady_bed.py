@@ -212,7 +212,7 @@ def _change(before: Complex | None, now: Complex) -> float:
 
 def _mean(first: SteadyBed, second: SteadyBed) -> SteadyBed:
     """Average two blocks; types and what is counted are the later one's."""
-    fields_of_both = {field.name: getattr(second, field.name) for field in fields(SteadyBed)}
+    mean = {field.name: getattr(second, field.name) for field in fields(SteadyBed)}
     for name in ("compliance", "floor_impulse", "ceiling_impulse", "energy", "flight"):
-        fields_of_both[name] = 0.5 * (getattr(first, name) + getattr(second, name))
-    return SteadyBed(**fields_of_both)
+        mean[name] = 0.5 * (getattr(first, name) + getattr(second, name))
+    return SteadyBed(**mean)

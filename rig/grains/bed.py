@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from rig.errors import RunError
 from rig.grains.lammps_library import new_lammps
-from rig.grains.rebound import told_restitution
+from rig.grains.rebound import restitution_at_step
 from rig.grains.spheres import Spheres
 from rig.scene.damper import Grains
 
@@ -219,9 +219,9 @@ def _laws(spheres: Spheres, ceiling: float, step: float) -> tuple[str, tuple[str
     """Say what acts between two grains, and write the commands that make the walls."""
     grains, heavy = spheres.settings, spheres.mass / spheres.count
     radius = 0.5 * grains.diameter
-    at_end = contact_law(grains, told_restitution(grains, heavy, radius, step))
-    at_side = contact_law(_at_side(grains), told_restitution(grains, heavy, radius, step))
-    of_two = contact_law(grains, told_restitution(grains, 0.5 * heavy, 0.5 * radius, step))
+    at_end = contact_law(grains, restitution_at_step(grains, heavy, radius, step))
+    at_side = contact_law(_at_side(grains), restitution_at_step(grains, heavy, radius, step))
+    of_two = contact_law(grains, restitution_at_step(grains, 0.5 * heavy, 0.5 * radius, step))
     shapes = {"floor": "plane 0 0 0 0 0 1", "side": f"cylinder z 0 0 {_side(spheres)} INF INF"}
     if math.isfinite(ceiling):
         shapes["ceiling"] = f"plane 0 0 {float(ceiling)!r} 0 0 -1 move NULL NULL v_lowered"

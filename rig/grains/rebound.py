@@ -24,7 +24,7 @@ _PLACES = 16
 _MOST_STEPS = 100_000
 
 
-def told_restitution(grains: Grains, mass: float, radius: float, step: float) -> float:
+def restitution_at_step(grains: Grains, mass: float, radius: float, step: float) -> float:
     """Give the restitution to ask for.
 
     Parameters
@@ -37,7 +37,7 @@ def told_restitution(grains: Grains, mass: float, radius: float, step: float) ->
     Examples
     --------
     >>> lead = Grains(diameter="2 mm", modulus="10 MPa")
-    >>> round(told_restitution(lead, mass=4.75e-5, radius=1e-3, step=5.7e-6), 3)
+    >>> round(restitution_at_step(lead, mass=4.75e-5, radius=1e-3, step=5.7e-6), 3)
     0.202
     """
 

@@ -211,7 +211,7 @@ def help_on(key: str | None = None) -> str:
             f"did you mean {' or '.join(dict.fromkeys(near))}?" if near else "rig help lists those at the top"
         )
         raise SceneError(f"no key {key[:60]!r} in scene files; {hint}")
-    return "\n\n".join("\n".join(_told(each, name)) for name in exact for each in by_name[name])
+    return "\n\n".join("\n".join(_lines_about(each, name)) for name in exact for each in by_name[name])
 
 
 @cache
@@ -253,7 +253,7 @@ def _needed(key: Key) -> str:
     )
 
 
-def _told(key: Key, plain: str) -> Iterator[str]:
+def _lines_about(key: Key, plain: str) -> Iterator[str]:
     yield f"{key.name}{_of(key)}"
     yield _wrapped(key.about, "  ")
     yield _wrapped(f"takes: {key.takes}", "  ")

@@ -15,6 +15,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from tests.benchmarks.checkouts import checked_out
+
 REFERENCE = "789067b"
 SCENE = "fig8-three-dampers"
 
@@ -81,14 +83,9 @@ def main() -> None:
     """Measure and print the table."""
     here = Path(__file__).parents[2]
     with tempfile.TemporaryDirectory() as name:
-        folder, tree = Path(name), Path(name) / "reference"
-        subprocess.run(
-            ["git", "worktree", "add", "--quiet", "--detach", str(tree), REFERENCE], check=True, cwd=here
-        )
-        try:
+        folder = Path(name)
+        with checked_out(REFERENCE, folder / "reference") as tree:
             reference = fastest(("daq", "record", SCENE, "-o", "r.mcap", "--overwrite"), folder, tree)
-        finally:
-            subprocess.run(["git", "worktree", "remove", "--force", str(tree)], check=False, cwd=here)
         print(f"daq record {SCENE} at {REFERENCE}: {reference:.2f} s of processor time")
         print(f"{'command':50s} {'time / s':>8s} {'ratio':>7s}  goal")
         for wait in WAITS:

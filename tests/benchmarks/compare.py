@@ -11,7 +11,10 @@ import os
 import subprocess
 import sys
 import tempfile
+from contextlib import ExitStack
 from pathlib import Path
+
+from tests.benchmarks.checkouts import checked_out
 
 ROUNDS = 5
 BENCHMARK = Path(__file__).parent / "waits.py"
@@ -36,21 +39,17 @@ def verdict(before: list[float], after: list[float]) -> str:
 
 def main(first: str, second: str) -> None:
     """Measure both by turns and print a table."""
-    with tempfile.TemporaryDirectory() as folder:
-        trees = [Path(folder) / name for name in ("a", "b")]
+    with tempfile.TemporaryDirectory() as name, ExitStack() as checkouts:
+        folder = Path(name)
         runs: list[list[dict[str, float]]] = [[], []]
-        try:
-            for tree, commit in zip(trees, (first, second), strict=True):
-                subprocess.run(
-                    ["git", "worktree", "add", "--quiet", "--detach", str(tree), commit], check=True
-                )
-            for number in range(ROUNDS):
-                for tree, found in zip(trees, runs, strict=True):
-                    found.append(measured(tree, Path(folder) / "run.json"))
-                print(f"round {number + 1} of {ROUNDS}", file=sys.stderr, flush=True)
-        finally:
-            for tree in trees:
-                subprocess.run(["git", "worktree", "remove", "--force", str(tree)], check=False)
+        trees = [
+            checkouts.enter_context(checked_out(commit, folder / place))
+            for place, commit in (("a", first), ("b", second))
+        ]
+        for number in range(ROUNDS):
+            for tree, found in zip(trees, runs, strict=True):
+                found.append(measured(tree, folder / "run.json"))
+            print(f"round {number + 1} of {ROUNDS}", file=sys.stderr, flush=True)
     print(f"{'processor time, s':52s} {first[:10]:>10s} {second[:10]:>10s} {'ratio':>7s}")
     for name in runs[0][0]:
         before, after = ([run[name] for run in found] for found in runs)

@@ -243,8 +243,8 @@ def _fit(
     near = _first(lines, side, reference.shape[1])[:, None] + np.arange(width)
     at = ((near - lines[:, None]) / side)[:, None, :]
     x, f, e = (np.moveaxis(each[:, near], 1, 0) for each in (reading.spectra, reference, ends))
-    told_by = reading.response[near][:, None, :]
-    f = f * told_by
+    response_near = reading.response[near][:, None, :]
+    f = f * response_near
     size, drive = (np.maximum(_rms(each), _NOTHING) for each in (x, f))
     x, f = x / size, f / drive
     powers = np.stack([at**k for k in range(order + 1)], axis=-1)
@@ -271,7 +271,7 @@ def _fit(
         left = np.where(better[:, None, None], changed, left)
     # The response at all lines of the fit: its model of a reference of one.
     curve = terms._replace(shared=powers).response(unknown)
-    through = _power(influence * curve * told_by) / 2.0
+    through = _power(influence * curve * response_near) / 2.0
     # Of the reference's power, a mean square of one at each line, that part is independent of all columns which are
     # not its own: with these alone the constant would scatter as that of a polynomial.
     scatter = np.linalg.inv(np.swapaxes(powers[:, 0], 1, 2) @ powers[:, 0])[:, 0, 0] / stretches
@@ -290,7 +290,7 @@ def _fit(
         size=size[:, 0, 0],
         influence=influence / np.where(drive > _NOTHING, drive, np.inf),
         residual=left * size,
-        curve=curve * told_by * (size / drive),
+        curve=curve * response_near * (size / drive),
     )
 
 

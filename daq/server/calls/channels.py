@@ -33,7 +33,7 @@ def create_teds_input(kind: str) -> Callable[[Call], Answer]:
         terminals = unflatten(physical)
         names = numbered(name, len(terminals)) if name else [""] * len(terminals)
         for each, virtual in zip(terminals, names, strict=True):
-            own = settings | implied | _told_by_sensor(call, each, chosen) | {"ai_is_teds": True}
+            own = settings | implied | _settings_of_sensor(call, each, chosen) | {"ai_is_teds": True}
             call.task.settings.add_inputs(each, virtual, chosen, own)
         return {}
 
@@ -48,7 +48,7 @@ def _declared(call: Call, kind: Measurement) -> tuple[str, str, dict[str, Any]]:
     return physical, name, kind.settings(given)
 
 
-def _told_by_sensor(call: Call, physical: str, kind: Measurement) -> dict[str, Any]:
+def _settings_of_sensor(call: Call, physical: str, kind: Measurement) -> dict[str, Any]:
     """Give the settings that a sensor's own data sheet makes for a channel on its terminal.
 
     Raises

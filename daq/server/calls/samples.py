@@ -91,12 +91,12 @@ def _read(counts: _Counts | None = None) -> Callable[[Call], Answer]:
             # All that a finite task had left: each channel keeps its place in the array.
             values = np.pad(values, ((0, 0), (0, samples - done)))
         values = values if by_channel else values.T
-        return _told(call, reading, {"read_array": values, "samps_per_chan_read": done})
+        return _with_status(call, reading, {"read_array": values, "samps_per_chan_read": done})
 
     return read
 
 
-def _told(call: Call, reading: Reading, answer: Answer) -> Answer:
+def _with_status(call: Call, reading: Reading, answer: Answer) -> Answer:
     """Give what was read with the reason why there is no more, if there should be."""
     error = reading.error
     if error is None:
@@ -129,7 +129,7 @@ def _read_raw(call: Call) -> Answer:
     kind = np.int16 if width == 2 else np.int32
     data = reading.samples.T.astype(kind).tobytes().ljust(room, b"\0")
     count = reading.samples.shape[1]
-    return _told(
+    return _with_status(
         call, reading, {"read_array": data, "samps_read": count, "num_bytes_per_samp": channels * width}
     )
 
@@ -157,7 +157,7 @@ def _read_waveforms(call: Call) -> Answer:
             unit = "Volts" if channel.unit == "V" else channel.unit
             waveform.attributes["NI_UnitDescription"].CopyFrom(WaveformAttributeValue(string_value=unit))
         found.append(waveform)
-    return _told(call, reading, {"waveforms": found, "samps_per_chan_read": reading.samples.shape[1]})
+    return _with_status(call, reading, {"waveforms": found, "samps_per_chan_read": reading.samples.shape[1]})
 
 
 def _table(task: Task, data: NDArray[np.float64], samples: int, by_channel: bool) -> NDArray[np.float64]:

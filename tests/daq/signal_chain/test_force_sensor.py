@@ -11,7 +11,7 @@ import daq
 import rig
 from analysis.chain_cost.variants import plain, quiet
 from analysis.responses.frequency_responses import frequency_responses
-from daq.measurement.force_reference import force_untold
+from daq.measurement.force_reference import missing_force_reference
 from daq.signal_chain.bench import Bench
 from rig.errors import RecordingError
 from rig.system.receptance import receptance
@@ -109,7 +109,7 @@ def test_given_channels_when_asked_for_the_force_then_what_is_missing_is_named(
     shaker, test, channels, missing
 ) -> None:
     bench = Bench(scene_of(test, *channels, shaker=shaker))
-    said = force_untold(bench.scene, bench.channels)
+    said = missing_force_reference(bench.scene, bench.channels)
     assert said is None if missing is None else missing in said
 
 

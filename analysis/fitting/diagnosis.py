@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from analysis.fitting.estimate import mean_square, solved
@@ -41,8 +42,8 @@ _NEAR = 0.06
 _NO_UNIT = " (no unit is mistaken by that factor: the structure may as well be another one than the scene's)"
 # Delays of a channel that are tried, s, and the least that counts.
 _DELAYS, _LEAST_DELAY = np.arange(-1.2e-3, 1.21e-3, 2e-5), 5e-6
-# From this delay on, s, its first guess alone explains more.
-_CLEAR = 3e-5
+# From this delay on, s, its first guess alone explains more; it is not off by more than such a range, s.
+_CLEAR, _DELAY_RANGE = 3e-5, 1e-4
 # How much looser a suspected sensor is held, and the scale of all masses from which on it is suspect.
 _FREED, _SCALE_OFF = 1e4, 2.5
 _MOST_PAIRS = 15
@@ -65,7 +66,7 @@ def cause(problem: Problem) -> tuple[bool, str]:
         return False, (
             "No recording without moving dampers is among them. Add one, so that the structure can be fitted alone."
         )
-    before = _variance(problem, bare)[1]
+    before = _refit(problem, bare).variance
     if before < _FULLY_EXPLAINED:
         return False, (
             "The recordings without moving dampers fit, so the dampers differ from the scene's, or their start values "
@@ -84,7 +85,7 @@ def cause(problem: Problem) -> tuple[bool, str]:
     alone = [
         sensor.name
         for sensor in _sensors(bare)
-        if (rest := _without(bare, sensor)) and _variance(problem, rest)[1] < limit
+        if (rest := _without(bare, sensor)) and _refit(problem, rest).variance < limit
     ]
     if len(alone) == 1:
         return True, (
@@ -128,26 +129,26 @@ def _mistakes(problem: Problem, bare: list[Curves], before: float) -> Iterator[t
         turned = [
             _multiplied(curves, -1.0) if curves.reference_sensor == sensor else curves for curves in bare
         ]
-        yield _variance(problem, turned)[1], f"The sign of {sensor.name} is reversed", True
+        yield _refit(problem, turned).variance, f"The sign of {sensor.name} is reversed", True
     for sensor in _sensors(bare):
         turned = [_turned(curves, sensor) for curves in bare]
-        yield _variance(problem, turned)[1], f"The sign of {sensor.name} is reversed", True
+        yield _refit(problem, turned).variance, f"The sign of {sensor.name} is reversed", True
     names = dict.fromkeys(sensor.name for curves in bare for sensor in curves.sensors)
     for one, other in list(combinations(names, 2))[:_MOST_PAIRS]:
         swapped = [_swapped(curves, one, other) for curves in bare]
-        yield _variance(problem, swapped)[1], f"{one} and {other} are swapped", True
+        yield _refit(problem, swapped).variance, f"{one} and {other} are swapped", True
     for sensor in dict.fromkeys((*_sensors(bare), *references)):
         free = replace(sensor, tolerance=_FREED)
-        (trial, x), left = _variance(problem, [_with_sensor(curves, sensor, free) for curves in bare])
-        factor = 1.0 + trial.deviation(x, free)
+        freed = _refit(problem, [_with_sensor(curves, sensor, free) for curves in bare])
+        factor = 1.0 + freed.problem.deviation(freed.x, free)
         meaning = _meaning(factor)
-        yield left, f"{sensor.name} reads {factor:.4g} times what fits{meaning or _NO_UNIT}", bool(meaning)
+        yield freed.variance, f"{sensor.name} reads {factor:.4g} times what fits{meaning or _NO_UNIT}", bool(meaning)
     for form, model in _other_damping(problem):
-        yield _variance(problem, bare, model)[1], f"The damping is not of the scene's form; {form}", True
+        yield _refit(problem, bare, model).variance, f"The damping is not of the scene's form; {form}", True
     for sensor, delay, curves in _delayed(problem, bare, before):
         late = "late" if delay > 0.0 else "early"
         text = f"{sensor.name} reads {abs(delay) * 1e6:.3g} µs {late} (delay in the table)"
-        yield _variance(problem, curves)[1], text, True
+        yield _refit(problem, curves).variance, text, True
 
 
 def _sensors(bare: list[Curves]) -> list[Sensor]:
@@ -206,11 +207,10 @@ def _delayed(
             for delay in _DELAYS
         ]
         delay = float(_DELAYS[int(np.argmax(in_line))])
-        if abs(delay) > _CLEAR:
-            late = [_in_time(curves, sensor, delay) for curves in bare]
-            if _variance(problem, late)[1] > before:
-                continue
-        delay = _refined_delay(problem, bare, sensor, delay)
+        guessed = _refit(problem, [_in_time(curves, sensor, delay) for curves in bare])
+        if abs(delay) > _CLEAR and guessed.variance > before:
+            continue
+        delay = _refined_delay(guessed, bare, sensor, delay)
         if abs(delay) > _LEAST_DELAY:
             yield sensor, delay, [_in_time(curves, sensor, delay) for curves in bare]
 
@@ -220,13 +220,16 @@ def _is_reference(bare: list[Curves], sensor: Sensor) -> bool:
     return any(curves.reference_sensor == sensor for curves in bare)
 
 
-def _refined_delay(problem: Problem, bare: list[Curves], sensor: Sensor, delay: float) -> float:
-    """Give the delay, of a few around a first guess, with which the curves are explained best."""
-    for step in (4e-5, 1e-5, 2.5e-6):
-        tried = [delay + turn * step for turn in (-2.0, -1.0, 0.0, 1.0, 2.0)]
-        left = [_variance(problem, [_in_time(curves, sensor, each) for curves in bare])[1] for each in tried]
-        delay = tried[int(np.argmin(left))]
-    return delay
+def _refined_delay(guessed: _Refit, bare: list[Curves], sensor: Sensor, delay: float) -> float:
+    """Give the delay near a first guess with which the curves are explained best, s."""
+
+    def left(each: float) -> float:
+        return guessed.adjusted([_in_time(curves, sensor, each) for curves in bare]).variance
+
+    found = scipy.optimize.minimize_scalar(
+        left, bounds=(delay - _DELAY_RANGE, delay + _DELAY_RANGE), options={"xatol": 1e-6}
+    )
+    return float(found.x)
 
 
 def _in_time(curves: Curves, sensor: Sensor, delay: float) -> Curves:
@@ -322,9 +325,28 @@ def _swapped(curves: Curves, one: str, other: str) -> Curves:
     return replace(curves, bodies=tuple(bodies[sensor.name] for sensor in curves.sensors))
 
 
-def _variance(
-    problem: Problem, curves: list[Curves], model: Scene | None = None
-) -> tuple[tuple[Problem, Array], float]:
+@dataclass(frozen=True)
+class _Refit:
+    """The scene fitted to curves as they would be without a mistake."""
+
+    problem: Problem
+    x: Array
+
+    @property
+    def variance(self) -> float:
+        """What the fit leaves unexplained; sensors strained far beyond their tolerances would explain anything."""
+        problem = self.problem
+        strain = ((self.x - problem.start) / problem.spread)[len(problem.parameters) :]
+        return max(mean_square(problem, self.x, problem.groups), *(strain**2), 0.0)
+
+    def adjusted(self, curves: list[Curves]) -> _Refit:
+        """Fit curves that differ little, from these values."""
+        trial = Problem(self.problem.model, self.problem.parameters, curves)
+        return _Refit(trial, solved(trial, self.x, trial.groups, 0.0, most=5))
+
+
+def _refit(problem: Problem, curves: list[Curves], model: Scene | None = None) -> _Refit:
+    """Fit the structure of a scene to curves."""
     parameters = [one for one in problem.parameters if one.place[0] != "dampers"]
     if model is not None:
         # Only what was free stays free, with the new form of damping.
@@ -338,9 +360,7 @@ def _variance(
     x = start(trial, trial.groups)
     for distrust in (0.1, 0.01, 0.0):
         x = solved(trial, x, trial.groups, distrust, most=15)
-    # Sensors that are strained far beyond their tolerances explain anything.
-    strain = ((x - trial.start) / trial.spread)[len(parameters) :]
-    return (trial, x), max(mean_square(trial, x, trial.groups), *(strain**2), 0.0)
+    return _Refit(trial, x)
 
 
 def _meaning(factor: float) -> str:

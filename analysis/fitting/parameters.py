@@ -167,11 +167,11 @@ def _by_number(change: Change, names: Sequence[str]) -> Change:
 
 
 def with_values(scene: Scene, values: Mapping[Place, float]) -> Scene:
-    """Put values into a scene, at places from 0."""
+    """Put valid values into a scene, at places from 0."""
     parts: dict[str, dict[Place, float]] = {}
     for place, value in values.items():
         parts.setdefault(str(place[0]), {})[place[1:]] = value
-    return scene.replace(**{name: _put(getattr(scene, name), inside) for name, inside in parts.items()})
+    return scene.with_valid(**{name: _put(getattr(scene, name), inside) for name, inside in parts.items()})
 
 
 def _put(node: Any, values: Mapping[Place, float]) -> Any:
@@ -183,7 +183,7 @@ def _put(node: Any, values: Mapping[Place, float]) -> Any:
     if isinstance(node, tuple):
         return tuple(_put(item, parts[k]) if k in parts else item for k, item in enumerate(node))
     assert isinstance(node, Settings)
-    return node.replace(
+    return node.with_valid(
         **{str(name): _put(getattr(node, str(name)), inside) for name, inside in parts.items()}
     )
 

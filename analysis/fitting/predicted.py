@@ -40,8 +40,9 @@ def on_the_bench(model: Scene, curves: Curves) -> Scene:
                 "where the scene to fit has none; add it there, with what is known of it"
             )
         left.remove(mine)
-        dampers.append(mine[1].replace(locked=damper.locked))
-    return model.replace(shaker=recorded.shaker, test=recorded.test, dampers=tuple(dampers), channels=None)
+        dampers.append(mine[1].with_valid(locked=damper.locked))
+    # Both scenes are valid and have the same bodies, so this one is.
+    return model.with_valid(shaker=recorded.shaker, test=recorded.test, dampers=tuple(dampers), channels=None)
 
 
 def linear(bench: Scene, curves: Curves, frequency: Array) -> ComplexArray:

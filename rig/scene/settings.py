@@ -105,6 +105,14 @@ class Settings(BaseModel):
         variant.__dict__["written"] = {**self.written, **variant.written}
         return variant
 
+    def with_valid(self, **changes: Any) -> Self:
+        """Make a variant with fields whose new values are known to be valid, unchecked: for inner loops."""
+        variant = self.model_copy(update=changes)
+        variant.__dict__["written"] = {
+            name: text for name, text in self.written.items() if name not in changes
+        }
+        return variant
+
     @cached_property
     def written(self) -> Mapping[str, Any]:
         """Quantities as the user wrote them, by field; of no effect but on how the settings are written."""

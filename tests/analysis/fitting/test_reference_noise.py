@@ -42,13 +42,16 @@ def test_modal_values_lie_in_intervals_alike(bench):
     with daq.open(path) as recording:
         modes = analysis.identify(analysis.frfs(recording))
     assert not fitted.misfit
+    off = []
     for k, frequency in enumerate(chain.modes[0]):
         one = fitted.modes[k]
-        assert abs(one.frequency - frequency) < 1.5 * one.frequency_bound
-        assert abs(one.damping - chain.damping[k]) < 1.5 * one.damping_bound
+        off += [abs(one.frequency - frequency) / one.frequency_bound]
+        off += [abs(one.damping - chain.damping[k]) / one.damping_bound]
         assert abs(modes.frequency[k] - frequency) < 3.0 * modes.frequency_error[k]
         assert 1 / 1.5 < 2.0 * modes.frequency_error[k] / one.frequency_bound < 1.6
         assert 1 / 1.5 < 2.0 * modes.damping_error[k] / one.damping_bound < 1.6
+    # Of 95 % intervals one in twenty misses; none by half of itself.
+    assert sum(each > 1.0 for each in off) <= 1 and max(off) < 1.5
 
 
 def test_starts_far_apart_give_one_answer(bench):

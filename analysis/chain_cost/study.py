@@ -29,8 +29,7 @@ from rig.scene.quantities import FREQUENCY, positives
 from rig.scene.scene import Scene
 from rig.system.assembly import assemble
 from rig.system.open_loop_drive import accelerations_per_level, drive_per_level, level_of, with_ideal_force
-from rig.system.receptance import receptance
-from rig.system.structure import natural_modes, structure_matrices
+from rig.system.structural_model import receptance, structural_model
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -116,7 +115,7 @@ def chain_study(
     Notes
     -----
     A structure without working dampers is linear: its exact compliance is the solution of the equations at the
-    frequency (`rig.system.receptance`). With dampers the compliance depends on the level. The recording notes the drive
+    frequency (`receptance`). With dampers the compliance depends on the level. The recording notes the drive
     amplitude that the controller arrived at; the engine's own steady motion under that very drive, followed until it
     repeats within 1e-10, is what the sensors had before them (`rig cost` measures the engine itself against
     arithmetic of 40 digits). Neither sees the chain.
@@ -203,14 +202,7 @@ def _accelerations(scene: Scene, frequencies: Sequence[float] | NDArray[np.float
 
 def _test(scene: Scene, frequencies: tuple[float, ...]) -> SteppedSine:
     """Make a short stepped sine at the scene's level that waits longer than usual."""
-    mass, damping, stiffness = structure_matrices(scene.structure)
-    _, shapes = natural_modes(mass, stiffness)
-    rates = (
-        0.5
-        * np.einsum("ji,jk,ki->i", shapes, damping, shapes)
-        / np.einsum("ji,jk,ki->i", shapes, mass, shapes)
-    )
-    slowest = max(float(rates.min()), DECAYS / LONGEST)
+    slowest = max(float(structural_model(scene).modes.decay_rate.min()), DECAYS / LONGEST)
     name = "force" if getattr(scene.test, "force", None) is not None else "drive"
     return SteppedSine(
         **{name: level_of(scene)},

@@ -54,10 +54,10 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
     sweep : Sweep
         One of `analysis.responses.stepped_sine.sweeps`.
     """
-    from rig.system.structure import structure_matrices
+    from rig.system.structural_model import structural_model
 
     names = sweep.lines.channels
-    _, damping, _ = structure_matrices(rec.scene.structure)
+    damping = structural_model(rec.scene).damping
     bodies = {rec.channels[name].at: name for name in responses(rec)}
     count = len(damping)
     missing = [body for body in range(1, count + 1) if f"body {body}" not in bodies]
@@ -142,14 +142,13 @@ def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
     in the same body or through a full mass matrix.
     """
     from rig.system.assembly import assemble
-    from rig.system.structure import damper_masses, structure_matrices
+    from rig.system.structural_model import structural_model
 
     if any(damper.grains is not None for damper in rec.scene.dampers) or assemble(rec.scene).coupled:
         return np.full(len(sweep.lines.frequency), np.nan)
-    mass, _, _ = structure_matrices(rec.scene.structure)
-    bodies = np.array([damper.body - 1 for damper in rec.scene.dampers])
+    model = structural_model(rec.scene)
     rebound = np.array([damper.restitution for damper in rec.scene.dampers])
-    damper, body = np.asarray(damper_masses(rec.scene)), np.diag(mass)[bodies]
+    damper, body = model.bed_mass, np.diag(model.mass)[model.bed_body]
     factor = 0.5 * damper * body / (damper + body) * (1.0 - rebound**2)
     events = rec.events
     events = events[np.isin(events["kind"], ("floor", "ceiling"))]

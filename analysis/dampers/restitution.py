@@ -103,14 +103,12 @@ def restitution(rec: Recording, found: Impacts, damper: Damper, start: int, stop
 
 def hard_speeds(rec: Recording, found: Impacts, damper: Damper) -> Array:
     """Give closing speeds of the only damper on a body if nothing rebounded, m/s; not finite where it has no mass."""
-    from rig.system.structure import structure_matrices
+    from rig.system.structural_model import structural_model
 
-    mass, _, _ = structure_matrices(rec.scene.structure)
-    place = damper.body - 1
-    own = damper.mass if damper.mass is not None else (damper.mass_ratio or 0.0) * float(mass[place, place])
-    body = 1.0 / float(np.linalg.inv(mass)[place, place])
+    model, place = structural_model(rec.scene), damper.body - 1
+    bed = model.bed_mass[rec.scene.dampers.index(damper)]
     with np.errstate(divide="ignore"):
-        return np.asarray(abs(found.jump) * (1.0 + np.float64(body) / own))
+        return np.asarray(abs(found.jump) * (1.0 + 1.0 / (model.mobility[place, place] * bed)))
 
 
 @dataclass(frozen=True)

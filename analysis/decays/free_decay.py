@@ -19,7 +19,7 @@ from analysis.responses.systematic import clock_deviation
 from rig.errors import RecordingError, SceneError
 from rig.results import Result, styled
 from rig.scene.scene import STANDARD_GRAVITY
-from rig.system.structure import natural_modes, structure_matrices
+from rig.system.structural_model import structural_model
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -253,9 +253,7 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
 
 def _highest_mode(rec: Recording) -> float:
     """Frequency up to which modes are looked for, Hz: an octave above the highest of the scene's structure."""
-    mass, _, stiffness = structure_matrices(rec.scene.structure)
-    frequencies, _ = natural_modes(mass, stiffness)
-    return max(HIGHEST_MODE, float(frequencies.max()) / np.pi)
+    return max(HIGHEST_MODE, 2.0 * float(structural_model(rec.scene).modes.frequency.max()))
 
 
 def _energy_after(shown: Array) -> float:

@@ -17,7 +17,7 @@ from analysis.fitting.problem import Problem
 from analysis.fitting.start import start
 from rig.scene.scene import Scene
 from rig.scene.structure import Dashpots, ModalDamping
-from rig.system.structure import natural_modes, structure_matrices
+from rig.system.structural_model import structural_model
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -142,7 +142,11 @@ def _mistakes(problem: Problem, bare: list[Curves], before: float) -> Iterator[t
         freed = _refit(problem, [_with_sensor(curves, sensor, free) for curves in bare])
         factor = 1.0 + freed.problem.deviation(freed.x, free)
         meaning = _meaning(factor)
-        yield freed.variance, f"{sensor.name} reads {factor:.4g} times what fits{meaning or _NO_UNIT}", bool(meaning)
+        yield (
+            freed.variance,
+            f"{sensor.name} reads {factor:.4g} times what fits{meaning or _NO_UNIT}",
+            bool(meaning),
+        )
     for form, model in _other_damping(problem):
         yield _refit(problem, bare, model).variance, f"The damping is not of the scene's form; {form}", True
     for sensor, delay, curves in _delayed(problem, bare, before):
@@ -245,14 +249,11 @@ def _other_damping(problem: Problem) -> Iterator[tuple[str, Scene]]:
     structure = problem.model.structure
     if structure.masses is None or structure.springs is None:
         return
-    mass, damping, stiffness = structure_matrices(structure)
-    omega, shapes = natural_modes(mass, stiffness)
-    ratio = np.einsum("ji,jk,ki->i", shapes, damping, shapes) / (
-        2.0 * np.maximum(omega, 1e-9) * np.einsum("ji,jk,ki->i", shapes, mass, shapes)
-    )
+    modes = structural_model(problem.model).modes
+    ratio = modes.damping_ratio
     forms: dict[str, ModalDamping | Dashpots]
     if isinstance(structure.damping, ModalDamping):
-        dashpots = tuple(2.0 * float(ratio.mean()) / omega[0] * k for k in structure.springs)
+        dashpots = tuple(2.0 * float(ratio.mean()) / modes.omega[0] * k for k in structure.springs)
         forms = {"dashpots fit: give structure.damping: {dashpots: [...]}": Dashpots(dashpots=dashpots)}
     else:
         modal = tuple(float(max(each, 1e-4)) for each in ratio)

@@ -24,7 +24,7 @@ from rig.input_files import repeated
 from rig.results import Result, plainly, styled
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.scene import Scene
-from rig.system.structure import natural_modes, structure_matrices
+from rig.system.structural_model import structural_model
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -408,11 +408,8 @@ def _modes(problem: Problem, found: Estimate) -> tuple[Mode, ...]:
     """Modes of the structure alone; bounds by first-order propagation of the covariance's factor."""
 
     def at(x: Array) -> Array:
-        mass, damping, stiffness = structure_matrices(problem.scene(x).structure)
-        omega, shapes = natural_modes(mass, stiffness)
-        modal = np.einsum("ji,jk,ki->i", shapes, mass, shapes)
-        ratio = np.einsum("ji,jk,ki->i", shapes, damping, shapes) / (2.0 * np.maximum(omega, 1e-9) * modal)
-        return np.concatenate([omega / (2.0 * np.pi), ratio])
+        modes = structural_model(problem.scene(x)).modes
+        return np.concatenate([modes.frequency, modes.damping_ratio])
 
     here, step = at(found.x), 1e-6
     columns = [(at(found.x + step * row) - here) / step for row in np.eye(problem.size)]

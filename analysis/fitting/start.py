@@ -15,8 +15,7 @@ from analysis.modal.identification import identify
 from analysis.modal.modes import Modes, mac
 from rig.errors import RecordingError, SceneError
 from rig.scene.scene import Scene
-from rig.system.receptance import driven_bodies, loaded_matrices
-from rig.system.structure import natural_modes
+from rig.system.structural_model import driven_bodies, structural_model
 
 Array = NDArray[np.float64]
 
@@ -91,16 +90,16 @@ def _model_modes(scene: Scene, group: Group) -> tuple[Array, Array, Array]:
     """Frequency [Hz], damping ratio, and 2 w times the residue's size at each response, shape (responses, modes)."""
     bench = on_the_bench(scene, group.curves)
     spring = getattr(bench.driven_shaker, "spring", None)
-    mass, damping, stiffness = loaded_matrices(bench, spring is not None)
-    omega, shapes = natural_modes(mass, stiffness)
-    omega = np.maximum(omega, 1e-6)
-    shapes = shapes / np.sqrt(np.einsum("ji,jk,ki->i", shapes, mass, shapes))
-    ratio = np.einsum("ji,jk,ki->i", shapes, damping, shapes) / (2.0 * omega)
+    model = structural_model(bench).with_riding()
+    if spring is not None:
+        model = model.on_spring(driven_bodies(bench), spring)
+    modes = model.modes
+    shapes = modes.shapes / np.sqrt(modes.mass)
     hammer = bench.test is not None and bench.test.kind == "impulse"
     driven = [bench.test.body - 1] if hammer else driven_bodies(bench)  # type: ignore[union-attr]
     force = spring if group.curves.reference == "table" and spring is not None else 1.0
     residue = shapes[list(group.curves.bodies)] * shapes[driven].sum(axis=0) * force
-    return omega / (2.0 * np.pi), ratio, residue
+    return np.maximum(modes.frequency, 1e-6), modes.damping_ratio, residue
 
 
 def _ways(scene: Scene, group: Group, modes: Modes) -> list[tuple[int, ...]]:

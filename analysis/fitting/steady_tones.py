@@ -22,7 +22,7 @@ from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
 from rig.scene.structure import Structure
 from rig.system.open_loop_drive import riding_response
-from rig.system.receptance import loaded_matrices
+from rig.system.structural_model import driven_bodies, structural_model
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -192,9 +192,11 @@ class _Rig:
         if shaker.kind == "electrodynamic":
             level = "drive"
         elif self.spring:
-            mass, damping, stiffness = loaded_matrices(bench.replace(dampers=()), attached=True)
-            held = Structure(matrices=Matrices(mass=mass, damping=damping, stiffness=stiffness))
-            bench = bench.replace(structure=held, shaker=ForceShaker(body=shaker.body))
+            held = structural_model(bench).on_spring(driven_bodies(bench), self.spring)
+            matrices = Matrices(mass=held.mass, damping=held.damping, stiffness=held.stiffness)
+            bench = bench.replace(
+                structure=Structure(matrices=matrices), shaker=ForceShaker(body=shaker.body)
+            )
         self.bodies = bench.structure.bodies
         self.problem = OrbitProblem(bench.replace(test={"kind": "sine", "frequency": 1.0, level: 1.0}))
         if shaker.kind == "electrodynamic":

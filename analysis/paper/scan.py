@@ -15,7 +15,7 @@ from rig.damper_design.worst_peak import curve, resonance
 from rig.orbits.problem import OrbitProblem
 from rig.response.motion_type import overall
 from rig.scene.scene import Scene
-from rig.system.receptance import receptance
+from rig.system.structural_model import receptance
 
 Floats = NDArray[np.float64]
 

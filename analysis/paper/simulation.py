@@ -20,20 +20,18 @@ from rig.scene.scene import Scene
 from rig.single_mode.approximate_response import Branch, follow_mode
 from rig.single_mode.reduction import Weighting, single_mode
 from rig.system.open_loop_drive import with_ideal_force
-from rig.system.receptance import receptance
-from rig.system.structure import natural_modes, structure_matrices
+from rig.system.structural_model import receptance, structural_model
 
 Floats = NDArray[np.float64]
 
 
 def structure_numbers(scene: Scene, frequencies: Floats) -> Arrays:
     """Natural frequencies [rad/s], shapes (bodies, modes), and the exact compliance over frequency."""
-    mass, _, stiffness = structure_matrices(scene.structure)
-    omega, shapes = natural_modes(mass, stiffness)
+    modes = structural_model(scene).modes
     bare = scene.replace(dampers=[])
     return {
-        "omega": omega,
-        "shapes": shapes,
+        "omega": modes.omega,
+        "shapes": modes.shapes,
         "frequency": frequencies,
         "compliance": receptance(bare, frequencies),
         "riding": receptance(scene, frequencies, riding=range(1, len(scene.dampers) + 1)),

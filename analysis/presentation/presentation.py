@@ -139,7 +139,7 @@ def stated_tolerances(rec: Recording, frfs: Sequence[Frf]) -> list[str]:
 
 def linear_theory(rec: Recording, frf: Frf) -> Frf:
     """Exact linear curve of the scene's structure without dampers, for the same response and reference."""
-    from rig.system.receptance import receptance
+    from rig.system.structural_model import receptance
 
     low, high = float(frf.frequency.min()), float(frf.frequency.max())
     frequency = np.geomspace(low, high, 3000)
@@ -327,10 +327,9 @@ def _element(value: float, bound: float) -> str:
 
 def theoretical_shapes(rec: Recording, modes: Modes) -> np.ndarray | None:
     """Shapes of the scene's structure at the measured points, shape (responses, bodies)."""
-    from rig.system.structure import natural_modes, structure_matrices
+    from rig.system.structural_model import structural_model
 
-    mass, _, stiffness = structure_matrices(rec.scene.structure)
-    _, shapes = natural_modes(mass, stiffness)
+    shapes = structural_model(rec.scene).modes.shapes
     bodies = [int(rec.channels[name].at.split()[1]) - 1 for name in modes.responses]
     return np.asarray(shapes)[bodies] if len(bodies) > 1 else None
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.report.charts import Chart, Curve, EvenlySpaced, Image, Panel
-from rig.system.structure import natural_modes, structure_matrices
+from rig.system.structural_model import structural_model
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -70,9 +70,8 @@ def _envelopes(rec: Recording, names: list[str]) -> tuple[Array, Array]:
 
 def spectrograms(rec: Recording) -> list[Chart]:
     """One chart for each channel: power spectra with a Hann window at equal distances in time."""
-    mass, _, stiffness = structure_matrices(rec.scene.structure)
-    omega, _ = natural_modes(mass, stiffness)
-    highest = min(rec.rate / 2, _SPECTRUM_TO * float(omega.max()) / (2.0 * np.pi))
+    natural = structural_model(rec.scene).modes.frequency
+    highest = min(rec.rate / 2, _SPECTRUM_TO * float(natural.max()))
     block = int(min(rec.samples, rec.rate * _LINES / highest))
     if block < _MIN_BLOCK:
         return []

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from analysis.responses.frf import MOTIONS
 from analysis.responses.systematic import ALIASING, of_reading, off_by_gains
 from rig.scene.shaker import ElectrodynamicShaker, TableShaker
-from rig.system.structure import damper_masses, structure_matrices
+from rig.system.structural_model import structural_model
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -125,7 +125,7 @@ def _blows(scene: Scene, body: int) -> float:
     """
     beds = [
         bed
-        for damper, bed in zip(scene.dampers, damper_masses(scene), strict=True)
+        for damper, bed in zip(scene.dampers, structural_model(scene).bed_mass, strict=True)
         if damper.body == body and damper.moves and not (damper.contact or damper.grains)
     ]
     return float(sum(beds)) * _inverse_mass(scene, body) if beds else 0.0
@@ -133,8 +133,7 @@ def _blows(scene: Scene, body: int) -> float:
 
 def _inverse_mass(scene: Scene, body: int) -> float:
     """Acceleration of a body for each newton on it while no other has moved, 1/kg."""
-    mass, _, _ = structure_matrices(scene.structure)
-    return float(np.linalg.solve(mass, np.eye(len(mass))[body - 1])[body - 1])
+    return float(structural_model(scene).mobility[body - 1, body - 1])
 
 
 def _moved(

@@ -147,11 +147,11 @@ class RigView:
     def __init__(
         self, scene: Scene, extremes: Extremes, gaps_known: bool, unknown: Collection[str] = ()
     ) -> None:
-        from rig.system.structure import damper_masses
+        from rig.system.structural_model import structural_model
 
         self.scene = scene
         self.magnification = exaggeration(extremes)
-        self.damper_masses = damper_masses(scene)
+        self.damper_masses = structural_model(scene).bed_mass
         self.gaps_known = gaps_known
         self._unknown = unknown
         self._excursion = extremes.body * self.magnification

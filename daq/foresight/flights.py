@@ -15,7 +15,7 @@ from rig.scene.excitation import Sine, SteppedSine, SweptSine
 from rig.scene.scene import Scene
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import accelerations_per_level
-from rig.system.structure import natural_modes, structure_matrices
+from rig.system.structural_model import structural_model
 
 Array = NDArray[np.float64]
 
@@ -89,8 +89,7 @@ def outside_band(scene: Scene) -> tuple[str, ...]:
     band = test_band(scene.test)
     if band is None or isinstance(scene.test, Sine):
         return ()
-    mass, _, stiffness = structure_matrices(scene.structure)
-    modes = natural_modes(mass, stiffness)[0] / (2.0 * np.pi)
+    modes = structural_model(scene).modes.frequency
     left = [(k, mode) for k, mode in enumerate(modes.tolist(), 1) if not band[0] <= mode <= band[1]]
     if not left:
         return ()

@@ -22,7 +22,7 @@ from rig.scene.excitation import Free, Impulse, Multisine, Random, Sine, Stepped
 from rig.scene.presets import filled_in, input_settings
 from rig.scene.scene import Scene
 from rig.system.assembly import assemble
-from rig.system.structure import natural_modes, structure_matrices
+from rig.system.structural_model import structural_model
 
 Array = NDArray[np.float64]
 
@@ -133,11 +133,8 @@ def _wait(scene: Scene) -> float:
 
 def _slowest(scene: Scene) -> float:
     """Time constant of the slowest mode, s."""
-    mass, damping, stiffness = structure_matrices(scene.structure)
-    frequencies, shapes = natural_modes(mass, stiffness)
-    modal_mass = np.einsum("ji,jk,ki->i", shapes, mass, shapes)
-    decay = np.einsum("ji,jk,ki->i", shapes, damping, shapes) / (2.0 * modal_mass)
-    return float(1.0 / max(decay[frequencies > 0.0].min(initial=np.inf), 1e-3))
+    modes = structural_model(scene).modes
+    return float(1.0 / max(modes.decay_rate[modes.omega > 0.0].min(initial=np.inf), 1e-3))
 
 
 def _holds_spring_force(scene: Scene) -> bool:

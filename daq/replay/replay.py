@@ -56,7 +56,7 @@ class Replay:
         end_s: float | None = None,
         speed: float = 1.0,
     ) -> None:
-        from rig.system.structure import natural_modes, structure_matrices
+        from rig.system.structural_model import structural_model
 
         if not (math.isfinite(speed) and speed > 0):
             raise SceneError(f"--speed {speed:g}: expected a positive factor, such as 0.1 for slow motion")
@@ -77,8 +77,7 @@ class Replay:
         frames_per_s = min(MOST_FRAMES_PER_S, max(LEAST_FRAMES_PER_S, FRAMES / seconds))
         self.step = max(1, round(rate / frames_per_s))
         scene = recording.scene
-        mass, _, stiffness = structure_matrices(scene.structure)
-        natural_hz = natural_modes(mass, stiffness)[0] / (2 * np.pi)
+        natural_hz = structural_model(scene).modes.frequency
         # A structure that is not held has modes at 0 Hz, which set no time scale.
         self.lowest_hz = float(min(natural_hz[natural_hz > SLOWEST_HZ], default=SLOWEST_HZ))
         self.motion = RecordedMotion(recording)

@@ -63,10 +63,9 @@ def spectrum_picture(
     """
     from matplotlib.figure import Figure
 
-    from rig.system.structure import natural_modes, structure_matrices
+    from rig.system.structural_model import structural_model
 
-    mass, _, stiffness = structure_matrices(recording.scene.structure)
-    natural_hz = natural_modes(mass, stiffness)[0] / (2 * np.pi)
+    natural_hz = structural_model(recording.scene).modes.frequency
     quantities = sorted({(info.quantity, info.unit) for info in recording.channels.values()})
     figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100, facecolor=PAPER, layout="constrained")
     panels = figure.subplots(len(quantities), 1, sharex=True, squeeze=False)[:, 0]

@@ -126,13 +126,12 @@ def scope(
 
 def knobs_for(scene: Scene, frequency: float | None, force: float) -> Knobs:
     """Set the knobs to begin with: the frequency asked for, or that of the scene's test, or the lowest mode's."""
-    from rig.system.structure import natural_modes, structure_matrices
+    from rig.system.structural_model import structural_model
 
     if frequency is None:
         frequency = getattr(scene.test, "frequency", None) or getattr(scene.test, "from_", None)
     if frequency is None:
-        mass, _, stiffness = structure_matrices(scene.structure)
-        frequency = max(1.0, float(natural_modes(mass, stiffness)[0][0] / (2 * np.pi)))
+        frequency = max(1.0, float(structural_model(scene).modes.frequency[0]))
     return Knobs(frequency, force, highest=float(scene.converter.sample_rate) / FEWEST_SAMPLES)
 
 

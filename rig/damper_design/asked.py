@@ -15,7 +15,7 @@ from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, MASS, RATIO, Kind, nu
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
 from rig.system.open_loop_drive import level_of, with_ideal_force
-from rig.system.structure import structure_matrices
+from rig.system.structural_model import structural_model
 
 #: Levels that a design must do well at by default, relative to that of the scene's test.
 LEVELS = (0.5, 1.0, 2.0)
@@ -83,7 +83,7 @@ def _under_force(scene: Scene, levels: Sequence[float | str] | None) -> Scene:
 
 def total_mass(scene: Scene) -> float:
     """Give the mass of the structure without dampers, kg."""
-    return float(np.trace(structure_matrices(scene.structure)[0]))
+    return float(np.trace(structural_model(scene).mass))
 
 
 def asked(

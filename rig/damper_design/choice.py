@@ -19,7 +19,7 @@ from rig.orbits.problem import OrbitProblem
 from rig.results import plainly
 from rig.scene.damper import Damper
 from rig.scene.scene import Scene
-from rig.system.structure import structure_matrices
+from rig.system.structural_model import structural_model
 
 Array = NDArray[np.float64]
 
@@ -246,15 +246,15 @@ def variants(scene: Scene, damping: float, stiffness: float) -> tuple[Scene, ...
     damping, stiffness : float
         Either may be larger or smaller by this share of it.
     """
-    mass, damping_matrix, stiffness_matrix = structure_matrices(scene.structure)
+    nominal = structural_model(scene)
     corners = product(*({1.0 - share, 1.0 + share} for share in (damping, stiffness)))
     others = [
         scene.replace(
             structure={
                 "matrices": {
-                    "mass": mass.tolist(),
-                    "damping": (a * damping_matrix).tolist(),
-                    "stiffness": (b * stiffness_matrix).tolist(),
+                    "mass": nominal.mass.tolist(),
+                    "damping": (a * nominal.damping).tolist(),
+                    "stiffness": (b * nominal.stiffness).tolist(),
                 }
             }
         )

@@ -11,8 +11,7 @@ from rig.damper_design.answers import Answers
 from rig.damper_design.choice import Question, Trial
 from rig.damper_design.ranking import ALIKE, MACHINABLE, equals
 from rig.damper_design.worst_peak import Peak
-from rig.system.receptance import loaded_matrices
-from rig.system.structure import natural_modes
+from rig.system.structural_model import structural_model
 
 #: Largest distance from a natural frequency at which a peak is that of its mode, relative.
 REACH = 0.15
@@ -47,8 +46,7 @@ class ModePeaks:
 def modes_of(question: Question) -> list[tuple[float, Question]]:
     """Give the natural frequencies next to the band and in it, and the same question about each mode alone."""
     nominal = question.scenes[0]
-    mass, _, stiffness = loaded_matrices(nominal)
-    natural = natural_modes(mass, stiffness)[0] / (2.0 * np.pi)
+    natural = structural_model(nominal).with_riding().modes.frequency
     natural = natural[natural > 0.0]
     low, high = question.band
     away = np.maximum(np.log(low / natural), np.log(natural / high))

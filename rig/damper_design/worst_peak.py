@@ -14,7 +14,7 @@ from rig.orbits.orbit import solve
 from rig.orbits.problem import OperatingPoint, OrbitProblem
 from rig.orbits.sweep import OrbitResponse, sweep
 from rig.scene.scene import Scene
-from rig.system.receptance import receptance
+from rig.system.structural_model import receptance
 
 Array = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from rig.scene.shaker import ForceShaker
 from rig.simulation.plant import Plant
 from rig.system.assembly import assemble
 from rig.system.open_loop_drive import drive_per_level, level_of, sampled_drive
-from rig.system.structure import natural_modes, structure_matrices
+from rig.system.structural_model import structural_model
 
 Array = NDArray[np.float64]
 
@@ -177,8 +177,7 @@ def bench_drive(scene: Scene, rate: float) -> Array:
     drive = np.zeros((len(system.inputs), samples))
     if scene.driven is None:
         return drive
-    mass, _, stiffness = structure_matrices(scene.structure)
-    omega = float(natural_modes(mass, stiffness)[0][-1])
+    omega = float(structural_model(scene).modes.omega[-1])
     force = getattr(scene.test, "force", None) or getattr(scene.test, "drive", None)
     level = level_of(scene) if force is not None else 1.0
     gain = level * (drive_per_level(scene, system, omega) if scene.test is not None else 1.0)

@@ -16,7 +16,7 @@ from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, Shaker, TableSha
 from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping, Structure
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
-from rig.system.structure import natural_modes, structure_matrices
+from rig.system.structural_model import structural_model
 
 #: Largest number of natural frequencies that are listed.
 _MAX_LISTED = 7
@@ -130,8 +130,7 @@ def motion_effects(scene: Scene) -> Iterable[Effect]:
 
 def _natural_frequencies(scene: Scene) -> str:
     """List the natural frequencies of the structure alone: a mistaken unit shows there first."""
-    mass, _, stiffness = structure_matrices(scene.structure)
-    listed = [f"{omega / (2.0 * np.pi):.4g}" for omega in natural_modes(mass, stiffness)[0]]
+    listed = [f"{frequency:.4g}" for frequency in structural_model(scene).modes.frequency]
     if len(listed) > _MAX_LISTED:
         listed = [*listed[: _MAX_LISTED - 1], "...", listed[-1]]
     return f"{', '.join(listed)} Hz"

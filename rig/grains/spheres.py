@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rig.errors import SceneError
 from rig.scene.damper import Grains
 from rig.scene.scene import Scene
-from rig.system.structure import damper_masses
+from rig.system.structural_model import structural_model
 
 #: Rayleigh's times of the smallest grain in a step of time. At ten times that motions are still stable; so short a step
 #: is what a rebound within 1 % of its restitution takes, from `_LOW` on. Below that steps are shorter by as much as the
@@ -71,7 +71,7 @@ def spheres_of(scene: Scene) -> dict[int, Spheres]:
         If a bed is lighter than half a grain, or the step of time that is asked for is too long for its grains.
     """
     found = {}
-    for row, (damper, mass) in enumerate(zip(scene.dampers, damper_masses(scene), strict=True)):
+    for row, (damper, mass) in enumerate(zip(scene.dampers, structural_model(scene).bed_mass, strict=True)):
         if damper.grains is None or not damper.moves:
             continue
         each = damper.grains.density * math.pi / 6.0 * damper.grains.diameter**3

@@ -12,8 +12,7 @@ from rig.scene.scene import Scene
 from rig.scene.shaker import TableShaker
 from rig.system.assembly import assemble
 from rig.system.open_loop_drive import accelerations_per_level, level_of
-from rig.system.receptance import loaded_matrices
-from rig.system.structure import natural_modes
+from rig.system.structural_model import structural_model
 
 #: What a level or a clearance measures, by its unit.
 KIND_OF_UNIT = {"N": FORCE, "V": VOLTAGE, "m": LENGTH}
@@ -90,9 +89,9 @@ def natural_frequencies(scene: Scene, low: float, high: float) -> Array:
 
     Working dampers leave a resonance between the two.
     """
-    loads = [loaded_matrices(scene), loaded_matrices(scene, riding=range(1, len(scene.dampers) + 1))]
-    rates = np.concatenate([natural_modes(mass, stiffness)[0] for mass, _, stiffness in loads])
-    natural = rates / (2.0 * np.pi)
+    model = structural_model(scene)
+    loads = [model.with_riding(), model.with_riding(range(1, len(scene.dampers) + 1))]
+    natural = np.concatenate([each.modes.frequency for each in loads])
     return np.asarray(natural[(natural > low) & (natural < high)])
 
 

@@ -22,7 +22,7 @@ from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, positives
 from rig.scene.scene import Scene
 from rig.system.open_loop_drive import with_ideal_force
-from rig.system.structure import natural_modes, structure_matrices
+from rig.system.structural_model import structural_model
 from rig.workers import Workers
 
 if TYPE_CHECKING:
@@ -212,11 +212,7 @@ def _with(scene: Scene, over: str, value: float) -> Scene:
 
 def _longest(scene: Scene, frequency: Array) -> int:
     """Periods of the quickest tone after which the slowest mode has decayed to the tolerance several times."""
-    mass, damping, stiffness = structure_matrices(scene.structure)
-    _, shapes = natural_modes(mass, stiffness)
-    # Decay rate of each mode, as far as damping does not mix them.
-    rate = 0.5 * np.einsum("ji,jk,ki->i", shapes, damping, shapes)
-    rate /= np.einsum("ji,jk,ki->i", shapes, mass, shapes)
+    rate = structural_model(scene).modes.decay_rate
     with np.errstate(divide="ignore"):
         periods = PATIENCE * np.log(1.0 / TOLERANCE) * frequency[-1] / max(float(rate.min()), 0.0)
     return int(np.clip(periods, FEWEST, MOST))

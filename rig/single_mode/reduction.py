@@ -22,8 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rig.errors import SceneError
 from rig.scene.scene import STANDARD_GRAVITY, Scene
-from rig.system.receptance import driven_bodies
-from rig.system.structure import damper_masses, natural_modes, structure_matrices
+from rig.system.structural_model import driven_bodies, natural_modes, structural_model
 
 Weighting = Literal["printed", "energy"]
 
@@ -185,11 +184,11 @@ def single_mode(
     one clearance, because they become one equivalent damper, land at once and have restitution 0, as the method has
     no other.
     """
-    mass, damping, stiffness = structure_matrices(scene.structure)
-    mass = mass.copy()
+    model = structural_model(scene)
+    mass = model.mass.copy()
     free: dict[int, float] = {}
     clearances: set[float] = set()
-    for damper, md in zip(scene.dampers, damper_masses(scene), strict=True):
+    for damper, md in zip(scene.dampers, model.bed_mass, strict=True):
         if damper.locked:
             mass[damper.body - 1, damper.body - 1] += md
             continue
@@ -220,7 +219,7 @@ def single_mode(
             raise SceneError("the scene's test does not give one force: pass force=... in N")
         force = float(level)
     return reduce_to_mode(
-        (mass, damping, stiffness),
+        (mass, model.damping, model.stiffness),
         mode=mode,
         driven=tuple(body + 1 for body in driven_bodies(scene)),
         force=force,

@@ -13,7 +13,7 @@ from rig.scene.scene import Scene
 from rig.scene.shaker import Coil, ElectrodynamicShaker, ForceShaker, Shaker, TableShaker, at_shaker
 from rig.system.hybrid_system import HybridSystem
 from rig.system.landing import spring_damper
-from rig.system.structure import Array, damper_bodies, damper_masses, natural_modes, structure_matrices
+from rig.system.structural_model import Array, StructuralModel, structural_model
 
 #: Configurations are bits of a 64-bit integer.
 MOST_DAMPERS = 62
@@ -34,10 +34,9 @@ def assemble(scene: Scene) -> HybridSystem:
         If there are more free dampers than `MOST_DAMPERS`, or the test asks for a start from the static
         equilibrium of a structure that is not held.
     """
-    mass, damping, stiffness = structure_matrices(scene.structure)
-    bodies = len(mass)
-    masses, at_body = damper_masses(scene), damper_bodies(scene)
-    held = np.array([not d.moves for d in scene.dampers], dtype=bool)
+    model = structural_model(scene)
+    bodies = len(model.mass)
+    masses, at_body, held = model.bed_mass, model.bed_body, model.held
     free = np.flatnonzero(~held)
     lasting = any(scene.dampers[j].contact is not None for j in free)
     # A finite-duration contact takes a second bit, which distinguishes the ceiling from the floor.
@@ -46,10 +45,8 @@ def assemble(scene: Scene) -> HybridSystem:
         beside = " where a contact lasts" if lasting else ""
         raise SceneError(f"{len(free)} dampers that move; expected at most {most}{beside}")
     weight = np.zeros(bodies)
-    mass = mass.copy()
-    np.add.at(mass, (at_body[held], at_body[held]), masses[held])
     np.subtract.at(weight, at_body[held], masses[held] * scene.gravity)
-    parts = _Parts(bodies, mass, damping, stiffness, weight)
+    parts = _Parts(bodies, model.with_riding(), weight)
     for number, shaker in enumerate(scene.shakers, 1):
         _add_shaker(
             parts, shaker, *(at_shaker(what, number, len(scene.shakers)) for what in ("shaker", "table"))
@@ -90,9 +87,10 @@ class _Coil(NamedTuple):
 class _Parts:
     """The equations while they are being put together: rows are coordinates, columns states."""
 
-    def __init__(self, bodies: int, mass: Array, damping: Array, stiffness: Array, weight: Array) -> None:
+    def __init__(self, bodies: int, structure: StructuralModel, weight: Array) -> None:
         self.points = [f"body {j + 1}" for j in range(bodies)]
-        self.mass, self.damping, self.stiffness, self.weight = mass, damping.copy(), stiffness.copy(), weight
+        self.mass, self.weight = structure.mass.copy(), weight
+        self.damping, self.stiffness = structure.damping.copy(), structure.stiffness.copy()
         self.inputs: list[str] = []
         self.units: list[str] = []
         self.pushes: list[dict[int, float]] = []
@@ -247,8 +245,7 @@ def _start(scene: Scene, system: HybridSystem) -> Array:
         if test.velocity is not None:
             state[n : n + bodies] += test.velocity
         if test.mode is not None:
-            mass, _, stiffness = structure_matrices(scene.structure)
-            shapes = natural_modes(mass, stiffness)[1]
+            shapes = structural_model(scene).modes.shapes
             state[:bodies] += (test.amplitude or 0.0) * shapes[:, test.mode - 1]
     return state
 

@@ -17,8 +17,7 @@ from rig.scene.scene import Scene
 from rig.single_mode.approximate_response import approximate_response
 from rig.single_mode.reduction import Weighting
 from rig.system.open_loop_drive import with_ideal_force
-from rig.system.receptance import receptance
-from rig.system.structure import natural_modes, structure_matrices
+from rig.system.structural_model import receptance, structural_model
 from rig.work_precision.high_precision import DIGITS
 from rig.work_precision.high_precision_orbit import ExactOrbit, exact_orbit
 from rig.work_precision.motion_study import BETTER, Point, refused, timed
@@ -125,9 +124,7 @@ def _orbit_near(scene: Scene, frequency: float) -> Orbit:
 
 def _approximate(scene: Scene, frequency: float, true: ExactOrbit) -> Point:
     """Use the one-mode method for the mode nearest by; it finds the whole curve at once."""
-    mass, _, stiffness = structure_matrices(scene.structure)
-    omega = natural_modes(mass, stiffness)[0]
-    mode = int(np.argmin(np.abs(omega / (2 * np.pi) - frequency))) + 1
+    mode = int(np.argmin(np.abs(structural_model(scene).modes.frequency - frequency))) + 1
     band = (frequency * (1 - BAND), frequency * (1 + BAND))
     reasons = []
     for weighting in get_args(Weighting):

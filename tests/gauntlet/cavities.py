@@ -6,7 +6,7 @@ import numpy as np
 import yaml
 
 import rig
-from rig.system.receptance import receptance
+from rig.system.structural_model import receptance
 from tests.gauntlet.scenes import INSTRUMENTS, Draw, Settings, coupling, instrumented, structure
 
 # Amplitude of the acceleration of a damper's body without dampers, in g: below 1 nothing flies.

@@ -29,8 +29,7 @@ import rig
 from rig.damper_design.choice import COARSE, FINE, Choice, Question
 from rig.damper_design.search import CLEARANCES, COMPARED, SHARES
 from rig.damper_design.worst_peak import Peak
-from rig.system.receptance import receptance
-from rig.system.structure import natural_modes, structure_matrices
+from rig.system.structural_model import natural_modes, receptance, structure_matrices
 from tests.gauntlet.scenes import Draw, Settings, structure
 
 MORE, WORSE, OFF = 20, 0.01, 0.3

@@ -30,8 +30,7 @@ import daq
 import rig
 from analysis.fitting.parameters import free_parameters, spelt_out, with_values
 from rig.errors import ShotrigError
-from rig.system.receptance import receptance
-from rig.system.structure import natural_modes, structure_matrices
+from rig.system.structural_model import natural_modes, receptance, structure_matrices
 from tests.gauntlet.scenes import Draw, Settings, structure
 
 # What is determined must be as near as this, relative, by the last word of its key.

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 import rig
 from analysis.responses.frf import Frf
-from rig.system.receptance import receptance
+from rig.system.structural_model import receptance
 from tests.gauntlet.scenes import INSTRUMENTS, Draw, Settings, instrumented
 
 Array = NDArray[np.float64]

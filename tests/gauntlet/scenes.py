@@ -14,7 +14,7 @@ import yaml
 import rig
 from daq.signal_chain.bench import Bench
 from rig.scene.measurement_chain import Accelerometer, Hammer
-from rig.system.receptance import receptance
+from rig.system.structural_model import receptance
 
 Settings = dict[str, Any]
 

@@ -14,8 +14,10 @@ _ENGINE = (
 # Place: {module: tests, those that notice most first}. The examples of the module itself always run.
 PLACES: dict[str, dict[str, str]] = {
     "physics laws": {
-        "rig/system/structure.py": "tests/rig/system/test_structure.py tests/rig/system/test_receptance.py",
-        "rig/system/receptance.py": "tests/rig/system/test_receptance.py tests/rig/system/test_several_shakers.py",
+        "rig/system/structural_model.py": (
+            "tests/rig/system/test_structural_model.py tests/rig/system/test_receptance.py "
+            "tests/rig/system/test_several_shakers.py"
+        ),
         "rig/system/landing.py": "tests/rig/engine/test_lasting.py -k 'not ever_shorter_landings_when_simulated'",
     },
     "guards": {"rig/engine/guards.py": f"tests/rig/engine/test_guards.py {_ENGINE}"},

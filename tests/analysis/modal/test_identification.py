@@ -11,7 +11,7 @@ import daq
 from analysis.responses.frf import SENSITIVITY, Frf
 from analysis.responses.systematic import UNSETTLED
 from rig.errors import RecordingError
-from rig.system.structure import natural_modes, structure_matrices
+from rig.system.structural_model import natural_modes, structure_matrices
 from tests.analysis.responses import synthetic
 
 OMEGA = np.array([81.911, 218.512, 312.041])

@@ -10,8 +10,7 @@ from scipy import signal
 import rig
 from daq.recording.recorder import Recorder
 from daq.signal_chain.channel import ChannelInfo
-from rig.system.receptance import receptance
-from rig.system.structure import natural_modes, structure_matrices
+from rig.system.structural_model import natural_modes, receptance, structure_matrices
 
 RATE = 2560.0
 PLACES = {"body1": "body 1", "body2": "body 2", "body3": "body 3", "table": "table"}

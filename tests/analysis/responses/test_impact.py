@@ -13,8 +13,7 @@ from daq.importing.channel_table import Column
 from daq.recording.markers import Marker
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError
-from rig.system.receptance import receptance
-from rig.system.structure import natural_modes, structure_matrices
+from rig.system.structural_model import natural_modes, receptance, structure_matrices
 from tests.analysis.responses import synthetic
 
 HIT = """

@@ -12,7 +12,7 @@ import rig
 from analysis.responses.estimators import estimate
 from analysis.responses.multisine import LIFTED, best_linear_approximation
 from rig.errors import RecordingError, SceneError
-from rig.system.receptance import receptance
+from rig.system.structural_model import receptance
 from tests.analysis.responses import synthetic
 
 RATE, OVER = synthetic.RATE, synthetic.OVERSAMPLED

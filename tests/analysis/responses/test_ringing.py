@@ -9,7 +9,7 @@ import analysis
 import daq
 import rig
 from analysis.responses.ringing import ringing
-from rig.system.receptance import receptance
+from rig.system.structural_model import receptance
 
 POLE = -0.9 + 2j * np.pi * 19.0
 

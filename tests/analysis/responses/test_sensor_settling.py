@@ -11,7 +11,7 @@ import analysis
 import daq
 import rig
 from analysis.responses.sensor_settling import settling
-from rig.system.receptance import receptance
+from rig.system.structural_model import receptance
 
 RATE, SECONDS, LOWEST = 200.0, 60.0, 5.0
 

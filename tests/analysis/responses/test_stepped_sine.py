@@ -10,7 +10,7 @@ import daq
 from analysis.responses.spectral_lines import remainder
 from daq.measurement.run_report import summary
 from rig.errors import RecordingError, SceneError
-from rig.system.receptance import receptance
+from rig.system.structural_model import receptance
 from tests.analysis.responses import synthetic
 
 

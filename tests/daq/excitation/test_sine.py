@@ -11,7 +11,7 @@ import rig
 from daq.excitation.lock_in import lock_in, whole_periods
 from daq.excitation.sweep_control import look_at, look_samples
 from rig.errors import SceneError
-from rig.system.receptance import receptance
+from rig.system.structural_model import receptance
 from tests.daq.measurement.bench_run import BenchRun, run, scene_with
 
 # Off resonance, at the three resonances of the structure and of rig and structure, and in antiresonances.

@@ -11,7 +11,7 @@ import pytest
 import daq
 import rig
 from rig.errors import SceneError
-from rig.system.receptance import receptance
+from rig.system.structural_model import receptance
 from tests.gauntlet.foresights import KINDS, compare, lengthened
 from tests.gauntlet.scenes import draw
 

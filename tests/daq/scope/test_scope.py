@@ -22,7 +22,7 @@ from daq.excitation.manual_tone import Knobs
 from daq.replay.outputs import recording_stream
 from daq.scope.scope import knobs_for, scope
 from rig.errors import RunError, SceneError
-from rig.system.receptance import receptance
+from rig.system.structural_model import receptance
 
 # Well damped, so that it settles within seconds.
 SCENE = rig.loads("""

@@ -14,7 +14,7 @@ from analysis.responses.frequency_responses import frequency_responses
 from daq.measurement.force_reference import missing_force_reference
 from daq.signal_chain.bench import Bench
 from rig.errors import RecordingError
-from rig.system.receptance import receptance
+from rig.system.structural_model import receptance
 
 STRUCTURE = """
 structure: {masses: [1 kg, 1 kg], springs: [20 kN/m, 20 kN/m], damping: {modal: 5 %}}

@@ -13,7 +13,7 @@ import analysis
 import rig
 from analysis.modal.modes import Modes
 from analysis.responses.frf import Frf
-from rig.system.structure import structure_matrices
+from rig.system.structural_model import structure_matrices
 from tests.gauntlet.pairs import CURVES, MULTISINE, STEPPED
 from tests.gauntlet.verdict import Case, Outcome, Verdict
 

@@ -22,7 +22,7 @@ from daq.signal_chain.sensors import accelerometer, force_sensor
 from rig.scene.measurement_chain import Accelerometer, Hammer
 from rig.scene.presets import filled_in
 from rig.scene.shaker import ForceShaker
-from rig.system.receptance import receptance
+from rig.system.structural_model import receptance
 from tests.gauntlet.cavities import STEPS, TONE
 from tests.gauntlet.verdict import Case, Outcome, Verdict
 

@@ -28,7 +28,7 @@ from rig.errors import SceneError
 from rig.orbits.problem import OrbitProblem
 from rig.scene.damper import Damper
 from rig.system.open_loop_drive import level_of, with_ideal_force
-from rig.system.receptance import receptance
+from rig.system.structural_model import receptance
 from rig.workers import Workers
 
 

@@ -9,7 +9,7 @@ import mpmath
 from mpmath import mp, mpf
 
 import rig
-from rig.system.structure import damper_bodies, damper_masses, structure_matrices
+from rig.system.structural_model import structural_model, structure_matrices
 
 DIGITS = 40
 
@@ -29,7 +29,10 @@ class Segment:
         self.omega = mpf(2.0 * 3.141592653589793 * scene.test.frequency) if scene.shaker else mpf(0)
         load = mpmath.matrix(n, 1)
         for j in riding:
-            body, bed = int(damper_bodies(scene)[j]), mpf(float(damper_masses(scene)[j]))
+            body, bed = (
+                int(structural_model(scene).bed_body[j]),
+                mpf(float(structural_model(scene).bed_mass[j])),
+            )
             mass[body, body] += bed
             load[body] -= bed * self.gravity
         inverse = mass**-1

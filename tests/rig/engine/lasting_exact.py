@@ -16,7 +16,7 @@ import numpy as np
 
 import rig
 from rig.scene.damper import Landing, Walls
-from rig.system.structure import damper_bodies, damper_masses, structure_matrices
+from rig.system.structural_model import structural_model, structure_matrices
 
 DIGITS = 40
 SMALLEST = Decimal(10) ** -45
@@ -63,8 +63,8 @@ class SwitchedMotion:
             [[Decimal(float(v)) for v in row] for row in part] for part in structure_matrices(scene.structure)
         )
         self.bodies = len(mass)
-        self.at = [int(b) for b in damper_bodies(scene)]
-        self.beds = [Decimal(float(m)) for m in damper_masses(scene)]
+        self.at = [int(b) for b in structural_model(scene).bed_body]
+        self.beds = [Decimal(float(m)) for m in structural_model(scene).bed_mass]
         self.gravity = Decimal(scene.gravity)
         self.clearance = [Decimal(d.clearance) if np.isfinite(d.clearance) else None for d in scene.dampers]
         self.walls = []

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import rig
-from rig.system.structure import damper_bodies, damper_masses, structure_matrices
+from rig.system.structural_model import structural_model, structure_matrices
 
 FLIGHT, FLOOR, CEILING = 0, 1, 2
 #: After a separation the gap is at rounding level: its guards sleep this long, s.
@@ -22,7 +22,7 @@ class Peer:
     def __init__(self, scene: rig.Scene) -> None:
         self.mass, self.damping, self.stiffness = structure_matrices(scene.structure)
         self.n = len(self.mass)
-        self.body, self.bed = damper_bodies(scene), damper_masses(scene)
+        self.body, self.bed = structural_model(scene).bed_body, structural_model(scene).bed_mass
         self.clearance = np.array([d.clearance for d in scene.dampers])
         self.restitution = np.array([d.restitution for d in scene.dampers])
         self.gravity = scene.gravity

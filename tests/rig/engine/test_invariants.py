@@ -32,7 +32,7 @@ def scenes(draw: st.DrawFn) -> rig.Scene:
         "damping": {"modal": draw(_log(1e-4, 0.1))},
     }
     if draw(st.booleans()):
-        from rig.system.structure import chain
+        from rig.system.structural_model import chain
 
         mass = np.diag(masses)
         mass = mass + 0.15 * np.sqrt(np.outer(np.diag(mass), np.diag(mass))) * (1 - np.eye(bodies))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rig
-from rig.system.receptance import receptance
+from rig.system.structural_model import receptance
 from tests.rig.bouncing_ball import fly, take_off
 from tests.rig.engine.exact import Segment
 

@@ -240,7 +240,7 @@ def test_given_critical_damping_when_set_free_then_it_returns_as_the_closed_form
 
 
 def test_given_no_dampers_when_response_is_followed_then_it_is_the_linear_receptance() -> None:
-    from rig.system.receptance import receptance
+    from rig.system.structural_model import receptance
 
     scene = rig.load("reference-C").replace(dampers=())
     frequencies = [10.0, 13.04, 25.0, 49.7, 60.0]

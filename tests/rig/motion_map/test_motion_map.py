@@ -17,7 +17,7 @@ from rig.motion_map.grid import columns, rows_of, take_off, vertical_axis
 from rig.motion_map.motion_map import KINDS
 from rig.output_files import make_ready
 from rig.system.open_loop_drive import with_ideal_force
-from rig.system.receptance import receptance
+from rig.system.structural_model import receptance
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import pytest
 import rig
 from rig.scene.scene import Scene
 from rig.system.open_loop_drive import with_ideal_force
-from rig.system.receptance import receptance
+from rig.system.structural_model import receptance
 from tests.rig.bouncing_ball import FULL_PERIOD, fly, take_off
 
 GRAVITY = 9.80665

@@ -16,8 +16,7 @@ from rig.scene.scene import Scene
 from rig.single_mode.approximate_response import Approximation, follow_mode
 from rig.single_mode.reduction import SingleMode, single_mode
 from rig.system.open_loop_drive import with_ideal_force
-from rig.system.receptance import receptance
-from rig.system.structure import structure_matrices
+from rig.system.structural_model import receptance, structure_matrices
 
 
 @cache

@@ -8,7 +8,7 @@ import numpy as np
 
 import rig
 from rig.scene.scene_files import SCENES
-from rig.system.structure import natural_modes, structure_matrices
+from rig.system.structural_model import natural_modes, structure_matrices
 
 
 def test_given_the_script_beside_the_scene_when_run_then_its_matrices_are_the_scenes_and_those_of_a_beam() -> (

@@ -19,7 +19,7 @@ from rig.single_mode.approximate_response import (
 from rig.single_mode.motion_search import solutions
 from rig.single_mode.periodic_motion import INSTANTS, MotionParameters, MotionType, PeriodicMotion, jacobian
 from rig.single_mode.reduction import SingleMode, single_mode
-from rig.system.receptance import receptance
+from rig.system.structural_model import receptance
 from tests.rig.bouncing_ball import fly, take_off
 
 

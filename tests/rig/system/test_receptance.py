@@ -9,11 +9,10 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
 import rig
-import rig.system.receptance as module
+import rig.system.structural_model as module
 from rig.errors import SceneError
 from rig.scene.scene import Scene
-from rig.system.receptance import loaded_matrices, receptance
-from rig.system.structure import natural_modes
+from rig.system.structural_model import receptance, structural_model
 
 FREQUENCIES = np.linspace(1.0, 60.0, 60)
 
@@ -58,12 +57,10 @@ def test_given_any_chain_with_dashpots_when_driven_at_body_1_then_response_is_th
 
 def test_given_modal_damping_when_driven_then_response_is_the_sum_over_modes() -> None:
     scene = rig.load("bare-structure")
-    mass, _, stiffness = loaded_matrices(scene)
-    natural, shapes = natural_modes(mass, stiffness)
+    modes = structural_model(scene).modes
     omega = 2.0 * np.pi * FREQUENCIES
-    modal_masses = np.einsum("ji,jk,ki->i", shapes, mass, shapes)
-    terms = 1.0 / (natural[:, None] ** 2 - omega**2 + 2j * 0.005 * natural[:, None] * omega)
-    expected = shapes @ (shapes[0][:, None] / modal_masses[:, None] * terms)
+    terms = 1.0 / (modes.omega[:, None] ** 2 - omega**2 + 2j * 0.005 * modes.omega[:, None] * omega)
+    expected = modes.shapes @ (modes.shapes[0][:, None] / modes.mass[:, None] * terms)
     np.testing.assert_allclose(receptance(scene, FREQUENCIES), expected, rtol=1e-10)
 
 
@@ -102,6 +99,15 @@ def test_given_any_number_of_frequencies_at_once_when_driven_then_the_response_i
     for elements in (1, 9, 70):
         monkeypatch.setattr(module, "_ELEMENTS_AT_ONCE", elements)
         np.testing.assert_array_equal(receptance(scene, FREQUENCIES), whole)
+
+
+def test_two_beds_in_one_body_add_up() -> None:
+    scene = rig.load("bare-structure")
+    halves = scene.replace(dampers=[{"body": 3, "mass": "40 g", "clearance": "1 mm"}] * 2)
+    whole = scene.replace(dampers=[{"body": 3, "mass": "80 g", "clearance": "1 mm"}])
+    np.testing.assert_allclose(
+        receptance(halves, FREQUENCIES, riding=[1, 2]), receptance(whole, FREQUENCIES, riding=[1]), rtol=1e-12
+    )
 
 
 def test_given_an_undamped_structure_when_driven_at_its_resonance_then_told_so() -> None:

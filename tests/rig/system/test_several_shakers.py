@@ -9,7 +9,7 @@ import rig
 from rig.errors import SceneError
 from rig.system.assembly import assemble
 from rig.system.open_loop_drive import with_ideal_force
-from rig.system.receptance import receptance
+from rig.system.structural_model import receptance
 
 STRUCTURE = "structure: {masses: [1 kg, 2 kg], springs: [10 kN/m, 20 kN/m], damping: {modal: 1 %}}\n"
 FORCE = "{kind: force, body: 1}"

@@ -15,7 +15,7 @@ import rig
 from rig.errors import RunError, SceneError
 from rig.system.assembly import assemble
 from rig.system.open_loop_drive import tone_drive, with_ideal_force
-from rig.system.receptance import receptance
+from rig.system.structural_model import receptance
 from rig.work_precision.adaptive_solvers import BLIND, follow, scipy_leg
 from rig.work_precision.compiled_runge_kutta import DormandPrince
 from rig.work_precision.figure import table, write

@@ -11,7 +11,7 @@ import analysis
 import daq
 import rig
 from analysis.responses.local_models.jitter import JITTER
-from rig.system.receptance import receptance
+from rig.system.structural_model import receptance
 
 HITS = """
 structure: {{masses: [1 kg, 0.2 kg], springs: [395 kN/m, 2370 kN/m], damping: {{modal: 1 %}}}}

@@ -8,7 +8,7 @@ import pytest
 import rig
 from rig.errors import SceneError
 from rig.scene.structure import Structure
-from rig.system.structure import chain, damper_bodies, damper_masses, natural_modes, structure_matrices
+from rig.system.structural_model import chain, natural_modes, structural_model, structure_matrices
 
 MASSES = (0.74, 0.71, 0.64)
 SPRINGS = (24300.0, 21800.0, 19800.0)
@@ -129,6 +129,6 @@ def test_given_dampers_by_mass_and_by_ratio_when_asked_then_masses_in_kilograms(
             {"body": 1, "mass": "30 g", "clearance": 1e-3},
         ]
     )
-    np.testing.assert_allclose(damper_masses(scene), [0.064, 0.03], rtol=1e-15)
-    np.testing.assert_array_equal(damper_bodies(scene), [2, 0])
-    assert damper_masses(scene.replace(dampers=())).shape == (0,)
+    np.testing.assert_allclose(structural_model(scene).bed_mass, [0.064, 0.03], rtol=1e-15)
+    np.testing.assert_array_equal(structural_model(scene).bed_body, [2, 0])
+    assert structural_model(scene.replace(dampers=())).bed_mass.shape == (0,)

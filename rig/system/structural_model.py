@@ -1,0 +1,342 @@
+"""The structure as matrices with its dampers' masses: natural modes, and the linear frequency response.
+
+Convention: x(t) = Re(X e^{i w t}), so that a phase lag is negative.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import ArrayLike, NDArray
+
+from rig.errors import SceneError
+from rig.scene.scene import Scene
+from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping, Structure
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# Dynamic stiffnesses solved at once: enough to keep LAPACK busy, little enough for any machine's memory.
+_ELEMENTS_AT_ONCE = 1_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class NaturalModes:
+    """Modes of the undamped structure, and what its damping makes of each alone.
+
+    Attributes
+    ----------
+    omega : ndarray, shape (modes,)
+        Natural frequencies, rising, rad/s; 0 for a rigid-body motion.
+    shapes : ndarray, shape (bodies, modes)
+        Column i is the shape of mode i, its largest element +1.
+    mass, damping : ndarray, shape (modes,)
+        Modal mass, kg, and the diagonal of the modal damping matrix, N s/m.
+    """
+
+    omega: Array
+    shapes: Array
+    mass: Array
+    damping: Array
+
+    @property
+    def frequency(self) -> Array:
+        """Natural frequencies, Hz."""
+        return np.asarray(self.omega / (2.0 * np.pi))
+
+    @property
+    def decay_rate(self) -> Array:
+        """Rate at which each mode decays as far as damping does not couple them, 1/s."""
+        return np.asarray(self.damping / (2.0 * self.mass))
+
+    @property
+    def damping_ratio(self) -> Array:
+        """Damping ratio of each mode, as far as damping does not couple them."""
+        return np.asarray(self.decay_rate / np.maximum(self.omega, 1e-9))
+
+
+@dataclass(frozen=True, eq=False)
+class StructuralModel:
+    """M x'' + C x' + K x = f of the bodies, and the masses of the beds in them.
+
+    Attributes
+    ----------
+    mass, damping, stiffness : ndarray, shape (bodies, bodies)
+        In kg, N s/m and N/m; without the masses of beds.
+    bed_mass : ndarray, shape (dampers,)
+        kg, in the scene's order.
+    bed_body : ndarray of int, shape (dampers,)
+        Position of the body of each damper, from 0.
+    held : ndarray of bool, shape (dampers,)
+        Dampers that are locked or have no clearance.
+    """
+
+    mass: Array
+    damping: Array
+    stiffness: Array
+    bed_mass: Array = field(default_factory=lambda: np.zeros(0))
+    bed_body: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    held: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+
+    @cached_property
+    def modes(self) -> NaturalModes:
+        """Natural modes without beds.
+
+        Raises
+        ------
+        SceneError
+            If the stiffness lets the structure run away.
+        """
+        omega, shapes = natural_modes(self.mass, self.stiffness)
+        mass, damping = (np.einsum("ji,jk,ki->i", shapes, each, shapes) for each in (self.mass, self.damping))
+        return NaturalModes(omega, shapes, mass, damping)
+
+    @cached_property
+    def mobility(self) -> Array:
+        """Acceleration of each body for a force on each while nothing has moved, shape (bodies, bodies), 1/kg."""
+        return np.asarray(np.linalg.inv(self.mass))
+
+    def with_riding(self, dampers: Iterable[int] = ()) -> StructuralModel:
+        """Add the masses of the beds that are held, and of those that ride, to their bodies.
+
+        Parameters
+        ----------
+        dampers : iterable of int
+            Those that ride, by their position from 1.
+
+        Raises
+        ------
+        SceneError
+            If a damper does not exist.
+        """
+        count = self.held.size
+        numbers = list(dampers)
+        missing = [number for number in numbers if not 1 <= number <= count]
+        if missing:
+            raise SceneError(f"riding: damper {missing[0]} of {count}; expected 1 to {count}")
+        places = sorted({*np.flatnonzero(self.held).tolist(), *(number - 1 for number in numbers)})
+        mass = self.mass.copy()
+        bodies = self.bed_body[places]
+        np.add.at(mass, (bodies, bodies), self.bed_mass[places])
+        return replace(self, mass=mass)
+
+    def on_spring(self, bodies: Iterable[int], spring: float) -> StructuralModel:
+        """Hold bodies, by their positions from 0, to ground by a spring each, N/m."""
+        stiffness, held = self.stiffness.copy(), list(bodies)
+        stiffness[held, held] += spring
+        return replace(self, stiffness=stiffness)
+
+    def response(self, frequencies_hz: Array, force: Array) -> ComplexArray:
+        """Displacement of each body under harmonic forces, shape (bodies, frequencies), m.
+
+        Parameters
+        ----------
+        frequencies_hz : ndarray, shape (frequencies,)
+        force : ndarray, shape (bodies,)
+            Amplitudes, N.
+
+        Raises
+        ------
+        SceneError
+            If an undamped structure is asked for exactly at resonance.
+        """
+        response = np.empty((len(self.mass), frequencies_hz.size), dtype=np.complex128)
+        step = max(1, _ELEMENTS_AT_ONCE // self.mass.size)
+        for first in range(0, frequencies_hz.size, step):
+            block = slice(first, first + step)
+            omega = 2.0 * np.pi * frequencies_hz[block, None, None]
+            dynamic_stiffness = self.stiffness + 1j * omega * self.damping - omega**2 * self.mass
+            try:
+                response[:, block] = np.linalg.solve(dynamic_stiffness, force[:, None])[:, :, 0].T
+            except np.linalg.LinAlgError:
+                raise SceneError(
+                    "the response is infinite at one of the frequencies: undamped and exactly at "
+                    "resonance (or free at 0 Hz); expected structure.damping, or other frequencies"
+                ) from None
+        return response
+
+
+def structural_model(scene: Scene) -> StructuralModel:
+    """Give the matrices of a scene's structure, without the coil spring, and the masses of its beds.
+
+    A mass ratio refers to the body's mass, with matrices to the diagonal element of the mass matrix.
+
+    Examples
+    --------
+    >>> import rig
+    >>> model = structural_model(rig.load("fig9"))
+    >>> model.modes.frequency.round(2), model.bed_mass
+    (array([13.04, 34.78, 49.66]), array([0.0426]))
+    """
+    mass, damping, stiffness = structure_matrices(scene.structure)
+    body = np.array([damper.body - 1 for damper in scene.dampers], dtype=np.intp)
+    beds = [
+        damper.mass if damper.mass is not None else (damper.mass_ratio or 0.0) * mass[at, at]
+        for damper, at in zip(scene.dampers, body, strict=True)
+    ]
+    held = np.array([not damper.moves for damper in scene.dampers], dtype=bool)
+    return StructuralModel(mass, damping, stiffness, np.array(beds, dtype=np.float64), body, held)
+
+
+def receptance(
+    scene: Scene, frequencies_hz: ArrayLike, attached: bool = False, riding: Iterable[int] = ()
+) -> ComplexArray:
+    """Compute the linear frequency response of a scene's structure.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its shaker says where the force acts (without a shaker, its impulse test does).
+    frequencies_hz : array_like, shape (frequencies,)
+        Frequencies [Hz].
+    attached : bool
+        False: response to the force on the driven body, X / F_1. True: response to the displacement of the
+        table, X / X_0, with the coil spring between table and body.
+    riding : iterable of int
+        Dampers that ride, by their position from 1 in the scene: their masses move with their bodies. Dampers
+        that are locked or have no clearance always do.
+
+    Returns
+    -------
+    ndarray, shape (bodies, frequencies)
+        Complex response of each body [m/N, or m/m].
+
+    Raises
+    ------
+    SceneError
+        If a frequency is negative or not finite, a damper does not exist, nothing drives the structure, the
+        scene has no coil spring to attach, or an undamped structure is asked for exactly at resonance.
+
+    Examples
+    --------
+    >>> import rig
+    >>> scene = rig.load("bare-structure")
+    >>> static = receptance(scene, [0.0])[0, 0]
+    >>> print(f"{static.real:.4g} m/N")  # 1 / (24.3 kN/m)
+    4.115e-05 m/N
+    """
+    frequencies = np.asarray(frequencies_hz, dtype=np.float64)
+    if frequencies.ndim != 1 or not np.isfinite(frequencies).all() or (frequencies < 0.0).any():
+        raise SceneError("frequencies: expected a list of finite frequencies in Hz, none negative")
+    model, driven = structural_model(scene).with_riding(riding), driven_bodies(scene)
+    force = np.zeros(len(model.mass))
+    if not attached:
+        force[driven] = 1.0
+        return model.response(frequencies, force)
+    spring = coil_spring(scene)
+    force[driven] = spring
+    return model.on_spring(driven, spring).response(frequencies, force)
+
+
+def driven_bodies(scene: Scene) -> list[int]:
+    """List the positions (from 0) of the bodies on which the force acts."""
+    if len(scene.shakers) > 1 and any(shaker.kind != "force" for shaker in scene.shakers):
+        raise SceneError(
+            f"scene {scene.name!r} has several shakers, and those on coil springs load the structure as well; expected "
+            "one shaker, several of kind force, or rig.frequency_response, which knows them all"
+        )
+    if scene.driven_shaker is not None:
+        return [body - 1 for body in scene.driven_shaker.bodies]
+    if scene.test is not None and scene.test.kind == "impulse":
+        return [scene.test.body - 1]
+    raise SceneError(f"scene {scene.name!r} has neither shaker nor hammer to say where the force acts")
+
+
+def coil_spring(scene: Scene) -> float:
+    """Give the stiffness of the driven shaker's coil spring, N/m."""
+    if scene.driven_shaker is None or scene.driven_shaker.spring is None:
+        raise SceneError(
+            f"scene {scene.name!r} has no coil spring; expected a shaker of kind table or electrodynamic"
+        )
+    return scene.driven_shaker.spring
+
+
+def structure_matrices(structure: Structure) -> tuple[Array, Array, Array]:
+    """Assemble the matrices of the structure without dampers and coil spring.
+
+    Parameters
+    ----------
+    structure : Structure
+        A chain, or matrices.
+
+    Returns
+    -------
+    mass, damping, stiffness : ndarray, shape (bodies, bodies)
+        M [kg], C [N s/m] and K [N/m] of M x'' + C x' + K x = f.
+    """
+    if structure.matrices is not None:
+        mass = _symmetric(np.array(structure.matrices.mass))
+        stiffness = _symmetric(np.array(structure.matrices.stiffness))
+    else:
+        mass = np.diag(np.array(structure.masses or ()))
+        stiffness = chain(structure.springs or ())
+    return mass, _damping(structure, mass, stiffness), stiffness
+
+
+def chain(elements: tuple[float, ...]) -> Array:
+    """Assemble a chain: element j acts between body j and body j-1, ground for j = 1.
+
+    >>> chain((3.0, 1.0))
+    array([[ 4., -1.],
+           [-1.,  1.]])
+    """
+    values = np.array(elements)
+    return np.diag(values + np.append(values[1:], 0.0)) - np.diag(values[1:], 1) - np.diag(values[1:], -1)
+
+
+def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
+    """Find natural frequencies and shapes of the undamped structure.
+
+    Parameters
+    ----------
+    mass, stiffness : ndarray, shape (bodies, bodies)
+        Symmetric; mass positive definite, stiffness positive semidefinite.
+
+    Returns
+    -------
+    frequencies : ndarray, shape (bodies,)
+        Rising, in rad/s; 0 for a rigid-body motion.
+    shapes : ndarray, shape (bodies, bodies)
+        Column i is the shape of mode i, its largest element +1.
+
+    Raises
+    ------
+    SceneError
+        If the stiffness lets the structure run away (a negative eigenvalue beyond rounding).
+    """
+    squares, shapes = scipy.linalg.eigh(stiffness, mass)
+    rounding = 10 * len(squares) * np.finfo(float).eps * np.abs(squares).max(initial=0.0)
+    if squares[0] < -rounding:
+        raise SceneError(
+            f"structure: stiffness not positive semidefinite (squared frequency {squares[0]:.3g} 1/s^2), "
+            "so that there are no natural modes; expected springs that hold it"
+        )
+    # A rigid-body motion comes out as a square of either sign at rounding level.
+    frequencies = np.sqrt(np.where(np.abs(squares) <= rounding, 0.0, squares))
+    largest = np.take_along_axis(shapes, np.argmax(np.abs(shapes), axis=0)[None, :], axis=0)
+    return frequencies, shapes / largest
+
+
+def _damping(structure: Structure, mass: Array, stiffness: Array) -> Array:
+    damping = structure.damping
+    if structure.matrices is not None and structure.matrices.damping is not None:
+        return np.array(structure.matrices.damping)
+    if isinstance(damping, RayleighDamping):
+        return damping.rayleigh.alpha * mass + damping.rayleigh.beta * stiffness
+    if isinstance(damping, Dashpots):
+        return chain(damping.dashpots)
+    if isinstance(damping, ModalDamping):
+        frequencies, shapes = natural_modes(mass, stiffness)
+        ratios = np.broadcast_to(np.array(damping.modal), frequencies.shape)
+        modal_masses = np.einsum("ji,jk,ki->i", shapes, mass, shapes)
+        weighted = mass @ shapes
+        return _symmetric((weighted * (2.0 * ratios * frequencies / modal_masses)) @ weighted.T)
+    return np.zeros_like(mass)
+
+
+def _symmetric(matrix: Array) -> Array:
+    return (matrix + matrix.T) / 2.0

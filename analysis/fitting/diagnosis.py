@@ -15,6 +15,7 @@ from analysis.fitting.measured import Curves, Sensor, inverse_root
 from analysis.fitting.parameters import free_parameters
 from analysis.fitting.problem import Problem
 from analysis.fitting.start import start
+from rig.results import plainly
 from rig.scene.scene import Scene
 from rig.scene.structure import Dashpots, ModalDamping
 from rig.system.structural_model import structural_model
@@ -42,8 +43,8 @@ _NEAR = 0.06
 _NO_UNIT = " (no unit is mistaken by that factor: the structure may as well be another one than the scene's)"
 # Delays of a channel that are tried, s, and the least that counts.
 _DELAYS, _LEAST_DELAY = np.arange(-1.2e-3, 1.21e-3, 2e-5), 5e-6
-# From this delay on, s, its first guess alone explains more; it is not off by more than such a range, s.
-_CLEAR, _DELAY_RANGE = 3e-5, 1e-4
+# A first guess is not off by more, s.
+_DELAY_RANGE = 1e-4
 # How much looser a suspected sensor is held, and the scale of all masses from which on it is suspect.
 _FREED, _SCALE_OFF = 1e4, 2.5
 _MOST_PAIRS = 15
@@ -74,10 +75,9 @@ def cause(problem: Problem) -> tuple[bool, str]:
         )
     limit = max(_FULLY_EXPLAINED, _EXPLAINED * before)
     found: list[tuple[float, str, bool]] = []
-    for left, text, is_named in _mistakes(problem, bare, before):
-        if left < limit:
-            found.append((left, text, is_named))
-        if left < _FULLY_EXPLAINED and is_named:
+    for kind in (_turned_signs, _swaps, _factors, _dampings, _delays):
+        found += [each for each in kind(problem, bare) if each[0] < limit]
+        if any(left < _FULLY_EXPLAINED and is_named for left, _, is_named in found):
             break
     if found:
         _, text, is_named = min(found)
@@ -112,19 +112,12 @@ def scale_off(problem: Problem, x: Array) -> str:
     )
 
 
-def _mistakes(problem: Problem, bare: list[Curves], before: float) -> Iterator[tuple[float, str, bool]]:
-    """Try single mistakes, those that take least time first.
+# Mistakes of one kind: the variance that each leaves unexplained, what it is, and whether it is a known one.
+_Explanations = Iterator[tuple[float, str, bool]]
 
-    Yields
-    ------
-    left : float
-        Variance that the mistake leaves unexplained.
-    text : str
-        The mistake.
-    is_named : bool
-        Whether it is a known one; a factor that no unit explains may as well stand for another structure.
-    """
-    references = list(dict.fromkeys(curves.reference_sensor for curves in bare))
+
+def _turned_signs(problem: Problem, bare: list[Curves]) -> _Explanations:
+    references = dict.fromkeys(curves.reference_sensor for curves in bare)
     for sensor in references:
         turned = [
             _multiplied(curves, -1.0) if curves.reference_sensor == sensor else curves for curves in bare
@@ -133,10 +126,18 @@ def _mistakes(problem: Problem, bare: list[Curves], before: float) -> Iterator[t
     for sensor in _sensors(bare):
         turned = [_turned(curves, sensor) for curves in bare]
         yield _refit(problem, turned).variance, f"The sign of {sensor.name} is reversed", True
+
+
+def _swaps(problem: Problem, bare: list[Curves]) -> _Explanations:
     names = dict.fromkeys(sensor.name for curves in bare for sensor in curves.sensors)
     for one, other in list(combinations(names, 2))[:_MOST_PAIRS]:
         swapped = [_swapped(curves, one, other) for curves in bare]
         yield _refit(problem, swapped).variance, f"{one} and {other} are swapped", True
+
+
+def _factors(problem: Problem, bare: list[Curves]) -> _Explanations:
+    """Give the factor by which each sensor would be off; one that no unit explains may stand for another structure."""
+    references = [curves.reference_sensor for curves in bare]
     for sensor in dict.fromkeys((*_sensors(bare), *references)):
         free = replace(sensor, tolerance=_FREED)
         freed = _refit(problem, [_with_sensor(curves, sensor, free) for curves in bare])
@@ -147,12 +148,28 @@ def _mistakes(problem: Problem, bare: list[Curves], before: float) -> Iterator[t
             f"{sensor.name} reads {factor:.4g} times what fits{meaning or _NO_UNIT}",
             bool(meaning),
         )
+
+
+def _dampings(problem: Problem, bare: list[Curves]) -> _Explanations:
     for form, model in _other_damping(problem):
         yield _refit(problem, bare, model).variance, f"The damping is not of the scene's form; {form}", True
-    for sensor, delay, curves in _delayed(problem, bare, before):
-        late = "late" if delay > 0.0 else "early"
-        text = f"{sensor.name} reads {abs(delay) * 1e6:.3g} µs {late} (delay in the table)"
-        yield _refit(problem, curves).variance, text, True
+
+
+def _delays(problem: Problem, bare: list[Curves]) -> _Explanations:
+    in_time = _refit(problem, bare)
+    for sensor in dict.fromkeys((*_sensors(bare), *(curves.reference_sensor for curves in bare))):
+        guess = _phase_delay(bare, sensor)
+        near = _refit(problem, [_in_time(curves, sensor, guess) for curves in bare]) if guess else in_time
+        if near.variance > in_time.variance:
+            near, guess = in_time, 0.0
+        delay, left = _refined_delay(near, bare, sensor, guess)
+        if abs(delay) > _LEAST_DELAY:
+            late = "late" if delay > 0.0 else "early"
+            yield (
+                left,
+                f"{sensor.name} reads {plainly(abs(delay) * 1e6)} µs {late} (delay in the table)",
+                True,
+            )
 
 
 def _sensors(bare: list[Curves]) -> list[Sensor]:
@@ -181,59 +198,34 @@ def _multiplied(curves: Curves, factor: float | ComplexArray | Array) -> Curves:
     )
 
 
-def _delayed(
-    problem: Problem, bare: list[Curves], before: float
-) -> Iterator[tuple[Sensor, float, list[Curves]]]:
-    """Take off each sensor the delay that lines up its phase with that of the others best, where there is any.
+def _phase_delay(bare: list[Curves], sensor: Sensor) -> float:
+    """Give the delay of a sensor, s, that lines up its phase with that of the others best.
 
     A delay turns a response by a phase that is proportional to frequency, about 0 or 180 degrees where no mode is near.
     """
-    for sensor in dict.fromkeys((*_sensors(bare), *(curves.reference_sensor for curves in bare))):
-        turns, weights = [], []
-        for curves in bare:
-            reference = curves.reference_sensor == sensor
-            rows = [k for k, one in enumerate(curves.sensors) if reference or one == sensor]
-            for k in rows:
-                # Twice the phase knows nothing of signs.
-                unit = (curves.value[k] / np.maximum(abs(curves.value[k]), 1e-300)) ** 2
-                turns.append((4.0 * np.pi * curves.frequency, unit))
-                weights.append(
-                    np.minimum(abs(np.einsum("naa->na", curves.whiten)[:, k] * curves.value[k]), 30.0)
-                )
-        if not turns:
-            continue
-        way = -1.0 if _is_reference(bare, sensor) else 1.0
-        in_line = [
-            sum(
-                float(weight @ (unit * np.exp(way * 1j * omega * delay)).real)
-                for (omega, unit), weight in zip(turns, weights, strict=True)
-            )
-            for delay in _DELAYS
-        ]
-        delay = float(_DELAYS[int(np.argmax(in_line))])
-        guessed = _refit(problem, [_in_time(curves, sensor, delay) for curves in bare])
-        if abs(delay) > _CLEAR and guessed.variance > before:
-            continue
-        delay = _refined_delay(guessed, bare, sensor, delay)
-        if abs(delay) > _LEAST_DELAY:
-            yield sensor, delay, [_in_time(curves, sensor, delay) for curves in bare]
+    in_line = np.zeros(_DELAYS.size)
+    way = -1.0 if any(curves.reference_sensor == sensor for curves in bare) else 1.0
+    for curves in bare:
+        reference = curves.reference_sensor == sensor
+        rows = [k for k, one in enumerate(curves.sensors) if reference or one == sensor]
+        # Twice the phase knows nothing of signs.
+        turn = np.exp(way * 4j * np.pi * np.outer(_DELAYS, curves.frequency))
+        for k in rows:
+            unit = (curves.value[k] / np.maximum(abs(curves.value[k]), 1e-300)) ** 2
+            weight = np.minimum(abs(curves.whiten[:, k, k] * curves.value[k]), 30.0)
+            in_line += (turn @ (weight * unit)).real
+    return float(_DELAYS[int(np.argmax(in_line))]) if in_line.any() else 0.0
 
 
-def _is_reference(bare: list[Curves], sensor: Sensor) -> bool:
-    """Whether responses are divided by what a sensor reads: late, it makes them early."""
-    return any(curves.reference_sensor == sensor for curves in bare)
-
-
-def _refined_delay(guessed: _Refit, bare: list[Curves], sensor: Sensor, delay: float) -> float:
-    """Give the delay near a first guess with which the curves are explained best, s."""
+def _refined_delay(near: _Refit, bare: list[Curves], sensor: Sensor, delay: float) -> tuple[float, float]:
+    """Give the delay near a first guess with which the curves are explained best, s, and the variance left."""
 
     def left(each: float) -> float:
-        return guessed.adjusted([_in_time(curves, sensor, each) for curves in bare]).variance
+        return near.adjusted([_in_time(curves, sensor, each) for curves in bare]).variance
 
-    found = scipy.optimize.minimize_scalar(
-        left, bounds=(delay - _DELAY_RANGE, delay + _DELAY_RANGE), options={"xatol": 1e-6}
-    )
-    return float(found.x)
+    bounds = (delay - _DELAY_RANGE, delay + _DELAY_RANGE)
+    found = scipy.optimize.minimize_scalar(left, bounds=bounds, options={"xatol": 1e-6})
+    return float(found.x), float(found.fun)
 
 
 def _in_time(curves: Curves, sensor: Sensor, delay: float) -> Curves:

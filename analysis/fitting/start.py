@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
@@ -13,6 +14,7 @@ from analysis.fitting.predicted import on_the_bench
 from analysis.fitting.problem import Group, Problem
 from analysis.modal.identification import identify
 from analysis.modal.modes import Modes, mac
+from analysis.responses.frf import Frf
 from rig.errors import RecordingError, SceneError
 from rig.scene.scene import Scene
 from rig.system.structural_model import driven_bodies, structural_model
@@ -31,7 +33,8 @@ def start(problem: Problem, groups: Sequence[Group]) -> Array:
 
     Which mode of the model a mode found is, where the test's band holds but some, is what suits best.
     """
-    seen = [(group, modes) for group in groups if (modes := _modes(group)) is not None]
+    shown = [(group, _modes(group.curves.frfs, group.curves.scene.structure.bodies)) for group in groups]
+    seen = [(group, modes) for group, modes in shown if modes is not None]
     x = problem.start.copy()
     if not seen:
         return x
@@ -49,9 +52,11 @@ def start(problem: Problem, groups: Sequence[Group]) -> Array:
     return best
 
 
-def _modes(group: Group) -> Modes | None:
+@lru_cache(maxsize=16)
+def _modes(frfs: tuple[Frf, ...], bodies: int) -> Modes | None:
+    """Modes of curves; the causes of a misfit that are tried share them."""
     try:
-        return identify(group.curves.frfs, group.curves.scene.structure.bodies)
+        return identify(frfs, bodies)
     except (RecordingError, SceneError, np.linalg.LinAlgError):
         return None
 

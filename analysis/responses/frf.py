@@ -41,7 +41,7 @@ CLOCK, SENSITIVITY = "sample clock", "sensors' sensitivity"
 _SHOWN = {"m/N": ("µm/N", 1e6), "m/(N s)": ("mm/(N s)", 1e3)}
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Frf(Result):
     """Frequency response of one channel, as measured.
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -68,7 +69,9 @@ def test_starts_far_apart_give_one_answer(bench):
 def test_delayed_channel_is_named_with_its_delay(bench):
     _, path, scene = bench
     with daq.open(path) as recording:
-        recording.channels["a2"] = replace(recording.channels["a2"], delay=-2e-4)
+        recording.channels["a2"] = replace(recording.channels["a2"], delay=-5e-5)
         found = analysis.fit(recording, scene)
-    assert "a2 reads 200 µs late" in found.misfit
+    # The other channel early by less explains the curves nearly as well.
+    named = re.search(r"a2 reads ([\d.]+) µs late", found.misfit)
+    assert named is not None and float(named[1]) == pytest.approx(50.0, abs=1.0)
     assert "another" not in found.misfit

@@ -153,7 +153,8 @@ def test_given_samples_missing_without_a_marker_when_checked_then_it_is_told(sou
     with daq.open(rewritten(sound, shift=shift)) as recording:
         first, stop = 3 * GROUP, 3 * GROUP + shift
         with pytest.raises(
-            RecordingError, match=f"lacks the samples {first} to {stop - 1} of body1, of which none"
+            RecordingError,
+            match=f"lacks the samples {first} to {stop - 1} of body1, which no marker explains",
         ):
             recording.check()
 

@@ -15,6 +15,7 @@ from daq.foresight.flights import flight_lines, onset_level, outside_band
 from daq.foresight.foresight import Expectation, Foresight, in_words
 from daq.foresight.linear import drive_needed
 from daq.foresight.noise import least_signals
+from daq.foresight.recording_size import recording_size
 from daq.foresight.rehearsal import Extreme, Rehearsal, rehearse
 from daq.foresight.shortened import (
     Shortened,
@@ -184,7 +185,7 @@ class _Assessment:
                 largest_level = min(
                     largest_level, max(self.level / following, self.level / limiting.driven_share)
                 )
-        seconds, least = self._seconds(), estimate(self.scene)
+        seconds = self._seconds()
         return Foresight(
             scene=self.scene.name,
             expectations=rows,
@@ -199,7 +200,9 @@ class _Assessment:
             unread=tuple(self._unread(rows)),
             flights=flight_lines(self.scene, self.system, self.level, self.free.parts),
             seconds=seconds,
-            disk=least.disk * (seconds / least.seconds if least.seconds else 1.0),
+            disk=recording_size(
+                self.scene, self.bench, [part.last_blocks for part in self.played.parts], seconds
+            ),
             rehearsed=self.played.left_out,
             outside=outside_band(self.scene),
         )
@@ -359,9 +362,7 @@ class _Assessment:
                 return estimate(self.scene).seconds
             return done + max(estimate(self.scene).seconds - shorter, 0.0)
         # A quiet step between the peaks waits as long as the quicker ones about them.
-        waits = [
-            (step.stop - step.first) / self.bench.rate for part in played.parts for step in part.steps[::2]
-        ] or [1.0]
+        waits = [wait for part in played.parts for wait in self._waits(part, test)] or [1.0]
         steps = len(test.levels) * len(test.order)
         typical = float(np.percentile(waits, 25))
         extra = sum(wait - typical for wait in waits)
@@ -373,6 +374,17 @@ class _Assessment:
         order = np.array(test.order)
         place = int(np.argmin(abs(order - last))) if last is not None else 0
         return max(done, whole * (place + 1) / steps) if place > 1 else done
+
+    def _waits(self, part: Rehearsal, test: SteppedSine) -> Iterable[float]:
+        """Give the times until the tones of a part are steady, s.
+
+        A tone that a rehearsal leaves off may take a little longer, or all the time that the test gives it where
+        dampers make the motion irregular: the geometric mean of the two is assumed.
+        """
+        for settle, measure in zip(part.steps[::2], part.steps[1::2], strict=False):
+            wait = (settle.stop - settle.first) / self.bench.rate
+            irregular = not measure.settled and any(part.strikes)
+            yield float(np.sqrt(wait * max(test.settle.longest, wait))) if irregular else wait
 
 
 def level_key(scene: Scene) -> tuple[str, float, str]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from daq.excitation import Station, excitation
 from daq.excitation.swept_sine import sweep_frequency
+from daq.foresight.recording_size import LastBlocks
 from daq.measurement.limits import ControlLoss, Limits
 from daq.measurement.run import RAMP_S, ramp_down
 from daq.signal_chain.bench import AcquiredBlock, Bench
@@ -75,6 +76,12 @@ class Rehearsal:
         Of each damper of the scene, times at which it hit a wall, at most a few a second, s.
     aborted : str or None
         What would end the test before its time.
+    steps : list of Step
+        Tones that were held.
+    sweep : tuple of int, optional
+        First and last sample of a sweep.
+    last_blocks : LastBlocks
+        What the channels gave in the last seconds.
     """
 
     scene: Scene
@@ -91,6 +98,7 @@ class Rehearsal:
     aborted: str | None = None
     steps: list[Step] = field(default_factory=list)
     sweep: tuple[int, int] | None = None
+    last_blocks: LastBlocks = field(default_factory=lambda: LastBlocks(0.0))
 
     def frequency_at(self, sample: int) -> float | None:
         """Frequency of the tone that was played at a sample, Hz; None where the test plays no single tone."""
@@ -146,6 +154,7 @@ class _Run:
             tables={point: Extreme() for point in bench.points if point.startswith("table")},
             closing_speed=np.zeros(len(scene.dampers)),
             strikes=[[] for _ in scene.dampers],
+            last_blocks=LastBlocks.of(bench.rate),
         )
 
     def run(self, longest: float) -> Rehearsal:
@@ -181,6 +190,7 @@ class _Run:
         bench, found, first = self._bench, self._found, self._station.now
         self._last = np.concatenate([self._last, drive[:, -2:]], axis=1)[:, -2:]
         got = bench.acquire(drive)
+        found.last_blocks.add(got)
         readings = np.zeros((len(bench.channels), drive.shape[1]))
         overload = np.zeros(readings.shape, dtype=bool)
         came = slice(drive.shape[1] - got.samples.shape[1], None)

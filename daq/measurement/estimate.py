@@ -16,8 +16,9 @@ from rig.scene.scene import Scene
 
 # More samples are no test any more, but a mistake.
 MOST_SAMPLES = 1e12
-# Bytes that a sample takes in a recording with display, about; and as little as it ever packs to.
-BYTES, FEWEST_BYTES = 8.0, 0.05
+# Bytes that a sample takes in a recording with display, about, as it is stored; and the smallest part of that to which
+# samples are ever packed.
+BYTES, FEWEST = {"counts": 4.5, "float32": 6.0, "float64": 10.7}, 0.005
 # Bytes that a sample of a true quantity takes, measured on random motion with dampers.
 TRUTH_BYTES = 6.0
 # What a recording process holds, bytes, measured: libraries and kernels; of each channel the state of its devices, with
@@ -72,7 +73,7 @@ def estimate(scene: Scene) -> Estimate:
     >>> import rig
     >>> scene = rig.load("fig10b-no-damper")
     >>> print(estimate(scene.replace(test=scene.test.replace(repeats=200, interval="9 s"))))
-    the test takes at least 30.0 min on the bench: 9.22e+06 samples a channel, about 294.9 MB
+    the test takes at least 30.0 min on the bench: 9.22e+06 samples a channel, about 165.9 MB
     """
     rate = scene.converter.sample_rate
     # Without channels of its own a scene has an ideal one on every body and the table.
@@ -87,7 +88,8 @@ def estimate(scene: Scene) -> Estimate:
         memory += 8.0 * PERIOD_COPIES * _period(scene.test) * rate
     points = scene.structure.bodies + len(scene.tables)
     true_series = 3 * points + len(scene.dampers) if scene.recording.truth else 0
-    disk = samples * (BYTES * channels + TRUTH_BYTES * true_series)
+    stored = scene.recording.samples or ("float64" if scene.converter.bits is None else "counts")
+    disk = samples * (BYTES[stored] * channels + TRUTH_BYTES * true_series)
     return Estimate(seconds, samples, disk, memory, isinstance(scene.test, SteppedSine))
 
 
@@ -109,7 +111,7 @@ def refuse_too_much(what: Estimate, path: Path) -> None:
     need(what.memory, "the test with half a second of all its channels, as held before it is written,")
     folder = next(folder for folder in path.absolute().parents if folder.is_dir())
     free = shutil.disk_usage(folder).free
-    if what.disk * FEWEST_BYTES / BYTES + RESERVE > free:
+    if what.disk * FEWEST + RESERVE > free:
         raise SceneError(
             f"the test would take about {_size(what.disk)}, and the disk of {path} has {_size(free)} left; choose "
             "another disk (-o FILE.mcap), a shorter test, or a lower rate"

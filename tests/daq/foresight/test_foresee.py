@@ -168,3 +168,11 @@ def test_result_has_a_row_for_each_expectation() -> None:
     assert table["name"].tolist() == ["a1", "ao0"]
     assert {len(column) for column in table.values()} == {2}
     assert str(foreseen).splitlines()[0] == foreseen.summary()
+
+
+@pytest.mark.parametrize("truth", [False, True])
+@pytest.mark.parametrize("name", ["fig10b-three-dampers", "reference-B"])
+def test_size_of_recording_is_foreseen(name, truth, tmp_path):
+    scene = rig.load(name, {"recording.truth": truth})
+    path = daq.record(scene, tmp_path / "a.mcap")
+    assert daq.foresee(scene).disk == pytest.approx(path.stat().st_size, rel=0.2)

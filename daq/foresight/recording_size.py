@@ -1,0 +1,72 @@
+"""How large a recording gets, by writing some of what was rehearsed."""
+
+from __future__ import annotations
+
+import tempfile
+from collections import deque
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from daq.recording.recorder import Recorder
+from daq.signal_chain.bench import AcquiredBlock, Bench
+from rig.scene.scene import Scene
+
+# The end of a rehearsal that is kept to be written, s: by then the test is under way.
+_KEPT_S = 4.0
+
+
+@dataclass
+class LastBlocks:
+    """The blocks of the last few seconds of a rehearsal.
+
+    Attributes
+    ----------
+    most : float
+        Samples that are kept at least, where there are as many.
+    """
+
+    most: float
+    blocks: deque[AcquiredBlock] = field(default_factory=deque)
+    samples: int = 0
+
+    @classmethod
+    def of(cls, rate: float) -> LastBlocks:
+        """Keep what is written of a rehearsal at a sample rate, Hz."""
+        return cls(_KEPT_S * rate)
+
+    def add(self, block: AcquiredBlock) -> None:
+        """Take the next block, and drop those that are no longer needed."""
+        self.blocks.append(block)
+        self.samples += block.samples.shape[1]
+        while self.samples - self.blocks[0].samples.shape[1] > self.most:
+            self.samples -= self.blocks.popleft().samples.shape[1]
+
+
+def recording_size(scene: Scene, bench: Bench, blocks: list[LastBlocks], seconds: float) -> float:
+    """Size that the recording of a test gets, bytes, about.
+
+    Parameters
+    ----------
+    scene : Scene
+    bench : Bench
+        Of the scene.
+    blocks : list of LastBlocks
+        Of each part that was rehearsed.
+    seconds : float
+        Time that the test takes.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "size.mcap"
+        written = 0
+        with Recorder(path, scene, bench.channels, bench.rate) as recorder:
+            empty = recorder.size
+            for block in (block for part in blocks for block in part.blocks):
+                if not block.samples.shape[1]:
+                    continue
+                if scene.recording.truth:
+                    motion = replace(block.motion, first=written, events=block.motion.events[:0])
+                    recorder.write_truth(motion)
+                recorder.write(block.samples)
+                written += block.samples.shape[1]
+        whole = path.stat().st_size
+    return empty + (whole - empty) / max(written, 1) * seconds * bench.rate

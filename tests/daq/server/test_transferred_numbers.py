@@ -78,6 +78,7 @@ def numbers(field):
 def requests(draw, method, task):
     """Draw a request of a call with any fields, about a task."""
     of_request = SERVICE.methods_by_name[method].input_type.fields
+    empty = message_factory.GetMessageClass(SERVICE.methods_by_name[method].input_type)()
     fields = {"task": {"name": task}} if "task" in [each.name for each in of_request] else {}
     for field in of_request:
         if field.name == "waveforms" and "Analog" in method:
@@ -88,7 +89,8 @@ def requests(draw, method, task):
                 value = st.sampled_from([0.0, 0.01, float("nan")])
             if field.name.startswith(("num_samps", "array_size")):
                 value = st.integers(-1 if field.name.startswith("num") else 0, 8) | value
-            fields[field.name] = draw(st.lists(value, max_size=8) if field.is_repeated else value)
+            is_list = hasattr(getattr(empty, field.name), "extend")
+            fields[field.name] = draw(st.lists(value, max_size=8) if is_list else value)
     return fields
 
 

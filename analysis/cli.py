@@ -21,55 +21,74 @@ app = application("From recordings to curves, modes and reports.")
 Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings; several are overlaid.")]
 Output = Annotated[
     Path | None,
-    typer.Option("--output", "-o", metavar="DIR", help="Where to write; default beside the first FILE."),
+    typer.Option(
+        "--output", "-o", metavar="DIR", help="Folder to write to. Default: that of the first FILE."
+    ),
 ]
 Reference = Annotated[
-    str, typer.Option(help="What to divide by: force (on the structure) or table (its displacement).")
+    str,
+    typer.Option(
+        metavar="force|table", help="Input: the force on the structure, or the displacement of the table."
+    ),
 ]
-Block = Annotated[float | None, typer.Option(help="Block length in s, for random tests and hits.")]
+Block = Annotated[float | None, typer.Option(metavar="S", help="Block length, for random tests and hits.")]
 Unit = Annotated[
     str | None,
-    typer.Option(metavar="UNIT", help="Of responses in a .uff or .csv FILE that says none: g/N, m/N."),
+    typer.Option(metavar="UNIT", help="Unit of responses in a .uff or .csv FILE that states none: g/N, m/N."),
 ]
 Count = Annotated[
-    int | None, typer.Option("--modes", help="How many modes to keep; default all stable ones.")
+    int | None,
+    typer.Option("--modes", metavar="N", help="Number of modes to keep. Default: all stable ones."),
 ]
 Table = Annotated[
-    Path, typer.Option("--output", "-o", metavar="FILE", help="Table; what is in it is not done again.")
+    Path,
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="FILE",
+        help="Table of results; settings that it contains are not computed again.",
+    ),
 ]
 
 
-@app.command()
+@app.command(example="analysis frf sweep.mcap --response body3")
 def frf(
     files: Files,
     output: Output = None,
     response: Annotated[
-        list[str] | None, typer.Option(help="Channel; may be repeated; default all bodies.")
+        list[str] | None,
+        typer.Option(metavar="CHANNEL", help="Response. May be repeated. Default: all bodies."),
     ] = None,
     reference: Reference = "force",
     motion: Annotated[
-        str, typer.Option(help="displacement, velocity or acceleration of the response.")
+        str,
+        typer.Option(
+            metavar="QUANTITY",
+            help="Displacement (receptance), velocity (mobility) or acceleration (accelerance).",
+        ),
     ] = "displacement",
     estimator: Annotated[
         str | None,
         typer.Option(
-            help="H1, H2 or Hv: average blocks of random or hits; default: take it whole, without leakage."
+            metavar="H1|H2|Hv",
+            help="Average spectra of blocks, for random tests and hits. Default: the whole record, without leakage.",
         ),
     ] = None,
     block: Block = None,
     overlap: Annotated[
-        float | None, typer.Option(help="Part of a block that it shares with the next; default 0.5.")
+        float | None, typer.Option(metavar="SHARE", help="Overlap of neighbouring blocks. Default: 0.5.")
     ] = None,
     window: Annotated[
-        str | None, typer.Option(help="Over blocks: hann, none, ...; default hann, none for hits.")
+        str | None,
+        typer.Option(metavar="NAME", help="Window of blocks: hann, none, ... Default: hann, for hits none."),
     ] = None,
     unit: Unit = None,
     theory: Annotated[
-        bool, typer.Option("--theory", help="Add the exact curve of the bare structure.")
+        bool, typer.Option("--theory", help="Add the exact response of the structure without dampers.")
     ] = False,
     overwrite: Overwrite = False,
 ) -> None:
-    """Frequency responses: compliance against frequency, with error bars and coherence."""
+    """Estimate frequency responses with 95 % bounds and coherence."""
     from analysis.presentation.presentation import present_frf
 
     with overwriting(overwrite), counting("analysing") as progress:
@@ -90,15 +109,17 @@ def frf(
     _show(result)
 
 
-@app.command()
+@app.command(example="analysis decay impulse.mcap --channel body3")
 def decay(
     files: Files,
     output: Output = None,
-    channel: Annotated[str | None, typer.Option(help="Channel; default the last body's.")] = None,
-    hit: Annotated[int, typer.Option(help="Which hit, from 1.")] = 1,
+    channel: Annotated[
+        str | None, typer.Option(metavar="CHANNEL", help="Response. Default: that of the last body.")
+    ] = None,
+    hit: Annotated[int, typer.Option(metavar="N", help="Number of the hit, from 1.")] = 1,
     overwrite: Overwrite = False,
 ) -> None:
-    """Free decays: envelope, natural frequencies, and damping ratio against amplitude."""
+    """Estimate natural frequencies and damping from a free decay."""
     from analysis.presentation.presentation import present_decay
 
     with overwriting(overwrite):
@@ -106,7 +127,7 @@ def decay(
     _show(result)
 
 
-@app.command()
+@app.command(example="analysis modes sweep.mcap")
 def modes(
     files: Files,
     output: Output = None,
@@ -116,7 +137,7 @@ def modes(
     unit: Unit = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Natural frequencies, damping ratios and mode shapes, of recordings or of responses in .uff or .csv."""
+    """Estimate natural frequencies, damping ratios and mode shapes."""
     from analysis.presentation.presentation import present_modes
 
     with overwriting(overwrite), counting("analysing") as progress:
@@ -124,9 +145,12 @@ def modes(
     _show(result)
 
 
-@app.command()
+@app.command(example="analysis dampers sweep.mcap")
 def dampers(files: Files, output: Output = None, overwrite: Overwrite = False) -> None:
-    """Motion of the dampers and energy they take out, at each frequency of a stepped sine."""
+    """Estimate impacts and dissipated energy of dampers.
+
+    At each frequency of a sine or stepped sine.
+    """
     from analysis.presentation.damper_findings import present_dampers
 
     with overwriting(overwrite), counting("analysing") as progress:
@@ -134,9 +158,12 @@ def dampers(files: Files, output: Output = None, overwrite: Overwrite = False) -
     _show(result)
 
 
-@app.command()
+@app.command(example="analysis compare without.mcap with.mcap")
 def compare(files: Files, output: Output = None, overwrite: Overwrite = False) -> None:
-    """How far every resonance peak of the first recording is lowered and moved in the others, with bounds."""
+    """Compare height and frequency of resonance peaks.
+
+    Changes against the first recording, with 95 % bounds.
+    """
     from analysis.presentation.comparison import present_compare
 
     with overwriting(overwrite), counting("analysing") as progress:
@@ -144,12 +171,13 @@ def compare(files: Files, output: Output = None, overwrite: Overwrite = False) -
     _show(result)
 
 
-@app.command()
+@app.command(example="analysis fit guess.yaml sweep.mcap --free structure -o fitted.yaml")
 def fit(
     files: Annotated[
         list[Path],
         typer.Argument(
-            metavar="RECORDING...", help="Of one structure, without and with dampers, at any levels."
+            metavar="RECORDING...",
+            help="Recordings of one structure, without and with dampers, at any levels.",
         ),
     ],
     scene: SceneName,
@@ -158,16 +186,19 @@ def fit(
         list[str] | None,
         typer.Option(
             metavar="KEY",
-            help="Fit this, such as structure.masses or dampers[1].clearance; may be repeated; default masses, "
-            "springs, damping and all of the dampers.",
+            help="Value to fit, such as structure.masses or dampers[1].clearance. May be repeated. Default: masses, "
+            "springs, damping and everything of the dampers.",
         ),
     ] = None,
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FILE", help="The fitted scene; figures lie beside it.")
+        Path,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="Fitted scene to write; the figures are written beside it."
+        ),
     ] = Path("fitted.yaml"),
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace FILE if it exists.")] = False,
 ) -> None:
-    """Fit a scene to recordings of the real structure: values with 95 % intervals."""
+    """Fit the values of a scene to recordings, with 95 % intervals."""
     from analysis.fitting.presentation import present_fit
 
     files_written, warnings = present_fit(files, loaded(scene, changes), free, output, overwrite, print)
@@ -177,18 +208,21 @@ def fit(
         print(f"wrote {path}")
 
 
-@app.command()
+@app.command(example="analysis report without.mcap with.mcap -o report.html")
 def report(
     files: Files,
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", metavar="DIR|FILE.html", help="Where to write; default beside the first FILE."
+            "--output",
+            "-o",
+            metavar="DIR|FILE.html",
+            help="Folder to write to. Default: that of the first FILE.",
         ),
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """One self-contained HTML page about recordings."""
+    """Write an interactive HTML page about recordings."""
     from analysis.report.report import write_report
 
     with overwriting(overwrite), counting("analysing") as progress:
@@ -196,21 +230,21 @@ def report(
     _show(result)
 
 
-@app.command()
+@app.command(example="analysis demo -o recordings")
 def demo(
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="Where recordings and figures go.")
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the recordings and figures.")
     ] = Path("recordings"),
     overwrite: Overwrite = False,
 ) -> None:
-    """Record the paper's sweep and impulse tests and draw its figures from the recordings."""
+    """Record the tests of the paper and draw its figures."""
     from analysis.presentation.demo import demonstrate
 
     with overwriting(overwrite):
         demonstrate(output, _say)
 
 
-@app.command()
+@app.command(example="analysis export sweep.mcap -o sweep.uff")
 def export(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="The recording.")],
     output: Annotated[
@@ -218,17 +252,23 @@ def export(
         typer.Option("-o", "--output", metavar="OUT", help="File to write: .uff, .mat, .csv, .npz or .wav."),
     ],
     channel: Annotated[
-        list[str] | None, typer.Option(help="Channel; may be repeated; default all of them.")
+        list[str] | None,
+        typer.Option(metavar="CHANNEL", help="Channel to export. May be repeated. Default: all."),
     ] = None,
-    start: Annotated[float | None, typer.Option("--from", metavar="S", help="Begin at this time.")] = None,
-    stop: Annotated[float | None, typer.Option("--to", metavar="S", help="End at this time.")] = None,
-    speed: Annotated[float, typer.Option(metavar="X", help="Play sound this much faster.")] = 1.0,
+    start: Annotated[
+        float | None, typer.Option("--from", metavar="S", help="Time at which to begin.")
+    ] = None,
+    stop: Annotated[float | None, typer.Option("--to", metavar="S", help="Time at which to end.")] = None,
+    speed: Annotated[float, typer.Option(metavar="X", help="Speed of sound files.")] = 1.0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT if it exists.")] = False,
     what: Annotated[
-        str, typer.Option(help="samples; or frfs or modes, into .uff (58, 55) or .mat.")
+        str,
+        typer.Option(
+            metavar="samples|frfs|modes", help="What to write; frfs and modes go into .uff (58, 55) or .mat."
+        ),
     ] = "samples",
 ) -> None:
-    """Write a recording for other tools: UFF, MATLAB, CSV, NPZ, or WAV to listen to."""
+    """Export a recording as UFF, MATLAB, CSV, NPZ or WAV file."""
     from analysis.export.export import expected_bytes, kind_of
     from analysis.export.export import export as export_stretch
     from analysis.export.results import export_results
@@ -255,23 +295,27 @@ def export(
     print(f"wrote {output}")
 
 
-@app.command()
+@app.command(example="analysis cost fig9")
 def cost(
     scene: SceneName,
     changes: Changes = None,
     frequency: Annotated[
         list[float] | None,
         typer.Option(
-            metavar="HZ", help="Measure here; may be repeated; default the test's ends and hardest."
+            metavar="HZ",
+            help="Frequency to measure at. May be repeated. Default: both ends of the test and the hardest.",
         ),
     ] = None,
     output: Annotated[
         Path,
-        typer.Option("--output", "-o", metavar="DIR", help="Where to write the figure and the table."),
+        typer.Option("--output", "-o", metavar="DIR", help="Folder for the figure and the table."),
     ] = Path(),
     overwrite: Overwrite = False,
 ) -> None:
-    """Measure what the measurement chain costs: error of the compliance against time, one effect at a time."""
+    """Measure error and computing time of the measurement chain.
+
+    One effect is added at a time.
+    """
     from analysis.chain_cost.figure import output_files, table, write
     from analysis.chain_cost.study import chain_study
     from rig.output_files import make_ready
@@ -289,31 +333,37 @@ def cost(
         print(f"wrote {path}")
 
 
-@app.command()
+@app.command(example="analysis paper -o paper")
 def paper(
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="Where data, figures and the page go.")
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for data, figures and the page.")
     ] = Path("recordings/paper"),
-    fresh: Annotated[list[str] | None, typer.Option(help="Compute this part again; may be repeated.")] = None,
+    fresh: Annotated[
+        list[str] | None, typer.Option(metavar="PART", help="Part to compute again. May be repeated.")
+    ] = None,
     cluster: Cluster = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Reproduce the paper's figures and judge its claims; goes on where it stopped."""
+    """Reproduce the figures of the paper and judge its claims. A second call continues the first."""
     from analysis.paper.reproduce import reproduce
 
     with goes_on(), overwriting(overwrite):
         reproduce(output, _say, fresh or (), cluster)
 
 
-@app.command()
+@app.command(example="analysis beds --points 6")
 def beds(
     output: Table = Path("recordings/beds.csv"),
     points: Annotated[
-        int | None, typer.Option(min=1, help="Only so many settings, spread over all; 6 take minutes.")
+        int | None,
+        typer.Option(min=1, help="Number of settings, spread over all of them; 6 take a few minutes."),
     ] = None,
     cluster: Cluster = None,
 ) -> None:
-    """Follow beds of grains and the same as one mass, for the paper's claim on them; takes over half an hour."""
+    """Compare beds of grains with one mass.
+
+    For the claim of the paper. Takes over half an hour.
+    """
     from analysis.paper.bed_study import follow
 
     with goes_on():
@@ -321,12 +371,15 @@ def beds(
     print(f"\nwritten: {output}")
 
 
-@app.command()
+@app.command(example="analysis contacts")
 def contacts(
     output: Table = Path("recordings/contacts.csv"),
     cluster: Cluster = None,
 ) -> None:
-    """Follow one mass on floors and ceilings that give way, at the settings of `analysis beds`; takes minutes."""
+    """Compare beds of grains with one mass on compliant walls.
+
+    At the settings of `analysis beds`. Takes minutes.
+    """
     from analysis.paper.contact_study import follow
 
     with goes_on():

@@ -38,11 +38,14 @@ OTHER_FORMATS = (
 # How a rig that scripts and clients drive is named.
 ON_THE_BENCH = "Scene on the bench (default: SHOTRIG_SCENE, or three particle dampers)."
 Clock = Annotated[
-    str | None, typer.Option(metavar="real|fast", help="How time passes (default: SHOTRIG_CLOCK, or real).")
+    str | None,
+    typer.Option(
+        metavar="real|fast", help="Real time, or as fast as possible. Default: SHOTRIG_CLOCK, or real."
+    ),
 ]
 
 
-@app.command()
+@app.command(example="daq record fig8-three-dampers --set test.force=2N -o sweep.mcap")
 def record(
     scenes: SceneNames,
     changes: Changes = None,
@@ -52,21 +55,27 @@ def record(
             "-o",
             "--output",
             metavar="FILE|DIR",
-            help="Recording to write, or folder for SCENE.mcap (default: recordings).",
+            help="Recording to write, or folder for SCENE.mcap. Default: recordings.",
         ),
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")] = False,
     block: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Most samples to acquire at a time; the recording stays the same."),
+        typer.Option(
+            metavar="N",
+            rich_help_panel="Test",
+            help="Largest number of samples acquired at a time; the recording does not depend on it.",
+        ),
     ] = None,
     dry_run: Annotated[
         bool,
-        typer.Option("--dry-run", help="Only say what the tests will do: largest values, limits, duration."),
+        typer.Option("--dry-run", help="Record nothing; print the expected maxima, limits and duration."),
     ] = False,
-    anyway: Annotated[bool, typer.Option("--anyway", help="Start a test although it will abort.")] = False,
+    anyway: Annotated[
+        bool, typer.Option("--anyway", help="Start a test even if it is expected to abort.")
+    ] = False,
 ) -> None:
-    """Run the tests of scenes and record them; Ctrl-C ends it early (exit code 130) and keeps what there is."""
+    """Run the tests of scenes and record them. Ctrl-C ends a test early (exit code 130) and keeps the recording."""
     from daq.foresight.announcement import refuse_certain_abort
     from daq.foresight.foresee import foresee
     from daq.measurement.estimate import estimate, refuse_too_much
@@ -94,39 +103,44 @@ def record(
             raise typer.Exit(code)
 
 
-@app.command("import")
+@app.command("import", example="daq import bench.csv --table channels.yaml -o bench.mcap")
 def import_recording(
     files: Annotated[
         list[Path],
         typer.Argument(
-            metavar="FILE...", help="Time histories: .tdms .uff .wav .csv .txt .npz .mat, or another's .mcap."
+            metavar="FILE...",
+            help="Time histories: .tdms .uff .wav .csv .txt .npz .mat, or .mcap of another program.",
         ),
     ],
     scene: Annotated[
         str | None,
         typer.Option(
             metavar="SCENE",
-            help="What was on the bench, with its channels; without it FILEs are only listed.",
+            help="The bench and its channels. Omitted, the contents of FILE are listed.",
         ),
     ] = None,
     changes: Changes = None,
     table: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE.yaml|csv", help="Which column is which channel; default: that of its name."
+            metavar="FILE.yaml|csv", help="Table that assigns columns to channels. Default: by name."
         ),
     ] = None,
-    start: Annotated[float | None, typer.Option("--from", metavar="S", help="Begin at this time.")] = None,
-    stop: Annotated[float | None, typer.Option("--to", metavar="S", help="End at this time.")] = None,
+    start: Annotated[
+        float | None, typer.Option("--from", metavar="S", help="Time at which to begin.")
+    ] = None,
+    stop: Annotated[float | None, typer.Option("--to", metavar="S", help="Time at which to end.")] = None,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="REC", help="Recording to write (default: FILE.mcap)."),
+        typer.Option("-o", "--output", metavar="REC", help="Recording to write. Default: FILE.mcap."),
     ] = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace the recording if it exists.")
     ] = False,
 ) -> None:
-    """Make a recording of what other programs have measured; without --scene, list what is in their files.
+    """Make a recording from files of another program.
+
+    Without --scene, the contents of the files are listed.
 
     The scene's test says what was done. Hits of a hammer, and the steps of a stepped sine, are found in the samples.
     """
@@ -146,26 +160,29 @@ def import_recording(
     import_and_report(files, what, path, table, start, stop, overwrite)
 
 
-@app.command()
+@app.command(example="daq replay sweep.mcap --screenshot sweep.png")
 def replay(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="The recording.")],
     save: Annotated[
-        Path | None, typer.Option(metavar="FILE.rrd", help="Write a file for the viewer, open no window.")
+        Path | None,
+        typer.Option(metavar="FILE.rrd", help="Write a file for the viewer instead of opening a window."),
     ] = None,
-    web: Annotated[bool, typer.Option("--web", help="Serve it to browsers on this machine.")] = False,
+    web: Annotated[bool, typer.Option("--web", help="Show it in a browser on this machine.")] = False,
     screenshot: Annotated[
-        Path | None, typer.Option(metavar="FILE.png", help="Draw a picture; needs no display.")
+        Path | None, typer.Option(metavar="FILE.png", help="Draw a picture instead; needs no display.")
     ] = None,
     at: Annotated[
         float | None,
-        typer.Option(metavar="S", help="Time of the picture (default: where the dampers fly highest)."),
+        typer.Option(metavar="S", help="Time of the picture. Default: where the dampers fly highest."),
     ] = None,
-    start: Annotated[float | None, typer.Option("--from", metavar="S", help="Begin at this time.")] = None,
-    stop: Annotated[float | None, typer.Option("--to", metavar="S", help="End at this time.")] = None,
+    start: Annotated[
+        float | None, typer.Option("--from", metavar="S", help="Time at which to begin.")
+    ] = None,
+    stop: Annotated[float | None, typer.Option("--to", metavar="S", help="Time at which to end.")] = None,
     speed: Annotated[float, typer.Option(metavar="X", help="Playback speed; 0.1 is slow motion.")] = 1.0,
     overwrite: Overwrite = False,
 ) -> None:
-    """Look at a recording: the rig in motion, channels, dampers, test marks."""
+    """Show a recording in the viewer, or draw a picture of it."""
     import daq
     from daq.replay import outputs as show
     from daq.replay.replay import Replay
@@ -191,12 +208,14 @@ def replay(
             show.in_window(part, report_progress)
 
 
-@app.command()
+@app.command(example="daq info sweep.mcap --check")
 def info(
     files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings.")],
-    check: Annotated[bool, typer.Option("--check", help="Read all of it and check every record.")] = False,
+    check: Annotated[
+        bool, typer.Option("--check", help="Read the whole file and verify every record.")
+    ] = False,
 ) -> None:
-    """Say what recordings hold: scene, channels, markers, what was lost; and what can be done with them."""
+    """Describe recordings, and name the commands that suit them."""
     from daq.measurement.run_report import next_steps
     from daq.recording.info import describe
     from daq.recording.recording import open as open_recording
@@ -212,13 +231,18 @@ def info(
                 print("  checked   all checksums match, and all records agree with each other")
 
 
-@app.command()
+@app.command(example="daq recover torn.mcap -o whole.mcap")
 def recover(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="The torn or damaged recording; it is kept.")],
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="FIXED", help="Recording to make of it.")],
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="The incomplete or damaged recording; it is kept.")
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FIXED", help="Recording to write.")],
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace FIXED if it exists.")] = False,
 ) -> None:
-    """Make a whole recording of a torn or damaged one, and say exactly what was lost."""
+    """Repair an incomplete or damaged recording.
+
+    What was lost is listed exactly.
+    """
     from daq.recording.recovery import recover as recover_recording
 
     _no_other_format(output)
@@ -226,7 +250,7 @@ def recover(
         print(line)
 
 
-@app.command()
+@app.command(example="daq scope fig9 --frequency 34 --force 2")
 def scope(
     scene: SceneName,
     changes: Changes = None,
@@ -236,19 +260,19 @@ def scope(
             "-o",
             "--output",
             metavar="FILE",
-            help="Recording to write (default: recordings/SCENE-scope.mcap).",
+            help="Recording to write. Default: recordings/SCENE-scope.mcap.",
         ),
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")] = False,
     frequency: Annotated[
-        float | None, typer.Option("-f", "--frequency", metavar="HZ", help="Drive frequency to begin with.")
+        float | None, typer.Option("-f", "--frequency", metavar="HZ", help="Initial drive frequency.")
     ] = None,
     force: Annotated[
-        float, typer.Option("-F", "--force", metavar="N", help="Force amplitude to begin with.")
+        float, typer.Option("-F", "--force", metavar="N", help="Initial force amplitude.")
     ] = 0.0,
     web: Annotated[bool, typer.Option("--web", help="Show it in a browser on this machine.")] = False,
 ) -> None:
-    """Run a rig live: turn frequency and force while you look at it; it is recorded meanwhile."""
+    """Run a rig live: change frequency and force while you watch it. Everything is recorded."""
     from daq.measurement.run_report import summary
     from daq.replay import outputs as show
     from daq.scope.scope import knobs_for, live, say
@@ -263,23 +287,27 @@ def scope(
     print(summary(path))
 
 
-@app.command("run", context_settings={"ignore_unknown_options": True, "allow_interspersed_args": False})
+@app.command(
+    "run",
+    context_settings={"ignore_unknown_options": True, "allow_interspersed_args": False},
+    example="daq run --scene fig9 my_script.py",
+)
 def run_a_script(
     script: Annotated[Path, typer.Argument(metavar="SCRIPT.py", help="A script that uses nidaqmx.")],
     arguments: Annotated[
         list[str] | None,
         # Whatever they are, they are the script's affair.
-        typer.Argument(metavar="[ARGS]...", help="For the script.", callback=lambda given: given),
+        typer.Argument(metavar="[ARGS]...", help="Arguments of the script.", callback=lambda given: given),
     ] = None,
     scene: Annotated[str | None, typer.Option(metavar="SCENE", help=ON_THE_BENCH)] = None,
     changes: Changes = None,
     clock: Clock = None,
     seconds: Annotated[
         float | None,
-        typer.Option(metavar="S", help="Press Ctrl-C, or Enter at a prompt, after this time on the bench."),
+        typer.Option(metavar="S", help="Send Ctrl-C, or Enter at a prompt, after this time on the bench."),
     ] = None,
 ) -> None:
-    """Run a script for the package nidaqmx against the rig; it needs to know nothing of it."""
+    """Run an unchanged nidaqmx script against the rig."""
     from daq.server.script import run_script
 
     with handed_over():
@@ -292,7 +320,7 @@ def run_a_script(
     raise typer.Exit(code)
 
 
-@app.command("serve")
+@app.command("serve", example="daq serve fig9 --clock fast")
 def serve_a_rig(
     scene: Annotated[str | None, typer.Argument(metavar="[SCENE]", help=ON_THE_BENCH)] = None,
     changes: Changes = None,
@@ -300,10 +328,11 @@ def serve_a_rig(
     address: Annotated[
         str,
         typer.Option(
-            metavar="HOST[:PORT]", help="Where to listen; other than this machine needs certificates."
+            metavar="HOST[:PORT]",
+            help="Address to listen on; other machines can connect only with certificates.",
         ),
     ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(metavar="N", help="Port; 0 takes a free one.")] = 31763,
+    port: Annotated[int, typer.Option(metavar="N", help="Port; 0 chooses a free one.")] = 31763,
     certificate: Annotated[
         Path | None, typer.Option(metavar="FILE.pem", help="The server's certificate, for TLS.")
     ] = None,
@@ -313,21 +342,19 @@ def serve_a_rig(
     client_ca: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE.pem", help="Let in only clients whose certificate this one signed (mutual TLS)."
+            metavar="FILE.pem", help="Accept only clients whose certificate this one signed (mutual TLS)."
         ),
     ] = None,
     session_timeout: Annotated[
         float,
-        typer.Option(
-            metavar="S", help="Close the tasks of a client that has gone without goodbye after this."
-        ),
+        typer.Option(metavar="S", help="Time after which the tasks of a lost client are closed."),
     ] = 30.0,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="FILE", help="Record meanwhile what all channels see."),
+        typer.Option("-o", "--output", metavar="FILE", help="Record all channels meanwhile."),
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")] = False,
-    viewer: Annotated[bool, typer.Option("--viewer", help="Show live what the channels see.")] = False,
+    viewer: Annotated[bool, typer.Option("--viewer", help="Show all channels live in the viewer.")] = False,
     protocol: Annotated[
         Path | None,
         typer.Option(
@@ -335,7 +362,10 @@ def serve_a_rig(
         ),
     ] = None,
 ) -> None:
-    """Put the instrument on the network, for any client of NI's gRPC device protocol; Ctrl-C ends it."""
+    """Serve the instrument to any client of NI's gRPC protocol.
+
+    Ctrl-C ends it.
+    """
     from daq.server.serve import Certificates, serve
     from daq.server.service import Limits
 

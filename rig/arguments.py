@@ -12,7 +12,7 @@ from rig.scene.scene_files import bundled
 if TYPE_CHECKING:
     from rig.scene.scene import Scene
 
-SCENE_HELP = "A bundled scene (see: rig scenes) or the path of a scene file."
+SCENE_HELP = "Name of a bundled scene (`rig scenes` lists them) or path of a scene file."
 
 
 def completions(incomplete: str) -> list[str]:
@@ -23,15 +23,17 @@ def completions(incomplete: str) -> list[str]:
 SceneName = Annotated[str, typer.Argument(metavar="SCENE", help=SCENE_HELP, autocompletion=completions)]
 SceneNames = Annotated[
     list[str],
-    typer.Argument(metavar="SCENE", help=f"{SCENE_HELP} Several run in a row.", autocompletion=completions),
+    typer.Argument(
+        metavar="SCENE", help=f"{SCENE_HELP} Several are run one after the other.", autocompletion=completions
+    ),
 ]
 Changes = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help="Change the scene, such as test.force=5N or dampers[2].clearance=0.5mm; may be repeated "
-        "(rig help lists the keys).",
+        help="Change a value of the scene, such as test.force=5N or dampers[2].clearance=0.5mm. May be repeated. "
+        "`rig help` lists the keys.",
     ),
 ]
 
@@ -39,19 +41,28 @@ Changes = Annotated[
 MOST = 100_000
 First = Annotated[
     str | None,
-    typer.Option("--from", metavar="F", help="First frequency, such as '8 Hz' (default: the test's)."),
+    typer.Option("--from", metavar="F", help="Lowest frequency, such as '8 Hz'. Default: that of the test."),
 ]
-Last = Annotated[str | None, typer.Option("--to", metavar="F", help="Last frequency (default: the test's).")]
+Last = Annotated[
+    str | None, typer.Option("--to", metavar="F", help="Highest frequency. Default: that of the test.")
+]
 Points = Annotated[
-    int | None, typer.Option(min=2, max=MOST, metavar="N", help="How many frequencies (default: the test's).")
+    int | None,
+    typer.Option(min=2, max=MOST, metavar="N", help="Number of frequencies. Default: those of the test."),
 ]
 Cluster = Annotated[
-    str | None, typer.Option(metavar="ADDRESS", help="A Dask scheduler that computes, or 'local'.")
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Address of a Dask scheduler that distributes the computation; 'local' starts one.",
+    ),
 ]
 
 Overwrite = Annotated[
     bool,
-    typer.Option("--overwrite", help="Replace files that are not unchanged outputs from the same input."),
+    typer.Option(
+        "--overwrite", help="Also replace files that were not written by this command from the same input."
+    ),
 ]
 
 

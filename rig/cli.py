@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 app = application("The physics of the virtual vibration rig.")
 
 
-@app.command()
+@app.command(example="rig scenes --copy fig9 mine.yaml")
 def scenes(
     show: Annotated[
         str | None,
@@ -42,8 +42,9 @@ def scenes(
     ] = None,
     copy: Annotated[
         tuple[str, Path] | None,
-        typer.Option(metavar="NAME FILE", help="Copy this scene's file, to begin one of your own with."),
+        typer.Option(metavar="NAME FILE", help="Copy this scene's file, as a start for your own."),
     ] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """List the bundled scenes, or print or copy the file of one."""
     from rig.output_files import replacing
@@ -53,18 +54,20 @@ def scenes(
         print(text_of(show), end="")
     if copy is not None:
         text = text_of(copy[0])
-        with replacing(copy[1], overwrite=False) as part:
+        with replacing(copy[1], overwrite=overwrite) as part:
             part.write_text(text, encoding="utf-8")
         print(f"{copy[1]}: change it, then: daq record {quote(str(copy[1]))}")
     if show is None and copy is None:
         _list([(name, summary(name)) for name in bundled()])
 
 
-@app.command()
+@app.command(example="rig presets")
 def presets(
-    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="A part, for all its figures.")] = None,
+    name: Annotated[
+        str | None, typer.Argument(metavar="[NAME]", help="Name of a preset: print its values.")
+    ] = None,
 ) -> None:
-    """List the parts whose data sheets a scene can name as preset, or the figures of one and where they are from."""
+    """List the presets of data sheets, or the values of one."""
     from rig.scene.data_sheets import data_sheets, described
 
     if name is not None:
@@ -80,38 +83,43 @@ def _list(rows: Sequence[tuple[str, str]]) -> None:
         print(f"{name:{wide}}  {what}" if wide else f"{name}\t{what}")
 
 
-@app.command()
+@app.command(example="rig schema --explain")
 def schema(
-    explain: Annotated[bool, typer.Option("--explain", help="Every key in words, as Markdown.")] = False,
+    explain: Annotated[
+        bool, typer.Option("--explain", help="Print the reference of all keys as Markdown instead.")
+    ] = False,
 ) -> None:
-    """Print the JSON Schema of scene files, for editors; or the reference of all keys."""
+    """Print the JSON Schema of scene files, or the reference of keys."""
     from rig.scene.json_schema import schema_text
     from rig.scene.reference import page
 
     print(page() if explain else schema_text(), end="")
 
 
-@app.command("help")
+@app.command("help", example="rig help test.stepped_sine")
 def help_(
     key: Annotated[
-        str | None, typer.Argument(metavar="[KEY]", help="Such as test.force, or only force.")
+        str | None, typer.Argument(metavar="[KEY]", help="Such as test.force, force, or test.stepped_sine.")
     ] = None,
 ) -> None:
-    """Explain a key of scene files: what it means, what it takes, and what holds without it."""
+    """Explain a key of scene files: meaning, values and default."""
     from rig.scene.reference import help_on
 
     print(help_on(key))
 
 
-@app.command()
+@app.command(example="rig explain fig9")
 def explain(
     scene: SceneName,
     changes: Changes = None,
     measure: Annotated[
-        bool, typer.Option("--measure", help="Add the effects one at a time and measure what each costs.")
+        bool,
+        typer.Option(
+            "--measure", help="Also add the effects one by one and measure the computing time of each."
+        ),
     ] = False,
 ) -> None:
-    """Say which effects a scene turns on, how many states each adds, and what its test will do."""
+    """List the effects, states and expected maxima of a scene."""
     import rig
     from rig.effects.foresight import foresights
 
@@ -127,19 +135,20 @@ def explain(
         print("\n" + text(costs))
 
 
-@app.command()
+@app.command(example="rig simulate fig9 --duration 2s -o run.npz")
 def simulate(
     scene: SceneName,
     changes: Changes = None,
     duration: Annotated[
         str | None,
-        typer.Option(metavar="TIME", help="How long, such as '2 s' (default: the test's duration)."),
+        typer.Option(metavar="TIME", help="Duration, such as '2 s'. Default: that of the test."),
     ] = None,
     rate: Annotated[
-        str, typer.Option(metavar="RATE", help="Samples of the motion, such as '5120 Hz'.")
+        str, typer.Option(metavar="RATE", help="Sample rate of the motion, such as '5120 Hz'.")
     ] = "5120 Hz",
     frequency: Annotated[
-        str | None, typer.Option(metavar="F", help="A tone of this frequency at the test's level.")
+        str | None,
+        typer.Option(metavar="F", help="Drive with a tone of this frequency at the level of the test."),
     ] = None,
     output: Annotated[
         Path | None,
@@ -147,12 +156,15 @@ def simulate(
             "-o",
             "--output",
             metavar="FILE",
-            help="Write the run: .npz or .csv; with grains it goes on where it stopped.",
+            help="File to write, .npz or .csv. A run with grains continues where it stopped.",
         ),
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Simulate a scene without sensors and controller; print peaks, events and energy."""
+    """Simulate the motion of a scene; print peaks, events and energy.
+
+    Without sensors and controller: the test plays its drive as it is.
+    """
     from rig.provenance import made_from, overwriting
     from rig.scene.quantities import FREQUENCY, TIME
     from rig.simulation.run_output import simulate_into, summary
@@ -171,7 +183,7 @@ def simulate(
         print(f"\nwritten: {output}")
 
 
-@app.command()
+@app.command(example="rig response fig9 --from 30Hz --to 40Hz --points 21 -o response.csv")
 def response(
     scene: SceneName,
     changes: Changes = None,
@@ -179,15 +191,22 @@ def response(
     last: Last = None,
     points: Points = None,
     direction: Annotated[
-        str | None, typer.Option(metavar="up|down|both", help="Order of the frequencies.")
+        str | None,
+        typer.Option(
+            metavar="up|down|both",
+            help="Order in which the frequencies are visited. Default: that of the test.",
+        ),
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="FILE.csv", help="Write the table with all digits."),
+        typer.Option("-o", "--output", metavar="FILE.csv", help="Table to write, with all digits."),
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Steady response over frequency at the test's level; at the test's frequencies unless others are given."""
+    """Compute the steady response over frequency.
+
+    At the level of the test.
+    """
     import rig
     from rig.provenance import made_from, overwriting, refuse_others
     from rig.response.response_output import frequencies_of, text, write
@@ -207,7 +226,7 @@ def response(
             print(f"\nwritten: {output}")
 
 
-@app.command()
+@app.command(example="rig grains fig9-grains --points 5 -o grains.csv")
 def grains(
     scene: SceneName,
     changes: Changes = None,
@@ -215,17 +234,23 @@ def grains(
     last: Last = None,
     points: Points = None,
     periods: Annotated[
-        int, typer.Option(min=1, max=MOST, metavar="N", help="Of the drive in a block that is averaged.")
+        int, typer.Option(min=1, max=MOST, metavar="N", help="Drive periods in each block that is averaged.")
     ] = 20,
     cluster: Cluster = None,
     output: Annotated[
         Path | None,
         typer.Option(
-            "-o", "--output", metavar="FILE.csv", help="Table to keep; what it has is not done again."
+            "-o",
+            "--output",
+            metavar="FILE.csv",
+            help="Table of results; frequencies that it contains are not computed again.",
         ),
     ] = None,
 ) -> None:
-    """Follow beds of grains at each frequency until they are steady, beside the same beds as one mass."""
+    """Compare beds of grains with the same beds as one mass.
+
+    Each is followed to its steady motion at each frequency.
+    """
     from rig.bed_response.bed_response import bed_response, text
     from rig.response.response_output import frequencies_of
     from rig.scene.quantities import FREQUENCY
@@ -240,23 +265,25 @@ def grains(
         print(f"\nwritten: {output}")
 
 
-@app.command()
+@app.command(example="rig cost fig9")
 def cost(
     scene: SceneName,
     changes: Changes = None,
     frequency: Annotated[
         str | None,
         typer.Option(
-            metavar="F", help="Of the drive (default: where the linear structure accelerates most)."
+            metavar="F", help="Drive frequency. Default: where the linear structure accelerates most."
         ),
     ] = None,
-    periods: Annotated[int, typer.Option(min=2, max=MOST, metavar="N", help="Length of the motion.")] = 20,
+    periods: Annotated[
+        int, typer.Option(min=2, max=MOST, metavar="N", help="Number of drive periods to simulate.")
+    ] = 20,
     output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="DIR", help="Where to write the figure and the table.")
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the figure and the table.")
     ] = Path(),
     overwrite: Overwrite = False,
 ) -> None:
-    """Measure what accuracy costs: every way to compute this scene, its error against its time, here and now.
+    """Measure error and computing time of every method on a scene.
 
     Of a scene with a bed of grains: what one mass, one mass on contacts that last, and coarser grains are worth.
     """
@@ -275,14 +302,15 @@ def cost(
     print("\nwritten:", *files)
 
 
-@app.command("map")
+@app.command("map", example="rig map fig9 --rows 12 --points 24")
 def map_(
     scene: SceneName,
     changes: Changes = None,
     over: Annotated[
         str | None,
         typer.Option(
-            metavar="force|drive|clearance", help="What changes beside frequency (default: the level)."
+            metavar="force|drive|clearance",
+            help="Quantity of the second axis. Default: the level of the test.",
         ),
     ] = None,
     least: Annotated[
@@ -290,18 +318,18 @@ def map_(
     ] = None,
     most: Annotated[str | None, typer.Option(metavar="VALUE", help="Largest level or clearance.")] = None,
     rows: Annotated[
-        int, typer.Option(min=2, max=1000, metavar="N", help="How many levels or clearances.")
+        int, typer.Option(min=2, max=1000, metavar="N", help="Number of levels or clearances.")
     ] = 36,
     first: First = None,
     last: Last = None,
-    points: Annotated[int, typer.Option(min=2, max=1000, metavar="N", help="How many frequencies.")] = 48,
+    points: Annotated[int, typer.Option(min=2, max=1000, metavar="N", help="Number of frequencies.")] = 48,
     cluster: Cluster = None,
     output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="DIR", help="Where to write the figure and the table.")
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the figure and the table.")
     ] = Path(),
     overwrite: Overwrite = False,
 ) -> None:
-    """Map where it gets hard: type of motion and time to settle over level (or clearance) and frequency.
+    """Map motion types and settling time over level and frequency.
 
     Started again after an interruption, it goes on where it stopped.
     """
@@ -332,54 +360,66 @@ def map_(
     print("\nwritten:", *files)
 
 
-@app.command()
+@app.command(example="rig design fig9 --budget '50 g' --bodies 3 --levels 3N -o design")
 def design(
     scene: SceneName,
     changes: Changes = None,
     budget: Annotated[
         str | None,
         typer.Option(
-            metavar="MASS|SHARE", help="The most to add: '50 g', or '5 %' of the structure's mass (default)."
+            metavar="MASS|SHARE",
+            help="Largest mass to add, such as '50 g'. Default: '5 %' of the structure's mass.",
         ),
     ] = None,
     bodies: Annotated[
         str | None,
         typer.Option(
-            metavar="BODY,...", help="Bodies that may carry a damper (default: all); for two, name one twice."
+            metavar="BODY,...",
+            help="Bodies that may carry a damper; name one twice for two dampers. Default: all.",
         ),
     ] = None,
     dampers: Annotated[
-        int, typer.Option(min=1, metavar="N", help="How many; fewer where they do as well.")
+        int,
+        typer.Option(
+            min=1, metavar="N", help="Largest number of dampers; fewer are chosen where they do as well."
+        ),
     ] = 1,
     clearance: Annotated[
         str | None,
-        typer.Option(metavar="LOW,HIGH", help="Clearances to choose from, such as '0.2 mm, 3 mm'."),
+        typer.Option(metavar="LOW,HIGH", help="Range of clearances to search, such as '0.2 mm, 3 mm'."),
     ] = None,
     levels: Annotated[
         str | None,
         typer.Option(
-            metavar="F,F,...", help="Forces to do well at (default: half, once and twice the test's)."
+            metavar="F,F,...",
+            help="Force amplitudes that count. Default: half, once and twice that of the test.",
         ),
     ] = None,
     band: Annotated[
-        str | None, typer.Option(metavar="LOW,HIGH", help="Frequencies that count (default: the test's).")
+        str | None,
+        typer.Option(metavar="LOW,HIGH", help="Frequency band that counts. Default: that of the test."),
     ] = None,
     watched: Annotated[
-        str | None, typer.Option(metavar="BODY,...", help="Bodies whose peaks count (default: all).")
+        str | None, typer.Option(metavar="BODY,...", help="Bodies whose peaks count. Default: all.")
     ] = None,
     damping_off: Annotated[
-        str, typer.Option(metavar="SHARE", help="How far the structure's damping may be off, such as '30 %'.")
+        str, typer.Option(metavar="SHARE", help="Uncertainty of the structure's damping, such as '30 %'.")
     ] = "0 %",
     stiffness_off: Annotated[
-        str, typer.Option(metavar="SHARE", help="How far its stiffness may be off.")
+        str, typer.Option(metavar="SHARE", help="Uncertainty of the structure's stiffness.")
     ] = "0 %",
     cluster: Cluster = None,
     output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="DIR", help="Where scene, figures and table go.")
+        Path,
+        typer.Option(
+            "-o", "--output", metavar="DIR", help="Folder for the scene, the figures and the table."
+        ),
     ] = Path(),
     overwrite: Overwrite = False,
 ) -> None:
-    """Choose dampers: mass, clearance and place with the smallest worst peak; what is there of it is not done again.
+    """Choose mass, clearance and place of dampers.
+
+    The choice has the smallest worst peak over all levels. A second call continues the first.
 
     New dampers land as the scene's: with their restitution and contact, those of the first where they differ.
     """

@@ -26,7 +26,7 @@ from rig.ranks import join
 from rig.shadowing import shadowed
 
 if TYPE_CHECKING:
-    import typer
+    from rig.command_help import Application
 
 # No option means more, whatever its unit.
 LARGEST = 1e12
@@ -36,11 +36,13 @@ _OBJECTS = 200_000
 _INTERRUPTED = 128 + signal.SIGINT
 
 
-def application(help_text: str) -> typer.Typer:
+def application(help_text: str) -> Application:
     """Make a command-line application in the style of the project."""
     import typer
 
-    app = typer.Typer(
+    from rig.command_help import Application
+
+    app = Application(
         help=f"{help_text} With --debug before the command an unexpected error shows where it comes from.",
         no_args_is_help=True,
         pretty_exceptions_enable=False,

@@ -1,0 +1,47 @@
+"""The help of every command: options in groups, and an example that the command accepts."""
+
+from __future__ import annotations
+
+import shlex
+from importlib import import_module
+
+import pytest
+import typer
+
+COMMANDS = [
+    (program, name)
+    for program in ("rig", "daq", "analysis")
+    for name in typer.main.get_command(import_module(f"{program}.cli").app).commands
+]
+
+
+def command(program, name):
+    return typer.main.get_command(import_module(f"{program}.cli").app).commands[name]
+
+
+@pytest.mark.parametrize(("program", "name"), COMMANDS)
+def test_each_command_has_a_valid_example(program, name):
+    one = command(program, name)
+    words = shlex.split(one.epilog)
+    assert words[:2] == [program, name]
+    one.make_context(name, words[2:])
+    assert one.epilog in one.get_help(one.make_context(name, words[2:]))
+
+
+@pytest.mark.parametrize(("program", "name"), COMMANDS)
+def test_summary_fits_the_list_of_commands(program, name):
+    assert not command(program, name).get_short_help_str(65).endswith("...")
+
+
+def test_many_options_are_listed_in_groups():
+    text = command("rig", "design").get_help(command("rig", "design").make_context("design", ["fig9"]))
+    scene, choice, output = (
+        text.index(f"\n{title}:\n") for title in ("Scene", "Dampers to choose from", "Output")
+    )
+    assert scene < text.index("--set") < choice < text.index("--budget") < output < text.index("--overwrite")
+    assert text.index("--help") > text.index("\nOptions:\n") > output
+
+
+def test_few_options_need_no_groups():
+    text = command("daq", "info").get_help(command("daq", "info").make_context("info", ["a.mcap"]))
+    assert "\nOptions:\n" in text and "\nOutput:\n" not in text

@@ -14,7 +14,7 @@ from rig.console import counting, goes_on
 from rig.provenance import overwriting
 
 if TYPE_CHECKING:
-    from analysis.presentation.presentation import Result
+    from analysis.presentation.result import Result
 
 app = application("From recordings to curves, modes and reports.")
 
@@ -89,7 +89,7 @@ def frf(
     overwrite: Overwrite = False,
 ) -> None:
     """Estimate frequency responses with 95 % bounds and coherence."""
-    from analysis.presentation.presentation import present_frf
+    from analysis.presentation.frf_findings import present_frf
 
     with overwriting(overwrite), counting("analysing") as progress:
         result = present_frf(
@@ -120,7 +120,7 @@ def decay(
     overwrite: Overwrite = False,
 ) -> None:
     """Estimate natural frequencies and damping from a free decay."""
-    from analysis.presentation.presentation import present_decay
+    from analysis.presentation.decay_findings import present_decay
 
     with overwriting(overwrite):
         result = present_decay(files, output, channel, hit)
@@ -138,7 +138,7 @@ def modes(
     overwrite: Overwrite = False,
 ) -> None:
     """Estimate natural frequencies, damping ratios and mode shapes."""
-    from analysis.presentation.presentation import present_modes
+    from analysis.presentation.mode_findings import present_modes
 
     with overwriting(overwrite), counting("analysing") as progress:
         result = present_modes(files, output, reference, modes, block, progress, unit)

@@ -22,7 +22,7 @@ from analysis.modal.identification import identify
 from analysis.modal.modes import Modes
 from analysis.presentation.expectations import expect, repeats
 from analysis.presentation.output_names import check_outputs, output_stem, with_ending
-from analysis.presentation.presentation import Progress, Result, noted
+from analysis.presentation.result import Progress, Result, noted
 from analysis.presentation.tables import write_table
 from analysis.recordings.names import opened, relabelled, scene_labels
 from analysis.responses.frequency_responses import frequency_responses

@@ -17,7 +17,7 @@ from analysis.dampers.nonlinearity import (
 from analysis.dampers.performance import CycleEnergy, energy_per_cycle, impact_energy_per_cycle
 from analysis.presentation.expectations import expect
 from analysis.presentation.output_names import check_outputs, output_stem, with_ending
-from analysis.presentation.presentation import Progress, Result
+from analysis.presentation.result import Progress, Result
 from analysis.presentation.tables import write_table
 from analysis.recordings.names import opened, relabelled, scene_labels
 from analysis.responses.measurands import located

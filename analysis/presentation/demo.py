@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.presentation.presentation import present_decay, present_frf, present_modes
+from analysis.presentation.decay_findings import present_decay
+from analysis.presentation.frf_findings import present_frf
+from analysis.presentation.mode_findings import present_modes
 from daq.measurement.run_report import is_recorded
 from rig.errors import SceneError
 from rig.provenance import may_overwrite

@@ -19,7 +19,7 @@ from analysis.modal.identification import identify
 from analysis.modal.modes import Modes
 from analysis.presentation.comparison import Places
 from analysis.presentation.damper_findings import motions_of_bodies
-from analysis.presentation.presentation import noted
+from analysis.presentation.result import noted
 from analysis.recordings.names import opened, relabelled, scene_labels
 from analysis.responses.frequency_responses import frequency_responses, kind_of
 from analysis.responses.frf import Frf

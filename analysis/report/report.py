@@ -11,7 +11,7 @@ from pathlib import Path
 from string import Template
 
 from analysis.presentation.output_names import output_stem, with_ending
-from analysis.presentation.presentation import Result
+from analysis.presentation.result import Result
 from analysis.report.answer import answer
 from analysis.report.charts import ChartWriter
 from analysis.report.drawing import mode_drawing, rig_drawing

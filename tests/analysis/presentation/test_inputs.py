@@ -14,7 +14,8 @@ import daq
 import rig
 from analysis.export.results import export_results
 from analysis.presentation.comparison import present_compare
-from analysis.presentation.presentation import present_frf, present_modes
+from analysis.presentation.frf_findings import present_frf
+from analysis.presentation.mode_findings import present_modes
 from rig.errors import SceneError
 
 BRACKET = """\

@@ -18,12 +18,9 @@ from analysis.figures.frf_figure import frf_figure
 from analysis.figures.modes_figure import modes_figure
 from analysis.modal.lscf import ChartPole
 from analysis.modal.modes import Modes
-from analysis.presentation.presentation import (
-    present_decay,
-    present_frf,
-    theoretical_shapes,
-    unlike_theory,
-)
+from analysis.presentation.decay_findings import present_decay
+from analysis.presentation.frf_findings import present_frf
+from analysis.presentation.mode_findings import theoretical_shapes, unlike_theory
 from analysis.responses.frf import Frf
 from rig.errors import RecordingError
 from tests.analysis.responses import synthetic

@@ -1,0 +1,73 @@
+"""Free decays of recordings as figures and tables: what `analysis decay` does."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.decays.free_decay import FIRST_FALL, Decay, decay
+from analysis.presentation.expectations import expect, repeats
+from analysis.presentation.output_names import check_outputs, output_stem
+from analysis.presentation.result import Result, noted
+from analysis.recordings.names import opened, relabelled, scene_labels
+from rig.results import bounded
+
+if TYPE_CHECKING:
+    from analysis.decays.modal_decay import ModalDecay
+
+
+def present_decay(
+    paths: Sequence[Path], output: Path | None = None, channel: str | None = None, hit: int = 1
+) -> Result:
+    """Draw and tabulate free decays, several recordings overlaid."""
+    from analysis.figures.decay_figure import decay_figure
+    from analysis.presentation.tables import damping_table, envelope_table
+    from rig.figure_style import save
+
+    decays: list[Decay] = []
+    notes = repeats(paths)
+    check_outputs(paths, output, "decay", "png", "svg")
+    for path, label in zip(paths, scene_labels(paths), strict=True):
+        with opened(path) as rec:
+            expect(rec, path, "decay")
+            decays.append(relabelled(decay(rec, channel, hit), rec.scene.name, label))
+            struck = getattr(rec.scene.test, "kind", "") != "free"
+        notes += noted(path, decays[-1].warnings)
+    first = decays[0]
+    title = f"Free decay of {first.channel}{f' after hit {hit}' if struck else ''}"
+    with output_stem(paths, output, "decay", "png", "svg") as stem:
+        files = save(decay_figure(decays, title), stem)
+        files.append(envelope_table(stem.with_name(stem.name + "-envelope.csv"), decays))
+        files.append(damping_table(stem.with_name(stem.name + "-damping.csv"), decays))
+    return Result(tuple(files), tuple(line for one in decays for line in describe_decay(one)), tuple(notes))
+
+
+def describe_decay(one: Decay) -> list[str]:
+    """Describe when dampers come to rest in a decay, and the damping of each mode."""
+    quiet = one.quiet_from
+    until = "not within the recording" if np.isnan(quiet) else f"after {quiet:.3g} s"
+    falls = (
+        f"does not fall by {-FIRST_FALL[1]:.0f} dB within the recording"
+        if np.isnan(one.halving)
+        else f"falls by 6 dB in {one.halving:.3g} s (slope from -1 to -11 dB)"
+    )
+    out = [f"{one.label}, {one.channel}: below 1 g {until}; backward-integrated energy {falls}"]
+    for mode in one.modes:
+        if mode.damping.size:
+            ends = ", ".join(_damping_at(mode, index) for index in (0, -1))
+            out.append(f"  {mode.frequency_text()}: damping ratio {ends}; noise {mode.noise:.1g} m/s²")
+        else:
+            out.append(
+                f"  {mode.frequency_text()}: too short, or too near its noise of {mode.noise:.1g} m/s², for a "
+                "damping ratio"
+            )
+    return out
+
+
+def _damping_at(mode: ModalDecay, index: int) -> str:
+    """Write the damping ratio at one amplitude with its 95 % bound from noise."""
+    ratio, bound = 100.0 * mode.damping[index], 200.0 * mode.damping_error[index]
+    return f"{bounded(ratio, bound, '%')} at {mode.amplitude[index]:.3g} m/s²"

@@ -1,0 +1,148 @@
+"""Frequency responses of recordings as figures and tables: what `analysis frf` does."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.presentation.expectations import expect_all
+from analysis.presentation.inputs import labels, read_curves
+from analysis.presentation.output_names import check_outputs, of_part, output_stem, with_ending
+from analysis.presentation.result import Progress, Result, noted
+from analysis.recordings.names import opened, relabelled
+from analysis.responses.branch_jumps import jumps
+from analysis.responses.frequency_responses import Blocks, frequency_responses, kind_of
+from analysis.responses.frf import SENSITIVITY, Frf
+from analysis.responses.frf_files import is_frf_file
+from analysis.responses.systematic import tolerance
+from rig.scene.presets import origin
+
+if TYPE_CHECKING:
+    from daq.recording.recording import Recording
+
+
+def present_frf(
+    paths: Sequence[Path],
+    output: Path | None = None,
+    channels: Sequence[str] | None = None,
+    reference: str = "force",
+    motion: str = "displacement",
+    estimator: str | None = None,
+    block: float | None = None,
+    theory: bool = False,
+    progress: Progress | None = None,
+    overlap: float | None = None,
+    window: str | None = None,
+    unit: str | None = None,
+) -> Result:
+    """Draw and tabulate frequency responses; several files are overlaid, one figure per response."""
+    from analysis.presentation.tables import frf_table
+
+    curves: list[Frf] = []
+    exact: list[Frf] = []
+    blocks = Blocks(estimator, block, overlap, window)
+    notes = expect_all(paths, "frf", blocks, theory, unit)
+    check_outputs(paths, output, "frf", "csv")
+    doubts: list[str] = []
+    for path, label in zip(paths, labels(paths), strict=True):
+        if is_frf_file(path):
+            read = read_curves(path, reference, channels, unit)
+            curves += [replace(frf.to(motion), label=label) for frf in read]
+            notes += noted(path, read[0].warnings)
+            continue
+        with opened(path) as rec:
+            acting = vars(blocks.acting_on(kind_of(rec)))
+            groups = frequency_responses(rec, channels, reference, motion, progress=progress, **acting)
+            curves += [relabelled(frf, rec.scene.name, label) for group in groups for frf in group]
+            notes += noted(path, [note for group in groups for note in group[0].warnings])
+            doubts += stated_tolerances(rec, [frf for group in groups for frf in group])
+            if theory:
+                exact += [linear_theory(rec, frf) for frf in groups[0]]
+    with output_stem(paths, output, "frf", "csv") as stem:
+        files = _drawn(curves, exact, stem)
+        files.append(frf_table(with_ending(stem, "csv"), curves))
+    return Result(tuple(files), (*(frf.summary() for frf in curves), *dict.fromkeys(doubts)), tuple(notes))
+
+
+def _drawn(curves: Sequence[Frf], exact: Sequence[Frf], stem: Path) -> list[Path]:
+    """Draw curves: those of one recording together, those of several by their outputs and inputs."""
+    from analysis.figures.frf_figure import frf_figure
+    from rig.figure_style import save
+
+    settings = list(dict.fromkeys(frf.label for frf in curves))
+    what = f"{curves[0].name.capitalize()}"
+    groups = _by_ratio(curves)
+    if len(settings) == 1:
+        shown = [replace(frf, label=frf.ratio) for frf in curves]
+        return save(frf_figure(shown, f"{what}: {settings[0]}", _once(exact), _marks(shown)), stem)
+    inputs = {shown[0].input for shown in groups}
+    files = []
+    for shown in groups:
+        first = shown[0]
+        some = [frf for frf in exact if (frf.response, frf.input) == (first.response, first.input)]
+        name = first.response if len(inputs) == 1 else first.ratio.replace(" / ", "-by-").replace(" ", "-")
+        part = stem if len(groups) == 1 else of_part(stem, name)
+        files += save(frf_figure(shown, f"{what}, {first.ratio}", _once(some), _marks(shown)), part)
+    return files
+
+
+def _by_ratio(curves: Sequence[Frf]) -> list[list[Frf]]:
+    """Group curves by output and input; curves of files that name no input go with the first that has one."""
+    groups: dict[tuple[str, str], list[Frf]] = {}
+    for curve in sorted(curves, key=lambda one: not one.input_at):
+        known = next((key for key in groups if key[0] == curve.response and not curve.input_at), None)
+        groups.setdefault(known or (curve.response, curve.input), []).append(curve)
+    return list(groups.values())
+
+
+def _marks(curves: Sequence[Frf]) -> list[tuple[float, str]]:
+    """Jumps of all curves, each place once."""
+    found = {(round(frequency, 6), text) for curve in curves for frequency, text in jumps(curve)}
+    return sorted(found)
+
+
+def _once(curves: Sequence[Frf]) -> list[Frf]:
+    """Keep one legend entry for theory and one curve for each output and input."""
+    out: list[Frf] = []
+    for curve in curves:
+        if all(curve.ratio != other.ratio for other in out):
+            out.append(replace(curve, label=curve.label if not out else ""))
+    return out
+
+
+def stated_tolerances(rec: Recording, frfs: Sequence[Frf]) -> list[str]:
+    """Say which sensors' tolerances make most of the bounds of curves, if they do, and where these figures are from."""
+    largest = [part for frf in frfs for part in frf.parts()]
+    if 2 * largest.count(SENSITIVITY) < len(largest):
+        return []
+    groups: dict[str, list[str]] = {}
+    settings = {each.name: each.accelerometer or each.hammer for each in rec.scene.channels or ()}
+    for name, info in rec.channels.items():
+        if tolerance(info):
+            source = origin(settings.get(name), "sensitivity_tolerance")
+            groups.setdefault(f"{100 * tolerance(info):.2g} %{source}", []).append(name)
+    stated = "; ".join(f"{', '.join(names)} {text}" for text, names in groups.items())
+    return [
+        f"{rec.scene.name}: most of these bounds is the tolerance of the sensors ({stated}); "
+        "if they are calibrated, give it in the scene: sensitivity_tolerance: 1 %"
+    ]
+
+
+def linear_theory(rec: Recording, frf: Frf) -> Frf:
+    """Exact linear curve of the scene's structure without dampers, for the same response and reference."""
+    from rig.system.structural_model import receptance
+
+    low, high = float(frf.frequency.min()), float(frf.frequency.max())
+    frequency = np.geomspace(low, high, 3000)
+    rows = receptance(rec.scene, frequency, attached=frf.reference == "table")
+    body = int(rec.channels[frf.response].at.split()[1])
+    nothing = np.zeros(frequency.size)
+    curve = Frf(
+        frequency, rows[body - 1], nothing, nothing + 1.0, nothing, frf.response, frf.reference,
+        label="linear theory, no dampers",
+    )  # fmt: skip
+    return replace(curve.to(frf.motion), output_at=frf.output_at, input_at=frf.input_at)

@@ -1,0 +1,28 @@
+"""Recordings and curves of other programs as a command's inputs: their labels, and what curves they hold."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from analysis.recordings.names import scene_labels
+from analysis.responses.frf import Frf
+from analysis.responses.frf_files import is_frf_file, read_frfs
+from rig.errors import RecordingError
+
+
+def labels(paths: Sequence[Path]) -> list[str]:
+    """Name recordings after their scenes, and other programs' files after themselves."""
+    recordings = [path for path in paths if not is_frf_file(path)]
+    named = dict(zip(recordings, scene_labels(recordings), strict=True))
+    return [named.get(path, path.stem) for path in paths]
+
+
+def read_curves(path: Path, reference: str, channels: Sequence[str] | None, unit: str | None) -> list[Frf]:
+    """Read the curves of another program; `reference` is then the force's node and direction."""
+    curves = read_frfs(path, None if reference == "force" else reference, unit)
+    missing = [name for name in channels or () if name not in {curve.response for curve in curves}]
+    if missing:
+        has = ", ".join(curve.response for curve in curves)
+        raise RecordingError(f"{path} has no response {', '.join(missing)}; it has {has[:300]}")
+    return [curve for curve in curves if not channels or curve.response in channels]

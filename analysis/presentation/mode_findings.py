@@ -1,0 +1,138 @@
+"""Modes of recordings as figures and tables: what `analysis modes` does."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.modal.identification import identify
+from analysis.modal.modes import Modes, mac
+from analysis.presentation.expectations import expect_all
+from analysis.presentation.inputs import labels, read_curves
+from analysis.presentation.output_names import check_outputs, output_stem, with_ending
+from analysis.presentation.result import Progress, Result, noted
+from analysis.recordings.names import opened, relabelled
+from analysis.responses.frequency_responses import Blocks, frequency_responses, kind_of
+from analysis.responses.frf_files import is_frf_file
+from rig.results import bounded, rounded
+
+if TYPE_CHECKING:
+    from daq.recording.recording import Recording
+
+#: From this modal assurance criterion on two shapes are usually taken for the same.
+SAME_SHAPE = 0.9
+
+
+def present_modes(
+    paths: Sequence[Path],
+    output: Path | None = None,
+    reference: str = "force",
+    count: int | None = None,
+    block: float | None = None,
+    progress: Progress | None = None,
+    unit: str | None = None,
+) -> Result:
+    """Identify modes, draw and tabulate them; of recordings, or of responses that other programs have estimated."""
+    from analysis.figures.modes_figure import modes_figure
+    from analysis.presentation.tables import modes_table
+    from rig.figure_style import save
+
+    found: list[Modes] = []
+    files: list[Path] = []
+    lines: list[str] = []
+    notes = expect_all(paths, "modes", Blocks(block=block), unit=unit)
+    check_outputs(paths, output, "modes", "csv")
+    for path, label in zip(paths, labels(paths), strict=True):
+        if is_frf_file(path):
+            curves = read_curves(path, reference, None, unit)
+            modes = replace(identify(curves, count), label=label)
+            found.append(modes)
+            with output_stem([path], output, "modes", "png", "svg") as stem:
+                files += save(modes_figure(curves, modes, f"Modes: {modes.label}"), stem)
+            lines += describe_modes(modes)
+            notes += noted(path, modes.warnings)
+            continue
+        with opened(path) as rec:
+            acting = vars(Blocks(block=block).acting_on(kind_of(rec)))
+            groups = frequency_responses(rec, None, reference, progress=progress, **acting)
+            for number, group in enumerate(groups):
+                modes = relabelled(identify(group, count), rec.scene.name, label)
+                found.append(modes)
+                with output_stem([path], output, "modes", "png", "svg") as first:
+                    stem = first if number == 0 else first.with_name(f"{first.name}-{number + 1}")
+                    files += save(modes_figure(group, modes, f"Modes: {modes.label}"), stem)
+                theory = theoretical_shapes(rec, modes) if reference == "force" else None
+                lines += describe_modes(modes, theory)
+                notes += noted(path, [*modes.warnings, *unlike_theory(modes, theory)])
+    with output_stem(paths, output, "modes", "csv") as stem:
+        files.append(modes_table(with_ending(stem, "csv"), found))
+    return Result(tuple(files), tuple(lines), tuple(notes))
+
+
+def describe_modes(modes: Modes, theory: np.ndarray | None = None) -> list[str]:
+    """List frequency, damping and shape of each mode, and how near it comes to the shapes of theory."""
+    out = [
+        f"{modes.label}{f', {modes.input}' * bool(modes.input)}: "
+        f"{modes.frequency.size} mode{'s' * (modes.frequency.size != 1)}"
+    ]
+    bodies = modes.of_bodies()
+    for i, frequency in enumerate(modes.frequency):
+        known = zip(bodies.names, bodies.shapes[:, i].real, 2.0 * bodies.errors[:, i], strict=True)
+        shape = ", ".join(f"{name} {_element(value, bound)}" for name, value, bound in known)
+        line = (
+            f"  {bounded(frequency, 2 * modes.frequency_error[i], 'Hz')}, damping ratio "
+            f"{modes.damping_text(i)}, shape ({shape})"
+        )
+        if theory is not None:
+            line += f", MAC with theory {nearest_mac(modes, theory)[i]:.4f}"
+        out.append(line)
+    return out
+
+
+def nearest_mac(modes: Modes, theory: np.ndarray) -> NDArray[np.float64]:
+    """Give the MAC of each mode's shape with the shape of theory that is most like it, shape (modes,)."""
+    return np.asarray(mac(modes.shapes, theory).max(axis=1))
+
+
+def unlike_theory(modes: Modes, theory: np.ndarray | None) -> list[str]:
+    """Doubt that channels and scene are those of the recording where shapes are known, and none of the scene's."""
+    if theory is None:
+        return []
+    nearest = nearest_mac(modes, theory)
+    # By so much at most what a shape may be off by lowers its MAC.
+    uncertain = np.sum((2.0 * modes.shape_error) ** 2, axis=0) / np.sum(abs(modes.shapes) ** 2, axis=0)
+    off = nearest + uncertain < SAME_SHAPE
+    if not off.any():
+        return []
+    pairs = zip(modes.frequency[off], nearest[off], strict=True)
+    which = ", ".join(f"{f:.4g} Hz (MAC {m:.2f})" for f, m in pairs)
+    return [
+        f"{which}: like no shape of the scene's structure, which takes a MAC above {SAME_SHAPE:g}: look whether "
+        "channels are swapped, or one has the wrong sign or place, whether the scene is that of this structure "
+        "(analysis fit finds its values), and where dampers fly, at a lower level."
+    ]
+
+
+def _element(value: float, bound: float) -> str:
+    """Write an element of a shape with its bound, the largest one, by which all are scaled, without."""
+    if not bound:
+        return f"{value:.3g}"
+    return (
+        f"{rounded(value, bound)} ± {rounded(bound, bound)}"
+        if np.isfinite(bound)
+        else f"{value:.3f} (no bound)"
+    )
+
+
+def theoretical_shapes(rec: Recording, modes: Modes) -> np.ndarray | None:
+    """Shapes of the scene's structure at the measured points, shape (responses, bodies)."""
+    from rig.system.structural_model import structural_model
+
+    shapes = structural_model(rec.scene).modes.shapes
+    bodies = [int(rec.channels[name].at.split()[1]) - 1 for name in modes.responses]
+    return np.asarray(shapes)[bodies] if len(bodies) > 1 else None

@@ -15,6 +15,7 @@ from analysis.responses.line_errors import ErrorCovariance, error_covariance
 from analysis.responses.measurands import concerned, reference_of, responses
 from analysis.responses.stepped_sine import sweeps
 from analysis.responses.systematic import REFERENCE_NOISE, ROUGH, tolerance
+from daq.recording.recorded_test import TestKind
 from rig.errors import RecordingError
 from rig.results import plainly
 
@@ -118,8 +119,7 @@ def measured(rec: Recording, name: str, progress: Progress | None = None) -> lis
         If the recording holds no responses, or dampers in a test that is not of tones.
     """
     scene = rec.scene
-    kind = scene.test.kind if scene.test is not None else ""
-    if kind == "free":
+    if not rec.test.drives:
         raise RecordingError(
             f"{name} holds a free decay, which no force drives: a fit needs responses to a force; "
             "record a stepped_sine, swept_sine, multisine, random or impulse test"
@@ -127,12 +127,14 @@ def measured(rec: Recording, name: str, progress: Progress | None = None) -> lis
     names = responses(rec)
     if not names:
         raise RecordingError(f"{name} has no channel on a body: there is no response to fit")
-    behind_spring = kind != "impulse" and getattr(scene.driven_shaker, "spring", None) is not None
+    behind_spring = (
+        rec.test.kind is not TestKind.HITS and getattr(scene.driven_shaker, "spring", None) is not None
+    )
     reference = "table" if behind_spring else "force"
-    tones = any(marker.kind == "measure" and "frequency" in marker.fields for marker in rec.markers)
+    tones = rec.test.kind is TestKind.TONES
     if any(d.moves for d in scene.dampers) and not tones:
         raise RecordingError(
-            f"{name} holds a test {f'of kind {kind}' if kind else 'without tones'} with dampers that move: their "
+            f"{name} holds {rec.test.name} with dampers that move: their "
             "response is fitted from steady tones; record test: {kind: stepped_sine, ...} at one or several levels"
         )
     if tones:

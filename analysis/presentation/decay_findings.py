@@ -13,6 +13,7 @@ from analysis.presentation.expectations import expect, repeats
 from analysis.presentation.output_names import check_outputs, output_stem
 from analysis.presentation.result import Result, noted
 from analysis.recordings.names import opened, relabelled, scene_labels
+from daq.recording.recorded_test import TestKind
 from rig.results import bounded
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ def present_decay(
         with opened(path) as rec:
             expect(rec, path, "decay")
             decays.append(relabelled(decay(rec, channel, hit), rec.scene.name, label))
-            struck = getattr(rec.scene.test, "kind", "") != "free"
+            struck = rec.test.kind is not TestKind.FREE
         notes += noted(path, decays[-1].warnings)
     first = decays[0]
     title = f"Free decay of {first.channel}{f' after hit {hit}' if struck else ''}"

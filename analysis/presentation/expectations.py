@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from analysis.recordings.names import opened
-from analysis.responses.frequency_responses import BLOCK_OPTIONS, TAKEN, Blocks, kind_of
+from analysis.responses.frequency_responses import BLOCK_OPTIONS, TAKEN, Blocks
 from analysis.responses.frf_files import is_frf_file
+from daq.recording.recorded_test import TestKind
 from rig.errors import RecordingError, SceneError
 from rig.input_files import repeated
 
@@ -33,23 +34,19 @@ def expect(rec: Recording, path: Path, command: str) -> None:
     RecordingError
         Stating what the recording contains, and which command suits it.
     """
-    test = rec.scene.test
-    kind = test.kind if test is not None else ""
-    measured = [marker for marker in rec.markers if marker.kind == "measure"]
-    hit = any(marker.kind == "hit" for marker in rec.markers) or kind == "free"
-    file = shlex.quote(str(path))
-    held = f"{path} holds a test of kind {kind}" if kind else f"{path} holds no test"
-    if command == "decay" and not hit and measured:
+    test, file = rec.test, shlex.quote(str(path))
+    held = f"{path} holds {test.name}"
+    if command == "decay" and not test.decays and test.kind is not TestKind.NONE:
         raise RecordingError(f"{held} and no free decay: `analysis frf {file}` shows its frequency responses")
-    if command in ("frf", "modes", "dampers") and kind == "free":
+    if command in ("frf", "modes", "dampers") and not test.drives:
         raise RecordingError(f"{held}, which no force drives: `analysis decay {file}` shows how it dies away")
     if command == "dampers":
         if not rec.scene.dampers:
             raise RecordingError(
                 f"{path}: its scene has no dampers; `analysis frf {file}` shows its responses"
             )
-        if not any("frequency" in marker.fields for marker in measured) and (measured or hit):
-            suits = "decay" if hit else "frf"
+        if test.kind not in (TestKind.TONES, TestKind.NONE):
+            suits = "decay" if test.decays else "frf"
             raise RecordingError(
                 f"{held}: the motion of dampers needs held tones, test: {{kind: stepped_sine, ...}} or "
                 f"{{kind: sine, ...}}; `analysis {suits} {file}` shows what this recording contains"
@@ -83,7 +80,7 @@ def expect_all(
         else:
             with opened(path) as rec:
                 expect(rec, path, command)
-                kind = kind_of(rec)
+                kind = rec.test.kind
             acting, why = ("theory", *BLOCK_OPTIONS.get(kind, ())), TAKEN.get(kind, "")
         for name in idle.keys() - {*acting}:
             idle[name].append(f"{path.name}: {why if name != 'unit' else 'a recording knows its units'}")

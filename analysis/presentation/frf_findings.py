@@ -15,7 +15,7 @@ from analysis.presentation.output_names import check_outputs, of_part, output_st
 from analysis.presentation.result import Progress, Result, noted
 from analysis.recordings.names import opened, relabelled
 from analysis.responses.branch_jumps import jumps
-from analysis.responses.frequency_responses import Blocks, frequency_responses, kind_of
+from analysis.responses.frequency_responses import Blocks, frequency_responses
 from analysis.responses.frf import SENSITIVITY, Frf
 from analysis.responses.frf_files import is_frf_file
 from analysis.responses.systematic import tolerance
@@ -55,7 +55,7 @@ def present_frf(
             notes += noted(path, read[0].warnings)
             continue
         with opened(path) as rec:
-            acting = vars(blocks.acting_on(kind_of(rec)))
+            acting = vars(blocks.acting_on(rec.test.kind))
             groups = frequency_responses(rec, channels, reference, motion, progress=progress, **acting)
             curves += [relabelled(frf, rec.scene.name, label) for group in groups for frf in group]
             notes += noted(path, [note for group in groups for note in group[0].warnings])

@@ -17,7 +17,7 @@ from analysis.presentation.inputs import labels, read_curves
 from analysis.presentation.output_names import check_outputs, output_stem, with_ending
 from analysis.presentation.result import Progress, Result, noted
 from analysis.recordings.names import opened, relabelled
-from analysis.responses.frequency_responses import Blocks, frequency_responses, kind_of
+from analysis.responses.frequency_responses import Blocks, frequency_responses
 from analysis.responses.frf_files import is_frf_file
 from rig.results import bounded, rounded
 
@@ -58,7 +58,7 @@ def present_modes(
             notes += noted(path, modes.warnings)
             continue
         with opened(path) as rec:
-            acting = vars(Blocks(block=block).acting_on(kind_of(rec)))
+            acting = vars(Blocks(block=block).acting_on(rec.test.kind))
             groups = frequency_responses(rec, None, reference, progress=progress, **acting)
             for number, group in enumerate(groups):
                 modes = relabelled(identify(group, count), rec.scene.name, label)

@@ -140,11 +140,9 @@ def hits(rec: Recording) -> list[tuple[int, int]]:
     marked = sorted((m.first_sample, m.end) for m in rec.markers if m.kind == "hit")
     if marked:
         return marked
-    test = rec.scene.test
-    if test is not None and test.kind == "free":
+    if not rec.test.drives:
         return [(0, 0)]
-    kind = "no test" if test is None else f"a test of kind {test.kind}"
     raise RecordingError(
-        f"no free decay in this recording: it holds {kind} and no hit is marked; "
+        f"no free decay in this recording: it holds {rec.test.name} and no hit is marked; "
         "record a scene with test: {kind: impulse, ...} or {kind: free, ...}"
     )

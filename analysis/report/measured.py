@@ -21,9 +21,10 @@ from analysis.presentation.comparison import Places
 from analysis.presentation.damper_findings import motions_of_bodies
 from analysis.presentation.result import noted
 from analysis.recordings.names import opened, relabelled, scene_labels
-from analysis.responses.frequency_responses import frequency_responses, kind_of
+from analysis.responses.frequency_responses import frequency_responses
 from analysis.responses.frf import Frf
 from analysis.responses.stepped_sine import Sweep, sweeps
+from daq.recording.recorded_test import TestKind
 from daq.recording.recording import Recording
 from rig.errors import ShotrigError
 
@@ -110,18 +111,17 @@ class Measurements:
         ]
 
     def _measure(self, path: Path, label: str, rec: Recording) -> Measured:
-        free = rec.scene.test is not None and rec.scene.test.kind == "free"
         groups: list[list[Frf]] = []
-        if not free:
+        if rec.test.drives:
             groups = (
                 self._attempt(path, "Frequency responses", frequency_responses, rec, progress=self.progress)
                 or []
             )
         passes = tuple(self._pass(path, label, rec, group) for group in groups)
-        stepped = not free and kind_of(rec) == "tones" and rec.scene.dampers
+        stepped = rec.test.kind is TestKind.TONES and rec.scene.dampers
         dampers = self._attempt(path, "Dampers", self._dampers, path, rec) if stepped else None
         decayed = None
-        if free or any(marker.kind == "hit" for marker in rec.markers):
+        if rec.test.decays:
             decayed = self._attempt(path, "Free decay", decay, rec)
             if decayed is not None:
                 decayed = relabelled(decayed, rec.scene.name, label)

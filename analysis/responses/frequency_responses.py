@@ -11,6 +11,7 @@ from analysis.responses.estimators import ESTIMATORS, Averages
 from analysis.responses.frf import MOTIONS, Frf, FrfSet
 from analysis.responses.measurands import chosen, concerned, input_place, place
 from analysis.responses.passivity import reversed_force
+from daq.recording.recorded_test import TestKind
 from rig.errors import RecordingError, SceneError
 from rig.scene.quantities import FORCE, number
 
@@ -56,18 +57,8 @@ class Blocks:
         return self != Blocks()
 
     def acting_on(self, kind: str) -> Blocks:
-        """Leave out what cannot act on a kind of recording, see `kind_of`."""
+        """Leave out what cannot act on a kind of test."""
         return Blocks(**{name: getattr(self, name) for name in BLOCK_OPTIONS.get(kind, ())})
-
-
-def kind_of(rec: Recording) -> str:
-    """Identify the kind of test by its markers: 'multisine', 'sweep', 'random', 'hits' or 'tones'."""
-    measured = [marker for marker in rec.markers if marker.kind == "measure"]
-    fields = measured[0].fields if measured else {}
-    for field, kind in (("realisation", "multisine"), ("spacing", "sweep"), ("from", "random")):
-        if field in fields:
-            return kind
-    return "hits" if not measured and any(marker.kind == "hit" for marker in rec.markers) else "tones"
 
 
 @takes_path
@@ -123,9 +114,11 @@ def frequency_responses(
     names = chosen(rec, channels)
     if not names:
         raise RecordingError("no channel on a body: there is no response to divide")
-    kind = kind_of(rec)
+    kind = rec.test.kind
     if blocks.acting_on(kind) != blocks:
-        raise SceneError(f"blocks, H1, H2 and Hv are for random and hits; {rec.path}: {TAKEN[kind]}")
+        raise SceneError(
+            f"blocks, H1, H2 and Hv are for random and hits; {rec.path}: {TAKEN.get(kind, rec.test.name)}"
+        )
     out: list[list[Frf]] = []
     channels = concerned(rec, names, reference)
     for source in _sources(rec, kind, channels, reference, blocks, progress):
@@ -169,7 +162,7 @@ def _unfiltered(rec: Recording, channels: Sequence[str]) -> tuple[str, ...]:
 
 def _sources(
     rec: Recording,
-    kind: str,
+    kind: TestKind,
     channels: Sequence[str],
     reference: str,
     blocks: Blocks,
@@ -177,15 +170,19 @@ def _sources(
 ) -> Sequence[Lines | Averages | BestLinearApproximation | WholeStretches | SweptTone]:
     """Take what was measured: tones, periods, blocks of noise, a sweep, or hits."""
     measured = [marker for marker in rec.markers if marker.kind == "measure"]
-    if kind == "multisine":
+    if kind in (TestKind.MULTISINE, TestKind.SWEEP, TestKind.RANDOM) and not measured:
+        raise RecordingError(
+            f"{rec.path}: {rec.test.name} that ended before anything was measured. Record it again."
+        )
+    if kind is TestKind.MULTISINE:
         from analysis.responses.multisine import best_linear_approximation
 
         return [best_linear_approximation(rec, measured, channels, reference, progress)]
-    if kind == "sweep":
+    if kind is TestKind.SWEEP:
         from analysis.responses.swept_sine import tracked
 
         return [tracked(rec, marker, channels, progress) for marker in measured]
-    if kind == "random":
+    if kind is TestKind.RANDOM:
         from analysis.responses import random
 
         if not blocks.wanted:
@@ -196,7 +193,7 @@ def _sources(
             random.averages(rec, marker, channels, blocks.block, overlap, None, progress, window)
             for marker in measured
         ]
-    if kind == "hits":
+    if kind is TestKind.HITS:
         from analysis.responses import impact
 
         if blocks.wanted:
@@ -249,7 +246,7 @@ def frfs(
     if motion not in MOTIONS:
         raise SceneError(f"unknown motion {motion!r}: expected {', '.join(MOTIONS)}")
     names = chosen(rec, channels)
-    if kind_of(rec) != "tones":
+    if rec.test.kind not in (TestKind.TONES, TestKind.NONE):
         if level is not None or direction is not None:
             raise SceneError(f"level and direction choose among sweeps of held tones; {rec.path} holds none")
         (group,) = frequency_responses(rec, names, reference, motion)

@@ -21,6 +21,7 @@ from daq.measurement.force_reference import missing_force_reference
 from daq.measurement.limits import ControlLoss, Limits, Stretches
 from daq.recording.committed_file import DiskError
 from daq.recording.interrupts import answered
+from daq.recording.recorded_test import TestKind, kind_of_settings
 from daq.recording.recorder import Recorder
 from daq.signal_chain.bench import AcquiredBlock, Bench
 from rig.ending_signals import came
@@ -114,6 +115,8 @@ class MeasurementRun:
         Makes the excitation at a station; the scene's own test unless another is given.
     heard : callable
         Called with each block and the channels' readings in it; it may take its time.
+    kind : TestKind, optional
+        Kind of another excitation than that of the scene's test.
 
     Attributes
     ----------
@@ -129,8 +132,10 @@ class MeasurementRun:
         progress: Progress | None = None,
         excite: Callable[[Station], Excitation] = excitation,
         heard: Callable[[AcquiredBlock, Array], None] = lambda block, readings: None,
+        kind: TestKind | None = None,
     ) -> None:
         self._path = path
+        self._kind = kind_of_settings(scene.test) if kind is None else kind
         self._excite, self._heard = excite, heard
         self._block, self._progress = block, progress
         self.bench = Bench(scene)
@@ -169,7 +174,9 @@ class MeasurementRun:
             # While the file is made and while it is ended an interrupt waits, too: a part of either is no recording.
             with (
                 _interruptible() as interrupted,
-                Recorder(path, bench.scene, bench.channels, bench.rate, overwrite=overwrite) as recorder,
+                Recorder(
+                    path, bench.scene, bench.channels, bench.rate, overwrite=overwrite, test_kind=self._kind
+                ) as recorder,
             ):
                 self._recorder = recorder
                 try:

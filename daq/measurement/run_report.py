@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from daq.measurement.estimate import WORTH_SAYING_S, estimate
 from daq.measurement.force_reference import missing_force_reference
+from daq.recording.recorded_test import TestKind
 from rig.console import progress
 from rig.errors import ShotrigError
 from rig.results import frequency_ranges
@@ -119,14 +120,13 @@ def next_steps(rec: Recording) -> list[str]:
     except ShotrigError:
         # Another program's recording need not say what was on its bench.
         return [f"daq replay {shlex.quote(str(rec.path))}"]
-    kinds = {mark.kind for mark in rec.markers}
-    tones = any(mark.kind == "measure" and "frequency" in mark.fields for mark in rec.markers)
+    kinds, test = {mark.kind for mark in rec.markers}, rec.test
     channels = list(rec.channels.values())
-    steps = ["decay"] if "hit" in kinds or (scene.test is not None and scene.test.kind == "free") else []
+    steps = ["decay"] if "hit" in kinds or test.kind is TestKind.FREE else []
     struck = "hit" in kinds and any(info.quantity == "force" for info in channels)
     if struck or ("measure" in kinds and missing_force_reference(scene, channels) is None):
         steps += ["frf"] if getattr(scene.test, "kind", "") == "sine" else ["frf", "modes"]
-    steps += ["dampers"] if tones and scene.dampers else []
+    steps += ["dampers"] if test.kind is TestKind.TONES and "measure" in kinds and scene.dampers else []
     return [
         f"{command} {shlex.quote(str(rec.path))}"
         for command in (*(f"analysis {step}" for step in steps), "daq replay")

@@ -27,6 +27,7 @@ from daq.recording.timebase import Timebase
 from rig.errors import RunError
 
 if TYPE_CHECKING:
+    from daq.recording.recorded_test import TestKind
     from daq.signal_chain.channel import ChannelInfo
     from rig.scene.scene import Scene
     from rig.simulation.motion import Motion
@@ -63,6 +64,8 @@ class Recorder:
         Whether an existing file may be replaced.
     source : str
         Names of the files that other instruments made the samples with; empty for those of the virtual rig.
+    test_kind : TestKind, optional
+        What kind of test is recorded; omitted, readers take it from the markers.
 
     Raises
     ------
@@ -81,12 +84,13 @@ class Recorder:
         start_ns: int = 0,
         overwrite: bool = False,
         source: str = "",
+        test_kind: TestKind | None = None,
     ) -> None:
         self.path = Path(path)
         self.channels = tuple(channels)
         self.clock = Timebase(rate, start_ns)
         self.closed = False
-        self._scene, self._source = scene, source
+        self._scene, self._source, self._test_kind = scene, source, test_kind
         self._block, self._group = layout.block_length(rate), layout.flush_length(rate)
         self._stored = stored_as(scene, self.channels)
         self._scale = np.array([scale_of(info, self._stored) for info in self.channels])[:, None]
@@ -293,7 +297,8 @@ class Recorder:
         test = "none" if scene.test is None else scene.test.kind
         run = {"scene": scene.name, "seed": str(scene.seed), "test": test, "layout": layout.VERSION}
         source = {"source": self._source} if self._source else {}
-        records["run"] = run | {"shotrig": _version("shotrig")} | source
+        kind = {"kind": str(self._test_kind)} if self._test_kind is not None else {}
+        records["run"] = run | {"shotrig": _version("shotrig")} | source | kind
         for name, fields in records.items():
             self._file.add_metadata(name, checked(fields))
         text = scene.to_si_yaml().encode()

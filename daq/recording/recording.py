@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from mcap.records import Channel
 
+    from daq.recording.recorded_test import RecordedTest
     from rig.scene.scene import Scene
 
 
@@ -344,6 +345,13 @@ class Recording(Result):
     def status(self) -> str:
         """How the test ended: `complete`, `interrupted`, `failed`, `recovered`, or `unknown`."""
         return self.metadata.get("outcome", {}).get("status", "unknown")
+
+    @cached_property
+    def test(self) -> RecordedTest:
+        """The recorded test: its kind and its settings."""
+        from daq.recording.recorded_test import recorded_test
+
+        return recorded_test(self)
 
     @property
     def duration(self) -> float:

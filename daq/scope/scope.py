@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from daq.excitation.manual_tone import HandTone, Knobs, ToneReading
 from daq.measurement.run import MeasurementRun
+from daq.recording.recorded_test import TestKind
 from daq.replay.outputs import recording_stream
 from daq.scope.screen import Screen, sentence
 from daq.signal_chain.bench import Bench
@@ -119,7 +120,9 @@ def scope(
 
     rate = float(scene.converter.sample_rate)
     block = max(1, round(BLOCK_S * rate))
-    run = MeasurementRun(scene, path, block, excite=HandTone(knobs, read).excite, heard=heard)
+    run = MeasurementRun(
+        scene, path, block, excite=HandTone(knobs, read).excite, heard=heard, kind=TestKind.TONES
+    )
     screen = Screen(stream, scene, run.bench.channels, run.bench.rate)
     return run.run(overwrite)
 

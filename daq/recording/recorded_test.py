@@ -1,0 +1,102 @@
+"""Which kind of test a recording holds: as the recording states it or, where it does not, as its markers show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+from rig.errors import ShotrigError
+
+if TYPE_CHECKING:
+    from daq.recording.recording import Recording
+    from rig.scene.excitation import Test
+
+
+class TestKind(StrEnum):
+    """Kinds of tests, by what is measured."""
+
+    __test__ = False  # no test of pytest's
+
+    TONES = "tones"
+    """Held sines: sine, stepped sine, a tone turned by hand."""
+    SWEEP = "sweep"
+    RANDOM = "random"
+    MULTISINE = "multisine"
+    HITS = "hits"
+    FREE = "free"
+    NONE = "none"
+    """No test, or none that has measured anything."""
+
+
+_KIND_OF_SETTINGS = {
+    "sine": TestKind.TONES,
+    "stepped_sine": TestKind.TONES,
+    "swept_sine": TestKind.SWEEP,
+    "random": TestKind.RANDOM,
+    "multisine": TestKind.MULTISINE,
+    "impulse": TestKind.HITS,
+    "free": TestKind.FREE,
+}
+
+
+@dataclass(frozen=True)
+class RecordedTest:
+    """The test of a recording.
+
+    Attributes
+    ----------
+    kind : TestKind
+    settings : Test or None
+        Of the recorded scene; None where it has no test.
+    """
+
+    kind: TestKind
+    settings: Test | None
+
+    @property
+    def name(self) -> str:
+        """The test in words, for messages."""
+        return "no test" if self.settings is None else f"a test of kind {self.settings.kind}"
+
+    @property
+    def drives(self) -> bool:
+        """Whether a force drives the structure, so that there are responses to it."""
+        return self.kind is not TestKind.FREE
+
+    @property
+    def decays(self) -> bool:
+        """Whether the structure is left to itself."""
+        return self.kind in (TestKind.HITS, TestKind.FREE)
+
+
+def kind_of_settings(test: Test | None) -> TestKind:
+    """Give the kind of a scene's test."""
+    return TestKind.NONE if test is None else _KIND_OF_SETTINGS[test.kind]
+
+
+def recorded_test(recording: Recording) -> RecordedTest:
+    """Give the test of a recording; imported recordings and old ones do not state its kind."""
+    try:
+        settings = recording.scene.test
+    except ShotrigError:
+        # Another program's recording need not say what was on its bench.
+        settings = None
+    stated = recording.metadata.get("run", {}).get("kind", "")
+    kind = TestKind(stated) if stated in set(TestKind) else _kind_by_markers(recording, settings)
+    return RecordedTest(kind, settings)
+
+
+def _kind_by_markers(recording: Recording, settings: Test | None) -> TestKind:
+    measured = [marker for marker in recording.markers if marker.kind == "measure"]
+    fields = measured[0].fields if measured else {}
+    for field, kind in (
+        ("realisation", TestKind.MULTISINE), ("spacing", TestKind.SWEEP), ("from", TestKind.RANDOM),
+        ("frequency", TestKind.TONES),
+    ):  # fmt: skip
+        if field in fields:
+            return kind
+    if any(marker.kind == "hit" for marker in recording.markers):
+        return TestKind.HITS
+    free = settings is not None and settings.kind == "free"
+    return kind_of_settings(settings) if measured or free else TestKind.NONE

@@ -1,0 +1,62 @@
+"""The kind of a recorded test: stated in the file, or deduced from the markers where it is not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+import daq
+import rig
+from daq.recording.recorded_test import TestKind, kind_of_settings
+from daq.recording.recorder import Recorder
+from tests.analysis.responses import synthetic
+
+RECORDINGS = Path(__file__).parents[3] / "recordings"
+SHORT = {
+    TestKind.TONES: "{kind: sine, frequency: 20 Hz, duration: 0.2 s, force: 1 N}",
+    TestKind.SWEEP: "{kind: swept_sine, from: 20 Hz, to: 40 Hz, duration: 0.2 s, drive: 0.1 mm}",
+    TestKind.HITS: "{kind: impulse, body: 1, peak: 50 N, width: 4 ms, interval: 0.2 s}",
+    TestKind.FREE: "{kind: free, displacement: [1 mm, 0 mm, 0 mm], duration: 0.2 s}",
+}
+
+
+@pytest.mark.filterwarnings("ignore::daq.RunWarning")
+@pytest.mark.parametrize("kind", SHORT)
+def test_recording_states_the_kind_of_its_test(kind, tmp_path):
+    scene = rig.load("bare-structure", {"test": yaml.safe_load(SHORT[kind])})
+    with daq.open(daq.record(scene, tmp_path / "a.mcap")) as recording:
+        assert recording.metadata["run"]["kind"] == kind == recording.test.kind
+        assert recording.test.settings == scene.test
+
+
+@pytest.mark.parametrize(("name", "kind"), [("sweep", TestKind.TONES), ("impulse", TestKind.HITS)])
+def test_kind_of_older_recording_follows_from_markers(name, kind):
+    with daq.open(RECORDINGS / f"demo-{name}-no-damper.mcap") as recording:
+        assert "kind" not in recording.metadata["run"]
+        assert recording.test.kind is kind
+
+
+@pytest.mark.parametrize(
+    ("marker", "fields", "kind"),
+    [
+        ("measure", {"frequency": 20.0}, TestKind.TONES),
+        ("measure", {"from": 5.0, "to": 60.0}, TestKind.RANDOM),
+        ("measure", {"from": 5.0, "to": 60.0, "spacing": "linear"}, TestKind.SWEEP),
+        ("measure", {"from": 5.0, "to": 60.0, "realisation": 1}, TestKind.MULTISINE),
+        ("hit", {}, TestKind.HITS),
+        ("note", {}, TestKind.NONE),
+    ],
+)
+def test_unstated_kind_follows_from_markers(marker, fields, kind, tmp_path):
+    scene = rig.load("bare-structure", {"test": None})
+    with Recorder(tmp_path / "a.mcap", scene, synthetic.channels(), synthetic.RATE) as recorder:
+        recorder.write(synthetic.np.zeros((len(synthetic.channels()), 512)))
+        recorder.mark(marker, 0, 255, **fields)
+    with daq.open(tmp_path / "a.mcap") as recording:
+        assert recording.test.kind is kind
+
+
+def test_scene_without_test_is_of_no_kind():
+    assert kind_of_settings(None) is TestKind.NONE

@@ -367,7 +367,7 @@ def serve_a_rig(
     Ctrl-C ends it.
     """
     from daq.server.serve import Certificates, serve
-    from daq.server.service import Limits
+    from daq.server.served_instrument import Limits
 
     if (certificate is None) != (key is None) or (client_ca is not None and certificate is None):
         raise typer.BadParameter("--certificate and --key go together, and --client-ca needs both")

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.responses.aliasing import aliasing_part
+from analysis.responses.error_parts import MeanErrors
 from analysis.responses.frf import Frf
-from analysis.responses.line_errors import MeanErrors
 from analysis.responses.measurands import driven, motion_of, reference_of
 from analysis.responses.systematic import (
     LEAKAGE,

@@ -18,7 +18,7 @@ from rig.scene.quantities import FREQUENCY, number
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from analysis.responses.line_errors import LocalErrors, MeanErrors
+    from analysis.responses.error_parts import LocalErrors, MeanErrors
 
 # Curves with more points than this are drawn without a dot at each.
 DOTS = 120

@@ -11,8 +11,8 @@ import scipy
 from numpy.typing import NDArray
 
 from analysis.responses.aliasing import aliasing_part
+from analysis.responses.error_parts import MeanErrors
 from analysis.responses.frf import Frf, radius
-from analysis.responses.line_errors import MeanErrors
 from analysis.responses.measurands import driven, motion_of, reference_of
 from analysis.responses.ringing import ringing
 from analysis.responses.scatter import Scatter, moderated

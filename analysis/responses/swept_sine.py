@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from analysis.recordings.slices import read_slices
 from analysis.responses.clean_stretches import cure, describe_flaws, flaws
+from analysis.responses.error_parts import LocalErrors
 from analysis.responses.frf import MOTIONS, Frf
-from analysis.responses.line_errors import LocalErrors
 from analysis.responses.local_models.local_rational import ORDER
 from analysis.responses.local_models.local_spectra import SIDE, LocalSpectra
 from analysis.responses.measurands import motion_of, reference_of

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
-from rig.errors import ShotrigError
+from daq.recording.markers import Marker
 
 if TYPE_CHECKING:
-    from daq.recording.recording import Recording
     from rig.scene.excitation import Test
 
 
@@ -75,20 +75,17 @@ def kind_of_settings(test: Test | None) -> TestKind:
     return TestKind.NONE if test is None else _KIND_OF_SETTINGS[test.kind]
 
 
-def recorded_test(recording: Recording) -> RecordedTest:
-    """Give the test of a recording; imported recordings and old ones do not state its kind."""
-    try:
-        settings = recording.scene.test
-    except ShotrigError:
-        # Another program's recording need not say what was on its bench.
-        settings = None
-    stated = recording.metadata.get("run", {}).get("kind", "")
-    kind = TestKind(stated) if stated in set(TestKind) else _kind_by_markers(recording, settings)
-    return RecordedTest(kind, settings)
+def kind_of_recording(stated: str, markers: Sequence[Marker], settings: Test | None) -> TestKind:
+    """Give the kind of a recorded test: as stated, or as its markers show, where it is imported or old.
+
+    >>> kind_of_recording("", [Marker("hit", 512)], None)
+    <TestKind.HITS: 'hits'>
+    """
+    return TestKind(stated) if stated in set(TestKind) else _kind_by_markers(markers, settings)
 
 
-def _kind_by_markers(recording: Recording, settings: Test | None) -> TestKind:
-    measured = [marker for marker in recording.markers if marker.kind == "measure"]
+def _kind_by_markers(markers: Sequence[Marker], settings: Test | None) -> TestKind:
+    measured = [marker for marker in markers if marker.kind == "measure"]
     fields = measured[0].fields if measured else {}
     for field, kind in (
         ("realisation", TestKind.MULTISINE), ("spacing", TestKind.SWEEP), ("from", TestKind.RANDOM),
@@ -96,7 +93,7 @@ def _kind_by_markers(recording: Recording, settings: Test | None) -> TestKind:
     ):  # fmt: skip
         if field in fields:
             return kind
-    if any(marker.kind == "hit" for marker in recording.markers):
+    if any(marker.kind == "hit" for marker in markers):
         return TestKind.HITS
     free = settings is not None and settings.kind == "free"
     return kind_of_settings(settings) if measured or free else TestKind.NONE

@@ -18,11 +18,12 @@ from daq.recording import layout
 from daq.recording.channel_series import Series
 from daq.recording.gap import Gap, gaps_of, unnoted
 from daq.recording.markers import EVENT_TYPE, Marker, event_from_json
+from daq.recording.recorded_test import RecordedTest, kind_of_recording
 from daq.recording.sample_block import SAMPLE_TYPE
 from daq.recording.truth import dampers_of, points_of
 from daq.signal_chain.channel import UNITS, ChannelInfo
 from daq.signal_chain.field_checks import NAME, check
-from rig.errors import RecordingError, naming
+from rig.errors import RecordingError, ShotrigError, naming
 from rig.escaping import html
 from rig.input_files import path_of
 from rig.results import Result, styled
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from mcap.records import Channel
 
-    from daq.recording.recorded_test import RecordedTest
     from rig.scene.scene import Scene
 
 
@@ -154,10 +154,11 @@ class Recording(Result):
         return f"{self.path}: {self.samples / self.rate:.4g} s of {names} at {self.rate:g} Hz, {status}"
 
     def _repr_html_(self) -> str:
-        """Show what `daq info` says."""
-        from daq.recording.info import describe
-
-        return f"<pre>{html(chr(10).join(describe(self)))}</pre>"
+        """Show the recording and its channels."""
+        channels = [
+            f"  {name}: {info.quantity} of {info.at}, {info.unit}" for name, info in self.channels.items()
+        ]
+        return f"<pre>{html(chr(10).join([self.summary(), *channels]))}</pre>"
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Time, and all samples of each channel in its unit; lost samples are NaN."""
@@ -349,9 +350,13 @@ class Recording(Result):
     @cached_property
     def test(self) -> RecordedTest:
         """The recorded test: its kind and its settings."""
-        from daq.recording.recorded_test import recorded_test
-
-        return recorded_test(self)
+        try:
+            settings = self.scene.test
+        except ShotrigError:
+            # Another program's recording need not say what was on its bench.
+            settings = None
+        stated = self.metadata.get("run", {}).get("kind", "")
+        return RecordedTest(kind_of_recording(stated, self.markers, settings), settings)
 
     @property
     def duration(self) -> float:

@@ -89,7 +89,7 @@ def _set(call: Call, owner: str, name: str, value: Any) -> None:
     elif owner == "Chan":
         set_channel(call.task, call.fields["channel"], name, value)
     elif owner == "Scale":
-        storage, scale = call.server.storage, call.fields["scale_name"]
+        storage, scale = call.instrument.storage, call.fields["scale_name"]
         storage.scales[scale] = storage.scale(scale).changed(name, value)
     else:
         raise unsupported(f"setting {name}")
@@ -105,7 +105,7 @@ def _reset(call: Call, owner: str, name: str) -> None:
 
 
 def _of_device(call: Call, name: str) -> Any:
-    chassis = call.server.chassis
+    chassis = call.instrument.chassis
     module = chassis.devices.module(call.fields["device_name"])
     found = module.attributes(chassis.devices.modules_of(module.name))
     if name not in found:
@@ -116,7 +116,7 @@ def _of_device(call: Call, name: str) -> Any:
 def _of_terminal(call: Call, name: str) -> Any:
     name = name.removeprefix("physical_chan_")
     port = parse_port(call.fields["physical_channel"])
-    chassis = call.server.chassis
+    chassis = call.instrument.chassis
     module = chassis.devices.module(port.device)
     module.row(port.kind, port.number)
     found: dict[str, Any] = {
@@ -127,7 +127,7 @@ def _of_terminal(call: Call, name: str) -> Any:
     if port.kind == "ao":
         found = {"ao_supported_output_types": [10322], "ao_term_cfgs": 1}
     elif name.startswith("teds_"):
-        return call.server.teds.read(port, name)
+        return call.instrument.teds.read(port, name)
     if name not in found:
         raise DaqError(f"{port.name} has no property {name}", Code.ATTR_NOT_SUPPORTED)
     return found[name]
@@ -149,9 +149,9 @@ def _of_task(call: Call, name: str) -> Any:
 
 
 def _of_system(call: Call, name: str) -> Any:
-    storage: Storage = call.server.storage
+    storage: Storage = call.instrument.storage
     return {
-        "dev_names": call.server.chassis.devices.names,
+        "dev_names": call.instrument.chassis.devices.names,
         "tasks": list(storage.tasks),
         "scales": list(storage.scales),
         "global_chans": list(storage.channels),
@@ -162,14 +162,14 @@ def _of_system(call: Call, name: str) -> Any:
 
 
 def _of_scale(call: Call, name: str) -> Any:
-    scale = call.server.storage.scale(call.fields["scale_name"])
+    scale = call.instrument.storage.scale(call.fields["scale_name"])
     if name not in scale.settings:
         raise DaqError(f"a scale of this type has no {name}", Code.PROPERTY_NOT_SUPPORTED_FOR_SCALE_TYPE)
     return scale.settings[name]
 
 
 def _of_saved(call: Call, name: str) -> Any:
-    storage: Storage = call.server.storage
+    storage: Storage = call.instrument.storage
     kept, key = next(
         (kept, call.fields[key])
         for kept, key in (
@@ -200,7 +200,7 @@ _CALIBRATION = {
 
 
 def _of_calibration(call: Call, name: str) -> Any:
-    call.server.chassis.devices.module(call.fields["device_name"])
+    call.instrument.chassis.devices.module(call.fields["device_name"])
     return _CALIBRATION[name] if name in _CALIBRATION else _refuse(call, name)
 
 

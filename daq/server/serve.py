@@ -21,7 +21,8 @@ from daq.instrument.connecting import connect_scene
 from daq.server.bench_time import BenchTime
 from daq.server.discovery import write_proto_files
 from daq.server.live import LiveRecording, LiveView
-from daq.server.service import Limits, Server
+from daq.server.served_instrument import Limits
+from daq.server.service import Server
 from daq.server.starter_script import starter_script
 from daq.server.unfed_sensors import tell_unfed_sensors
 from daq.signal_chain.outputs import volt_effect

@@ -9,27 +9,22 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import grpc
 from google.protobuf.message import DecodeError
 
-from daq.instrument.devices.names import Port
-from daq.instrument.devices.teds import TedsMemory
-from daq.instrument.driver_texts import DRIVER_TEXTS
-from daq.instrument.errors import Code, DaqError, bad, meaning
+from daq.instrument.errors import Code, DaqError
 from daq.instrument.priority import raise_priority
-from daq.instrument.settings.storage import Storage
 from daq.instrument.task import Task
 from daq.server.calls.answers import answer_to
 from daq.server.calls.call import Call
-from daq.server.calls.session_utilities import Reservations
 from daq.server.calls.unsupported import refusal
 from daq.server.client_defaults import STRICT
 from daq.server.discovery import Discovery
 from daq.server.protocol import SERVICE, SESSION_SERVICE, Method, decode, encode, methods
-from daq.server.sessions import SessionExists, Sessions
+from daq.server.served_instrument import Limits, ServedInstrument, cut, error_text
+from daq.server.sessions import SessionExists
 from rig.command_line import unexpected
 
 if TYPE_CHECKING:
@@ -37,36 +32,6 @@ if TYPE_CHECKING:
 
 # The protocol's default port.
 PORT = 31763
-# Message text travels in headers, which have little room: bytes.
-_LONGEST_TEXT, _LONGEST_NAME = 3000, 200
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What clients may ask for.
-
-    Parameters
-    ----------
-    message : int
-        Bytes of a message.
-    tasks : int
-        Open tasks of one client.
-    memory : int
-        Bytes that the buffers of one client's tasks take in all.
-    calls : int
-        Calls of one client that are answered at the same time, event streams included.
-    all_calls : int
-        Calls of all clients that are answered at the same time; what is beyond is refused at once.
-    patience : float
-        Seconds after which the session of a client that has gone without goodbye is ended.
-    """
-
-    message: int = 256 << 20
-    tasks: int = 64
-    memory: int = 2 << 30
-    calls: int = 256
-    all_calls: int = 1024
-    patience: float = 30.0
 
 
 class Server:
@@ -99,10 +64,9 @@ class Server:
         limits: Limits | None = None,
         further: Sequence[grpc.GenericRpcHandler] = (),
     ) -> None:
-        self.chassis, self.limits = chassis, limits or Limits()
-        self.storage, self.teds = Storage(), TedsMemory(self._sensor_sheet)
-        self.sessions = Sessions(chassis, self.storage, self.limits.tasks)
-        self._said: dict[tuple[str, int], str] = {}
+        self.limits = limits or Limits()
+        self.instrument = ServedInstrument(chassis, self.limits)
+        self.sessions = self.instrument.sessions
         self._faults: dict[tuple[str, type[Exception]], str] = {}
         self._answering, self._counting = Counter[str](), threading.Lock()
         self._closing = threading.Event()
@@ -117,7 +81,6 @@ class Server:
                 ("grpc.so_reuseport", 0),
             ],
         )
-        self.reservations: Reservations = Reservations()
         self._discovery = Discovery()
         own = [
             grpc.method_handlers_generic_handler(
@@ -136,11 +99,6 @@ class Server:
         sys.setswitchinterval(0.0005)
         threading.Thread(target=self._watch, name="sessions", daemon=True).start()
 
-    def _sensor_sheet(self, port: Port) -> bytes | None:
-        module = self.chassis.devices.module(port.device)
-        row = module.row("ai", port.number)
-        return self.chassis.source.data_sheet(row) if module.teds else None
-
     def close(self, grace: float | None = 0.5) -> None:
         """End all sessions and stop listening; calls have so many seconds to end, or none."""
         self._closing.set()
@@ -152,26 +110,6 @@ class Server:
     def wait(self) -> None:
         """Wait until the server has been closed."""
         self._server.wait_for_termination()
-
-    def check_size(self, size: int) -> None:
-        """Make sure that an answer is not too large; with -200077."""
-        if size > self.limits.message:
-            raise bad(
-                f"an answer of {size >> 20} MB: this server sends {self.limits.message >> 20} MB at a time; read "
-                "less at once"
-            )
-
-    def remember(self, peer: str, error: DaqError, task: str) -> None:
-        """Keep the text of an error that the protocol reports by its number alone."""
-        if len(self._said) > 1000:
-            self._said.clear()
-        self._said[peer, error.code] = _text(error, task)
-
-    def recall(self, peer: str, code: int) -> str:
-        """Say what an error number means; what was last said of it to this client."""
-        if (peer, code) in self._said:
-            return self._said[peer, code]
-        return meaning(code)
 
     def _handler(self, method: Method) -> Any:
         # Requests come as bytes: of those that are none, gRPC would write a traceback to our terminal.
@@ -196,7 +134,7 @@ class Server:
         """Read a request and report errors as the protocol does."""
         peer, name = context.peer(), method.name
         key = dict(context.invocation_metadata()).get("ni-api-key", "")
-        call = Call(self, peer, strict=key == STRICT, is_active=context.is_active)
+        call = Call(self.instrument, peer, strict=key == STRICT, is_active=context.is_active)
         try:
             self._answer_one_more(peer, context)
             call.message = method.request.FromString(request)
@@ -208,7 +146,7 @@ class Server:
             )
         except DaqError as error:
             task = self.sessions.task_name(call.fields.get("task", ""))
-            message = _text(error, task)
+            message = error_text(error, task)
             kind = "written" if "Write" in name else "read"
             metadata = [("ni-error", str(error.code))]
             if error.done is not None or name.startswith(("Read", "Write")):
@@ -216,10 +154,10 @@ class Server:
             context.set_trailing_metadata(tuple(metadata))
             context.abort(grpc.StatusCode.UNKNOWN, message)
         except SessionExists as error:
-            context.abort(grpc.StatusCode.ALREADY_EXISTS, _cut(str(error)))
+            context.abort(grpc.StatusCode.ALREADY_EXISTS, cut(str(error)))
         except Exception as error:
             context.set_trailing_metadata((("ni-error", str(int(Code.INVALID_ATTRIBUTE_VALUE))),))
-            context.abort(grpc.StatusCode.INVALID_ARGUMENT, _cut(f"{name}: {self._fault(name, error)}"))
+            context.abort(grpc.StatusCode.INVALID_ARGUMENT, cut(f"{name}: {self._fault(name, error)}"))
 
     def _answer_one_more(self, peer: str, context: grpc.ServicerContext) -> None:
         """Count the calls of a client that are being answered; with -50103, if it has as many as it may."""
@@ -276,16 +214,6 @@ class Server:
                 continue
             for name in self.sessions.sweep(there, self.limits.patience):
                 print(f"task {name} was closed: its client has gone", file=sys.stderr, flush=True)
-
-
-def _cut(text: str, most: int = _LONGEST_TEXT) -> str:
-    return text.encode(errors="replace")[:most].decode(errors="ignore")
-
-
-def _text(error: DaqError, task: str) -> str:
-    named = f"Task Name: {_cut(task, _LONGEST_NAME)}" if task else ""
-    lines = [DRIVER_TEXTS.get(error.code, ""), _cut(str(error)), named, f"Status Code: {error.code}"]
-    return "\n\n".join(line for line in lines if line)
 
 
 _EVENTS: dict[str, tuple[Callable[[Task, dict[str, Any], Any], None], Callable[..., dict[str, Any]]]] = {

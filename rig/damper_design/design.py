@@ -14,14 +14,15 @@ from numpy.typing import NDArray
 from rig.damper_design.answers import Answers
 from rig.damper_design.asked import asked
 from rig.damper_design.check import Expected, check, expected
-from rig.damper_design.choice import FINE, Choice, Question, Space, Trial
+from rig.damper_design.choice import FINE, Choice, Question, Space, Trial, mass_unit
 from rig.damper_design.flight import Flight, flight, idle_levels, shortfall
 from rig.damper_design.other_modes import ModePeaks, best_outside, mode_peaks
 from rig.damper_design.ranking import equally_good, front
 from rig.damper_design.search import chart, pieces, search
 from rig.damper_design.tolerance import Tolerance, tolerance
 from rig.damper_design.worst_peak import Peak
-from rig.results import Result
+from rig.figure_style import COLOURS
+from rig.results import Result, styled
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.scene import Scene
 from rig.workers import Workers
@@ -117,9 +118,16 @@ class Design(Result):
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Reduction of the worst peak over added mass, of all that were tried."""
-        from rig.damper_design.figure import draw_front
-
-        draw_front(ax, self, **style)
+        mass, reduction = self.columns().values()
+        factor, unit = mass_unit(float(mass.max()))
+        best = [(factor * trial.choice.mass, self.reduction(trial.peak)) for trial in self.front]
+        ax.plot(factor * mass, reduction, "o", color="#a0a0a0", ms=3, label="tried")
+        ax.plot(
+            *zip(*best, strict=True),
+            **styled(style, marker="o", color=COLOURS[0], ms=5, label="best for its mass"),
+        )
+        ax.set(xlabel=f"added mass / {unit}", ylabel="reduction of the worst peak / dB", xlim=(0.0, None))
+        ax.set_title("More mass does more")
 
     @property
     def front(self) -> list[Trial]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from rig.damper_design.ranking import MACHINABLE
 from rig.escaping import drawn
 from rig.figure_style import COLOURS, cell_edges, drawing, plain_logarithmic, save
 from rig.output_files import replacing, stem
-from rig.results import plainly, styled
+from rig.results import plainly
 from rig.scene.excitation import FORCE_HELD, SteppedSine
 from rig.scene.scene import STANDARD_GRAVITY
 
@@ -192,26 +192,13 @@ def _expected(one: Expected) -> str:
 def _draw(design: Design) -> Figure:
     with drawing(7.0, 10.0) as figure:
         (front, chart), (curves, backbone) = figure.subplots(2, 2)
-        draw_front(front, design)
+        design.draw(front)
         front.legend()
         _chart(chart, design)
         _curves(curves, design)
         _backbone(backbone, design)
         figure.suptitle(f"{drawn(design.scene.name)}: {design.best.choice}")
         return figure
-
-
-def draw_front(axes: Axes, design: Design, **style: Any) -> None:
-    """Draw what was tried, over the added mass."""
-    mass, reduction = design.columns().values()
-    factor, unit = mass_unit(float(mass.max()))
-    best = [(factor * trial.choice.mass, design.reduction(trial.peak)) for trial in design.front]
-    axes.plot(factor * mass, reduction, "o", color=GREY, ms=3, label="tried")
-    axes.plot(
-        *zip(*best, strict=True), **styled(style, marker="o", color=BLUE, ms=5, label="best for its mass")
-    )
-    axes.set(xlabel=f"added mass / {unit}", ylabel="reduction of the worst peak / dB", xlim=(0.0, None))
-    axes.set_title("More mass does more")
 
 
 def _chart(axes: Axes, design: Design) -> None:

@@ -4,26 +4,18 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rig.engine.trajectory import Array
 from rig.escaping import drawn
-from rig.figure_style import cell_edges, drawing, plain_logarithmic, save_with_table
-from rig.motion_map.motion_map import KINDS, TOLERANCE, MotionMap
+from rig.figure_style import drawing, plain_logarithmic, save_with_table
+from rig.motion_map.motion_map import COLOURS, KINDS, LEGEND, TOLERANCE, MotionMap
 from rig.output_files import stem
 from rig.scene.scene import Scene
-from rig.system.open_loop_drive import level_of
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-
-#: From tame to wild: grey, three blues to green for the paper's types, warm colours for the rest.
-COLOURS = ("#e4e4e4", "#a6cee3", "#3f8fc4", "#1b4f7e", "#f2c14e", "#e07b39", "#8c1c3a")
-LEGEND = ("riding", "Type I", "Type II", "Type III", *KINDS[4:])
 
 
 def summary(map_: MotionMap) -> str:
@@ -90,14 +82,14 @@ def _draw(map_: MotionMap) -> Figure:
 
     with drawing(4.6, 10.0) as figure:
         left, right = figure.subplots(1, 2, sharey=True)
-        draw_kinds(left, map_)
+        map_.draw(left)
         low, high = map_.periods.min(), max(map_.periods.max(), map_.periods.min() + 1)
         mesh = right.pcolormesh(
-            *_borders(map_), map_.periods, cmap="viridis", norm=LogNorm(low, high), rasterized=True
+            *map_.borders, map_.periods, cmap="viridis", norm=LogNorm(low, high), rasterized=True
         )
         bar = figure.colorbar(mesh, ax=right, label="periods computed until steady or irregular", pad=0.02)
         plain_logarithmic(bar.ax.yaxis)
-        _dress(right, map_)
+        map_.dress(right)
         right.set_ylabel("")
         left.set_title("What the damper does that moves most wildly")
         right.set_title("What the motion takes to compute, not to test")
@@ -105,53 +97,8 @@ def _draw(map_: MotionMap) -> Figure:
         handles: list[Patch | Line2D] = [Patch(color=COLOURS[k], label=LEGEND[k]) for k in present]
         if map_.over != "clearance":
             handles.append(Line2D([], [], color="black", lw=1.2, label="riding at 1 g: above, dampers fly"))
-        if _own(map_) is not None:
+        if map_.own_value is not None:
             handles.append(Line2D([], [], color="black", lw=1.0, ls="--", label=f"{map_.over} of the scene"))
         figure.legend(handles=handles, loc="outside lower center", ncols=5)
         figure.suptitle(drawn(map_.scene.name))
         return figure
-
-
-def draw_kinds(axes: Axes, map_: MotionMap, **style: Any) -> None:
-    """Draw the kind of motion of the damper that moves most wildly; each kind has an entry for a legend."""
-    from matplotlib.colors import ListedColormap
-
-    look: dict[str, Any] = {
-        "cmap": ListedColormap(COLOURS),
-        "vmin": -0.5,
-        "vmax": len(KINDS) - 0.5,
-        "rasterized": True,
-    }
-    axes.pcolormesh(*_borders(map_), map_.kind, **look | style)
-    for k in sorted(set(map_.kind.ravel())):
-        axes.plot([], [], "s", color=COLOURS[k], label=LEGEND[k])
-    _dress(axes, map_)
-
-
-def _borders(map_: MotionMap) -> tuple[Array, Array]:
-    return cell_edges(map_.frequency, False), cell_edges(map_.value, True)
-
-
-def _own(map_: MotionMap) -> float | None:
-    """Give the scene's own value, if it lies on the map and there is only one."""
-    if map_.over == "clearance":
-        found = {d.clearance for d in map_.scene.dampers if d.moves}
-        value = found.pop() if len(found) == 1 else np.inf
-    else:
-        value = level_of(map_.scene)
-    return value if map_.value[0] <= value <= map_.value[-1] else None
-
-
-def _dress(axes: Axes, map_: MotionMap) -> None:
-    """Axes, the border to flight, and the scene's own value."""
-    (left, *_, right), (low, *_, high) = _borders(map_)
-    axes.grid(False)
-    axes.set(xlim=(left, right), xlabel="frequency / Hz")
-    millimetres = map_.unit == "m"
-    plain_logarithmic(axes.yaxis, factor=1e3 if millimetres else 1.0)
-    axes.set(ylim=(low, high), ylabel=f"{map_.over} / {'mm' if millimetres else map_.unit}")
-    if map_.over != "clearance":
-        axes.plot(map_.frequency, map_.take_off, color="black", lw=1.2)
-    own = _own(map_)
-    if own is not None:
-        axes.axhline(own, color="black", lw=1.0, ls="--")

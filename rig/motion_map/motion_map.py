@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.engine.trajectory import Array
+from rig.figure_style import cell_edges, plain_logarithmic
 from rig.kept_table import KeptTable
 from rig.motion_map.grid import KIND_OF_UNIT, columns, rows_of, take_off, vertical_axis
 from rig.response.frequency_response import Follower
@@ -21,7 +22,7 @@ from rig.results import Result
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, positives
 from rig.scene.scene import Scene
-from rig.system.open_loop_drive import with_ideal_force
+from rig.system.open_loop_drive import level_of, with_ideal_force
 from rig.system.structural_model import structural_model
 from rig.workers import Workers
 
@@ -38,6 +39,9 @@ PATIENCE = 3.0
 #: Fewest and most periods that are waited.
 FEWEST, MOST = 2000, 20_000
 _HEADER = ["row", "points"]
+#: From tame to wild: grey, three blues to green for the paper's types, warm colours for the rest.
+COLOURS = ("#e4e4e4", "#a6cee3", "#3f8fc4", "#1b4f7e", "#f2c14e", "#e07b39", "#8c1c3a")
+LEGEND = ("riding", "Type I", "Type II", "Type III", *KINDS[4:])
 
 
 @dataclass(frozen=True, repr=False)
@@ -113,9 +117,47 @@ class MotionMap(Result):
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Kind of motion over level or clearance, and frequency."""
-        from rig.motion_map.figure import draw_kinds
+        from matplotlib.colors import ListedColormap
 
-        draw_kinds(ax, self, **style)
+        look: dict[str, Any] = {
+            "cmap": ListedColormap(COLOURS),
+            "vmin": -0.5,
+            "vmax": len(KINDS) - 0.5,
+            "rasterized": True,
+        }
+        ax.pcolormesh(*self.borders, self.kind, **look | style)
+        for k in sorted(set(self.kind.ravel())):
+            ax.plot([], [], "s", color=COLOURS[k], label=LEGEND[k])
+        self.dress(ax)
+
+    @property
+    def borders(self) -> tuple[Array, Array]:
+        """Borders of the cells along frequency and along the level or clearance."""
+        return cell_edges(self.frequency, False), cell_edges(self.value, True)
+
+    @property
+    def own_value(self) -> float | None:
+        """The scene's own value, if it lies on the map and there is only one."""
+        if self.over == "clearance":
+            found = {d.clearance for d in self.scene.dampers if d.moves}
+            value = found.pop() if len(found) == 1 else np.inf
+        else:
+            value = level_of(self.scene)
+        return value if self.value[0] <= value <= self.value[-1] else None
+
+    def dress(self, ax: Axes) -> None:
+        """Draw axes, the border to flight, and the scene's own value."""
+        (left, *_, right), (low, *_, high) = self.borders
+        ax.grid(False)
+        ax.set(xlim=(left, right), xlabel="frequency / Hz")
+        millimetres = self.unit == "m"
+        plain_logarithmic(ax.yaxis, factor=1e3 if millimetres else 1.0)
+        ax.set(ylim=(low, high), ylabel=f"{self.over} / {'mm' if millimetres else self.unit}")
+        if self.over != "clearance":
+            ax.plot(self.frequency, self.take_off, color="black", lw=1.2)
+        own = self.own_value
+        if own is not None:
+            ax.axhline(own, color="black", lw=1.0, ls="--")
 
 
 def map_motion(

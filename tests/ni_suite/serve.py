@@ -10,7 +10,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from daq.instrument.chassis import Chassis
 from daq.instrument.clock import RealClock
 from daq.instrument.task import Task
-from daq.server.service import Limits, Server
+from daq.server.served_instrument import Limits
+from daq.server.service import Server
 from tests.ni_suite.devices import (
     SimulatedSignals,
     modules,
@@ -22,8 +23,8 @@ if __name__ == "__main__":
     chassis = Chassis(modules(), SimulatedSignals(), RealClock())
     server = Server(chassis, limits=Limits(tasks=10_000))
     for save in (save_what_ni_saved, save_outputs):
-        task = Task(chassis, "", server.storage.scales)
-        save(server.storage, task)
+        task = Task(chassis, "", server.instrument.storage.scales)
+        save(server.instrument.storage, task)
         task.close()
     print(f"Server listening on port {server.port}", flush=True)
     server.wait()

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy import special
 
 from analysis.responses.aliasing import aliasing_part
+from analysis.responses.error_parts import LocalErrors
 from analysis.responses.force_pulse import slow_and_fast
 from analysis.responses.frf import Frf
-from analysis.responses.line_errors import LocalErrors
 from analysis.responses.local_models.jitter import jitter_part
 from analysis.responses.local_models.local_rational import LARGEST, ORDER, LocalFit, Reading, local_fit
 from analysis.responses.measurands import Measurand, driven

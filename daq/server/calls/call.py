@@ -11,7 +11,7 @@ import numpy as np
 from daq.instrument.task import Task
 
 if TYPE_CHECKING:
-    from daq.server.service import Server
+    from daq.server.served_instrument import ServedInstrument
 
 Answer = dict[str, Any]
 
@@ -22,8 +22,8 @@ class Call:
 
     Attributes
     ----------
-    server : Server
-        Who answers it.
+    instrument : ServedInstrument
+        What it acts on.
     peer : str
         Who calls.
     message : Message
@@ -36,7 +36,7 @@ class Call:
         Whether the client still waits for the answer.
     """
 
-    server: Server
+    instrument: ServedInstrument
     peer: str
     message: Any = None
     fields: dict[str, Any] = field(default_factory=dict)
@@ -46,7 +46,7 @@ class Call:
     @property
     def task(self) -> Task:
         """The task it is about; with -200088, if there is none of that name."""
-        return self.server.sessions.find(self.fields["task"], self.peer)
+        return self.instrument.sessions.find(self.fields["task"], self.peer)
 
 
 def plain(value: Any) -> Any:

@@ -57,7 +57,7 @@ def _settings_of_sensor(call: Call, physical: str, kind: Measurement) -> dict[st
         With -200709 where no sensor says what it is, -200826 where it is none of that kind.
     """
     port = parse_port(physical)
-    volts = sensitivity(call.server.teds.sheet(port))
+    volts = sensitivity(call.instrument.teds.sheet(port))
     if volts is None or not kind.sensitivity:
         raise DaqError(
             f"{port.name}: the electronic data sheet there states no sensitivity of such a sensor",
@@ -83,7 +83,7 @@ def _add_saved_channels(call: Call) -> Answer:
     task = call.task
     task.check_idle("adding channels")
     for name in unflatten(call.fields["channel_names"]):
-        task.settings.channels.append(call.server.storage.channel(name))
+        task.settings.channels.append(call.instrument.storage.channel(name))
     return {}
 
 

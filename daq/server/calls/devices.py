@@ -12,20 +12,20 @@ from rig.input_files import read_whole
 
 
 def _on_device(call: Call) -> Answer:
-    call.server.chassis.devices.module(call.fields["device_name"])
+    call.instrument.chassis.devices.module(call.fields["device_name"])
     return {}
 
 
 def _reset_device(call: Call) -> Answer:
-    module = call.server.chassis.devices.module(call.fields["device_name"])
-    call.server.sessions.end_on(module.name, call.peer)
+    module = call.instrument.chassis.devices.module(call.fields["device_name"])
+    call.instrument.sessions.end_on(module.name, call.peer)
     return {}
 
 
 def _teds(action: str) -> Callable[[Call], Answer]:
     def act(call: Call) -> Answer:
-        teds, port = call.server.teds, parse_port(call.fields["physical_channel"])
-        call.server.chassis.devices.module(port.device).row(port.kind, port.number)
+        teds, port = call.instrument.teds, parse_port(call.fields["physical_channel"])
+        call.instrument.chassis.devices.module(port.device).row(port.kind, port.number)
         if action == "configure":
             teds.configure(port, call.fields["file_path"])
         elif action == "clear":

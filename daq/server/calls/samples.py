@@ -80,7 +80,7 @@ def _read(counts: _Counts | None = None) -> Callable[[Call], Answer]:
 
         def check(wanted: int) -> None:
             _check_room(given["array_size_in_samps"], wanted * channels, "samples")
-            call.server.check_size(wanted * channels * 8)
+            call.instrument.check_size(wanted * channels * 8)
 
         reading = read_task(task, samples, given["timeout"], counts is not None, check)
         by_channel, values = given["fill_mode"] == _BY_CHANNEL, reading.samples
@@ -104,7 +104,7 @@ def _with_status(call: Call, reading: Reading, answer: Answer) -> Answer:
     done = reading.samples.shape[1]
     if not done:
         raise DaqError(str(error), error.code, done=0)
-    call.server.remember(call.peer, error, call.task.name)
+    call.instrument.remember(call.peer, error, call.task.name)
     return answer | {"status": error.code}
 
 
@@ -120,7 +120,7 @@ def _read_raw(call: Call) -> Answer:
     task.settings.require("ai")
     width, room = raw_width(task), given["array_size_in_bytes"]
     channels, samples = len(task.settings.rows_to_read()), given["num_samps_per_chan"]
-    call.server.check_size(room)
+    call.instrument.check_size(room)
 
     def check(wanted: int) -> None:
         _check_room(room, wanted * channels * width, "bytes")

@@ -14,7 +14,7 @@ def _create_scale(kind: int, *names: tuple[str, str]) -> Callable[[Call], Answer
         given = call.fields
         settings = {key: plain(given[name]) for name, key in names}
         common = {key: given[key] for key in ("pre_scaled_units", "scaled_units")}
-        storage = call.server.storage
+        storage = call.instrument.storage
         storage.keep(storage.scales, given["name"], Scale(kind, settings | common))
         return {}
 
@@ -29,7 +29,9 @@ def _reverse(call: Call) -> Answer:
 
 def _save_task(call: Call) -> Answer:
     task = call.task
-    call.server.storage.save_task(task.settings, call.fields["save_as"] or task.name, call.fields["author"])
+    call.instrument.storage.save_task(
+        task.settings, call.fields["save_as"] or task.name, call.fields["author"]
+    )
     return {}
 
 
@@ -39,12 +41,12 @@ def _save_channel(call: Call) -> Answer:
         raise bad("there is no channel to save: add one, and name it")
     channel = found[0]
     name = call.fields["save_as"] or channel.name
-    call.server.storage.save_channel(channel, name, call.fields["author"])
+    call.instrument.storage.save_channel(channel, name, call.fields["author"])
     return {}
 
 
 def _save_scale(call: Call) -> Answer:
-    storage, given = call.server.storage, call.fields
+    storage, given = call.instrument.storage, call.fields
     name = given["save_as"] or given["scale_name"]
     storage.keep(storage.scales, name, storage.scale(given["scale_name"]))
     storage.authors[name] = given["author"]
@@ -53,7 +55,7 @@ def _save_scale(call: Call) -> Answer:
 
 def _forget(kept: str, field_name: str) -> Callable[[Call], Answer]:
     def forget(call: Call) -> Answer:
-        for each in (getattr(call.server.storage, kept), call.server.storage.authors):
+        for each in (getattr(call.instrument.storage, kept), call.instrument.storage.authors):
             each.pop(call.fields[field_name], None)
         return {}
 

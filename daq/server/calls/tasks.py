@@ -15,25 +15,25 @@ def _create_task(call: Call) -> Answer:
 
 def _load_task(call: Call) -> Answer:
     name = call.fields["session_name"]
-    if name not in call.server.storage.tasks:
+    if name not in call.instrument.storage.tasks:
         raise DaqError(f"there is no saved task {name!r}", Code.TASK_NOT_IN_DATA_NEIGHBORHOOD)
     answer = _session(call, name)
     if answer["new_session_initialized"]:
-        task = call.server.sessions.find(answer["task"], call.peer)
-        call.server.storage.load_task(task.settings, name)
+        task = call.instrument.sessions.find(answer["task"], call.peer)
+        call.instrument.storage.load_task(task.settings, name)
     return answer
 
 
 def _session(call: Call, name: str) -> Answer:
     behavior = call.fields.get("initialization_behavior", 0)
     if call.strict and name:
-        call.server.sessions.check_free(name)
-    session, new = call.server.sessions.open(name, behavior, call.peer)
+        call.instrument.sessions.check_free(name)
+    session, new = call.instrument.sessions.open(name, behavior, call.peer)
     return {"task": session, "new_session_initialized": new}
 
 
 def _clear_task(call: Call) -> Answer:
-    call.server.sessions.close(call.fields["task"], call.peer)
+    call.instrument.sessions.close(call.fields["task"], call.peer)
     return {}
 
 
@@ -48,7 +48,7 @@ def _nth(values: Callable[[Task], list[str]]) -> Callable[[Call], Answer]:
 
 
 def _error_string(call: Call) -> Answer:
-    return {"error_string": call.server.recall(call.peer, call.fields["error_code"])}
+    return {"error_string": call.instrument.recall(call.peer, call.fields["error_code"])}
 
 
 CALLS: dict[str, Callable[[Call], Answer]] = {

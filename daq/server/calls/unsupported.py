@@ -38,7 +38,7 @@ def refusal(method: str) -> Callable[[Call], NoReturn]:
     function = script_function(method)
 
     def refuse(call: Call) -> NoReturn:
-        fields, modules = call.fields, call.server.chassis.devices
+        fields, modules = call.fields, call.instrument.chassis.devices
         for name in ("lines", "counter"):
             if name in fields:
                 module = modules.module(fields[name])

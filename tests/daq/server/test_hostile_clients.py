@@ -15,7 +15,7 @@ from daq.instrument.clock import ManualClock
 from daq.server.calls.answers import answer_to
 from daq.server.grpc_channel import open_channel
 from daq.server.protocol import SERVICE, _is_list, methods
-from daq.server.service import Limits
+from daq.server.served_instrument import Limits
 
 RATE = 5120.0
 CALLS = 300

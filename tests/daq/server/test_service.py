@@ -14,7 +14,7 @@ import daq
 from daq.instrument.clock import ManualClock
 from daq.server.grpc_channel import open_channel
 from daq.server.serve import serve
-from daq.server.service import Limits
+from daq.server.served_instrument import Limits
 from rig.errors import SceneError
 
 RATE = 5120.0

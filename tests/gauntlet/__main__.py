@@ -1,7 +1,7 @@
-"""Hundreds of scenes on both cores: ``python -m tests.gauntlet --scenes 300 --seed 7``.
+"""Compare the analysis with the truth on random scenes: ``python -m tests.gauntlet --scenes 300 --seed 7``.
 
-Prints a table by judge and kind of test. Exit code 1 where an answer was wrong without a word, or
-bounds hold too seldom or nearly always.
+Prints a table by judge and kind of test. Exit code 1: an answer was wrong without a warning, or the share of points
+within their 95 % bounds is too small or too large.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from rich.progress import track
 from rich.table import Table
 
 from tests.gauntlet.scenes import KINDS
-from tests.gauntlet.trial import try_out
+from tests.gauntlet.trial import run_trial
 from tests.gauntlet.verdict import Verdict
 
-# Share of the points within their 95 % bounds, over all scenes of a kind. Bounds that always hold are too wide, but
-# where a data sheet's limit is part of them, which no sensor exceeds.
+# Share of the points within their 95 % bounds, over all scenes of a kind. Bounds that always hold are too wide,
+# except where they contain the limit of a data sheet, which no sensor exceeds.
 FEWEST_INSIDE, MOST_INSIDE = 0.90, 0.99
 NARROW = ("responses, as built",)
 OUTCOMES = ("right", "warned", "refused", "wrong")
@@ -34,13 +34,13 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1, help="another seed draws other scenes")
     parser.add_argument("--kind", action="append", choices=KINDS, help="only this kind of test (repeatable)")
     parser.add_argument("--workers", type=int, default=os.cpu_count())
-    parser.add_argument("--verbose", action="store_true", help="tell of every scene, not of wrong ones only")
+    parser.add_argument("--verbose", action="store_true", help="print every scene, not only wrong ones")
     given = parser.parse_args()
     kinds = given.kind or KINDS
     found: list[Verdict] = []
     with ProcessPoolExecutor(given.workers) as pool:
         jobs = {
-            pool.submit(try_out, given.seed, number, kind := kinds[number % len(kinds)]): f"{number} {kind}"
+            pool.submit(run_trial, given.seed, number, kind := kinds[number % len(kinds)]): f"{number} {kind}"
             for number in range(given.scenes)
         }
         done = as_completed(jobs)
@@ -48,17 +48,17 @@ def main() -> int:
             for job in track(done, "gauntlet", total=len(jobs), console=Console(stderr=True)):
                 found += job.result()
         except KeyboardInterrupt:
-            # What is done is told, and which scenes one waited for.
-            print("under way:", *(name for job, name in jobs.items() if job.running()), sep="\n  ")
+            # Report the finished scenes, and name those that were running.
+            print("running:", *(name for job, name in jobs.items() if job.running()), sep="\n  ")
             pool.shutdown(wait=False, cancel_futures=True)
     for verdict in sorted(found, key=lambda verdict: (verdict.kind, verdict.scene)):
         if verdict.outcome == "wrong" or given.verbose:
             share = f"{verdict.inside / verdict.points:.0%}" if verdict.points else "-"
             print(f"{verdict.outcome:8} {verdict.judge} {verdict.scene} {share}: {verdict.note}")
-    return _tell(found)
+    return print_summary(found)
 
 
-def _tell(found: list[Verdict]) -> int:
+def print_summary(found: list[Verdict]) -> int:
     groups: dict[tuple[str, str], list[Verdict]] = defaultdict(list)
     for verdict in found:
         groups[verdict.judge, verdict.kind].append(verdict)

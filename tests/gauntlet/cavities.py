@@ -1,4 +1,4 @@
-"""Scenes in which dampers fly, with and without ceiling, for judges of what they do in their cavities."""
+"""Random scenes with dampers in flight, with and without ceiling, for the judges of impacts, restitution and decays."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TONE, STEPS, DECAY = "tone_dampers", "steps_dampers", "decay_dampers"
 
 
 def draw_cavities(seed: int, number: int, kind: str) -> rig.Scene:
-    """Draw tones near a mode behind a delta-sigma converter at 5120 Hz, with real accelerometers, truth beside."""
+    """Draw tones near a mode behind a delta-sigma converter at 5120 Hz, with real accelerometers and recorded truth."""
     dice = Draw(seed, number)
     chain, modes = structure(dice)
     bodies = len(chain["masses"])
@@ -31,7 +31,7 @@ def draw_cavities(seed: int, number: int, kind: str) -> rig.Scene:
         }
         for body in with_damper
     ]
-    # Of a faster one fewer than 64 samples hold a period with all its impacts.
+    # Above 80 Hz a period with its impacts has fewer than 64 samples.
     near = dice.one([mode for mode in modes if mode < 80.0])
     first, last = (float(f"{near * dice.even(*share):.4g}") for share in ((0.85, 0.95), (1.05, 1.15)))
     tones = {TONE: {"kind": "sine", "frequency": first, "duration": 2.0}}
@@ -59,7 +59,7 @@ def draw_cavities(seed: int, number: int, kind: str) -> rig.Scene:
 
 
 def draw_decay(seed: int, number: int, kind: str) -> rig.Scene:
-    """Draw the free decay of a single body from where its damper flies to where it rides."""
+    """Draw the free decay of a single body, from flight of its damper to rest on the floor."""
     dice, more = Draw(seed, number), Draw(seed, number + INSTRUMENTS)
     mass, frequency, ratio = dice.log(0.3, 3.0), dice.even(12.0, 40.0), dice.log(0.002, 0.01)
     damper = {
@@ -114,7 +114,7 @@ def _accelerometer(dice: Draw) -> Settings:
 
 
 def force_that_flies(dice: Draw, scene: rig.Scene, body: int) -> float:
-    """Force that without dampers moves a body by so many g."""
+    """Draw the force that gives a body without dampers an acceleration of `_LEVELS`."""
     test = scene.test
     frequency = np.array([test.frequency if test.kind == "sine" else 0.5 * (test.from_ + test.to)])
     linear = abs(receptance(scene.replace(dampers=[]), frequency)[body - 1, 0])

@@ -1,8 +1,8 @@
-"""Designs held against brute force, on structures that nobody prepared: ``python -m tests.gauntlet.designs --seed 7``.
+"""Designs compared with brute force on random structures: ``python -m tests.gauntlet.designs --seed 7``.
 
-Each structure has two to five bodies, as a chain or with springs across. `rig design` chooses one to three dampers for
-it; as many places, masses and clearances as cost twenty times its search are tried beside, and the choice is recorded
-and analysed. Exit code 1 where brute force is more than 1 % better, or the recorded reduction is 0.3 dB off.
+Each structure has two to five bodies, as a chain or with springs across. `rig design` chooses one to three dampers
+for it. Brute force then tries places, masses and clearances at twenty times the cost of the search, and the choice is
+recorded and analysed. Exit code 1: brute force is more than 1 % better, or the recorded reduction differs by 0.3 dB.
 """
 
 from __future__ import annotations
@@ -32,13 +32,16 @@ from rig.damper_design.worst_peak import Peak
 from rig.system.structural_model import natural_modes, receptance, structure_matrices
 from tests.gauntlet.scenes import Draw, Settings, structure
 
-MORE, WORSE, OFF = 20, 0.01, 0.3
-# Shares of the mass that may be added which brute force tries, and how many of its best are held against the choice.
+# Cost of brute force as a multiple of the search, its largest relative advantage, and the largest difference in dB
+# between the designed and the recorded reduction.
+MORE, WORSE, LARGEST_DIFFERENCE = 20, 0.01, 0.3
+# Shares of the mass budget that brute force tries, and the number of its best choices that are compared with the
+# design.
 _SHARES, _FINALISTS = (1.0, 0.7), 8
 
 
 def draw(seed: int, number: int) -> tuple[rig.Scene, dict[str, Any]]:
-    """Draw a structure, and what is asked of its dampers; same seed and number give the same."""
+    """Draw a structure and the requirements for its dampers; the same seed and number give the same draw."""
     dice = Draw(seed, number + 80_000)
     while True:
         chain, _ = structure(dice)
@@ -78,15 +81,15 @@ def draw(seed: int, number: int) -> tuple[rig.Scene, dict[str, Any]]:
     line = np.unique(np.append(np.linspace(*band, 4001), modes[(modes > band[0]) & (modes < band[1])]))
     largest = float((np.abs(receptance(scene, line)) * (2 * np.pi * line) ** 2).max())
     force = float(f"{dice.log(3.0, 12.0) * 9.81 / largest:.4g}")
-    told = {
+    requirements = {
         "budget": f"{dice.even(2.0, 10.0)} %", "dampers": min(dice.whole(1, 3), bodies), "band": band,
         "levels": [factor * force for factor in (0.5, 1.0, 2.0)],
     }  # fmt: skip
-    return scene.replace(test=scene.test.replace(force=force)), told
+    return scene.replace(test=scene.test.replace(force=force)), requirements
 
 
 def _across(dice: Draw, chain: Settings) -> Settings:
-    """Give a chain a spring to the ground or to a body farther away, and a full damping matrix."""
+    """Add a spring to the ground or to a body that is no neighbour, with a full damping matrix."""
     scene = rig.loads(yaml.safe_dump({"name": "chain", "structure": chain}))
     mass, damping, stiffness = structure_matrices(scene.structure)
     bodies = len(mass)
@@ -101,7 +104,7 @@ def _across(dice: Draw, chain: Settings) -> Settings:
 
 
 def brute_force(found: rig.Design, places: list[tuple[int, ...]]) -> Iterator[Choice]:
-    """List choices, evenly spread over places, masses and clearances, that cost so much more than a search."""
+    """List choices spread evenly over places, masses and clearances, at `MORE` times the cost of the search."""
     levels, dampers = len(found.question.levels), found.space.dampers
     searched = (
         len(found.trials) * levels
@@ -113,7 +116,7 @@ def brute_force(found: rig.Design, places: list[tuple[int, ...]]) -> Iterator[Ch
     clearances = np.exp(
         qmc.scale(spread[:, :dampers], *np.log(np.array(found.space.clearance)[:, None] * np.ones(dampers)))
     )
-    # Gaps between sorted points are spread evenly over the ways to share a mass.
+    # Gaps between sorted uniform points are distributed evenly over all divisions of a mass.
     cuts = np.sort(spread[:, dampers:], axis=1)
     masses = found.space.mass * np.diff(cuts, axis=1, prepend=0.0, append=1.0)
     for place in places:
@@ -124,7 +127,7 @@ def brute_force(found: rig.Design, places: list[tuple[int, ...]]) -> Iterator[Ch
 
 
 def beats(question: Question, order: list[float], bound: float, choice: Choice) -> float | None:
-    """Give the worst peak of a choice if it is below a bound; level by level, since one peak above it is enough."""
+    """Return the worst peak of a choice if it is below a bound, else None; levels are tried until one exceeds it."""
     worst = 0.0
     for level in order:
         worst = max(worst, replace(question, levels=(level,)).worst(choice).size)
@@ -134,13 +137,13 @@ def beats(question: Question, order: list[float], bound: float, choice: Choice) 
 
 
 def best_of(found: rig.Design, choices: list[Choice], workers: ProcessPoolExecutor) -> float:
-    """Give the smallest worst peak that brute force finds, on the grid of frequencies that the design ends on, m/N."""
+    """Return the smallest worst peak of all choices on the final frequency grid of the design, m/N."""
     fine, level = replace(found.question, density=FINE), found.best.peak.level
-    order = sorted(fine.levels, key=lambda one: one != level)
-    asked = partial(beats, found.question, order, found.best.peak.size)
+    order = sorted(fine.levels, key=lambda each: each != level)
+    peak_below = partial(beats, found.question, order, found.best.peak.size)
     rivals = [
         (size, choice)
-        for size, choice in zip(workers.map(asked, choices, chunksize=20), choices, strict=True)
+        for size, choice in zip(workers.map(peak_below, choices, chunksize=20), choices, strict=True)
         if size is not None
     ]
     nearest = [choice for _, choice in sorted(rivals, key=lambda rival: rival[0])[:_FINALISTS]]
@@ -148,7 +151,7 @@ def best_of(found: rig.Design, choices: list[Choice], workers: ProcessPoolExecut
 
 
 def recorded(scene: rig.Scene, peak: Peak, folder: Path) -> float:
-    """Record a scene about a peak, and give the largest compliance of its body measured at its level, m/N."""
+    """Record a scene near a peak, and return the largest measured compliance of its body at its level, m/N."""
     path = folder / "check.mcap"
     path.unlink(missing_ok=True)
     with warnings.catch_warnings():
@@ -159,11 +162,11 @@ def recorded(scene: rig.Scene, peak: Peak, folder: Path) -> float:
         return float(np.abs(measured.value).max())
 
 
-def try_out(seed: int, number: int, workers: ProcessPoolExecutor) -> bool:
-    """Design dampers, hold them against brute force and a recording; say what came of it, and whether it is well."""
-    scene, told = draw(seed, number)
+def run_trial(seed: int, number: int, workers: ProcessPoolExecutor) -> bool:
+    """Design dampers, compare them with brute force and a recording, and print the result; True if both agree."""
+    scene, requirements = draw(seed, number)
     begun = time.perf_counter()
-    found = rig.design(scene, **told)
+    found = rig.design(scene, **requirements)
     seconds = time.perf_counter() - begun
     places = [place for place in found.space.places if len(place) == found.space.dampers]
     choices = list(brute_force(found, places))
@@ -174,26 +177,28 @@ def try_out(seed: int, number: int, workers: ProcessPoolExecutor) -> bool:
         damped = recorded(found.scene, peak, Path(folder))
         test = {"kind": "stepped_sine", "frequencies": [bare.frequency], "force": bare.level}
         plain = recorded(scene.replace(test=test), bare, Path(folder))
-    off = 20 * np.log10(plain / damped) - found.reduction(peak)
+    difference = 20 * np.log10(plain / damped) - found.reduction(peak)
+    low, high = requirements["band"]
     worse = max(peak.size / best - 1, 0.0)
     print(
-        f"{scene.name}: {scene.structure.bodies} bodies, {told['band'][0]:.3g} to {told['band'][1]:.3g} Hz: "
-        f"{found.best.choice}: {found.reduction(peak):.2f} dB, {len(found.trials)} trials, {seconds:.0f} s; beside "
-        f"{len(choices)}, {seconds_more:.0f} s: {worse:.2%} above the best of them; recorded {off:+.3f} dB off",
+        f"{scene.name}: {scene.structure.bodies} bodies, {low:.3g} to {high:.3g} Hz: "
+        f"{found.best.choice}: {found.reduction(peak):.2f} dB, {len(found.trials)} trials, {seconds:.0f} s; "
+        f"brute force {len(choices)}, {seconds_more:.0f} s: {worse:.2%} above the best of them; "
+        f"recorded {difference:+.3f} dB from the design",
         flush=True,
     )
-    return worse <= WORSE and abs(off) <= OFF
+    return worse <= WORSE and abs(difference) <= LARGEST_DIFFERENCE
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--structures", type=int, default=5, help="how many (default: 5)")
-    parser.add_argument("--first", type=int, default=0, help="number of the first one")
+    parser.add_argument("--first", type=int, default=0, help="number of the first structure")
     parser.add_argument("--seed", type=int, default=1, help="another seed draws other structures")
     given = parser.parse_args()
     numbers = range(given.first, given.first + given.structures)
     with ProcessPoolExecutor() as workers:
-        verdicts = [try_out(given.seed, number, workers) for number in numbers]
+        verdicts = [run_trial(given.seed, number, workers) for number in numbers]
     return int(not all(verdicts))
 
 

@@ -1,9 +1,9 @@
-"""Fits on benches that nobody prepared: ``python -m tests.gauntlet.fits --benches 30 --seed 7``.
+"""Fits to recordings of random benches: ``python -m tests.gauntlet.fits --benches 30 --seed 7``.
 
-Each bench is drawn with two to five bodies, up to three dampers, some with contact that lasts, noise, and sensors off
-by what data sheets allow; it is recorded without and with its dampers, and a guess that is a fifth off is fitted.
-Prints the status of each value, and how often it was so. Exit code 1 where intervals hold too seldom or something
-determined is too far off.
+Each bench has two to five bodies, up to three dampers (some with finite-duration contact), noise, and sensors that
+deviate as far as data sheets allow. It is recorded without and with its dampers, and fitted from a guess with
+errors up to 20 %. Prints the status of each value with its share. Exit code 1: the intervals hold too rarely, or
+the error of a determined value is too large.
 """
 
 from __future__ import annotations
@@ -33,27 +33,27 @@ from rig.errors import ShotrigError
 from rig.system.structural_model import natural_modes, receptance, structure_matrices
 from tests.gauntlet.scenes import Draw, Settings, structure
 
-# What is determined must be as near as this, relative, by the last word of its key.
+# Largest relative error of a determined value, by the last word of its key.
 NEAR = {"modal": 0.03, "alpha": 0.03, "beta": 0.03, "clearance": 0.02, "mass": 0.02, "mass_ratio": 0.02}
 FREQUENCY, FEWEST_INSIDE = 1e-4, 0.90
-# How far the guess is off, at most.
-_GUESS = 0.2
+# Largest relative error of the guess.
+_GUESS_ERROR = 0.2
 
 
 @dataclass(frozen=True)
 class Judged:
-    """One value: what it is, its status, how far it is off and how far it may be, relative."""
+    """A fitted value: its name, its status, its relative error and its relative 95 % bound."""
 
     bench: str
     what: str
     status: str
-    off: float
+    error: float
     bound: float
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What became of a bench."""
+    """Result of the fit to one bench."""
 
     bench: str
     values: tuple[Judged, ...]
@@ -112,14 +112,14 @@ def draw(seed: int, number: int) -> rig.Scene:
 
 
 def _contact(dice: Draw) -> Settings:
-    """Landings at once, or ones that last."""
+    """Draw instant or finite-duration contact."""
     if dice.chance(0.5):
         return {}
     return {"contact": {"duration": f"{dice.log(0.5, 8.0):.3g} ms"}, "restitution": dice.even(0.05, 0.6)}
 
 
 def _points(dice: Draw, chain: Settings, modes: list[float]) -> list[float]:
-    """Frequencies as a first look at the structure suggests: dense about resonances, sparse between."""
+    """Frequencies that are dense near resonances and sparse elsewhere."""
     low, high = 0.6 * modes[0], 1.15 * modes[-1]
     points = set(np.geomspace(low, high, 16).tolist())
     for mode in modes:
@@ -127,24 +127,28 @@ def _points(dice: Draw, chain: Settings, modes: list[float]) -> list[float]:
     return sorted({float(f"{point:.5g}") for point in points if low <= point <= high})
 
 
-def try_out(seed: int, number: int) -> Trial:
-    """Record a bench without and with its dampers, fit a guess, and hold it against the truth."""
+def run_trial(seed: int, number: int) -> Trial:
+    """Record a bench without and with its dampers, fit a guess, and compare the fit with the truth."""
     scene = spelt_out(draw(seed, number))
     random = np.random.default_rng([seed, number])
     parameters = free_parameters(scene)
-    shift = np.exp(random.uniform(-_GUESS, _GUESS, len(parameters)))
+    shift = np.exp(random.uniform(-_GUESS_ERROR, _GUESS_ERROR, len(parameters)))
     guess = with_values(
-        scene, {one.place: one.start * by for one, by in zip(parameters, shift.tolist(), strict=True)}
+        scene,
+        {
+            parameter.place: parameter.start * by
+            for parameter, by in zip(parameters, shift.tolist(), strict=True)
+        },
     ).replace(shaker=None, test=None, channels=None)
     begun = time.process_time()
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore", daq.RunWarning)
         try:
             paths = []
-            for name, one in {"bare": scene.replace(dampers=()), "damped": scene}.items():
+            for name, variant in {"bare": scene.replace(dampers=()), "damped": scene}.items():
                 if name == "bare" or scene.dampers:
                     paths.append(Path(folder) / f"{name}.mcap")
-                    daq.record(one, paths[-1])
+                    daq.record(variant, paths[-1])
             begun = time.process_time()
             found = analysis.fit(paths, guess)
         except ShotrigError as error:
@@ -157,70 +161,81 @@ def try_out(seed: int, number: int) -> Trial:
     if found.misfit:
         return Trial(scene.name, (), seconds, f"misfit: {found.misfit}")
     values = [
-        Judged(scene.name, one.what, got.status, float(np.log(got.value / one.start)), got.half_width)
-        for one, got in zip(parameters, found.parameters, strict=True)
+        Judged(scene.name, true.what, got.status, float(np.log(got.value / true.start)), got.half_width)
+        for true, got in zip(parameters, found.parameters, strict=True)
     ]
     omega, _ = natural_modes(*structure_matrices(scene.structure)[::2])
     for mode, true in zip(found.modes, omega / (2 * np.pi), strict=True):
         bound = mode.frequency_bound / mode.frequency
         status = "determined" if bound < FREQUENCY else "roughly"
         values.append(Judged(scene.name, "frequency", status, mode.frequency / true - 1, bound))
-    left = sum(int((~one.used).sum()) for one in found.compared)
+    unused = sum(int((~curve.used).sum()) for curve in found.compared)
     note = (
         f"{len(scene.structure.masses)} bodies, {len(scene.dampers)} dampers, variance {found.variance:.2f}"
     )
-    return Trial(scene.name, tuple(values), seconds, f"{note}, {left} points left out")
+    return Trial(scene.name, tuple(values), seconds, f"{note}, {unused} points left out")
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--benches", type=int, default=30, help="how many (default: 30)")
-    parser.add_argument("--first", type=int, default=0, help="number of the first one")
+    parser.add_argument("--first", type=int, default=0, help="number of the first bench")
     parser.add_argument("--seed", type=int, default=1, help="another seed draws other benches")
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     given = parser.parse_args()
     numbers = range(given.first, given.first + given.benches)
     with ProcessPoolExecutor(given.workers) as pool:
         trials = []
-        for trial in pool.map(try_out, [given.seed] * given.benches, numbers):
+        for trial in pool.map(run_trial, [given.seed] * given.benches, numbers):
             trials.append(trial)
             print(f"{trial.bench}: {trial.seconds:.0f} s, {trial.note}", flush=True)
-            for one in trial.values:
-                if abs(one.off) > one.bound or (
-                    one.status == "determined" and abs(one.off) > _near(one.what)
+            for value in trial.values:
+                if abs(value.error) > value.bound or (
+                    value.status == "determined" and abs(value.error) > _largest_error(value.what)
                 ):
                     print(
-                        f"  {one.what} {one.status}: off by {one.off:.3%}, bound {one.bound:.3%}", flush=True
+                        f"  {value.what} {value.status}: error {value.error:.3%}, bound {value.bound:.3%}",
+                        flush=True,
                     )
-    return _tell(trials)
+    return print_summary(trials)
 
 
-def _near(what: str) -> float:
+def _largest_error(what: str) -> float:
     return FREQUENCY if what == "frequency" else NEAR.get(what, np.inf)
 
 
-def _tell(trials: list[Trial]) -> int:
+def print_summary(trials: list[Trial]) -> int:
     groups: dict[str, list[Judged]] = defaultdict(list)
     for trial in trials:
-        for one in trial.values:
-            groups[one.what].append(one)
+        for value in trial.values:
+            groups[value.what].append(value)
     table = Table(
-        "value", "status", "how many", "within 95 % interval", "median off", "worst off", "median interval"
+        "value",
+        "status",
+        "how many",
+        "within 95 % interval",
+        "median error",
+        "largest error",
+        "median interval",
     )
     failed = any(not trial.values for trial in trials)
     inside = total = 0
     for what, values in sorted(groups.items()):
         for status in ("determined", "roughly", "undetermined"):
-            some = [one for one in values if one.status == status]
+            some = [value for value in values if value.status == status]
             if not some:
                 continue
-            off, bound = np.array([abs(one.off) for one in some]), np.array([one.bound for one in some])
-            held = int((off <= bound).sum())
+            error, bound = (
+                np.array([abs(value.error) for value in some]),
+                np.array([value.bound for value in some]),
+            )
+            held = int((error <= bound).sum())
             if status == "determined":
                 inside, total = inside + held, total + len(some)
-                failed |= bool((off > _near(what)).any())
+                failed |= bool((error > _largest_error(what)).any())
             table.add_row(
-                what, status, str(len(some)), f"{held / len(some):.0%}", f"{np.median(off):.3%}", f"{off.max():.3%}",
+                what, status, str(len(some)), f"{held / len(some):.0%}", f"{np.median(error):.3%}",
+                f"{error.max():.3%}",
                 f"{np.median(bound):.3%}",
             )  # fmt: skip
     Console(width=120).print(table)

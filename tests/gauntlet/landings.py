@@ -1,4 +1,4 @@
-"""The paper's rig with beds whose landings last, for judges of what the channels tell of them."""
+"""Random scenes of the paper's rig with finite-duration contact, for the judges of impacts and types of motion."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LANDINGS, STEPPED_LANDINGS = "tone_landings", "steps_landings"
 
 
 def draw_landings(seed: int, number: int, kind: str) -> rig.Scene:
-    """Draw a tone, or steps, near a mode of the paper's rig with one to three dampers, truth beside."""
+    """Draw a tone, or steps, near a mode of the paper's rig with one to three dampers; the truth is recorded."""
     dice = Draw(seed, number)
     with_damper = sorted({dice.whole(1, 3) for _ in range(dice.whole(1, 3))})
     near = dice.one(_MODES)
@@ -65,11 +65,11 @@ def _damper(dice: Draw, body: int) -> Settings:
 
 
 def _instruments(dice: Draw, rate: float) -> tuple[Settings, Settings]:
-    """What is on a body, and the converter: ideal, by their data sheets, or a sensor with an integrator."""
-    way = dice.whole(0, 2)
-    if way == 0:
+    """Draw sensor and converter: ideal, of data sheets, or a sensor with an integrator."""
+    choice = dice.whole(0, 2)
+    if choice == 0:
         return {}, {"rate": rate}
-    if way == 1:
+    if choice == 1:
         sensor = {"accelerometer": {"preset": "PCB 352C33", "bias": 0.0}}
         return sensor, {"preset": "NI 9234", "rate": rate, "remove_delay": True}
     sensor = {

@@ -1,4 +1,4 @@
-"""Structures with two modes close together, for the judge of modes: as curves in closed form, and to be recorded."""
+"""Random structures with two close modes for the judge of modes, as exact curves and as scenes to record."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from tests.gauntlet.scenes import INSTRUMENTS, Draw, Settings, instrumented
 Array = NDArray[np.float64]
 
 CURVES, MULTISINE, STEPPED = "curves_pairs", "multisine_pairs", "stepped_sine_pairs"
-# How far apart two modes lie at least, relative, and the damping ratio of all: without noise, and with it.
+# Smallest relative distance of the two modes, and the damping ratio of all modes: without noise, and with noise.
 _EXACT, _NOISY = (0.004, 0.002), (0.01, 0.005)
-# Both take part in the motion of every body by at least so much of what the larger does.
+# Smallest ratio of the two modes' contributions at the driven and measured bodies.
 _LEAST_SHARE = 0.25
 
 
 def draw_pair(seed: int, number: int, kind: str) -> rig.Scene:
-    """Draw a structure of 2 to 4 bodies with a pair, and a test that resolves it behind noisy accelerometers."""
+    """Draw a structure of 2 to 4 bodies with a close pair, and a test that resolves it with noisy accelerometers."""
     dice, more = Draw(seed, number), Draw(seed, number + INSTRUMENTS)
-    apart, ratio = _EXACT if kind == CURVES else _NOISY
+    distance, ratio = _EXACT if kind == CURVES else _NOISY
     bodies = dice.whole(2, 4)
     first = dice.even(20.0, 40.0)
-    modes = [first, first * (1.0 + apart * dice.even(1.0, 1.5)), 1.7 * first, 2.9 * first][:bodies]
+    modes = [first, first * (1.0 + distance * dice.even(1.0, 1.5)), 1.7 * first, 2.9 * first][:bodies]
     masses = np.array([dice.log(0.5, 2.0) for _ in range(bodies)])
     shapes = _shapes(dice, bodies) * np.sqrt(masses)[:, None]
     stiffness = shapes * (2.0 * np.pi * np.array(modes)) ** 2 @ shapes.T
@@ -65,7 +65,7 @@ def draw_pair(seed: int, number: int, kind: str) -> rig.Scene:
 
 
 def exact_curves(scene: rig.Scene, seed: int, number: int) -> list[Frf]:
-    """Receptances of some bodies in closed form, with some lines in each half-power width."""
+    """Receptances in closed form, with 2 to 6 lines in each half-power bandwidth."""
     dice = Draw(seed, number + 10**6)
     width = 2.0 * _EXACT[1] * scene.test.from_
     spacing = width / dice.even(2.0, 6.0)
@@ -76,7 +76,7 @@ def exact_curves(scene: rig.Scene, seed: int, number: int) -> list[Frf]:
 
 
 def _shapes(dice: Draw, bodies: int) -> Array:
-    """Orthonormal columns, of which the first two are alike in size at the bodies that are driven and measured."""
+    """Draw orthonormal shapes; the first two are of similar size at the driven and measured bodies."""
     while True:
         shapes = np.linalg.qr([[dice.even(-1.0, 1.0) for _ in range(bodies)] for _ in range(bodies)])[0]
         driven = abs(shapes[:2, :2] * shapes[0, :2])

@@ -1,7 +1,7 @@
-"""Scenes that nobody prepared: structure, shaker, test, sensors and converter drawn at random, all by the seed.
+"""Random scenes: structure, shaker, test, sensors and converter, all determined by the seed.
 
-Every scene is short enough to be run in about a second. What is drawn is a scene file, so that a scene found
-wanting can be written out and run by hand.
+Every test takes about a second to record. A draw is the content of a scene file, so that a scene with a wrong answer
+can be written out and run by hand.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from rig.system.structural_model import receptance
 
 Settings = dict[str, Any]
 
-# A kind with dampers is judged by the engine's exact orbits, the others in closed form.
+# Kinds with dampers are compared with exact orbits, the others with closed form.
 KINDS = (
     "random",
     "burst_random",
@@ -39,13 +39,13 @@ KINDS = (
     "multisine_pairs",
     "stepped_sine_pairs",
 )
-# Time constant of the slowest mode, s: transients must die out within seconds.
+# Time constant of the slowest mode, s: transients must decay within seconds.
 _SLOWEST = 1.6
-# Shares of the scenes in which something is amiss.
+# Shares of the scenes with a fault.
 _TIGHT_RANGE, _LOST, _DOUBLE_HIT, _SATURATED = 0.2, 0.15, 0.2, 0.2
 # Share of the inputs that are AC coupled, and their corners, Hz.
 _AC_COUPLED, _AC_CORNERS = 0.4, (0.05, 0.8)
-# Numbers of draws that leave all others of a scene as they are.
+# Offsets of the seeds of later additions, so that all earlier draws of a scene stay the same.
 _COUPLINGS, INSTRUMENTS = 2_000_000, 3_000_000
 
 
@@ -86,17 +86,17 @@ def draw(seed: int, number: int, kind: str) -> rig.Scene:
     settings["channels"] = _channels(dice, settings, bodies)
     settings["converter"] = _converter(dice, settings, modes)
     if not any("preset" in channel.get("accelerometer", {}) for channel in settings["channels"]):
-        # Sensors of a data sheet are fed by their module, which couples them as they need.
+        # The module feeds the sensors of a data sheet, and couples them accordingly.
         module = "preset" in settings["converter"]
         settings["converter"] |= coupling(Draw(seed, number + _COUPLINGS), module)
     if kind.startswith("imported_"):
-        # What was measured came through a filter; an import without one warns that what folded back is in no bound.
+        # Real converters have a filter. Importing without one warns that the bounds exclude aliasing.
         settings["converter"] |= {"filter": "delta_sigma"}
         settings["converter"].pop("sampling", None)
     settings["recording"] = {"display": False}
     settings["seed"] = dice.whole(1, 10**6)
     scene = _ranged(dice, rig.loads(yaml.safe_dump(settings, sort_keys=False), where=settings["name"]))
-    # A file of samples does not say where a sensor was at its limit, and behind a filter no top is flat.
+    # A file of samples does not mark overloads of sensors, and after a filter no clipped peak is flat.
     return scene if kind.startswith("imported_") else _limited(dice, scene)
 
 
@@ -113,13 +113,13 @@ def structure(dice: Draw) -> tuple[Settings, list[float]]:
     modes = modes * factor
     slowest = 1.0 / (2 * np.pi * modes[0] * _SLOWEST)
     damping: Settings
-    way = dice.whole(0, 2)
-    if way == 0:
+    damping_model = dice.whole(0, 2)
+    if damping_model == 0:
         damping = {"modal": dice.log(max(0.003, slowest), 0.04)}
-    elif way == 1:
+    elif damping_model == 1:
         damping = {"modal": [dice.log(max(0.003, slowest), 0.04) for _ in range(bodies)]}
     else:
-        # Mass- and stiffness-proportional: this ratio at the first mode, and some of it growing with frequency.
+        # Mass- and stiffness-proportional: `ratio` at the first mode, of which `share` grows with frequency.
         ratio, share = dice.log(max(0.005, 1.5 * slowest), 0.03), dice.even(0.1, 0.5)
         angular = 2 * np.pi * modes[0]
         damping = {
@@ -171,7 +171,7 @@ def _test(dice: Draw, test: str, modes: list[float], bodies: int, settings: Sett
         return found
     band: Settings = {"from": low, "to": high}
     closed = settings["shaker"]["kind"] != "force"
-    # Held forces of a sweep are steered period by period, which takes ten times as long as all the rest.
+    # The force of a sweep is controlled period by period, which takes ten times as long as everything else.
     amount: Settings = {"force": level}
     if (closed and test == "swept_sine") or (
         closed and test in ("random", "burst_random", "multisine") and dice.chance(0.3)
@@ -202,7 +202,7 @@ def _test(dice: Draw, test: str, modes: list[float], bodies: int, settings: Sett
 
 
 def _open_drive(settings: Settings, level: float) -> float:
-    """Drive that brings about so much force: displacement of a table, volts at an amplifier."""
+    """Drive that causes a force of about `level`: displacement of a table, or voltage of an amplifier."""
     shaker = settings["shaker"]
     return float(f"{level / shaker['spring'] if shaker['kind'] == 'table' else 0.1 * level:.4g}")
 
@@ -210,26 +210,27 @@ def _open_drive(settings: Settings, level: float) -> float:
 def _channels(dice: Draw, settings: Settings, bodies: int) -> list[Settings]:
     shaker = settings.get("shaker")
     impulse = settings["test"]["kind"] == "impulse"
-    seen = {dice.whole(1, bodies) for _ in range(2)}
+    measured = {dice.whole(1, bodies) for _ in range(2)}
     if shaker is not None and shaker["kind"] != "force":
-        seen.add(shaker["body"])
-    way = dice.one(["ideal", "preset", "drawn", "integrated"])
+        measured.add(shaker["body"])
+    sensors = dice.one(["ideal", "preset", "drawn", "integrated"])
     channels = [
-        {"name": f"a{body}", "at": f"body {body}", **_sensor(dice, way, impulse)} for body in sorted(seen)
+        {"name": f"a{body}", "at": f"body {body}", **_sensor(dice, sensors, impulse)}
+        for body in sorted(measured)
     ]
     if impulse:
-        channels.append({"name": "hammer", "at": "hammer", **_force_sensor(dice, way)})
+        channels.append({"name": "hammer", "at": "hammer", **_force_sensor(dice, sensors)})
     elif shaker["kind"] == "force":
-        channels.append({"name": "force", "at": "shaker", **_force_sensor(dice, way)})
+        channels.append({"name": "force", "at": "shaker", **_force_sensor(dice, sensors)})
     else:
-        channels.append({"name": "table", "at": "table", **_sensor(dice, way, impulse)})
+        channels.append({"name": "table", "at": "table", **_sensor(dice, sensors, impulse)})
     return channels
 
 
-def _sensor(dice: Draw, way: str, impulse: bool) -> Settings:
-    if way == "ideal":
+def _sensor(dice: Draw, sensors: str, impulse: bool) -> Settings:
+    if sensors == "ideal":
         return {}
-    if way == "preset":
+    if sensors == "preset":
         return {"accelerometer": {"preset": "PCB 352C33"}}
     sensor: Settings = {
         "sensitivity": dice.one(["100 mV/g", "10 mV/g", "500 mV/g"]),
@@ -245,7 +246,7 @@ def _sensor(dice: Draw, way: str, impulse: bool) -> Settings:
         sensor["transverse"] = 0.05
     if dice.chance(0.3):
         sensor |= {"bias": f"{dice.log(1e-3, 1e-1):.4g} V", "bias_settling": dice.log(0.3, 3.0)}
-    if way == "integrated" and not impulse:
+    if sensors == "integrated" and not impulse:
         order = dice.whole(1, 2)
         gain = 50.0 if order == 1 else 2000.0
         return {
@@ -255,10 +256,10 @@ def _sensor(dice: Draw, way: str, impulse: bool) -> Settings:
     return {"accelerometer": sensor}
 
 
-def _force_sensor(dice: Draw, way: str) -> Settings:
-    if way == "ideal":
+def _force_sensor(dice: Draw, sensors: str) -> Settings:
+    if sensors == "ideal":
         return {}
-    if way == "preset":
+    if sensors == "preset":
         return {"hammer": {"preset": "PCB 086C03"}}
     sensor: Settings = {"sensitivity": dice.one(["2.25 mV/N", "11.2 mV/N", "100 mV/N"])}
     if dice.chance(0.6):
@@ -302,21 +303,21 @@ def _converter(dice: Draw, settings: Settings, modes: list[float]) -> Settings:
 
 
 def coupling(dice: Draw, module: bool) -> Settings:
-    """Draw the coupling of all inputs; the corner of a module is its own."""
+    """Draw the coupling of all inputs; a module has its own corner frequency."""
     if not dice.chance(_AC_COUPLED):
         return {"coupling": "DC"}
     return {"coupling": "AC"} | ({} if module else {"ac_corner": dice.log(*_AC_CORNERS)})
 
 
 def instrumented(dice: Draw, scene: rig.Scene, tolerances: bool = True) -> rig.Scene:
-    """Draw what a scene of real sensors leaves open: coupling, resolution, clock, tolerances."""
+    """Draw the settings that a scene leaves open: coupling, resolution, clock error, sensor tolerances."""
     converter = scene.converter
     if converter.preset is None:
         converter = converter.replace(**coupling(dice, False))
-    # Counts behind an integrator hide every impact: the result says so, and nothing is left to judge.
+    # Quantization after an integrator hides every impact, so that nothing could be judged.
     integrated = any(channel.integrator is not None for channel in scene.channels)
     if converter.preset is None and not integrated and dice.chance(0.5):
-        # Impacts are read as much more than what the linear response brings about.
+        # Readings of impacts are much larger than the linear response.
         largest = max(volts for volts, _ in _largest(scene).values())
         volts = float(f"{largest * dice.log(10.0, 50.0):.3g}")
         converter = converter.replace(bits=dice.one([16, 24]), range=volts)
@@ -332,17 +333,17 @@ def instrumented(dice: Draw, scene: rig.Scene, tolerances: bool = True) -> rig.S
 
 
 def _ranged(dice: Draw, scene: rig.Scene) -> rig.Scene:
-    """Give the converter a range: mostly with room, sometimes too small for what the test brings about."""
+    """Draw the range of the converter: mostly with margin, sometimes too small for the test."""
     if "bits" not in scene.converter.model_fields_set and dice.chance(0.3):
         return scene
-    room = dice.log(0.15, 0.8) if dice.chance(_TIGHT_RANGE) else dice.log(1.5, 50.0)
+    margin = dice.log(0.15, 0.8) if dice.chance(_TIGHT_RANGE) else dice.log(1.5, 50.0)
     largest = max(volts for volts, _ in _largest(scene).values())
-    volts = float(f"{max(largest * room, 1e-6):.3g}")
+    volts = float(f"{max(largest * margin, 1e-6):.3g}")
     return scene.replace(converter=scene.converter.replace(range=volts))
 
 
 def _limited(dice: Draw, scene: rig.Scene) -> rig.Scene:
-    """Give a sensor a limit that the test sometimes reaches, and now and then a slow recovery from that."""
+    """Give a sensor a limit that the test may reach, sometimes with a slow recovery from overload."""
     if not dice.chance(_SATURATED):
         return scene
     largest, chosen = _largest(scene), dice.one([channel.name for channel in scene.channels])
@@ -362,10 +363,7 @@ def _limited(dice: Draw, scene: rig.Scene) -> rig.Scene:
 
 
 def _largest(scene: rig.Scene) -> dict[str, tuple[float, float]]:
-    """Largest voltage of each channel in the test, and what its sensor is shaken or struck by, roughly.
-
-    By the linear response without dampers.
-    """
+    """Estimate the largest voltage of each channel and the largest input of its sensor, without dampers."""
     test, sweep = scene.test, scene.test.kind in ("sine", "stepped_sine", "swept_sine")
     if test.kind == "sine":
         band, level = np.array([test.frequency]), test.force
@@ -387,7 +385,7 @@ def _largest(scene: rig.Scene) -> dict[str, tuple[float, float]]:
         read = abs(info.response(band)) * info.sensitivity * (2 * np.pi * band) ** order * motion
         shaken = motion if info.quantity == "force" else (2 * np.pi * band) ** 2 * motion
         if test.kind == "impulse" and info.quantity != "force":
-            # The pulse's spectrum spread over the modes that it stirs.
+            # The pulse excites all modes together.
             read, shaken = 4.0 * test.width * read, 4.0 * test.width * shaken
         largest[info.name] = tuple(
             float(level * (row.max() if sweep else 3.0 * np.sqrt(np.mean(row**2)))) for row in (read, shaken)

@@ -2,14 +2,14 @@ from __future__ import annotations
 
 import pytest
 
-from tests.gauntlet.fits import draw, try_out
+from tests.gauntlet.fits import draw, run_trial
 
 
 @pytest.mark.thorough
-def test_given_a_bench_that_nobody_prepared_when_fitted_then_what_is_determined_is_right():
-    trial = try_out(1, 12)
-    determined = [one for one in trial.values if one.status == "determined"]
+def test_determined_values_of_random_bench_are_right():
+    trial = run_trial(1, 12)
+    determined = [value for value in trial.values if value.status == "determined"]
     assert len(draw(1, 12).dampers) == 1
-    assert {"frequency", "mass_ratio"} <= {one.what for one in determined}
-    assert sum(abs(one.off) <= one.bound for one in determined) >= 0.9 * len(determined)
-    assert max(abs(one.off) for one in determined) < 0.02
+    assert {"frequency", "mass_ratio"} <= {value.what for value in determined}
+    assert sum(abs(value.error) <= value.bound for value in determined) >= 0.9 * len(determined)
+    assert max(abs(value.error) for value in determined) < 0.02

@@ -1,4 +1,4 @@
-"""One scene on trial: drawn, recorded, judged."""
+"""Trial of one random scene: draw it, record its test, compare the analysis with the truth."""
 
 from __future__ import annotations
 
@@ -20,47 +20,49 @@ from tests.gauntlet.pairs import CURVES, MULTISINE, STEPPED, draw_pair, exact_cu
 from tests.gauntlet.scenes import draw
 from tests.gauntlet.verdict import Case, Verdict
 
-_FORMS = (".npz", ".csv")
+_FORMATS = (".npz", ".csv")
 _DRAWS = {TONE: draw_cavities, STEPS: draw_cavities, DECAY: draw_decay}
 _DRAWS |= dict.fromkeys((LANDINGS, STEPPED_LANDINGS), draw_landings)
 _DRAWS |= dict.fromkeys((CURVES, MULTISINE, STEPPED), draw_pair)
 
 
-def try_out(seed: int, number: int, kind: str) -> list[Verdict]:
-    """Draw a scene, run its test, put the recording before all judges."""
+def run_trial(seed: int, number: int, kind: str) -> list[Verdict]:
+    """Draw a scene, record its test, and collect the verdicts of all judges."""
     scene = _DRAWS.get(kind, draw)(seed, number, kind)
     if kind == CURVES:
-        # Of closed form there is nothing to record.
+        # Curves in closed form need no recording.
         return [modes.judged(scene, exact_curves(scene, seed, number), kind)]
-    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(record=True) as heard:
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", daq.RunWarning)
         path = Path(folder) / "gauntlet.mcap"
         try:
             daq.record(scene, path)
         except ShotrigError as error:
-            # A test that was broken off is one that was refused; what it leaves behind is judged all the same.
+            # An aborted test counts as refused; a recording that it leaves is judged nevertheless.
             if not path.exists():
                 return [Verdict("record", kind, "refused", note=str(error), scene=scene.name)]
         if kind.startswith("imported_"):
-            path = _imported(path, scene, _FORMS[number % len(_FORMS)])
+            path = _imported(path, scene, _FORMATS[number % len(_FORMATS)])
         with daq.open(path) as recording:
-            case = Case(scene, recording, [str(warning.message) for warning in heard])
-            found = [verdict for name, judge in JUDGES.items() for verdict in _heard(name, judge, case, kind)]
+            case = Case(scene, recording, [str(warning.message) for warning in caught])
+            found = [
+                verdict for name, judge in JUDGES.items() for verdict in _verdicts(name, judge, case, kind)
+            ]
     return [replace(verdict, scene=scene.name) for verdict in found]
 
 
 def _imported(path: Path, scene: rig.Scene, ending: str) -> Path:
-    """Write a recording's samples for other programs, and import them as another program's: no marks are left."""
+    """Export the samples and import them again, as a file of another program without markers."""
     with daq.open(path) as recording:
         export(Slice.of(recording), path.with_suffix(ending))
     return daq.import_files(path.with_suffix(ending), scene, path.with_name("imported.mcap"))
 
 
-def _heard(name, judge, case, kind) -> list[Verdict]:
+def _verdicts(name, judge, case, kind) -> list[Verdict]:
     try:
         return judge(case, kind)
     except ShotrigError as error:
         return [Verdict(name, kind, "refused", note=str(error))]
     except Exception:
-        # A traceback is the worst of answers.
+        # A traceback counts as a wrong answer.
         return [Verdict(name, kind, "wrong", note=traceback.format_exc(limit=-3))]

@@ -1,4 +1,4 @@
-"""What a judge has before it, and what it finds."""
+"""Input and output of a judge: the recorded case, and the verdict on one kind of answer."""
 
 from __future__ import annotations
 
@@ -17,33 +17,33 @@ Outcome = Literal["right", "warned", "refused", "wrong"]
 
 @dataclass(frozen=True)
 class Case:
-    """A scene that was drawn and recorded."""
+    """A random scene and its recording."""
 
     scene: Scene
     """As drawn."""
     recording: Recording
     """Open."""
-    said: Sequence[str]
-    """What the run warned of."""
+    warnings: Sequence[str]
+    """Warnings of the run."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a judge found in one scene."""
+    """Verdict of a judge on one scene."""
 
     judge: str
-    """Whose verdict it is: what was judged."""
+    """Name of the judge."""
     kind: str
     """Kind of test."""
     outcome: Outcome
-    """Warned: of lines or channels by name, with the cause. Wrong: not a word of it."""
+    """Warned: the result names the affected lines or channels and the cause. Wrong: it does not."""
     inside: int = 0
-    """Points within their stated 95 % bound, and all points that were judged."""
+    """Points within their stated 95 % bound."""
     points: int = 0
-    """Points within their stated 95 % bound, and all points that were judged."""
+    """Points that were judged."""
     width: float = np.nan
-    """Median bound, relative to the truth: bounds that hold because they are wide show."""
+    """Median of bound / true value. It reveals bounds that hold only because they are wide."""
     note: str = ""
-    """What is off, or why it was refused."""
+    """Largest deviation, or the reason for a refusal."""
     scene: str = ""
-    """Name of the scene: seed, number and kind draw it again."""
+    """Name of the scene: seed, number and kind, from which it can be drawn again."""

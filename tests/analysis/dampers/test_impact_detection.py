@@ -14,8 +14,8 @@ from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError
 from tests.analysis.responses import synthetic
 from tests.gauntlet.cavities import TONE
-from tests.gauntlet.judges.impacts import seen_for_itself
-from tests.gauntlet.trial import try_out
+from tests.gauntlet.judges.impacts import detectable
+from tests.gauntlet.trial import run_trial
 
 RATE = synthetic.RATE
 
@@ -272,7 +272,7 @@ def test_given_contact_that_lasts_when_detected_then_each_touch_has_its_wall_tim
     jump = np.where(gap < 0.49e-3, -1.0, 1.0) * touches["speed"] * 0.06 / 1.06 * (1.0 + given_back)
     _, right, seen = score(found.time, touches["time"], 0.25 * duration)
     inner = (touches["time"] > found.time[0] - 1e-3) & (touches["time"] < found.time[-1] + 1e-3)
-    clear = inner & seen_for_itself(touches["time"], jump, found)
+    clear = inner & detectable(touches["time"], jump, found)
     begin, end = found.left_out.T - 1e-3 * np.array([[1.0], [-1.0]])
     clear &= ~((touches["time"][:, None] > begin) & (touches["time"][:, None] < end)).any(axis=1)
     assert right.all() and right.sum() > 15 and seen[clear].all()
@@ -351,6 +351,6 @@ def test_given_a_channel_that_is_overloaded_for_most_of_a_stretch_when_searched_
 
 
 def test_given_chains_of_rebounds_behind_a_double_integrator_when_judged_then_all_apart_enough_are_found():
-    [found, *_] = [verdict for verdict in try_out(600101, 69, TONE) if verdict.judge == "impacts"]
+    [found, *_] = [verdict for verdict in run_trial(600101, 69, TONE) if verdict.judge == "impacts"]
     assert found.points > 100
     assert found.inside == found.points

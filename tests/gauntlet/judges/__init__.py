@@ -1,7 +1,4 @@
-"""Judges: one file per kind of answer.
-
-Each tells what it found in a case: one verdict or several, none where it is not concerned.
-"""
+"""Judges: each compares one kind of answer with the truth, and returns a verdict for each answer of its kind."""
 
 from __future__ import annotations
 
@@ -10,7 +7,7 @@ from collections.abc import Callable
 from tests.gauntlet.judges import decays, impacts, modes, motion_types, responses, restitution
 from tests.gauntlet.verdict import Case, Verdict
 
-# A judge takes a case and the kind it was drawn as. What it raises as ShotrigError counts as refused.
+# A judge takes a case and its kind. A ShotrigError that it raises counts as refused.
 JUDGES: dict[str, Callable[[Case, str], list[Verdict]]] = {
     "responses": responses.judge,
     "modes": modes.judge,

@@ -1,7 +1,7 @@
-"""Damping ratio against amplitude of a free decay with a damper: within its stated 95 % bound of the exact motion's.
+"""Damping ratio against amplitude of a free decay with a damper, compared with that of the exact motion.
 
-While the damper rides, the truth is closed form; above, it is the fall of the engine's own maxima by 6 dB around each
-amplitude, as the estimate states it.
+With the damper at rest on the floor the truth is in closed form. In flight it is the slope of the engine's own
+maxima over 6 dB around each amplitude, which is how the estimate is defined.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from tests.gauntlet.verdict import Case, Verdict
 
 Array = NDArray[np.float64]
 
-# Samples a second of the exact motion: maxima are then told to 1e-7.
+# Sample rate of the exact motion, Hz: the error of a maximum is then 1e-7.
 _RATE = 20480.0
 _HALF = 3.0 / 20.0 * np.log(10.0)
 FEWEST_INSIDE = 0.8
@@ -29,21 +29,21 @@ def judge(case: Case, kind: str) -> list[Verdict]:
     decay = analysis.decay(case.recording, channel="a1")
     [mode] = decay.modes
     true = np.array([_damping(level, *_maxima(case.scene), case.scene) for level in mode.amplitude])
-    asked = np.isfinite(true)
-    inside = abs(mode.damping - true)[asked] <= 1.96 * mode.damping_error[asked]
-    worst = float(np.max(abs(mode.damping / true - 1.0)[asked], initial=0.0))
+    known = np.isfinite(true)
+    inside = abs(mode.damping - true)[known] <= 1.96 * mode.damping_error[known]
+    worst = float(np.max(abs(mode.damping / true - 1.0)[known], initial=0.0))
     outcome = (
         "right" if inside.sum() >= FEWEST_INSIDE * inside.size else "warned" if decay.warnings else "wrong"
     )
-    bound = float(np.median((1.96 * mode.damping_error / mode.damping)[asked])) if asked.any() else np.nan
-    note = f"worst off by {worst:.2%}, median bound {bound:.2%}" + "".join(
+    bound = float(np.median((1.96 * mode.damping_error / mode.damping)[known])) if known.any() else np.nan
+    note = f"largest error {worst:.2%}, median bound {bound:.2%}" + "".join(
         f" [{text}]" for text in decay.warnings
     )
     return [Verdict("decays", kind, outcome, int(inside.sum()), inside.size, note=note)]
 
 
 def _maxima(scene: rig.Scene) -> tuple[Array, Array, Array]:
-    """Times of the maxima of the body's displacement, half of what it swings from minimum to maximum, its periods."""
+    """Times of the maxima of the displacement, amplitudes (half of peak to peak), and periods."""
     run = rig.simulate(scene, scene.test.duration, _RATE)
     place, speed = run.displacement[0], run.velocity[0]
     tops, lows = (np.flatnonzero((s * speed[:-1] > 0.0) & (s * speed[1:] <= 0.0)) for s in (1.0, -1.0))
@@ -58,7 +58,7 @@ def _maxima(scene: rig.Scene) -> tuple[Array, Array, Array]:
 
 
 def _damping(level: float, time: Array, swing: Array, period: Array, scene: rig.Scene) -> float:
-    """Damping ratio at an amplitude of the acceleration; NaN where too few maxima lie around it."""
+    """Damping ratio at an acceleration amplitude; NaN with fewer than four maxima around it."""
     [damper], ratio = scene.dampers, scene.structure.damping.modal
     if level * np.exp(_HALF) < GRAVITY:
         return float(ratio / np.sqrt(1.0 + damper.mass_ratio))

@@ -1,6 +1,6 @@
-"""Modes: each that is told is one of the structure, once; its frequency and damping ratio within their stated errors.
+"""Identified modes, compared with those of the structure: frequency and damping ratio within their stated errors.
 
-Of a pair, both must be told; of other structures, those that stand out of the noise, which no judge can know.
+Both modes of a close pair must be identified. Elsewhere a mode may be missing, because noise may hide it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from tests.gauntlet.verdict import Case, Outcome, Verdict
 
 Array = NDArray[np.float64]
 
-# Standard deviations within which 95 % lie, and those that no honest error leaves behind.
+# Factor of the 95 % interval, and the largest plausible error, standard deviations.
 BOUND, FAR = 1.96, 4.5
 # Rounding, relative.
 _ROUNDING = 1e-9
@@ -39,11 +39,11 @@ def judge(case: Case, kind: str) -> list[Verdict]:
 
 
 def judged(scene: rig.Scene, curves: list[Frf], kind: str) -> Verdict:
-    """Hold the modes of some curves against those of the structure; the points are frequencies and ratios."""
+    """Compare the modes of some curves with the structure; points are frequencies and damping ratios."""
     modes = analysis.identify(curves)
     true_frequency, true_ratio = _true_modes(scene)
     matched, extra = _matched(modes, true_frequency, true_ratio)
-    off = np.array(
+    error = np.array(
         [
             [
                 abs(modes.frequency[i] - true_frequency[j])
@@ -53,26 +53,26 @@ def judged(scene: rig.Scene, curves: list[Frf], kind: str) -> Verdict:
             for i, j in matched
         ]
     ).reshape(-1, 2)
-    apart = kind not in _PAIRS or {0, 1} <= {j for _, j in matched}
+    separated = kind not in _PAIRS or {0, 1} <= {j for _, j in matched}
     outcome: Outcome = "right"
     if modes.model_error:
         outcome = "warned"
-    elif extra or not apart or np.any(off > FAR):
+    elif extra or not separated or np.any(error > FAR):
         outcome = "wrong"
     counted = outcome != "warned"
-    worst = off.max(initial=0.0)
-    note = f"{len(matched)} of {true_frequency.size} modes told, worst {worst:.2f} standard deviations off"
-    note += "".join(f", {modes.frequency[i]:.5g} Hz is none" for i in extra)
-    note += "" if apart else f", the pair at {true_frequency[0]:.5g} Hz is not told apart"
+    worst = error.max(initial=0.0)
+    note = f"{len(matched)} of {true_frequency.size} modes identified, largest error {worst:.2f} standard deviations"
+    note += "".join(f", {modes.frequency[i]:.5g} Hz is spurious" for i in extra)
+    note += "" if separated else f", the pair at {true_frequency[0]:.5g} Hz is not separated"
     width = float(np.median(BOUND * modes.damping_error / modes.damping))
     return Verdict(
-        "modes", kind, outcome, int(np.sum(off < BOUND)) if counted else 0, off.size if counted else 0, width,
+        "modes", kind, outcome, int(np.sum(error < BOUND)) if counted else 0, error.size if counted else 0, width,
         note, scene.name,
     )  # fmt: skip
 
 
 def _true_modes(scene: rig.Scene) -> tuple[Array, Array]:
-    """Natural frequencies as a clock that is off lets them read, Hz, and damping ratios."""
+    """Natural frequencies as read with the error of the clock, Hz, and damping ratios."""
     mass, damping, stiffness = structure_matrices(scene.structure)
     size = len(mass)
     state = np.block(
@@ -86,13 +86,13 @@ def _true_modes(scene: rig.Scene) -> tuple[Array, Array]:
 
 
 def _matched(modes: Modes, frequency: Array, ratio: Array) -> tuple[list[tuple[int, int]], list[int]]:
-    """Pairs of told and true modes, each once, nearest first; and told ones that are none."""
-    apart = abs(modes.frequency[:, None] - frequency)
-    near = apart < np.maximum(5.0 * modes.frequency_error[:, None], ratio * frequency)
+    """Match identified with true modes, nearest first; also list the spurious ones."""
+    distance = abs(modes.frequency[:, None] - frequency)
+    near = distance < np.maximum(5.0 * modes.frequency_error[:, None], ratio * frequency)
     matched: list[tuple[int, int]] = []
-    for flat in np.argsort(apart, axis=None):
+    for flat in np.argsort(distance, axis=None):
         i, j = divmod(int(flat), frequency.size)
         if near[i, j] and all(i != a and j != b for a, b in matched):
             matched.append((i, j))
-    told = {i for i, _ in matched}
-    return matched, [i for i in range(modes.frequency.size) if i not in told]
+    genuine = {i for i, _ in matched}
+    return matched, [i for i in range(modes.frequency.size) if i not in genuine]

@@ -1,4 +1,4 @@
-"""Types of motion told from the channels at each frequency against the engine's events, where a type is named."""
+"""Types of damper motion estimated from the channels, compared with those of the engine's events."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from rig.numerics.runs import runs_of
 from rig.response.motion_type import STAY
 from rig.system.assembly import assemble
 from tests.gauntlet.cavities import STEPS
-from tests.gauntlet.judges.impacts import APART, seen_for_itself, true_impacts
+from tests.gauntlet.judges.impacts import APART, detectable, true_impacts
 from tests.gauntlet.landings import STEPPED_LANDINGS
 from tests.gauntlet.verdict import Case, Verdict
 
 NAMED = ("riding", "I", "II", "III")
-# So far from a period, relative, may be what lies between blows that come once a period.
+# Largest relative deviation from a period of the interval between impacts that occur once a period.
 _ONCE = 0.1
 
 
 def judge(case: Case, kind: str) -> list[Verdict]:
-    """Compare the types of all dampers; the points are those where one is named."""
+    """Compare the types of all dampers; points are the frequencies at which a type is named."""
     if kind not in (STEPS, STEPPED_LANDINGS):
         return []
     right, points, nameable, notes = 0, 0, 0, []
@@ -36,17 +36,18 @@ def judge(case: Case, kind: str) -> list[Verdict]:
                     points += 1
                     right += motion.name == true
                     if motion.name != true:
-                        notes.append(f"a{damper.body} at {motion.frequency:.4g} Hz: {motion.name}, is {true}")
+                        notes.append(
+                            f"a{damper.body} at {motion.frequency:.4g} Hz: {motion.name}, true {true}"
+                        )
     outcome = "right" if right == points else "wrong"
     notes.append(f"{points} of {nameable} named")
     return [Verdict("motion_types", kind, outcome, right, points, note="; ".join(notes))]
 
 
 def _true_type(case: Case, number: int, frequency: float, first: int, stop: int) -> str:
-    """Type by what the damper did in a window.
+    """True type of motion in a window; without events the damper is riding.
 
-    It rides where nothing happens at all. Impacts that are too small, or too near to a larger one, count where they
-    are found only.
+    Impacts that are too small, or too near a larger one, count only if they are detected.
     """
     rec = case.recording
     events = rec.events[rec.events["damper"] == number]
@@ -56,12 +57,12 @@ def _true_type(case: Case, number: int, frequency: float, first: int, stop: int)
     time, jump = true_impacts(case, number)
     inside = (time >= first / rec.rate) & (time < stop / rec.rate)
     found = impacts(rec, f"a{case.scene.dampers[number - 1].body}", first, stop)
-    # What is found beside a larger one is that one, a little late.
+    # A detection next to a larger impact is that impact, slightly late.
     matched = score(found.time, time, APART / rec.rate)[2]
     matched[matched] = [
         abs(jump[k]) >= abs(jump[abs(time - time[k]) < found.apart]).max() for k in np.flatnonzero(matched)
     ]
-    inside &= seen_for_itself(time, jump, found) | matched
+    inside &= detectable(time, jump, found) | matched
     floor, ceiling = time[inside & (jump < 0.0)], time[inside & (jump > 0.0)]
     periods = (stop - first) / rec.rate * frequency
     if _once(floor, frequency, periods) and not ceiling.size:
@@ -73,7 +74,7 @@ def _true_type(case: Case, number: int, frequency: float, first: int, stop: int)
 
 
 def _stays(case: Case, number: int, first: int, stop: int) -> bool:
-    """Whether a damper stays at the ceiling: for more than two landings, where they last, else at all."""
+    """Whether a damper stays at the ceiling: at all, or for more than `STAY` durations of a finite-duration contact."""
     at_ceiling = case.recording.truth("contact")[number - 1, first:stop] == 2
     if case.scene.dampers[number - 1].contact is None:
         return bool(at_ceiling.any())
@@ -84,6 +85,6 @@ def _stays(case: Case, number: int, first: int, stop: int) -> bool:
 
 
 def _once(time: NDArray[np.float64], frequency: float, periods: float) -> bool:
-    """Whether blows come a period apart, through all of a window; at either end none can be told."""
+    """Whether impacts occur once a period throughout a window; one may be missing at either end."""
     between = np.diff(time) * frequency
     return time.size > periods - 2.0 and bool(np.all(abs(between - 1.0) < _ONCE))

@@ -1,8 +1,7 @@
-"""Frequency responses: every line within its stated 95 % bound of the exact curve, or marked, or refused.
+"""Frequency responses: every line lies within its stated 95 % bound of the exact curve, or is marked, or is refused.
 
-Judged twice: the whole bound against the structure as it is, and the bound without the sensors' tolerances against
-the structure as its sensors, each a little off its data sheet, must show it. The second keeps wide tolerances from
-hiding what else is wrong.
+Judged twice: the whole bound against the structure, and the bound without sensor tolerances against the structure
+as its actual sensors show it. The second comparison prevents wide tolerances from hiding other errors.
 """
 
 from __future__ import annotations
@@ -26,16 +25,16 @@ from rig.system.structural_model import receptance
 from tests.gauntlet.cavities import STEPS, TONE
 from tests.gauntlet.verdict import Case, Outcome, Verdict
 
-# Of the lines of a scene, so many must lie within the bound, unless it has so few that chance brings that about: errors
-# whose 95 % bounds are right are as large, together, in no more than so many scenes. (Of two lines one lies outside in
-# every tenth scene, whatever the bounds; one far outside in none.)
+# Smallest share of the lines of a scene within their bounds. With few lines chance alone can violate it; then the
+# joint probability of errors as large under correct bounds decides, which must exceed CHANCE.
 FEWEST_INSIDE, CHANCE = 0.7, 1e-4
-# A line as far off as this, as a multiple of its bound and relative to the truth, misleads by itself; so many may.
+# A line is misleading beyond FAR_BOUNDS bounds and beyond FAR of the true value; MOST_FAR is the largest share of
+# such lines.
 FAR_BOUNDS, FAR, MOST_FAR = 3.0, 0.05, 0.02
-# A scene of which more lines than this have no value or no finite bound, or are marked as unsteady, told little.
-MOST_UNTOLD = 0.3
-# Warnings that say of the whole curve that it is no response to steady tones, and why. No other warning excuses a
-# wrong line: what is printed on every run warns of nothing.
+# Largest share of lines without a value, without a finite bound, or marked as unsteady.
+MOST_UNRESOLVED = 0.3
+# Warnings that the whole curve is not a response to steady tones, with the reason. No other warning excuses a wrong
+# line.
 _NOT_TONES = (
     LIFTED,
     NONLINEAR,
@@ -43,68 +42,70 @@ _NOT_TONES = (
     "before the motion had become periodic",
     "before the motion is steady",
 )
-# Rounding of what has no noise at all, relative.
+# Relative rounding error of curves without noise.
 _ROUNDING = 1e-9
-# How much more force tells how a response depends on it, relative.
+# Relative change of the force for the derivative of a response with respect to it.
 _MORE_FORCE = 2e-3
-# Largest relative change of a response with that of its force that is one of the same motion.
+# Larger relative derivatives belong to a change to another kind of motion.
 _STEEPEST = 20.0
-# A force no farther off than this, relative, tells a response to some 1e-5 by that.
+# Largest relative deviation of the force for which the first-order correction is accurate to about 1e-5.
 _NEAR = 2e-3
 
 
 @dataclass
 class _Tally:
-    """Lines within their bounds, those far off, and those that claim nothing."""
+    """Counts of lines within their bounds, of misleading lines, and of lines without a claim."""
 
     name: str
     inside: int = 0
     points: int = 0
     by_chance: float = 1.0
-    """Chance of errors as large together, of the curve least likely."""
+    """Joint probability of errors as large, for the least likely curve."""
     far: int = 0
     refused: int = 0
     marked: int = 0
     widths: list[float] = field(default_factory=list)
-    off: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
     def add(self, frf: Frf, exact: NDArray[np.complex128]) -> None:
         bound, known = frf.bound(0.95), np.isfinite(exact)
         size, wrong = np.maximum(abs(exact), 1e-300), abs(frf.value - exact)
         bound = bound + _ROUNDING * size
-        told = np.isfinite(frf.value) & np.isfinite(bound)
-        steady = np.ones(told.size, dtype=bool) if frf.unsteady is None else ~frf.unsteady
-        judged, good = known & told & steady, wrong <= bound
+        resolved = np.isfinite(frf.value) & np.isfinite(bound)
+        steady = np.ones(resolved.size, dtype=bool) if frf.unsteady is None else ~frf.unsteady
+        judged, good = known & resolved & steady, wrong <= bound
         self.inside += int(np.sum(good & judged))
         self.points += int(judged.sum())
-        self.refused += int(np.sum(known & ~told))
-        self.marked += int(np.sum(known & told & ~steady))
+        self.refused += int(np.sum(known & ~resolved))
+        self.marked += int(np.sum(known & resolved & ~steady))
         self.far += int(np.sum(judged & (wrong > FAR_BOUNDS * bound) & (wrong > FAR * size)))
         if judged.any():
-            # A normal error is k times its 95 % bound or more with a chance of 0.05 to the power of k squared.
+            # An error exceeds k times its 95 % bound with a probability of 0.05 to the power of k squared.
             exponent = -np.log(0.05) * np.sum((wrong / bound)[judged] ** 2)
             self.by_chance = min(self.by_chance, float(special.gammaincc(judged.sum(), exponent)))
             self.widths += (bound / size)[judged].tolist()
             worst = int(np.argmax(np.where(judged, wrong / bound, 0.0)))
-            self.off.append(
-                f"{frf.response} {good[judged].mean():.0%} (worst off by {wrong[worst] / size[worst]:.2%}, bound "
+            self.notes.append(
+                f"{frf.response} {good[judged].mean():.0%} (largest error {wrong[worst] / size[worst]:.2%}, bound "
                 f"{bound[worst] / size[worst]:.2%}, at {frf.frequency[worst]:.4g} Hz; median "
                 f"{np.median((wrong / size)[judged]):.2%}, bound {np.median((bound / size)[judged]):.2%})"
             )
 
-    def verdict(self, kind: str, said: list[str]) -> Verdict:
+    def verdict(self, kind: str, warnings: list[str]) -> Verdict:
         lines = self.points + self.refused + self.marked
         enough = self.inside >= FEWEST_INSIDE * self.points or self.by_chance > CHANCE
         holds = enough and self.far <= MOST_FAR * self.points
         outcome: Outcome
-        if self.refused > MOST_UNTOLD * lines:
+        if self.refused > MOST_UNRESOLVED * lines:
             outcome = "refused"
-        elif self.marked > MOST_UNTOLD * lines or any(cause in text for text in said for cause in _NOT_TONES):
+        elif self.marked > MOST_UNRESOLVED * lines or any(
+            cause in text for text in warnings for cause in _NOT_TONES
+        ):
             outcome = "warned"
         else:
             outcome = "right" if holds else "wrong"
-        note = "; ".join(self.off) + "".join(f" [{text}]" for text in dict.fromkeys(said))
-        # What was warned of or refused as a whole claims no bounds that could be counted.
+        note = "; ".join(self.notes) + "".join(f" [{text}]" for text in dict.fromkeys(warnings))
+        # Curves that are refused or warned of as a whole have no bounds to count.
         counted = outcome in ("right", "wrong")
         return Verdict(
             self.name,
@@ -122,28 +123,29 @@ def judge(case: Case, kind: str) -> list[Verdict]:
     if case.scene.test.kind == "free" or kind in (TONE, STEPS):
         return []
     whole, random = _Tally("responses"), _Tally("responses, as built")
-    said: list[str] = []
+    warnings: list[str] = []
     known = _truth(case.scene)
     truth, close = _at_forces(case, known, np.inf), _at_forces(case, known, _NEAR)
     for group in analysis.frequency_responses(case.recording):
         for frf in group:
-            said += frf.warnings
+            warnings += frf.warnings
             body = int(case.recording.channels[frf.response].at.split()[1]) - 1
             whole.add(frf, truth(frf.frequency)[body])
             others = {name: part for name, part in frf.systematic.items() if name not in (SENSITIVITY, CLOCK)}
             random.add(replace(frf, systematic=others), _as_built(case, frf, close))
-    return [tally.verdict(kind, said) for tally in (whole, random)]
+    return [tally.verdict(kind, warnings) for tally in (whole, random)]
 
 
 def _truth(scene: rig.Scene) -> Callable[[NDArray[np.float64]], NDArray[np.complex128]]:
-    """Receptances of all bodies at some frequencies, NaN where the motion is irregular; each asked for once."""
+    """Return a function for the receptances of all bodies, NaN where the motion is irregular; results are stored."""
     known: dict[bytes, NDArray[np.complex128]] = {}
 
     def exact(frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
         key = frequency.tobytes()
         if key not in known:
             if scene.test.kind == "multisine":
-                # Where dampers fly it says that it is no response to tones; else it is that of what rides.
+                # With dampers in flight the estimate warns that it is no response to tones; otherwise the dampers
+                # are at rest.
                 dampers = [damper.replace(locked=True) for damper in scene.dampers]
                 known[key] = receptance(scene.replace(dampers=dampers), frequency)
             elif scene.dampers and isinstance(scene.driven_shaker, ForceShaker):
@@ -159,7 +161,7 @@ def _truth(scene: rig.Scene) -> Callable[[NDArray[np.float64]], NDArray[np.compl
 
 
 def _settled(scene: rig.Scene, frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
-    """Receptances behind a spring, through which the dampers' harmonics act back on the force."""
+    """Receptances with a coil spring, through which the dampers' harmonics act back on the force."""
     down = getattr(scene.test, "direction", "up") == "down"
     response = rig.frequency_response(scene, frequency, direction="down" if down else "up", longest=3000)
     order = np.argsort(response.frequency)
@@ -170,10 +172,10 @@ def _settled(scene: rig.Scene, frequency: NDArray[np.float64]) -> NDArray[np.com
 def _at_forces(
     case: Case, truth: Callable[[NDArray[np.float64]], NDArray[np.complex128]], most: float
 ) -> Callable[[NDArray[np.float64]], NDArray[np.complex128]]:
-    """Receptances at the forces that were there, to first order; NaN where these are off by more than that is good for.
+    """Return a function for the receptances at the actual forces, to first order; NaN beyond its range of validity.
 
-    A controller holds what its sensors read, each a little off, and stops at its tolerance; the response of a structure
-    that is not linear is that to the force that was there, whatever was asked for.
+    The controller holds the reading of sensors with deviations, within its tolerance. The response of a nonlinear
+    structure is that to the actual force, not to the specified one.
     """
     scene = case.scene
     read = {
@@ -190,32 +192,32 @@ def _at_forces(
         known = truth(frequency)
         near = np.argmin(abs(frequency[:, None] - frequencies), axis=1)
         with np.errstate(invalid="ignore"):
-            off = forces[near] / abs(_force_reads(case, frequency, known)) / scene.test.force - 1.0
+            deviation = forces[near] / abs(_force_reads(case, frequency, known)) / scene.test.force - 1.0
             slope = (more(frequency) - known) / _MORE_FORCE
-            # Steeper than this it is another motion that a little more force leads to: no first order, and no truth.
+            # A steeper slope means that more force leads to another kind of motion: the first order is invalid.
             smooth = abs(slope) < _STEEPEST * abs(known)
-            return np.asarray(np.where((abs(off) <= most) & smooth, known + slope * off, np.nan))
+            return np.asarray(np.where((abs(deviation) <= most) & smooth, known + slope * deviation, np.nan))
 
     return exact
 
 
 def _gain(case: Case, name: str, frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
-    """What is told by a channel of what is there, at nominal frequencies: by its sensor and the clock as drawn."""
+    """Ratio of reading to true value of a channel at nominal frequencies, with its actual sensor and clock."""
     channel = next(channel for channel in case.scene.channels or () if channel.name == name)
     clock, info = 1.0 + (case.scene.converter.clock_error or 0.0), case.recording.channels[name]
-    # Told by the data sheet's response at the nominal frequency, read with that at the true one.
-    off = info.response(frequency * clock) / info.response(frequency)
+    # The data sheet's response is applied at the nominal frequency, while the sensor acts at the true one.
+    shift = info.response(frequency * clock) / info.response(frequency)
     if channel.measures_force:
         deviation = force_sensor(filled_in(channel.hammer or Hammer()), case.scene.seed, name).deviation
-        return np.asarray((1.0 + deviation) * off)
+        return np.asarray((1.0 + deviation) * shift)
     sensor = accelerometer(filled_in(channel.accelerometer or Accelerometer()), case.scene.seed, name)
-    return np.asarray((1.0 + sensor.deviation) * off * clock ** MOTIONS.index(info.quantity))
+    return np.asarray((1.0 + sensor.deviation) * shift * clock ** MOTIONS.index(info.quantity))
 
 
 def _force_reads(
     case: Case, frequency: NDArray[np.float64], exact: NDArray[np.complex128]
 ) -> NDArray[np.complex128]:
-    """What the channels tell of the force for each newton that is there, by the receptances of all bodies."""
+    """Ratio of the reading to the true force, from the receptances of all bodies."""
     channels = case.scene.channels or ()
     force = next((channel.name for channel in channels if channel.measures_force), None)
     if force is not None:
@@ -223,9 +225,9 @@ def _force_reads(
     table = next(channel.name for channel in channels if channel.at == "table")
     number = case.scene.shaker.bodies[0]
     driven = next(channel.name for channel in channels if channel.at == f"body {number}")
-    # The spring's force as the difference of what is read at its ends, per newton that is there.
+    # The spring force is read as the difference of the displacements at its ends.
     spring = case.scene.shaker.spring * exact[number - 1]
-    # Not a number where the truth is none; such lines are judged nowhere.
+    # NaN where the truth is unknown; such lines are not judged.
     with np.errstate(invalid="ignore"):
         reads = _gain(case, table, frequency) * (1.0 + spring) - _gain(case, driven, frequency) * spring
     return np.asarray(reads)
@@ -234,10 +236,10 @@ def _force_reads(
 def _as_built(
     case: Case, frf: Frf, truth: Callable[[NDArray[np.float64]], NDArray[np.complex128]]
 ) -> NDArray[np.complex128]:
-    """Curve that sensors read which are off their data sheets by what the seed drew for them."""
-    # Everything runs at the true rate of a clock that is off, and is told by its nominal one.
+    """Exact curve as the actual sensors, with their deviations from the data sheets, show it."""
+    # With a clock error the true frequencies differ from the nominal ones.
     exact = truth(frf.frequency * (1.0 + (case.scene.converter.clock_error or 0.0)))
     body = int(case.recording.channels[frf.response].at.split()[1])
     with np.errstate(invalid="ignore"):
-        told = exact[body - 1] * _gain(case, frf.response, frf.frequency)
-        return np.asarray(told / _force_reads(case, frf.frequency, exact))
+        reading = exact[body - 1] * _gain(case, frf.response, frf.frequency)
+        return np.asarray(reading / _force_reads(case, frf.frequency, exact))

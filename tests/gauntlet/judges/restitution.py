@@ -1,4 +1,4 @@
-"""Restitution of dampers told from the jumps of their bodies: within its stated error, or not told."""
+"""Coefficient of restitution estimated from velocity jumps, compared with the scene."""
 
 from __future__ import annotations
 
@@ -7,25 +7,28 @@ from analysis.dampers.restitution import restitution
 from tests.gauntlet.cavities import TONE
 from tests.gauntlet.verdict import Case, Verdict
 
-# Standard deviations of the 95 % bound, and those that no honest error leaves behind.
+# Factor of the 95 % interval, and the largest plausible error, standard deviations.
 BOUND, FAR = 2.0, 4.0
 
 
 def judge(case: Case, kind: str) -> list[Verdict]:
-    """Hold what is told of each damper against the scene."""
+    """Compare the estimate for each damper with the scene."""
     if kind != TONE:
         return []
     rec, verdicts = case.recording, []
     [window] = [marker for marker in rec.markers if marker.kind == "measure"]
     for damper in case.scene.dampers:
         found = impacts(rec, f"a{damper.body}", window.first_sample, window.stop)
-        told = restitution(rec, found, damper, window.first_sample, window.stop)
-        if told is None:
-            verdicts.append(Verdict("restitution", kind, "refused", note="not told"))
+        estimate = restitution(rec, found, damper, window.first_sample, window.stop)
+        if estimate is None:
+            verdicts.append(Verdict("restitution", kind, "refused", note="not determined"))
             continue
-        off = abs(told.value - damper.restitution) / told.error
-        note = f"a{damper.body}: {told.value:.3f} with standard deviation {told.error:.3f}, is {damper.restitution:.3f}"
+        error = abs(estimate.value - damper.restitution) / estimate.error
+        estimated = f"{estimate.value:.3f}, standard uncertainty {estimate.error:.3f}"
+        note = f"a{damper.body}: {estimated}, true {damper.restitution:.3f}"
         verdicts.append(
-            Verdict("restitution", kind, "right" if off < FAR else "wrong", int(off < BOUND), 1, note=note)
+            Verdict(
+                "restitution", kind, "right" if error < FAR else "wrong", int(error < BOUND), 1, note=note
+            )
         )
     return verdicts

@@ -1,8 +1,7 @@
 """The tests under other settings of processor, libraries and Pythons: `make matrix`.
 
-A result must not rest on vector width, BLAS kernel, threads, locale, time zone, place of the checkout or rights; nor
-on the Python or the versions of dependencies, as far as `pyproject.toml` allows them. What a machine lacks is said,
-not run.
+Results must not depend on vector width, BLAS kernel, threads, locale, time zone, folder or user rights, nor on the
+versions of Python and of the dependencies that `pyproject.toml` allows. Settings that this machine lacks are named.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-# Every setting is a second kind of machine, as far as one machine can be another.
+# Environment variables that emulate another machine.
 SETTINGS: dict[str, dict[str, str]] = {
     "narrow vectors": {
         "NPY_DISABLE_CPU_FEATURES": "{features}",
@@ -38,7 +37,7 @@ SETTINGS: dict[str, dict[str, str]] = {
         "PYTHONUTF8": "0",
     },
 }
-# Kernels of OpenBLAS by name, each of which rounds in its own way, and the instructions that it needs.
+# Kernels of OpenBLAS, each with its own rounding, and the instructions that they need.
 KERNELS = {
     "Prescott": "SSE3",
     "Nehalem": "SSE42",
@@ -121,27 +120,27 @@ def passes(python: str, tests: list[str], setting: dict[str, str]) -> bool:
 
 def main() -> int:
     """Run the tests under each setting and in each environment; say where they failed."""
-    words = argparse.ArgumentParser(description=__doc__)
-    words.add_argument(
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument(
         "--short", action="store_true", help="the part that CI runs, under the first setting and two kernels"
     )
-    words.add_argument("tests", nargs="*", help="what to run; default everything")
-    told = words.parse_args()
-    chosen = dict(list(SETTINGS.items())[:1]) if told.short else SETTINGS
-    tests = told.tests or (SHORT if told.short else [])
+    parser.add_argument("tests", nargs="*", help="tests to run (default: all)")
+    options = parser.parse_args()
+    chosen = dict(list(SETTINGS.items())[:1]) if options.short else SETTINGS
+    tests = options.tests or (SHORT if options.short else [])
     failed = []
     for name, setting in chosen.items():
         filled = {key: value.format(features=features()) for key, value in setting.items()}
         print(f"== {name}: {' '.join(f'{key}={value}' for key, value in filled.items())}", flush=True)
         if not passes(sys.executable, tests, filled):
             failed.append(name)
-    kernels = supported(SHORT_KERNELS if told.short else KERNELS)
+    kernels = supported(SHORT_KERNELS if options.short else KERNELS)
     for kernel in kernels:
-        chosen_tests = told.tests or (["tests/analysis"] if told.short else [])
+        chosen_tests = options.tests or (["tests/analysis"] if options.short else [])
         print(f"== quick tests, OPENBLAS_CORETYPE={kernel}", flush=True)
         if not passes(sys.executable, [*QUICK, *chosen_tests], {"OPENBLAS_CORETYPE": kernel}):
             failed.append(f"OpenBLAS kernel {kernel}")
-    others = {} if told.short else {OLDEST: sys.executable, **dict(pythons())}
+    others = {} if options.short else {OLDEST: sys.executable, **dict(pythons())}
     for name, python in others.items():
         print(f"== {name}", flush=True)
         with tempfile.TemporaryDirectory(prefix="matrix-") as folder:

@@ -1,6 +1,6 @@
-"""Faults by the hundred in the places that matter, and whether the tests notice: `make mutants`.
+"""Mutation testing: change the code in places that matter, and count the changes that the tests detect: `make mutants`.
 
-Each fault is made in a copy of the checkout, never in it. A seed chooses among all that a place offers:
+Each mutation is made in a copy of the checkout. A seed chooses among all mutations of a place:
 `python -m tests.mutants --seed 2 --only filters --each 40`.
 """
 
@@ -19,34 +19,34 @@ from rich.table import Table
 from tests.mutants.places import PLACES
 from tests.mutants.trial import Found, try_place
 
-# Share of the faults in a place that its tests must notice.
+# Smallest share of the mutations of a place that its tests must detect.
 ENOUGH = 0.85
 
 
 def main() -> int:
-    """Try the faults; exit code 1 where the tests of a place notice too few."""
-    words = argparse.ArgumentParser(prog="python -m tests.mutants", description=__doc__)
-    words.add_argument("--seed", type=int, default=1, help="another seed chooses other faults")
-    words.add_argument("--each", type=int, default=25, help="faults in a place")
-    words.add_argument("--only", choices=PLACES, action="append", help="this place; may be repeated")
-    words.add_argument("--workers", type=int, default=os.cpu_count())
-    told = words.parse_args()
-    places = told.only or list(PLACES)
+    """Try the mutations; exit code 1 if the tests of a place detect too few."""
+    parser = argparse.ArgumentParser(prog="python -m tests.mutants", description=__doc__)
+    parser.add_argument("--seed", type=int, default=1, help="another seed chooses other mutations")
+    parser.add_argument("--each", type=int, default=25, help="mutations of a place")
+    parser.add_argument("--only", choices=PLACES, action="append", help="only this place; may be repeated")
+    parser.add_argument("--workers", type=int, default=os.cpu_count())
+    options = parser.parse_args()
+    places = options.only or list(PLACES)
     found: list[Found] = []
-    # A process for each place, as each works in a folder of its own.
-    with ProcessPoolExecutor(told.workers, get_context("spawn"), max_tasks_per_child=1) as pool:
-        running = [pool.submit(try_place, place, told.each, told.seed) for place in places]
+    # One process for each place, because each works in its own folder.
+    with ProcessPoolExecutor(options.workers, get_context("spawn"), max_tasks_per_child=1) as pool:
+        running = [pool.submit(try_place, place, options.each, options.seed) for place in places]
         for job in track(as_completed(running), "mutants", len(places), console=Console(stderr=True)):
             found += job.result()
             for each in job.result():
                 if not each.noticed:
-                    print(f"not noticed, {each.place}, {each.module}:\n{each.change}", flush=True)
-                    print(f"{each.equivalent or 'no reason is known'}\n", flush=True)
-    return _tell(found, places)
+                    print(f"not detected, {each.place}, {each.module}:\n{each.change}", flush=True)
+                    print(f"{each.equivalent or 'reason unknown'}\n", flush=True)
+    return print_summary(found, places)
 
 
-def _tell(found: list[Found], places: list[str]) -> int:
-    table = Table("place", "faults", "noticed", "not noticed", "change nothing", "score")
+def print_summary(found: list[Found], places: list[str]) -> int:
+    table = Table("place", "mutations", "detected", "not detected", "equivalent", "score")
     scores = []
     for place in places:
         noticed = sum(each.noticed for each in found if each.place == place)

@@ -1,1 +1,1 @@
-"""Faults by the hundred, seeded: kills, damage, full disks, odd inputs; `make soak` prints the table."""
+"""Fault injection: kills, damaged files, full disks and invalid input, from a seed; `make soak` prints the table."""

@@ -1,6 +1,6 @@
-"""Kills, damage, full disks and odd inputs by the hundred: `make soak`.
+"""Inject hundreds of faults: kills, damaged files, full disks and invalid input: `make soak`.
 
-Every case has a number from which it can be had again: `python -m tests.soak --only damage --seed 1234 --cases 1`.
+Every case has a number, which reproduces it: `python -m tests.soak --only damage --seed 1234 --cases 1`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from tests.soak.command import PACKAGES, Ended
 
 matplotlib.use("agg")
 
-# How many cases of each kind, unless told.
+# Number of cases of each kind by default.
 CASES = {
     "kills": 200,
     "starts": 100,
@@ -43,7 +43,7 @@ CASES = {
 
 @dataclass
 class Tally:
-    """What came of the cases of a kind."""
+    """Results of the cases of a kind."""
 
     cases: int = 0
     faults: Counter[str] = field(default_factory=Counter)
@@ -51,7 +51,7 @@ class Tally:
     seconds: float = 0.0
 
     def add(self, number: int, ended: Ended, further: list[str]) -> None:
-        """Count a case, and say what was wrong in it."""
+        """Count a case and print its faults."""
         found = ended.faults + further
         self.cases += 1
         self.faults.update(found)
@@ -62,27 +62,27 @@ class Tally:
 
 
 def main() -> int:
-    """Run the cases; exit code 1 if any was at fault, 130 if Ctrl-C ended it, with a table of what was done."""
-    words = argparse.ArgumentParser(prog="python -m tests.soak", description=__doc__)
-    words.add_argument("--seed", type=int, default=1, help="number of the first case of each kind")
-    words.add_argument("--only", choices=KINDS, action="append", help="this kind; may be repeated")
-    words.add_argument("--cases", type=int, help="how many of each kind")
-    words.add_argument("--minutes", type=float, default=float("inf"), help="stop each kind after this time")
-    told = words.parse_args()
-    # A shell gives what it starts in the background deaf ears, and the table would never come.
+    """Run the cases and print the table; exit code 1 with any fault, 130 after Ctrl-C."""
+    parser = argparse.ArgumentParser(prog="python -m tests.soak", description=__doc__)
+    parser.add_argument("--seed", type=int, default=1, help="number of the first case of each kind")
+    parser.add_argument("--only", choices=KINDS, action="append", help="only this kind; may be repeated")
+    parser.add_argument("--cases", type=int, help="number of cases of each kind")
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="stop each kind after this time")
+    options = parser.parse_args()
+    # A shell starts background commands with interrupts ignored; Ctrl-C must print the table.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    # What commands import is imported once, here; most run in forks.
+    # Most commands run in forks of this process, so that their imports happen once, here.
     for package in PACKAGES:
         __import__(f"{package}.cli")
     tallies: dict[str, Tally] = {}
     try:
         with tempfile.TemporaryDirectory(prefix="soak-") as folder, _counting() as bar:
-            print("recording what is to be damaged", file=sys.stderr)
+            print("making the recordings to be damaged", file=sys.stderr)
             bench = Bench(Path(folder))
-            for kind in told.only or KINDS:
+            for kind in options.only or KINDS:
                 tallies[kind] = Tally()
-                numbers = range(told.seed, told.seed + (told.cases or CASES[kind]))
-                _run(bench, kind, numbers, 60.0 * told.minutes, tallies[kind], bar)
+                numbers = range(options.seed, options.seed + (options.cases or CASES[kind]))
+                _run(bench, kind, numbers, 60.0 * options.minutes, tallies[kind], bar)
     except KeyboardInterrupt:
         print("\ninterrupted; so far:")
         _show(tallies)
@@ -94,7 +94,7 @@ def main() -> int:
 def _run(
     bench: Bench, kind: str, numbers: Sequence[int], seconds: float, tally: Tally, bar: Progress
 ) -> None:
-    """Run the cases of a kind, as many as time allows."""
+    """Run the cases of a kind until their time limit."""
     print(f"{kind}:", flush=True)
     task, until = bar.add_task(kind, total=len(numbers)), time.monotonic() + seconds
     for number in numbers:
@@ -106,7 +106,7 @@ def _run(
 
 @contextmanager
 def _counting() -> Iterator[Progress]:
-    """Show how far each kind is, without a thread of its own, which a fork would leave in the middle of a word."""
+    """Show the progress of each kind, without a thread, which a fork could interrupt while it writes."""
     columns = *Progress.get_default_columns(), MofNCompleteColumn(), TimeElapsedColumn()
     with Progress(*columns, console=Console(stderr=True), auto_refresh=False) as bar:
         yield bar

@@ -1,4 +1,4 @@
-"""The kinds of cases: what each does to a command, and what must hold afterwards."""
+"""Kinds of cases: the fault that each injects into a command, and the checks that follow."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ STUDIES = (
     "analysis paper",
     "analysis demo",
 )
-# A client of the instrument.
+# A client script of the instrument.
 CLIENT = """
 import nidaqmx
 with nidaqmx.Task() as task:
@@ -59,7 +59,7 @@ with nidaqmx.Task() as task:
     except nidaqmx.DaqError as error:
         print("refused:", error.error_code)
 """
-# What a recording may be called.
+# Names of recordings.
 NAMES = (
     "r.mcap",
     "r.mcap",
@@ -70,13 +70,13 @@ NAMES = (
 
 
 class Bench:
-    """Whole recordings to kill and damage, and a folder to do it in."""
+    """Undamaged recordings, and a folder to work in."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder / "work"
         self.scenes = {}
         self.whole = {}
-        # How long a recording takes here, s: kills are to strike within.
+        # Time that a recording takes here, s: kills happen within it.
         self.seconds: dict[int, float] = {}
         for number in (0, 1, 3):
             self.scenes[number] = folder / f"scene{number}.yaml"
@@ -84,7 +84,7 @@ class Bench:
             self.whole[number] = folder / f"whole{number}.mcap"
             words = ["daq", "record", str(self.scenes[number]), "-o", str(self.whole[number])]
             self.seconds[number] = run(words, folder).seconds
-        # How long a command takes to start, s.
+        # Time that a command takes to start, s.
         self.start = run_afresh(["daq", "info", str(self.whole[0])], folder).seconds
         self.foreign = {}
         for name, (ending, write, _) in files.WRITERS.items():
@@ -93,17 +93,17 @@ class Bench:
             self.foreign[path.suffix, name] = path.read_bytes()
 
     def clear(self) -> Path:
-        """Give the folder, empty."""
+        """Return the emptied folder."""
         shutil.rmtree(self.folder, ignore_errors=True)
         self.folder.mkdir()
         return self.folder
 
     def compare(self, path: Path, number: int) -> list[str]:
-        """Hold a recording against the whole one: what it has must be right and in its place."""
+        """Compare a recording with the undamaged one: its samples must be equal and in their place."""
         try:
             with daq.open(path) as found, daq.open(self.whole[number]) as true:
                 found.check()
-                # Who interrupts a test has its drive taken back, which the whole one has not.
+                # An interrupted test ends with a ramp of its drive, which the complete recording lacks.
                 aborted = any(mark.kind == "abort" for mark in found.markers)
                 stop = found.samples - (round(RAMP_S * found.rate) if aborted else 0)
                 for name in found.channels:
@@ -117,16 +117,16 @@ class Bench:
 
 
 def kill(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
-    """Kill or interrupt a recording at any moment; what lay at its place, or the new one, must be whole."""
+    """Kill or interrupt a recording at any moment; the file of that name, old or new, must be intact."""
     number, folder = chance.choice((0, 1, 3)), bench.clear()
     overwrite = chance.random() < 0.5
     if overwrite:
         shutil.copy(bench.whole[number], folder / "r.mcap")
     how = chance.choice((signal.SIGKILL, signal.SIGKILL, *ENDINGS))
-    # A Python of its own, which imports first, as a user's; forks are so much quicker.
+    # A new process imports first, as a user's does; forks are much quicker.
     afresh = chance.random() < 0.3
     longest = bench.seconds[number] + (bench.start if afresh else 0.0)
-    strike = _striking(how, chance.uniform(0.0, 1.2) * longest)
+    strike = _signal_once(how, chance.uniform(0.0, 1.2) * longest)
     words = [
         "daq",
         "record",
@@ -135,7 +135,7 @@ def kill(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
         "r.mcap",
         *(["--overwrite"] if overwrite else []),
     ]
-    ended = _struck((run_afresh if afresh else run)(words, folder, end=strike), how)
+    ended = _without_effects_of((run_afresh if afresh else run)(words, folder, end=strike), how)
     wrong = []
     for path in sorted(folder.iterdir()):
         if path.name == "r.mcap" and (overwrite or "interrupted" in ended.output):
@@ -153,19 +153,19 @@ def kill(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
 
 
 def begin(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
-    """Interrupt any command while its Python starts and imports: what lies there stays as it is."""
+    """Interrupt any command while Python starts and imports; existing files must not change."""
     folder = bench.clear()
     shutil.copy(bench.whole[0], folder / "r.mcap")
     (folder / "s.yaml").write_text(scenes.sound(chance))
     how = chance.choice((signal.SIGTERM, signal.SIGINT, signal.SIGINT))
-    strike = _striking(how, chance.uniform(0.0, 2.0) * bench.start)
+    strike = _signal_once(how, chance.uniform(0.0, 2.0) * bench.start)
     words = scenes.command("s.yaml", chance) if chance.random() < 0.3 else _reading(chance)
-    ended = _struck(run_afresh(words, folder, strike, module=chance.random() < 0.5), how)
+    ended = _without_effects_of(run_afresh(words, folder, strike, module=chance.random() < 0.5), how)
     return ended, bench.compare(folder / "r.mcap", 0) if words[1] != "record" else []
 
 
 def end_study(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
-    """Interrupt a study and all its workers, as a terminal does; none of them complains, and none is left."""
+    """Interrupt a study with all its workers, as a terminal does; no process may complain or remain."""
     folder = bench.clear()
     (folder / "s.yaml").write_text(yaml.safe_dump(scenes.BASES[0]))
     how, groups = chance.choice((signal.SIGINT, signal.SIGINT, signal.SIGTERM)), []
@@ -176,12 +176,12 @@ def end_study(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
             groups.append(process)
             os.killpg(process, how)
 
-    ended = _struck(run_afresh(chance.choice(STUDIES).split(), folder, strike), how)
+    ended = _without_effects_of(run_afresh(chance.choice(STUDIES).split(), folder, strike), how)
     return ended, ["process left"] if any(left_behind(group) for group in groups) else []
 
 
-def _striking(how: signal.Signals, at: float) -> Callable[[int, float], None]:
-    """Give what sends a process a signal, once, after a time in s."""
+def _signal_once(how: signal.Signals, at: float) -> Callable[[int, float], None]:
+    """Return a function that sends a signal once, after a time in s."""
     done = []
 
     def strike(process: int, seconds: float) -> None:
@@ -191,18 +191,18 @@ def _striking(how: signal.Signals, at: float) -> Callable[[int, float], None]:
     return strike
 
 
-def _struck(ended: Ended, how: signal.Signals) -> Ended:
-    """Take from how a command ended what a signal may do to any process, and to Python before it knows of us."""
+def _without_effects_of(ended: Ended, how: signal.Signals) -> Ended:
+    """Remove the effects that a signal may have on any process, and on Python before our code runs."""
     output = ended.output
     if how == signal.SIGINT and "Traceback" in output and not ours(output) and "interrupted" not in output:
         output = ""
-    # Until the command line answers signals, it ends by them as any process does; and so does Python, whatever it was
-    # told, where an interrupt went through code that a library compiles on the way.
+    # Before the command line handles signals, they end it as any process; an interrupt in code that a library is
+    # compiling ends Python in the same way.
     return replace(ended, code=0 if ended.code in (-how, -signal.SIGINT) else ended.code, output=output)
 
 
 def damage(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
-    """Damage a recording and recover it over another; nothing wrong may come out, and the other is not lost."""
+    """Damage a recording and recover it over another; no wrong sample may result, and the other file must survive."""
     number, folder = chance.choice((0, 1, 3)), bench.clear()
     (folder / "r.mcap").write_bytes(recordings.damage(bench.whole[number].read_bytes(), chance))
     shutil.copy(bench.whole[number], folder / "f.mcap")
@@ -215,7 +215,7 @@ def damage(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
 
 
 def fill_disk(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
-    """Let files be only so long; what was there stays whole, and no half file gets a name."""
+    """Limit the size of files; existing files stay intact, and no partial file may appear under the final name."""
     number, folder = chance.choice((0, 1, 3)), bench.clear()
     shutil.copy(bench.whole[number], folder / "r.mcap")
     size = int(10 ** chance.uniform(1, 6))
@@ -232,27 +232,27 @@ def fill_disk(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
 
 
 def odd_scene(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
-    """Give a command an odd scene and odd options."""
+    """Run a command with an invalid scene and invalid options."""
     folder = bench.clear()
     (folder / "s.yaml").write_text(scenes.scene(chance))
     return run(scenes.command("s.yaml", chance), folder), []
 
 
 def rarer_command(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
-    """Give a command that is not for every day odd options, and in half of the cases an odd scene."""
+    """Run a rarely used command with invalid options, and in half of the cases an invalid scene."""
     folder = bench.clear()
     (folder / "s.yaml").write_text((scenes.scene if chance.random() < 0.5 else scenes.sound)(chance))
     shutil.copy(bench.whole[0], folder / "r.mcap")
     (folder / "x.csv").write_bytes(next(data for (end, _), data in bench.foreign.items() if end == ".csv"))
     (folder / "c.py").write_text(CLIENT)
     words = scenes.rarer_command("s.yaml", chance)
-    # What serves and shows goes on until it is told to end; once, for another signal ends what has closed its files.
+    # Servers and viewers run until a signal. Send one only: a second one ends them while they close their files.
     goes_on = words[1] in ("serve", "scope")
-    return run(words, folder, end=_striking(signal.SIGTERM, 15.0) if goes_on else None), []
+    return run(words, folder, end=_signal_once(signal.SIGTERM, 15.0) if goes_on else None), []
 
 
 def odd_recording(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
-    """Give a command a recording that says odd things of itself, every checksum right."""
+    """Run a command on a recording with invalid contents but correct checksums."""
     folder = bench.clear()
     name = chance.choice(NAMES)
     recordings.hostile(bench.whole[chance.choice((0, 1, 3))], folder / name, chance)
@@ -260,7 +260,7 @@ def odd_recording(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]
 
 
 def odd_words(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
-    """Give any command any options with odd values: files, folders and devices stay what they are."""
+    """Run any command with any options and invalid values; files, folders and devices must not change."""
     folder = bench.clear()
     shutil.copy(bench.whole[0], folder / "r.mcap")
     (folder / "s.yaml").write_text(scenes.sound(chance))
@@ -269,20 +269,22 @@ def odd_words(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
     command_lines.lay_out(folder)
     before = command_lines.contents(folder)
     words = command_lines.draw(chance)
-    # What goes on for long is told to end, and before long what waits for its user, silently and rightly so.
+    # End commands that run on, and earlier those that wait silently for their user, as they should.
     latest = 15.0 if words[1] in ("serve", "scope", "replay") else 25.0
-    ended = run(words, folder, end=_striking(signal.SIGTERM, chance.uniform(5.0, latest)))
-    return _struck(ended, signal.SIGTERM), command_lines.lost(before, command_lines.contents(folder), words)
+    ended = run(words, folder, end=_signal_once(signal.SIGTERM, chance.uniform(5.0, latest)))
+    return _without_effects_of(ended, signal.SIGTERM), command_lines.lost(
+        before, command_lines.contents(folder), words
+    )
 
 
 def _reading(chance: random.Random, commands: Sequence[str] = READING) -> list[str]:
-    """Choose a command on a recording, with odd numbers where it takes some."""
+    """Choose a command on a recording, with invalid numbers for its numeric options."""
     odd = [chance.choice(scenes.ODD_NUMBERS) for _ in range(2)]
     return [word.format(odd=odd.pop()) if "{" in word else word for word in chance.choice(commands).split()]
 
 
 def odd_import(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
-    """Import a damaged file of another program; what lies at the recording's place is not lost."""
+    """Import a damaged file of another program; an existing recording must survive."""
     folder = bench.clear()
     (ending, _), whole = chance.choice(list(bench.foreign.items()))
     (folder / f"x{ending}").write_bytes(recordings.damage(whole, chance))

@@ -1,4 +1,4 @@
-"""A command line run in a child of its own and watched: how it ended, what it said, when, and what it took."""
+"""Run a command in a child process, and observe its exit code, output, silences, time and memory."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ import psutil
 
 from rig.ending_signals import ENDINGS
 
-# Without a word for this long, a command counts as hanging; and so long it may take at all, s.
+# Longest time without output before a command counts as hanging, and longest time in all, s.
 SILENCE, LONGEST = 20.0, 60.0
-# What no command may take, bytes.
+# Largest memory of a command, bytes.
 MEMORY = 1 << 30
-# How often it is looked at what a command does, s.
+# Interval between observations of a command, s.
 LOOK = 0.2
 PACKAGES = ("rig", "daq", "analysis")
 
@@ -41,7 +41,7 @@ class Ended:
     output : str
         What it wrote to both streams.
     silence : float
-        Longest time without a word, s; while it queued for a processor it could not have said one.
+        Longest time without output, s, without the time in which it waited for a processor.
     seconds : float
         Time from start to end.
     memory : int
@@ -57,7 +57,7 @@ class Ended:
 
     @property
     def faults(self) -> list[str]:
-        """What it should not have done."""
+        """Faults of the command."""
         found = []
         if "Traceback (most recent call last)" in self.output or "Exception ignored" in self.output:
             found.append("traceback")
@@ -67,7 +67,7 @@ class Ended:
             found.append("silence")
         if self.memory > MEMORY:
             found.append("memory")
-        # Whoever still tells how far it is after so long was stopped here, and is not at fault.
+        # A command that still shows progress at the time limit was killed here, which is no fault.
         if self.code not in (0, 1, 2, 129, 130, 143) and self.seconds < LONGEST:
             found.append(f"exit code {self.code}")
         if any(ord(letter) < 32 and letter not in "\n\t\r" for letter in self.output):
@@ -92,7 +92,7 @@ def run(
     folder : Path
         Where it runs.
     end : callable, optional
-        ``end(process, seconds)``, called again and again while it runs: whoever wants to kill it.
+        ``end(process, seconds)``, called repeatedly while the command runs; it may kill it.
     environment : dict, optional
         Variables to set.
     prepare : callable, optional
@@ -114,7 +114,7 @@ def run(
 def run_afresh(
     words: Sequence[str], folder: Path, end: Callable[[int, float], None] | None = None, module: bool = False
 ) -> Ended:
-    """Run a command as a shell does, in a Python of its own: by pip's script or, as a module, by ``python -m``.
+    """Run a command in a new process, as a shell does: by its installed script, or by ``python -m``.
 
     Parameters
     ----------
@@ -133,14 +133,14 @@ def run_afresh(
 
 
 def ours(output: str) -> bool:
-    """Whether a traceback goes through a file of the packages; Python itself is interrupted while it starts, too."""
+    """Whether a traceback passes through a file of the packages; an interrupt may also hit Python's own start."""
     return any(
         f'File "{Path(import_module(each).__file__ or "").parent}{os.sep}' in output for each in PACKAGES
     )
 
 
 def left_behind(process: int, seconds: float = 5.0) -> bool:
-    """Whether processes of a command are still there some time after it has ended."""
+    """Whether processes of a command still exist some time after its end."""
     until = time.monotonic() + seconds
     while time.monotonic() < until:
         try:
@@ -152,14 +152,14 @@ def left_behind(process: int, seconds: float = 5.0) -> bool:
 
 
 class _OwnTime:
-    """Time that a command had for itself: none in which it queued for a processor."""
+    """Time of a command without that in which it waited for a processor."""
 
     def __init__(self, process: int) -> None:
         self.process = psutil.Process(process)
         self.at, self.computed = time.monotonic(), 0.0
 
     def passed(self) -> float:
-        """Give the time since it was last asked for, s."""
+        """Return the time since the previous call, s."""
         now = time.monotonic()
         span, self.at = now - self.at, now
         computed, ready = 0.0, False
@@ -168,10 +168,10 @@ class _OwnTime:
                 computed += sum(each.cpu_times()[:4])
                 ready |= each.status() in (psutil.STATUS_RUNNING, psutil.STATUS_DISK_SLEEP)
         except psutil.Error:
-            # It, or a child of it, is just ending.
+            # The command or one of its children is ending.
             return 0.0
         share, self.computed = max(computed - self.computed, 0.0), computed
-        # Threads in the background wake for moments, even if a command waits for what never comes.
+        # Background threads wake for moments even in a command that hangs.
         return min(share, span) if ready or share > 0.02 * span else span
 
 
@@ -182,7 +182,7 @@ def _watch(
     end: Callable[[int, float], None] | None,
     longest: float,
 ) -> Ended:
-    """Hear what a child says until it has ended."""
+    """Collect the output of a child until it ends."""
     started = looked = time.monotonic()
     own, heard, quiet, silence, said = _OwnTime(process), bytearray(), 0.0, 0.0, True
     try:
@@ -216,21 +216,21 @@ def _watch(
 
 
 def _fork(folder: Path, environment: dict[str, str], act: Callable[[], None]) -> tuple[int, int]:
-    """Start a child that acts in a folder; give its number and where to hear what it says."""
+    """Start a child that acts in a folder; return its process number and the pipe of its output."""
     reading, writing = os.pipe()
-    # Nobody hears a signal before the child answers it as any new process does.
+    # Block signals until the child has the default handlers of a new process.
     signals = ENDINGS
     before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
     process = os.fork()
     if process == 0:
-        # A group of its own, as a shell gives to each command: a terminal tells all of it of Ctrl-C.
+        # A process group of its own, as in a shell: a terminal sends Ctrl-C to the whole group.
         os.setpgid(0, 0)
         for number in signals:
             signal.signal(number, signal.SIG_DFL)
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
         _become(folder, writing, environment, act)
     with suppress(OSError):
-        # Whoever of the two is first.
+        # Parent and child both set the group, since either may run first.
         os.setpgid(process, process)
     signal.pthread_sigmask(signal.SIG_SETMASK, before)
     os.close(writing)

@@ -1,4 +1,4 @@
-"""Command lines that somebody may type by mistake, in despair or in malice: any command, any of its options."""
+"""Random command lines: any command with any of its options, valid and invalid."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import typer
 from tests.soak.command import PACKAGES
 from tests.soak.scenes import ODD_TEXTS
 
-# What stands where nothing is odd, by the name of the option or argument; a number if it is not here.
+# Valid values by the name of the option or argument; options that are not listed take a number.
 SOUND: dict[str, tuple[str, ...]] = {
     "scene": ("s.yaml", "fig9", "bare-structure"),
     "scenes": ("s.yaml", "fig9"),
@@ -149,7 +149,7 @@ TEXTS = (
 
 
 def lay_out(folder: Path) -> None:
-    """Put what is no ordinary file into a folder, and what is empty or nonsense."""
+    """Create special, empty and invalid files in a folder."""
     (folder / "folder").mkdir()
     (folder / "folder" / "kept.txt").write_text("kept")
     for name in ("empty.mcap", "empty.yaml"):
@@ -163,12 +163,12 @@ def lay_out(folder: Path) -> None:
         try:
             os.mknod(folder / name, stat.S_IFCHR | 0o666, os.makedev(1, minor))
         except PermissionError:
-            # Only root may make devices; nobody else can lose one either.
+            # Only root can create devices, or lose them.
             (folder / name).symlink_to(f"/dev/{name}")
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """Describe everything in a folder: its kind, and a digest of ordinary files."""
+    """Describe the contents of a folder: kinds of files, and digests of regular ones."""
     return {str(path.relative_to(folder)): _content(path) for path in sorted(folder.rglob("*"))}
 
 
@@ -180,7 +180,7 @@ def _content(path: Path) -> str:
 
 
 def lost(before: dict[str, str], after: dict[str, str], words: list[str]) -> list[str]:
-    """Name what is gone or another thing; an ordinary file may only be replaced by who says --overwrite."""
+    """Name files that were lost or changed; only --overwrite may replace a regular file."""
     found = [f"file lost: {name}" for name in before if name not in after]
     for name in before.keys() & after.keys():
         ordinary = len(before[name]) > 6 and len(after[name]) > 6

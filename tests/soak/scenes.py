@@ -1,4 +1,4 @@
-"""Scenes and options that somebody may write by mistake, in despair or in malice."""
+"""Random invalid scenes and options."""
 
 from __future__ import annotations
 
@@ -155,12 +155,12 @@ BASES = (
 
 
 def sound(chance: random.Random) -> str:
-    """Write a scene with nothing wrong in it."""
+    """Return a valid scene file."""
     return yaml.safe_dump(chance.choice(BASES), sort_keys=False)
 
 
 def scene(chance: random.Random) -> str:
-    """Write a scene with one to three things wrong in it, or rather odd."""
+    """Return a scene file with one to three invalid or extreme entries."""
     content = _copy(chance.choice(BASES))
     if chance.random() < 0.08:
         return _no_scene(chance)
@@ -215,9 +215,9 @@ def _places(content: Any, place: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ..
 
 
 def _spoil(content: Any, chance: random.Random) -> None:
-    """Put something odd in one place."""
-    *way, key = chance.choice(list(_places(content)))
-    for step in way:
+    """Replace or remove one entry."""
+    *place, key = chance.choice(list(_places(content)))
+    for step in place:
         content = content[step]
     if chance.random() < 0.1 and isinstance(content, dict):
         del content[key]
@@ -238,7 +238,7 @@ def _odd(before: Any, chance: random.Random) -> Any:
 
 
 def _enlarge(content: Any, chance: random.Random) -> None:
-    """Make one part of it huge."""
+    """Make one part of the scene very large."""
     many = chance.choice((300, 2_000, 20_000, 100_000, 1_000_000))
     part = chance.choice(("bodies", "channels", "dampers", "steps"))
     if part == "bodies":
@@ -259,7 +259,7 @@ def _enlarge(content: Any, chance: random.Random) -> None:
 
 
 def command(path: str, chance: random.Random) -> list[str]:
-    """Give a command on a scene, often with an odd option."""
+    """Return a command on a scene, often with an invalid option."""
     odd = chance.choice(ODD_NUMBERS)
     pick = lambda *options: list(chance.choice(options))  # noqa: E731
     kinds: dict[str, list[str]] = {
@@ -312,7 +312,7 @@ def command(path: str, chance: random.Random) -> list[str]:
 
 
 def rarer_command(path: str, chance: random.Random) -> list[str]:
-    """Give one of the commands that take longer, on a scene `path`, beside it r.mcap, x.csv and c.py."""
+    """Return one of the slower commands, on a scene `path` in a folder with r.mcap, x.csv and c.py."""
     odd, text = chance.choice(ODD_NUMBERS), chance.choice(ODD_TEXTS).replace("\0", "")
     kinds = (
         f"rig cost {path} --periods 2",

@@ -1,8 +1,8 @@
-"""The server with releases of NI's client, each in an environment of its own: `python -m tests.clients [VERSION ...]`.
+"""The server with several releases of NI's client, each in its own environment: `python -m tests.clients [VERSION ...]`.
 
-The oldest release that speaks the protocol, the last one that needs an older protobuf than this project, the oldest
-that can be installed beside it, one from the middle and the newest. A client in a process of its own need not be as new
-as that of this one, which brings the protocol's message classes.
+The releases are the oldest with the protocol, the last that needs an older protobuf than this project, the oldest
+that can be installed with it, one in between and the newest. The client of a script may be older than the one of
+this project, whose message classes the server uses.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 import daq
 
 RELEASES = ("0.8.0", "1.0.2", "1.1.0", "1.3.0", "1.7.0")
-# What any client does: settings and what becomes of them, reads, writes, triggers, events, errors, devices.
+# Calls that every client makes: settings, reads, writes, triggers, events, errors, devices.
 SCRIPT = """
 import sys, threading
 import grpc, numpy as np, nidaqmx
@@ -57,7 +57,7 @@ print("passed")
 
 
 def main() -> int:
-    """Run the script with each release; say which failed."""
+    """Run the script with each release, and name those that fail."""
     failed = []
     with tempfile.TemporaryDirectory() as folder, daq.connect("bare-structure", clock="fast") as rig:
         script = Path(folder, "script.py")

@@ -20,8 +20,8 @@ settings.load_profile("project")
 # A busy machine would have commands say that they are still at work, between the lines that tests look at.
 console.SILENCE = float("inf")
 
-# A shell starts what it runs in the background with interrupts ignored, and programs that tests start inherit it: those
-# that are to be interrupted would go on for ever.
+# A shell starts what it runs in the background with interrupts ignored, and programs that tests start inherit it:
+# those that are to be interrupted would go on for ever.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 # And so does nohup with the end of a terminal.

@@ -1,7 +1,7 @@
-"""The hard cases: every scene in tests/cases, with what its head says must hold.
+"""Hard cases: every scene in tests/cases meets the requirements in its header.
 
-A head is comments: `Why hard`, then `Run` (the engine alone, open loop) or `Bench` (through sensors and
-converter), `Vary` (one setting over a range), and `Must hold`; the last three are YAML.
+The header is a comment with `Why hard`, then `Run` (the engine alone, open loop) or `Bench` (with sensors and
+converter), `Vary` (one setting over a range) and `Must hold`. All but the first are YAML.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Case:
             if colon and name in ("Why hard", "Run", "Bench", "Vary", "Must hold"):
                 key, line = name, rest
             parts[key] = f"{parts.get(key, '')} {line}"
-        assert parts.get("Why hard"), f"{path} does not say why it is hard"
+        assert parts.get("Why hard"), f"{path}: the header lacks `Why hard`"
         return cls(path, {name: yaml.safe_load(text) for name, text in parts.items() if name != "Why hard"})
 
     def scenes(self) -> Iterator[rig.Scene]:
@@ -63,7 +63,7 @@ CASES = [Case.read(path) for path in sorted(FOLDER.glob("*.yaml"))]
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("case", CASES, ids=[case.path.stem for case in CASES])
-def test_given_a_hard_case_when_run_then_what_it_says_holds(case: Case) -> None:
+def test_hard_case_meets_its_requirements(case: Case) -> None:
     for scene in case.scenes():
         if "Bench" in case.head:
             check_bench(scene, case.head["Bench"], case.head["Must hold"])
@@ -87,7 +87,7 @@ def check_run(scene: rig.Scene, how: dict[str, Any], must: dict[str, Any]) -> No
         assert run.events["time"][0] == parse(must["first_time"], TIME)
     if "unison" in must:
         together = run.events[: len(run.events) // 3 * 3].reshape(-1, 3)
-        # One instant, to the last bit of the time.
+        # Equal to the last bit of the time.
         assert np.ptp(together["time"], axis=1).max() < 1e-14
         assert len(run.events) % 3 == 0 and len(run.events) > 0
     if "drift" in must:
@@ -98,7 +98,7 @@ def check_run(scene: rig.Scene, how: dict[str, Any], must: dict[str, Any]) -> No
 
 
 def check_invariants(run: rig.Run) -> None:
-    """What holds in any run."""
+    """Check the invariants of any run."""
     for part in (run.displacement, run.velocity, run.acceleration, run.gap):
         assert np.isfinite(part).all()
     clearance = np.array([d.clearance for d in run.scene.dampers if not d.locked and d.clearance > 0.0])
@@ -141,7 +141,7 @@ def check_bench(scene: rig.Scene, how: dict[str, Any], must: dict[str, Any]) -> 
         names = [channel.name for channel in bench.channels]
         begin = int(parse(follows["from"], TIME) * bench.rate)
         read = reading[names.index(follows["channel"]), begin:]
-        # An accelerometer reads changes: what was there before it was switched on is not in its reading.
+        # An accelerometer reads changes, so that the displacement at power-on is missing in its reading.
         true = np.concatenate(truths)
         true = (true - true[0])[begin:]
         assert np.std(read - true) < parse(follows["within"], RATIO) * np.std(true)

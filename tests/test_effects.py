@@ -1,4 +1,4 @@
-"""What a scene names is all that acts: taking an effect away leaves every bit of what it does not touch."""
+"""Removing an effect from a scene changes no bit of the results that it does not influence."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def full() -> rig.Scene:
 
 
 def without_sensor_effect(key: str) -> rig.Scene:
-    """The scene with one effect of the second channel's sensor or amplifier taken away."""
+    """The scene without one effect of the second channel's sensor or amplifier."""
     scene = full()
     first, second, *rest = scene.channels
     if key == "integrator":
@@ -34,7 +34,7 @@ def samples(scene: rig.Scene) -> np.ndarray:
 
 
 @pytest.mark.parametrize("key", ["resonance", "noise", "low_cutoff", "integrator"])
-def test_given_an_effect_of_one_channel_when_it_is_taken_away_then_the_other_channels_keep_every_bit(
+def test_effect_of_one_channel_changes_no_other(
     key: str,
 ) -> None:
     with_it, without = samples(full()), samples(without_sensor_effect(key))
@@ -42,7 +42,7 @@ def test_given_an_effect_of_one_channel_when_it_is_taken_away_then_the_other_cha
     assert (without[1] != with_it[1]).any()
 
 
-def test_given_a_channel_when_it_is_taken_away_then_the_others_keep_every_bit() -> None:
+def test_removed_channel_changes_no_other() -> None:
     scene = full()
     fewer = scene.replace(channels=(scene.channels[0], *scene.channels[2:]))
     np.testing.assert_array_equal(samples(fewer), samples(scene)[[0, 2, 3]])
@@ -51,7 +51,7 @@ def test_given_a_channel_when_it_is_taken_away_then_the_others_keep_every_bit() 
 @pytest.mark.parametrize(
     "part", [{"channels": None}, {"converter": {"rate": 5120.0}}, {"recording": {"truth": True}}]
 )
-def test_given_a_measuring_effect_when_it_is_taken_away_then_the_motion_keeps_every_bit(
+def test_measurement_settings_do_not_change_motion(
     part: dict[str, object],
 ) -> None:
     time = np.arange(800) / 5120.0
@@ -62,9 +62,7 @@ def test_given_a_measuring_effect_when_it_is_taken_away_then_the_motion_keeps_ev
 
 
 @pytest.mark.parametrize("part", ["display", "truth"])
-def test_given_something_recorded_beside_the_channels_when_it_is_taken_away_then_they_keep_every_bit(
-    part: str, tmp_path: Path
-) -> None:
+def test_display_and_truth_do_not_change_channels(part: str, tmp_path: Path) -> None:
     scene = full().replace(test={"kind": "sine", "frequency": 34.8, "drive": 8.0, "duration": 0.3})
     recorded = []
     for on in (True, False):
@@ -74,11 +72,11 @@ def test_given_something_recorded_beside_the_channels_when_it_is_taken_away_then
     np.testing.assert_array_equal(*recorded)
 
 
-def test_given_a_ceiling_out_of_reach_when_it_is_added_then_the_motion_keeps_every_bit() -> None:
+def test_unreachable_ceiling_does_not_change_motion() -> None:
     scene = full()
     ceilings = scene.replace(dampers=[damper.replace(clearance=10.0) for damper in scene.dampers])
     drive = 8.0 * np.sin(2 * np.pi * 34.8 * np.arange(2000) / 5120.0)[None]
-    with_them, without = (rig.Plant(one, 5120.0).advance(drive) for one in (ceilings, scene))
+    with_them, without = (rig.Plant(variant, 5120.0).advance(drive) for variant in (ceilings, scene))
     assert len(without.events) > 0
     np.testing.assert_array_equal(with_them.displacement, without.displacement)
     np.testing.assert_array_equal(with_them.events, without.events)

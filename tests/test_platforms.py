@@ -1,4 +1,4 @@
-"""What differs between systems, as far as it can be had here: Windows' rules for open files, narrow consoles."""
+"""Differences between systems that can be emulated here: Windows' rules for open files, consoles with few characters."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SCENE = {
 
 @pytest.fixture
 def windows_files(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No file that is open can be renamed, replaced or removed, and what is open to read cannot be synced."""
+    """Open files cannot be renamed, replaced or removed, and files open for reading cannot be synced."""
 
     def refused(path: Path) -> None:
         if str(path.resolve()) in {file.path for file in psutil.Process().open_files()}:
@@ -56,10 +56,8 @@ def windows_files(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "fsync", careful_sync)
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="there the system itself has these rules")
-def test_given_windows_rules_for_open_files_when_recorded_over_recovered_and_written_then_all_are_there(
-    windows_files: None, tmp_path: Path
-) -> None:
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has these rules itself")
+def test_files_are_written_under_windows_rules(windows_files: None, tmp_path: Path) -> None:
     scene, path = rig.load("fig10b-no-damper", SCENE), tmp_path / "run.mcap"
     daq.record(scene, path)
     first = path.read_bytes()
@@ -90,7 +88,7 @@ def test_given_windows_rules_for_open_files_when_recorded_over_recovered_and_wri
         "analysis compare recordings/demo-sweep-no-damper.mcap recordings/demo-sweep-three-dampers.mcap -o {folder}",
     ],
 )
-def test_given_a_console_that_knows_few_characters_when_a_command_speaks_then_it_is_heard(
+def test_commands_print_on_consoles_with_few_characters(
     words: str, encoding: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     console = io.TextIOWrapper(io.BytesIO(), encoding=encoding, errors="strict")

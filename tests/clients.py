@@ -1,4 +1,6 @@
-"""The server with several releases of NI's client, each in its own environment: `python -m tests.clients [VERSION ...]`.
+"""The server with several releases of NI's client, each in an environment of its own.
+
+    python -m tests.clients [VERSION ...]
 
 The releases are the oldest with the protocol, the last that needs an older protobuf than this project, the oldest
 that can be installed with it, one in between and the newest. The client of a script may be older than the one of

@@ -1,4 +1,4 @@
-"""Differences between systems that can be emulated here: Windows' rules for open files, consoles with few characters."""
+"""Differences between systems that can be emulated: rules of Windows for open files, consoles with few characters."""
 
 from __future__ import annotations
 

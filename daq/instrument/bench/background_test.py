@@ -1,118 +1,147 @@
-"""What happens on the bench while no script has taken the shaker's output: the scene's own test."""
+"""A test that the bench plays by itself, while no client drives its outputs."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.excitation import Station, excitation
+from daq.excitation import Excitation, Station, excitation
+from daq.measurement.run import RAMP_S, ramp_down
 from daq.signal_chain.oversampling import DriveLine
 from rig.errors import ShotrigError
-
-if TYPE_CHECKING:
-    from daq.signal_chain.channel import ChannelInfo
-    from rig.scene.scene import Scene
 
 Array = NDArray[np.float64]
 
 
 class BackgroundTest:
-    """Plays the scene's test on a bench, over and over, with its controller watching the channels.
+    """Plays a test on a bench, with its controller reading the channels.
 
     Parameters
     ----------
-    scene : Scene
-        What is on the bench.
-    channels, inputs : sequence
-        Its channels, and the names of its drive inputs.
-    rate : float
-        Samples per second.
+    station : Station
+        The test's view of the bench; `station.now` is the number of its first sample.
     ticks : int
         Ticks of the bench per sample; the drive is joined by straight lines.
     physical : callable
-        Reads samples in the channels' units.
+        Converts samples to the channels' units.
+    lead : int
+        Ticks without drive before the first sample.
+    excite : callable
+        Makes the excitation; the one of the scene's test by default.
+    ended : callable, optional
+        Called once with the reason when the test is over; the reason is empty at its regular end. By default the test
+        starts again, and an error is a warning.
 
     Attributes
     ----------
     quiet : bool
-        Whether it does nothing: there is no test, none that can be played, or the shaker is a script's.
+        Whether nothing is played: no test, one that has ended or failed, or one whose output a client has taken.
     """
 
     def __init__(
         self,
-        scene: Scene,
-        channels: Sequence[ChannelInfo],
-        inputs: Sequence[str],
-        rate: float,
+        station: Station,
         ticks: int,
         physical: Callable[[NDArray[Any]], Array],
+        lead: int = 0,
+        excite: Callable[[Station], Excitation] = excitation,
+        ended: Callable[[str], None] | None = None,
     ) -> None:
-        self._scene, self._inputs, self._physical = scene, tuple(inputs), physical
-        self._channels, self._rate = channels, rate
-        self._line = DriveLine(len(inputs), ticks)
-        self.quiet = scene.test is None
+        self._station, self._physical, self._excite, self._ended = station, physical, excite, ended
+        self._line = DriveLine(len(station.inputs), ticks)
+        self._stopping = False
         self._at = 0
         self._heard: list[Array] = []
-        self._drive = np.zeros((len(inputs), 0))
+        self._drive = np.zeros((len(station.inputs), 0))
+        self.quiet = station.scene.test is None
         if not self.quiet:
-            self._begin()
+            self._begin("cannot be played")
+            self._drive = np.concatenate([np.zeros((len(self._drive), lead)), self._drive], axis=1)
 
-    def _begin(self) -> None:
-        self._station = Station(
-            self._scene, self._channels, self._inputs, self._rate, mark=lambda *given, **fields: None
-        )
+    def _begin(self, failure: str) -> None:
         try:
-            self._test = excitation(self._station)
+            self._test = self._excite(self._station)
             self._play(next(self._test))
         except ShotrigError as error:
-            self.quiet = True
+            self._over(failure, str(error))
+
+    def _play(self, window: Array) -> None:
+        """Take the drive of the next samples; their readings are sent to the test when the last has been played."""
+        self._window, self._drive, self._at = window, self._line.through(window), 0
+
+    def _over(self, failure: str, reason: str) -> None:
+        self.quiet = True
+        if self._ended is not None:
+            self._ended(reason)
+        else:
             warnings.warn(
-                f"the test of scene {self._scene.name!r} cannot be played, the bench stays quiet until a script "
-                f"drives it: {error}",
+                f"the test of scene {self._station.scene.name!r} {failure}, the bench stays quiet until a script "
+                f"drives it: {reason}",
                 RuntimeWarning,
                 stacklevel=2,
             )
 
-    def _play(self, window: Array) -> None:
-        """Take the drive of the next samples; what they say is heard when the last one is over."""
-        self._samples, self._drive, self._at = window.shape[1], self._line.through(window), 0
+    def stop(self) -> None:
+        """End the test at the end of the current window, with a ramp of its drive to zero."""
+        self._stopping = True
 
     def leave_shaker(self) -> None:
-        """Let a script have the shaker; where there is a hammer, go on hitting with it."""
-        self.quiet |= "hammer" not in self._inputs
+        """Give the outputs to a client. A hammer goes on."""
+        test = self._station.scene.test
+        if not self.quiet and test is not None and test.kind != "impulse":
+            if self._ended is None:
+                self.quiet = True
+            else:
+                self._test.close()
+                self._over("", "a client has taken the output")
 
     def horizon(self, ticks: int) -> int:
-        """Cut a number of ticks at the end of the current window: the next one depends on what is heard."""
+        """Limit a number of ticks to the current window: the next one depends on its readings."""
         return ticks if self.quiet else min(ticks, self._drive.shape[1] - self._at)
 
     def drive(self, ticks: int) -> Array:
         """Give the drive of the next ticks, shape (inputs, ticks)."""
         if self.quiet:
-            return np.zeros((len(self._inputs), ticks))
+            return np.zeros((len(self._station.inputs), ticks))
         return self._drive[:, self._at : self._at + ticks]
 
     def hear(self, samples: NDArray[np.float64] | NDArray[np.int32], ticks: int) -> None:
-        """Take what the channels gave in so many ticks, shape (channels, samples)."""
+        """Take the readings of so many ticks, shape (channels, samples)."""
         if self.quiet:
             return
         self._heard.append(self._physical(samples))
         self._at += ticks
         if self._at < self._drive.shape[1]:
             return
-        heard = np.concatenate(self._heard, axis=1)
-        # Where a filter's latency is hidden in the sample numbers, nothing comes out at first.
-        readings = np.zeros((heard.shape[0], self._samples))
-        readings[:, self._samples - heard.shape[1] :] = heard
-        self._station.now += self._samples
+        size = self._window.shape[1]
+        heard = np.concatenate(self._heard, axis=1)[:, -size:]
+        # A filter whose delay is removed from the sample numbers gives no samples at first.
+        readings = np.zeros((heard.shape[0], size))
+        readings[:, size - heard.shape[1] :] = heard
+        self._station.now += size
         self._heard = []
         try:
-            self._play(self._test.send(readings))
+            if self._stopping:
+                self._stopping = False
+                self._test.close()
+                self._test = _ramp(self._window[:, -2:], self._station.samples(RAMP_S))
+                self._play(next(self._test))
+            else:
+                self._play(self._test.send(readings))
         except StopIteration:
-            self._begin()
+            if self._ended is not None:
+                self._over("", "")
+            else:
+                self._station = replace(self._station, now=0)
+                self._begin("cannot be played again")
         except ShotrigError as error:
-            self.quiet = True
-            warnings.warn(f"the scene's test has ended: {error}", RuntimeWarning, stacklevel=2)
+            self._over("has ended", str(error))
+
+
+def _ramp(last: Array, samples: int) -> Excitation:
+    yield ramp_down(last, samples)

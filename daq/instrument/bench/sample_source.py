@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.excitation import Excitation, Station, excitation
 from daq.instrument.bench.background_test import BackgroundTest
 from daq.instrument.bench.input_stream import InputStream, at_rate
 from daq.instrument.devices.modules import DIVIDED
@@ -113,6 +114,11 @@ class SceneSource:
     ----------
     scene : Scene
         What is on the bench.
+
+    Attributes
+    ----------
+    drive : ndarray, shape (inputs, samples)
+        Drive of the latest ticks, at `sample_rate`.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -132,7 +138,13 @@ class SceneSource:
         self._outputs = [row for row, name in enumerate(inputs) if name != "hammer"]
         self.drive_per_volt = np.array([DRIVE_PER_VOLT[units[row]] for row in self._outputs])
         self._converter = filled_in(scene.converter)
-        self._test = BackgroundTest(scene, own.channels, inputs, clock.rate, ticks, own.physical)
+        self._ticks = ticks
+        self.drive = np.zeros((len(inputs), 0))
+        self._test = BackgroundTest(
+            Station(scene, own.channels, inputs, clock.rate, mark=lambda *given, **fields: None),
+            ticks,
+            own.physical,
+        )
 
     @property
     def channels(self) -> Sequence[ChannelInfo]:
@@ -173,6 +185,7 @@ class SceneSource:
         drive = self._line.put_out(drive)
         motion = self._plant.advance(drive)
         self._past.append((motion, drive))
+        self.drive = drive[:, -motion.first % self._ticks :: self._ticks]
         while motion.first - self._past[0][0].first > min(_SETTLING * self.rate, _MOST_TICKS):
             self._past.popleft()
         blocks = {rate: stream.take(motion, drive) for rate, stream in self._streams.items()}
@@ -184,6 +197,26 @@ class SceneSource:
         return InputStream(
             self.scene, rate, samples_per_tick(rate, self.rate), self._plant, self._past, self.wiring
         )
+
+    def play(
+        self,
+        scene: Scene,
+        position: int,
+        mark: Callable[..., Any],
+        report: Callable[[float, str], None],
+        ended: Callable[[str], None],
+        excite: Callable[[Station], Excitation] = excitation,
+    ) -> BackgroundTest:
+        """Play the test of a scene once, from the first sample after `position` ticks; see `BackgroundTest`."""
+        first = -(-position // self._ticks)
+        own = self._streams[self.sample_rate]
+        station = Station(
+            scene, own.channels, self._plant.inputs, self.sample_rate, mark, report, now=first
+        )
+        self._test = BackgroundTest(
+            station, self._ticks, own.physical, first * self._ticks - position, excite, ended
+        )
+        return self._test
 
     def leave_outputs(self) -> None:
         """See `SampleSource.leave_outputs`."""

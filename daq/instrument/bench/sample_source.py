@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.excitation import Excitation, Station, excitation
+from daq.excitation import Excitation as PlayedSignal
+from daq.excitation import Station, excitation
 from daq.instrument.bench.background_test import BackgroundTest
 from daq.instrument.bench.input_stream import InputStream, at_rate
 from daq.instrument.devices.modules import DIVIDED
@@ -205,14 +206,12 @@ class SceneSource:
         mark: Callable[..., Any],
         report: Callable[[float, str], None],
         ended: Callable[[str], None],
-        excite: Callable[[Station], Excitation] = excitation,
+        excite: Callable[[Station], PlayedSignal] = excitation,
     ) -> BackgroundTest:
         """Play the test of a scene once, from the first sample after `position` ticks; see `BackgroundTest`."""
         first = -(-position // self._ticks)
         own = self._streams[self.sample_rate]
-        station = Station(
-            scene, own.channels, self._plant.inputs, self.sample_rate, mark, report, now=first
-        )
+        station = Station(scene, own.channels, self._plant.inputs, self.sample_rate, mark, report, now=first)
         self._test = BackgroundTest(
             station, self._ticks, own.physical, first * self._ticks - position, excite, ended
         )

@@ -1,7 +1,7 @@
 # The public names and where they live; `__init__.py` imports each when it is first used.
 
 from .decays.free_decay import Decay, decay
-from .export.export import sep005
+from .exporting.export import sep005
 from .fitting.fit import Fit, fit
 from .modal.identification import identify
 from .modal.modes import Modes, mac

@@ -223,7 +223,7 @@ def report(
     overwrite: Overwrite = False,
 ) -> None:
     """Write an interactive HTML page about recordings."""
-    from analysis.report.report import write_report
+    from analysis.reporting.report import write_report
 
     with overwriting(overwrite), counting("analysing") as progress:
         result = write_report(files, output, progress)
@@ -269,9 +269,9 @@ def export(
     ] = "samples",
 ) -> None:
     """Export a recording as UFF, MATLAB, CSV, NPZ or WAV file."""
-    from analysis.export.export import expected_bytes, kind_of
-    from analysis.export.export import export as export_stretch
-    from analysis.export.results import export_results
+    from analysis.exporting.export import expected_bytes, kind_of
+    from analysis.exporting.export import export as export_stretch
+    from analysis.exporting.results import export_results
     from analysis.recordings.slices import Slice
     from daq.recording.recording import open as open_recording
 

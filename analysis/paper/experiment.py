@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import daq
-from analysis.dampers.impact_detection import impacts
+from analysis.damper_motion.impact_detection import impacts
 from analysis.decays.free_decay import decay
 from analysis.modal.identification import identify
 from analysis.paper.store import Arrays, partial_name

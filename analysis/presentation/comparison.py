@@ -10,7 +10,7 @@ from math import isinf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from analysis.dampers.comparison import (
+from analysis.damper_motion.comparison import (
     PeakChange,
     covers,
     describe_changes,

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.dampers.nonlinearity import (
+from analysis.damper_motion.nonlinearity import (
     DamperMotion,
     damper_motion,
     describe_motion,
     describe_restitution,
 )
-from analysis.dampers.performance import CycleEnergy, energy_per_cycle, impact_energy_per_cycle
+from analysis.damper_motion.performance import CycleEnergy, energy_per_cycle, impact_energy_per_cycle
 from analysis.presentation.expectations import expect
 from analysis.presentation.output_names import check_outputs, output_stem, with_ending
 from analysis.presentation.result import Progress, Result

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import daq
 import rig
-from analysis.export.export import export
+from analysis.exporting.export import export
 from analysis.recordings.slices import Slice
 from rig.errors import ShotrigError
 from tests.gauntlet.cavities import DECAY, STEPS, TONE, draw_cavities, draw_decay

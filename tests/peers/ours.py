@@ -12,7 +12,7 @@ from scipy import signal
 import analysis
 import daq
 import rig
-from analysis.export.export import export
+from analysis.exporting.export import export
 from analysis.recordings.slices import Slice
 from daq.recording.recording import Recording
 

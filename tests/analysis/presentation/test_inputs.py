@@ -12,7 +12,7 @@ import pytest
 import analysis
 import daq
 import rig
-from analysis.export.results import export_results
+from analysis.exporting.results import export_results
 from analysis.presentation.comparison import present_compare
 from analysis.presentation.frf_findings import present_frf
 from analysis.presentation.mode_findings import present_modes

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 import analysis
 import daq
 from analysis.cli import app
-from analysis.export.uff import write_frfs
+from analysis.exporting.uff import write_frfs
 from analysis.presentation.tables import frf_table
 from rig.errors import RecordingError, SceneError
 from tests.daq.importing.files import NAMES, RATE, bench, tdms

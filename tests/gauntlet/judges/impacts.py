@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.dampers.impact_detection import Impacts, impacts, score
+from analysis.damper_motion.impact_detection import Impacts, impacts, score
 from analysis.responses.systematic import tolerance
 from daq.signal_chain.channel import ChannelInfo
 from rig.system.assembly import assemble

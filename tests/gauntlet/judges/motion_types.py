@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.dampers.impact_detection import impacts, score
-from analysis.dampers.nonlinearity import damper_motion
+from analysis.damper_motion.impact_detection import impacts, score
+from analysis.damper_motion.nonlinearity import damper_motion
 from analysis.responses.stepped_sine import sweeps
 from rig.numerics.runs import runs_of
 from rig.response.motion_type import STAY

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from analysis.dampers.impact_detection import impacts
-from analysis.dampers.restitution import restitution
+from analysis.damper_motion.impact_detection import impacts
+from analysis.damper_motion.restitution import restitution
 from tests.gauntlet.cavities import TONE
 from tests.gauntlet.verdict import Case, Verdict
 

@@ -4,8 +4,8 @@ import pytest
 
 import daq
 import rig
-from analysis.dampers.impact_detection import impacts
-from analysis.dampers.restitution import restitution
+from analysis.damper_motion.impact_detection import impacts
+from analysis.damper_motion.restitution import restitution
 
 
 @pytest.mark.parametrize(("true", "clearance"), [(0.0, 1e-3), (0.0, float("inf")), (0.3, 1e-3), (0.6, 1e-3)])

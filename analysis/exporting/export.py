@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.export.mat import write_mat
-from analysis.export.uff import write_uff
-from analysis.export.wav import write_wav
+from analysis.exporting.mat import write_mat
+from analysis.exporting.uff import write_uff
+from analysis.exporting.wav import write_wav
 from analysis.recordings.names import takes_path
 from analysis.recordings.slices import Slice
 from rig.errors import RunError, SceneError

@@ -12,9 +12,9 @@ import analysis
 import daq
 import rig
 from analysis.cli import app
-from analysis.dampers import performance
-from analysis.dampers.nonlinearity import DamperMotion, damper_motion, describe_motion
-from analysis.dampers.performance import energy_per_cycle, impact_energy_per_cycle
+from analysis.damper_motion import performance
+from analysis.damper_motion.nonlinearity import DamperMotion, damper_motion, describe_motion
+from analysis.damper_motion.performance import energy_per_cycle, impact_energy_per_cycle
 from analysis.presentation.damper_findings import present_dampers
 from analysis.responses.branch_jumps import jumps
 from analysis.responses.stepped_sine import sweeps

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 import analysis
 import daq
 from analysis.cli import app
-from analysis.dampers.comparison import (
+from analysis.damper_motion.comparison import (
     Peak,
     PeakChange,
     describe_changes,

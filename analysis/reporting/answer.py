@@ -7,9 +7,9 @@ from math import isfinite
 
 import numpy as np
 
-from analysis.dampers.comparison import PeakChange
-from analysis.report.measured import DamperResult, Measured
-from analysis.report.tables import peak_height, with_bound
+from analysis.damper_motion.comparison import PeakChange
+from analysis.reporting.measured import DamperResult, Measured
+from analysis.reporting.tables import peak_height, with_bound
 from rig.results import frequency_ranges
 
 _MAX_SENTENCES = 3

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.dampers.joint_fit import Jump
-from analysis.dampers.jump_search import CALM, CERTAINTY, LEFT_OVER, RANGE, SIGMAS, JumpSearch
-from analysis.dampers.jump_signature import Signature, signature
-from analysis.dampers.landing_pulse import Pulse, landing_pulse
+from analysis.damper_motion.joint_fit import Jump
+from analysis.damper_motion.jump_search import CALM, CERTAINTY, LEFT_OVER, RANGE, SIGMAS, JumpSearch
+from analysis.damper_motion.jump_signature import Signature, signature
+from analysis.damper_motion.landing_pulse import Pulse, landing_pulse
 from analysis.decays.sensor_correction import corrected
 from analysis.responses.frf import MOTIONS
 from analysis.responses.measurands import named

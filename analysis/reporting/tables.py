@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.dampers.comparison import Peak, PeakChange
-from analysis.report.measured import Measured
+from analysis.damper_motion.comparison import Peak, PeakChange
+from analysis.reporting.measured import Measured
 from analysis.responses.frf import Frf
 from analysis.responses.systematic import tolerance
 from rig.escaping import html

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.dampers.impact_detection import Impacts, band
-from analysis.dampers.jump_search import LEFT_OVER
+from analysis.damper_motion.impact_detection import Impacts, band
+from analysis.damper_motion.jump_search import LEFT_OVER
 from analysis.decays.sensor_correction import corrected
 from analysis.responses.systematic import tolerance
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.dampers.ceiling_reach import may_reach_ceiling
-from analysis.dampers.impact_detection import Impacts, band, impacts
-from analysis.dampers.landing_pulse import carried
-from analysis.dampers.restitution import Restitution, hard_speeds, restitution
+from analysis.damper_motion.ceiling_reach import may_reach_ceiling
+from analysis.damper_motion.impact_detection import Impacts, band, impacts
+from analysis.damper_motion.landing_pulse import carried
+from analysis.damper_motion.restitution import Restitution, hard_speeds, restitution
 from analysis.decays.sensor_correction import corrected
 from analysis.responses.frf import MOTIONS
 from analysis.responses.systematic import tolerance

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.report.charts import Chart, Curve, Panel, logarithmic
-from analysis.report.measured import DamperResult, Measured
+from analysis.reporting.charts import Chart, Curve, Panel, logarithmic
+from analysis.reporting.measured import DamperResult, Measured
 from analysis.responses.frf import Frf
 
 # Longer curves are thinned to the highest and the lowest point of so many intervals.

@@ -14,9 +14,9 @@ from typer.testing import CliRunner
 import analysis
 import daq
 from analysis.cli import app
-from analysis.export.export import expected_bytes, export
-from analysis.export.results import export_results
-from analysis.export.uff import write_uff
+from analysis.exporting.export import expected_bytes, export
+from analysis.exporting.results import export_results
+from analysis.exporting.uff import write_uff
 from analysis.recordings.slices import Slice
 from daq.recording.recorder import Recorder
 from daq.signal_chain.channel import ChannelInfo

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.report.charts import Chart, Curve, EvenlySpaced, Image, Panel
+from analysis.reporting.charts import Chart, Curve, EvenlySpaced, Image, Panel
 from rig.system.structural_model import structural_model
 
 if TYPE_CHECKING:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.dampers.impact_detection import Impacts, band
-from analysis.dampers.landing_pulse import landing_pulse
-from analysis.dampers.restitution import hard_speeds
+from analysis.damper_motion.impact_detection import Impacts, band
+from analysis.damper_motion.landing_pulse import landing_pulse
+from analysis.damper_motion.restitution import hard_speeds
 from analysis.decays.sensor_correction import corrected
 from analysis.responses.systematic import tolerance
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.dampers.entangled_jumps import cost, grow
-from analysis.dampers.joint_fit import (
+from analysis.damper_motion.entangled_jumps import cost, grow
+from analysis.damper_motion.joint_fit import (
     Jump,
     error_beside,
     fit_together,
@@ -18,7 +18,7 @@ from analysis.dampers.joint_fit import (
     readings,
     with_errors,
 )
-from analysis.dampers.jump_signature import SHIFT, Signature
+from analysis.damper_motion.jump_signature import SHIFT, Signature
 from rig.numerics.runs import runs_of
 
 Array = NDArray[np.float64]

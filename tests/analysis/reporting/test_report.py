@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import rig
-from analysis.report.charts import Chart, ChartWriter, Curve, EvenlySpaced, Panel
-from analysis.report.drawing import rig_drawing
-from analysis.report.report import write_report
+from analysis.reporting.charts import Chart, ChartWriter, Curve, EvenlySpaced, Panel
+from analysis.reporting.drawing import rig_drawing
+from analysis.reporting.report import write_report
 from tests.analysis.responses import synthetic
 
 FREQUENCIES = np.linspace(8.0, 60.0, 53)

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.dampers.jump_signature import SHIFT, Signature
+from analysis.damper_motion.jump_signature import SHIFT, Signature
 
 Array = NDArray[np.float64]
 

@@ -5,9 +5,9 @@ import pytest
 
 import daq
 import rig
-from analysis.dampers.impact_detection import impacts, score
-from analysis.dampers.jump_search import SIGMAS
-from analysis.dampers.landing_pulse import landing_pulse
+from analysis.damper_motion.impact_detection import impacts, score
+from analysis.damper_motion.jump_search import SIGMAS
+from analysis.damper_motion.landing_pulse import landing_pulse
 from analysis.responses.systematic import tolerance
 from daq.recording.markers import Marker
 from daq.signal_chain.channel import ChannelInfo

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import rig
-from analysis.dampers.landing_pulse import carried, landing_pulse
+from analysis.damper_motion.landing_pulse import carried, landing_pulse
 from rig.errors import RecordingError
 
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.dampers.joint_fit import Jump, fit_within
-from analysis.dampers.jump_signature import Signature
+from analysis.damper_motion.joint_fit import Jump, fit_within
+from analysis.damper_motion.jump_signature import Signature
 
 Array = NDArray[np.float64]
 

@@ -12,13 +12,13 @@ from string import Template
 
 from analysis.presentation.output_names import output_stem, with_ending
 from analysis.presentation.result import Result
-from analysis.report.answer import answer
-from analysis.report.charts import ChartWriter
-from analysis.report.drawing import mode_drawing, rig_drawing
-from analysis.report.histories import spectrograms, time_histories
-from analysis.report.measured import Measured, Measurements
-from analysis.report.responses import damper_chart, decay_charts, response_charts
-from analysis.report.tables import budget, changes_table, decays, resonances, settings
+from analysis.reporting.answer import answer
+from analysis.reporting.charts import ChartWriter
+from analysis.reporting.drawing import mode_drawing, rig_drawing
+from analysis.reporting.histories import spectrograms, time_histories
+from analysis.reporting.measured import Measured, Measurements
+from analysis.reporting.responses import damper_chart, decay_charts, response_charts
+from analysis.reporting.tables import budget, changes_table, decays, resonances, settings
 from rig.escaping import html
 from rig.output_files import make_ready, replacing
 from rig.provenance import made_from, refuse_others, relative
@@ -55,7 +55,7 @@ def write_report(
     with Measurements(paths, progress) as measurements:
         sentences, body = _body(measurements, paths)
     title = f"Vibration test: {', '.join(path.stem for path in paths)}"
-    browser = files("analysis.report") / "browser"
+    browser = files("analysis.reporting") / "browser"
 
     def text(name: str) -> str:
         return (browser / name).read_text(encoding="utf-8")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from analysis.export import mat, uff
+from analysis.exporting import mat, uff
 from analysis.modal.identification import identify
 from analysis.recordings.names import opened
 from analysis.responses.frequency_responses import frequency_responses

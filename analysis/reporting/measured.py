@@ -11,9 +11,9 @@ from typing import ParamSpec, Self, TypeVar
 
 import numpy as np
 
-from analysis.dampers.comparison import Peak, PeakChange, peak, peak_changes, surroundings
-from analysis.dampers.nonlinearity import DamperMotion
-from analysis.dampers.performance import CycleEnergy, energy_per_cycle
+from analysis.damper_motion.comparison import Peak, PeakChange, peak, peak_changes, surroundings
+from analysis.damper_motion.nonlinearity import DamperMotion
+from analysis.damper_motion.performance import CycleEnergy, energy_per_cycle
 from analysis.decays.free_decay import Decay, decay
 from analysis.modal.identification import identify
 from analysis.modal.modes import Modes

@@ -13,7 +13,7 @@ from scipy import fft
 from analysis.responses.frf import MOTIONS
 
 if TYPE_CHECKING:
-    from analysis.dampers.landing_pulse import Pulse
+    from analysis.damper_motion.landing_pulse import Pulse
     from daq.signal_chain.channel import ChannelInfo
 
 Array = NDArray[np.float64]

@@ -39,12 +39,9 @@ def _at_dampers(scene: Scene, system: HybridSystem, frequencies: Array) -> Array
     if not system.dampers or not isinstance(scene.test, Sine | SteppedSine | SweptSine):
         return np.zeros((0, 0))
     try:
-        columns = [
-            accelerations_per_level(scene, system, 2.0 * np.pi * each) for each in frequencies.tolist()
-        ]
+        return accelerations_per_level(scene, system, 2.0 * np.pi * frequencies)[system.damper_coordinate]
     except SceneError:
         return np.zeros((0, 0))
-    return np.array(columns).T[system.damper_coordinate]
 
 
 def flight_lines(

@@ -56,7 +56,7 @@ def states_per_level(
         If the rig is undamped and a frequency is its resonance.
     """
     omega = 2.0 * np.pi * frequencies
-    gain = np.array([drive_per_level(scene, system, each) for each in omega.tolist()], dtype=np.complex128)
+    gain = np.broadcast_to(drive_per_level(scene, system, omega), omega.shape).astype(np.complex128)
     return riding_response(system, scene.at_driven("shaker"), omega) * gain, gain
 
 

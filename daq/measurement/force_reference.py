@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from daq.recording.scene_outline import SceneOutline
+
 if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
     from rig.scene.scene import Scene
@@ -26,22 +28,17 @@ def missing_force_reference(scene: Scene, channels: Sequence[ChannelInfo]) -> st
     >>> missing_force_reference(bench.scene, bench.channels) is None
     True
     """
-    shaker, test = scene.driven_shaker, scene.test
-    if shaker is None or (test is not None and test.kind in ("impulse", "free")):
+    outline = SceneOutline.of(scene)
+    forces = any(info.quantity == "force" for info in channels)
+    places = outline.missing_force_places({info.at for info in channels}, forces)
+    if not places:
         return None
-    if any(info.quantity == "force" for info in channels):
-        return None
-    if shaker.kind == "force":
-        missing = [f"{{name: force, at: {scene.at_driven('shaker')}}}"]
-    else:
-        moving = {info.at for info in channels}
-        missing = [
-            f"{{name: {place.replace(' ', '')}, at: {place}}}"
-            for place in (scene.at_driven("table"), f"body {shaker.body}")
-            if place not in moving
-        ]
-    if not missing:
-        return None
+    shaker = scene.driven_shaker
+    assert shaker is not None
+    missing = [
+        f"{{name: {'force' if shaker.kind == 'force' else place.replace(' ', '')}, at: {place}}}"
+        for place in places
+    ]
     return (
         "no channel measures the force on the structure, so `analysis frf` has no reference; "
         f"add {' and '.join(missing)} to the scene's channels"

@@ -10,13 +10,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from daq.measurement.estimate import WORTH_SAYING_S, estimate
-from daq.measurement.force_reference import missing_force_reference
 from daq.recording.recorded_test import TestKind
 from rig.console import progress
 from rig.errors import ShotrigError
 from rig.results import frequency_ranges
-from rig.scene.presets import filled_in, origin
 
 if TYPE_CHECKING:
     from daq.recording.markers import Marker
@@ -42,6 +39,7 @@ def record_and_report(name: str, scene: Scene, path: Path, overwrite: bool, bloc
         Exit code: 0 done, 130 interrupted (the recording is then closed and readable).
     """
     import daq
+    from daq.measurement.estimate import WORTH_SAYING_S, estimate
 
     print(f"recording {name} to {path.absolute()}", file=sys.stderr)
     asked, rate = scene.converter.rate, scene.converter.sample_rate
@@ -114,23 +112,22 @@ def summary(path: Path) -> str:
 
 
 def next_steps(rec: Recording) -> list[str]:
-    """List the commands that have something to work on in a recording, the most telling first."""
+    """List the commands that have something to work on in a recording, the most informative first."""
+    path = shlex.quote(str(rec.path))
     try:
-        scene = rec.scene
+        outline, kind = rec.outline, rec.test_kind
     except ShotrigError:
-        # Another program's recording need not say what was on its bench.
-        return [f"daq replay {shlex.quote(str(rec.path))}"]
-    kinds, test = {mark.kind for mark in rec.markers}, rec.test
-    channels = list(rec.channels.values())
-    steps = ["decay"] if "hit" in kinds or test.kind is TestKind.FREE else []
-    struck = "hit" in kinds and any(info.quantity == "force" for info in channels)
-    if struck or ("measure" in kinds and missing_force_reference(scene, channels) is None):
-        steps += ["frf"] if getattr(scene.test, "kind", "") == "sine" else ["frf", "modes"]
-    steps += ["dampers"] if test.kind is TestKind.TONES and "measure" in kinds and scene.dampers else []
-    return [
-        f"{command} {shlex.quote(str(rec.path))}"
-        for command in (*(f"analysis {step}" for step in steps), "daq replay")
-    ]
+        # Another program's recording need not state its scene.
+        return [f"daq replay {path}"]
+    kinds = {mark.kind for mark in rec.markers}
+    channels = rec.channels.values()
+    forces = any(info.quantity == "force" for info in channels)
+    reference = not outline.missing_force_places({info.at for info in channels}, forces)
+    steps = ["decay"] if "hit" in kinds or kind is TestKind.FREE else []
+    if ("hit" in kinds and forces) or ("measure" in kinds and reference):
+        steps += ["frf"] if outline.test == "sine" else ["frf", "modes"]
+    steps += ["dampers"] if kind is TestKind.TONES and "measure" in kinds and outline.dampers else []
+    return [*(f"analysis {step} {path}" for step in steps), f"daq replay {path}"]
 
 
 def _levels(rec: Recording) -> list[str]:
@@ -177,6 +174,8 @@ def _overload(rec: Recording, name: str, stretches: Sequence[Marker]) -> str:
 
 def _limit(rec: Recording, name: str) -> str:
     """Say what a channel can take: its sensor, its input."""
+    from rig.scene.presets import origin
+
     info, limits = rec.channels[name], []
     settings: dict[str, Accelerometer | Hammer | None] = {}
     with suppress(ShotrigError):
@@ -192,6 +191,8 @@ def _limit(rec: Recording, name: str) -> str:
 
 def _sudden_landings(rec: Recording, overloaded: Sequence[str]) -> str:
     """Distinguish overloads by impacts of zero duration, which overload any real sensor, from too high a level."""
+    from rig.scene.presets import filled_in
+
     try:
         scene = rec.scene
     except ShotrigError:

@@ -79,13 +79,13 @@ def _duration(recording: Recording) -> str:
 def _place(recording: Recording, at: str) -> str:
     """Name the place of a channel, a body by its name if the scene has one."""
     try:
-        return recording.scene.structure.label(at)
+        return recording.outline.label(at)
     except ShotrigError:
         return at
 
 
 def _scene(recording: Recording) -> str:
     try:
-        return recording.scene.name
+        return recording.outline.scene
     except ShotrigError as error:
         return f"not usable: {str(error).splitlines()[0]}"

@@ -23,6 +23,7 @@ from daq.recording.markers import MARKER_SCHEMA, Marker
 from daq.recording.protobuf import Schema
 from daq.recording.sample_block import SCHEMAS, block_schema, encode, scale_of, stored_as
 from daq.recording.sample_groups import Group, Grouping
+from daq.recording.scene_outline import SceneOutline
 from daq.recording.timebase import Timebase
 from rig.errors import RunError
 
@@ -294,8 +295,7 @@ class Recorder:
             } | sheet
         if self._display is not None:
             records["display"] = self._display.description()
-        test = "none" if scene.test is None else scene.test.kind
-        run = {"scene": scene.name, "seed": str(scene.seed), "test": test, "layout": layout.VERSION}
+        run = SceneOutline.of(scene).to_metadata() | {"seed": str(scene.seed), "layout": layout.VERSION}
         source = {"source": self._source} if self._source else {}
         kind = {"kind": str(self._test_kind)} if self._test_kind is not None else {}
         records["run"] = run | {"shotrig": _version("shotrig")} | source | kind

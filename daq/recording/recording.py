@@ -18,8 +18,9 @@ from daq.recording import layout
 from daq.recording.channel_series import Series
 from daq.recording.gap import Gap, gaps_of, unnoted
 from daq.recording.markers import EVENT_TYPE, Marker, event_from_json
-from daq.recording.recorded_test import RecordedTest, kind_of_recording
+from daq.recording.recorded_test import RecordedTest, TestKind, kind_of_recording
 from daq.recording.sample_block import SAMPLE_TYPE
+from daq.recording.scene_outline import SceneOutline
 from daq.recording.truth import dampers_of, points_of
 from daq.signal_chain.channel import UNITS, ChannelInfo
 from daq.signal_chain.field_checks import NAME, check
@@ -353,10 +354,24 @@ class Recording(Result):
         try:
             settings = self.scene.test
         except ShotrigError:
-            # Another program's recording need not say what was on its bench.
+            # Another program's recording need not state its scene.
             settings = None
-        stated = self.metadata.get("run", {}).get("kind", "")
-        return RecordedTest(kind_of_recording(stated, self.markers, settings), settings)
+        return RecordedTest(kind_of_recording(self._stated_kind, self.markers, settings), settings)
+
+    @property
+    def test_kind(self) -> TestKind:
+        """Kind of the recorded test, without loading the scene where the recording states the kind."""
+        stated = self._stated_kind
+        return TestKind(stated) if stated in set(TestKind) else self.test.kind
+
+    @property
+    def _stated_kind(self) -> str:
+        return self.metadata.get("run", {}).get("kind", "")
+
+    @cached_property
+    def outline(self) -> SceneOutline:
+        """Facts of the recorded scene, without loading it where the recording states them."""
+        return SceneOutline.from_metadata(self.metadata.get("run", {})) or SceneOutline.of(self.scene)
 
     @property
     def duration(self) -> float:

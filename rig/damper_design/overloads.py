@@ -5,18 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from shlex import quote
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.damper_design.check import Expected
-from rig.damper_design.worst_peak import Peak
 from rig.results import plainly
 from rig.scene.measurement_chain import Accelerometer, Integrator
 from rig.scene.presets import filled_in
 from rig.scene.scene import STANDARD_GRAVITY, Scene
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
+
+if TYPE_CHECKING:
+    from rig.damper_design.check import Expected
+    from rig.damper_design.worst_peak import Peak
 
 Array = NDArray[np.float64]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,8 +90,8 @@ def level_of(scene: Scene) -> float:
     return float(level[0] if isinstance(level, tuple) else level)
 
 
-def drive_per_level(scene: Scene, system: HybridSystem, omega: float) -> complex:
-    """Complex drive amplitude for one unit of level, in the linear structure with all dampers riding."""
+def drive_per_level(scene: Scene, system: HybridSystem, omega: float | Array) -> Any:
+    """Complex drive amplitude for one unit of level at omega (rad/s), all dampers riding."""
     shaker = scene.driven_shaker
     drives = getattr(scene.test, "drive", None) is not None
     if isinstance(shaker, ForceShaker):
@@ -100,21 +101,19 @@ def drive_per_level(scene: Scene, system: HybridSystem, omega: float) -> complex
     return 1.0 / force_per_drive(scene, system, omega)
 
 
-def _servo_inverse(shaker: TableShaker, omega: float) -> complex:
+def _servo_inverse(shaker: TableShaker, omega: float | Array) -> Any:
     """Drive for one unit of table displacement: the critically damped servo, inverted."""
     ratio = omega / (2.0 * np.pi * shaker.bandwidth)
     return (1.0 + 1j * ratio) ** 2
 
 
-def force_per_drive(scene: Scene, system: HybridSystem, omega: float) -> complex:
+def force_per_drive(scene: Scene, system: HybridSystem, omega: float | Array) -> Any:
     """Spring force for one unit of drive, in the linear structure with all dampers riding."""
-    return complex(
-        spring_force_row(scene, system) @ riding_response(system, scene.at_driven("shaker"), omega)
-    )
+    return spring_force_row(scene, system) @ riding_response(system, scene.at_driven("shaker"), omega)
 
 
-def accelerations_per_level(scene: Scene, system: HybridSystem, omega: float) -> Array:
-    """Amplitude of each body's acceleration for one unit of level, in the linear structure with all dampers riding."""
+def accelerations_per_level(scene: Scene, system: HybridSystem, omega: float | Array) -> Array:
+    """Amplitude of each body's acceleration per unit of level, all dampers riding; shape (bodies,) + omega.shape."""
     response = riding_response(system, scene.at_driven("shaker"), omega) * drive_per_level(
         scene, system, omega
     )
